@@ -1,17 +1,12 @@
 """mmwave-loc convert: a model of Stable-Baselines3 as a policy file, which holds no code."""
 
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from mmwave_env.interface.observation import Observation
     from mmwave_env.task import Task
     from policies.policy_file import Card, Tensors
@@ -52,7 +47,6 @@ class Args(TrainedArgs):
     """file that VecNormalize.save wrote, for a model trained under it; loading it runs code, too"""
 
 
-PACKAGES = ("gymnasium", "numpy", "torch", "stable-baselines3")
 TIES = 0.001  # share of observations where rounding may change the action
 
 
@@ -61,32 +55,30 @@ def main(args: Args) -> None:
     from experiments.console.progress import say
     from experiments.training.unzip import CHOSEN, SHOWN, unzipped
     from mmwave_env.interface.observation import Observation
-    from mmwave_env.io.files import require_writable, write_bytes
+    from mmwave_env.io.files import atomic_path, require_writable
     from mmwave_env.task import task_from
+    from policies import LearnedSwitch
     from policies.policy_file import to_bytes
 
     for path, ending in ((args.model, ".zip"), (args.policy, ".safetensors")):
         if path.suffix != ending:
             raise ValueError(f"{path}: found another ending, expected {ending}")
-    for path in (args.model, *filter(None, [args.normalize])):
-        if not path.is_file():
-            raise FileNotFoundError(f"{path}: found no file, expected what Stable-Baselines3 saved")
     require_writable(args.policy)
     task = task_from(
         scenario=args.scenario, radio=args.radio, modes=args.modes or None, beliefs=args.beliefs
     )
     table = Observation(task.pipeline, args.observation, args.beliefs)
-    tensors, told = unzipped(args.model, args.normalize)
+    tensors, facts = unzipped(args.model, args.normalize)
     shown, chosen = tensors.pop(SHOWN), tensors.pop(CHOSEN)
     _require_trained_on(args, table, tensors)
-    content = to_bytes(tensors, _card(args, task, table, told))
-    alike = _decided(content, shown) == chosen
-    if alike.mean() < 1.0 - TIES:
-        raise ValueError(
-            f"{args.model}: its layers decide as it does on {alike.sum()} of {alike.size} "
-            "observations, expected all of them: its policy computes more than they do"
-        )
-    write_bytes(args.policy, content)
+    with atomic_path(args.policy) as temporary:
+        temporary.write_bytes(to_bytes(tensors, _card(args, task, table, facts)))
+        alike = LearnedSwitch(temporary)(shown) == chosen
+        if alike.mean() < 1.0 - TIES:
+            raise ValueError(
+                f"{args.model}: its layers decide as it does on {alike.sum()} of {alike.size} "
+                "observations, expected all of them: its policy computes more than they do"
+            )
     say(
         f"{args.policy}: decides as {args.model} on {alike.sum()} of {alike.size} observations; "
         f"mmwave-loc compare --policies {args.policy} speed-rule imm"
@@ -101,45 +93,39 @@ def _require_trained_on(args: Args, table: "Observation", tensors: "Tensors") ->
     """
     import numpy as np
 
-    low, layers = tensors["low"], [name for name in tensors if name.startswith("layer.")]
-    found = f"{len(low)} features and {len(tensors[f'layer.{len(layers) // 2 - 1}.bias'])} actions"
-    expected = f"{len(table)} features and {len(table.actions)} actions"
-    if found != expected:
+    last = sum(name.endswith(".bias") for name in tensors) - 1
+    actions = len(tensors[f"layer.{last}.bias"])
+    sizes = [(len(tensors["low"]), actions), (len(table), len(table.actions))]
+    trained, expected = (f"{n} features and {m} actions" for n, m in sizes)
+    if trained != expected:
         raise ValueError(
-            f"{args.model}: found {found}, expected {expected}, as of {table.made_with}; say "
+            f"{args.model}: found {trained}, expected {expected}, as of {table.made_with}; say "
             "--observation, --beliefs and --modes as in its training"
         )
-    space = table.space
-    if args.normalize is None and not (
-        np.array_equal(low, space.low) and np.array_equal(tensors["high"], space.high)
-    ):
+    bounds = np.array([tensors["low"], tensors["high"]])
+    if args.normalize is None and not np.array_equal(bounds, [table.space.low, table.space.high]):
         raise ValueError(
             f"{args.model}: found other bounds of the observations than this version's, expected "
             "the same: train it again"
         )
 
 
-def _card(args: Args, task: "Task", table: "Observation", told: dict[str, Any]) -> "Card":
-    from experiments.console.provenance import command_line
-    from mmwave_env import __version__
+def _card(args: Args, task: "Task", table: "Observation", facts: dict[str, Any]) -> "Card":
+    from experiments.console.provenance import command_line, versions_of
     from policies.policy_file import Card
 
-    seed = told["seed"]
     return Card(
-        modes=table.modes, observation=table.kind, features=table.columns,
-        scenario=args.scenario, radio=args.radio, algorithm=told["network"],
-        seed=-1 if seed is None else seed, timesteps=told["timesteps"],
-        command=command_line("convert", args), evaluation={},
-        versions={"mmwave-loc": __version__} | {name: version(name) for name in PACKAGES},
-        beliefs=table.beliefs, banks={task.radio.name: task.bank} if task.bank else {},
-    )  # fmt: skip
-
-
-def _decided(content: bytes, shown: "NDArray[np.float32]") -> "NDArray[np.int64]":
-    """Return the actions (n,) of a policy file for given observations (n, features)."""
-    from policies import LearnedSwitch
-
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "policy.safetensors"
-        path.write_bytes(content)
-        return LearnedSwitch(path)(shown)
+        modes=table.modes,
+        observation=table.kind,
+        features=table.columns,
+        scenario=args.scenario,
+        radio=args.radio,
+        algorithm=facts["network"],
+        seed=-1 if facts["seed"] is None else facts["seed"],
+        timesteps=facts["timesteps"],
+        command=command_line("convert", args),
+        evaluation={},
+        versions=versions_of("gymnasium", "numpy", "torch", "stable-baselines3"),
+        beliefs=table.beliefs,
+        banks={task.radio.name: task.bank} if task.bank else {},
+    )

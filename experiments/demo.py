@@ -36,18 +36,14 @@ def main(args: Args) -> None:
     from experiments.reporting.webpage.page import page_of
     from mmwave_env.io.files import write_json, write_text
 
-    runs = [EpisodeArgs(episodes=args.episodes, percentiles=args.percentiles)]
-    runs += [
-        EpisodeArgs(data=name, episodes=args.draws, percentiles=args.percentiles)
-        for name in RECORDINGS
-    ]
+    runs = [EpisodeArgs(episodes=args.episodes)]
+    runs += [EpisodeArgs(data=name, episodes=args.draws) for name in RECORDINGS]
     tables, everything, made = [], {}, provenance("demo", args)
-    for one in runs:
-        what = (
-            f"{one.data or 'mixed'}: {len(all_contenders(one))} policies, {one.episodes} episodes"
-        )
-        note(f"{what} each")
-        result, text, content, _ = results(one, all_contenders(one))
+    for run in runs:
+        options = replace(run, percentiles=args.percentiles)
+        names = all_contenders(options)
+        note(f"{options.data or 'mixed'}: {len(names)} policies, {options.episodes} episodes each")
+        result, text, content, _ = results(options, names)
         show(str(replace(result, paired={})))
         tables.append(text)
         everything[result.scenario] = made | content
@@ -59,8 +55,10 @@ def main(args: Args) -> None:
     report = PageArgs(results=files, out=args.out / "report.html")
     note("the web page: some episodes again, epoch by epoch")
     write_text(report.out, page_of(report))
-    say(f"All paired differences are in {args.out / 'tables.md'}, and every figure in")
-    say(f"{', '.join(map(str, files))}.")
-    say(f"{report.out} is a web page of them, with episodes to play: open it in a browser.")
-    say("README.md and docs/results.md say what the columns mean.")
-    say("next: mmwave-loc list policies, or mmwave-loc compare --policies ppo imm --radio standard")
+    say(
+        f"All paired differences are in {args.out / 'tables.md'}, and every figure in",
+        f"{', '.join(map(str, files))}.",
+        f"{report.out} is a web page of them, with episodes to play: open it in a browser.",
+        "README.md and docs/results.md say what the columns mean.",
+        "next: mmwave-loc list policies, or mmwave-loc compare --policies ppo imm --radio standard",
+    )

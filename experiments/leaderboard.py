@@ -9,8 +9,8 @@ from pathlib import Path
 class Args:
     """Judge contenders by the benchmark's protocol, and rank all entries there are.
 
-    Each of them runs in nine places to train in, in unseen ones and on recordings, beside every
-    IMM. Its entry, a JSON file, is kept in the folder; the table is made of all that lie there.
+    Each of them runs at nine sites to train in, at unseen sites and on recordings, beside every
+    IMM. Its entry, a JSON file, is kept in the folder; the table is made of all entries there.
 
     mmwave-loc leaderboard --policies imm-best --episodes 20 --draws 5
     """
@@ -33,15 +33,15 @@ def _play(args: Args) -> None:
     """Judge the contenders and write their entries."""
     from experiments.console.progress import note
     from experiments.console.provenance import provenance
-    from experiments.evaluation.protocol import RECORDED, entry, judge, require_contenders, venues
+    from experiments.evaluation.protocol import RECORDED, entry, judge, require_contenders, sites
     from mmwave_env.io.files import write_json
 
     require_contenders(args.policies)
     judged = []
-    for venue in venues():
-        note(f"{venue.name} ({venue.kind})")
-        count = args.draws if venue.kind == RECORDED else args.episodes
-        judged.append(judge(args.policies, venue, count, args.seed))
+    for site in sites():
+        note(f"{site.name} ({site.kind})")
+        count = args.draws if site.kind == RECORDED else args.episodes
+        judged.append(judge(args.policies, site, count, args.seed))
     made = provenance("leaderboard", args)
     for name in args.policies:
         file = re.sub(r"[^\w.-]+", "-", name).strip("-")
@@ -51,9 +51,8 @@ def _play(args: Args) -> None:
 def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.doc_pages import page_to_renew, renewed
-    from experiments.console.tables import grid, show
-    from experiments.evaluation.entries import by_venue, ranking, read_entry
-    from experiments.evaluation.protocol import DRAWS, EPISODES
+    from experiments.console.tables import show
+    from experiments.evaluation.protocol import DRAWS, EPISODES, by_site, ranking, read_entry
     from mmwave_env.io.files import write_text
 
     for name in ("episodes", "draws"):
@@ -65,8 +64,7 @@ def main(args: Args) -> None:
     entries = [read_entry(path) for path in sorted(args.out.glob("*.json"))]
     if not entries:
         raise ValueError(f"out: found no entries in {args.out}; --policies makes some")
-    ranked = ranking(entries, EPISODES, DRAWS)
-    tables = {"leaderboard": grid(*ranked), "venues": grid(*by_venue(entries))}
+    tables = {"leaderboard": ranking(entries, EPISODES, DRAWS), "venues": by_site(entries)}
     show("\n\n".join(tables.values()))
     if args.docs:
         write_text(args.docs, renewed(page, tables))

@@ -1,9 +1,11 @@
 """mmwave-loc list: everything that has a name, a line each."""
 
 import inspect
+import sys
 import textwrap
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -12,7 +14,7 @@ from tyro.conf import Positional
 if TYPE_CHECKING:
     from mmwave_env.models.scene import Scene
 
-What = Literal["policies", "scenarios", "radios", "scenes", "modes", "samples", "rewards"]
+Kind = Literal["all", "policies", "scenarios", "radios", "scenes", "modes", "samples", "rewards"]
 
 
 @dataclass(kw_only=True)
@@ -22,8 +24,8 @@ class Args:
     mmwave-loc list policies
     """
 
-    what: Positional[What | None] = None
-    """policies, scenarios, radios, scenes, modes, samples or rewards; all where none is named"""
+    what: Positional[Kind] = "all"
+    """policies, scenarios, radios, scenes, modes, samples, rewards or all"""
     radio: str = "handset"
     """profile whose policies and modes are listed"""
     out: Path | None = None
@@ -33,6 +35,7 @@ class Args:
     """the one to copy, by name, its files to --out itself: the log where there is one"""
 
 
+COLUMN = 25  # where the meanings of names begin
 SCENARIOS = {
     "pedestrian": "walks, stands, turns at crossings",
     "vehicle": "drives, brakes, waits at red lights",
@@ -56,13 +59,10 @@ def policies(radio: str) -> dict[str, str]:
     """Return the policies of a radio profile, with a description each."""
     from experiments.evaluation.contenders import contenders
 
-    return {name: _about_policy(name) for name in contenders(radio)}
-
-
-def _about_policy(name: str) -> str:
-    if name.startswith("fixed-"):
-        return f"mode {name.removeprefix('fixed-')} in every epoch"
-    return POLICIES[name]
+    return {
+        name: POLICIES.get(name, f"mode {name.removeprefix('fixed-')} in every epoch")
+        for name in contenders(radio)
+    }
 
 
 def modes(radio: str) -> dict[str, str]:
@@ -80,9 +80,9 @@ def radios() -> dict[str, str]:
     from mmwave_env.models.radio import RADIOS
 
     return {
-        name: f"{one.gnb_elements} x {one.gnb_elements} antennas at the base station, "
-        f"{one.ue_elements} x {one.ue_elements} at the user"
-        for name, one in RADIOS.items()
+        name: f"{radio.gnb_elements} x {radio.gnb_elements} antennas at the base station, "
+        f"{radio.ue_elements} x {radio.ue_elements} at the user"
+        for name, radio in RADIOS.items()
     }
 
 
@@ -115,10 +115,10 @@ def samples() -> dict[str, str]:
     from mmwave_env.datasets.samples import log_names, recording_from, sample_names
 
     logs = dict.fromkeys(log_names(), "; also as a log, for localize --sample")
-    found = {name: len(recording_from(name).time_s) for name in sample_names()}
     return {
-        name: f"ray-traced street, {epochs} epochs, for --data{logs.get(name, '')}"
-        for name, epochs in found.items()
+        name: f"ray-traced street, {len(recording_from(name).time_s)} epochs, for --data"
+        + logs.get(name, "")
+        for name in sample_names()
     }
 
 
@@ -152,24 +152,7 @@ def rewards() -> dict[str, str]:
     """Return rewards with the first line of their docstrings."""
     from mmwave_env.interface.reward import REWARDS
 
-    return {name: (inspect.getdoc(one) or "").partition("\n")[0] for name, one in REWARDS.items()}
-
-
-def entries(found: Mapping[str, str], column: int, width: int | None = None) -> list[str]:
-    """Return lines of names and their meanings.
-
-    Args:
-        found: meanings by name.
-        column: column where meanings begin.
-        width: width to fold lines at, indented to that column; None for whole lines.
-    """
-    lines = [f"  {name:{column - 3}} {what}" for name, what in found.items()]
-    if width is None:
-        return lines
-    fold = textwrap.TextWrapper(
-        width, subsequent_indent=" " * column, break_long_words=False, break_on_hyphens=False
-    )
-    return [folded for line in lines for folded in fold.wrap(line)]
+    return {name: (inspect.getdoc(kind) or "").split("\n")[0] for name, kind in REWARDS.items()}
 
 
 def main(args: Args) -> None:
@@ -180,15 +163,26 @@ def main(args: Args) -> None:
     if args.out is not None and args.what == "samples":
         say(f"copied to {args.out}/: {copied(args.out, args.copy)} files")
         return
-    for name, given in (("out", args.out), ("copy", args.copy)):
-        if given is not None:
-            raise ValueError(f"{name}: found {given}, expected: list samples --copy NAME --out DIR")
+    for name, value in (("out", args.out), ("copy", args.copy)):
+        if value is not None:
+            raise ValueError(f"{name}: found {value}, expected: list samples --copy NAME --out DIR")
     radio_from(args.radio)  # refuses an unknown radio
     kinds: dict[str, Callable[[], dict[str, str]]] = {
-        "policies": lambda: policies(args.radio), "scenarios": lambda: SCENARIOS, "radios": radios,
-        "scenes": scenes, "modes": lambda: modes(args.radio), "samples": samples,
+        "policies": partial(policies, args.radio),
+        "scenarios": lambda: SCENARIOS,
+        "radios": radios,
+        "scenes": scenes,
+        "modes": partial(modes, args.radio),
+        "samples": samples,
         "rewards": rewards,
-    }  # fmt: skip
-    for kind in [args.what] if args.what else kinds:
-        found = kinds[kind]()
-        say(f"{kind}:", *entries(found, 25, terminal_width()))
+    }
+    fold = textwrap.TextWrapper(
+        terminal_width() or sys.maxsize,
+        subsequent_indent=" " * COLUMN,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    for kind, table in kinds.items():
+        if args.what in (kind, "all"):
+            lines = (f"  {name:{COLUMN - 3}} {meaning}" for name, meaning in table().items())
+            say(f"{kind}:", *(part for line in lines for part in fold.wrap(line)))

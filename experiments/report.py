@@ -24,6 +24,8 @@ def main(args: Args) -> None:
     from experiments.reporting.webpage.page import page_of
     from mmwave_env.io.files import require_writable, write_text
 
+    if not args.results:
+        raise ValueError("results: found none, expected at least one file or folder")
     for name in ("episodes", "watch"):
         if getattr(args, name) < 0:
             raise ValueError(f"{name}: found {getattr(args, name)}, expected 0 or more")

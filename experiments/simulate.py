@@ -29,10 +29,10 @@ def _require_none(folder: Path, overwrite: bool) -> None:
     """
     from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
 
-    found = [name for name in (LOG, SCENE, TRUTH) if (folder / name).exists()]
-    if found and not overwrite:
+    names = [name for name in (LOG, SCENE, TRUTH) if (folder / name).exists()]
+    if names and not overwrite:
         raise ValueError(
-            f"out: found {', '.join(found)} in {folder}, expected a folder without them; "
+            f"out: found {', '.join(names)} in {folder}, expected a folder without them; "
             "--overwrite replaces them, --out names another folder"
         )
 

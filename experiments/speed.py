@@ -59,12 +59,12 @@ def main(args: Args) -> None:
     with progress("speed") as tell:
         for share in measured.run(args.seconds, args.repeats):
             tell(share)
-    found = tables(measured)
-    show("\n".join(f"### {title}\n\n{table}\n" for title, table in found.items()))
+    results = tables(measured)
+    show("\n".join(f"### {title}\n\n{table}\n" for title, table in results.items()))
     if args.json:
         write_json(args.json, provenance("speed", args) | measured.json())
     if args.docs:
-        write_text(args.docs, renewed(page, found))
+        write_text(args.docs, renewed(page, results))
 
 
 def _check(args: Args) -> None:

@@ -67,11 +67,11 @@ def main(args: Args) -> None:
     require_writable(args.out / "tables.md")
     page = page_to_renew(args.docs) if args.docs else ""
     bench = Bench(args.episodes, args.seed)
-    found = {}
+    results = {}
     for section in tracked(sections(bench), "tables", SECTIONS):
-        found[section.title] = section
-    text = "\n".join(section.markdown() for section in found.values())
-    records = [record for section in found.values() for record in section.records()]
+        results[section.title] = section
+    text = "\n".join(section.markdown() for section in results.values())
+    records = [record for section in results.values() for record in section.records()]
     table = io.StringIO()
     csv.writer(table, lineterminator="\n").writerows([FIELDS, *records])
     write_text(args.out / "tables.md", text)
@@ -81,11 +81,11 @@ def main(args: Args) -> None:
         content = {"episodes": args.episodes, "seed": args.seed, "figures": rows}
         write_json(args.json, provenance("tables", args) | content)
     if args.docs:
-        bodies = {title: section.body() for title, section in found.items()}
+        bodies = {title: section.body() for title, section in results.items()}
         write_text(args.docs, renewed(page, bodies))
     try:
         for figure in figures:
-            draw(found, figure)
+            draw(results, figure)
     finally:  # the tables are shown even if a picture fails
         show(text)
     say(f"written to {args.out}/")

@@ -8,23 +8,7 @@ from experiments.console.options import TaskArgs
 
 
 @dataclass(kw_only=True)
-class FolderArgs:
-    """Options of the folder of a run."""
-
-    jobs: int = min(2, os.cpu_count() or 1)
-    """how many trainings at once"""
-    checkpoint_every: int = 32
-    """updates of a training after which it could go on from where it stands"""
-    out: Path = Path("runs/train")
-    """folder of the run: a folder a seed, policy.safetensors (the median seed) and summary.json"""
-    resume: bool = False
-    """go on with the run in this folder, with the options it was started with"""
-    overwrite: bool = False
-    """replace the run in this folder"""
-
-
-@dataclass(kw_only=True)
-class Args(FolderArgs, TaskArgs):
+class Args(TaskArgs):
     """Train switchers; the best policy of every seed, and the median one, are kept.
 
     mmwave-loc train --seeds 2 --total-timesteps 500000 --out runs/short
@@ -41,6 +25,16 @@ class Args(FolderArgs, TaskArgs):
     smoke: bool = False
     """one seed and one update, in seconds, to see that all is installed and works: in runs/smoke
     unless --out names another folder; its policy is refused where results are made"""
+    jobs: int = min(2, os.cpu_count() or 1)
+    """how many trainings at once"""
+    checkpoint_every: int = 32
+    """updates of a training after which it could go on from where it stands"""
+    out: Path = Path("runs/train")
+    """folder of the run: a folder a seed, policy.safetensors (the median seed) and summary.json"""
+    resume: bool = False
+    """go on with the run in this folder, with the options it was started with"""
+    overwrite: bool = False
+    """replace the run in this folder"""
 
 
 def main(args: Args) -> None:

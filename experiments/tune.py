@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from experiments.console.options import TUNING_SEED, JsonArgs, WorldArgs
 
@@ -43,55 +43,39 @@ class Args(JsonArgs):
 
 
 OF_MODES = ("modes", "scenarios", "free", "objective", "diagonal")  # options that banks do not have
+Content = dict[str, Any]  # of a JSON file
 
 
-def _tune_bank(args: Args) -> None:
-    """Tune a bank, write it, and print its reward."""
+def _tuned_bank(args: Args) -> tuple[Content, Content]:
+    """Tune a bank, and print its reward; return the content of the mode file, and no more."""
     from experiments.console.progress import say
-    from experiments.console.provenance import provenance
     from experiments.evaluation.intervals import Interval
     from experiments.training.tune_banks import tuned_bank
-    from mmwave_env.io.files import write_json
     from mmwave_env.models.radio import radio_from
 
-    for field in fields(Args):
-        if field.name in OF_MODES and getattr(args, field.name) != field.default:
-            raise ValueError(f"{field.name}: found beside --bank, expected one of them")
+    for option in fields(Args):
+        if option.name in OF_MODES and getattr(args, option.name) != option.default:
+            raise ValueError(f"{option.name}: found beside --bank, expected one of them")
     name = radio_from(args.radio).name
     bank = tuned_bank(args.radio, args.episodes, args.seed, args.evaluations)
-    reward, gain = (Interval.of(bank["held_out"][what]) for what in ("reward", "minus imm"))
+    reward, gain = (Interval.of(bank["held_out"][column]) for column in ("reward", "minus imm"))
     say(f"{name}: reward {reward}, minus imm {gain}, on as many episodes that nothing was tuned on")
-    made = provenance("tune", args)
-    if args.json:
-        write_json(args.json, made | bank)
-    if args.out:
-        write_json(args.out, {"command": made["command"]} | bank)
+    return bank, {}
 
 
-def main(args: Args) -> None:
-    """Run the command."""
+def _tuned_modes(args: Args) -> tuple[Content, Content]:
+    """Tune modes one by one, and print them; return the content of the mode file, and figures."""
     from experiments.console.progress import say
-    from experiments.console.provenance import provenance
     from experiments.evaluation.asked import source_of
     from experiments.evaluation.intervals import bootstrap
-    from experiments.evaluation.seeds import draw_episodes, require_tuning_seed
+    from experiments.evaluation.seeds import draw_episodes
     from experiments.training.tune_modes import OBJECTIVES, RANGES, objective_of, tune
     from mmwave_env.filters.bank import as_written, modes_from
-    from mmwave_env.io.files import require_writable, write_json
     from mmwave_env.io.lookup import choose
     from mmwave_env.models.radio import radio_from
 
-    require_tuning_seed(args.seed)
-    if args.out:
-        require_writable(args.out)
-        if args.out.resolve() == Path(args.radio).resolve():
-            raise ValueError(f"out: found {args.out}, which is the radio, expected another file")
-    if args.bank:
-        _tune_bank(args)
-        return
     radio = radio_from(args.radio)
-    profile, base = radio.name, radio.base  # an untuned radio starts from its base
-    modes = modes_from(args.modes, base)
+    modes = modes_from(args.modes, radio.base)  # an untuned radio starts from its base
     if len(args.scenarios) != len(modes):
         raise ValueError(
             f"scenarios: found {len(args.scenarios)}, expected {len(modes)}, one for each of the "
@@ -108,17 +92,29 @@ def main(args: Args) -> None:
         started = replace(mode, coupling=mode.coupling and not args.diagonal)
         objective = objective_of(args.objective, started, episodes)
         best = tune(started, args.free, objective)
-        tuned.append(best)
-        value = bootstrap(objective(best)[:, None])[0]
-        what = OBJECTIVES[args.objective][2]
-        found = ", ".join(f"{name} {getattr(best, name):g}" for name in args.free)
-        say(f"{mode.name} on {source.name}, {profile}: {found}: {what} {value}")
-        figures.append({
-            "mode": mode.name, "scenario": scenario, "objective": what, **value.json,
-        })  # fmt: skip
-    made = provenance("tune", args)
-    result = {"command": made["command"], "modes": [as_written(mode) for mode in tuned]}
-    if args.json:
-        write_json(args.json, made | result | {"tuned": figures})
+        tuned.append(as_written(best))
+        (value,) = bootstrap(objective(best)[:, None])
+        title = OBJECTIVES[args.objective][2]
+        numbers = ", ".join(f"{name} {getattr(best, name):g}" for name in args.free)
+        say(f"{mode.name} on {source.name}, {radio.name}: {numbers}: {title} {value}")
+        figures.append({"mode": mode.name, "scenario": scenario, "objective": title} | value.json)
+    return {"modes": tuned}, {"tuned": figures}
+
+
+def main(args: Args) -> None:
+    """Run the command."""
+    from experiments.console.provenance import provenance
+    from mmwave_env.io.files import require_writable, write_json
+
+    if args.seed < TUNING_SEED:
+        raise ValueError(f"seed: found {args.seed}, expected a tuning seed >= {TUNING_SEED}")
     if args.out:
-        write_json(args.out, result)
+        require_writable(args.out)
+        if args.out.resolve() == Path(args.radio).resolve():
+            raise ValueError(f"out: found {args.out}, which is the radio, expected another file")
+    content, figures = _tuned_bank(args) if args.bank else _tuned_modes(args)
+    made = provenance("tune", args)
+    if args.json:
+        write_json(args.json, made | content | figures)
+    if args.out:
+        write_json(args.out, {"command": made["command"]} | content)

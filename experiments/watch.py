@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from experiments.console.options import ModeArgs
 
@@ -17,9 +17,23 @@ if TYPE_CHECKING:
 
 
 @dataclass(kw_only=True)
-class PlayArgs(ModeArgs):
-    """Episode."""
+class Args(ModeArgs):
+    """Play an episode as policies go through it, one beside the other, in a window or as a video.
 
+    mmwave-loc watch --policies speed-rule ppo --seed 3 --out ride.gif
+    """
+
+    policies: tuple[str, ...] = ("speed-rule", "ppo")
+    """up to three, as of compare: names of mmwave-loc list policies, policy files (.safetensors),
+    folders of runs, and module:function"""
+    out: Path | None = None
+    """write a video, a .gif or .mp4 file, in place of a window"""
+    fps: int = 10
+    """epochs a second; in a window, the keys in its title change it"""
+    render_size: int = 480
+    """height and width of the picture of a policy, px, 480 to 1080"""
+    render_theme: str = "light"
+    """light or dark"""
     seed: int | None = None
     """seed of the episode (0 where none is given), the same that compare runs"""
     key: int | None = None
@@ -30,48 +44,8 @@ class PlayArgs(ModeArgs):
     """second of the episode to end at; the end where none is given"""
 
 
-@dataclass(kw_only=True)
-class PictureArgs(PlayArgs):
-    """Pictures."""
-
-    out: Path | None = None
-    """write a video, a .gif or .mp4 file, in place of a window"""
-    fps: int = 10
-    """epochs a second; in a window, the keys in its title change it"""
-    render_size: int = 480
-    """height and width of the picture of a policy, px, 480 to 1080"""
-    render_theme: str = "light"
-    """light or dark"""
-
-
-@dataclass(kw_only=True)
-class Args(PictureArgs):
-    """Play an episode as policies go through it, one beside the other, in a window or as a video.
-
-    mmwave-loc watch --policies speed-rule ppo --seed 3 --out ride.gif
-    """
-
-    policies: tuple[str, ...] = ("speed-rule", "ppo")
-    """up to three, as of compare: names of mmwave-loc list policies, policy files (.safetensors),
-    folders of runs, and module:function"""
-
-
 MOST = 3  # most policies to show
 FASTEST = 50  # most pictures per second of a GIF
-
-
-class Ride(NamedTuple):
-    """An episode to play.
-
-    Attributes:
-        episode: episode with its truth.
-        streets: streets to draw; None where they are unknown.
-        which: description of the episode.
-    """
-
-    episode: "Episode"
-    streets: "Streets | None"
-    which: str
 
 
 def main(args: Args) -> None:
@@ -84,12 +58,16 @@ def main(args: Args) -> None:
     _check(args)
     contenders = [contender_of(args, name) for name in args.policies]
     task = task_of(args)
-    scoring, ride = Scoring.of(task), _drawn(task, args.seed, args.key)
+    scoring, (episode, streets, title) = Scoring.of(task), _drawn(task, args.seed, args.key)
     with progress("filtering"):
-        histories = [history_of(one, ride.episode, scoring, ride.streets) for one in contenders]
+        histories = [history_of(c, episode, scoring, streets) for c in contenders]
     rows = _between(histories[0].time_s, args.begin, args.end)
-    names = [contender.name for contender in contenders]
-    say(*_told(names, histories, rows, ride.which))
+    first, last = histories[0].time_s[[rows[0], rows[-1]]]
+    say(f"{title}, {first:g} to {last:g} s")
+    for contender, history in zip(contenders, histories, strict=True):
+        error = history.error_m[rows]
+        off = f"{error.mean():.1f} m off on average, {error.max():.1f} m at most"
+        say(f"{contender.name}: {off}")
     _show(args, contenders, histories, rows)
 
 
@@ -111,8 +89,10 @@ def _check(args: Args) -> None:
         require_display("window", "write a video with --out FILE.gif")
 
 
-def _drawn(task: "Task", seed: int | None, key: int | None) -> Ride:
-    """Draw the episode of a seed or key."""
+def _drawn(
+    task: "Task", seed: int | None, key: int | None
+) -> "tuple[Episode, Streets | None, str]":
+    """Return the episode of a seed or key, its streets where they are known, and its title."""
     import numpy as np
 
     from experiments.evaluation.seeds import Selection
@@ -131,10 +111,10 @@ def _drawn(task: "Task", seed: int | None, key: int | None) -> Ride:
         keys, which = np.array([key_from(key)], np.uint64), f"key {key}"
         (episode,) = task.source.episodes(keys)
     streets = task.streets_of(0 if keys is None else int(keys[0]))
-    return Ride(episode, streets, f"{episode.name}, {which}")
+    return episode, streets, f"{episode.name}, {which}"
 
 
-def _between(time_s: "Array", begin: float | None, end: float | None) -> Sequence[int]:
+def _between(time_s: "Array", begin: float | None, end: float | None) -> list[int]:
     """Return the rows of a history between two times, from the prior on by default."""
     import numpy as np
 
@@ -150,20 +130,6 @@ def _between(time_s: "Array", begin: float | None, end: float | None) -> Sequenc
     return rows
 
 
-def _told(
-    names: Sequence[str], histories: "Sequence[History]", rows: Sequence[int], which: str
-) -> list[str]:
-    """Return lines on the episode and the position error of each policy."""
-    import numpy as np
-
-    first, last = histories[0].time_s[[rows[0], rows[-1]]]
-    lines = [f"{which}, {first:g} to {last:g} s"]
-    for name, history in zip(names, histories, strict=True):
-        error = history.error_m[np.asarray(rows)]
-        lines.append(f"{name}: {error.mean():.1f} m off on average, {error.max():.1f} m at most")
-    return lines
-
-
 def _show(
     args: Args,
     contenders: "Sequence[Contender]",
@@ -176,7 +142,7 @@ def _show(
     from mmwave_env.rendering.video import write_video
 
     size, theme = args.render_size, args.render_theme
-    modes, names = [one.actions for one in contenders], [one.name for one in contenders]
+    modes, names = [c.actions for c in contenders], [c.name for c in contenders]
     playback = Playback(histories, modes, names, size, theme)
     if args.out:
         with progress("drawing") as report:

@@ -19,7 +19,7 @@ def command(*words, cwd=ROOT, columns=200):
     User warnings are shown as the program shows them. Any other warning is an error here, as in
     all tests, and an exception that the program does not expect ends it with code 1.
     """
-    out, err, there = StringIO(), StringIO(), os.getcwd()
+    out, err, before = StringIO(), StringIO(), os.getcwd()
     typed = ["mmwave-loc", *map(str, words)]
     # catch_warnings also brings back how warnings are displayed, which the program changes.
     with (
@@ -37,7 +37,7 @@ def command(*words, cwd=ROOT, columns=200):
         except SystemExit as end:
             code = end.code
         finally:
-            os.chdir(there)
+            os.chdir(before)
     return subprocess.CompletedProcess(typed, code or 0, out.getvalue(), err.getvalue())
 
 

@@ -11,8 +11,8 @@ import pytest
 
 def fields_named(message: str) -> str:
     """Return the part of a message that names what is refused: all before "found"."""
-    named, found, _ = message.partition(" found ")
-    return named if found else message.partition(": ")[0]
+    named, separator, _ = message.partition(" found ")
+    return named if separator else message.partition(": ")[0]
 
 
 @contextmanager

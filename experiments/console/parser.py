@@ -11,21 +11,16 @@ import re
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import MISSING, dataclass, field, fields, make_dataclass
-from difflib import get_close_matches
 from io import StringIO
-from itertools import takewhile
-from types import UnionType
-from typing import Annotated, Any, NoReturn, TypeVar, Union, get_args, get_origin, get_type_hints
-
-from experiments.console.removed import OPTIONS
+from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 T = TypeVar("T")
 WIDTH = 80  # widest help, columns
 UNLIMITED = 10_000  # columns, so that no word of a message is cut
-NUMBERS = {int: "a whole number", float: "a number"}
+RULE = re.compile(r"^ +-+ *$", re.MULTILINE)  # between the parts of tyro's messages
 
 
 @dataclass(kw_only=True)
@@ -51,27 +46,26 @@ def parse(arguments: type[T], words: Sequence[str], program: str) -> T:
     """
     import tyro
 
-    read, kinds = described(arguments), get_type_hints(arguments)
-    width = min(WIDTH, shutil.get_terminal_size().columns)
-    options: dict[str, Any] = {
-        "prog": program, "args": words, "config": (tyro.conf.DisallowNone,), "description": "",
-    }  # fmt: skip
-    if not {"-h", "--help"}.isdisjoint(words):
+    read, config = described(arguments), (tyro.conf.DisallowNone,)
+    width, box = min(WIDTH, shutil.get_terminal_size().columns), StringIO()
+    helped = not {"-h", "--help"}.isdisjoint(words)
+    if helped:
         print(_folded(inspect.getdoc(arguments) or "", width), end="\n\n")
-        with _columns(width):
-            tyro.cli(read, **options)
-    _refuse_unknown(program, words, read)
-    said = StringIO()
     try:
-        with _columns(UNLIMITED), redirect_stdout(StringIO()), redirect_stderr(said):
-            found = tyro.cli(read, **options)
-    except SystemExit:
-        _refuse(program, _message(said.getvalue(), kinds))
-    for one in fields(read):
-        if one.default is MISSING and getattr(found, one.name) == ():  # tyro accepts no value
-            _refuse(program, f"required: {one.name}, one or more")
-    everywhere = {one.name for one in fields(Everywhere)}
-    return arguments(**{k: value for k, value in vars(found).items() if k not in everywhere})
+        with (
+            _columns(width if helped else UNLIMITED),
+            redirect_stdout(sys.stdout if helped else box),  # tyro frames a message by its encoding
+            redirect_stderr(box),
+        ):
+            parsed = tyro.cli(read, prog=program, description="", args=words, config=config)
+    except SystemExit as end:
+        if end.code:
+            from mmwave_env.io.lookup import printable
+
+            print(f"{program}: {printable(_message(box.getvalue()))}", file=sys.stderr)
+        raise
+    own = [option.name for option in fields(arguments)]  # type: ignore[arg-type]
+    return arguments(**{name: getattr(parsed, name) for name in own})
 
 
 def described(arguments: type[Any]) -> type[Any]:
@@ -79,16 +73,17 @@ def described(arguments: type[Any]) -> type[Any]:
     from tyro.conf import FlagCreatePairsOff, arg
 
     kinds = get_type_hints(Everywhere) | get_type_hints(arguments, include_extras=True)
-    known = {one.name: one for one in (*fields(Everywhere), *fields(arguments))}
+    defaults = {option.name: option.default for option in (*fields(Everywhere), *fields(arguments))}
     made = []
     for declares in (*arguments.__mro__[:-1], Everywhere):
         for name, text in _texts(declares).items():
-            kind, default = kinds[name], known[name].default
+            kind, default = kinds[name], defaults[name]
             nothing = default is None or default is False or default == ()
-            required = default is MISSING
-            usual = "(required)" if required else "" if nothing else None  # None: tyro's own hint
-            metavar = _metavar(name, kind, required)
-            kind = Annotated[kind, arg(help=text, help_behavior_hint=usual, metavar=metavar)]
+            hint = "(required)" if default is MISSING else "" if nothing else None
+            shown = name.upper() + ("..." if "tuple" in str(kind) else "")
+            shown = shown if default is MISSING else f"[{shown}]"
+            metavar = shown if is_positional(kind) else None  # None, here and above: tyro's own
+            kind = Annotated[kind, arg(help=text, help_behavior_hint=hint, metavar=metavar)]
             if default is False:  # suppresses --no-NAME
                 kind = Annotated[kind, FlagCreatePairsOff]
             made.append((name, kind, field(default=default)))
@@ -99,21 +94,12 @@ def _texts(declares: type[Any]) -> dict[str, str]:
     """Return the text below every field that a class declares itself."""
     (tree,) = ast.parse(textwrap.dedent(inspect.getsource(declares))).body
     assert isinstance(tree, ast.ClassDef)
-    found = {}
-    for one, text in zip(tree.body, tree.body[1:], strict=False):
-        if isinstance(one, ast.AnnAssign) and isinstance(one.target, ast.Name):
+    texts = {}
+    for line, text in zip(tree.body, tree.body[1:], strict=False):
+        if isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name):
             assert isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
-            found[one.target.id] = " ".join(str(text.value.value).split())
-    return found
-
-
-def _metavar(name: str, kind: Any, required: bool) -> str | None:
-    """Return the placeholder of a value in help; None where tyro's own is right."""
-    several = "..." if get_origin(_plain(kind)) is tuple else ""
-    if is_positional(kind):
-        shown = name.upper() + several
-        return shown if required else f"[{shown}]"
-    return f"{get_args(_plain(kind))[0].__name__.upper()}{several}" if several else None
+            texts[line.target.id] = " ".join(str(text.value.value).split())
+    return texts
 
 
 def is_positional(kind: Any) -> bool:
@@ -121,14 +107,6 @@ def is_positional(kind: Any) -> bool:
     from tyro.conf import Positional
 
     return Positional in get_args(kind)
-
-
-def _plain(kind: Any) -> Any:
-    """Return an annotation without its metadata and without None."""
-    kind = get_args(kind)[0] if get_origin(kind) is Annotated else kind
-    if get_origin(kind) in (Union, UnionType):
-        (kind,) = (one for one in get_args(kind) if one is not type(None))
-    return kind
 
 
 def _folded(text: str, width: int) -> str:
@@ -151,56 +129,10 @@ def _columns(count: int) -> Iterator[None]:
             os.environ["COLUMNS"] = before
 
 
-# --- mistakes
-
-
-def _refuse_unknown(program: str, words: Sequence[str], read: type[Any]) -> None:
-    """Refuse the first word that looks like an option but is not known."""
-    kinds = get_type_hints(read, include_extras=True)
-    aliases = [one for kind in kinds.values() for m in get_args(kind) for one in _aliases(m)]
-    names = [f"--{name.replace('_', '-')}" for name in kinds]
-    negated = [f"--no-{one.name.replace('_', '-')}" for one in fields(read) if one.default is True]
-    known = ["--help", *names, *negated, *aliases]
-    given = [word.partition("=")[0] for word in words if word.startswith("--")]
-    for word, option in zip((w for w in words if w.startswith("--")), given, strict=True):
-        if given.count(option) > 1:
-            _refuse(program, f"{option}: found it {given.count(option)} times, expected once")
-        if option in known:
-            continue
-        if option in OPTIONS:
-            _refuse(program, f"{option} is gone: {OPTIONS[option]}")
-        close = get_close_matches(option, known, 1)
-        hint = f"did you mean {close[0]}? F" if close else "f"
-        end = "" if close else "; --help lists all"
-        _refuse(program, f"{hint}ound {word!r}, expected an option of this command{end}")
-
-
-def _aliases(said: Any) -> Sequence[str]:
-    return getattr(said, "aliases", None) or ()
-
-
-def _message(box: str, kinds: Mapping[str, Any]) -> str:
-    """Return tyro's message about a mistake, without the box and the hints below it."""
-    lines = takewhile(lambda line: set(line.strip()) != {"-"}, box.splitlines()[2:])
-    text = " ".join(" ".join(lines).split())
-    if choice := re.match(r"invalid choice '(.*?)' for argument '(?:--)?(.*?)'", text):
-        value, name = choice.groups()
-        from mmwave_env.io.lookup import unknown
-
-        return unknown(name, value, get_args(_plain(kinds[name.replace("-", "_")])))
-    if number := re.match(r"Error parsing (?:--)?([\w-]+): .*?('.*?')", text):
-        kind = _plain(kinds[number[1].lower().replace("-", "_")])
-        kind = get_args(kind)[0] if get_origin(kind) is tuple else kind
-        return f"{number[1]}: found {number[2]}, expected {NUMBERS[kind]}"
-    if missing := re.match("Missing value for argument '--(.*?)'", text):
-        return f"{missing[1]}: found no value, expected one"
-    if text.startswith("Unrecognized options"):
-        text += "; an option takes one value, unless --help shows dots after it"
-    return re.sub(r"^Missing from .*?: ", "required: ", text)
-
-
-def _refuse(program: str, message: str) -> NoReturn:
-    from mmwave_env.io.lookup import printable
-
-    print(f"{program}: {printable(message)}", file=sys.stderr)
-    sys.exit(2)
+def _message(box: str) -> str:
+    """Return tyro's message about a mistake in one line, with the option that it suggests."""
+    _, message, suggestion, *_ = (" ".join(part.split()) for part in RULE.split(box))
+    close = re.match(r"Perhaps you meant: (\S+)", suggestion)
+    end = f"; did you mean {close[1]}?" if close else "; --help lists all options"
+    message = re.sub(r"^Missing from .*?: ", "required: ", message.partition(" Got errors")[0])
+    return message.rstrip(".") + end

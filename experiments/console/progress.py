@@ -33,10 +33,9 @@ def bars(*columns: ProgressColumn | str) -> Progress:
     """
     console = Console(stderr=True, quiet=QUIET.get())
     _, *others = Progress.get_default_columns()
-    return Progress(
-        _Description(""), *others, *columns, console=console, transient=True,
-        disable=console.quiet or not console.is_terminal,
-    )  # fmt: skip
+    hidden = console.quiet or not console.is_terminal
+    all_columns = _Description(""), *others, *columns
+    return Progress(*all_columns, console=console, transient=True, disable=hidden)
 
 
 def terminal_width() -> int | None:
@@ -56,20 +55,20 @@ def note(text: str) -> None:
 
 
 @contextmanager
-def progress(what: str) -> Iterator[Callable[[float], None]]:
+def progress(label: str) -> Iterator[Callable[[float], None]]:
     """Show a bar that pulses until the yielded function is called with the share done."""
     with bars() as shown:
-        task = shown.add_task(what, total=None)
+        task = shown.add_task(label, total=None)
         yield lambda share: shown.update(task, completed=share, total=1.0)
 
 
-def tracked(values: Iterable[T], what: str, total: int | None = None) -> Iterator[T]:
+def tracked(values: Iterable[T], label: str, total: int | None = None) -> Iterator[T]:
     """Yield values, with a bar that counts them.
 
     Args:
         values: items to yield.
-        what: label of the bar.
+        label: label of the bar.
         total: number of values; None for the length of a sequence.
     """
     with bars() as shown:
-        yield from shown.track(values, total=total, description=what)
+        yield from shown.track(values, total=total, description=label)

@@ -9,17 +9,15 @@ from typing import Any, get_type_hints
 from experiments.console.parser import is_positional
 from mmwave_env import __version__
 
-OUTPUTS = (
-    "json", "episodes_csv", "errors", "consistency", "plot", "docs", "out",
-)  # fmt: skip
+OUTPUTS = {"json", "episodes_csv", "errors", "consistency", "plot", "docs", "out"}
 
 
 def command_line(name: str, args: Any) -> str:
     """Return the command that a dataclass of arguments stands for, without defaults."""
     kinds = get_type_hints(type(args), include_extras=True)
     nameless = [field.name for field in fields(args) if is_positional(kinds[field.name])]
-    given = [value for field in nameless if (value := getattr(args, field)) is not None]
-    words = ["mmwave-loc", name, *(word for value in given for word in _words(value))]
+    values = [value for field in nameless if (value := getattr(args, field)) is not None]
+    words = ["mmwave-loc", name, *(word for value in values for word in _words(value))]
     for field in fields(args):
         value, option = getattr(args, field.name), field.name.replace("_", "-")
         if field.name in nameless or value == field.default:
@@ -39,6 +37,11 @@ def provenance(name: str, args: Any) -> dict[str, Any]:
     """Return the command without its outputs, and versions, for results in JSON."""
     outputs = {f.name: f.default for f in fields(args) if f.name in OUTPUTS}
     return {"command": command_line(name, replace(args, **outputs)), "versions": versions()}
+
+
+def versions_of(*packages: str) -> dict[str, str]:
+    """Return the versions of this package and of others, for a policy file."""
+    return {"mmwave-loc": __version__} | {name: version(name) for name in packages}
 
 
 def versions() -> dict[str, str]:

@@ -28,7 +28,7 @@ def _told(number: int) -> str:
 
 
 @contextmanager
-def _answered(
+def answered(
     numbers: Sequence[int], answer: Callable[[int, Any], None] | signal.Handlers
 ) -> Iterator[None]:
     """Handle signals in the block by a function, except ignored signals, as under nohup."""
@@ -62,7 +62,7 @@ def ended_by_signals() -> Iterator[None]:
             came = number
             raise Ended(number)
 
-    with _answered(ENDING, end):
+    with answered(ENDING, end):
         try:
             yield
         except BaseException as other:
@@ -73,16 +73,9 @@ def ended_by_signals() -> Iterator[None]:
 
 
 @contextmanager
-def ignored() -> Iterator[None]:
-    """Ignore Ctrl-C, SIGTERM and SIGHUP in the block, which cleans up after such a signal."""
-    with _answered((signal.SIGINT, *ENDING), lambda number, frame: None):
-        yield
-
-
-@contextmanager
 def ended_by_the_system() -> Iterator[None]:
     """Let Ctrl-C, SIGTERM and SIGHUP end the process, even within a long call of C."""
-    with _answered((signal.SIGINT, *ENDING), signal.SIG_DFL):
+    with answered((signal.SIGINT, *ENDING), signal.SIG_DFL):
         yield
 
 
@@ -104,5 +97,5 @@ def _leave(number: int, _: Any) -> NoReturn:
 @contextmanager
 def stopped_at_once() -> Iterator[None]:
     """End the process on Ctrl-C, SIGTERM and SIGHUP, without a traceback out of an import."""
-    with _answered((signal.SIGINT, *ENDING), _leave):
+    with answered((signal.SIGINT, *ENDING), _leave):
         yield

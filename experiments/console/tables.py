@@ -4,7 +4,6 @@ import re
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import zip_longest
-from typing import Any, NamedTuple
 
 from rich.cells import cell_len
 from rich.console import Console
@@ -17,13 +16,6 @@ CELL = re.compile(r"((?:\\.|[^|\\])*)\|")  # with the bar that ends the cell
 UNIT = re.compile(r" (?=(?:m|s|%)(?: |$))")  # the space before a unit, where a line must not break
 GLUED = "\u00a0"  # a space where :mod:`textwrap` does not break
 GAP = 2  # between columns
-
-
-class Table(NamedTuple):
-    """Header and rows of a table, independent of its format."""
-
-    header: Sequence[str]
-    rows: Sequence[Sequence[Any]]
 
 
 def grid(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

@@ -6,14 +6,12 @@ self-test compares the results of kernels with those of the same equations on Py
 
 import os
 import platform
-from collections.abc import Callable
 from typing import Any
 
 import numba
 import numpy as np
-from llvmlite.binding import get_host_cpu_features, get_host_cpu_name
+from llvmlite.binding import get_host_cpu_name
 
-from experiments.console.progress import note
 from experiments.console.provenance import versions
 from experiments.console.signals import ended_by_the_system
 from mmwave_env.compiler.disk_cache import kept_functions
@@ -33,8 +31,6 @@ _EPOCHS = 25
 
 def about() -> dict[str, Any]:
     """Return the report as JSON; compiling kernels not in the cache takes about a minute."""
-    if not _has_avx():
-        note("compiling for a processor without AVX takes ten times as long: many minutes")
     with ended_by_the_system():  # Python handles no signal during the long call of the compiler
         tests = self_test()
     return {
@@ -48,40 +44,28 @@ def about() -> dict[str, Any]:
     }
 
 
-def _has_avx() -> bool:
-    """Tell whether the target has AVX or is ARM; otherwise many numbers spill to memory."""
-    if platform.machine().lower() not in ("x86_64", "amd64"):
-        return True  # ARM has more registers instead
-    name = numba.config.CPU_NAME
-    if not name:
-        return bool(get_host_cpu_features().get("avx"))
-    return name in ("x86-64-v3", "x86-64-v4") or "+avx" in (numba.config.CPU_FEATURES or "")
-
-
 def self_test() -> list[dict[str, Any]]:
     """Return the name, the largest deviation from floats and the verdict of every kernel."""
     shared, own = (task_from(episode_steps=_EPOCHS, beliefs=b) for b in ("shared", "per-mode"))
     episodes = EpisodeBatch.of(shared.simulated.episodes(_KEYS))
     on_floats = _stepped(own, episodes, on_floats=True)
-    tests: dict[str, Callable[[], float]] = {
-        "episodes": lambda: _episodes(shared, episodes),
-        "one belief": lambda: _deviation(
-            *(_stepped(shared, episodes, floats) for floats in (False, True))
-        ),
-        "a belief per mode": lambda: _deviation(_stepped(own, episodes, False), on_floats),
-        "interacting multiple models": lambda: _deviation(_imm(own, episodes), on_floats),
+    shared_on_floats = _stepped(shared, episodes, on_floats=True)
+    deviations = {
+        "episodes": _episodes(shared, episodes),
+        "one belief": _deviation(_stepped(shared, episodes, False), shared_on_floats),
+        "a belief per mode": _deviation(_stepped(own, episodes, False), on_floats),
+        "interacting multiple models": _deviation(_imm(own, episodes), on_floats),
     }
-    found = {name: test() for name, test in tests.items()}
     return [
         {"kernel": name, "deviation": deviation, "passed": deviation <= TOLERANCE}
-        for name, deviation in found.items()
+        for name, deviation in deviations.items()
     ]
 
 
-def _deviation(found: Array, expected: Array) -> float:
+def _deviation(computed: Array, expected: Array) -> float:
     """Return the largest difference, relative to the size of the numbers in a column."""
     size = np.maximum(np.abs(expected).max(axis=tuple(range(expected.ndim - 1))), 1.0)
-    return float((np.abs(found - expected) / size).max())
+    return float((np.abs(computed - expected) / size).max())
 
 
 def _episodes(task: Task, episodes: EpisodeBatch) -> float:
@@ -89,15 +73,15 @@ def _episodes(task: Task, episodes: EpisodeBatch) -> float:
     source = task.simulated
     begun, world = source.begin(_KEYS), source.world
     settings, blank = source.feed(begun.worlds).settings[:, 0], np.zeros(world.ends[0])
-    (observed, happened, moved), found = world.parts, []
+    (observed, happened, moved), computed = world.parts, []
     for kept in begun.worlds:
         w = unflatten(world.template, iter(np.concatenate([blank, settings, kept]).tolist()))
         for dt in source.steps_s:
             w = observed(w)
             for _ in range(int(w.settings.stride)):
                 w = moved(happened(w))
-            found.append(flatten(w.measured._replace(dt=dt)))
-    return _deviation(np.array(found), episodes.table.reshape(len(found), -1))
+            computed.append(flatten(w.measured._replace(dt=dt)))
+    return _deviation(np.array(computed), episodes.table.reshape(len(computed), -1))
 
 
 def _stepped(task: Task, episodes: EpisodeBatch, on_floats: bool) -> Array:
@@ -118,5 +102,5 @@ def _imm(task: Task, episodes: EpisodeBatch) -> Array:
     bank = task.bank
     assert bank is not None
     imm = ImmEngine(task.pipeline, TrackingReward(), bank.transition, bank.nis_quantile)
-    found: Array = imm.run(episodes, "x")["x"]
-    return found.swapaxes(0, 1)
+    beliefs: Array = imm.run(episodes, "x")["x"]
+    return beliefs.swapaxes(0, 1)

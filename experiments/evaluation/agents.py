@@ -50,10 +50,10 @@ def agent_from(name: str) -> Act:
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())  # last, so that installed modules go first
     try:
-        found: Any = importlib.import_module(module)
+        make: Any = importlib.import_module(module)
         for part in path.split("."):
-            found = getattr(found, part)
-        return cast(Act, found())
+            make = getattr(make, part)
+        return cast(Act, make())
     except Exception as error:  # whatever a user's code does
         raise ValueError(
             f"policy {name}: {in_one_line(error)}; expected module:function, a function "
@@ -82,13 +82,13 @@ def tried(name: str, agent: Act, table: Observation) -> Policy:
     shown = rng.uniform(space.low, space.high, (TRIED, len(table))).astype(np.float32)
     try:
         policy.reset(np.ones(TRIED, np.bool_))
-        found = policy(shown)
+        actions = np.asarray(policy(shown))
     except Exception as error:  # whatever a user's code does
         raise ValueError(
             f"policy {name}: {in_one_line(error)}; it was shown observations "
-            f"{shown.shape} of float32: {table.made_with} ({GUIDE})"
+            f"{shown.shape} of float32: {table.made_with}; {OF_A_MODEL} ({GUIDE})"
         ) from error
-    require_actions(name, found, TRIED, len(table.actions))
+    require_actions(name, actions, TRIED, len(table.actions))
     return policy
 
 
@@ -97,24 +97,18 @@ def in_one_line(error: Exception) -> str:
     return f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
 
 
-def require_actions(name: str, found: Any, n: int, count: int) -> NDArray[np.integer[Any]]:
+def require_actions(name: str, returned: Any, n: int, count: int) -> NDArray[np.integer[Any]]:
     """Return actions (n,) as an array; refuse anything else.
 
     Raises:
         ValueError: they are not n integers from 0 to ``count`` - 1, one for each
             observation.
     """
-    try:
-        actions: NDArray[Any] = np.asarray(found)
-    except ValueError:  # the parts have different shapes
-        raise ValueError(
-            f"actions of {name}: found a {type(found).__name__} of parts that are no array, "
-            f"expected ({n},) of integers; {OF_A_MODEL} ({GUIDE})"
-        ) from None
+    actions: NDArray[Any] = np.asarray(returned)
     if actions.shape != (n,) or actions.dtype.kind not in "iu":
         raise ValueError(
             f"actions of {name}: found shape {actions.shape} of {actions.dtype}, expected ({n},) "
-            f"of integers, one for each row of the observations ({GUIDE})"
+            f"of integers, one for each row of the observations; {OF_A_MODEL} ({GUIDE})"
         )
     if actions.min() < 0 or actions.max() >= count:
         raise ValueError(

@@ -4,7 +4,6 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
 
 from experiments.console.options import USUAL_EPISODES, EpisodeArgs, ModeArgs, WorldArgs
 from experiments.evaluation.contenders import Contender, contender_from, contenders
@@ -24,10 +23,10 @@ def all_contenders(args: ModeArgs) -> tuple[str, ...]:
 def contender_of(args: ModeArgs, name: str) -> Contender:
     """Return a contender by name or file; warn where it ignores the chosen modes."""
     radio, modes = args.radio, args.modes or None
-    found = contender_from(name, radio, modes, args.observation, args.beliefs)
-    if modes and found.modes != bank_over(modes, radio).modes:
+    contender = contender_from(name, radio, modes, args.observation, args.beliefs)
+    if modes and contender.modes != bank_over(modes, radio).modes:
         warnings.warn(f"{name} brings its own modes; --modes is not for it", stacklevel=2)
-    return found
+    return contender
 
 
 def runs_of(args: EpisodeArgs, names: Sequence[str]) -> dict[str, Run]:
@@ -52,12 +51,7 @@ def selection_of(args: EpisodeArgs) -> Selection:
     return Selection.of(args.episodes, args.seed, USUAL_EPISODES)
 
 
-def world_arguments(args: WorldArgs) -> dict[str, Any]:
-    """Return the environment's arguments that options of the same names give, but for modes."""
-    names = {field.name for field in fields(TaskArguments)} - {"episodes", "modes", "beliefs"}
-    given = {name: value for name, value in vars(args).items() if name in names}
-    return given | {"episodes": args.data}
-
-
 def _task(args: WorldArgs, modes: Modes, beliefs: str = "shared") -> Task:
-    return task_from(**world_arguments(args), modes=modes, beliefs=beliefs)
+    names = {field.name for field in fields(TaskArguments)} - {"episodes", "modes", "beliefs"}
+    world = {name: value for name, value in vars(args).items() if name in names}
+    return task_from(**world, episodes=args.data, modes=modes, beliefs=beliefs)

@@ -81,12 +81,8 @@ class OverBound:
     @property
     def json(self) -> dict[str, Any]:
         """Return bounds and ratios as results files hold them."""
-        return asdict(self.bounds) | {
-            "policies": {
-                name: {column: interval.json for column, interval in row.items()}
-                for name, row in self.policies.items()
-            }
-        }
+        rows = {n: {k: i.json for k, i in row.items()} for n, row in self.policies.items()}
+        return asdict(self.bounds) | {"policies": rows}
 
 
 def over_bound(
@@ -101,15 +97,12 @@ def over_bound(
     squared = np.stack([np.square(s["rmse_m"]) for s in scores.values()], axis=1)
     # The episodes are drawn again rather than kept while all contenders run.
     bounds = bounds_of(selection.draw(source), radio.drift_mps)
-    columns = {
-        "rmse_m": 1.0,
-        "over_averaged": 1.0 / bounds.averaged_m,
-        "over_conditional": 1.0 / bounds.conditional_m,
-    }
+    factors = (1.0, 1.0 / bounds.averaged_m, 1.0 / bounds.conditional_m)
     policies = {}
     for name, interval in zip(scores, bootstrap(squared), strict=True):
-        mean, low, high = (float(np.sqrt(v)) for v in (interval.mean, interval.low, interval.high))
-        policies[name] = {c: Interval(f * mean, f * low, f * high) for c, f in columns.items()}
+        roots = np.sqrt([interval.mean, interval.low, interval.high])
+        rows = np.outer(factors, roots).tolist()
+        policies[name] = {k: Interval(*row) for k, row in zip(COLUMNS, rows, strict=True)}
     return OverBound(bounds, policies)
 
 
@@ -127,5 +120,5 @@ def bound_markdown(over: OverBound) -> str:
         "and without the biases of blockage and multipath. Pooled over episodes, 95 % intervals:"
     )
     header = ["policy", *COLUMNS.values()]
-    rows = [[name, *map(str, row.values())] for name, row in over.policies.items()]
+    rows = [[name, *row.values()] for name, row in over.policies.items()]
     return f"\n{about}\n\n{grid(header, rows)}\n"

@@ -1,10 +1,7 @@
 """One call that compares agents of a user with known contenders: :func:`compare`."""
 
 import os
-import sys
-import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from numbers import Integral
 from typing import Any
@@ -16,35 +13,15 @@ from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.seeds import Selection
 from mmwave_env.filters.bank import Modes
 from mmwave_env.interface.reward import reward_name
-from mmwave_env.io.lookup import printable
 from mmwave_env.task import task_from
 from mmwave_env.world.episode import EpisodeSource
 
 USUAL_EPISODES = 200
 
 
-@contextmanager
-def _warnings_in_lines() -> Iterator[None]:
-    """Print every warning once, in one line without the place in our code."""
-    told: set[str] = set()
-
-    def show(message: Warning | str, *_: Any, **__: Any) -> None:
-        line = printable(str(message))
-        if line not in told:
-            told.add(line)
-            print(f"warning: {line}", file=sys.stderr)
-
-    usual, warnings.showwarning = warnings.showwarning, show
-    try:
-        yield
-    finally:
-        warnings.showwarning = usual
-
-
 Agent = str | os.PathLike[str] | Act
 
 
-@_warnings_in_lines()
 def compare(
     policies: Mapping[str, Agent],
     beside: Sequence[str] = ("fixed-ukf", "speed-rule", "imm"),
@@ -104,17 +81,20 @@ def compare(
     def contender(name: str, agent: Agent) -> Contender:
         if not isinstance(agent, (str, os.PathLike)):
             return Contender.own(name, agent, radio, modes, observation, beliefs)
-        found = contender_from(os.fspath(agent), radio, modes, observation, beliefs)
-        return replace(found, name=name)
+        known = contender_from(os.fspath(agent), radio, modes, observation, beliefs)
+        return replace(known, name=name)
 
-    own = [contender(name, agent) for name, agent in policies.items()]
-    others = [contender_from(name, radio) for name in beside]
-    everybody = [*own, *others]
+    everybody = [contender(name, agent) for name, agent in policies.items()]
+    everybody += [contender_from(name, radio) for name in beside]
     scores = score_contenders(everybody, task.source, radio, selection, scoring=scoring)
     return compare_scores(
-        scores, list(policies), scenario=task.source.name, radio=task.radio.name,
-        selection=selection, reward=reward_name(scoring.reward),
-    )  # fmt: skip
+        scores,
+        list(policies),
+        scenario=task.source.name,
+        radio=task.radio.name,
+        selection=selection,
+        reward=reward_name(scoring.reward),
+    )
 
 
 def evaluate(policy: Agent, **where: Any) -> Comparison:

@@ -2,8 +2,9 @@
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -38,10 +39,8 @@ class Comparison:
         def table(rows: dict[str, dict[str, Interval]]) -> dict[str, Any]:
             return {k: {m: i.json for m, i in row.items()} for k, row in rows.items()}
 
-        return {
-            "scenario": self.scenario, "radio": self.radio, **self.selection.json,
-            "policies": table(self.policies), "paired": table(self.paired),
-        }  # fmt: skip
+        tables = {"policies": table(self.policies), "paired": table(self.paired)}
+        return {"scenario": self.scenario, "radio": self.radio, **self.selection.json, **tables}
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> "Comparison":
@@ -57,14 +56,14 @@ class Comparison:
 
         policies = sorted(table("policies").items(), key=lambda row: -row[1]["reward"].mean)
         selection = Selection.of(content["episodes"], content["seed"], 0)
-        what = content["scenario"], content["radio"], selection
-        return cls(*what, dict(policies), table("paired"))
+        names = content["scenario"], content["radio"]
+        return cls(*names, selection, dict(policies), table("paired"))
 
-    def margin(self, one: str, other: str) -> Interval | None:
+    def margin(self, policy: str, other: str) -> Interval | None:
         """Return the reward of one policy minus that of another; None where they are not paired."""
-        if pair := self.paired.get(f"{one} - {other}"):
+        if pair := self.paired.get(f"{policy} - {other}"):
             return pair["reward"]
-        if pair := self.paired.get(f"{other} - {one}"):
+        if pair := self.paired.get(f"{other} - {policy}"):
             turned = pair["reward"]
             return Interval(-turned.mean, -turned.high, -turned.low)
         return None
@@ -74,39 +73,30 @@ class Comparison:
         # Rewards of different kinds must not be compared.
         reward = "" if self.reward == "tracking" else f", reward {escaped(self.reward)}"
         parts = [f"### {escaped(self.scenario)}, {escaped(self.radio)}, {self.selection}{reward}\n"]
-        parts.append(self._policies_table())
+        parts.append(self._table(METRICS))
         if self.paired:
             intervals = ", 95 % intervals" if len(self.selection) > 1 else ""
             parts += [f"\nPaired differences of the reward{intervals}:\n", self._paired_table()]
         return "\n".join(parts) + "\n"
 
-    def _policies_table(self) -> str:
-        rows = [
-            [name, *(rounded(row[metric]) for metric in METRICS)]
-            for name, row in self.policies.items()
-        ]
-        return grid(["policy", *(HEADERS[metric] for metric in METRICS)], rows)
+    def _table(self, metrics: Iterable[str]) -> str:
+        rows = [[name, *(rounded(row[m]) for m in metrics)] for name, row in self.policies.items()]
+        return grid(["policy", *(HEADERS[metric] for metric in metrics)], rows)
 
     @property
     def terms(self) -> str:
         """Return the error term and the NEES term of the tracking reward of all, as Markdown."""
-        rows = [[name, *(rounded(row[t]) for t in TERMS)] for name, row in self.policies.items()]
-        header = ["policy", *(HEADERS[term] for term in TERMS)]
         about = "The terms of the tracking reward, which is minus their sum:"
-        return f"\n{about}\n\n{grid(header, rows)}\n"
+        return f"\n{about}\n\n{self._table(TERMS)}\n"
 
     def _paired_table(self) -> str:
         """Return a table of each policy minus the references."""
-        everybody = self.policies  # names may hold " - "
-        subtracted = {f"{one} - {other}": other for one in everybody for other in everybody}
+        subtracted = {f"{a} - {b}": b for a, b in product(self.policies, repeat=2)}
         references = list(dict.fromkeys(subtracted[pair] for pair in self.paired))
-        rows = []
+        rows: list[list[object]] = []
         for name in self.policies:
-            cells = []
-            for reference in references:
-                pair = self.paired.get(f"{name} - {reference}")
-                cells.append(str(pair["reward"]) if pair else "")
-            rows.append([name, *cells])
+            pairs = (self.paired.get(f"{name} - {reference}") for reference in references)
+            rows.append([name, *(pair["reward"] if pair else "" for pair in pairs)])
         return grid(["reward of", *(f"minus {reference}" for reference in references)], rows)
 
 
@@ -124,10 +114,10 @@ def episodes_csv(scores: dict[str, Scores], selection: Selection, source: Episod
     columns = (*METRICS, *TERMS)
     rows.writerow(["policy", "seed", "key", *columns])
     seeds, keys = selection.seeds, selection.keys(source)
-    which = list(zip(seeds, [None] * len(seeds) if keys is None else keys.tolist(), strict=True))
+    written = [None] * len(seeds) if keys is None else keys.tolist()
     for name, metrics in scores.items():
-        values = zip(*(metrics[metric].tolist() for metric in columns), strict=True)
-        rows.writerows([as_cell(name), *one, *row] for one, row in zip(which, values, strict=True))
+        values = (metrics[metric].tolist() for metric in columns)
+        rows.writerows(zip([as_cell(name)] * len(seeds), seeds, written, *values, strict=True))
     return table.getvalue()
 
 
@@ -138,7 +128,7 @@ def references(scores: dict[str, Scores]) -> list[str]:
     return [n for n in (best, "speed-rule", "imm", "imm-best") if n is not None and n in scores]
 
 
-def compare_scores(scores: dict[str, Scores], own: Sequence[str] = (), **what: Any) -> Comparison:
+def compare_scores(scores: dict[str, Scores], own: Sequence[str] = (), **more: Any) -> Comparison:
     """Compute intervals of every contender, and paired differences against the references.
 
     Without any reference among the contenders, everybody is paired with everybody.
@@ -146,7 +136,7 @@ def compare_scores(scores: dict[str, Scores], own: Sequence[str] = (), **what: A
     Args:
         scores: result of :func:`~experiments.evaluation.runner.score_contenders`.
         own: a user's contenders, which are paired with everybody, also with each other.
-        what: remaining attributes of :class:`Comparison`.
+        more: remaining attributes of :class:`Comparison`.
     """
     metrics = [*METRICS, *TERMS]
 
@@ -164,4 +154,4 @@ def compare_scores(scores: dict[str, Scores], own: Sequence[str] = (), **what: A
             if name != reference:
                 pairs[f"{name} - {reference}"] = stacked[name] - stacked[reference]
     paired = rows(pairs) if pairs else {}
-    return Comparison(policies=rows(stacked), paired=paired, **what)
+    return Comparison(policies=rows(stacked), paired=paired, **more)

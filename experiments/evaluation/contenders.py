@@ -22,16 +22,9 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation, action_names
 from mmwave_env.io.lookup import unknown
 from mmwave_env.models.measurement import Layout
-from mmwave_env.models.radio import RADIOS, radio_from
+from mmwave_env.models.radio import radio_from
 from mmwave_env.task import bank_and_modes
-from policies import (
-    FixedMode,
-    LearnedSwitch,
-    LikelihoodRule,
-    Policy,
-    SpeedRule,
-    shipped_policies,
-)
+from policies import FixedMode, LearnedSwitch, LikelihoodRule, Policy, SpeedRule, shipped_policies
 
 BEST_IMM = "imm-best"  # the IMM with the modes of best_bank
 OTHERS = ("a .safetensors file", "the folder of a run", "module:function, without folder and .py")
@@ -76,15 +69,14 @@ class Contender:
             radio: profile that selects the bank of a switcher with several banks.
         """
         switch = LearnedSwitch(path)
-        found = cls(
+        return cls(
             os.fspath(path) if name is None else name,
             switch.modes,
             partial(LearnedSwitch, path),
             observation=switch.card.observation,
             beliefs=switch.beliefs,
             bank_of=switch.bank if switch.beliefs == "per-mode" else None,
-        )
-        return found.at(radio)
+        ).at(radio)
 
     @classmethod
     def own(
@@ -116,7 +108,7 @@ class Contender:
         beliefs, modes = getattr(agent, "beliefs", beliefs), getattr(agent, "modes", modes)
         bank_of = getattr(agent, "bank", None) if beliefs == "per-mode" else None
         bank, chosen = bank_and_modes(bank_of(radio) if bank_of else modes, beliefs, radio)
-        found = cls(
+        contender = cls(
             name,
             chosen,
             partial(tried, name, agent),
@@ -124,7 +116,7 @@ class Contender:
             beliefs=beliefs,
             bank_of=bank_of,
         )
-        return found._over(bank) if bank else found
+        return contender._over(bank) if bank else contender
 
     def at(self, radio: str) -> "Contender":
         """Return the contender with its bank for a radio, if it has several banks."""
@@ -157,13 +149,12 @@ class Contender:
 Make = Callable[[], Contender]
 
 
-def _fixed(name: str, modes: tuple[Mode, ...], action: int) -> Contender:
-    return Contender(name, modes, lambda table: FixedMode(action))
+def _fixed(action: int) -> Callable[[Observation], Policy]:
+    return lambda table: FixedMode(action)
 
 
 def _imm(name: str, bank_of: Callable[[], Bank]) -> Contender:
-    bank = bank_of()
-    return Contender(name, bank.modes, None, bank.transition, bank.nis_quantile)
+    return Contender(name, (), None)._over(bank_of())
 
 
 def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:
@@ -177,26 +168,23 @@ def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:
 
 def shipped_for(radio: str) -> dict[str, str]:
     """Map names of learned contenders with a radio profile to shipped policy files."""
-    shipped, radio = shipped_policies(), radio_from(radio).base
-    of_radio = {name: f"{name}-{radio}" for name in SHIPPED}
-    found = {name: file if file in shipped else name for name, file in of_radio.items()}
-    return {name: file for name, file in found.items() if file in shipped}
+    shipped, base = shipped_policies(), radio_from(radio).base
+    files = ((name, file) for name in SHIPPED for file in (name, f"{name}-{base}"))
+    return {name: file for name, file in files if file in shipped}
 
 
 def _of_any_modes(bank: Bank) -> dict[str, Make]:
     """Return the contenders that any modes allow: each mode alone, rules and the IMM."""
-    modes = bank.modes
-    names = [mode.name for mode in modes]
-    found: dict[str, Make] = {
-        f"fixed-{name}": partial(_fixed, f"fixed-{name}", modes, i) for i, name in enumerate(names)
+    names = [mode.name for mode in bank.modes]
+    policies: dict[str, Callable[[Observation], Policy]] = {
+        f"fixed-{name}": _fixed(i) for i, name in enumerate(names)
     }
-    policies: dict[str, Callable[[Observation], Policy]] = {}
-    if len(modes) == 2:
+    if len(names) == 2:
         policies["speed-rule"] = SpeedRule
-    if len(modes) > 1:
+    if len(names) > 1:
         policies["likelihood-rule"] = lambda table: LikelihoodRule(table, names)
-    found |= {name: partial(Contender, name, modes, policy) for name, policy in policies.items()}
-    return found | {"imm": partial(_imm, "imm", lambda: bank)}
+    makes: dict[str, Make] = {n: partial(Contender, n, bank.modes, p) for n, p in policies.items()}
+    return makes | {"imm": partial(_imm, "imm", lambda: bank)}
 
 
 def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
@@ -211,21 +199,17 @@ def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
     """
     if modes is not None:
         return _of_any_modes(bank_over(modes, radio))
-    ckf, best = named_modes(radio)["ckf"], imm_banks(radio)[BEST_IMM]
+    ckf = Bank((named_modes(radio)["ckf"],))
     ekf, ukf, *others = _of_any_modes(Bank(default_modes(radio))).items()
-    found: dict[str, Make] = dict([ekf, ukf])
-    found["fixed-ckf"] = partial(_fixed, "fixed-ckf", (ckf,), 0)
-    found |= dict(others) | {BEST_IMM: partial(_imm, BEST_IMM, best)}
+    alone = dict([ekf, ukf, next(iter(_of_any_modes(ckf).items()))])
+    best = {BEST_IMM: partial(_imm, BEST_IMM, imm_banks(radio)[BEST_IMM])}
     shipped = shipped_for(radio).items()
-    return found | {name: partial(Contender.learned, file, name, radio) for name, file in shipped}
+    learned = {name: partial(Contender.learned, file, name, radio) for name, file in shipped}
+    return alone | dict(others) | best | learned
 
 
 def contender_from(
-    name: str,
-    radio: str,
-    modes: Modes = None,
-    observation: str = "full",
-    beliefs: str = "shared",
+    name: str, radio: str, modes: Modes = None, observation: str = "full", beliefs: str = "shared"
 ) -> Contender:
     """Return a contender by name; see :func:`contenders`.
 
@@ -257,24 +241,6 @@ def contender_from(
             f"{name}: found a model of Stable-Baselines3, expected a policy file; mmwave-loc "
             f"convert {name} {Path(name).with_suffix('.safetensors').name} makes one ({GUIDE})"
         )
-    stem = name.removesuffix(".py")
-    module = f"; {Path(stem).name}:FUNCTION names an agent in a module ({GUIDE})"
-    hint = module if Path(f"{stem}.py").is_file() else ""
     # A policy shipped for all radios is in both lists.
     everything = dict.fromkeys([*known, *shipped, *OTHERS])
-    raise ValueError(_of_other_radios(name, radio) or unknown("policy", name, everything) + hint)
-
-
-def _of_other_radios(name: str, radio: str) -> str | None:
-    """Return a message about a contender learned for other radios, or None for other names."""
-    files = {f"{name}-{other}": other for other in RADIOS}
-    trained = {file: other for file, other in files.items() if file in shipped_policies()}
-    if name not in SHIPPED or not trained:
-        return None
-    likely = [f"{name}-{radio_from(radio).base}", f"{name}-standard", *trained]
-    meant = next(file for file in likely if file in trained)
-    return (
-        f"policy: found {name!r}, expected {' or '.join(trained)}: it was trained for "
-        f"{' and '.join(trained.values())}, and goes by {name!r} only with these radios and where "
-        f"no modes are given; did you mean {meant}?"
-    )
+    raise ValueError(unknown("policy", name, everything))

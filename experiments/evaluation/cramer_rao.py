@@ -17,7 +17,7 @@ singular Q is allowed. H is taken at the true states, and a missing group has no
 of Hernandez, Ristic, Farina and Timmoneri 2004). No filter that knows Q beats it in the mean
 over those tracks. *Conditional bound*: the same recursion with one track's own information
 and nothing averaged, the covariance of an EKF that linearizes at the truth. Its mean is never
-below the averaged bound (Jensen: J^-1 is convex in the informations), and is more telling where
+below the averaged bound (Jensen: J^-1 is convex in the fisher), and is more telling where
 information varies along the streets; but given the track it is a benchmark, not a strict bound.
 
 Both bounds hold for tracks that follow F and Q. Real users do not: with the Q of
@@ -96,11 +96,11 @@ def information(episode: Episode) -> Array:
             weight.append(visible / row_variance)
     H, inverse_variance = np.array(jacobian), np.array(weight)  # (rows, 7, T), (rows, T)
     weighted = H * inverse_variance[:, None]
-    told: Array = np.transpose(weighted, (2, 1, 0)) @ np.transpose(H, (2, 0, 1))
-    return told
+    fisher: Array = np.transpose(weighted, (2, 1, 0)) @ np.transpose(H, (2, 0, 1))
+    return fisher
 
 
-def recursion(prior: Array, time_s: Array, told: Array, motion: Motion) -> Array:
+def recursion(prior: Array, time_s: Array, fisher: Array, motion: Motion) -> Array:
     """Compute bounds (..., T, 7, 7) on the covariance of the state after each epoch.
 
     P+ = F P F' + Q, then P = (P+^-1 + I)^-1 = (1 + P+ I)^-1 P+ with the epoch's information I.
@@ -108,19 +108,18 @@ def recursion(prior: Array, time_s: Array, told: Array, motion: Motion) -> Array
     Args:
         prior: (7, 7) covariance P0 at the first epoch, before its measurement.
         time_s: (T,) times of the epochs.
-        told: (..., T, 7, 7) information of each epoch, of any number of tracks at once.
+        fisher: (..., T, 7, 7) information of each epoch, of any number of tracks at once.
         motion: motion model that gives Q.
     """
-    bound, identity = np.empty_like(told), np.eye(STATE_SIZE)
-    P = np.broadcast_to(prior, told[..., 0, :, :].shape)
+    bound, identity = np.empty_like(fisher), np.eye(STATE_SIZE)
+    P = np.broadcast_to(prior, fisher[..., 0, :, :].shape)
     for k, dt in enumerate(np.diff(time_s, prepend=time_s[0])):
         entries = [[P[..., i, j] for j in range(STATE_SIZE)] for i in range(STATE_SIZE)]
         predicted: Array = np.array(predict_covariance(entries, motion.noise(dt), dt))
         predicted = np.moveaxis(predicted, (0, 1), (-2, -1))
-        updated = np.linalg.solve(identity + predicted @ told[..., k, :, :], predicted)
-        bound[..., k, :, :] = 0.5 * (
-            updated + np.swapaxes(updated, -1, -2)
-        )  # rounding errors would grow otherwise
+        updated = np.linalg.solve(identity + predicted @ fisher[..., k, :, :], predicted)
+        # Without the symmetric part, rounding errors would grow.
+        bound[..., k, :, :] = 0.5 * (updated + np.swapaxes(updated, -1, -2))
         P = bound[..., k, :, :]
     return bound
 
@@ -132,8 +131,8 @@ def averaged_bound(episodes: Sequence[Episode], motion: Motion) -> Array:
         ValueError: no episode, one without truth, or different steps or priors.
     """
     first = _alike(episodes)
-    told = sum((information(e) for e in episodes), np.zeros((len(first), STATE_SIZE, STATE_SIZE)))
-    return recursion(first.prior_covariance, first.time_s, told / len(episodes), motion)
+    total = sum((information(e) for e in episodes), np.zeros((len(first), STATE_SIZE, STATE_SIZE)))
+    return recursion(first.prior_covariance, first.time_s, total / len(episodes), motion)
 
 
 def conditional_bounds(episodes: Sequence[Episode], motion: Motion) -> Array:
@@ -143,8 +142,8 @@ def conditional_bounds(episodes: Sequence[Episode], motion: Motion) -> Array:
         ValueError: same cases as in :func:`averaged_bound`.
     """
     first = _alike(episodes)
-    told = np.array([information(episode) for episode in episodes])
-    return recursion(first.prior_covariance, first.time_s, told, motion)
+    fisher = np.array([information(episode) for episode in episodes])
+    return recursion(first.prior_covariance, first.time_s, fisher, motion)
 
 
 def position_variance(bound: Array) -> Array:

@@ -1,9 +1,13 @@
-"""History of an episode filtered by a contender, epoch by epoch, for pictures."""
+"""Histories, errors and NEES of contenders, epoch by epoch, for pictures."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from experiments.evaluation.contenders import Contender
-from experiments.evaluation.runner import PLAIN, Scoring, run_contender
+from experiments.evaluation.runner import PLAIN, EpochResults, Scoring, run_contender
+from mmwave_env.metrics import scored
 from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.history import NO_MODE, POSITION_NUMBERS, History, Scenery
@@ -13,10 +17,7 @@ _KEPT = ("x", "P", "memory.accepted", "memory.rejected", "memory.mode")
 
 
 def history_of(
-    contender: Contender,
-    episode: Episode,
-    scoring: Scoring = PLAIN,
-    streets: Streets | None = None,
+    contender: Contender, episode: Episode, scoring: Scoring = PLAIN, streets: Streets | None = None
 ) -> History:
     """Return the prior and the contender's results in every epoch.
 
@@ -31,8 +32,8 @@ def history_of(
         ValueError: the policy fails.
     """
     policy = contender.start(episode.layout, scoring.planar)
-    told = run_contender(contender, policy, [episode], scoring, after=_KEPT)
-    made = {name: values[0] for name, values in told.items()}
+    results = run_contender(contender, policy, [episode], scoring, after=_KEPT)
+    made = {name: values[0] for name, values in results.items()}
     begun = episode.on_flat_ground() if scoring.planar else episode
     prior_P = begun.prior_covariance[np.tril_indices(3)]
     assert episode.truth_position_m is not None and episode.truth_velocity_mps is not None
@@ -55,3 +56,31 @@ def history_of(
 def _after(prior: Array | float, epochs: Array) -> Array:
     """Return rows (T + 1, ...): the prior's row, then the rows of the epochs (T, ...)."""
     return np.concatenate([np.asarray(prior)[None], epochs])
+
+
+@dataclass
+class EpochErrors:
+    """Errors and NEES of contenders in all scored epochs of episodes of one length."""
+
+    names: Mapping[str, str]  # name in figures, by contender; other contenders are skipped
+    time_s: Array = field(default_factory=lambda: np.zeros(0))  # (T,) times since the first epoch
+    _parts: dict[str, list[tuple[Array, Array]]] = field(default_factory=dict)  # errors and NEES
+
+    def add(self, contender: Contender, time_s: Array, results: EpochResults) -> None:
+        """Add the epoch results of a contender on episodes with these times (T,)."""
+        if contender.name in self.names:
+            counted = scored(len(time_s))
+            self.time_s = (time_s - time_s[0])[counted]
+            error, nees = (results[name][:, counted] for name in ("error", "nees"))
+            parts = self._parts.setdefault(self.names[contender.name], [])
+            parts.append((error.astype(np.float32), nees))
+
+    @property
+    def errors_m(self) -> dict[str, Array]:
+        """Return position errors (n, T, 3) by name, m."""
+        return {n: np.concatenate([error for error, _ in p]) for n, p in self._parts.items()}
+
+    @property
+    def nees(self) -> dict[str, Array]:
+        """Return NEES (n, T) by name."""
+        return {n: np.concatenate([nees for _, nees in p]) for n, p in self._parts.items()}

@@ -61,7 +61,7 @@ def rounded(interval: Interval) -> str:
 
 
 @lru_cache(maxsize=2)
-def _resamples(n: int, seed: int) -> NDArray[np.uint16]:
+def _resamples(n: int, seed: int = 0) -> NDArray[np.uint16]:
     """Count how often each of n episodes or seeds is drawn (resamples, n)."""
     counts = np.empty((RESAMPLES, n), np.uint16)
     for first, rows in zip(range(0, RESAMPLES, BLOCK), _drawn(n, seed, BLOCK), strict=True):
@@ -77,26 +77,30 @@ def _drawn(n: int, seed: int, rows: int) -> Iterator[NDArray[np.int64]]:
         yield rng.multinomial(n, np.full(n, 1.0 / n), size=size)
 
 
-def _resampled_means(values: Array, seed: int) -> Array:
+def _resampled_means(values: Array) -> Array:
     """Return means (resamples, k) of columns (episodes, k), which share the resamples."""
     n = len(values)
     if n > KEPT:
-        blocks: Iterable[Any] = _drawn(n, seed, max(1, BLOCK * KEPT // n))
+        blocks: Iterable[Any] = _drawn(n, 0, max(1, BLOCK * KEPT // n))
     else:
-        blocks = np.split(_resamples(n, seed), RESAMPLES // BLOCK)
+        blocks = np.split(_resamples(n), RESAMPLES // BLOCK)
     return np.concatenate([rows / n @ values for rows in blocks])
 
 
-def bootstrap(values: Array, seed: int = 0) -> list[Interval]:
+def bootstrap(values: Array) -> list[Interval]:
     """Return means of columns (episodes, k) with 95 % percentile intervals over episodes."""
     low = high = np.full(values.shape[1], np.nan)
     if len(values) > 1:
-        low, high = np.percentile(_resampled_means(values, seed), [2.5, 97.5], axis=0)
-    columns = zip(values.mean(axis=0), low, high, strict=True)
-    return [Interval(float(m), float(a), float(b)) for m, a, b in columns]
+        low, high = np.percentile(_resampled_means(values), [2.5, 97.5], axis=0)
+    return _intervals(values.mean(axis=0), low, high)
 
 
-def bootstrap_ratio(over: Array, under: Array, seed: int = 0) -> list[Interval]:
+def _intervals(*columns: Array) -> list[Interval]:
+    """Return intervals of means, lower and upper ends (k,)."""
+    return [Interval(*row) for row in np.transpose(columns).tolist()]
+
+
+def bootstrap_ratio(over: Array, under: Array) -> list[Interval]:
     """Return ratios of means of columns over the same episodes, each (episodes, k).
 
     A ratio is NaN where the denominator has mean 0, its interval where a resample of it has.
@@ -104,14 +108,13 @@ def bootstrap_ratio(over: Array, under: Array, seed: int = 0) -> list[Interval]:
 
     def ratios(means: Array) -> Array:
         above, below = np.split(means, 2, axis=-1)
-        found = np.full(above.shape, np.nan)
-        np.divide(above, below, out=found, where=below != 0.0)
-        return found
+        quotients = np.full(above.shape, np.nan)
+        np.divide(above, below, out=quotients, where=below != 0.0)
+        return quotients
 
     both = np.concatenate([over, under], axis=1)
-    low, high = np.percentile(ratios(_resampled_means(both, seed)), [2.5, 97.5], axis=0)
-    columns = zip(ratios(both.mean(axis=0)), low, high, strict=True)
-    return [Interval(float(m), float(a), float(b)) for m, a, b in columns]
+    low, high = np.percentile(ratios(_resampled_means(both)), [2.5, 97.5], axis=0)
+    return _intervals(ratios(both.mean(axis=0)), low, high)
 
 
 def few_seeds_factor(seeds: int) -> float:
@@ -125,7 +128,7 @@ def few_seeds_factor(seeds: int) -> float:
     return float(np.sqrt(seeds / (seeds - 1.0)) * t.ppf(0.975, seeds - 1) / norm.ppf(0.975))
 
 
-def crossed_bootstrap(scores: Array, seed: int = 0) -> Interval:
+def crossed_bootstrap(scores: Array) -> Interval:
     """Return the mean of scores (seeds, episodes) with its 95 % interval over both.
 
     The means of the seeds are spread by :func:`few_seeds_factor` before they are resampled,
@@ -134,7 +137,7 @@ def crossed_bootstrap(scores: Array, seed: int = 0) -> Interval:
     K, n = scores.shape
     apart = scores.mean(axis=1, keepdims=True) - scores.mean()
     moved = scores + (few_seeds_factor(K) - 1.0) * apart
-    of_seeds, of_episodes = _resamples(K, seed + 1), _resamples(n, seed)
+    of_seeds, of_episodes = _resamples(K, 1), _resamples(n)
     means = [
         ((of_seeds[i : i + BLOCK] / K @ moved) * (of_episodes[i : i + BLOCK] / n)).sum(axis=1)
         for i in range(0, RESAMPLES, BLOCK)

@@ -39,12 +39,12 @@ class Positions:
     planar: bool = False
     errors: dict[str, PositionErrors] = field(default_factory=dict)
 
-    def add(self, contender: Contender, time_s: Array, told: EpochResults) -> None:
+    def add(self, contender: Contender, time_s: Array, results: EpochResults) -> None:
         """Add a contender's epoch results on some episodes, which include :data:`PARTS`."""
         if contender.name in self.names:
             name, counts = self.names[contender.name], scored(len(time_s))
             errors = self.errors.setdefault(name, PositionErrors(self.risk, self.planar))
-            errors.add(told["error"][:, counts], told["P"][:, counts])
+            errors.add(results["error"][:, counts], results["P"][:, counts])
 
     def figures(self) -> dict[str, Any]:
         """Return errors and levels as results files hold them."""
@@ -52,21 +52,21 @@ class Positions:
         return {"risk": self.risk, "policies": policies}
 
 
-def positions_markdown(what: str, rows: Mapping[str, Any], risk: float) -> str:
+def positions_markdown(title: str, rows: Mapping[str, Any], risk: float) -> str:
     """Return a table of errors and protection levels, with a note on its last columns.
 
     Args:
-        what: header of the names of the rows.
+        title: header of the names of the rows.
         rows: figures of :class:`~mmwave_env.localization.position_errors.PositionErrors` by name.
         risk: integrity risk of the levels.
     """
     cells = [
-        [f"{name}, {kind}", *row_of(one)]
+        [f"{name}, {kind}", *row_of(errors)]
         for name, kinds in rows.items()
-        for kind, one in kinds.items()
+        for kind, errors in kinds.items()
     ]
     return (
-        f"{grid([what, *HEADER], cells)}\n\nErrors that so many percent of the epochs stay below; "
+        f"{grid([title, *HEADER], cells)}\n\nErrors that so many percent of the epochs stay below; "
         "shares of the epochs within a distance. Level is the median protection level; at a risk "
         f"of {risk:g}, errors should exceed it in {percent(risk)} of the epochs.\n"
     )

@@ -1,47 +1,49 @@
-"""The benchmark's protocol: the venues that judge contenders, some unseen in training.
+"""The benchmark's protocol: the sites that judge contenders, some unseen in training.
 
-docs/benchmark.md explains it. An *entry* holds a contender's figures in every venue.
+docs/benchmark.md explains it. An *entry* holds a contender's figures at every site.
 """
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from experiments.evaluation.contenders import BEST_IMM, Contender, contender_from, contenders
+from experiments.console.options import WorldArgs
+from experiments.console.tables import grid
+from experiments.evaluation.asked import source_of
+from experiments.evaluation.contenders import BEST_IMM, contender_from, contenders
 from experiments.evaluation.intervals import Interval, bootstrap
-from experiments.evaluation.runner import score_contenders
+from experiments.evaluation.runner import Scores, score_contenders
 from experiments.evaluation.seeds import Selection
-from mmwave_env.filters.modes import Mode
+from mmwave_env.io.files import read_json
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.task import task_from
 from mmwave_env.world.episode import EpisodeSource
 
 TRAINED, UNSEEN_KIND, RECORDED = KINDS = ("to train in", "unseen", "recorded")
 UNSEEN_SCENES, UNSEEN_RADIOS = ("avenue", "plaza", "alley"), ("tablet",)
 UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
-HEARD = ("handset", "standard")  # radios in unseen streets and on recordings
+OTHER_RADIOS = ("handset", "standard")  # radios in unseen streets and on recordings
 # Episodes and recordings of the published tables; docs/data.md lists later recordings.
-EPISODES, DRAWS = 2000, 200  # in each simulated venue, and on each recording
+EPISODES, DRAWS = 2000, 200  # in each simulated site, and on each recording
 RECORDINGS = ("canyon28_pedestrian", "canyon28_vehicle")
 
 
 def unseen_file(name: str) -> str:
     """Return the JSON file of an unseen scene or radio."""
-    return str(files("experiments.evaluation").joinpath(f"unseen/{name}.json"))
+    return str(Path(__file__).with_name("unseen") / f"{name}.json")
 
 
 @dataclass(frozen=True)
-class Venue:
+class Site:
     """A place of the benchmark: a simulated street or a recording, with a radio.
 
     Attributes:
-        kind: kind of venue, from :data:`KINDS`.
+        kind: kind of site, from :data:`KINDS`.
         scene: name or file of the street; None for a recording.
         radio: name or file of the radio.
         data: a recording's name; None for a simulated street.
@@ -55,107 +57,172 @@ class Venue:
 
     @property
     def source(self) -> EpisodeSource:
-        """Return the source of the venue's episodes."""
-        # A dummy mode, as filters do not matter here: it saves the warning about untuned modes.
-        none = [Mode("none")]
-        return task_from(scene=self.scene, radio=self.radio, episodes=self.data, modes=none).source
+        """Return the source of the site's episodes."""
+        return source_of(WorldArgs(scene=self.scene, radio=self.radio, data=self.data))
 
 
-def venues() -> list[Venue]:
-    """Return all venues: nine to train in, unseen streets and an unseen radio, recordings."""
-    trained = [(scene, radio) for scene in SCENES for radio in RADIOS]
-    found = [Venue(f"{scene}:{radio}", TRAINED, scene, radio) for scene, radio in trained]
-    for name in UNSEEN_SCENES:
-        file = unseen_file(name)
-        found += [Venue(f"{name}:{radio}", UNSEEN_KIND, file, radio) for radio in HEARD]
-    found += [
-        Venue(f"street:{name}", UNSEEN_KIND, "street", unseen_file(name)) for name in UNSEEN_RADIOS
+def sites() -> list[Site]:
+    """Return all sites: nine to train in, unseen streets and an unseen radio, recordings."""
+    unseen = {name: unseen_file(name) for name in UNSEEN}
+    trained = [Site(f"{s}:{r}", TRAINED, s, r) for s in SCENES for r in RADIOS]
+    streets = [
+        Site(f"{name}:{radio}", UNSEEN_KIND, unseen[name], radio)
+        for name in UNSEEN_SCENES
+        for radio in OTHER_RADIOS
     ]
-    return found + [
-        Venue(f"{name}:{radio}", RECORDED, None, radio, name)
-        for name in RECORDINGS
-        for radio in HEARD
+    radios = [Site(f"street:{r}", UNSEEN_KIND, "street", unseen[r]) for r in UNSEEN_RADIOS]
+    recorded = [
+        Site(f"{r}:{radio}", RECORDED, None, radio, r) for r in RECORDINGS for radio in OTHER_RADIOS
     ]
+    return [*trained, *streets, *radios, *recorded]
 
 
 @dataclass(frozen=True)
 class Judged:
-    """Scores of contenders in one venue.
+    """Scores of contenders at one site.
 
     Attributes:
-        venue: place that they ran in.
-        reward, ate_m: (episodes,) scores by contender.
+        site: where they ran.
+        scores: metrics by contender.
         imms: names of the IMMs among the contenders.
     """
 
-    venue: Venue
-    reward: dict[str, Array]
-    ate_m: dict[str, Array]
+    site: Site
+    scores: dict[str, Scores]
     imms: tuple[str, ...]
+
+    def gain(self, name: str, rival: str) -> Array:
+        """Return the reward (episodes,) of a contender minus that of a rival."""
+        return self.scores[name]["reward"] - self.scores[rival]["reward"]
 
     def figures(self, name: str) -> dict[str, Any]:
         """Return a contender's part of an entry: means, and its gain over every IMM."""
-        gains = {imm: self.reward[name] - self.reward[imm] for imm in self.imms if imm != name}
-        columns = np.stack([self.reward[name], self.ate_m[name], *gains.values()], axis=1)
+        gains = {imm: self.gain(name, imm) for imm in self.imms if imm != name}
+        own = [self.scores[name][metric] for metric in ("reward", "ate_m")]
+        columns = np.stack([*own, *gains.values()], axis=1)
         reward, ate_m, *minus = (interval.json for interval in bootstrap(columns))
         return {
-            "kind": self.venue.kind, "episodes": len(columns), "reward": reward, "ate_m": ate_m,
+            "kind": self.site.kind,
+            "episodes": len(columns),
+            "reward": reward,
+            "ate_m": ate_m,
             "minus": dict(zip(gains, minus, strict=True)),
-        }  # fmt: skip
+        }
 
 
 def require_contenders(names: Sequence[str]) -> None:
-    """Refuse, before any episode runs, contenders that some venue does not have.
+    """Refuse, before any episode runs, contenders that some site does not have.
 
     Raises:
         ValueError, FileNotFoundError: same as from
             :func:`~experiments.evaluation.contenders.contender_from`.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # same as in judge
-        for radio in dict.fromkeys(venue.radio for venue in venues()):
+        warnings.simplefilter("ignore")  # for the reason given in judge
+        for radio in dict.fromkeys(site.radio for site in sites()):
             for name in names:
                 contender_from(name, radio)
 
 
-def judge(names: Sequence[str], venue: Venue, episodes: int, seed: int) -> Judged:
-    """Run contenders and every IMM in a venue, on the same episodes."""
+def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
+    """Run contenders and every IMM at a site, on the same episodes."""
     selection = Selection(range(seed, seed + episodes))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # modes are untuned for an unseen radio on purpose
-        imms = [name for name in contenders(venue.radio) if name.startswith("imm")]
-        chosen: list[Contender] = [
-            contender_from(name, venue.radio) for name in dict.fromkeys([*names, *imms])
-        ]
-        scores = score_contenders(chosen, venue.source, venue.radio, selection)
-    reward = {name: metrics["reward"] for name, metrics in scores.items()}
-    ate = {name: metrics["ate_m"] for name, metrics in scores.items()}
-    return Judged(venue, reward, ate, tuple(imms))
+        imms = [name for name in contenders(site.radio) if name.startswith("imm")]
+        chosen = [contender_from(name, site.radio) for name in dict.fromkeys([*names, *imms])]
+        scores = score_contenders(chosen, site.source, site.radio, selection)
+    return Judged(site, scores, tuple(imms))
+
+
+# --- entries
 
 
 def entry(name: str, judged: Sequence[Judged]) -> dict[str, Any]:
-    """Return the entry of a contender: figures of every venue, and mean gain per kind of venue."""
+    """Return the entry of a contender: figures of every site, and mean gain per kind of site.
+
+    The gain is over the best classical method, imm-best, averaged over the sites.
+    """
+    gains: dict[str, list[Array]] = {}
+    for at in judged:
+        gains.setdefault(at.site.kind, []).append(at.gain(name, BEST_IMM))
+    means = {kind: bootstrap(np.mean(gain, axis=0)[:, None])[0] for kind, gain in gains.items()}
     return {
         "entry": name,
-        "venues": {one.venue.name: one.figures(name) for one in judged},
-        "mean_gain": {
-            kind: _mean_gain(name, [one for one in judged if one.venue.kind == kind]).json
-            for kind in KINDS
-            if any(one.venue.kind == kind for one in judged)
-        },
+        "venues": {at.site.name: at.figures(name) for at in judged},
+        "mean_gain": {kind: means[kind].json for kind in KINDS if kind in means},
     }
 
 
-def _mean_gain(name: str, judged: Sequence[Judged]) -> Interval:
-    """Return the gain over the best classical method, imm-best, averaged over venues."""
-    gains = [one.reward[name] - one.reward[BEST_IMM] for one in judged]
-    (interval,) = bootstrap(np.mean(gains, axis=0)[:, None])
-    return interval
+def read_entry(path: Path) -> dict[str, Any]:
+    """Read an entry that :func:`entry` made.
+
+    Raises:
+        ValueError: names the file and says what is wrong in it.
+    """
+
+    def checked(content: dict[str, Any]) -> dict[str, Any]:
+        missing = [site.name for site in sites() if site.name not in content["venues"]]
+        if missing:
+            raise ValueError(f"venues: missing {', '.join(missing)}")
+        ranking([content], 0, 0)  # refuses what tables can't show
+        by_site([content])
+        return content
+
+    return read_json(path, "an entry", checked)
 
 
 def standing(figures: dict[str, Any]) -> str:
-    """Return whether an entry is "above" every IMM in a venue, "below" one, or "level"."""
+    """Return whether an entry is "above" every IMM at a site, "below" an IMM, or "level"."""
     intervals = [gain["ci95"] for gain in figures["minus"].values()]
     if all(low > 0.0 for low, _ in intervals):
         return "above"
     return "below" if any(high < 0.0 for _, high in intervals) else "level"
+
+
+def ranking(entries: Sequence[Mapping[str, Any]], episodes: int, draws: int) -> str:
+    """Return a Markdown table of all entries, ranked by their mean gain at the sites to train in.
+
+    Entries with too few episodes come last and are marked, as luck would decide their rank.
+
+    Args:
+        entries: entries in any order.
+        episodes, draws: numbers that the protocol requires at a simulated site and on a recording.
+    """
+    rows: list[tuple[bool, float, list[Any]]] = []
+    for content in entries:
+        at, gains = content["venues"].values(), content["mean_gain"]
+        recorded = min(site["episodes"] for site in at if site["kind"] == RECORDED)
+        simulated = min(site["episodes"] for site in at if site["kind"] != RECORDED)
+        short = simulated < episodes or recorded < draws
+        cells = [content["entry"].removesuffix("/policy.safetensors")]
+        cells.append(f"{simulated} / {recorded}{' (too few)' if short else ''}")
+        for kind in KINDS:
+            stands = [standing(site) for site in at if site["kind"] == kind]
+            counts = [str(stands.count(where)) for where in ("above", "level", "below")]
+            cells += [Interval.of(gains[kind]), " / ".join(counts)]
+        rows.append((short, -gains[TRAINED]["mean"], cells))
+    header = ["entry", "episodes / draws"]
+    for kind in KINDS:
+        header += [f"{kind}: minus imm-best", "above / level / below every IMM"]
+    return grid(header, [cells for *_, cells in sorted(rows, key=lambda row: row[:2])])
+
+
+def by_site(entries: Sequence[Mapping[str, Any]]) -> str:
+    """Return a Markdown table of rewards minus that of the best IMM of each site.
+
+    Files, such as the single trainings of a run, and the IMMs are left out where there are other
+    entries; the ranking has them.
+    """
+    named = {content["entry"]: content["venues"] for content in entries}
+    policies = {name: at for name, at in named.items() if "/" not in name}
+    shown = {n: at for n, at in policies.items() if not n.startswith("imm")} or policies or named
+    rows = []
+    for site in sites():
+        cells = [site.name]
+        for at in shown.values():
+            gains = at[site.name]["minus"]
+            best = min(gains, key=lambda imm: gains[imm]["mean"])
+            cells.append(f"{Interval.of(gains[best])} ({best})")
+        rows.append(cells)
+    return grid(["venue", *shown], rows)

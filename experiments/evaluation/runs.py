@@ -9,39 +9,28 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
+from experiments.evaluation.intervals import Interval
 from mmwave_env.io.files import read_json, read_text, told
 
 
-def is_number(value: Any) -> bool:
-    """Tell whether a value is a finite number."""
-    return isinstance(value, int | float) and math.isfinite(value)
-
-
-def require_interval(key: str, found: Any) -> None:
-    """Refuse a value that is not a mean with its interval."""
-    if isinstance(found, dict) and is_number(found.get("mean")) and "ci95" in found:
-        ends = found["ci95"]
-        if ends is None or (len(ends) == 2 and all(map(is_number, ends))):
-            return
-    raise ValueError(f"{key}: found {found!r:.60}, expected a mean and its ci95")
-
-
-def require_outcome(found: Mapping[str, Any]) -> None:
-    """Refuse a value that is not the outcome of a training.
+def require_outcome(outcome: dict[str, Any]) -> dict[str, Any]:
+    """Return the outcome of a training; refuse anything else.
 
     Raises:
         ValueError, KeyError, TypeError, AttributeError: a part is missing or wrong.
     """
-    best, beat = found["best"], found.get("beat_rule")
-    numbers = [found["seed"], best["reward"], best["timesteps"]]
+    best, beat = outcome["best"], outcome.get("beat_rule")
+    numbers = [outcome["seed"], outcome["seconds"], best["reward"], best["timesteps"]]
     if beat:
         numbers += [beat["timesteps"], beat["seconds"]]
-    for value in numbers:
-        if not is_number(value):
-            raise ValueError(f"found {value!r}, expected a number")
     for key, gain in best.items():
         if key.startswith("minus "):
-            require_interval(key, gain)
+            interval = Interval.of(gain)
+            numbers += [interval.mean, *((interval.low, interval.high) if gain["ci95"] else ())]
+    for value in numbers:
+        if not (isinstance(value, int | float) and math.isfinite(value)):
+            raise ValueError(f"found {value!r}, expected a number")
+    return outcome
 
 
 def require_no_smoke(name: str, command: str) -> None:
@@ -112,22 +101,21 @@ def trainings(names: Sequence[str], runs: Mapping[str, Run]) -> list[str]:
     return [file for name in names for file in (runs[name].policies if name in runs else [name])]
 
 
-def curves_of(journal: Path) -> dict[str, tuple[list[float], list[float]]]:
-    """Read steps and rewards minus each rival's, on tuning seeds, from a training's journal.
+def curves_of(log: Path) -> dict[str, tuple[list[float], list[float]]]:
+    """Read steps and rewards minus each rival's, on tuning seeds, from a progress log.
 
     Raises:
         ValueError: no CSV, or a value that is no number; names the line.
     """
     curves: dict[str, tuple[list[float], list[float]]] = {}
-    with StringIO(read_text(journal, "a journal of a training"), newline="") as lines:
-        rows = csv.DictReader(lines)
-        try:
-            for row in rows:
-                for name, value in row.items():
-                    if value and name.startswith("tuning/minus "):
-                        steps, values = curves.setdefault(name.split(" ", 1)[1], ([], []))
-                        steps.append(float(row["timesteps"]))
-                        values.append(float(value))
-        except (csv.Error, AttributeError, KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"{journal}: line {rows.line_num}: {told(error)[:300]}") from error
+    rows = csv.DictReader(StringIO(read_text(log, "the progress log of a training"), newline=""))
+    try:
+        for row in rows:
+            for name, value in row.items():
+                if value and name.startswith("tuning/minus "):
+                    steps, values = curves.setdefault(name.split(" ", 1)[1], ([], []))
+                    steps.append(float(row["timesteps"]))
+                    values.append(float(value))
+    except (csv.Error, AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{log}: line {rows.line_num}: {told(error)[:300]}") from error
     return curves

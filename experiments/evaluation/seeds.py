@@ -12,32 +12,8 @@ import numpy as np
 from mmwave_env.world.episode import Episode, EpisodeSource
 from mmwave_env.world.keys import Keys, keys_of
 
-TUNING_SEED = 5_000_000
 TRAINING_SEED = 10_000_000  # first seed of the first training; each training has a million
 SEEDS_EACH = 1_000_000
-
-
-def require_tuning_seed(seed: int) -> None:
-    """Refuse to tune on test seeds.
-
-    Raises:
-        ValueError: names the first tuning seed.
-    """
-    if seed < TUNING_SEED:
-        raise ValueError(f"seed: found {seed}, expected a tuning seed >= {TUNING_SEED}")
-
-
-def require_seeds(seeds: Sequence[int]) -> None:
-    """Refuse an empty selection, and negative seeds.
-
-    Raises:
-        ValueError: no seeds, or a negative one.
-    """
-    if not len(seeds):
-        found = seeds.stop - seeds.start if isinstance(seeds, range) else "none"
-        raise ValueError(f"episodes: found {found}, expected at least 1")
-    if min(seeds) < 0:
-        raise ValueError(f"seed: found {min(seeds)}, expected 0 or more")
 
 
 @dataclass(frozen=True)
@@ -62,13 +38,15 @@ class Selection:
         Raises:
             ValueError: no episode, or a negative seed.
         """
-        count, first = usual if episodes is None else episodes, seed or 0
-        if count < 1:
-            raise ValueError(f"episodes: found {count}, expected at least 1")
-        return cls(range(first, first + count))
+        first = seed or 0
+        return cls(range(first, first + (usual if episodes is None else episodes)))
 
     def __post_init__(self) -> None:
-        require_seeds(self.seeds)
+        if not len(self.seeds):
+            count = self.seeds.stop - self.seeds.start if isinstance(self.seeds, range) else 0
+            raise ValueError(f"episodes: found {count}, expected at least 1")
+        if min(self.seeds) < 0:
+            raise ValueError(f"seed: found {min(self.seeds)}, expected 0 or more")
 
     def __len__(self) -> int:
         return len(self.seeds)

@@ -87,20 +87,20 @@ def over_training_seeds(
     ]
 
 
-def seeds_markdown(found: TrainingSeeds) -> str:
+def seeds_markdown(seeds: TrainingSeeds) -> str:
     """Return a run as Markdown: every training, then all trainings together."""
-    run, columns = found.run, [found.reward, *found.minus.values()]
-    best = {found.best_imm: " (best IMM)"}
-    header = ["training seed", "reward", *(f"minus {r}{best.get(r, '')}" for r in found.minus)]
+    run, columns = seeds.run, [seeds.reward, *seeds.minus.values()]
+    best = {seeds.best_imm: " (best IMM)"}
+    header = ["training seed", "reward", *(f"minus {r}{best.get(r, '')}" for r in seeds.minus)]
     titles = {run.median: f"{run.median} (median)"}
-    rows = [
-        [titles.get(seed, str(seed)), *(str(column.each[i]) for column in columns)]
+    rows: list[list[object]] = [
+        [titles.get(seed, seed), *(column.each[i] for column in columns)]
         for i, seed in enumerate(run.seeds)
     ]
-    wins = [f"{figure.wins} of {len(run.seeds)}" for figure in found.minus.values()]
+    wins = [f"{figure.wins} of {len(run.seeds)}" for figure in seeds.minus.values()]
     rows += [
         ["intervals above zero", "", *wins],
-        ["mean over seeds", *(str(column.mean) for column in columns)],
+        ["mean over seeds", *(column.mean for column in columns)],
     ]
     about = (
         f"Over training seeds, {escaped(run.name)}, best on tuning seeds first; 95 % intervals, of "

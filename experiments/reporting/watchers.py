@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from experiments.console.options import EpisodeArgs
 from experiments.evaluation import positions
-from experiments.evaluation.epochs import EpochErrors
+from experiments.evaluation.histories import EpochErrors
 from experiments.evaluation.positions import Positions, positions_markdown
 from experiments.evaluation.runner import Watch
 from experiments.figures.canvas import require_picture

@@ -17,70 +17,54 @@ class Normalization(NamedTuple):
     mean: Array
     sigma: Array
 
-
-def actor_tensors(policy: Any, normal: Normalization) -> Tensors:
-    """Return an actor's tensors, with the normalization of observations in its first weights.
-
-    Args:
-        policy: policy of an actor-critic algorithm of Stable-Baselines3.
-        normal: normalization of an observation.
-    """
-    tensors = layer_tensors([*policy.mlp_extractor.policy_net, policy.action_net])
-    return folded(tensors, normal)
+    @classmethod
+    def clipped(cls, mean: Array, sigma: Array, clip: float) -> "Normalization":
+        """Return the normalization that clips at ``clip`` standard deviations from the mean."""
+        return cls(mean - clip * sigma, mean + clip * sigma, mean, sigma)
 
 
-def layer_tensors(layers: Iterable[Any]) -> dict[str, Array]:
-    """Return weights and biases of the linear layers under the names of a policy file."""
-    linear = [layer for layer in layers if type(layer).__name__ == "Linear"]
-    tensors: dict[str, Array] = {}
-    for i, layer in enumerate(linear):
-        tensors[f"layer.{i}.weight"] = _array(layer.weight)
-        tensors[f"layer.{i}.bias"] = _array(layer.bias)
-    return tensors
+def layers_of(policy: Any) -> list[Any]:
+    """Return the layers of the actor of a policy of Stable-Baselines3."""
+    return [*policy.mlp_extractor.policy_net, policy.action_net]
 
 
-def folded(tensors: dict[str, Array], normal: Normalization) -> Tensors:
-    """Fold the normalization into the first weights: W / sigma, b - (W / sigma) mean.
+def actor_tensors(layers: Iterable[Any], normal: Normalization) -> Tensors:
+    """Return the tensors of an actor as a policy file holds them.
+
+    The normalization is folded into the first weights: W / sigma, b - (W / sigma) mean.
 
     Args:
-        tensors: tensors of an actor on normalized observations.
+        layers: layers of a network on normalized observations, whose linear layers count.
         normal: normalization of an observation; the result includes its bounds.
     """
-    first, bias = "layer.0.weight", "layer.0.bias"
-    weight = tensors[first] / normal.sigma
-    moved = {
-        "low": normal.low,
-        "high": normal.high,
-        first: weight,
-        bias: tensors[bias] - weight @ normal.mean,
-    }
-    return {name: tensor.astype(np.float32) for name, tensor in (tensors | moved).items()}
+    tensors = {"low": normal.low, "high": normal.high}
+    for i, layer in enumerate(layer for layer in layers if type(layer).__name__ == "Linear"):
+        weight, bias = (p.detach().numpy().astype(np.float64) for p in (layer.weight, layer.bias))
+        if not i:
+            weight = weight / normal.sigma
+            bias = bias - weight @ normal.mean
+        tensors |= {f"layer.{i}.weight": weight, f"layer.{i}.bias": bias}
+    return {name: tensor.astype(np.float32) for name, tensor in tensors.items()}
 
 
-def require_actor(policy: Any) -> None:
+def require_actor(file: str, policy: Any) -> None:
     """Refuse a network that a policy file can't hold.
 
     Raises:
-        ValueError: says what was found in the network and what was expected.
+        ValueError: names the file, and says what was found in the network and what was expected.
     """
     if not hasattr(policy, "action_net"):
         raise ValueError(
-            f"network: found {type(policy).__name__}, expected an actor beside a critic, as of "
-            "PPO, A2C, TRPO and MaskablePPO"
+            f"{file}: network: found {type(policy).__name__}, expected an actor beside a critic, "
+            "as of PPO, A2C, TRPO and MaskablePPO"
         )
-    layers = [type(layer).__name__ for layer in policy.mlp_extractor.policy_net]
-    for what, found, expected in (
-        ("observations", policy.observation_space.shape, policy.observation_space.shape[:1]),
-        ("extractor of features", type(policy.features_extractor).__name__, "FlattenExtractor"),
-        ("layers of the actor", ", ".join(layers),
-         ", ".join(["Linear", "Tanh"] * (len(layers) // 2))),
-        ("output", type(policy.action_net).__name__, "Linear"),
-        ("actions", type(policy.action_space).__name__, "Discrete"),
-    ):  # fmt: skip
-        if found != expected:
-            raise ValueError(f"{what}: found {found}, expected {expected}")
-
-
-def _array(parameter: Any) -> Array:
-    array: Array = parameter.detach().numpy().astype(np.float64)
-    return array
+    layers, shape = layers_of(policy), policy.observation_space.shape
+    parts = [policy.features_extractor, *layers, policy.action_space]
+    kinds = [type(part).__name__ for part in parts]
+    hidden = ["Linear", "Tanh"] * (len(layers) // 2)
+    expected = ["FlattenExtractor", *hidden, "Linear", "Discrete"]
+    if kinds != expected or len(shape) != 1:
+        raise ValueError(
+            f"{file}: network: found {', '.join(kinds)} for observations {shape}, expected "
+            f"{', '.join(expected)} for observations (features,)"
+        )

@@ -35,7 +35,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     """
     written = read_bounded(path, MOST_BYTES, "a checkpoint")
     checksum, content = written[: sha256().digest_size], written[sha256().digest_size :]
-    try:
+    with going_on_from(path):  # PyTorch raises anything on foreign bytes
         if sha256(content).digest() != checksum:
             raise ValueError("found another checksum than that of its content")
         with ZipFile(io.BytesIO(content)) as archive:  # compressed parts could unpack to any size
@@ -46,18 +46,12 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         )
         if not isinstance(state, dict):
             raise ValueError(f"found {type(state).__name__}")
-    except Exception as error:  # PyTorch raises anything on foreign bytes
-        raise _no_checkpoint(path, error) from error
     return state
-
-
-def _no_checkpoint(path: Path, error: Exception) -> ValueError:
-    return ValueError(f"{path}: not a checkpoint: {told(error)}; remove it to train from the start")
 
 
 @contextmanager
 def going_on_from(path: Path) -> Iterator[None]:
-    """Name the checkpoint in any exception of the block, which restores its state.
+    """Name the checkpoint in any exception of the block, which reads it or restores its state.
 
     Raises:
         ValueError: names the file.
@@ -65,7 +59,8 @@ def going_on_from(path: Path) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        raise _no_checkpoint(path, error) from error
+        message = f"{path}: not a checkpoint: {told(error)}; remove it to train from the start"
+        raise ValueError(message) from error
 
 
 def read_stand(path: Path, begin: dict[str, Any]) -> dict[str, Any]:

@@ -5,29 +5,22 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from experiments.console.options import TUNING_SEED
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.runner import Scores, score
-from experiments.evaluation.seeds import TUNING_SEED, draw_episodes
-from experiments.training.places import Place, shares
-from experiments.training.training_task import TrainingTask
+from experiments.evaluation.seeds import draw_episodes
+from experiments.training.training_task import Place, TrainingTask, shares
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
 
 TRAINING_RIVALS = ("speed-rule", "imm")  # rivals in every training
 PER_MODE_RIVALS = (*TRAINING_RIVALS, "imm-best")  # rivals where every mode keeps its own belief
 EPISODES = 500
-
-
-class _Judged(NamedTuple):
-    """The episodes of a place that policies are judged on."""
-
-    place: Place
-    episodes: Sequence[Episode]
 
 
 class Evaluator:
@@ -40,10 +33,10 @@ class Evaluator:
 
     def __init__(self, task: TrainingTask, episodes: int = EPISODES) -> None:
         counts = shares(max(episodes, len(task.places)), len(task.places))
-        self._at = []
+        self._at: list[tuple[Place, Sequence[Episode]]] = []
         for place, last, n in zip(task.places, accumulate(counts), counts, strict=True):
             seeds = range(TUNING_SEED + last - n, TUNING_SEED + last)
-            self._at.append(_Judged(place, draw_episodes(place.source(task.scenario), seeds)))
+            self._at.append((place, draw_episodes(place.source(task.scenario), seeds)))
         rivals = PER_MODE_RIVALS if task.beliefs == "per-mode" else TRAINING_RIVALS
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the rule leaves its design window, as expected
@@ -66,21 +59,21 @@ class Evaluator:
             for place, episodes in self._at:
                 here = slice(first, first := first + len(episodes))
                 gains = _gains({name: values[here] for name, values in differences.items()})
-                figures |= {f"{place} {what}": interval for what, interval in gains.items()}
+                figures |= {f"{place} {name}": gain for name, gain in gains.items()}
         return {
             "seed": TUNING_SEED,
             "episodes": len(scores["reward"]),
             **{metric: float(values.mean()) for metric, values in scores.items()},
-            **{what: interval.json for what, interval in figures.items()},
+            **{name: gain.json for name, gain in figures.items()},
         }
 
     def _scores(self, contender_at: Callable[[str], Contender]) -> Scores:
         """Compute the scores of a contender for each radio, on the episodes of all places."""
-        found = []
+        parts = []
         for place, episodes in self._at:
             contender = contender_at(place.radio)
-            found.append(score(contender, contender.start(episodes[0].layout), episodes))
-        return {metric: np.concatenate([one[metric] for one in found]) for metric in found[0]}
+            parts.append(score(contender, contender.start(episodes[0].layout), episodes))
+        return {metric: np.concatenate([part[metric] for part in parts]) for metric in parts[0]}
 
 
 def _gains(differences: dict[str, Array]) -> dict[str, Interval]:

@@ -99,12 +99,12 @@ def read_hyperparameters(path: Path, algorithm: str) -> Hyperparameters:
     return read_json(path, "a hyperparameter file", partial(object_from, KINDS[algorithm]))
 
 
-def hyperparameters_as_written(found: Hyperparameters) -> dict[str, Any]:
+def hyperparameters_as_written(hyper: Hyperparameters) -> dict[str, Any]:
     """Return hyperparameters as a file holds them, without default values."""
     return {
         field.name: list(value) if isinstance(value, tuple) else value
-        for field in fields(found)
-        if (value := getattr(found, field.name)) != field.default
+        for field in fields(hyper)
+        if (value := getattr(hyper, field.name)) != field.default
     }
 
 

@@ -1,5 +1,6 @@
 """Training of a switcher with Stable-Baselines3's PPO, with evaluations and checkpoints."""
 
+from inspect import signature
 from typing import Any, cast
 
 import numpy as np
@@ -10,7 +11,7 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 
-from experiments.training.actor import Normalization, actor_tensors
+from experiments.training.actor import Normalization, actor_tensors, layers_of
 from experiments.training.checkpoint import going_on_from, with_arrays
 from experiments.training.hyperparameters import PpoHyperparameters, falling
 from experiments.training.job import Job, News, Tell
@@ -22,6 +23,7 @@ from policies.policy_file import Tensors
 # Updates between two rows of the log, and between two evaluations, before and after the policy
 # beats the paper's rule.
 LOG, EARLY, LATER = 4, 2, 16
+MOMENTS = ("mean", "var", "count")  # of the observations so far
 
 
 class PpoTraining(BaseCallback):
@@ -61,28 +63,24 @@ class PpoTraining(BaseCallback):
                 with going_on_from(job.checkpoint):
                     self._restore(stand.pop("learner"), with_arrays(stand.pop("env")))
             left, fresh = job.timesteps - model.num_timesteps, not model.num_timesteps
-            # None keeps SB3 from logging by itself; its annotation lacks it
-            model.learn(
-                left, self, log_interval=None, reset_num_timesteps=fresh  # type: ignore[arg-type]
-            )  # fmt: skip
+            never: Any = None  # keeps SB3 from logging by itself; its annotation lacks it
+            model.learn(left, self, log_interval=never, reset_num_timesteps=fresh)
             stand["timesteps"] = model.num_timesteps
             self._evaluate()
             model.dump_logs()
         return self._record.close()
 
     @property
-    def seen(self) -> RunningMeanStd:
+    def moments(self) -> RunningMeanStd:
         """Return mean and variance of the observations so far."""
         return cast(RunningMeanStd, self.normal.obs_rms)  # SB3's annotation allows a dict
 
     @property
     def actor(self) -> Tensors:
         """Return the actor as a policy file holds it."""
-        mean, sigma = self.seen.mean, np.sqrt(self.seen.var + self.normal.epsilon)
-        limit = self.normal.clip_obs * sigma
-        return actor_tensors(
-            self.model.policy, Normalization(mean - limit, mean + limit, mean, sigma)
-        )
+        sigma = np.sqrt(self.moments.var + self.normal.epsilon)
+        normal = Normalization.clipped(self.moments.mean, sigma, self.normal.clip_obs)
+        return actor_tensors(layers_of(self.model.policy), normal)
 
     def _on_rollout_start(self) -> None:
         model, job, stand = self.model, self._job, self._record.stand
@@ -99,7 +97,9 @@ class PpoTraining(BaseCallback):
         if update % LOG == 0:
             model.dump_logs()
         if update % job.checkpoint_every == 0:
-            self._record.save(env=self._env_state(), learner=self._learner_state())
+            moments = {name: getattr(self.moments, name) for name in MOMENTS}
+            env = {"places": self.env.state(), "normal": moments}
+            self._record.save(env=env, learner=self._learner_state())
         self._tell(News(model.num_timesteps))
 
     def _on_step(self) -> bool:
@@ -121,23 +121,22 @@ class PpoTraining(BaseCallback):
         for key, number in self._record.evaluate(self.actor, self.env.observation).items():
             self.logger.record(key, number)
 
-    def _env_state(self) -> dict[str, Any]:
-        seen = self.seen
-        normal = {"mean": seen.mean, "var": seen.var, "count": np.float64(seen.count)}
-        return {"places": self.env.state(), "normal": normal}
-
     def _learner_state(self) -> dict[str, Any]:
         model = self.model
         kind, keys, *rest = np.random.get_state()  # noqa: NPY002  it shuffles the batches
         return {
-            "timesteps": model.num_timesteps, "updates": model._n_updates,
-            "policy": model.policy.state_dict(), "optimizer": model.policy.optimizer.state_dict(),
-            "observations": model._last_obs, "begins": model._last_episode_starts,
-            "torch": torch.get_rng_state(), "numpy": [kind, keys, *rest],
+            "timesteps": model.num_timesteps,
+            "updates": model._n_updates,
+            "policy": model.policy.state_dict(),
+            "optimizer": model.policy.optimizer.state_dict(),
+            "observations": model._last_obs,
+            "begins": model._last_episode_starts,
+            "torch": torch.get_rng_state(),
+            "numpy": [kind, keys, *rest],
             "episodes": list(model.ep_info_buffer or ()),
             "pending": {k: float(v) for k, v in model.logger.name_to_value.items()},
             "counts": dict(model.logger.name_to_count),
-        }  # fmt: skip
+        }
 
     def _restore(self, state: dict[str, Any], env: dict[str, Any]) -> None:
         """Restore the state of a training, bit by bit, so that it continues exactly."""
@@ -156,8 +155,8 @@ class PpoTraining(BaseCallback):
         kind, keys, *rest = state["numpy"]
         np.random.set_state((kind, keys.numpy(), *rest))  # noqa: NPY002
         self.env.restore(env["places"])
-        seen, normal = self.seen, env["normal"]
-        seen.mean, seen.var, seen.count = normal["mean"], normal["var"], float(normal["count"])
+        for name in MOMENTS:
+            setattr(self.moments, name, env["normal"][name])
 
 
 def learner(venv: VecNormalize, hyper: PpoHyperparameters, seed: int) -> PPO:
@@ -168,19 +167,21 @@ def learner(venv: VecNormalize, hyper: PpoHyperparameters, seed: int) -> PPO:
         hyper: hyperparameters.
         seed: seed of all random numbers.
     """
-    layers = list(hyper.hidden)
+    layers, accepted = list(hyper.hidden), signature(PPO).parameters
+    options = {name: value for name, value in vars(hyper).items() if name in accepted}
+    rate, last = hyper.learning_rate, hyper.final_fraction
     model = PPO(
-        "MlpPolicy", venv, n_steps=hyper.n_steps, batch_size=hyper.batch_size,
-        n_epochs=hyper.n_epochs,
-        learning_rate=lambda left: hyper.learning_rate * falling(hyper.final_fraction, left),
-        ent_coef=hyper.ent_coef, gamma=hyper.gamma, gae_lambda=hyper.gae_lambda,
-        clip_range=hyper.clip_range, max_grad_norm=hyper.max_grad_norm, target_kl=hyper.target_kl,
+        "MlpPolicy",
+        venv,
         policy_kwargs={
-            "net_arch": {"pi": layers, "vf": layers}, "activation_fn": torch.nn.Tanh,
+            "net_arch": {"pi": layers, "vf": layers},
+            "activation_fn": torch.nn.Tanh,
             "optimizer_kwargs": {"eps": 1e-5, "fused": True},  # eps is SB3's own
         },
-        seed=seed, device="cpu",
-    )  # fmt: skip
+        seed=seed,
+        device="cpu",
+        **options | {"learning_rate": lambda left: rate * falling(last, left)},
+    )
     with torch.no_grad():
         cast(torch.nn.Linear, model.policy.action_net).bias[0] += hyper.first_action_bias
     return model

@@ -3,14 +3,13 @@
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, cast
 
-from experiments.console.signals import ended_by_signals
-from experiments.evaluation.runs import is_number, require_outcome
+from experiments.console.signals import answered, ended_by_signals
+from experiments.evaluation.runs import require_outcome
 from experiments.training.hyperparameters import PpoHyperparameters
 from experiments.training.job import Job, News, Tell
 from experiments.training.ppo import PpoTraining
@@ -60,7 +59,7 @@ def side_by_side(
                 line = cast(Connection, ready)  # the annotation of wait allows sockets
                 job, process = running[line]
                 try:
-                    kind, *told = line.recv()
+                    kind, *content = line.recv()
                 except (EOFError, OSError):
                     process.join()
                     raise ChildProcessError(
@@ -68,11 +67,11 @@ def side_by_side(
                         "--resume goes on with the run"
                     ) from None
                 if kind == "news":
-                    tell(job, News(*told))
+                    tell(job, News(*content))
                 elif kind == "refused":
-                    raise ValueError(f"seed {job.seed}: {told[0]}")
+                    raise ValueError(f"seed {job.seed}: {content[0]}")
                 else:
-                    (outcomes[job.seed],) = told
+                    (outcomes[job.seed],) = content
                     del running[line]
                     process.join()
     finally:
@@ -89,19 +88,9 @@ def _started(job: Job[Any]) -> tuple[Connection, BaseProcess]:
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # else the trainings compete for cores
     ours, theirs = spawn.Pipe(duplex=False)
     process = spawn.Process(target=_train, args=(job, theirs), daemon=True)
-    with _deaf_to_interrupts(), theirs:
+    with answered([signal.SIGINT], signal.SIG_IGN), theirs:  # only the parent handles Ctrl-C
         process.start()
     return ours, process
-
-
-@contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Let processes that start in the block ignore Ctrl-C, which only the parent handles."""
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _train(job: Job[Any], line: Connection) -> None:
@@ -109,7 +98,7 @@ def _train(job: Job[Any], line: Connection) -> None:
     try:
         with ended_by_signals():
             if job.outcome.is_file():
-                outcome = _outcome(job)
+                outcome = read_json(job.outcome, "the outcome of a training", require_outcome)
             else:
                 outcome = train(job, lambda news: line.send(("news", *news)))
             line.send(("done", outcome))
@@ -117,21 +106,3 @@ def _train(job: Job[Any], line: Connection) -> None:
         return
     except (ValueError, OSError) as error:
         line.send(("refused", str(error)))
-
-
-def _outcome(job: Job[Any]) -> Outcome:
-    """Read the outcome that a finished training wrote.
-
-    Raises:
-        ValueError: the file holds something else.
-    """
-
-    def checked(found: Outcome) -> Outcome:
-        require_outcome(found)
-        if found["seed"] != job.seed:
-            raise ValueError(f"seed: found {found['seed']}, expected {job.seed}")
-        if not is_number(found["seconds"]):
-            raise ValueError(f"seconds: found {found['seconds']!r}, expected a number")
-        return found
-
-    return read_json(job.outcome, "the outcome of a training", checked)

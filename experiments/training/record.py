@@ -4,17 +4,16 @@ import csv
 import io
 import time
 from contextlib import suppress
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from stable_baselines3.common.logger import KVWriter
 from torch.utils.tensorboard import SummaryWriter
 
+from experiments.console.provenance import versions_of
 from experiments.training.checkpoint import read_stand, write_checkpoint
 from experiments.training.evaluator import Evaluator
 from experiments.training.job import Job, News, Tell
-from mmwave_env import __version__
 from mmwave_env.interface.observation import Observation
 from mmwave_env.io.files import write_bytes, write_json, write_text
 from policies.policy_file import Card, Tensors, to_bytes
@@ -53,10 +52,9 @@ class ProgressLog(KVWriter):
         text = io.StringIO()
         table = csv.DictWriter(text, list(names), lineterminator="\n")
         table.writeheader()
-        table.writerows(
-            {name: f"{value:.6g}" if name != STEP else int(value) for name, value in row.items()}
-            for row in self.rows
-        )
+        for row in self.rows:
+            cells = {name: f"{value:.6g}" for name, value in row.items()}
+            table.writerow(cells | {STEP: str(int(row[STEP]))})
         write_text(self._path, text.getvalue())
 
     def __enter__(self) -> "ProgressLog":
@@ -70,9 +68,6 @@ class ProgressLog(KVWriter):
         else:
             with suppress(OSError):  # such as a full disk, which may be the failure
                 self._events.close()
-
-
-PACKAGES = ("gymnasium", "numpy", "numba", "torch", "stable-baselines3")
 
 
 class Record:
@@ -96,9 +91,13 @@ class Record:
         self._begun_s = time.monotonic()
         self._job, self._tell = job, tell
         self.stand: dict[str, Any] = {
-            "update": 0, "timesteps": 0, "best": None, "beat_rule": None, "seconds": 0.0,
+            "update": 0,
+            "timesteps": 0,
+            "best": None,
+            "beat_rule": None,
+            "seconds": 0.0,
             "rows": [],
-        }  # fmt: skip
+        }
         if job.checkpoint.exists():
             self.stand = read_stand(job.checkpoint, self.stand)
         self._evaluator = Evaluator(job.task, job.episodes)
@@ -146,25 +145,27 @@ class Record:
 
     def close(self) -> dict[str, Any]:
         """Write and return the outcome: figures of the training and of its best policy."""
-        outcome = {
-            "seed": self._job.seed,
-            "timesteps": self.stand["timesteps"],
-            "seconds": round(self.seconds, 1),
-            "beat_rule": self.stand["beat_rule"],
-            "best": self.stand["best"],
-        }
+        outcome = {"seed": self._job.seed, "timesteps": self.stand["timesteps"]}
+        outcome |= {"seconds": round(self.seconds, 1)}
+        outcome |= {key: self.stand[key] for key in ("beat_rule", "best")}
         write_json(self._job.outcome, outcome)
         self._job.checkpoint.unlink(missing_ok=True)
         return outcome
 
     def _card(self, table: Observation, evaluation: dict[str, Any]) -> Card:
         job, task = self._job, self._job.task
-        per_mode = task.beliefs == "per-mode"
         return Card(
-            modes=task.bank.modes, observation=task.observation, features=table.columns,
-            scenario=task.scenario, radio=", ".join(task.banks),
-            algorithm=job.hyperparameters.algorithm, seed=job.seed,
-            timesteps=self.stand["timesteps"], command=job.command, evaluation=evaluation,
-            versions={"mmwave-loc": __version__} | {p: version(p) for p in PACKAGES},
-            beliefs=task.beliefs, banks=dict(task.banks) if per_mode else {},
-        )  # fmt: skip
+            modes=task.bank.modes,
+            observation=task.observation,
+            features=table.columns,
+            scenario=task.scenario,
+            radio=", ".join(task.banks),
+            algorithm=job.hyperparameters.algorithm,
+            seed=job.seed,
+            timesteps=self.stand["timesteps"],
+            command=job.command,
+            evaluation=evaluation,
+            versions=versions_of("gymnasium", "numpy", "numba", "torch", "stable-baselines3"),
+            beliefs=task.beliefs,
+            banks=dict(task.banks) if task.beliefs == "per-mode" else {},
+        )

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.training.actor import Normalization
-from experiments.training.places import require_environments
-from experiments.training.training_task import TrainingTask
+from experiments.training.training_task import TrainingTask, require_environments
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.env_engine import Engine
@@ -24,6 +23,7 @@ from mmwave_env.models.measurement import Layout
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.world.keys import Streams
 
+STATE = ("rows", "table", "length", "epoch")  # arrays of a batch that the future depends on
 CONSTANT = 1e-4  # standard deviation of a feature that never changes
 
 Observations = NDArray[np.float32]
@@ -104,12 +104,12 @@ class RolloutEnv:
         Returns:
             The rewards (n,).
         """
-        self.observations, told = self._engine.step(actions, self._reward_row)
+        self.observations, rewards = self._engine.step(actions, self._reward_row)
         state = self._engine.batch.state
         over = np.flatnonzero(state.epoch > state.length)
         if len(over):
             self._begin(over)
-        return told[:, 0]
+        return rewards[:, 0]
 
     def _begin(self, places: Index) -> None:
         """Start new episodes in some environments (k,)."""
@@ -126,13 +126,13 @@ class RolloutEnv:
         Args:
             clip: deviations from the mean at which observations are clipped.
         """
-        seen = []
+        parts = []
         for _ in range(self.epochs):
             self.step(np.zeros(len(self._everyone), np.int64))
-            seen.append(self.observations)
-        observations = np.concatenate(seen)
+            parts.append(self.observations)
+        observations = np.concatenate(parts)
         mean, sigma = observations.mean(0), observations.std(0) + CONSTANT
-        return Normalization(mean - clip * sigma, mean + clip * sigma, mean, sigma)
+        return Normalization.clipped(mean, sigma, clip)
 
     def try_all(self, act: Act) -> Tried:
         """Try every action in all states that are at least the horizon from their episode's end.
@@ -145,8 +145,8 @@ class RolloutEnv:
         self._copy()
         values, taken = np.zeros((actions, n)), np.repeat(np.arange(actions), n)
         for weights in self._weights.T:
-            observations, told = self._copies.step(taken, self._reward_row)
-            values += weights * told[:, 0].reshape(actions, n)
+            observations, rewards = self._copies.step(taken, self._reward_row)
+            values += weights * rewards[:, 0].reshape(actions, n)
             taken = act(observations)
         state = self._engine.batch.state
         whole = state.epoch - 1 + self._horizon <= state.length
@@ -171,18 +171,14 @@ class RolloutEnv:
     def state(self) -> dict[str, Any]:
         """Return a copy of all state that the future depends on, for :meth:`restore`."""
         state = self._engine.batch.state
-        return {
-            "rows": state.rows.copy(), "table": state.table.copy(),
-            "length": state.length.copy(), "epoch": state.epoch.copy(),
-            "streams": self._streams.states(), "observations": self.observations.copy(),
-        }  # fmt: skip
+        arrays = {name: getattr(state, name).copy() for name in STATE}
+        observations = self.observations.copy()
+        return arrays | {"streams": self._streams.states(), "observations": observations}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Restore the environments, bit by bit, to the :meth:`state` of others."""
-        here = self._engine.batch.state
-        for name, array in zip(here._fields, here, strict=True):
-            if name in state and isinstance(array, np.ndarray):
-                array[:] = state[name]
+        for name in STATE:
+            getattr(self._engine.batch.state, name)[:] = state[name]
         self._streams.set_states(state["streams"])
         self.observations = state["observations"].copy()
 

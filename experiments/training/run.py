@@ -21,8 +21,13 @@ from experiments.training.hyperparameters import (
     read_hyperparameters,
     shipped_hyperparameters,
 )
-from experiments.training.places import Place, places_from, require_environments
-from experiments.training.training_task import TrainingTask, banks_of
+from experiments.training.training_task import (
+    Place,
+    TrainingTask,
+    banks_of,
+    places_from,
+    require_environments,
+)
 from mmwave_env.filters.bank import Bank, bank_as_written
 from mmwave_env.interface.reward import REWARDS, PairedReward, Reward, TrackingReward
 from mmwave_env.io.files import read_json, write_bytes, write_json
@@ -41,11 +46,8 @@ ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")
 def smoke(args: "Args") -> "Args":
     """Return the options of a smoke run: as short as possible, in its own folder."""
     short = replace(args, seeds=1, total_timesteps=1)
-    return (
-        short
-        if args.out != type(args).out
-        else replace(short, out=Path("runs/smoke"), overwrite=True)
-    )
+    own_folder = args.out != type(args).out
+    return short if own_folder else replace(short, out=Path("runs/smoke"), overwrite=True)
 
 
 def rewards(args: TaskArgs) -> Reward:
@@ -62,9 +64,12 @@ def training_task(args: TaskArgs) -> TrainingTask:
     """Return the task that options describe.
 
     Raises:
-        ValueError: unknown place, mode or reward.
+        ValueError: a place, mode or reward is unknown, a place is named twice, or both a radio
+            and places are named.
     """
-    places = places_of(args)
+    places = places_from(args.places) if args.places else (Place("street", args.radio),)
+    if args.places and args.radio != TaskArgs.radio:
+        raise ValueError(f"radio: found {args.radio!r} beside places, which bring theirs")
     banks = banks_of(args.modes, places, args.beliefs)
     return TrainingTask(args.scenario, places, banks, args.observation, rewards(args), args.beliefs)
 
@@ -82,41 +87,25 @@ def hyperparameters(args: TaskArgs, places: int, path: Path | None = None) -> Hy
             the places.
     """
     path = path or shipped_hyperparameters(args.algo, args.beliefs)
-    found = read_hyperparameters(path, args.algo)
+    hyper = read_hyperparameters(path, args.algo)
     try:
-        require_environments(found.num_envs, places, found.together)
+        require_environments(hyper.num_envs, places, hyper.together)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    if isinstance(found, PpoHyperparameters):
-        return replace(found, paired=found.paired or args.reward == "paired")
-    return found  # rollouts learn from differences, where the IMM's reward would cancel
+    if isinstance(hyper, PpoHyperparameters):
+        return replace(hyper, paired=hyper.paired or args.reward == "paired")
+    return hyper  # rollouts learn from differences, where the IMM's reward would cancel
 
 
-def places_of(args: TaskArgs) -> tuple[Place, ...]:
-    """Return the places to train in.
-
-    Raises:
-        ValueError: a place is unknown or named twice, or both a radio and places are given.
-    """
-    if not args.places:
-        return (Place("street", args.radio),)
-    if args.radio != TaskArgs.radio:
-        raise ValueError(f"radio: found {args.radio!r} beside places, which bring theirs")
-    return places_from(args.places)
-
-
-def manifest_of(args: "Args", banks: Mapping[str, Bank], found: Hyperparameters) -> dict[str, Any]:
+def manifest_of(args: "Args", banks: Mapping[str, Bank], hyper: Hyperparameters) -> dict[str, Any]:
     """Return the choices that a continued run must repeat, as JSON holds them."""
     written = {radio: bank_as_written(bank) for radio, bank in banks.items()}
     first, *_ = written.values()
     choices = {"banks": written} if args.beliefs == "per-mode" else {"modes": first["modes"]}
-    return {
-        "command": command_line(
-            "train", replace(args, **{name: getattr(type(args), name) for name in ASIDE})
-        ),
-        "hyperparameters": hyperparameters_as_written(found),
-        **choices,
-    }
+    defaults: dict[str, Any] = {name: getattr(type(args), name) for name in ASIDE}
+    command = command_line("train", replace(args, **defaults))
+    hyperparameters = hyperparameters_as_written(hyper)
+    return {"command": command, "hyperparameters": hyperparameters, **choices}
 
 
 def begin(args: "Args", manifest: dict[str, Any]) -> None:
@@ -145,17 +134,16 @@ def begin(args: "Args", manifest: dict[str, Any]) -> None:
 
 def _require_same(path: Path, manifest: dict[str, Any]) -> None:
     """Refuse to resume a run with another manifest."""
-    whole = "hyperparameters"
 
     def flat(run: dict[str, Any]) -> dict[str, Any]:
         """Return the manifest with one entry per hyperparameter, for a precise message."""
-        return {key: value for key, value in run.items() if key != whole} | dict(run[whole])
+        return {**run, **run["hyperparameters"], "hyperparameters": None}
 
-    found, expected = read_json(path, "the manifest of a run", flat), flat(manifest)
-    for key in expected | found:
-        if found.get(key) != expected.get(key):
+    begun, expected = read_json(path, "the manifest of a run", flat), flat(manifest)
+    for key in expected | begun:
+        if begun.get(key) != expected.get(key):
             raise ValueError(
-                f"{path}: {key}: found {found.get(key)}, expected {expected.get(key)}; resume a "
+                f"{path}: {key}: found {begun.get(key)}, expected {expected.get(key)}; resume a "
                 "run with the options it was started with"
             )
 
@@ -177,16 +165,14 @@ def shown(jobs: list[Any]) -> Iterator[Any]:
 
 def summary(outcomes: list[dict[str, Any]]) -> str:
     """Return all seeds as a Markdown table, best first."""
-    rows, minus = [], [key for key in outcomes[0]["best"] if key.startswith("minus ")]
+    rows: list[list[Any]] = []
+    minus = [key for key in outcomes[0]["best"] if key.startswith("minus ")]
     for outcome in outcomes:
         best, beat = outcome["best"], outcome["beat_rule"]
-        gains = [Interval.of(best[what]) for what in minus]
-        rows.append([
-            str(outcome["seed"]), f"{best['reward']:.4f}", str(best["timesteps"]),
-            *map(str, gains),
-            f"{beat['seconds']:g} s, {beat['timesteps']} steps" if beat else "never",
-            f"{outcome['seconds']:g} s",
-        ])  # fmt: skip
+        gains = [Interval.of(best[name]) for name in minus]
+        beaten = f"{beat['seconds']:g} s, {beat['timesteps']} steps" if beat else "never"
+        cells = [outcome["seed"], f"{best['reward']:.4f}", best["timesteps"], *gains]
+        rows.append([*cells, beaten, f"{outcome['seconds']:g} s"])
     header = ["seed", "reward", "best after", *minus, "beat the rule after", "time"]
     return grid(header, rows)
 
@@ -208,18 +194,20 @@ def train(args: "Args") -> None:
         if count is not None and count < 1:
             raise ValueError(f"{name}: found {count}, expected 1 or more")
     task = training_task(args)
-    found = hyperparameters(args, len(task.places), args.hyperparameters)
-    manifest = manifest_of(args, task.banks, found)
+    hyper = hyperparameters(args, len(task.places), args.hyperparameters)
+    manifest = manifest_of(args, task.banks, hyper)
     if args.smoke:
         args = smoke(args)
-    timesteps = args.total_timesteps or TIMESTEPS[args.algo]
+    same = {
+        "timesteps": args.total_timesteps or TIMESTEPS[args.algo],
+        "command": manifest["command"],
+        "checkpoint_every": args.checkpoint_every,
+        "episodes": SMOKE_EPISODES if args.smoke else EPISODES,
+    }
     jobs = [
-        Job(
-            task, found, seed, timesteps, args.out / f"seed-{seed}", manifest["command"],
-            args.checkpoint_every, SMOKE_EPISODES if args.smoke else EPISODES,
-        )
+        Job(task, hyper, seed, folder=args.out / f"seed-{seed}", **same)
         for seed in range(args.seeds)
-    ]  # fmt: skip
+    ]
     begin(args, manifest)
     with shown(jobs) as tell:
         outcomes = side_by_side(jobs, args.jobs, tell)

@@ -1,14 +1,119 @@
-"""The task that a switcher learns: arguments of its environments, place by place."""
+"""The task that a switcher learns: places to train in, and arguments of the environments there.
+
+A *place* is a scene with a radio and a rate of epochs.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, cast
 
-from experiments.training.places import Place
+from experiments.console.options import WorldArgs
+from experiments.evaluation.asked import source_of
+from experiments.evaluation.protocol import UNSEEN
 from mmwave_env.filters.bank import Bank, bank_from, modes_from
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.reward import Reward
 from mmwave_env.task import task_from
+from mmwave_env.world.simulated import SimulatedSource
+
+FORM = "SCENE:RADIO or SCENE:RADIO:DT, such as street:handset or o1:standard:0.1"
+
+
+@dataclass(frozen=True)
+class Place:
+    """A scene with a radio and a step between epochs; ``str`` gives its command-line form.
+
+    Attributes:
+        scene, radio: names or JSON files, as in ``MmWaveLoc-v0``.
+        dt: seconds between epochs.
+
+    Raises:
+        ValueError: unknown scene or radio, invalid rate, or a place that must remain unseen.
+        FileNotFoundError: there is no such file.
+    """
+
+    scene: str
+    radio: str
+    dt: float = 1.0
+
+    def __post_init__(self) -> None:
+        source = self.source("mixed")
+        # The names inside JSON files count.
+        for argument, name in (("scene", source.scene.name), ("radio", source.radio.name)):
+            if name in UNSEEN:
+                raise ValueError(
+                    f"{argument}: found {name!r}, expected one to train on: the benchmark keeps "
+                    f"{', '.join(UNSEEN)} unseen"
+                )
+
+    def __str__(self) -> str:
+        rate = "" if self.dt == 1.0 else f":{self.dt:g}"
+        return f"{self.scene}:{self.radio}{rate}"
+
+    @cached_property
+    def profile(self) -> str:
+        """Return the name of the radio, which identifies its tuned modes and IMMs."""
+        return self.source("mixed").radio.name
+
+    def source(self, scenario: str) -> SimulatedSource:
+        """Return the source of episodes of a scenario at the place."""
+        world = WorldArgs(scenario=scenario, scene=self.scene, radio=self.radio, dt=self.dt)
+        return cast(SimulatedSource, source_of(world))  # no recorded episodes were asked for
+
+
+def place_from(text: str) -> Place:
+    """Return the place that a word on the command line names, :data:`FORM`.
+
+    Raises:
+        ValueError: names the word, what was found in it and what was expected.
+        FileNotFoundError: there is no such file.
+    """
+    scene, *rest = text.split(":")
+    if not (scene and all(rest) and len(rest) in (1, 2)):
+        raise ValueError(f"places: found {text!r}, expected {FORM}")
+    radio, *rate = rest
+    try:
+        return Place(scene, radio, *map(float, rate))
+    except ValueError as error:
+        raise ValueError(f"places: {text}: {error}") from error
+
+
+def places_from(words: Sequence[str]) -> tuple[Place, ...]:
+    """Return the places that words on the command line name, in order.
+
+    Raises:
+        ValueError: same as from :func:`place_from`, or a place is named twice.
+    """
+    places = tuple(map(place_from, words))
+    if len(set(places)) < len(places):
+        raise ValueError(f"places: found {', '.join(map(str, places))}, expected none twice")
+    return places
+
+
+def require_environments(count: int, places: int, together: int = 1) -> None:
+    """Refuse environments that can't be spread over the places.
+
+    Args:
+        count: number of environments.
+        places: number of places.
+        together: number of adjacent environments that must share a place.
+
+    Raises:
+        ValueError: says how many environments are possible.
+    """
+    if count % together or count < together * places:
+        multiple = f"a multiple of {together}, " if together > 1 else ""
+        raise ValueError(
+            f"num_envs: found {count}, expected {multiple}{together * places} or more for "
+            f"{places} places"
+        )
+
+
+def shares(count: int, places: int) -> list[int]:
+    """Split ``count`` environments or episodes over places as evenly as possible."""
+    each, more = divmod(count, places)
+    return [each + (place < more) for place in range(places)]
 
 
 @dataclass(frozen=True)
@@ -34,7 +139,8 @@ class TrainingTask:
     beliefs: str = "shared"
 
     def __post_init__(self) -> None:
-        tables = [self._table(place) for place in self.places]
+        tasks = [task_from(**self.arguments(p), reward=self.reward) for p in self.places]
+        tables = [Observation(t.pipeline, self.observation, self.beliefs) for t in tasks]
         for place, table in zip(self.places, tables, strict=True):
             if table.columns != tables[0].columns:
                 raise ValueError(
@@ -52,13 +158,13 @@ class TrainingTask:
         """Return the arguments of the environment at a place, without the reward."""
         bank = self.banks[place.profile]
         return {
-            "scenario": self.scenario, "scene": place.scene, "radio": place.radio, "dt": place.dt,
-            "beliefs": self.beliefs, "modes": bank if self.beliefs == "per-mode" else bank.modes,
-        }  # fmt: skip
-
-    def _table(self, place: Place) -> Observation:
-        task = task_from(**self.arguments(place), reward=self.reward)
-        return Observation(task.pipeline, self.observation, self.beliefs)
+            "scenario": self.scenario,
+            "scene": place.scene,
+            "radio": place.radio,
+            "dt": place.dt,
+            "beliefs": self.beliefs,
+            "modes": bank if self.beliefs == "per-mode" else bank.modes,
+        }
 
 
 def banks_of(modes: Sequence[str], places: Sequence[Place], beliefs: str) -> dict[str, Bank]:

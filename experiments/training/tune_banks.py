@@ -3,20 +3,23 @@
 All numbers of the bank are tuned at once, for the mean reward on all shipped streets at two rates.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import product
 from time import process_time
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.special import softmax
 
 from experiments.console.options import WorldArgs
 from experiments.console.progress import progress
 from experiments.evaluation.asked import source_of
-from experiments.evaluation.intervals import Interval, bootstrap
+from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.seeds import draw_episodes
-from experiments.training.search_space import best_bank_of, search_space
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.filters.bank import Bank, bank_as_written, default_modes
+from mmwave_env.filters.imm import DEFAULT_STAY
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
@@ -31,29 +34,18 @@ STEPS_S = (1.0, 0.1)  # steps between epochs
 SHARES = 3  # parts of the tuning episodes; a generation of the search uses one part
 # Modes of steady motion, whose gates reject contradicting measurements as outliers. The other modes
 # inflate the noise of such a measurement instead, since it may show a maneuver.
-_STEADY = {"stand": ("ekf", 0.05), "cruise": ("ukf", 0.5)}
-# algorithm, velocity noise, known acceleration
-_LIVELY = {"turn": ("ukf", 1.9, 0.0), "accelerate": ("ukf", 0.3, 2.0), "brake": ("ukf", 0.2, -2.0)}
-
-
-def _mode(
-    name: str, algorithm: str, sigma_v: float, acceleration_mps2: float = 0.0, robust: bool = False
-) -> Mode:
-    return Mode(
-        name, algorithm, sigma_p=0.01, sigma_v=sigma_v, acceleration_mps2=acceleration_mps2,
-        adaptive=False, blockage_aware=True, robust=robust,
-    )  # fmt: skip
-
-
+_STEADY: dict[str, Any] = {"sigma_p": 0.01, "adaptive": False, "blockage_aware": True}
+_LIVELY: dict[str, Any] = _STEADY | {"robust": True}
 START = (
-    *(_mode(name, *numbers) for name, numbers in _STEADY.items()),
-    *(_mode(name, *numbers, robust=True) for name, numbers in _LIVELY.items()),
+    Mode("stand", "ekf", sigma_v=0.05, **_STEADY),
+    Mode("cruise", "ukf", sigma_v=0.5, **_STEADY),
+    Mode("turn", "ukf", sigma_v=1.9, **_LIVELY),
+    Mode("accelerate", "ukf", sigma_v=0.3, acceleration_mps2=2.0, **_LIVELY),
+    Mode("brake", "ukf", sigma_v=0.2, acceleration_mps2=-2.0, **_LIVELY),
 )
 
 
-def tuned_bank(
-    radio: str, episodes: int, seed: int, evaluations: int, start: Sequence[Mode] = START
-) -> dict[str, Any]:
+def tuned_bank(radio: str, episodes: int, seed: int, evaluations: int) -> dict[str, Any]:
     """Return the best bank of a radio that the search finds on tuning episodes, as in files.
 
     Args:
@@ -62,7 +54,6 @@ def tuned_bank(
             episodes of the following seeds measure the result.
         seed: seed of the first episode.
         evaluations: most evaluations of the search.
-        start: modes before tuning.
 
     Raises:
         ValueError: too few episodes.
@@ -75,31 +66,25 @@ def tuned_bank(
     each = episodes // len(sources)
     shares = drawn(sources, range(seed, seed + each), SHARES)
     (held_out,) = drawn(sources, range(seed + each, seed + 2 * each))
-    space = search_space(start)
+    space = search_space(START)
 
     def value(bank: Bank, generation: int) -> float:
-        return float(scores(bank, shares[generation % SHARES]).reward.mean())
+        reward, _ = scores(bank, shares[generation % SHARES])
+        return float(reward.mean())
 
     began = process_time()
     with progress("bank"):
         bank = best_bank_of(space, value, evaluations)
     seconds = round(process_time() - began)
-    found = scores(bank, held_out)
-    imm = scores(Bank(default_modes(radio_from(radio).base)), held_out)
-    columns = {"reward": found.reward, "minus imm": found.reward - imm.reward, "lost": found.lost}
-    figures: Sequence[Interval] = bootstrap(np.stack([*columns.values()], axis=1))
+    reward, lost = scores(bank, held_out)
+    imm_reward, _ = scores(Bank(default_modes(radio_from(radio).base)), held_out)
+    columns = {"reward": reward, "minus imm": reward - imm_reward, "lost": lost}
+    figures = bootstrap(np.stack([*columns.values()], axis=1))
     return bank_as_written(bank) | {
         "numbers": len(space.start),
         "seconds": seconds,
-        "held_out": {name: one.json for name, one in zip(columns, figures, strict=True)},
+        "held_out": {k: mean.json for k, mean in zip(columns, figures, strict=True)},
     }
-
-
-class Scores(NamedTuple):
-    """Rewards of a bank, and tracks that it lost, per episode."""
-
-    reward: Array  # (n,) mean over the scored epochs
-    lost: Array  # (n,) 1 where the track ends farther than DIVERGENCE_M from the truth, else 0
 
 
 def drawn(
@@ -119,15 +104,120 @@ def drawn(
     return [[EpisodeBatch.of(some[share::shares]) for some in episodes] for share in range(shares)]
 
 
-def scores(bank: Bank, batches: Sequence[EpisodeBatch]) -> Scores:
-    """Run the IMM of a bank on all episodes, batch after batch."""
+def scores(bank: Bank, batches: Sequence[EpisodeBatch]) -> tuple[Array, Array]:
+    """Run the IMM of a bank on all episodes, batch after batch.
+
+    Returns:
+        The mean reward (n,) over the scored epochs of each episode; and lost (n,), 1 where the
+        track ends farther than DIVERGENCE_M from the truth, else 0.
+    """
     reward, lost = [], []
     for batch in batches:
         imm = ImmEngine(
             Pipeline(bank.modes, batch.layout), TrackingReward(), bank.transition, bank.nis_quantile
         )
-        found = imm.run(batch, "reward", "error")
-        counted = scored(found["reward"].shape[1])
-        reward.append(found["reward"][:, counted].mean(axis=1))
-        lost.append(np.linalg.norm(found["error"][:, -1], axis=1) > DIVERGENCE_M)
-    return Scores(np.concatenate(reward), np.concatenate(lost).astype(float))
+        results = imm.run(batch, "reward", "error")
+        counted = scored(results["reward"].shape[1])
+        reward.append(results["reward"][:, counted].mean(axis=1))
+        lost.append(np.linalg.norm(results["error"][:, -1], axis=1) > DIVERGENCE_M)
+    return np.concatenate(reward), np.concatenate(lost).astype(float)
+
+
+# --- the search
+
+SEED = 0  # seed of the search
+
+Value = Callable[[Bank, int], float]
+
+# Ranges to search:
+ODDS = (-14.0, 8.0)  # log of a probability to change over that to stay
+# Less velocity noise earns a little more where users walk as straight as simulated users do. A user
+# who weaves a few degrees, as in the recording of a pedestrian, would escape such a filter.
+FREE = {
+    "sigma_p": (0.005, 2.0),
+    "sigma_v": (0.04, 6.0),
+    "acceleration_mps2": (0.3, 6.0),
+    "turn_rate_radps": (0.02, 1.0),
+}
+NINES = (1.0, 9.0)  # nines of the quantile up to which NIS counts: 3 nines are 0.999
+DECIMALS = 6  # digits of probabilities
+
+_PROBABILITY_STEP, _NOISE_STEP, _NINES_STEP = 0.6, 0.25, 0.3  # deviations of the first points
+
+
+def rows_as_softmax(odds: Array) -> Array:
+    """Return transition probabilities (modes, modes), (from, to), as a softmax of free odds.
+
+    Args:
+        odds: (modes (modes - 1),) log of p_ij / p_ii, row by row without the diagonal.
+    """
+    modes = 1 + int(np.sqrt(len(odds)))
+    logits = np.zeros((modes, modes))
+    logits[~np.eye(modes, dtype=bool)] = odds
+    transition: Array = softmax(logits, axis=1)
+    return transition
+
+
+class SearchSpace(NamedTuple):
+    """Start, scale and bounds of a search for k numbers."""
+
+    start: Array  # (k,) first center
+    deviation: Array  # (k,) standard deviations of the first points
+    bounds: Array  # (k, 2) lowest and highest values
+    bank_at: Callable[[Array], Bank]  # bank at a point, with the digits of a file
+
+
+def search_space(modes: Sequence[Mode]) -> SearchSpace:
+    """Return the space of a bank's numbers: transition, noise, maneuvers and NIS quantile."""
+    n = len(modes)
+    change = np.log((1.0 - DEFAULT_STAY) / (n - 1) / DEFAULT_STAY)
+    chances, limits = [change] * (n * (n - 1)), [ODDS] * (n * (n - 1))
+    free = [(i, field) for i, field in product(range(n), FREE) if getattr(modes[i], field)]
+    noise = [np.log(abs(getattr(modes[i], field))) for i, field in free]
+    first = len(chances)
+
+    def bank_at(point: Array) -> Bank:
+        transition, tuned = rows_as_softmax(point[:first]), list(modes)
+        for (i, field), size in zip(free, np.exp(point[first:-1]), strict=True):
+            value: Any = float(np.copysign(float(f"{size:.3g}"), getattr(modes[i], field)))
+            tuned[i] = replace(tuned[i], **{field: value})
+        return Bank(tuple(tuned), _written(transition), 1.0 - float(f"{10.0 ** -point[-1]:.2g}"))
+
+    return SearchSpace(
+        np.array([*chances, *noise, 3.0]),
+        np.repeat([_PROBABILITY_STEP, _NOISE_STEP, _NINES_STEP], [first, len(free), 1]),
+        np.array([*limits, *(np.log(FREE[field]) for _, field in free), NINES]),
+        bank_at,
+    )
+
+
+def _written(transition: Array) -> tuple[tuple[float, ...], ...]:
+    """Round probabilities to few digits so that rows still sum to 1."""
+    short = transition.round(DECIMALS)
+    np.fill_diagonal(short, 0.0)
+    np.fill_diagonal(short, (1.0 - short.sum(axis=1)).round(DECIMALS))
+    return tuple(map(tuple, short.tolist()))
+
+
+def best_bank_of(space: SearchSpace, value: Value, evaluations: int) -> Bank:
+    """Return the bank at the mean center of the second half of the search.
+
+    Points are compared only within a generation, so each generation may have its own episodes. The
+    center of the search then wanders about the optimum of all episodes, and the mean center comes
+    closer to the optimum than the last center (Polyak and Juditsky 1992).
+
+    Args:
+        space: space to search.
+        value: objective to maximize, of a bank and the number of the generation.
+        evaluations: most calls of ``value``; fewer than a generation return the start.
+    """
+    from cmaes import CMA  # needs the extra "tune"
+
+    first = np.diag(np.square(space.deviation))
+    optimizer = CMA(space.start, 1.0, bounds=space.bounds, seed=SEED, cov=first)
+    centers = [space.start]
+    for generation in range(evaluations // optimizer.population_size):
+        points = [optimizer.ask() for _ in range(optimizer.population_size)]
+        optimizer.tell([(point, -value(space.bank_at(point), generation)) for point in points])
+        centers.append(optimizer.mean.copy())
+    return space.bank_at(np.mean(centers[len(centers) // 2 :], axis=0))

@@ -20,9 +20,13 @@ Objective = Callable[[Mode], Array]
 
 # Range to search of each part of the process noise, in the units of Mode.
 RANGES = {
-    "sigma_p": (0.01, 2.0), "sigma_v": (0.1, 4.0), "sigma_pz": (0.001, 0.2),
-    "sigma_vz": (0.001, 0.2), "sigma_b_mps": (0.01, 0.5), "spread_gain": (1e-4, 0.1),
-}  # fmt: skip
+    "sigma_p": (0.01, 2.0),
+    "sigma_v": (0.1, 4.0),
+    "sigma_pz": (0.001, 0.2),
+    "sigma_vz": (0.001, 0.2),
+    "sigma_b_mps": (0.01, 0.5),
+    "spread_gain": (1e-4, 0.1),
+}
 # NIS beyond this chi-square quantile counts as this quantile in a likelihood. On data of the
 # filter's own model 0.99 would bias sigma_v by -6 %, 0.999 by less than 1 %.
 CAP = 0.999
@@ -86,7 +90,7 @@ def tune(mode: Mode, free: Sequence[str], objective: Objective) -> Mode:
     start = [getattr(at(points[np.nanargmax(values)]), name) for name in free]
     bounds = np.log([RANGES[name] for name in free])
     corner = np.clip(np.log(np.maximum(start, 1e-12)), *(bounds.T + [[0.0], [-STEP]]))
-    found = minimize(
+    optimum = minimize(
         lambda logarithms: -np.nan_to_num(objective(at(np.exp(logarithms))).mean(), nan=-np.inf),
         corner,
         method="Nelder-Mead",
@@ -97,4 +101,4 @@ def tune(mode: Mode, free: Sequence[str], objective: Objective) -> Mode:
             "fatol": 1e-5,
         },
     )
-    return at([float(f"{v:.3g}") for v in np.exp(found.x)])
+    return at([float(f"{v:.3g}") for v in np.exp(optimum.x)])

@@ -17,7 +17,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 from experiments.evaluation.agents import in_one_line
-from experiments.training.actor import Normalization, actor_tensors, require_actor
+from experiments.training.actor import Normalization, actor_tensors, layers_of, require_actor
 from mmwave_env.io.files import open_regular
 
 DECISIONS = 1000  # size of the sample of decisions
@@ -50,28 +50,25 @@ def unzipped(model: Path, normalize: Path | None) -> tuple[dict[str, NDArray[Any
         finally:  # the process must also end where this one is interrupted
             process.kill()
             process.join()
-        refusal = out.with_suffix(".txt")
-        if refusal.exists():
-            raise ValueError(refusal.read_text(encoding="utf-8"))
         try:
             with safe_open(out, "np") as file:
-                told = json.loads((file.metadata() or {})["told"])
-                return {name: file.get_tensor(name) for name in file.keys()}, told  # noqa: SIM118
+                facts: dict[str, Any] = json.loads((file.metadata() or {})["facts"])
+                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         except (OSError, KeyError, ValueError, SafetensorError) as error:
             raise ValueError(
                 f"{model}: the process that loaded it ended with code {process.exitcode} and left "
                 "no tensors"
             ) from error
+    if "refusal" in facts:
+        raise ValueError(facts["refusal"])
+    return tensors, facts
 
 
 def _unzip(model: str, normalize: Path | None, out: Path) -> None:
     """Write the tensors, or the reason why the model has none; runs in the process."""
     try:
         policy, data = _loaded(model)
-        try:
-            require_actor(policy)
-        except ValueError as error:
-            raise ValueError(f"{model}: {error}") from error
+        require_actor(model, policy)
         normalized = data.get("_last_original_obs") is not None
         if data.get("_last_obs") is not None and normalized is (normalize is None):
             expected = "the file that VecNormalize.save wrote" if normalized else "none"
@@ -80,13 +77,13 @@ def _unzip(model: str, normalize: Path | None, out: Path) -> None:
                 "training"
             )
         normal = _normalization(normalize, policy.observation_space)
-        told = {"seed": data.get("seed"), "timesteps": data.get("num_timesteps")}
-        told |= {"network": type(policy).__name__}
-        tensors = actor_tensors(policy, normal) | _decisions(policy, normal)
-        save_file(tensors, out, {"told": json.dumps(told)})
+        facts = {"seed": data.get("seed"), "timesteps": data.get("num_timesteps")}
+        facts |= {"network": type(policy).__name__}
+        tensors = actor_tensors(layers_of(policy), normal) | _decisions(policy, normal)
     except Exception as error:  # the file's own code can raise anything
         reason = str(error) if isinstance(error, ValueError) else f"{model}: {in_one_line(error)}"
-        out.with_suffix(".txt").write_text(reason, encoding="utf-8")
+        facts, tensors = {"refusal": reason}, {}
+    save_file(tensors, out, {"facts": json.dumps(facts)})
 
 
 def _loaded(model: str) -> tuple[Any, dict[str, Any]]:
@@ -126,9 +123,8 @@ def _normalization(path: Path | None, box: Any) -> Normalization:
     moments: Any = normal.obs_rms
     if moments.mean.shape != box.shape:
         raise ValueError(f"{path}: found features {moments.mean.shape}, expected {box.shape}")
-    mean, sigma = moments.mean, np.sqrt(moments.var + normal.epsilon)
-    limit = normal.clip_obs * sigma
-    return Normalization(mean - limit, mean + limit, mean, sigma)
+    sigma = np.sqrt(moments.var + normal.epsilon)
+    return Normalization.clipped(moments.mean, sigma, normal.clip_obs)
 
 
 def _decisions(policy: Any, normal: Normalization) -> dict[str, NDArray[Any]]:

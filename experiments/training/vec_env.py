@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from experiments.training.hyperparameters import PpoHyperparameters
-from experiments.training.places import require_environments, shares
-from experiments.training.training_task import TrainingTask
+from experiments.training.training_task import TrainingTask, require_environments, shares
 from mmwave_env.interface.reward import PairedReward
 from mmwave_env.sb3 import Indices, Infos, SB3VecEnv
 from mmwave_env.vector_env import MmWaveLocVectorEnv
@@ -36,16 +35,19 @@ class PlacesVecEnv(VecEnv):
     """
 
     def __init__(self, task: TrainingTask, hyperparameters: PpoHyperparameters) -> None:
-        counts, places = hyperparameters.num_envs, len(task.places)
-        require_environments(counts, places)
-        reward = PairedReward(task.reward) if hyperparameters.paired else task.reward
+        count, places = hyperparameters.num_envs, task.places
+        require_environments(count, len(places))
+        options: dict[str, Any] = {
+            "observation": task.observation,
+            "reward": PairedReward(task.reward) if hyperparameters.paired else task.reward,
+            "autoreset_mode": "SameStep",
+            "infos": "episode",
+            "threads": 1,
+        }
         self.envs = [
-            MmWaveLocVectorEnv(
-                n, **task.arguments(place), observation=task.observation, reward=reward,
-                autoreset_mode="SameStep", infos="episode", threads=1,
-            )
-            for place, n in zip(task.places, shares(counts, places), strict=True)
-        ]  # fmt: skip
+            MmWaveLocVectorEnv(n, **task.arguments(place), **options)
+            for place, n in zip(places, shares(count, len(places)), strict=True)
+        ]
         self.observation = self.envs[0].observation
         self._parts = [SB3VecEnv(env) for env in self.envs]
         self._firsts = [0, *accumulate(part.num_envs for part in self._parts)]
@@ -54,20 +56,19 @@ class PlacesVecEnv(VecEnv):
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Give environment 0 the seed s, the next s + 1, and so on through all places."""
-        each = zip(self._parts, self._firsts, strict=False)
-        if seed is None:
-            return [one for part in self._parts for one in part.seed()]
-        return [one for part, first in each for one in part.seed(seed + first)]
+        seeds = super().seed(seed)
+        for part, first in zip(self._parts, self._firsts, strict=False):
+            part.seed(seeds[first])
+        return seeds
 
     def reset(self) -> NDArray[Any]:
         """Begin episodes everywhere; return observations (n, features)."""
         observations = []
         for k, (part, env) in enumerate(zip(self._parts, self.envs, strict=True)):
-            seen = part.reset()
+            table = part.reset()
             for _ in range(k * cast(SimulatedSource, env.source).epochs // len(self._parts)):
-                seen, *_ = part.step(np.zeros(part.num_envs, np.int64))
-            observations.append(cast(NDArray[Any], seen))  # arrays, since the spaces are boxes
-        self.reset_infos = [info for part in self._parts for info in part.reset_infos]
+                table, *_ = part.step(np.zeros(part.num_envs, np.int64))
+            observations.append(cast(NDArray[Any], table))  # arrays, since the spaces are boxes
         return np.concatenate(observations)
 
     def step_async(self, actions: NDArray[Any]) -> None:
@@ -77,11 +78,9 @@ class PlacesVecEnv(VecEnv):
 
     def step_wait(self) -> tuple[NDArray[Any], NDArray[np.float32], NDArray[np.bool_], Infos]:
         """Return observations (n, features), rewards (n,), ends (n,) and infos of one step."""
-        observations, rewards, over, infos = zip(
-            *(part.step_wait() for part in self._parts), strict=True
-        )
-        together = [info for some in infos for info in some]
-        return np.concatenate(observations), np.concatenate(rewards), np.concatenate(over), together
+        *arrays, infos = zip(*(part.step_wait() for part in self._parts), strict=True)
+        observations, rewards, over = map(np.concatenate, arrays)
+        return observations, rewards, over, [info for part in infos for info in part]
 
     def state(self) -> dict[str, Any]:
         """Return all state that the future depends on, for :meth:`restore`."""
@@ -103,29 +102,19 @@ class PlacesVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
         """Return an attribute of each environment, or of the environments at some indices."""
-        every = [one for part in self._parts for one in part.get_attr(attr_name)]
+        every = [value for part in self._parts for value in part.get_attr(attr_name)]
         return [every[i] for i in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Set an attribute of all environments."""
-        self._require_all(indices, f"set_attr({attr_name!r})")
-        for part in self._parts:
-            part.set_attr(attr_name, value)
+        """Refuse, as no training sets attributes."""
+        raise NotImplementedError
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call a method of all environments; return its result for each."""
-        self._require_all(indices, f"env_method({method_name!r})")
-        told = [part.env_method(method_name, *method_args, **method_kwargs) for part in self._parts]
-        return [one for some in told for one in some]
+        """Refuse, as no training calls methods of its environments."""
+        raise NotImplementedError
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Indices = None) -> list[bool]:
-        """Tell for each index whether its environment has a wrapper of this class."""
-        return [
-            self._parts[0].env_is_wrapped(wrapper_class, 0)[0] for _ in self._get_indices(indices)
-        ]
-
-    def _require_all(self, indices: Indices, what: str) -> None:
-        if indices is not None:
-            raise ValueError(f"{what}: found indices {indices}, expected None, for all of them")
+        """Tell for each index that its environment has no wrapper."""
+        return [False for _ in self._get_indices(indices)]

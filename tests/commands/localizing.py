@@ -25,8 +25,8 @@ def figures(folder, *more, log=None, truth=True):
     with tempfile.TemporaryDirectory() as scratch:
         file = Path(scratch) / "figures.json"
         scored = ("--truth", folder / "truth.tum") if truth else ()
-        run("localize", options(log or folder / "log.csv", *scored, "--json", file, *more,
-                                folder=folder))  # fmt: skip
+        words = (*scored, "--json", file, *more)
+        run("localize", options(log or folder / "log.csv", *words, folder=folder))
         return json.loads(file.read_text())
 
 

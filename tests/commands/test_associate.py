@@ -7,6 +7,7 @@ import pytest
 
 from mmwave_env.datasets.samples import source_from
 from tests.cli import assert_one_clear_line, command, succeed
+from tests.commands import localizing
 from tests.logs.by_hand import hide_anchors
 from tests.paths import LOGS
 
@@ -25,22 +26,20 @@ def hidden(tmp_path_factory):
 
 
 def options(folder, *more):
-    return (
-        "localize", folder / "log.csv", "--scene", folder / "scene.json", "--truth",
-        folder / "truth.tum", "--radio", "standard", "--speed", "auto", *more,
-    )  # fmt: skip
+    truth = ("--truth", folder / "truth.tum", "--radio", "standard", "--speed", "auto")
+    return ("localize", *localizing.options(folder / "log.csv", *truth, *more, folder=folder))
 
 
 def test_the_command_says_what_was_associated(hidden, tmp_path):
     shown = succeed(*options(hidden, "--associate", "--json", tmp_path / "track.json"))
     figures = json.loads((tmp_path / "track.json").read_text())
-    found = figures["association"]
-    assert found["paths"] == 900 and found["without_track"] == {"epochs": 0, "paths": 0}
-    assert found["false"] == 900 - sum(found["associated"].values())
-    assert f"- 900 paths, {found['false']} of them false; the track was found once\n" in shown
-    for name, paths in found["associated"].items():
-        assert f"| {name} | {paths} | {found['missed'][name]} |\n" in shown
-        assert paths + found["missed"][name] == 120
+    association = figures["association"]
+    assert association["paths"] == 900 and association["without_track"] == {"epochs": 0, "paths": 0}
+    assert association["false"] == 900 - sum(association["associated"].values())
+    assert f"- 900 paths, {association['false']} of them false; the track was found once\n" in shown
+    for name, paths in association["associated"].items():
+        assert f"| {name} | {paths} | {association['missed'][name]} |\n" in shown
+        assert paths + association["missed"][name] == 120
     with_labels = succeed(*options(RIDE, "--json", tmp_path / "labelled.json"))
     assert "paths" not in with_labels
     labelled = json.loads((tmp_path / "labelled.json").read_text())

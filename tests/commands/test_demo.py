@@ -19,9 +19,9 @@ def test_every_place_is_printed_and_written(tmp_path, monkeypatch, capsys):
         rng = np.random.default_rng(0)
         scores = {name: {m: rng.normal(size=3) for m in (*METRICS, *TERMS)} for name in names}
         scenario = args.data or "mixed"
-        what = {"radio": args.radio, "selection": Selection(range(args.episodes))}
-        found = compare_scores(scores, scenario=scenario, **what)
-        return Results(found, str(found), found.json, ())
+        episodes = {"radio": args.radio, "selection": Selection(range(args.episodes))}
+        comparison = compare_scores(scores, scenario=scenario, **episodes)
+        return Results(comparison, str(comparison), comparison.json, ())
 
     pages, asked = [], []
     monkeypatch.setattr("experiments.reporting.comparison_results.results", results)

@@ -4,8 +4,7 @@ import json
 
 import pytest
 
-from experiments.evaluation.protocol import entry, judge, venues
-from experiments.leaderboard import Args
+from experiments.evaluation.protocol import entry, judge, sites
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT
 
@@ -17,7 +16,7 @@ def entries(tmp_path_factory):
     """A folder with entries of two contenders, of few episodes."""
     folder = tmp_path_factory.mktemp("entries")
     names = ["imm-best", "speed-rule"]
-    judged = [judge(names, venue, 2, 0) for venue in venues()]
+    judged = [judge(names, site, 2, 0) for site in sites()]
     for name in names:
         (folder / f"{name}.json").write_text(json.dumps(entry(name, judged)))
     return folder
@@ -32,7 +31,7 @@ def test_entries_are_ranked_and_a_page_is_renewed(entries, tmp_path):
     shown = succeed("leaderboard", "--out", entries, "--docs", page)
     best = "| imm-best | 2 / 2 (too few) | 0.000 [0.000, 0.000]"
     assert shown.index(best) < shown.index("| speed-rule | 2 / 2 (too few) | -")
-    assert all(f"| {venue.name} | " in shown for venue in venues())
+    assert all(f"| {site.name} | " in shown for site in sites())
     for line in shown.splitlines():
         assert line in page.read_text()
 
@@ -62,25 +61,14 @@ def test_a_mistake_is_refused_before_any_venue(options, message, tmp_path):
     assert_one_clear_line(command("leaderboard", *options, "--out", tmp_path), message)
 
 
-def test_a_folder_without_entries_is_named(tmp_path):
-    done = command("leaderboard", "--out", tmp_path)
-    assert_one_clear_line(done, "out: found no entries in .*; --policies makes some")
-
-
 @pytest.mark.parametrize(("episodes", "draws"), [(20, 5), (1999, 200), (2000, 199)])
 def test_an_entry_of_too_few_episodes_comes_last_and_is_marked(episodes, draws, tmp_path):
     folder = ROOT / "docs" / "leaderboard"
     good, poor = (json.loads((folder / f"{name}.json").read_text()) for name in (GOOD, POOR))
     (tmp_path / "full.json").write_text(json.dumps(poor))
-    for venue in good["venues"].values():
-        venue["episodes"] = draws if venue["kind"] == "recorded" else episodes
+    for site in good["venues"].values():
+        site["episodes"] = draws if site["kind"] == "recorded" else episodes
     (tmp_path / "a-short.json").write_text(json.dumps(good | {"entry": "short"}))
     shown = succeed("leaderboard", "--out", tmp_path)
     full, short = f"| {POOR} | 2000 / 200 | ", f"| short | {episodes} / {draws} (too few) | "
     assert shown.index(full) < shown.index(short)
-
-
-def test_the_episodes_of_a_full_entry_are_those_of_the_page_and_of_the_command():
-    page = (ROOT / "docs" / "benchmark.md").read_text("utf-8")
-    said = f"{Args.episodes} a simulated street, {Args.draws} draws of receiver noise a recording"
-    assert said in page

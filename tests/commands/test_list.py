@@ -13,10 +13,14 @@ from mmwave_env.world import mobility
 from tests.cli import assert_one_clear_line, command, succeed
 
 NAMES = {
-    "policies": contenders("handset"), "scenarios": mobility.SCENARIOS, "radios": RADIOS,
-    "scenes": [*SCENES, RANDOM], "modes": named_modes(), "samples": sample_names(),
+    "policies": contenders("handset"),
+    "scenarios": mobility.SCENARIOS,
+    "radios": RADIOS,
+    "scenes": [*SCENES, RANDOM],
+    "modes": named_modes(),
+    "samples": sample_names(),
     "rewards": REWARDS,
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("kind", NAMES)
@@ -31,24 +35,8 @@ def test_without_a_kind_all_are_listed():
     assert succeed("list") == "".join(succeed("list", kind) for kind in NAMES)
 
 
-def test_streets_say_where_they_lie():
-    _, street, *_ = succeed("list", "scenes").splitlines()
-    assert street.split("; ")[1:] == [
-        "base station at (10, 10, 10) m", "streets x 0 to 160 m, y -160 to 0 m",
-        "inside the walls y below 25 m and x below 185 m",
-    ]  # fmt: skip
-
-
-@pytest.mark.parametrize("radio", RADIOS)
-def test_policies_of_every_radio_have_a_line(radio):
-    _, *lines = succeed("list", "policies", "--radio", radio).splitlines()
-    assert [line.split()[0] for line in lines] == list(contenders(radio))
-
-
 def test_an_unknown_kind_or_radio_is_refused():
-    assert_one_clear_line(
-        command("list", "polices"), "what: found 'polices', did you mean policies[?]"
-    )
+    assert_one_clear_line(command("list", "polices"), "polices.*what.*policies")
     assert_one_clear_line(command("list", "modes", "--radio", "lab"), "radio: found 'lab'")
 
 

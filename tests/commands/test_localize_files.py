@@ -6,22 +6,23 @@ import os
 import shutil
 import subprocess
 import sys
+from itertools import chain
 from pathlib import Path
 
 import pytest
 
 from tests.cli import assert_one_clear_line, command, environment, succeed
-from tests.paths import LOGS, ROOT
+from tests.commands.localizing import RIDE, options
+from tests.paths import ROOT
 
-RIDE = LOGS / "canyon28_vehicle"
 SAMPLE = ("localize", "--sample", RIDE.name, "--speed", "9")
 
 
 def test_a_picture_is_drawn_with_a_truth_or_without(tmp_path):
-    for path, truth in ((tmp_path / "new" / "t.png", ("--truth", RIDE / "truth.tum")),
-                        (tmp_path / "plain.png", ())):  # fmt: skip
-        succeed("localize", RIDE / "log.csv", "--scene", RIDE / "scene.json", *truth,
-                "--speed", "auto", "--plot", path)  # fmt: skip
+    cases = {"new/t.png": ("--truth", RIDE / "truth.tum"), "plain.png": ()}
+    for name, truth in cases.items():
+        path = tmp_path / name
+        succeed("localize", *options(RIDE / "log.csv", *truth, "--plot", path, folder=RIDE))
         content = path.read_bytes()
         assert content.startswith(b"\x89PNG") and len(content) > 20_000
 
@@ -30,8 +31,7 @@ def test_a_dollar_in_a_name_costs_neither_the_picture_nor_the_figures(tmp_path):
     folder = tmp_path / "a$b_{^$ | \x1b[31m\n"
     shutil.copytree(RIDE, folder)
     picture = folder / "track.svg"
-    done = command("localize", folder / "log.csv", "--scene", folder / "scene.json",
-                   "--speed", "9", "--plot", picture)  # fmt: skip
+    done = command("localize", *options(folder / "log.csv", "--plot", picture, folder=folder))
     assert done.returncode == 0, done.stderr
     assert picture.read_text().startswith("<?xml")
     assert all(line.isprintable() for line in (done.stdout + done.stderr).splitlines())
@@ -42,8 +42,8 @@ def test_a_picture_that_fails_costs_neither_file_nor_figures(tmp_path, monkeypat
         raise ValueError("no such font")
 
     monkeypatch.setattr("experiments.reporting.log_results.draw_trajectory", fails)
-    done = command(*SAMPLE, "--plot", tmp_path / "t.png", "--json", tmp_path / "t.json",
-                   "--out", tmp_path / "t.tum")  # fmt: skip
+    files = ("--json", tmp_path / "t.json", "--out", tmp_path / "t.tum")
+    done = command(*SAMPLE, "--plot", tmp_path / "t.png", *files)
     assert done.returncode == 2 and done.stderr == "mmwave-loc localize: no such font\n"
     assert json.loads((tmp_path / "t.json").read_text())["epochs"] == 120
     assert "120 epochs" in done.stdout
@@ -55,8 +55,9 @@ def test_a_picture_that_fails_costs_no_comparison_its_results(tmp_path, monkeypa
         raise OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "e.png"))
 
     monkeypatch.setattr("experiments.reporting.watchers.draw_error_cdf", fails)
-    done = command("compare", "--policies", "fixed-ekf", "--episodes", 1, "--episode-steps", 20,
-                   "--errors", tmp_path / "e.png", "--json", tmp_path / "e.json")  # fmt: skip
+    short = ("--policies", "fixed-ekf", "--episodes", 1, "--episode-steps", 20)
+    files = ("--errors", tmp_path / "e.png", "--json", tmp_path / "e.json")
+    done = command("compare", *short, *files)
     assert done.returncode == 2 and done.stderr.endswith(f"device: '{tmp_path / 'e.png'}'\n")
     assert list(json.loads((tmp_path / "e.json").read_text())["policies"]) == ["fixed-ekf"]
     assert "| fixed-ekf |" in done.stdout
@@ -65,10 +66,9 @@ def test_a_picture_that_fails_costs_no_comparison_its_results(tmp_path, monkeypa
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no such device")
 def test_what_cannot_be_printed_is_said():
     with open("/dev/full", "w") as full:
-        done = subprocess.run(
-            [sys.executable, "-m", "experiments.console", "list"], env=environment(), cwd=ROOT,
-            stdout=full, stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
+        words = [sys.executable, "-m", "experiments.console", "list"]
+        pipes = {"stdout": full, "stderr": subprocess.PIPE, "text": True}
+        done = subprocess.run(words, env=environment(), cwd=ROOT, **pipes)
     assert done.stderr == "mmwave-loc list: what is printed: No space left on device\n"
     assert done.returncode == 2
 
@@ -79,25 +79,10 @@ def test_what_is_no_file_is_refused_before_it_is_read(tmp_path, option):
     """A FIFO would wait for ever; tests/io/test_files.py has everything else."""
     odd = tmp_path / ("odd.csv" if option == "log" else "odd.json")
     os.mkfifo(odd)
-    given = {"log": RIDE / "log.csv", "--scene": RIDE / "scene.json", option: odd}
-    log = given.pop("log")
-    words = [word for pair in given.items() for word in pair]
-    done = command("localize", log, *words, "--speed", "9")
+    files = {"log": RIDE / "log.csv", "--scene": RIDE / "scene.json", option: odd}
+    log = files.pop("log")
+    done = command("localize", log, *chain(*files.items()), "--speed", "9")
     assert_one_clear_line(done, "odd.*: found a FIFO, expected")
-
-
-HOSTILE = "a|b `c` <img src=x> [d](http://e) $f$ *g*"
-
-
-def test_a_name_of_a_mode_is_shown_letter_by_letter_and_breaks_no_table(tmp_path):
-    modes = tmp_path / "m.json"
-    modes.write_text(json.dumps({"modes": [{"name": HOSTILE}, {"name": "ukf"}]}))
-    done = command("localize", RIDE / "log.csv", "--scene", RIDE / "scene.json", "--speed", "auto",
-                   "--modes", modes, "--plot", tmp_path / "t.svg")  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    shown = r"a\|b \`c\` \<img src=x> [d\](http://e) \$f\$ \*g\*"
-    assert shown in done.stdout
-    assert (tmp_path / "t.svg").stat().st_size > 1000
 
 
 @pytest.mark.parametrize("name", ["a\nb", "e\x1b]0;owned\x07", "\ud800", "x" * 81, "", 7])
@@ -116,13 +101,3 @@ def test_a_name_that_is_none_is_refused_by_file_and_key(tmp_path, kind, name):
         done, f"{kind}.json: .*name.*: found .*expected 1 to 80 printable letters"
     )
     assert len(done.stderr) < 1000
-
-
-def test_a_scene_is_called_as_its_file_whatever_that_is(tmp_path):
-    for name in ("x" * 200, "a\nb\x1b[31m"):
-        scene = tmp_path / f"{name}.json"
-        content = json.loads((RIDE / "scene.json").read_text())
-        content.pop("name", None)
-        scene.write_text(json.dumps(content))
-        done = command("localize", RIDE / "log.csv", "--scene", scene, "--speed", "9")
-        assert done.returncode == 0, done.stderr

@@ -66,8 +66,8 @@ def test_the_command_writes_a_mode_file_that_is_taken_everywhere(tmp_path):
     )
     ekf, robust = read_bank(modes).modes
     assert not ekf.coupling and ekf.adaptive and robust.robust and robust.spread_gain > 0.0
-    found = json.loads(figures.read_text())["tuned"]
-    assert [(f["mode"], f["scenario"]) for f in found] == [
+    tuned = json.loads(figures.read_text())["tuned"]
+    assert [(f["mode"], f["scenario"]) for f in tuned] == [
         ("ekf", "pedestrian"),
         ("ukf-robust", "jam"),
     ]

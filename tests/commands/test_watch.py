@@ -46,8 +46,8 @@ def test_contenders_are_side_by_side_from_the_prior_on(tmp_path):
     out = tmp_path / "new" / "both.gif"
     shown = succeed("watch", "--policies", "fixed-ekf", "imm", *SHORT, "--seed", 3, "--out", out)
     assert frames(out) == (13, (960, 480))
-    what, first, second, written = shown.splitlines()
-    assert re.fullmatch(r"\w+, seed 3, 0 to 11 s", what)
+    title, first, second, written = shown.splitlines()
+    assert re.fullmatch(r"\w+, seed 3, 0 to 11 s", title)
     assert re.fullmatch(r"fixed-ekf: [\d.]+ m off on average, [\d.]+ m at most", first)
     assert second.startswith("imm: ") and written == f"written to {out}: 13 pictures"
 
@@ -122,22 +122,16 @@ def test_without_a_display_variable_and_way_out_are_named(monkeypatch):
     )
 
 
-def test_without_pygame_the_extra_is_named(monkeypatch, tmp_path):
-    monkeypatch.setitem(sys.modules, "pygame", None)  # as if it were not installed
-    done = command("watch", "--out", tmp_path / "x.gif")
-    assert_one_clear_line(done, r"watch needs pygame: pip install 'mmwave-loc\[render\]'")
-
-
 @pytest.mark.slow
 def test_the_moving_picture_of_the_readme_is_made_by_its_command(tmp_path):
     pages = {path.name: path.read_text("utf-8") for path in (ROOT / "docs").glob("*.md")}
     (line,) = re.findall(r"^mmwave-loc (watch .*docs/watch.gif)$", pages["commands.md"], re.M)
-    made, there = tmp_path / "watch.gif", ROOT / "docs" / "watch.gif"
-    told = succeed(*shlex.split(line.replace("docs/watch.gif", str(made))))
-    assert frames(made) == frames(there)
+    made, shipped = tmp_path / "watch.gif", ROOT / "docs" / "watch.gif"
+    shown = succeed(*shlex.split(line.replace("docs/watch.gif", str(made))))
+    assert frames(made) == frames(shipped)
     # Not byte by byte: another libm may round otherwise, another font engine draw otherwise.
-    for number in (0, 20, frames(there)[0] - 1):
-        differs = (picture(made, number) != picture(there, number)).any(axis=-1)
+    for number in (0, 20, frames(shipped)[0] - 1):
+        differs = (picture(made, number) != picture(shipped, number)).any(axis=-1)
         assert differs.mean() < 0.02
-    rule, learned = (float(n) for n in re.findall(r": ([\d.]+) m off on average", told))
+    rule, learned = (float(n) for n in re.findall(r": ([\d.]+) m off on average", shown))
     assert learned < 3.0 < rule

@@ -43,10 +43,9 @@ def writing(tmp_path):
     started = []
 
     def start(**options):
-        started.append(subprocess.Popen(
-            [sys.executable, "-c", WRITING, str(tmp_path / "result.json")], env=environment(),
-            cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options,
-        ))  # fmt: skip
+        words = [sys.executable, "-c", WRITING, str(tmp_path / "result.json")]
+        options |= {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        started.append(subprocess.Popen(words, env=environment(), cwd=ROOT, **options))
         assert started[-1].stdout.readline() == "writing\n"
         return started[-1]
 
@@ -66,8 +65,8 @@ def test_a_signal_removes_what_is_half_written(writing, tmp_path, sent):
     command.send_signal(sent if sent in ENDING else 0)  # as to a group, and to each in it
     out, err = command.communicate(timeout=30)
     assert command.returncode == 128 + sent and out == ""
-    what = "interrupted" if sent == signal.SIGINT else f"ended by {sent.name}"
-    assert err == f"mmwave-loc list: {what}\n"
+    end = "interrupted" if sent == signal.SIGINT else f"ended by {sent.name}"
+    assert err == f"mmwave-loc list: {end}\n"
     assert list(tmp_path.iterdir()) == []
 
 
@@ -119,8 +118,8 @@ def test_a_terminal_that_is_closed_ends_a_command_as_its_signal_says():
     if not child:
         words = ["-m", "experiments.console", "compare", "--episodes", "100000"]
         os.execve(sys.executable, [sys.executable, *words], environment())
-    told = b""
-    while b"%" not in (told := told + os.read(terminal, 1000)):
+    output = b""
+    while b"%" not in (output := output + os.read(terminal, 1000)):
         pass  # until there is a bar, which nobody can read any more
     os.close(terminal)
     _, status = os.waitpid(child, 0)

@@ -13,11 +13,7 @@ from rich.markdown import Markdown
 from experiments.console import progress as terminal
 from experiments.console.progress import progress, say, tracked
 from experiments.console.tables import grid, show
-from experiments.console.text import (
-    escaped,
-    printable_lines,
-    unescaped,
-)
+from experiments.console.text import escaped, printable_lines, unescaped
 from mmwave_env.io.lookup import LONGEST, as_cell, as_name, did_you_mean, is_name, printable, quoted
 
 NAMES = st.text(st.characters(codec=None), max_size=200)
@@ -72,20 +68,14 @@ def test_plain_text_comes_back_from_markdown(name):
 
 @pytest.mark.parametrize(
     "name",
-    ["a|b", "$x$ and $y$", "<script>alert(1)</script>", "*bold*", "__init__", r"back\slash",
-     "`code`", "[link](http://example.org)", "&lt;", "~~gone~~"],
-)  # fmt: skip
+    ["a|b", "$x$", "<script>", "*bold*", "__init__", r"back\slash", "`code`", "&lt;", "~~gone~~"],
+)
 def test_markdown_shows_a_name_letter_by_letter(name):
     console = Console(width=200, no_color=True)
     with console.capture() as shown:
         console.print(Markdown(escaped(name)))
     assert shown.get().strip() == name
     assert not re.search(r"(?<!\\)<[a-z/]", escaped(name))
-
-
-def test_what_the_project_writes_itself_needs_no_escapes():
-    for text in ("0.635 [0.516, 0.763]", "fixed-ekf", "ekf_robust", "RMSE < ATE", "1.2 ± 0.1"):
-        assert escaped(text) == text
 
 
 @given(st.lists(NAMES, min_size=1, max_size=4))
@@ -126,12 +116,6 @@ def test_bars_show_names_letter_by_letter(screen):
     assert "\x1b[31m" not in screen.getvalue() and "\u202e" not in screen.getvalue()
 
 
-def test_there_are_no_bars_where_there_is_no_terminal(capsys):
-    with progress("filtering") as report:
-        report(1.0)
-    assert capsys.readouterr() == ("", "")
-
-
 # --- tables
 
 WORDS = st.from_regex(r"[a-z0-9.±-]{1,20}", fullmatch=True)
@@ -156,9 +140,7 @@ def shown(monkeypatch, capsys):
     max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(
-    names=st.lists(WORDS, max_size=5),
-    cells=st.lists(WORDS, max_size=9),
-    width=st.integers(44, 120),
+    names=st.lists(WORDS, max_size=5), cells=st.lists(WORDS, max_size=9), width=st.integers(44, 120)
 )
 def test_no_cell_of_a_table_is_cut_and_no_line_is_too_long(shown, names, cells, width):
     header = ["policy", *(f"column {i}" for i in range(len(cells)))]
@@ -186,9 +168,8 @@ def test_a_name_wider_than_the_terminal_is_not_cut(shown):
 
 def test_what_is_around_a_table_stays(shown):
     lines = shown(f"before\n\n{grid(['a', 'b'], [['1', '2']])}\n\n- after\n", 80)
-    assert [line.strip(" •") for line in lines if line and "─" not in line] == [
-        "before", "a  b", "1  2", "after",
-    ]  # fmt: skip
+    kept = [line.strip(" •") for line in lines if line and "─" not in line]
+    assert kept == ["before", "a  b", "1  2", "after"]
 
 
 @pytest.mark.parametrize("name", ["a|b", "\x1b[31mred", "one\ntwo", "漢字", r"a\|b\\", "$x$"])
@@ -204,11 +185,3 @@ def test_what_is_no_table_is_shown_without_control_characters_too(monkeypatch, c
     monkeypatch.delenv("FORCE_COLOR", raising=False)
     show("### \x1b]0;title\x07 street\n\nnext\n")
     assert capsys.readouterr().out == "### \\x1b]0;title\\x07 street\n\nnext\n\n"
-
-
-def test_no_color_is_shown_where_none_is_wanted(monkeypatch, capsys):
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    monkeypatch.setenv("NO_COLOR", "1")
-    show(f"### title\n\n`code`\n\n{grid(['a'], [['1']])}\n")
-    codes = re.findall(r"\x1b\[([0-9;]*)m", capsys.readouterr().out)
-    assert not [code for code in codes if re.search(r"(^|;)(3|4|9|10)[0-9]", code)]

@@ -35,20 +35,20 @@ def test_a_history_is_what_an_environment_records(name, arguments):
     pytest.importorskip("pygame")
     scoring = Scoring(TrackingReward(), arguments.get("planar", False))
     contender = contender_from(name, "handset")
-    found = history_of(contender, EPISODE, scoring, STREETS)
+    history = history_of(contender, EPISODE, scoring, STREETS)
     modes = contender.bank or contender.modes
     env = gym.make("MmWaveLoc-v0", render_mode="rgb_array", modes=modes, **arguments).unwrapped
     env.reset(seed=SEED)
-    for mode in found.modes[1:]:
+    for mode in history.modes[1:]:
         env.step(mode)
     recorded = env._gallery.recorders[0].history
-    assert found.axes == recorded.axes and found.epochs == recorded.epochs == len(EPISODE)
-    assert found.scenery.name == recorded.scenery.name
-    assert found.scenery.streets == recorded.scenery.streets is not None
-    np.testing.assert_array_equal(found.scenery.anchors_m, recorded.scenery.anchors_m)
+    assert history.axes == recorded.axes and history.epochs == recorded.epochs == len(EPISODE)
+    assert history.scenery.name == recorded.scenery.name
+    assert history.scenery.streets == recorded.scenery.streets is not None
+    np.testing.assert_array_equal(history.scenery.anchors_m, recorded.scenery.anchors_m)
     for field in ("time_s", "modes", "truth", "estimate", "P", "nees", "accepted", "rejected"):
         np.testing.assert_allclose(
-            getattr(found, field), getattr(recorded, field), err_msg=field, **SCORES
+            getattr(history, field), getattr(recorded, field), err_msg=field, **SCORES
         )
 
 

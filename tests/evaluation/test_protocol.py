@@ -11,9 +11,9 @@ from experiments.evaluation.protocol import (
     Judged,
     entry,
     judge,
+    sites,
     standing,
     unseen_file,
-    venues,
 )
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, scene_from
@@ -32,38 +32,37 @@ def test_unseen_streets_differ_in_carrier_and_geometry():
     assert len({scene.streets for scene in scenes}) == len(scenes)
 
 
-def test_the_venues_are_those_of_the_page():
-    kinds = [venue.kind for venue in venues()]
+def test_the_sites_are_those_of_the_page():
+    kinds = [site.kind for site in sites()]
     assert [kinds.count(kind) for kind in KINDS] == [9, 7, 4]
-    assert len({venue.name for venue in venues()}) == 20
-    assert all(venue.source.layout.anchors == 3 for venue in venues())
+    assert len({site.name for site in sites()}) == 20
+    assert all(site.source.layout.anchors == 3 for site in sites())
 
 
 @pytest.mark.slow  # compiles every IMM there is
 def test_a_contender_meets_every_imm_on_the_same_episodes():
-    (venue,) = (venue for venue in venues() if venue.name == "street:tablet")
-    judged = judge(["speed-rule", "imm-best"], venue, 4, seed=3)
+    (site,) = (site for site in sites() if site.name == "street:tablet")
+    judged = judge(["speed-rule", "imm-best"], site, 4, seed=3)
     assert judged.imms == ("imm", "imm-best")
     figures = judged.figures("speed-rule")
-    expected = (judged.reward["speed-rule"] - judged.reward["imm"]).mean()
+    expected = judged.gain("speed-rule", "imm").mean()
     assert figures["minus"]["imm"]["mean"] == pytest.approx(expected)
-    assert figures["reward"]["mean"] == pytest.approx(judged.reward["speed-rule"].mean())
+    assert figures["reward"]["mean"] == pytest.approx(judged.scores["speed-rule"]["reward"].mean())
     assert "imm-best" not in judged.figures("imm-best")["minus"]
     low, high = entry("imm-best", [judged])["mean_gain"]["unseen"]["ci95"]
     assert low == high == 0.0
 
 
 @pytest.mark.parametrize(
-    ("gains", "expected"),
-    [((0.1, 0.2), "above"), ((0.1, 0.0), "level"), ((0.1, -0.2), "below")],
+    ("gains", "expected"), [((0.1, 0.2), "above"), ((0.1, 0.0), "level"), ((0.1, -0.2), "below")]
 )
 def test_an_entry_stands_above_level_with_or_below_the_imms(gains, expected):
     rng = np.random.default_rng(0)
     base, noise = rng.normal(size=400), rng.normal(0.0, 0.1, 400)
     noise -= noise.mean()
     rewards = {"mine": base, "imm": base - gains[0] + noise, "imm-best": base - gains[1] - noise}
-    (trained, *_), ate = venues(), {name: np.abs(base) for name in rewards}
-    judged = Judged(trained, rewards, ate, ("imm", "imm-best"))
+    scores = {name: {"reward": reward, "ate_m": base} for name, reward in rewards.items()}
+    judged = Judged(sites()[0], scores, ("imm", "imm-best"))
     assert standing(judged.figures("mine")) == expected
     assert entry("mine", [judged])["mean_gain"][TRAINED]["mean"] == pytest.approx(gains[1])
     assert RECORDED not in entry("mine", [judged])["mean_gain"]

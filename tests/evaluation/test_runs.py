@@ -8,6 +8,7 @@ import pytest
 from experiments.evaluation.runs import Run, trainings
 from policies import LearnedSwitch, shipped_policies
 from tests.paths import ROOT
+from tests.refusals import refuses
 
 SUMMARY = {"seeds": [{"seed": 2}, {"seed": 0}, {"seed": 1}], "median": 0, "command": "..."}
 
@@ -31,37 +32,36 @@ def test_trainings_take_the_place_of_their_run(folder):
 
 
 DAMAGE = {
-    "no JSON": ("{", "Expecting property name"),
-    "a list": ("[]", "found list, expected an object"),
-    "no seeds": (json.dumps({"median": 0}), "seeds: found none"),
-    "no median": (json.dumps({"seeds": [{"seed": 0}]}), "median: found none"),
-    "empty": (json.dumps({"seeds": [], "median": 0}), r"seeds: found \[\], expected different"),
-    "twice": (json.dumps({"seeds": [{"seed": 0}] * 2, "median": 0}), r"seeds: found \[0, 0\]"),
-    "words": (json.dumps({"seeds": [{"seed": "a"}], "median": "a"}), r"seeds: found \['a'\]"),
-    "another median": (json.dumps(SUMMARY | {"median": 7}), "median: found 7.*one of.*2, 0, 1"),
+    "no JSON": ("{", []),
+    "a list": ("[]", []),
+    "no seeds": ({"median": 0}, ["seeds"]),
+    "no median": ({"seeds": [{"seed": 0}]}, ["median"]),
+    "empty": ({"seeds": [], "median": 0}, ["seeds"]),
+    "twice": ({"seeds": [{"seed": 0}] * 2, "median": 0}, ["seeds"]),
+    "words": ({"seeds": [{"seed": "a"}], "median": "a"}, ["seeds"]),
+    "another median": (SUMMARY | {"median": 7}, ["median"]),
 }
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
 def test_a_damaged_summary_is_named(folder, damage):
-    content, message = DAMAGE[damage]
-    (folder / "summary.json").write_bytes(content.encode("latin-1"))
-    with pytest.raises(ValueError, match=message) as error:
+    content, named = DAMAGE[damage]
+    text = content if isinstance(content, str) else json.dumps(content)
+    (folder / "summary.json").write_text(text)
+    with refuses(folder / "summary.json", *named):
         Run.read(str(folder))
-    assert str(folder / "summary.json") in str(error.value)
-    assert "\n" not in str(error.value)
 
 
 def test_a_smoke_run_is_refused(folder):
     summary = SUMMARY | {"command": "mmwave-loc train --radio high --smoke"}
     (folder / "summary.json").write_text(json.dumps(summary))
-    with pytest.raises(ValueError, match="found what train --smoke left"):
+    with refuses(folder):
         Run.read(str(folder))
 
 
 def test_a_run_that_is_not_over_is_refused(folder):
     (folder / "summary.json").unlink()
-    with pytest.raises(FileNotFoundError, match="summary.json: found no file.*--resume"):
+    with refuses("summary.json", error=FileNotFoundError):
         Run.read(str(folder))
 
 

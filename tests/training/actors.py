@@ -23,13 +23,11 @@ PER_MODE_TABLE = Observation(Pipeline(MODES, Layout()), "full", "per-mode")
 
 def card_of(table=TABLE, **changes):
     """Return a card as a trainer writes it for a table of features."""
-    told = {
-        "modes": table.modes, "observation": table.kind, "features": table.columns,
-        "scenario": "mixed", "radio": "handset", "algorithm": "PPO", "seed": 10_000_000,
-        "timesteps": 1000, "command": "mmwave-loc train", "evaluation": {"reward": -1.75},
-        "versions": {"mmwave-loc": "0.1.0"},
-    }  # fmt: skip
-    return Card(**told | changes)
+    card = Card(
+        *(table.modes, table.kind, table.columns, "mixed", "handset", "PPO", 10_000_000, 1000),
+        *("mmwave-loc train", {"reward": -1.75}, {"mmwave-loc": "0.1.0"}),
+    )
+    return replace(card, **changes)
 
 
 def actor(features=FEATURES, actions=3, hidden=(5, 4), seed=0):

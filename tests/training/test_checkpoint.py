@@ -24,6 +24,7 @@ from experiments.training.checkpoint import (
 from experiments.training.ppo import PpoTraining
 from experiments.training.record import ProgressLog
 from tests.damage import damaged
+from tests.refusals import refuses
 from tests.training.test_train import job_of
 
 pytestmark = pytest.mark.torch
@@ -40,12 +41,10 @@ STATE = {
 def test_a_checkpoint_comes_back(tmp_path):
     path = tmp_path / "checkpoint.pt"
     write_checkpoint(path, STATE)
-    found = read_checkpoint(path)
-    assert {k: found[k] for k in ("words", "none", "flag", "list", "number")} == {
-        "words": "ä", "none": None, "flag": True, "list": [1, 2.5, ("a", -1)], "number": 0.1,
-    }  # fmt: skip
-    assert torch.equal(found["tensor"], STATE["tensor"])
-    for key, array in with_arrays(found["arrays"]).items():
+    state = read_checkpoint(path)
+    for key in ("words", "none", "flag", "list", "number", "tensor"):
+        assert state[key] == STATE[key]
+    for key, array in with_arrays(state["arrays"]).items():
         np.testing.assert_array_equal(array, STATE["arrays"][key])
         assert array.dtype == STATE["arrays"][key].dtype
 
@@ -58,9 +57,9 @@ def test_damage_is_found_wherever_it_is(tmp_path):
     for place in rng.integers(len(whole), size=60):
         bit = 1 << int(rng.integers(8))
         damaged.append(whole[:place] + bytes([whole[place] ^ bit]) + whole[place + 1 :])
-    for found in damaged:
-        path.write_bytes(found)
-        with pytest.raises(ValueError, match=r"checkpoint.pt: not a checkpoint: .*; remove it"):
+    for content in damaged:
+        path.write_bytes(content)
+        with refuses("checkpoint.pt"):
             read_checkpoint(path)
 
 
@@ -74,10 +73,10 @@ class Malicious:
         return os.mkdir, (str(self.path),)
 
 
-@settings(
-    max_examples=60, deadline=None, derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)  # fmt: skip
+SCOPED = [HealthCheck.function_scoped_fixture]
+
+
+@settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=SCOPED)
 @given(data=st.data())
 def test_a_checkpoint_with_a_right_checksum_over_anything_is_read_or_refused(tmp_path, data):
     path = tmp_path / "checkpoint.pt"
@@ -108,27 +107,25 @@ def test_a_checkpoint_unpacks_to_no_more_than_it_holds(tmp_path):
             small.writestr(name, whole.read(name))
     forge(path, packed.getvalue())
     assert path.stat().st_size < 100_000
-    with pytest.raises(ValueError, match="not a checkpoint: found compressed parts"):
+    with refuses("checkpoint.pt"):
         read_checkpoint(path)
 
 
-BEGIN = {
-    "update": 0, "timesteps": 0, "best": None, "beat_rule": None, "seconds": 0.0, "rows": [],
-}  # fmt: skip
+BEGIN = {"update": 0, "timesteps": 0, "best": None, "beat_rule": None, "seconds": 0.0, "rows": []}
 
 
 @pytest.mark.parametrize(
-    ("state", "message"),
+    ("state", "named"),
     [
-        (["a list"], "found list"),
-        (BEGIN | {"update": "3"}, "update: found '3', expected another type"),
-        (BEGIN | {"best": {"timesteps": 3}}, "reward"),
+        (["a list"], []),
+        (BEGIN | {"update": "3"}, ["update"]),
+        (BEGIN | {"best": {"timesteps": 3}}, ["reward"]),
     ],
 )
-def test_the_checkpoint_of_something_else_is_refused(tmp_path, state, message):
+def test_the_checkpoint_of_something_else_is_refused(tmp_path, state, named):
     path = tmp_path / "checkpoint.pt"
     write_checkpoint(path, state)
-    with pytest.raises(ValueError, match=f"checkpoint.pt: not a checkpoint: .*{message}.*remove"):
+    with refuses("checkpoint.pt", *named):
         read_stand(path, BEGIN)
 
 
@@ -136,14 +133,14 @@ def test_a_checkpoint_of_another_network_is_named(tmp_path):
     """Its checksum and its kind are right; what is in it fits no network of this training."""
     path = tmp_path / "checkpoint.pt"
     write_checkpoint(path, BEGIN | {"learner": {"timesteps": 3}, "env": {}})
-    with pytest.raises(ValueError, match="not a checkpoint: updates: found none; remove"):
+    with refuses("checkpoint.pt", "updates"):
         PpoTraining(job_of(tmp_path), lambda *_: None).run()
 
 
 def test_a_malicious_checkpoint_is_refused_and_not_executed(tmp_path):
     path, trap = tmp_path / "checkpoint.pt", tmp_path / "trap"
     write_checkpoint(path, {"update": 1, "learner": Malicious(trap)})
-    with pytest.raises(ValueError, match="not a checkpoint: Weights only load failed"):
+    with refuses("checkpoint.pt"):
         read_checkpoint(path)
     assert not trap.exists()
 
@@ -173,8 +170,8 @@ def test_the_log_of_a_training_that_fails_ends_its_thread(tmp_path):
         with ProgressLog(tmp_path, []) as log:
             log.write({"a": 1}, {}, 10)
             assert threading.active_count() > before
-            raise ValueError("a fault of its own")
+            raise ZeroDivisionError
 
-    with pytest.raises(ValueError, match="of its own"):
+    with pytest.raises(ZeroDivisionError):
         fail()
     assert threading.active_count() == before and not (tmp_path / "progress.csv").exists()

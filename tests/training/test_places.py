@@ -7,14 +7,21 @@ import numpy as np
 import pytest
 
 from experiments.evaluation.protocol import UNSEEN_RADIOS, UNSEEN_SCENES, unseen_file
-from experiments.training import places as module
-from experiments.training.places import Place, place_from, places_from, shares
-from experiments.training.training_task import TrainingTask, banks_of
+from experiments.training import training_task as module
+from experiments.training.training_task import (
+    Place,
+    TrainingTask,
+    banks_of,
+    place_from,
+    places_from,
+    shares,
+)
 from mmwave_env.filters.bank import Bank, bank_as_written, best_bank, default_modes
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.task import task_from
+from tests.refusals import refuses
 from tests.training.actors import MODES
 
 
@@ -30,7 +37,7 @@ def test_a_word_names_street_radio_and_rate():
 def test_the_street_is_where_the_environment_is_without_a_scene():
     """Bit for bit, or trainings on record would not come out again."""
     episode = Place("street", "handset").source("mixed").sample(np.random.default_rng(10_000_000))
-    expected = module.task_from().source.sample(np.random.default_rng(10_000_000))
+    expected = task_from().source.sample(np.random.default_rng(10_000_000))
     np.testing.assert_array_equal(episode.measurement, expected.measurement)
 
 
@@ -49,21 +56,20 @@ def test_scenes_and_radios_of_ones_own_are_places_too(files):
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("words", "named"),
     [
-        (["street"], "found 'street', expected SCENE:RADIO or SCENE:RADIO:DT, such as"),
-        ([":handset"], "found ':handset', expected SCENE"),
-        (["street:handset:1:2"], "found 'street:handset:1:2', expected SCENE"),
-        (["steet:handset"], "steet:handset: scene: found 'steet', did you mean street"),
-        (["street:handsome"], "street:handsome: radio: found 'handsome', did you mean handset"),
-        (["street:handset:fast"], "street:handset:fast: dt: found 'fast', expected a number"),
-        (["street:handset:nan"], "dt: found nan, expected a number"),
-        (["o1:handset", "street:high", "o1:handset:1"],
-         "found o1:handset, street:high, o1:handset, expected none twice"),
+        (["street"], []),
+        ([":handset"], []),
+        (["street:handset:1:2"], []),
+        (["steet:handset"], ["steet:handset", "scene"]),
+        (["street:handsome"], ["street:handsome", "radio"]),
+        (["street:handset:fast"], []),
+        (["street:handset:nan"], ["street:handset:nan", "dt"]),
+        (["o1:handset", "street:high", "o1:handset:1"], []),
     ],
-)  # fmt: skip
-def test_what_is_no_place_is_refused(words, message):
-    with pytest.raises(ValueError, match=f"^places: .*{message}"):
+)
+def test_what_is_no_place_is_refused(words, named):
+    with refuses("places", *named):
         places_from(words)
 
 
@@ -71,7 +77,7 @@ def test_what_is_no_place_is_refused(words, message):
 def test_no_training_sees_what_the_benchmark_keeps_unseen(unseen, files, monkeypatch):
     """The names in the files count, whatever these are called."""
     monkeypatch.setattr(module, "UNSEEN", ("square-2", unseen))
-    with pytest.raises(ValueError, match=f"^places: .*'{unseen}', .* square-2, {unseen} unseen"):
+    with refuses("places"):
         place_from(":".join(map(str, files)))
     place_from("street:handset")
 
@@ -79,19 +85,19 @@ def test_no_training_sees_what_the_benchmark_keeps_unseen(unseen, files, monkeyp
 def test_the_streets_and_the_radio_that_are_unseen_are_refused():
     for name in UNSEEN_SCENES:
         for word in (f"{name}:handset", f"{unseen_file(name)}:handset"):
-            with pytest.raises(ValueError, match=f"scene: found '{name}', expected one to train"):
+            with refuses("scene"):
                 place_from(word)
     for name in UNSEEN_RADIOS:
         for word in (f"street:{name}", f"street:{unseen_file(name)}"):
-            with pytest.raises(ValueError, match=f"radio: found '{name}', expected one to train"):
+            with refuses("radio"):
                 place_from(word)
 
 
 @pytest.mark.parametrize(("count", "places"), [(256, 9), (9, 9), (500, 3), (7, 1)])
 def test_shares_are_as_even_as_can_be(count, places):
-    found = shares(count, places)
-    assert sum(found) == count and len(found) == places
-    assert max(found) - min(found) <= 1
+    parts = shares(count, places)
+    assert sum(parts) == count and len(parts) == places
+    assert max(parts) - min(parts) <= 1
 
 
 # --- what is learned at several places
@@ -129,17 +135,16 @@ def test_an_agent_sees_the_same_features_everywhere(tmp_path):
     path = tmp_path / "square.json"
     path.write_text(json.dumps({"base_station_m": [10.0, 10.0, 8.0]}))  # no walls
     places = (PLACES[0], Place(str(path), "handset"))
-    message = r"places: found \d+ features at street:handset and \d+ others at .*square.json:hand"
-    with pytest.raises(ValueError, match=message):
+    with refuses("places"):
         task(places)
 
 
 def test_an_agent_chooses_from_modes_of_the_same_names_everywhere():
     banks = {"handset": Bank(MODES), "standard": Bank(MODES[::-1])}
-    with pytest.raises(ValueError, match="expected the same everywhere: .* modes of the same name"):
+    with refuses("places"):
         task(banks=banks)
 
 
 def test_one_mode_alone_is_nothing_to_trust():
-    with pytest.raises(ValueError, match="modes: found 'ukf' alone, expected two or more"):
+    with refuses("modes"):
         banks_of(("ukf",), PLACES, "per-mode")

@@ -5,8 +5,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from experiments.training.search_space import best_bank_of, rows_as_softmax, search_space
-from experiments.training.tune_banks import START
+from experiments.training.tune_banks import START, best_bank_of, rows_as_softmax, search_space
 from mmwave_env.filters.bank import bank_as_written, bank_in, best_bank
 from mmwave_env.filters.imm import stay_matrix
 from mmwave_env.models.radio import RADIOS
@@ -16,7 +15,7 @@ def distance(bank, planted):
     """Return the distance of two banks of the same modes, in logarithms."""
     pairs = [(np.array(bank.transition), np.array(planted.transition))]
     for field in ("sigma_p", "sigma_v", "acceleration_mps2"):
-        values = [[getattr(mode, field) for mode in one.modes] for one in (bank, planted)]
+        values = [[getattr(mode, field) for mode in bank_of.modes] for bank_of in (bank, planted)]
         pairs.append((np.abs(values[0]) + 1e-3, np.abs(values[1]) + 1e-3))
     return float(sum(np.square(np.log(a / b)).sum() for a, b in pairs))
 
@@ -28,11 +27,11 @@ def test_the_search_finds_a_planted_bank():
         len(space.start)
     )
     planted = space.bank_at(point)
-    start, found = (
+    start, best = (
         best_bank_of(space, lambda bank, _: -distance(bank, planted), evaluations)
         for evaluations in (0, 3000)
     )
-    assert distance(found, planted) < 0.02 * distance(start, planted)
+    assert distance(best, planted) < 0.02 * distance(start, planted)
 
 
 def test_generations_are_numbered_and_no_more_is_asked_than_allowed():
@@ -48,21 +47,12 @@ def test_generations_are_numbered_and_no_more_is_asked_than_allowed():
     assert 40 - size < len(asked) <= 40
 
 
-def test_the_same_search_finds_the_same_bank():
-    space = search_space(START[1:3])
-
-    def value(bank, generation):
-        return bank.modes[0].sigma_v
-
-    assert best_bank_of(space, value, 60) == best_bank_of(space, value, 60)
-
-
 def test_softmax_rows_are_probabilities_that_stand_to_staying_as_said():
     for odds in np.random.default_rng(0).uniform(-14.0, 8.0, (20, 12)):
-        found = rows_as_softmax(odds)
-        assert found.shape == (4, 4) and (found > 0.0).all()
-        np.testing.assert_allclose(found.sum(axis=1), 1.0)
-        ratio = found / np.diag(found)[:, None]
+        transition = rows_as_softmax(odds)
+        assert transition.shape == (4, 4) and (transition > 0.0).all()
+        np.testing.assert_allclose(transition.sum(axis=1), 1.0)
+        ratio = transition / np.diag(transition)[:, None]
         np.testing.assert_allclose(np.log(ratio[~np.eye(4, dtype=bool)]), odds, atol=1e-9)
 
 

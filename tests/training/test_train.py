@@ -3,14 +3,13 @@
 import json
 import math
 import re
-import subprocess
 import sys
 from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
-from tests.paths import ROOT
+from tests.refusals import refuses
 
 pytest.importorskip("stable_baselines3")
 
@@ -27,11 +26,10 @@ from experiments.training.hyperparameters import (
     shipped_hyperparameters,
 )
 from experiments.training.job import Job
-from experiments.training.places import Place
 from experiments.training.ppo import PpoTraining, learner
 from experiments.training.processes import train
 from experiments.training.run import hyperparameters, manifest_of
-from experiments.training.training_task import TrainingTask
+from experiments.training.training_task import Place, TrainingTask
 from experiments.training.vec_env import PlacesVecEnv
 from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.interface.reward import TrackingReward
@@ -98,13 +96,13 @@ def test_the_exported_actor_acts_as_the_trained_one(tmp_path):
 
 def test_a_training_tells_its_periodic_evaluations(tmp_path):
     """The best of them is what the outcome says; a search stops early by them."""
-    told = []
-    outcome = train(job_of(tmp_path), told.append)
-    rewards = {news.timesteps: news.evaluation["reward"] for news in told if news.evaluation}
+    heard = []
+    outcome = train(job_of(tmp_path), heard.append)
+    rewards = {news.timesteps: news.evaluation["reward"] for news in heard if news.evaluation}
     assert len(rewards) >= 4 and max(rewards) == outcome["timesteps"] == 1024
     best = outcome["best"]
     assert rewards[best["timesteps"]] == best["reward"] == max(rewards.values())
-    assert [news.timesteps for news in told] == sorted(news.timesteps for news in told)
+    assert [news.timesteps for news in heard] == sorted(news.timesteps for news in heard)
 
 
 # --- hyperparameters
@@ -126,8 +124,8 @@ def test_shipped_hyperparameters_are_sound():
 def test_a_bias_makes_the_first_action_likelier_at_the_start():
     env = VecNormalize(PlacesVecEnv(TASK, HYPER), norm_reward=False)
     models = [learner(env, replace(HYPER, first_action_bias=bias), seed=1) for bias in (0.0, 2.0)]
-    seen = torch.as_tensor(env.reset())
-    logits = [model.policy.get_distribution(seen).distribution.logits for model in models]
+    observed = torch.as_tensor(env.reset())
+    logits = [model.policy.get_distribution(observed).distribution.logits for model in models]
     odds = [each[:, :1] - each[:, 1:] for each in logits]
     torch.testing.assert_close(odds[1] - odds[0], torch.full_like(odds[0], 2.0))
 
@@ -144,18 +142,13 @@ def test_what_has_a_default_may_be_left_out(tmp_path):
 
 BAD = {
     "text": ("gamma: 0.9\n", "Expecting value"),
-    "list": ("[1]", "found list, expected an object"),
     "missing": ({"gamma": None}, "gamma: found none, expected one beside num_envs"),
     "unknown": ({"gama": 0.9}, "key: found 'gama', did you mean gamma"),
     "nan": ({"gamma": math.nan}, "gamma: found nan, expected a number"),
-    "infinite": ({"learning_rate": math.inf}, "learning_rate: found inf, expected a number"),
-    "negative": ({"clip_range": -0.1}, "clip_range: found -0.1, expected a number of 0 to"),
     "fraction": ({"n_steps": 1.5}, "n_steps: found 1.5, expected an integer of 1 to"),
     "number": ({"paired": 1}, "paired: found 1, expected bool"),
     "one": ({"batch_size": 1}, "batch_size: found 1, expected an integer of 2 to"),
-    "above 1": ({"gamma": 1.01}, r"gamma: found 1.01, expected a number in \[0, 1\]"),
     "no neurons": ({"hidden": [64, 0]}, r"hidden\[1\]: found 0, expected an integer of 1 to"),
-    "bias": ({"first_action_bias": "1"}, "first_action_bias: found '1', expected a number"),
 }
 
 
@@ -192,7 +185,7 @@ def test_a_bad_hyperparameter_is_refused_in_one_line(change, tmp_path):
         (("--scenario", "train"), "'train'.*pedestrian"),
         (("--places", "street"), "places: found 'street', expected SCENE:RADIO"),
         (("--radio", "high", "--places", "o1:high"), "radio: found 'high' beside places"),
-        (("--beliefs", "permode"), "beliefs: found 'permode', did you mean per-mode"),
+        (("--beliefs", "permode"), "permode.*--beliefs.*per-mode"),
         (("--beliefs", "per-mode", "--modes", "ukf"), "modes: found 'ukf' alone"),
         (("--observation", "half"), "observation: found 'half'"),
         (("--reward", "money"), "'money'.*tracking"),
@@ -210,15 +203,9 @@ def test_a_mistake_is_refused_before_a_folder_is_made(words, message, tmp_path):
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize(
-    ("algorithm", "message"),
-    [
-        ("ppo", "num_envs: found 1, expected 2 or more for 2 places"),
-        ("rollouts", "num_envs: found 1, expected a multiple of 8, 16 or more for 2 places"),
-    ],
-)
+@pytest.mark.parametrize("algorithm", KINDS)
 def test_too_few_environments_for_the_places_are_refused_before_a_folder_is_made(
-    algorithm, message, tmp_path
+    algorithm, tmp_path
 ):
     shipped = json.loads(shipped_hyperparameters(algorithm).read_text())
     path, out = tmp_path / "few.json", tmp_path / "run"
@@ -226,27 +213,14 @@ def test_too_few_environments_for_the_places_are_refused_before_a_folder_is_made
     args = Args(
         algo=algorithm, hyperparameters=path, places=("street:handset", "o1:handset"), out=out
     )
-    with pytest.raises(ValueError, match=f"^{re.escape(f'{path}: {message}')}$"):
+    with refuses(path, "num_envs"):
         main(args)
     assert not out.exists()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("package", ["torch", "stable_baselines3"])
-def test_without_the_extra_it_says_what_to_install(package, tmp_path):
-    code = (
-        "import sys\n"
-        "class Missing:\n"
-        "    def find_spec(self, name, path=None, target=None):\n"
-        f"        if name == {package!r}: raise ModuleNotFoundError('No module named ' + name)\n"
-        "sys.meta_path.insert(0, Missing())\n"
-        "from experiments.console.main import run\n"
-        f"run('train', ['--out', {str(tmp_path / 'run')!r}])\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
-    assert done.returncode == 2 and done.stdout == ""
-    (line,) = done.stderr.splitlines()
-    assert "needs more than the base install" in line and "mmwave-loc[train]" in line
+def test_without_the_extra_it_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "experiments.training.processes", None)  # as without PyTorch
+    assert "mmwave-loc[train]" in refused("--out", tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
@@ -274,11 +248,6 @@ def test_files_that_are_no_run_are_never_removed(tmp_path):
     assert (tmp_path / "thesis.tex").read_text() == "years of work"
 
 
-def test_there_must_be_a_run_to_resume(tmp_path):
-    assert "found no run in" in refused("--out", tmp_path / "run", "--resume")
-    assert not (tmp_path / "run").exists()
-
-
 def test_a_run_with_other_options_is_not_resumed(tmp_path):
     line = refused("--out", folder_of(tmp_path), "--resume", "--seeds", 6)
     assert "run.json: command: found mmwave-loc train, expected mmwave-loc train --seeds 6;" in line
@@ -288,12 +257,12 @@ def test_a_run_with_other_modes_banks_or_hyperparameters_is_not_resumed(tmp_path
     """Files may have changed, or what names mean."""
     path = written(tmp_path / "mine.json", {})
     resume = ("--resume", "--hyperparameters", path, "--out")
-    found = folder_of(tmp_path / "modes", modes=MODES, hyperparameters=path)
-    assert "modes: found [{'name': 'stand'" in refused(*resume, found)
-    found = folder_of(tmp_path / "gamma", hyper=replace(HYPER, gamma=0.5), hyperparameters=path)
-    assert "gamma: found 0.5, expected 0.95" in refused(*resume, found)
-    found = folder_of(tmp_path / "banks", beliefs="per-mode", modes=MODES)
-    line = refused("--beliefs", "per-mode", "--out", found, "--resume")
+    folder = folder_of(tmp_path / "modes", modes=MODES, hyperparameters=path)
+    assert "modes: found [{'name': 'stand'" in refused(*resume, folder)
+    folder = folder_of(tmp_path / "gamma", hyper=replace(HYPER, gamma=0.5), hyperparameters=path)
+    assert "gamma: found 0.5, expected 0.95" in refused(*resume, folder)
+    folder = folder_of(tmp_path / "banks", beliefs="per-mode", modes=MODES)
+    line = refused("--beliefs", "per-mode", "--out", folder, "--resume")
     assert "banks: found {'handset': {'modes': [{'name': 'stand'" in line
 
 

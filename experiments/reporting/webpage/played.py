@@ -16,7 +16,7 @@ from experiments.console.signals import Ended
 from experiments.evaluation.agents import is_agent
 from experiments.evaluation.asked import contender_of, runs_of, selection_of, task_of
 from experiments.evaluation.contenders import Contender
-from experiments.evaluation.epochs import EpochErrors
+from experiments.evaluation.histories import EpochErrors
 from experiments.evaluation.positions import Positions
 from experiments.evaluation.runner import EpochResults, Scoring, score_contenders
 from experiments.reporting.webpage.sources import Source
