@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mmwave_env.logs.log import LogBlock
-from mmwave_env.logs.log_checks import RANGE_LIMITS_M, WIDEST_DEG
+from mmwave_env.logs.log_columns import RANGE_LIMITS_M, WIDEST_ELEVATION_DEG
 from mmwave_env.models.envelope import STEP_S
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio
@@ -89,9 +89,9 @@ def impossible(block: LogBlock) -> Iterator[Contradiction]:
     if len(ranges) and not least <= np.median(ranges) <= most:
         yield Contradiction("range", f"{np.median(ranges):.3g} m", f"{least:g} to {most:g} m")
     elevations = np.degrees(abs(block.measurement[:, 2 : block.layout.doppler : 4][visible]))
-    limit = WIDEST_DEG["aoa_elevation"]
-    if (elevations > limit).mean() > 0.5:
-        yield Contradiction("elevation", f"{elevations.max():.3g} degrees", f"up to {limit:g}")
+    if (elevations > WIDEST_ELEVATION_DEG).mean() > 0.5:
+        expected = f"up to {WIDEST_ELEVATION_DEG:g}"
+        yield Contradiction("elevation", f"{elevations.max():.3g} degrees", expected)
 
 
 def _oddities(block: LogBlock, scene: Scene, radio: Radio) -> Iterator[Contradiction]:

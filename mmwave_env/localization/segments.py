@@ -6,29 +6,19 @@ and begins anew there. The result does not depend on how a log is cut into block
 """
 
 from collections.abc import Iterable, Iterator
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 
 from mmwave_env.logs.log import LogBlock
-from mmwave_env.logs.log_checks import RANGE_LIMITS_M
+from mmwave_env.logs.log_columns import RANGE_LIMITS_M
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.prior import GAP_S, STEEPEST_FIX_RAD
 from mmwave_env.numerics.numbers import Array, Mask
 
 
-class Piece(NamedTuple):
-    """Consecutive epochs of one segment."""
-
-    block: LogBlock  # the epochs
-    segment: int  # number of the segment, from 0
-    begins: bool  # whether the segment begins here, with a line of sight
-    skipped: int  # number of epochs of the log before the first segment
-    dropped: int  # number of epochs between segments, up to the next piece
-
-
-def segments(blocks: Iterable[LogBlock]) -> Iterator[Piece]:
-    """Yield the segments of a log, piece by piece.
+def segments(blocks: Iterable[LogBlock]) -> Iterator[LogBlock]:
+    """Yield the epochs of the segments of a log, each block within one segment.
 
     A segment ends when neither a link nor odometry was seen for more than ``GAP_S``, or where the
     log says that a track must begin anew. The next segment begins with the next line of sight.
@@ -37,7 +27,7 @@ def segments(blocks: Iterable[LogBlock]) -> Iterator[Piece]:
         LogError: from ``blocks``, after the epochs before the damage.
         ValueError: there is no line of sight to begin with.
     """
-    held: Piece | None = None  # held until its number of dropped epochs is known
+    held: LogBlock | None = None  # held until its number of dropped epochs is known
     skipped, incomplete = 0, 0
     last_s: float | None = None  # last time with a measurement; None between segments
     try:
@@ -48,7 +38,7 @@ def segments(blocks: Iterable[LogBlock]) -> Iterator[Piece]:
                 if last_s is None:
                     first = _first_fix(block)
                     if held:
-                        held = held._replace(dropped=held.dropped + first)
+                        held = replace(held, dropped=held.dropped + first)
                     else:
                         skipped += first
                         incomplete += int(block.incomplete[:first, 0].sum())
@@ -60,8 +50,13 @@ def segments(blocks: Iterable[LogBlock]) -> Iterator[Piece]:
                 if end:
                     if held:
                         yield held
-                    segment, dropped = (held.segment + begins, held.dropped) if held else (0, 0)
-                    held = Piece(block.part(slice(end)), segment, begins, skipped, dropped)
+                    held = replace(
+                        block.part(slice(end)),
+                        segment=held.segment + begins if held else 0,
+                        begins=begins,
+                        skipped=skipped,
+                        dropped=held.dropped if held else 0,
+                    )
                 block = block.part(slice(end, None))
     except LogError:
         if held:
@@ -97,10 +92,10 @@ def _end(block: LogBlock, last_s: float, begins: bool) -> tuple[int, float | Non
 
     The time is None if the segment ends in this block; ``begins`` tells whether it starts here.
     """
-    seen = block.visible[:, : block.layout.anchors].any(axis=1)
+    measured = block.visible[:, : block.layout.anchors].any(axis=1)
     if block.layout.odometry:  # dead reckoning bridges two minutes as well as ten seconds
-        seen |= block.visible[:, -1]
-    latest = np.maximum.accumulate(np.where(seen, block.time_s, last_s))
+        measured |= block.visible[:, -1]
+    latest = np.maximum.accumulate(np.where(measured, block.time_s, last_s))
     before = np.concatenate([[last_s], latest[:-1]])
     ends = (block.time_s - before > GAP_S) | block.restarts
     ends[0] &= not begins

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.logs.log_checks import EpochRows, whole_epochs
-from mmwave_env.logs.log_columns import LINK_QUANTITIES
-from mmwave_env.logs.log_tables import LogError, open_log
+from mmwave_env.logs.log_checks import whole_epochs
+from mmwave_env.logs.log_columns import STATION
+from mmwave_env.logs.log_tables import LogError, Table, open_log
 from mmwave_env.models.measurement import Layout, wrapped
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array
@@ -31,7 +31,6 @@ class PathEpoch(NamedTuple):
     incomplete: int  # number of paths that are left out because some of their numbers are missing
     doppler_spread_hz: float  # 0 where none was measured
     odometry: Array  # (2,) speed, m/s, and heading, rad; NaN where not measured
-    rows: int  # number of rows of the file read, up to this epoch or somewhat further
     share: float  # share of the file read so far, 0 to 1
 
 
@@ -48,42 +47,37 @@ def read_paths(path: Path, scene: Scene, odometry: bool = True) -> Iterator[Path
         OSError: the file can't be read.
     """
     log = open_log(path, scene.hz_per_mps, odometry, associated=False)
-    layout, measured, rows = Layout(len(scene.anchors_m), "speed" in log.columns), False, 0
-    for epochs in whole_epochs(log, None, limits=True):
-        rows = epochs.rows
-        for epoch in _split(epochs, layout):
-            measured = measured or len(epoch.snr_db) > 0
+    layout, measured, epochs = Layout(len(scene.anchors_m), "speed" in log.columns), False, 0
+    for table in whole_epochs(log, None, limits=True):
+        for epoch in _split(table, layout):
+            measured, epochs = measured or len(epoch.snr_db) > 0, epochs + 1
             yield epoch
     if not measured:
-        found = f"{rows} rows" if rows else "a header and no rows"
-        raise LogError(f"{path}: found {found} without a whole path, expected at least one")
+        raise LogError(f"{path}: found {epochs} epochs without a whole path, expected at least one")
 
 
-def _split(rows: EpochRows, layout: Layout) -> Iterator[PathEpoch]:
+def _split(table: Table, layout: Layout) -> Iterator[PathEpoch]:
     """Yield the paths of every epoch, without incomplete ones."""
-    cells, at_station = rows.cells, "aoa_azimuth_station" in rows.cells
-    if at_station:
-        cells["aoa_azimuth"] = cells["aoa_azimuth_station"]
-    nothing = np.full(len(rows.epoch), np.nan)
-    columns = [cells.get(quantity, nothing) for quantity in (*LINK_QUANTITIES, "doppler")]
-    measurement, snr = np.column_stack(columns), cells["snr"]
+    snr, time = table["snr"], table["time"]
+    measurement = np.column_stack([table.links(), table["doppler"]])
     measurement[:, 1:4] = wrapped(measurement[:, 1:4])
-    there = np.isfinite(np.column_stack([measurement[:, :4], snr]))
-    whole = there.all(axis=1)
-    ends = np.searchsorted(rows.epoch, np.arange(rows.epochs), side="right")
-    spread = np.nan_to_num(rows.once("doppler_spread"))
-    odometry = np.column_stack([rows.once("speed"), wrapped(rows.once("heading"))])
+    finite = np.isfinite(np.column_stack([measurement[:, :4], snr]))
+    whole, some = finite.all(axis=1), finite.any(axis=1)
+    spread, speed, heading = (
+        table.first(table[quantity]) for quantity in ("doppler_spread", "speed", "heading")
+    )
+    odometry = np.column_stack([speed, wrapped(heading)])
+    ends = np.searchsorted(table.epoch, np.arange(len(spread)), side="right")
     for epoch, (first, end) in enumerate(pairwise([0, *ends.tolist()])):
         kept = np.flatnonzero(whole[first:end]) + first
         yield PathEpoch(
             layout=layout,
-            time_s=float(cells["time"][first]),
+            time_s=float(time[first]),
             measurement=measurement[kept],
-            at_station=at_station,
+            at_station=STATION in table.columns,
             snr_db=snr[kept],
-            incomplete=int((there[first:end].any(axis=1) & ~whole[first:end]).sum()),
-            doppler_spread_hz=float(spread[epoch]),
+            incomplete=int((some & ~whole)[first:end].sum()),
+            doppler_spread_hz=float(np.nan_to_num(spread[epoch])),
             odometry=odometry[epoch],
-            rows=rows.rows,
-            share=rows.share,
+            share=table.share,
         )

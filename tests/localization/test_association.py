@@ -125,7 +125,7 @@ def test_arrivals_may_be_as_the_base_station_sees_them():
 
 def test_blocks_make_no_difference():
     whole, cut = (labelled(walk([ALL] * 25, 3), epochs_per_block=n) for n in (4096, 7))
-    for name in LogBlock.per_epoch:
+    for name in LogBlock.arrays:
         np.testing.assert_array_equal(getattr(whole, name), getattr(cut, name))
 
 

@@ -125,7 +125,7 @@ def test_a_log_of_another_radio_is_named():
 def test_a_diagnosis_leaves_the_log_alone():
     scene = read_scene(FOLDERS[0] / "scene.json")
     block = next(read_log(FOLDERS[0] / "log.csv", scene, limits=False))
-    before = {name: np.copy(getattr(block, name)) for name in block.per_epoch}
+    before = {name: np.copy(getattr(block, name)) for name in block.arrays}
     diagnose(block, scene, RADIO, MODES[1])
     for name, values in before.items():
         np.testing.assert_array_equal(getattr(block, name), values)

@@ -292,7 +292,7 @@ def with_gap(block, seconds, at=100):
 
 
 def joined(*blocks):
-    names = LogBlock.per_epoch
+    names = LogBlock.arrays
     arrays = {f: np.concatenate([getattr(b, f) for b in blocks]) for f in names}
     return replace(blocks[-1], **arrays)
 
