@@ -162,14 +162,14 @@ def _banks_in(content: Any) -> dict[str, Bank]:
         raise ValueError(
             f"banks: found {quoted(content)}, expected an object, a bank for each radio"
         )
-    found = {}
+    banks = {}
     for radio, bank in content.items():
         where = f"bank of radio {quoted(radio)}"
         try:
-            found[radio] = bank_in(bank)
+            banks[radio] = bank_in(bank)
         except ValueError as error:
             raise ValueError(f"{where}: {error}") from error
-    return found
+    return banks
 
 
 def _names(modes: Iterable[Mode]) -> str:
@@ -223,9 +223,9 @@ def _require_header(path: Path) -> None:
     with open_regular(path, "a policy (.safetensors)") as file, naming(path):
         size, header = os.fstat(file.fileno()).st_size, int.from_bytes(file.read(8), "little")
     if size > MOST_BYTES or header > MOST_HEADER:
-        found = f"a file of {size} bytes and a header of {header}"
+        sizes = f"a file of {size} bytes and a header of {header}"
         most = f"{MOST_BYTES} and {MOST_HEADER} at most"
-        raise ValueError(f"{path}: not a policy file: found {found}, expected {most}")
+        raise ValueError(f"{path}: not a policy file: found {sizes}, expected {most}")
 
 
 def _document(text: str | None) -> dict[str, Any]:
@@ -292,13 +292,13 @@ def _shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]]:
     return shapes
 
 
-def _require_names(what: str, found: Iterable[str], expected: Iterable[str]) -> None:
+def _require_names(group: str, names: Iterable[str], expected: Iterable[str]) -> None:
     """Refuse missing and unknown names."""
-    found, expected = set(found), set(expected)
-    if found != expected:
+    names, expected = set(names), set(expected)
+    if names != expected:
         raise ValueError(
-            f"{what}: missing {', '.join(sorted(expected - found)) or 'none'}, "
-            f"unknown {', '.join(sorted(found - expected)) or 'none'}"
+            f"{group}: missing {', '.join(sorted(expected - names)) or 'none'}, "
+            f"unknown {', '.join(sorted(names - expected)) or 'none'}"
         )
 
 

@@ -23,8 +23,7 @@ from experiments.training.hyperparameters import read_hyperparameters, shipped_h
 from mmwave_env.datasets.deepmimo.recording import read_deepmimo
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.filters.bank import modes_from, read_bank
-from mmwave_env.logs.log import LogBlock, read_log
-from mmwave_env.logs.path_log import read_paths
+from mmwave_env.logs.log import LogBlock, read_log, read_paths
 from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.radio import read_radio
 from mmwave_env.models.scene import SCENES, read_scene, scene_json

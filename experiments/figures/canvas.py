@@ -69,9 +69,8 @@ def caption(name: str) -> str:
     from matplotlib.font_manager import findfont, get_font
 
     font = get_font(findfont("DejaVu Sans"))  # the font that comes with matplotlib
-    return "".join(
-        one if font.get_char_index(ord(one)) else spelled(one) for one in printable(name)
-    )
+    letters = printable(name)
+    return "".join(x if font.get_char_index(ord(x)) else spelled(x) for x in letters)
 
 
 def contenders(names: Iterable[str]) -> dict[str, str]:
@@ -81,7 +80,7 @@ def contenders(names: Iterable[str]) -> dict[str, str]:
     """
     parts, shown = {name: Path(name).parts for name in names}, {}
     for name, own in parts.items():
-        others = [other for one, other in parts.items() if one != name]
+        others = [parts[other] for other in parts if other != name]
         alone = (k for k in range(1, len(own)) if all(o[-k:] != own[-k:] for o in others))
         shown[name] = caption(str(Path(*own[-next(alone, len(own)) :])))
     return shown

@@ -65,7 +65,7 @@ def draw_histories(
         for panel, label in labels:
             panel.set(ylabel=label, ylim=(0.0, None))
             legend_beside(panel)
-        chosen = {name: histories[one].modes[rows] for one, name in names.items()}
+        chosen = {label: histories[name].modes[rows] for name, label in names.items()}
         _draw_ribbons(axes, time_s, chosen, modes)
 
 

@@ -115,11 +115,9 @@ def _draw_ellipses(axes: Any, track: DrawnTrack) -> None:
     enlarged = next((n for n in _ENLARGED if n >= wanted), _ENLARGED[-1])
     for place, (short, long), turn in zip(at, axes_m, directions, strict=True):
         angle = np.degrees(np.arctan2(turn[1, 1], turn[0, 1]))
-        size, center = (
-            2.0 * enlarged * np.array([long, short]),
-            track.position_m[place, :2].tolist(),
-        )
-        axes.add_patch(Ellipse(center, *size, angle=angle, fc="none", ec="black", lw=0.8))
+        width, height = 2.0 * enlarged * long, 2.0 * enlarged * short
+        center = track.position_m[place, :2].tolist()
+        axes.add_patch(Ellipse(center, width, height, angle=angle, fc="none", ec="black", lw=0.8))
     label = "95 % ellipses" + (f",\nenlarged {enlarged} times" if enlarged > 1 else "")
     axes.plot([], [], "o", mfc="none", mec="black", mew=0.8, ms=8, label=label)
 
@@ -132,11 +130,12 @@ def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
     for number, anchor in enumerate(anchors_m[:, :2], start=1):
         if ((anchor > low - reach) & (anchor < high + reach)).all():
             name = "gNB" if number == 1 else f"virtual anchor {number}"
-            axes.plot(*anchor, "^" if number == 1 else "v", color="black", ms=8,
-                      mfc="black" if number == 1 else "white")  # fmt: skip
-            right = anchor[0] > middle[0]  # then the name is left of the anchor, inside the picture
-            axes.annotate(name, anchor, (-7 if right else 7, 0), textcoords="offset points",
-                          va="center", ha="right" if right else "left")  # fmt: skip
+            marker, fill = ("^", "black") if number == 1 else ("v", "white")
+            axes.plot(*anchor, marker, color="black", ms=8, mfc=fill)
+            # Right of the middle, the name is left of the anchor, inside the picture.
+            offset, side = (-7, "right") if anchor[0] > middle[0] else (7, "left")
+            place = {"textcoords": "offset points", "va": "center", "ha": side}
+            axes.annotate(name, anchor, (offset, 0), **place)
 
 
 def _draw_error(axes: Any, track: DrawnTrack, time: Array) -> None:

@@ -48,13 +48,13 @@ def require_own_files(track: Path) -> None:
         OSError: a file can't be read.
     """
     table = table_beside(track)
-    for path, header, found in (
+    for path, header, problem in (
         (track, _TRACK_HEADER, "no track of mmwave-loc localize and which the new one"),
         (table, _TABLE_HEADER, f"no table of a track and which that of {track}"),
     ):
         if path.is_file() and not _begins(path, header):
             raise ValueError(
-                f"out: found {path}, which is {found} would replace, expected another name, such "
+                f"out: found {path}, which is {problem} would replace, expected another name, such "
                 f"as {track.with_stem(f'{track.stem}-track')}"
             )
 

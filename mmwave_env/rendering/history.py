@@ -88,8 +88,7 @@ class History:
         mean = xx + yy + zz
         square = xx**2 + yy**2 + zz**2 + 2.0 * (xy**2 + xz**2 + yz**2)
         with np.errstate(invalid="ignore", divide="ignore"):
-            found: Array = np.sqrt(square / mean * chdtri(mean**2 / square, 0.05))
-        return found
+            return np.sqrt(square / mean * chdtri(mean**2 / square, 0.05))  # type: ignore[no-any-return]
 
     def until(self, epochs: int) -> "History":
         """Return the history as it was after so many epochs."""
@@ -145,9 +144,8 @@ class Recorder:
     def history(self) -> History:
         """Return all epochs so far."""
         table = self._table[: self._count]
+        time_s, modes = table[:, self._time_s], table[:, self._mode].astype(np.int64)
         part = {key: table[:, columns] for key, columns in self._columns.items()}
-        return History(
-            self._scenery, self._axes, table[:, self._time_s],
-            table[:, self._mode].astype(np.int64), part["truth"], part["estimate"], part["P"],
-            part["nees"][:, 0], part["accepted"] > 0.5, part["rejected"] > 0.5,
-        )  # fmt: skip
+        states = part["truth"], part["estimate"], part["P"], part["nees"][:, 0]
+        gates = part["accepted"] > 0.5, part["rejected"] > 0.5
+        return History(self._scenery, self._axes, time_s, modes, *states, *gates)

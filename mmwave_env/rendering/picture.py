@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.io.lookup import choose, printable
-from mmwave_env.rendering.camera import follow
 from mmwave_env.rendering.canvas import Canvas, Rect
 from mmwave_env.rendering.history import History
-from mmwave_env.rendering.street_map import draw_map
+from mmwave_env.rendering.street_map import draw_map, follow
 from mmwave_env.rendering.strips import draw_strips
 from mmwave_env.rendering.theme import SMALLEST, THEMES
 

@@ -8,10 +8,9 @@ import numpy as np
 
 from mmwave_env.metrics import nees_interval
 from mmwave_env.numerics.numbers import Array, Index
-from mmwave_env.rendering.camera import nice
 from mmwave_env.rendering.canvas import Canvas, Rect
 from mmwave_env.rendering.history import History
-from mmwave_env.rendering.street_map import draw_by_mode, runs
+from mmwave_env.rendering.street_map import draw_by_mode, nice, runs
 from mmwave_env.rendering.theme import Theme
 
 _WINDOW = 120  # number of epochs shown
@@ -27,17 +26,17 @@ class Strip:
 
     Attributes:
         title: title with the unit.
-        curve: (n,) values of the estimate, in the colors of the modes, and their label.
+        curve: (n,) values of the estimate, in the colors of the modes.
         values: values at the lower and upper edge of the strip.
-        truth: (n,) true values and their label; or None.
+        truth: (n,) true values; or None.
         band: lower and upper edge, (n,) or numbers, and the label; or None.
         ticks: values labelled on a logarithmic scale; without ticks, the scale is linear.
     """
 
     title: str
-    curve: tuple[Array, str]
+    curve: Array
     values: tuple[float, float]
-    truth: tuple[Array, str] | None = None
+    truth: Array | None = None
     band: tuple[Array | float, Array | float, str] | None = None
     ticks: tuple[float, ...] = ()
 
@@ -70,10 +69,9 @@ def draw_strips(
     x = lane.left + (history.time_s[rows] - first) / (last - first) * lane.width
     modes = history.modes[rows]
     for i, make in enumerate((_speed, _error, _nees)):
-        strip, *others = (make(one, rows) for one in (history, *beside))
-        if not strip.ticks:  # logarithmic strips have the same scale in any case
-            top = max(one.values[1] for one in (strip, *others))
-            strip = replace(strip, values=(0.0, top))
+        strips = [make(drawn, rows) for drawn in (history, *beside)]
+        low, _ = strips[0].values
+        strip = replace(strips[0], values=(low, max(strip.values[1] for strip in strips)))
         top = place.top + i * height + 2.0 * unit
         plot = Rect(lane.left, top, lane.width, height - 4.0 * unit)
         _draw_strip(canvas, place, plot, strip, x, modes, theme)
@@ -92,23 +90,21 @@ def _times(history: History, rows: slice) -> tuple[float, float]:
 
 def _speed(history: History, rows: slice) -> Strip:
     true, estimated = (speed[rows] for speed in history.speed_mps)
-    curve = (estimated, "estimate")
     most = 2.0 * float(true.max(initial=1.0))  # an estimate far beyond is shown at the edge
     top = _top(np.maximum(true, np.fmin(estimated, most)))
-    return Strip("speed, m/s", curve, (0.0, top), (true, "true"))
+    return Strip("speed, m/s", estimated, (0.0, top), true)
 
 
 def _error(history: History, rows: slice) -> Strip:
     error, expected = history.error_m[rows], history.error_95_m[rows]
     top = max(_top(error), _top(np.sort(expected)[: max(1, len(expected) // 2)]))
     band = (0.0, expected, "95 % band")
-    return Strip("error, m", (error, "estimate"), (0.0, top), band=band)
+    return Strip("error, m", error, (0.0, top), band=band)
 
 
 def _nees(history: History, rows: slice) -> Strip:
     band = (*nees_interval(history.axes), f"95 % of χ²({history.axes})")
-    curve = (history.nees[rows], "estimate")
-    return Strip("NEES", curve, _NEES, band=band, ticks=(0.1, 3.0, 100.0))
+    return Strip("NEES", history.nees[rows], _NEES, band=band, ticks=(0.1, 3.0, 100.0))
 
 
 def _top(values: Array) -> float:
@@ -130,8 +126,8 @@ def _draw_strip(
 
     canvas.fill(theme.ground, plot)
     color = theme.mode(int(modes[-1])) if len(modes) else theme.quiet
-    keys = [(strip.truth[1], theme.truth, 1.6)] if strip.truth else []
-    keys.append((strip.curve[1], color, 2.4))
+    keys = [] if strip.truth is None else [("true", theme.truth, 1.6)]
+    keys.append(("estimate", color, 2.4))
     if strip.band:
         low, high, meaning = strip.band
         keys.append((meaning, theme.band, 9.0))
@@ -146,9 +142,9 @@ def _draw_strip(
         inside = min(max(level, plot.top + 5.0 * unit), plot.bottom - 5.0 * unit)
         canvas.words(f"{tick:g}", (plot.right + 4.0 * unit, inside), theme.quiet, 13)
     if len(x) > 1:
-        if strip.truth:
-            canvas.line(np.stack([x, y(strip.truth[0])], axis=1), theme.truth, 1.4)
-        draw_by_mode(canvas, np.stack([x, y(strip.curve[0])], axis=1), modes, theme, 1.8)
+        if strip.truth is not None:
+            canvas.line(np.stack([x, y(strip.truth)], axis=1), theme.truth, 1.4)
+        draw_by_mode(canvas, np.stack([x, y(strip.curve)], axis=1), modes, theme, 1.8)
     left, row = place.left + 8.0 * unit, min(_ROW * unit, plot.height / (len(keys) + 1))
     canvas.words(strip.title, (left, plot.top + row / 2.0), theme.ink, 15)
     for i, (meaning, color, width) in enumerate(keys, start=1):
@@ -169,28 +165,21 @@ def _draw_ribbon(
     ends = np.r_[x, 2.0 * x[-1] - x[-2] if len(x) > 1 else x[-1] + lane.width / _WINDOW]
     for begin, end in runs(modes):
         left, right = float(ends[begin]), min(float(ends[end]), lane.right)
-        mode = int(modes[begin])
-        color = theme.mode(mode)
-        canvas.fill(color, Rect(left, lane.top, right - left, lane.height))
-        if right - left > 12.0 * unit:
-            canvas.words(
-                str(mode), ((left + right) / 2.0, lane.centery), _readable_on(color), 13, 0.5
-            )
-
-
-def _readable_on(color: tuple[int, int, int]) -> tuple[int, int, int]:
-    """Return black or white, whichever contrasts more with a color."""
-    red, green, blue = color
-    light = 0.299 * red + 0.587 * green + 0.114 * blue > 140.0
-    return (0, 0, 0) if light else (255, 255, 255)
+        part = Rect(left, lane.top, right - left, lane.height)
+        color = theme.mode(int(modes[begin]))
+        canvas.fill(color, part)
+        if part.width > 12.0 * unit:
+            light = np.dot(color, (0.299, 0.587, 0.114)) > 140.0
+            ink = (0, 0, 0) if light else (255, 255, 255)  # whichever contrasts more
+            canvas.words(str(modes[begin]), part.center, ink, 13, 0.5)
 
 
 def _draw_clock(canvas: Canvas, lane: Rect, times_s: tuple[float, float], theme: Theme) -> None:
     """Draw the time axis below the ribbon."""
     first, last = times_s
     step = nice((last - first) / 4.0)
+    y = lane.bottom
     for time in np.arange(math.ceil(first / step), last / step + 1e-9) * step:
         x = lane.left + (time - first) / (last - first) * lane.width
-        y = lane.bottom
         canvas.line(np.array([[x, y], [x, y + 3.0 * canvas.unit]]), theme.quiet, 0.8)
         canvas.words(f"{time:g} s", (x, y + 9.0 * canvas.unit), theme.quiet, 13, 0.5)

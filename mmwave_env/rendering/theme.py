@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 from mmwave_env.io.lookup import choose, require_extra
 
-Color = tuple[int, int, int]
+Color = tuple[int, ...]  # red, green and blue, 0 to 255
 
-
-_COLORS = """
+# Light and dark. "quiet" is for explanations, "none" for an action that trusts no mode.
+_COLORS = """\
     paper     ffffff 111318
     ink       222226 eeeeeb
     quiet     686a70 9ea2aa
@@ -37,11 +37,11 @@ _COLORS = """
     mode      56b4e9 3c78dc
     mode      808080 aaaaaa
     mode      463282 a08ce6
-"""  # light and dark: quiet is of explanations, none of an action that trusts no mode
+"""
 
 
 class Theme(NamedTuple):
-    """The colors of everything that is drawn."""
+    """The colors of everything that is drawn, in the order of the table."""
 
     paper: Color
     ink: Color
@@ -82,10 +82,9 @@ def hex_of(color: Color) -> str:
 
 def _theme(column: int) -> Theme:
     """Return the theme in a column of the table, from 1."""
-    rows = [line.split() for line in _COLORS.split("\n") if line.strip()]
-    colors = [(row[0], tuple(bytes.fromhex(row[column]))) for row in rows]
-    modes = tuple(color for name, color in colors if name == "mode")
-    return Theme(**{name: color for name, color in colors if name != "mode"}, modes=modes)  # type: ignore[arg-type]
+    colors = [tuple(bytes.fromhex(line.split()[column])) for line in _COLORS.splitlines()]
+    plain = len(Theme._fields) - 1
+    return Theme._make([*colors[:plain], tuple(colors[plain:])])
 
 
 THEMES = {"light": _theme(1), "dark": _theme(2)}

@@ -13,8 +13,7 @@ from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.histories import history_of
 from experiments.evaluation.seeds import draw_episodes
 from experiments.figures.canvas import caption, contenders, picture
-from experiments.figures.curves import draw_learning_curves
-from experiments.figures.errors import draw_consistency, draw_error_cdf
+from experiments.figures.curves import draw_consistency, draw_error_cdf, draw_learning_curves
 from experiments.figures.timeline import draw_histories
 from experiments.figures.trajectory import DrawnTrack, draw_trajectory
 from mmwave_env.task import task_from

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.localization.segments import segments
+from mmwave_env.localization.localizer import segments
 from mmwave_env.logs.log import LogBlock
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.prior import GAP_S

@@ -6,9 +6,8 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from mmwave_env.logs.log import read_log
+from mmwave_env.logs.log import read_log, read_paths
 from mmwave_env.logs.log_checks import MOST_PATHS
-from mmwave_env.logs.path_log import read_paths
 from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES

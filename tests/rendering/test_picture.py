@@ -11,10 +11,10 @@ import pytest
 
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.models.scene import Streets
-from mmwave_env.rendering.camera import follow
 from mmwave_env.rendering.canvas import Rect
 from mmwave_env.rendering.history import NO_MODE, History, Scenery
 from mmwave_env.rendering.picture import Picture
+from mmwave_env.rendering.street_map import follow
 from mmwave_env.rendering.theme import THEMES
 
 ID = "mmwave_env:MmWaveLoc-v0"
