@@ -23,13 +23,7 @@ def _style(number: int) -> dict[str, Any]:
 
 
 def draw_error_cdf(errors_m: Mapping[str, Array], path: Path, narrow: bool = False) -> None:
-    """Draw the distribution (CDF) of horizontal and of vertical errors as a picture.
-
-    Args:
-        errors_m: position errors (..., 3) by contender, m.
-        path: .png, .svg or .pdf file.
-        narrow: whether the panels are stacked.
-    """
+    """Draw the distribution (CDF) of horizontal and vertical errors (..., 3), m, by contender."""
     with panels(path, 2, len(errors_m), narrow) as (figure, (left, right)):
         labels = contenders(errors_m)
         for number, (name, errors) in enumerate(errors_m.items()):
@@ -57,8 +51,7 @@ def draw_consistency(
         time_s: (T,) times since the first epoch of an episode.
         nees: (n, T) NEES of n episodes, by contender.
         dof: degrees of freedom, the number of coordinates.
-        path: .png, .svg or .pdf file.
-        narrow: whether the panels are stacked.
+        path, narrow: as :func:`~experiments.figures.canvas.panels` takes them.
     """
     episodes = len(next(iter(nees.values())))
     low, high = chi2.ppf([0.025, 0.975], episodes * dof) / (episodes * dof)
@@ -87,8 +80,7 @@ def draw_learning_curves(
     Args:
         figures: steps and values of every training, by the label of the y axis and by run. A line
             marks zero.
-        path: .png, .svg or .pdf file.
-        narrow: whether the panels are stacked.
+        path, narrow: as :func:`~experiments.figures.canvas.panels` takes them.
     """
     from matplotlib.ticker import EngFormatter, NullFormatter
 

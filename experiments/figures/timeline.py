@@ -50,7 +50,7 @@ def draw_histories(
         histories: histories of the same episode, by contender.
         modes: names of the modes, the same for all contenders.
         rows: epochs to draw, counted from 1, since the first row of a history is the prior's.
-        path: .png, .svg or .pdf file.
+        path: file to write.
     """
     first = next(iter(histories.values()))
     time_s, ribbons = first.time_s[rows], max(0.45 * len(histories), 0.2 * len(modes))
@@ -72,6 +72,7 @@ def draw_histories(
 def _draw_ribbons(
     axes: Any, time_s: Array, chosen: Mapping[str, Index], modes: Sequence[str]
 ) -> None:
+    """Draw a ribbon for each contender, and the legend of modes."""
     for row, mode in enumerate(chosen.values()):
         mode_ribbon(axes, time_s, mode, len(modes), low=-1.3 * row)
     axes.set_yticks([0.5 - 1.3 * row for row in range(len(chosen))], [*chosen])

@@ -8,7 +8,6 @@ A track begins where a line-of-sight hypothesis explains enough of the coming ep
 begins anew where it is lost, or where another hypothesis explains more.
 """
 
-from collections import deque
 from collections.abc import Iterable, Iterator
 from typing import Any
 
@@ -141,18 +140,14 @@ def _block(paths: PathEpoch, epoch: Epoch, begins: bool) -> LogBlock:
 
 def _windows(epochs: Iterable[PathEpoch], size: int) -> Iterator[list[PathEpoch]]:
     """Yield every epoch with up to ``size - 1`` that follow it; at a LogError, yield the rest."""
-    held: deque[PathEpoch] = deque()
-    error: LogError | None = None
+    held: list[PathEpoch] = []
     try:
         for epoch in epochs:
             held.append(epoch)
             if len(held) == size:
-                yield list(held)
-                held.popleft()
-    except LogError as damage:
-        error = damage
-    while held:
-        yield list(held)
-        held.popleft()
-    if error:
-        raise error
+                yield held
+                held = held[1:]
+    except LogError:
+        yield from (held[first:] for first in range(len(held)))
+        raise
+    yield from (held[first:] for first in range(len(held)))

@@ -109,7 +109,8 @@ def columns_of(
     """Return the columns of a log by quantity, from the names of all its columns.
 
     Without ``odometry`` its columns are ignored, except a heading that angles need; a column of
-    anchors is ignored where rows are not ``associated``.
+    anchors is ignored where rows are not ``associated``. A Doppler shift in m/s is converted by
+    ``hz_per_mps``, f_c / c.
 
     Raises:
         ValueError: a name is unknown or lacks its unit, or a quantity occurs twice or is

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.io.files import naming, open_regular
+from mmwave_env.io.files import open_regular
 from mmwave_env.io.lookup import quoted
 from mmwave_env.logs.lines import DamagedFileError, line_blocks, number
 from mmwave_env.logs.log_columns import BODY, STATION, Column, columns_of
@@ -180,9 +180,8 @@ def open_log(
 
     Args:
         path: path of a CSV (plain or gzipped) or Parquet file.
-        hz_per_mps: f_c / c, for Doppler shifts given in m/s.
-        odometry: False to ignore the columns of odometry.
-        associated: False where rows are paths: a column of anchors is ignored.
+        hz_per_mps, odometry, associated: as :func:`~mmwave_env.logs.log_columns.columns_of`
+            takes them.
 
     Raises:
         LogError: the file is of another format, or its columns are not those of a log.
@@ -190,9 +189,7 @@ def open_log(
     """
     if not path.name.lower().endswith(SUFFIXES):
         raise LogError(f"{path}: found {path.suffix!r}, expected a name in {', '.join(SUFFIXES)}")
-    with open_regular(path, "a measurement log") as file, naming(path):
-        if not file.read(1):
-            raise LogError(f"{path}: found an empty file, expected a measurement log")
+    open_regular(path, "a measurement log").close()
     names = list(_parquet_types(path)) if _is_parquet(path) else _csv_names(path)
     try:
         columns = columns_of(names, hz_per_mps, odometry, associated)

@@ -109,43 +109,32 @@ class Recorder:
 
     def __init__(self, rows: Mapping[str, slice], axes: int) -> None:
         P = slice(rows["P"].start, rows["P"].start + POSITION_NUMBERS)
-        numbers = {key: np.r_[part] for key, part in {**rows, "P": P}.items()}
-        self._anchors = numbers.pop("anchors")
-        ends = np.cumsum([len(part) for part in numbers.values()]).tolist()
-        self._columns = {
-            key: slice(begin, end)
-            for key, begin, end in zip(numbers, [0, *ends], ends, strict=False)
-        }
-        self._rows, self._axes = np.concatenate(list(numbers.values())), axes
-        self._time_s, self._mode = ends[-1], ends[-1] + 1  # the last two columns
+        self._rows, self._axes = {**rows, "P": P}, axes
         self._scenery = Scenery("", np.zeros((0, 3)), None)
-        self._table, self._count = np.empty((0, ends[-1] + 2)), 0
+        self._epochs: dict[str, list[Any]] = {}  # an entry an epoch
 
     def begin(self, name: str, streets: Streets | None, workspace: Array) -> None:
         """Start over with the prior in the workspace (size,)."""
-        self._scenery = Scenery(name, workspace[self._anchors].reshape(-1, 3), streets)
-        # a new table, because histories returned earlier are views of the old table
-        self._table, self._count = np.empty((64, self._mode + 1)), 0
+        anchors_m = workspace[self._rows["anchors"]].reshape(-1, 3).copy()
+        self._scenery = Scenery(name, anchors_m, streets)
+        self._epochs = {key: [] for key in (*self._rows, "time_s", "mode")}
         self._append(workspace, 0.0, NO_MODE)
-        self._table[0, self._columns["nees"]] = np.nan  # the workspace has the last episode's
+        self._epochs["nees"][0] = np.array([np.nan])  # the workspace has the last episode's
 
     def add(self, workspace: Array, mode: int) -> None:
         """Record the epoch that a mode just processed."""
-        last = self._table[self._count - 1]
-        self._append(workspace, last[self._time_s] + last[self._columns["dt"]][0], mode)
+        last = {key: values[-1] for key, values in self._epochs.items()}
+        self._append(workspace, last["time_s"] + last["dt"][0], mode)
 
     def _append(self, workspace: Array, time_s: float, mode: int) -> None:
-        if self._count == len(self._table):
-            self._table = np.vstack([self._table, np.empty_like(self._table)])
-        self._table[self._count] = np.append(workspace[self._rows], (time_s, mode))
-        self._count += 1
+        numbers = {key: workspace[rows].copy() for key, rows in self._rows.items()}
+        for key, value in {**numbers, "time_s": time_s, "mode": mode}.items():
+            self._epochs[key].append(value)
 
     @property
     def history(self) -> History:
         """Return all epochs so far."""
-        table = self._table[: self._count]
-        time_s, modes = table[:, self._time_s], table[:, self._mode].astype(np.int64)
-        part = {key: table[:, columns] for key, columns in self._columns.items()}
+        part = {key: np.array(values) for key, values in self._epochs.items()}
         states = part["truth"], part["estimate"], part["P"], part["nees"][:, 0]
         gates = part["accepted"] > 0.5, part["rejected"] > 0.5
-        return History(self._scenery, self._axes, time_s, modes, *states, *gates)
+        return History(self._scenery, self._axes, part["time_s"], part["mode"], *states, *gates)

@@ -131,11 +131,10 @@ def _draw_streets(canvas: Canvas, view: View, streets: Streets, theme: Theme) ->
 
 def _blocks(extent_m: tuple[float, float], block_m: float, low: float, high: float) -> Array:
     """Return the positions at which the blocks between two limits begin."""
-    first = max(0, math.floor((low - extent_m[0]) / block_m))
-    last = min(
-        round((extent_m[1] - extent_m[0]) / block_m), math.ceil((high - extent_m[0]) / block_m)
+    begins = extent_m[0] + block_m * np.arange(
+        round((extent_m[1] - extent_m[0]) / block_m), dtype=float
     )
-    return extent_m[0] + block_m * np.arange(first, last, dtype=np.float64)
+    return begins[(begins > low - block_m) & (begins < high)]  # type: ignore[no-any-return]
 
 
 def _box(view: View, corners_m: Array) -> Rect:
@@ -261,10 +260,9 @@ def _draw_anchors(canvas: Canvas, view: View, history: History, theme: Theme) ->
 
 def _draw_arrow(canvas: Canvas, start: Point, tip: Point, color: Color) -> None:
     way = np.subtract(tip, start)
-    way /= max(float(np.hypot(*way)), 1e-9)
-    side, length = np.array([-way[1], way[0]]), 10.0 * canvas.unit
-    back = np.array(tip) - length * way
-    canvas.polygon(np.array([tip, back + 0.5 * length * side, back - 0.5 * length * side]), color)
+    way *= 10.0 * canvas.unit / max(float(np.hypot(*way)), 1e-9)
+    side, back = 0.5 * np.array([-way[1], way[0]]), np.array(tip) - way
+    canvas.polygon(np.array([tip, back + side, back - side]), color)
 
 
 def _label(

@@ -52,14 +52,7 @@ class Strip:
 def draw_strips(
     canvas: Canvas, place: Rect, history: History, theme: Theme, beside: Sequence[History] = ()
 ) -> None:
-    """Draw all strips in a part of the picture, from top to bottom.
-
-    Args:
-        canvas, place: canvas, and the part of it that the strips fill.
-        history: history to draw.
-        theme: theme with the colors.
-        beside: histories drawn elsewhere for comparison, with the same scales.
-    """
+    """Draw all strips in a part of the picture, with scales for the histories ``beside``, too."""
     unit, rows = canvas.unit, slice(max(1, history.epochs - _WINDOW + 1), None)
     words, ticks = _WORDS_SHARE * place.width, _TICKS_SHARE * place.width
     ribbon = 12.0 * unit

@@ -93,11 +93,10 @@ FRAMES_PER_SECOND = 10  # default speed of videos and windows
 
 
 def require_drawable(size: int, theme: str, purpose: str) -> None:
-    """Refuse a picture that can't be drawn, before any work.
+    """Refuse a picture of a size in px that can't be drawn, before any work.
 
     Args:
-        size: height and width in px.
-        theme: name of the theme.
+        size, theme: as :class:`~mmwave_env.rendering.picture.Picture` takes them.
         purpose: what needs pictures, for the message.
 
     Raises:

@@ -22,11 +22,7 @@ _UNSEEN = {"offscreen", "dummy"}  # video drivers without a visible window
 def require_display(
     purpose: str = 'render_mode="human"', instead: str = 'take render_mode="rgb_array"'
 ) -> None:
-    """Refuse to open a window that nobody would see.
-
-    Args:
-        purpose: what needs the window, for the message.
-        instead: advice for the message.
+    """Refuse to open a window for a purpose that nobody would see; the message has advice.
 
     Raises:
         OSError: there is no display; the message says which variable is missing.

@@ -26,30 +26,29 @@ def track(modes, position_m=None):
     rng = np.random.default_rng(0)
     if position_m is None:
         position_m = np.cumsum(rng.normal(size=(T, 3)), axis=0)
-    return DrawnTrack(
-        np.arange(T) * 1.0, position_m, np.tile(0.01 * np.eye(3), (T, 1, 1)), position_m + 0.1,
-        np.arange(T) // 20 % len(modes), np.zeros(T, int), modes, np.zeros((2, 3)),
-    )  # fmt: skip
+    covariance, mode = np.tile(0.01 * np.eye(3), (T, 1, 1)), np.arange(T) // 20 % len(modes)
+    states = position_m, covariance, position_m + 0.1, mode, np.zeros(T, int)
+    return DrawnTrack(np.arange(T) * 1.0, *states, modes, np.zeros((2, 3)))
 
 
 def episode_of(*names):
     """Histories of one episode, by name."""
     (episode,) = draw_episodes(task_from(episode_steps=30).source, [0])
-    histories = [history_of(contender_from(one, "handset"), episode)
-                 for one in ("speed-rule", "fixed-ukf")]  # fmt: skip
+    policies = (contender_from(policy, "handset") for policy in ("speed-rule", "fixed-ukf"))
+    histories = [history_of(policy, episode) for policy in policies]
     return dict(zip(names, histories, strict=False))
 
 
 def drawn(name, path):
     """Every picture there is, with a name in it."""
     errors = np.random.default_rng(1).normal(size=(4, T, 3))
-    one = path / "track.svg", path / "cdf.svg", path / "nees.svg", path / "time.svg", path / "l.svg"
-    draw_trajectory(track([name, "ukf"]), one[0], name)
-    draw_error_cdf({name: errors, "imm": 2.0 * errors}, one[1])
-    draw_consistency(np.arange(T) * 1.0, {name: (errors**2).sum(axis=-1)}, 3, one[2])
-    draw_histories(episode_of(name), ["ekf", "ukf"], slice(None), one[3])
-    draw_learning_curves({f"reward minus {name}": {name: [([1e3, 1e6], [0.0, 1.0])]}}, one[4])
-    return one
+    files = [path / f"{kind}.svg" for kind in ("track", "cdf", "nees", "time", "curves")]
+    draw_trajectory(track([name, "ukf"]), files[0], name)
+    draw_error_cdf({name: errors, "imm": 2.0 * errors}, files[1])
+    draw_consistency(np.arange(T) * 1.0, {name: (errors**2).sum(axis=-1)}, 3, files[2])
+    draw_histories(episode_of(name), ["ekf", "ukf"], slice(None), files[3])
+    draw_learning_curves({f"reward minus {name}": {name: [([1e3, 1e6], [0.0, 1.0])]}}, files[4])
+    return files
 
 
 @pytest.mark.slow
@@ -125,9 +124,8 @@ def test_an_error_cdf_without_vertical_errors_is_drawn(tmp_path):
 
 def test_runs_are_told_apart_by_as_much_of_their_paths_as_that_takes():
     paths = ["runs/a/ppo", "runs/b/ppo", "/tmp/c/policy.safetensors", "imm", "runs/ppo", "ppo"]
-    assert [*contenders(paths).values()] == [
-        "a/ppo", "b/ppo", "policy.safetensors", "imm", "runs/ppo", "ppo",
-    ]  # fmt: skip
+    short = ["a/ppo", "b/ppo", "policy.safetensors", "imm", "runs/ppo", "ppo"]
+    assert [*contenders(paths).values()] == short
     assert contenders(["runs/x$"]) == {"runs/x$": "x$"}
 
 
