@@ -127,13 +127,3 @@ def test_runs_are_told_apart_by_as_much_of_their_paths_as_that_takes():
     short = ["a/ppo", "b/ppo", "policy.safetensors", "imm", "runs/ppo", "ppo"]
     assert [*contenders(paths).values()] == short
     assert contenders(["runs/x$"]) == {"runs/x$": "x$"}
-
-
-@pytest.mark.slow
-def test_a_long_title_is_as_narrow_as_the_picture(tmp_path):
-    widths = {}
-    for title in ("n" * 20, "n" * 70, "n" * 200):
-        draw_trajectory(track(["ekf"]), tmp_path / "a.png", title)
-        ink = (imread(tmp_path / "a.png")[..., :3] < 0.5).all(axis=2)
-        widths[title] = ink[:18].any(axis=0).nonzero()[0].max() / ink.shape[1]
-    assert max(widths.values()) < 0.99 < 3.0 * widths["n" * 20] + 0.5

@@ -202,8 +202,3 @@ def test_damage_comes_after_the_epochs_before_it():
     with pytest.raises(LogError):
         blocks.extend(associate(damaged(), SCENE, RADIO, MODES[-1], Association(3), 5))
     assert [len(block) for block in blocks] == [5, 5, 2]
-
-
-def test_a_single_epoch_is_enough():
-    block = labelled(walk([ALL]))
-    assert seen_in(block) == [ALL]

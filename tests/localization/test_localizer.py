@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -225,12 +223,6 @@ def unseen(block, epochs):
     return replace(block, visible=visible, incomplete=incomplete)
 
 
-def test_a_range_of_zero_is_no_beginning(block):
-    measurement = block.measurement.copy()
-    measurement[2, 0] = 0.0
-    assert run([replace(block, measurement=measurement)]).skipped > 2
-
-
 def damaged(blocks):
     yield from blocks
     raise LogError("log.csv, line 7: found 'x'")
@@ -291,22 +283,6 @@ def test_after_a_long_gap_the_track_is_that_of_the_rest_alone(block, window, mod
         expected = run([part], modes, window=window)
         assert_same(result, expected)
     assert blocks[-1].skipped == 2 and blocks[-1].dropped == 0
-
-
-def test_long_gaps_do_not_lose_the_track():
-    source = SimulatedSource(SCENE, RADIOS["standard"], "vehicle", epochs=200)
-    mode = default_modes("standard")[1]
-    for seed in range(8):
-        episode = source.sample(np.random.default_rng(seed))
-        with TemporaryDirectory() as folder:
-            path = Path(folder) / "log.csv"
-            write_log(path, episode)
-            (block,) = read_log(path, SCENE)
-        gap = LogBlock.joined([block.part(slice(50)), block.part(slice(110, None))])
-        blocks = list(localize([gap], SCENE, RADIOS["standard"], [mode]))
-        result = TrackBlock.joined([b for b in blocks if b.segment == 1])
-        truth = episode.truth_position_m[np.searchsorted(episode.time_s, result.time_s)]
-        assert np.linalg.norm(result.x[:, :3] - truth, axis=1).mean() < 2.0, seed
 
 
 @pytest.mark.parametrize("steep", [0.0, 1e-9, 0.02], ids=["exactly", "all but", "about"])

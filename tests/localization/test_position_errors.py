@@ -46,14 +46,6 @@ def test_figures_are_numpy_s_of_the_same_errors_in_any_pieces(error, cut):
     assert_figures(figures["vertical"], upwards, vertical_level(P, 0.05))
 
 
-def test_names_of_figures_are_percents_and_meters():
-    errors = PositionErrors()
-    errors.add(np.ones((4, 5, 3)), covariances(20).reshape(4, 5, 28))
-    figures = errors.figures()["horizontal"]
-    assert [*figures["percentiles_m"]] == ["50", "67", "80", "90", "95"]
-    assert [*figures["within_m"]] == ["0.2", "1", "3", "10"] and figures["epochs"] == 20
-
-
 def test_errors_that_wait_on_a_disk_are_the_same():
     error, P = np.random.default_rng(1).normal(size=(150_000, 3)), covariances(1)
     errors = PositionErrors()

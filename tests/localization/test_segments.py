@@ -53,10 +53,6 @@ def test_any_link_and_odometry_go_on_with_a_segment():
     assert pieces_of(log(range(30), groups)) == [(list(range(30)), 0, True, 0, 0)]
 
 
-def test_a_segment_may_end_before_the_log():
-    assert pieces_of(log(range(40), [FIX] + [NOTHING] * 39)) == [(list(range(16)), 0, True, 0, 24)]
-
-
 def test_a_log_may_say_that_a_track_begins_anew():
     block = log(range(8), [FIX] * 4 + [OTHER] + [FIX] * 3)
     block.restarts[[0, 3, 4]] = True  # where one begins anyway, it says nothing new

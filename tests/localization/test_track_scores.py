@@ -139,13 +139,6 @@ def test_what_is_between_poses_counts(tmp_path):
     assert figures["nearest_pose_s"] == pytest.approx(away.mean())
 
 
-def test_a_truth_that_never_matches_scores_nothing(tmp_path):
-    (tmp_path / "truth.tum").write_text(tum_lines(np.arange(3.0), np.zeros((3, 3))))
-    scores = TruthScores(Truth(tmp_path / "truth.tum"), ["filtered"], planar=False)
-    assert np.isnan(scores.add(some_track(T))).all() and scores.scored == 0
-    assert scores.figures()["tracks"]["filtered"]["ate_m"] is None
-
-
 @pytest.mark.parametrize("sizes", [[T], [1, 99, 300]])
 def test_groups_are_counted(sizes):
     block = some_track(T)

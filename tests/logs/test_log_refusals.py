@@ -235,11 +235,6 @@ def test_files_that_are_not_there_or_not_what_their_name_says(tmp_path, suffix):
         list(read_log(store(tmp_path, "" if suffix == ".csv" else "plain", f"log{suffix}"), SCENE))
 
 
-def test_blocks_hold_at_least_an_epoch(tmp_path):
-    with refuses("epochs_per_block"):
-        read_log(store(tmp_path, text(rows())), SCENE, epochs_per_block=0)
-
-
 # --- broken files
 
 

@@ -82,12 +82,6 @@ def test_logits_are_those_of_a_plain_loop(make, kind):
     np.testing.assert_allclose(logits, expected, atol=1e-4)
 
 
-def test_equal_logits_choose_the_first(tmp_path):
-    tensors = {name: 0.0 * tensor for name, tensor in actor().items()}
-    policy = LearnedSwitch(write(tmp_path / "zero.safetensors", tensors, card_of()))
-    np.testing.assert_array_equal(policy(observations(4)), np.zeros(4))
-
-
 @pytest.mark.parametrize("shape", [(FEATURES,), (2, FEATURES - 1), (1, 2, FEATURES)])
 def test_observations_of_another_shape_are_refused_with_what_mends_it(make, shape):
     policy, _ = make("plain")

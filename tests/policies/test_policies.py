@@ -51,11 +51,6 @@ def test_a_policy_maps_a_batch_of_observations_to_a_batch_of_actions(table, n):
         assert ((actions >= 0) & (actions < 3)).all()
 
 
-@pytest.mark.parametrize("action", [0, 1, 2])
-def test_fixed_mode(table, action):
-    assert (FixedMode(action)(observe(table, predicted_speed=[0.0, 9.0])) == action).all()
-
-
 # --- speed rule
 
 
