@@ -44,39 +44,27 @@ Tensors = dict[str, NDArray[np.float32]]
 class Card:
     """The description of a policy's weights in its file.
 
-    Attributes:
-        modes: modes that the actions stand for; with a belief per mode, the modes of the first
-            bank, and action 0 stands for none of them.
-        observation: "full" or "prior".
-        features: features that the actor reads, in its order: names, units and scales.
-        scenario: scenario of the training.
-        radio: radio profile of the training.
-        algorithm: algorithm of the training.
-        seed: seed of the training; -1 if it had none.
-        timesteps: number of epochs of the training.
-        command: command that made the file.
-        evaluation: results, JSON of any form.
-        versions: versions of packages at training, including "mmwave-loc".
-        beliefs: "shared" or "per-mode".
-        banks: banks of beliefs per mode, by the radio profile of the training; the names of the
-            modes are the same in all banks.
-
     Raises:
         ValueError: a field is invalid; the message says what is wrong.
     """
 
+    # modes that the actions stand for; with a belief per mode, the modes of the first bank, and
+    # action 0 stands for none of them
     modes: tuple[Mode, ...]
-    observation: str
+    observation: str  # "full" or "prior"
+    # features that the actor reads, in its order: names, units and scales
     features: tuple[Column, ...]
-    scenario: str
-    radio: str
-    algorithm: str
-    seed: int
-    timesteps: int
-    command: str
-    evaluation: dict[str, Any]
-    versions: dict[str, str]
-    beliefs: str = "shared"
+    scenario: str  # scenario of the training
+    radio: str  # radio profile of the training
+    algorithm: str  # algorithm of the training
+    seed: int  # seed of the training; -1 if it had none
+    timesteps: int  # number of epochs of the training
+    command: str  # command that made the file
+    evaluation: dict[str, Any]  # results, JSON of any form
+    versions: dict[str, str]  # versions of packages at training, including "mmwave-loc"
+    beliefs: str = "shared"  # "shared" or "per-mode"
+    # banks of beliefs per mode, by the radio profile of the training; the names of the modes are
+    # the same in all banks
     banks: dict[str, Bank] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

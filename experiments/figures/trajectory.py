@@ -21,29 +21,17 @@ _VISIBLE = 0.02  # share of the track's extent, smallest size that can be seen
 
 @dataclass(frozen=True, eq=False)
 class DrawnTrack:
-    """A track of T epochs to draw.
+    """A track of T epochs to draw."""
 
-    Attributes:
-        time_s: (T,) times of the epochs.
-        position_m: (T, 3) estimated positions.
-        covariance_m2: (T, 3, 3) covariances of the position.
-        truth_m: (T, 3) true positions, NaN where not known.
-        mode: (T,) number of the mode that ran.
-        segment: (T,) number of the segment, which rises where the track starts again.
-        modes: names of the modes.
-        anchors_m: (L, 3) positions of anchors, the physical gNB first.
-        whole: whether no epoch is left out; lines between epochs far apart would mislead.
-    """
-
-    time_s: Array
-    position_m: Array
-    covariance_m2: Array
-    truth_m: Array
-    mode: Index
-    segment: Index
-    modes: Sequence[str]
-    anchors_m: Array
-    whole: bool = True
+    time_s: Array  # (T,) times of the epochs
+    position_m: Array  # (T, 3) estimated positions
+    covariance_m2: Array  # (T, 3, 3) covariances of the position
+    truth_m: Array  # (T, 3) true positions, NaN where not known
+    mode: Index  # (T,) number of the mode that ran
+    segment: Index  # (T,) number of the segment, which rises where the track starts again
+    modes: Sequence[str]  # names of the modes
+    anchors_m: Array  # (L, 3) positions of anchors, the physical gNB first
+    whole: bool = True  # whether no epoch is left out; lines between epochs far apart would mislead
 
 
 def draw_trajectory(track: DrawnTrack, path: Path, title: str) -> None:

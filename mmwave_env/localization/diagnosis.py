@@ -50,18 +50,14 @@ _OUTLIER_QUANTILE = 1e-6  # a group's NIS beyond this quantile is an outlier, an
 
 
 class Reading(NamedTuple):
-    """The epochs of a log as they read under a hypothesis.
+    """The epochs of a log as they read under a hypothesis."""
 
-    Attributes:
-        block: the epochs; angles need not be wrapped.
-        scene, radio: scene and radio of the measurements.
-        log_scale: sum of the logarithms of the factors between these numbers and the numbers of
-            the file. It converts a likelihood of the former to one of the latter.
-    """
-
-    block: LogBlock
+    block: LogBlock  # the epochs; angles need not be wrapped
+    # scene, radio: scene and radio of the measurements
     scene: Scene
     radio: Radio
+    # sum of the logarithms of the factors between these numbers and the numbers of the file. It
+    # converts a likelihood of the former to one of the latter
     log_scale: float = 0.0
 
 
@@ -76,22 +72,17 @@ class Mistake(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """The result of testing a hypothesis.
+    """The result of testing a hypothesis."""
 
-    Attributes:
-        hypothesis: the hypothesis in words.
-        nis_per_dof: by group, the median over epochs (robust to outliers) divided by the
-            median of chi-square: 1 if right. None where a group was not measured or tracked.
-        log_likelihood: mean over epochs of the file's numbers; None where there is no track.
-        contradictions: what contradicts the hypothesis; empty if the log is consistent with it.
-        cure: how to correct the log if the hypothesis is right; empty for the log as it is.
-    """
-
-    hypothesis: str
+    hypothesis: str  # the hypothesis in words
+    # by group, the median over epochs (robust to outliers) divided by the median of chi-square: 1
+    # if right. None where a group was not measured or tracked
     nis_per_dof: dict[str, float | None]
+    # mean over epochs of the file's numbers; None where there is no track
     log_likelihood: float | None
+    # what contradicts the hypothesis; empty if the log is consistent with it
     contradictions: list[Contradiction]
-    cure: str = ""
+    cure: str = ""  # how to correct the log if the hypothesis is right; empty for the log as it is
 
     @property
     def worst_anchor(self) -> float | None:

@@ -40,19 +40,12 @@ _LEAST = 1e-6  # m, rad: deviation of a log without noise
 
 
 class ClockOffset(NamedTuple):
-    """An estimate of how far the clock of a truth is ahead of the clock of a log.
+    """An estimate of how far the clock of a truth is ahead of the clock of a log."""
 
-    Attributes:
-        seconds: the estimate.
-        deviation_s: its standard error.
-        part: share of the squared error, from 0 to 1, that the estimate explains.
-        limit: ratio of seconds to deviation_s that chance exceeds in one of 200 cases.
-    """
-
-    seconds: float
-    deviation_s: float
-    part: float
-    limit: float
+    seconds: float  # the estimate
+    deviation_s: float  # its standard error
+    part: float  # share of the squared error, from 0 to 1, that the estimate explains
+    limit: float  # ratio of seconds to deviation_s that chance exceeds in one of 200 cases
 
     @property
     def matters(self) -> bool:

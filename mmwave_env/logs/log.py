@@ -41,38 +41,26 @@ class LogBlock(Block):
     """T consecutive epochs of a log; numbers of groups that are not visible have no meaning.
 
     :func:`~mmwave_env.localization.localizer.segments` sets what concerns segments.
-
-    Attributes:
-        layout: rows and groups of the measurements.
-        time_s: (T,) increasing, also across blocks.
-        measurement: (T, rows) m, rad, Hz, m/s; angles in [-pi, pi).
-        visible: (T, groups) whether every number of the group was measured; for a link and for
-            the Doppler shift that includes the SNR, because their noise follows from it.
-        incomplete: (T, groups) whether only some of the numbers were measured: a lost group.
-        snr_db: (T, L); -inf, no signal, where none was measured.
-        doppler_spread_hz: (T,); 0 where none was measured.
-        restarts: (T,) whether a track must begin anew here, because its association with
-            anchors contradicts the epochs before. It is never set in a log with anchor numbers.
-        share: share of the file read so far, 0 to 1.
-        segment: number of the segment of the track, from 0, that all epochs belong to.
-        begins: whether the segment begins here, with a line of sight that gives its prior.
-        skipped: number of epochs of the log before the first segment.
-        dropped: number of epochs between segments, up to the next block.
     """
 
-    layout: Layout
-    time_s: Array
-    measurement: Array
+    layout: Layout  # rows and groups of the measurements
+    time_s: Array  # (T,) increasing, also across blocks
+    measurement: Array  # (T, rows) m, rad, Hz, m/s; angles in [-pi, pi)
+    # (T, groups) whether every number of the group was measured; for a link and for the Doppler
+    # shift that includes the SNR, because their noise follows from it
     visible: Mask
-    incomplete: Mask
-    snr_db: Array
-    doppler_spread_hz: Array
+    incomplete: Mask  # (T, groups) whether only some of the numbers were measured: a lost group
+    snr_db: Array  # (T, L); -inf, no signal, where none was measured
+    doppler_spread_hz: Array  # (T,); 0 where none was measured
+    # (T,) whether a track must begin anew here, because its association with anchors contradicts
+    # the epochs before. It is never set in a log with anchor numbers
     restarts: Mask
-    share: float
-    segment: int = 0
+    share: float  # share of the file read so far, 0 to 1
+    segment: int = 0  # number of the segment of the track, from 0, that all epochs belong to
+    # whether the segment begins here, with a line of sight that gives its prior
     begins: bool = False
-    skipped: int = 0
-    dropped: int = 0
+    skipped: int = 0  # number of epochs of the log before the first segment
+    dropped: int = 0  # number of epochs between segments, up to the next block
 
 
 def read_log(

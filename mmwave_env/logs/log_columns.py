@@ -19,20 +19,14 @@ class Unit(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """A quantity in a log; its numbers are converted to s, m, rad, Hz, dB or m/s.
+    """A quantity in a log; its numbers are converted to s, m, rad, Hz, dB or m/s."""
 
-    Attributes:
-        columns: names of the columns that may hold the quantity, with their units.
-        meaning: the quantity in words, for messages.
-        limits: limits of a receiver's numbers, and their unit, degrees for angles. A least number
-            of 0 holds for a diagnosis, too.
-        per_epoch: whether the quantity belongs to the epoch instead of an anchor.
-    """
-
-    columns: dict[str, Unit]
-    meaning: str
+    columns: dict[str, Unit]  # names of the columns that may hold the quantity, with their units
+    meaning: str  # the quantity in words, for messages
+    # limits of a receiver's numbers, and their unit, degrees for angles. A least number of 0 holds
+    # for a diagnosis, too
     limits: tuple[Bound, str] | None = None
-    per_epoch: bool = False
+    per_epoch: bool = False  # whether the quantity belongs to the epoch instead of an anchor
 
 
 def _in(name: str, units: dict[str, Unit]) -> dict[str, Unit]:

@@ -94,21 +94,14 @@ def in_windows(
 
 @dataclass(frozen=True, eq=False)
 class Table(Block):
-    """Consecutive rows of a log.
+    """Consecutive rows of a log."""
 
-    Attributes:
-        columns: the columns that are used, by quantity.
-        rows: (n,) numbers of the rows in the file, for messages.
-        cells: (n, columns) as in the file, NaN where empty.
-        share: share of the file read so far, 0 to 1.
-        damage: damage of the last row, after which nothing follows; cells of that row that can't
-            be read are NaN.
-    """
-
-    columns: dict[str, Column]
-    rows: Rows
-    cells: Array
-    share: float
+    columns: dict[str, Column]  # the columns that are used, by quantity
+    rows: Rows  # (n,) numbers of the rows in the file, for messages
+    cells: Array  # (n, columns) as in the file, NaN where empty
+    share: float  # share of the file read so far, 0 to 1
+    # damage of the last row, after which nothing follows; cells of that row that can't be read are
+    # NaN
     damage: LogError | None = None
 
     def raw(self, quantity: str) -> Array:

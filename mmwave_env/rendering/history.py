@@ -17,43 +17,26 @@ POSITION_NUMBERS = 6  # numbers of a packed covariance that belong to the positi
 
 
 class Scenery(NamedTuple):
-    """The data that stay the same through an episode.
+    """The data that stay the same through an episode."""
 
-    Attributes:
-        name: name of the episode.
-        anchors_m: (L, 3) positions, the base station first.
-        streets: streets of the map; None where unknown.
-    """
-
-    name: str
-    anchors_m: Array
-    streets: Streets | None
+    name: str  # name of the episode
+    anchors_m: Array  # (L, 3) positions, the base station first
+    streets: Streets | None  # streets of the map; None where unknown
 
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """The prior and the k epochs after it, in rows: the first row is the prior's.
+    """The prior and the k epochs after it, in rows: the first row is the prior's."""
 
-    Attributes:
-        scenery: data that stay the same through the episode.
-        axes: position axes that NEES covers.
-        time_s: (k + 1,) time since the first epoch.
-        modes: (k + 1,) number of the mode that ran; ``NO_MODE`` in the first row.
-        truth: (k + 1, 6) position (m), velocity (m/s).
-        estimate: (k + 1, 7) position (m), velocity (m/s), bias (Hz).
-        P: (k + 1, 6) covariance of the position, packed: xx, xy, yy, xz, yz, zz, m^2.
-        nees: (k + 1,), NaN in the first row.
-        accepted, rejected: (k + 1, groups) links first, then the Doppler shift.
-    """
-
-    scenery: Scenery
-    axes: int
-    time_s: Array
-    modes: Index
-    truth: Array
-    estimate: Array
-    P: Array
-    nees: Array
+    scenery: Scenery  # data that stay the same through the episode
+    axes: int  # position axes that NEES covers
+    time_s: Array  # (k + 1,) time since the first epoch
+    modes: Index  # (k + 1,) number of the mode that ran; ``NO_MODE`` in the first row
+    truth: Array  # (k + 1, 6) position (m), velocity (m/s)
+    estimate: Array  # (k + 1, 7) position (m), velocity (m/s), bias (Hz)
+    P: Array  # (k + 1, 6) covariance of the position, packed: xx, xy, yy, xz, yz, zz, m^2
+    nees: Array  # (k + 1,), NaN in the first row
+    # accepted, rejected: (k + 1, groups) links first, then the Doppler shift
     accepted: NDArray[np.bool_]
     rejected: NDArray[np.bool_]
 

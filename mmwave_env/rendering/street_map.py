@@ -26,17 +26,11 @@ _TRAIL = 1500  # most epochs of a trajectory that are drawn
 
 
 class View(NamedTuple):
-    """A part of the map in a part of the picture.
+    """A part of the map in a part of the picture."""
 
-    Attributes:
-        center_m: (2,) position at the center.
-        scale: px per meter.
-        frame: the part of the picture.
-    """
-
-    center_m: Array
-    scale: float
-    frame: Rect
+    center_m: Array  # (2,) position at the center
+    scale: float  # px per meter
+    frame: Rect  # the part of the picture
 
     def pixels(self, points_m: Array) -> Array:
         """Return the positions (n, 2) in the picture of points (n, 2 or more) of the map."""

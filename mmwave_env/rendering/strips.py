@@ -22,22 +22,15 @@ _ROW = 13.0  # height of a line of words, in units
 
 @dataclass(frozen=True)
 class Strip:
-    """A quantity over n epochs, as it is drawn.
+    """A quantity over n epochs, as it is drawn."""
 
-    Attributes:
-        title: title with the unit.
-        curve: (n,) values of the estimate, in the colors of the modes.
-        values: values at the lower and upper edge of the strip.
-        truth: (n,) true values; or None.
-        band: lower and upper edge, (n,) or numbers, and the label; or None.
-        ticks: values labelled on a logarithmic scale; without ticks, the scale is linear.
-    """
-
-    title: str
-    curve: Array
-    values: tuple[float, float]
-    truth: Array | None = None
+    title: str  # title with the unit
+    curve: Array  # (n,) values of the estimate, in the colors of the modes
+    values: tuple[float, float]  # values at the lower and upper edge of the strip
+    truth: Array | None = None  # (n,) true values; or None
+    # lower and upper edge, (n,) or numbers, and the label; or None
     band: tuple[Array | float, Array | float, str] | None = None
+    # values labelled on a logarithmic scale; without ticks, the scale is linear
     ticks: tuple[float, ...] = ()
 
     def heights(self, values: Array | float) -> Array:
