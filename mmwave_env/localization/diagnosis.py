@@ -223,12 +223,11 @@ def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Fi
         }
         best = [f for f in _findings(double, mode) if not f.contradictions]
         findings = best[:1] + findings
-    return [f._replace(cure=_cure(f.hypothesis, single)) for f in findings]
-
-
-def _cure(hypothesis: str, single: dict[str, Mistake]) -> str:
-    """Return the cures of all mistakes of a hypothesis, in their order."""
-    return "; then ".join(single[name].cure for name in hypothesis.split("; ") if name in single)
+    for i, finding in enumerate(findings):
+        names = finding.hypothesis.split("; ")
+        cures = [single[name].cure for name in names if name in single]
+        findings[i] = finding._replace(cure="; then ".join(cures))
+    return findings
 
 
 def _findings(readings: dict[str, Reading], mode: Mode) -> list[Finding]:
@@ -252,22 +251,17 @@ def _rank(finding: Finding) -> tuple[bool, float]:
 
 
 def _track(readings: dict[str, Reading], mode: Mode) -> Iterable[Finding]:
-    blocks = [_wrapped(reading.block) for reading in readings.values()]
-    episodes = [
-        episode_from(block, r.scene, r.radio)
-        for block, r in zip(blocks, readings.values(), strict=True)
-    ]
+    blocks, episodes = [], []
+    for reading in readings.values():
+        z = reading.block.measurement.copy()
+        wrap_angles(z, reading.block.layout)
+        blocks.append(replace(reading.block, measurement=z))
+        episodes.append(episode_from(blocks[-1], reading.scene, reading.radio))
     tracker = Tracker(Pipeline((mode,), blocks[0].layout), len(episodes))
     tracker.load(episodes)
     nis, likelihood = tracker.run("memory.nis", "log_likelihood").values()
     for i, (name, reading) in enumerate(readings.items()):
         yield _finding(name, reading, blocks[i], episodes[i].visible, nis[i], likelihood[i])
-
-
-def _wrapped(block: LogBlock) -> LogBlock:
-    z = block.measurement.copy()
-    wrap_angles(z, block.layout)
-    return replace(block, measurement=z)
 
 
 def _finding(

@@ -105,15 +105,13 @@ class Table(Block):
     damage: LogError | None = None
 
     def raw(self, quantity: str) -> Array:
-        """Return the cells (n,) of a quantity as in the file; NaN if the log has no such column."""
-        if quantity not in self.columns:
-            return np.full(len(self), np.nan)
+        """Return the cells (n,) of a quantity as in the file."""
         return self.cells[:, list(self.columns).index(quantity)]  # type: ignore[no-any-return]
 
     def __getitem__(self, quantity: str) -> Array:
-        """Return the numbers (n,) of a quantity in s, m, rad, Hz, dB or m/s."""
+        """Return the numbers (n,) of a quantity, s, m, rad, Hz, dB or m/s; NaN without a column."""
         if quantity not in self.columns:
-            return self.raw(quantity)
+            return np.full(len(self), np.nan)
         unit = self.columns[quantity].unit
         return self.raw(quantity) * unit.multiply / unit.divide
 

@@ -51,12 +51,6 @@ class History:
         return np.linalg.norm(self.estimate[:, :3] - self.truth[:, :3], axis=1)  # type: ignore[no-any-return]
 
     @cached_property
-    def speed_mps(self) -> tuple[Array, Array]:
-        """Return true and estimated speeds, (k + 1,) each."""
-        true, estimated = self.truth[:, 3:6], self.estimate[:, 3:6]
-        return np.linalg.norm(true, axis=1), np.linalg.norm(estimated, axis=1)
-
-    @cached_property
     def error_95_m(self) -> Array:
         """Return the radius (k + 1,) below which the belief expects 95 % of the errors.
 

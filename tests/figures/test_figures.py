@@ -1,6 +1,5 @@
 """Pictures are drawn whatever names are in them, show what they are of, and hide nothing."""
 
-import re
 import warnings
 from xml.etree import ElementTree
 
@@ -9,14 +8,9 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from experiments.evaluation.contenders import contender_from
-from experiments.evaluation.histories import history_of
-from experiments.evaluation.seeds import draw_episodes
 from experiments.figures.canvas import caption, contenders, picture
 from experiments.figures.curves import draw_consistency, draw_error_cdf, draw_learning_curves
-from experiments.figures.timeline import draw_histories
 from experiments.figures.trajectory import DrawnTrack, draw_trajectory
-from mmwave_env.task import task_from
 
 AWKWARD = "a$b_{^$ | \x1b[31m <b>\n漢字 \u202eق"
 T = 50
@@ -31,23 +25,14 @@ def track(modes, position_m=None):
     return DrawnTrack(np.arange(T) * 1.0, *states, modes, np.zeros((2, 3)))
 
 
-def episode_of(*names):
-    """Histories of one episode, by name."""
-    (episode,) = draw_episodes(task_from(episode_steps=30).source, [0])
-    policies = (contender_from(policy, "handset") for policy in ("speed-rule", "fixed-ukf"))
-    histories = [history_of(policy, episode) for policy in policies]
-    return dict(zip(names, histories, strict=False))
-
-
 def drawn(name, path):
     """Every picture there is, with a name in it."""
     errors = np.random.default_rng(1).normal(size=(4, T, 3))
-    files = [path / f"{kind}.svg" for kind in ("track", "cdf", "nees", "time", "curves")]
+    files = [path / f"{kind}.svg" for kind in ("track", "cdf", "nees", "curves")]
     draw_trajectory(track([name, "ukf"]), files[0], name)
     draw_error_cdf({name: errors, "imm": 2.0 * errors}, files[1])
     draw_consistency(np.arange(T) * 1.0, {name: (errors**2).sum(axis=-1)}, 3, files[2])
-    draw_histories(episode_of(name), ["ekf", "ukf"], slice(None), files[3])
-    draw_learning_curves({f"reward minus {name}": {name: [([1e3, 1e6], [0.0, 1.0])]}}, files[4])
+    draw_learning_curves({f"reward minus {name}": {name: [([1e3, 1e6], [0.0, 1.0])]}}, files[3])
     return files
 
 
@@ -56,7 +41,7 @@ def drawn(name, path):
 def test_no_name_breaks_a_picture(name, tmp_path):
     for path in drawn(name, tmp_path):
         ElementTree.parse(path)
-    assert len(list(tmp_path.iterdir())) == 5
+    assert len(list(tmp_path.iterdir())) == 4
 
 
 def test_names_are_shown_as_they_are_and_what_cannot_be_seen_is_spelled_out():
@@ -92,17 +77,6 @@ def test_a_failed_picture_leaves_the_one_before(tmp_path):
     with pytest.raises(ZeroDivisionError), picture(path, 1.0, 1.0):
         raise ZeroDivisionError
     assert path.read_text() == "before"
-
-
-def test_a_part_of_an_episode_shows_that_part_and_who_is_who(tmp_path):
-    histories, path = episode_of("rule", "other"), tmp_path / "part.svg"
-    draw_histories(histories, ["ekf", "ukf"], slice(11, 21), path)
-    words = re.findall(r"<text[^>]*>(.*?)</text>", path.read_text())
-    assert {"true speed", "estimated speed (m/s)", "position error (m)", "time (s)"} <= set(words)
-    for name in histories:  # in two legends, and beside its ribbon
-        assert words.count(name) == 3
-    seconds = [float(word) for word in words[: words.index("time (s)")] if word.isdecimal()]
-    assert max(seconds) <= 19.0
 
 
 def test_small_ellipses_are_enlarged_and_it_is_said(tmp_path):

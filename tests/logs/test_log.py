@@ -218,9 +218,6 @@ def test_spellings_of_csv(tmp_path, name):
     assert_same(read(store(tmp_path, other, "other.csv")), read(store(tmp_path, plain)))
 
 
-# --- there and back
-
-
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @settings(max_examples=15, deadline=None)
 @given(

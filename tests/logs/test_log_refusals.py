@@ -235,9 +235,6 @@ def test_files_that_are_not_there_or_not_what_their_name_says(tmp_path, suffix):
         list(read_log(store(tmp_path, "" if suffix == ".csv" else "plain", f"log{suffix}"), SCENE))
 
 
-# --- broken files
-
-
 @pytest.mark.parametrize("left", [0.2, 0.5, 0.99])
 def test_gzip_that_ends_too_early(tmp_path, left):
     true = episode(epochs=2000)

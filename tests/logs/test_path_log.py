@@ -98,8 +98,6 @@ def test_a_log_without_a_whole_path_is_refused(tmp_path, lines):
     delivered(store(tmp_path, *lines))
 
 
-# --- episodes as logs of paths
-
 T, L, DOPPLER = 60, 3, 12
 
 

@@ -97,8 +97,6 @@ def test_a_damaged_truth_is_named(tmp_path, monkeypatch):
         truth.at(np.arange(20.0, 60.0))
 
 
-# --- the clock
-
 STREET = SCENES["street"]
 
 

@@ -48,9 +48,6 @@ def observations(*shape, seed=1):
     return rng.normal(0.0, 1.5, (*shape, FEATURES)).astype(np.float32)
 
 
-# --- the network in plain Python
-
-
 def affine(weight, x, bias):
     rows = zip(weight.tolist(), bias.tolist(), strict=True)
     return [sum(w * v for w, v in zip(row, x, strict=True)) + b for row, b in rows]
@@ -89,9 +86,6 @@ def test_observations_of_another_shape_are_refused_with_what_mends_it(make, shap
         policy(np.zeros(shape, np.float32))
 
 
-# --- environments
-
-
 def test_a_newcomer_loads_a_policy_and_lets_it_act(make, tmp_path):
     make("narrow")
     policy = LearnedSwitch(str(tmp_path / "narrow.safetensors"))
@@ -120,9 +114,6 @@ def test_another_environment_is_refused(make, tmp_path, modes):
         policy.read_from(other)
     with refuses("plain.safetensors"):
         LearnedSwitch(tmp_path / "plain.safetensors", other)
-
-
-# --- beliefs per mode
 
 
 @pytest.fixture
@@ -160,9 +151,6 @@ def test_any_of_its_banks_suits_a_policy_and_nothing_else(per_mode, make):
         shared.read_from(PER_MODE_TABLE)
 
 
-# --- features by name
-
-
 @pytest.mark.parametrize("table", [TABLE, PER_MODE_TABLE])
 def test_a_policy_finds_its_features_among_others(tmp_path, table):
     path = write_per_mode(tmp_path / "mine.safetensors")
@@ -190,9 +178,6 @@ def test_a_feature_that_lacks_or_has_another_scale_is_refused_by_its_name(tmp_pa
         write(path, actor(), card_of(features=features))
         with refuses(f"feature '{column.name}'"):
             LearnedSwitch(path, TABLE)
-
-
-# --- names
 
 
 def test_shipped_policies_go_by_name(tmp_path, monkeypatch):

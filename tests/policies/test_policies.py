@@ -51,9 +51,6 @@ def test_a_policy_maps_a_batch_of_observations_to_a_batch_of_actions(table, n):
         assert ((actions >= 0) & (actions < 3)).all()
 
 
-# --- speed rule
-
-
 @pytest.mark.parametrize("threshold", [0.0, 0.25, 0.5, 1.0, 2.0, 3.0, 7.3])
 def test_the_speed_rule_switches_above_its_threshold(table, threshold):
     speeds = [0.0, threshold * (1.0 - 1e-6), threshold, threshold * (1.0 + 1e-6) + 1e-6, 19.9]
@@ -93,9 +90,6 @@ def test_above_the_design_window_the_rule_warns_once_and_keeps_its_mode(table):
         np.testing.assert_array_equal(rule(fast), [0, 1, 1])
 
 
-# --- likelihood rule
-
-
 @pytest.mark.parametrize("pace", ["fast", "slow"])
 def test_the_likelihood_rule_takes_the_best_explanation(table, pace):
     # Relative to the last mode (ckf), which is 0 by definition.
@@ -123,9 +117,6 @@ def test_the_likelihood_rule_needs_the_coming_epoch():
         LikelihoodRule(prior, ["ekf", "ukf"])(np.zeros((1, len(prior)), np.float32))
 
 
-# --- rules of tracks
-
-
 @pytest.mark.parametrize(("speed", "mode"), [(0.0, 0), (2.0, 0), (2.001, 1), (20.0, 1), (99.0, 1)])
 def test_rules_of_tracks_are_the_papers(speed, mode):
     x = [0.0, 0.0, 0.0, 0.6 * speed, -0.8 * speed, 0.0, 7.0]
@@ -140,9 +131,6 @@ def test_rules_of_tracks_are_the_papers(speed, mode):
     measured = blank._replace(z=[*blank.z[:-2], speed, 3.0], visible=[*blank.visible[:-1], 1.0])
     assert by_odometry_speed(slow, measured) == mode
     assert by_odometry_speed([99.0] * 7, measured) == mode
-
-
-# --- the best threshold of the speed rule
 
 
 @pytest.mark.slow

@@ -61,9 +61,6 @@ def played(steps, seed=0, action=lambda k: k % 2, **arguments):
     return env
 
 
-# --- what is in it
-
-
 def test_the_first_picture_shows_the_prior_and_the_user():
     env = played(0)
     first = env.render()
@@ -165,9 +162,6 @@ def test_no_picture_knows_what_is_to_come():
     np.testing.assert_array_equal(short.render(), long.render())
 
 
-# --- episodes of all kinds
-
-
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -202,9 +196,6 @@ def test_an_estimate_that_is_no_number_breaks_nothing():
         Picture(["ekf"]).draw(lost)
 
 
-# --- names
-
-
 @pytest.mark.parametrize("name", ["$x^2$\n two", "a\x00b\x1b[31m", "Привет λ", "中", "\ud800", ""])
 def test_any_name_can_be_drawn(name):
     assert drawn([name, "x" * 500], name=name * 50).shape == (480, 480, 3)
@@ -214,9 +205,6 @@ def test_a_legend_of_eight_modes_shows_every_color():
     shown = drawn([f"mode {i}" for i in range(8)])[-40:]
     for color in LIGHT.modes[:8]:
         assert near(shown, color).sum() >= 80
-
-
-# --- arguments and mistakes
 
 
 def test_without_a_render_mode_there_is_no_picture():
@@ -254,8 +242,6 @@ def test_words_stand_out_from_the_ground(theme):
         for words in (colors.ink, colors.quiet):
             assert max(light(words) / light(ground), light(ground) / light(words)) > 4.5
 
-
-# --- the camera
 
 FRAME = Rect(0.0, 20.0, 480.0, 260.0)
 

@@ -95,9 +95,6 @@ def test_the_extra_is_named(package, ending, tmp_path, monkeypatch):
         require_video("out", tmp_path / f"square.{ending}")
 
 
-# --- side by side
-
-
 def history(error_m, rows=6):
     """A user at rest, and an estimate that goes away from it."""
     truth, estimate = np.zeros((rows, 6)), np.zeros((rows, 7))
