@@ -182,8 +182,12 @@ def test_what_is_to_be_damaged_is_read(tmp_path, kind):
 
 
 @pytest.mark.parametrize("kind", READERS)
-@settings(max_examples=2 * CASES, deadline=1000 * SLOWEST_S, derandomize=True)
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@settings(
+    max_examples=2 * CASES,
+    deadline=1000 * SLOWEST_S,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 @given(data=st.data())
 def test_a_damaged_file_is_read_or_refused_by_name(tmp_path, kind, data):
     needs(kind)

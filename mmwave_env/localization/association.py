@@ -117,7 +117,7 @@ def _labelled(
 
 
 def _block(paths: PathEpoch, epoch: Epoch, begins: bool) -> LogBlock:
-    """Return the measurements of an epoch that were associated with anchors as a block of a log.
+    """Return the measurements of an epoch, associated with anchors, as a block of a log.
 
     Args:
         paths: the paths of the epoch.

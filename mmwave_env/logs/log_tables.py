@@ -109,7 +109,7 @@ class Table(Block):
         return self.cells[:, list(self.columns).index(quantity)]  # type: ignore[no-any-return]
 
     def __getitem__(self, quantity: str) -> Array:
-        """Return the numbers (n,) of a quantity, s, m, rad, Hz, dB or m/s; NaN without a column."""
+        """Return the numbers (n,) of a quantity in SI units and dB; NaN if the log lacks it."""
         if quantity not in self.columns:
             return np.full(len(self), np.nan)
         unit = self.columns[quantity].unit

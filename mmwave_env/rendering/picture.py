@@ -211,7 +211,7 @@ class Strip:
 def draw_strips(
     canvas: Canvas, place: Rect, history: History, theme: Theme, beside: Sequence[History] = ()
 ) -> None:
-    """Draw all strips in a part of the picture, with scales for the histories ``beside``, too."""
+    """Draw all strips in a part of the picture; the histories ``beside`` share their scales."""
     unit, rows = canvas.unit, slice(max(1, history.epochs - _WINDOW + 1), None)
     words, ticks = _WORDS_SHARE * place.width, _TICKS_SHARE * place.width
     ribbon = 12.0 * unit

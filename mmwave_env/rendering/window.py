@@ -22,7 +22,7 @@ _UNSEEN = {"offscreen", "dummy"}  # video drivers without a visible window
 def require_display(
     purpose: str = 'render_mode="human"', instead: str = 'take render_mode="rgb_array"'
 ) -> None:
-    """Refuse to open a window for a purpose that nobody would see; the message has advice.
+    """Refuse to open a window that nobody would see; the message names purpose and way out.
 
     Raises:
         OSError: there is no display; the message says which variable is missing.
