@@ -242,7 +242,8 @@ def _times(history: History, rows: slice) -> tuple[float, float]:
 
 def _speed(history: History, rows: slice) -> Strip:
     states = history.truth[rows], history.estimate[rows]
-    true, estimated = (np.linalg.norm(state[:, 3:6], axis=1) for state in states)
+    with np.errstate(over="ignore"):  # a lost track may be of any size
+        true, estimated = (np.linalg.norm(state[:, 3:6], axis=1) for state in states)
     most = 2.0 * float(true.max(initial=1.0))  # an estimate far beyond is shown at the edge
     top = _top(np.maximum(true, np.fmin(estimated, most)))
     return Strip("speed, m/s", estimated, (0.0, top), true)

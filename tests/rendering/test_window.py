@@ -28,10 +28,6 @@ def press(*keys):
         pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=key))
 
 
-def screen():
-    return pygame.surfarray.array3d(pygame.display.get_surface())
-
-
 PICTURE = np.zeros((480, 480, 3), np.uint8)
 
 
@@ -99,7 +95,7 @@ def test_a_picture_is_shown_as_it_is(monkeypatch):
     wide = Window(960, 480)
     picture = np.random.default_rng(0).integers(0, 256, (480, 960, 3), np.uint8)
     wide.show(picture)
-    shown = screen().swapaxes(0, 1)
+    shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
     np.testing.assert_array_equal(shown, picture)
     wide.close()
     assert not wide.is_open
