@@ -119,9 +119,9 @@ class LearnedSwitch(Policy):
         for feature in card.features:
             column = columns.get(feature.name)
             if column != feature:
-                found = f"{column[1:]}" if column else "none (has the environment fewer anchors?)"
+                values = f"{column[1:]}" if column else "none (has the environment fewer anchors?)"
                 raise ValueError(
-                    f"{self._path}: feature {feature.name!r}: found {found}, expected unit, mean "
+                    f"{self._path}: feature {feature.name!r}: found {values}, expected unit, mean "
                     f"and deviation {feature[1:]}; make the environment as in training: "
                     f"{self._made_with}"
                 )

@@ -44,39 +44,27 @@ Tensors = dict[str, NDArray[np.float32]]
 class Card:
     """The description of a policy's weights in its file.
 
-    Attributes:
-        modes: modes that the actions stand for; with a belief per mode, the modes of the first
-            bank, and action 0 stands for none of them.
-        observation: "full" or "prior".
-        features: features that the actor reads, in its order: names, units and scales.
-        scenario: scenario of the training.
-        radio: radio profile of the training.
-        algorithm: algorithm of the training.
-        seed: seed of the training; -1 if it had none.
-        timesteps: number of epochs of the training.
-        command: command that made the file.
-        evaluation: results, JSON of any form.
-        versions: versions of packages at training, including "mmwave-loc".
-        beliefs: "shared" or "per-mode".
-        banks: banks of beliefs per mode, by the radio profile of the training; the names of the
-            modes are the same in all banks.
-
     Raises:
         ValueError: a field is invalid; the message says what is wrong.
     """
 
+    # modes that the actions stand for; with a belief per mode, the modes of the first bank, and
+    # action 0 stands for none of them
     modes: tuple[Mode, ...]
-    observation: str
+    observation: str  # "full" or "prior"
+    # features that the actor reads, in its order: names, units and scales
     features: tuple[Column, ...]
-    scenario: str
-    radio: str
-    algorithm: str
-    seed: int
-    timesteps: int
-    command: str
-    evaluation: dict[str, Any]
-    versions: dict[str, str]
-    beliefs: str = "shared"
+    scenario: str  # scenario of the training
+    radio: str  # radio profile of the training
+    algorithm: str  # algorithm of the training
+    seed: int  # seed of the training; -1 if it had none
+    timesteps: int  # number of epochs of the training
+    command: str  # command that made the file
+    evaluation: dict[str, Any]  # results, JSON of any form
+    versions: dict[str, str]  # versions of packages at training, including "mmwave-loc"
+    beliefs: str = "shared"  # "shared" or "per-mode"
+    # banks of beliefs per mode, by the radio profile of the training; the names of the modes are
+    # the same in all banks
     banks: dict[str, Bank] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -162,14 +150,14 @@ def _banks_in(content: Any) -> dict[str, Bank]:
         raise ValueError(
             f"banks: found {quoted(content)}, expected an object, a bank for each radio"
         )
-    found = {}
+    banks = {}
     for radio, bank in content.items():
         where = f"bank of radio {quoted(radio)}"
         try:
-            found[radio] = bank_in(bank)
+            banks[radio] = bank_in(bank)
         except ValueError as error:
             raise ValueError(f"{where}: {error}") from error
-    return found
+    return banks
 
 
 def _names(modes: Iterable[Mode]) -> str:
@@ -223,9 +211,9 @@ def _require_header(path: Path) -> None:
     with open_regular(path, "a policy (.safetensors)") as file, naming(path):
         size, header = os.fstat(file.fileno()).st_size, int.from_bytes(file.read(8), "little")
     if size > MOST_BYTES or header > MOST_HEADER:
-        found = f"a file of {size} bytes and a header of {header}"
+        sizes = f"a file of {size} bytes and a header of {header}"
         most = f"{MOST_BYTES} and {MOST_HEADER} at most"
-        raise ValueError(f"{path}: not a policy file: found {found}, expected {most}")
+        raise ValueError(f"{path}: not a policy file: found {sizes}, expected {most}")
 
 
 def _document(text: str | None) -> dict[str, Any]:
@@ -292,13 +280,13 @@ def _shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]]:
     return shapes
 
 
-def _require_names(what: str, found: Iterable[str], expected: Iterable[str]) -> None:
+def _require_names(group: str, names: Iterable[str], expected: Iterable[str]) -> None:
     """Refuse missing and unknown names."""
-    found, expected = set(found), set(expected)
-    if found != expected:
+    names, expected = set(names), set(expected)
+    if names != expected:
         raise ValueError(
-            f"{what}: missing {', '.join(sorted(expected - found)) or 'none'}, "
-            f"unknown {', '.join(sorted(found - expected)) or 'none'}"
+            f"{group}: missing {', '.join(sorted(expected - names)) or 'none'}, "
+            f"unknown {', '.join(sorted(names - expected)) or 'none'}"
         )
 
 

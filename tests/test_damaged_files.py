@@ -6,7 +6,7 @@ import json
 import shutil
 import warnings
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass
+from dataclasses import is_dataclass
 from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -24,8 +24,7 @@ from mmwave_env.datasets.deepmimo.recording import read_deepmimo
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.ways import read_ways
 from mmwave_env.filters.bank import modes_from, read_bank
-from mmwave_env.logs.log import LogBlock, read_log
-from mmwave_env.logs.path_log import read_paths
+from mmwave_env.logs.log import LogBlock, read_log, read_paths
 from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.radio import read_radio
 from mmwave_env.models.scene import SCENES, read_scene, scene_json
@@ -91,17 +90,15 @@ def log(name, content=b""):
     return alone(name, content, lambda path: list(read_log(path, SCENE)))
 
 
-LIMITS = {
-    "acceleration_mps2": [0.5, 1.0], "braking_mps2": [0.5, 1.0], "lateral_mps2": [0.5, 1.0],
-    "jerk_mps3": 1.0, "corner_radius_m": 1.0,
-}  # fmt: skip
+LIMITS = {"jerk_mps3": 1.0, "corner_radius_m": 1.0}
+LIMITS |= {f"{kind}_mps2": [0.5, 1.0] for kind in ("acceleration", "braking", "lateral")}
 WALK = {"phases": [{"limits": LIMITS, "gaits": [{"low_mps": 1.0, "high_mps": 1.5}]}]}
 WAY = b"t,x,y,z\n" + b"".join(b"%.1f,%.2f,-20.0,1.5\n" % (0.1 * i, 20 + i) for i in range(30))
-JOURNAL = b"timesteps,train/loss,tuning/minus imm\n" + b"".join(
+PROGRESS = b"timesteps,train/loss,tuning/minus imm\n" + b"".join(
     b"%d,%.2f,%s\n" % (1000 * i, 1.0 / (1 + i), b"" if i % 2 else b"0.0%d" % i) for i in range(9)
 )
 LOG = head(RIDE / "log.csv", 40)
-RECIPE = json.loads(shipped_hyperparameters("ppo").read_text())
+HYPERPARAMETERS = json.loads(shipped_hyperparameters("ppo").read_text())
 RESULTS = json.loads((ROOT / "docs" / "results.json").read_text())
 READERS = {
     "log": log("log.csv", LOG),
@@ -121,32 +118,32 @@ READERS = {
     **{f"DeepMIMO{end}": Reader(partial(deepmimo, end), read_deepmimo) for end in SAVE},
     "policy": alone("p.safetensors", signed(CARD), read_policy),
     "policy, signed anew": alone("p.safetensors", CARD, read_policy, write=signed),
-    "hyperparameters": alone("h.json", RECIPE, partial(read_hyperparameters, algorithm="ppo")),
+    "hyperparameters": alone(
+        "h.json", HYPERPARAMETERS, partial(read_hyperparameters, algorithm="ppo")
+    ),
     "summary": alone("summary.json", SUMMARY, lambda path: Run.read(str(path.parent))),
     "results": alone("c.json", RESULTS, read_source),
     "run": alone("run.json", SUMMARY, lambda path: read_source(path.parent)),
-    "journal": alone("progress.csv", JOURNAL, curves_of),
+    "progress log": alone("progress.csv", PROGRESS, curves_of),
 }
 
 
-def numbers_in(found):
+def numbers_in(content):
     """Arrays that something will compute with; what is not visible means nothing."""
-    if isinstance(found, (LogBlock, Recording)):
-        rows = np.repeat(found.visible, [g.stop - g.start for g in found.layout.groups], axis=1)
-        yield from (found.time_s, found.measurement[rows])
-        if isinstance(found, Recording):
-            yield from (found.anchors_m, found.position_m, found.velocity_mps)
-    elif isinstance(found, (float, np.ndarray)):
-        yield np.asarray(found)
-    elif isinstance(found, dict):
-        for value in found.values():
+    if isinstance(content, (LogBlock, Recording)):
+        rows = np.repeat(content.visible, content.layout.widths, axis=1)
+        yield from (content.time_s, content.measurement[rows])
+        if isinstance(content, Recording):
+            yield from (content.anchors_m, content.position_m, content.velocity_mps)
+    elif isinstance(content, (float, np.ndarray)):
+        yield np.asarray(content)
+    elif isinstance(content, dict):
+        yield from numbers_in([*content.values()])
+    elif isinstance(content, (list, tuple)):
+        for value in content:
             yield from numbers_in(value)
-    elif isinstance(found, (list, tuple)):
-        for value in found:
-            yield from numbers_in(value)
-    elif is_dataclass(found):
-        for one in fields(found):
-            yield from numbers_in(getattr(found, one.name))
+    elif is_dataclass(content):
+        yield from numbers_in(vars(content))
 
 
 # Shown, not computed with; of a path's log a number that is missing.
@@ -154,7 +151,7 @@ MAY_BE_NAN = (
     "results",
     "run",
     "summary",
-    "journal",
+    "progress log",
     "policy",
     "policy, signed anew",
     "log of paths",
@@ -164,10 +161,10 @@ MAY_BE_NAN = (
 def read(kind, folder):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        found = READERS[kind].read(folder)
+        content = READERS[kind].read(folder)
     if kind not in MAY_BE_NAN:
-        numbers = [one for one in numbers_in(found) if one.dtype.kind == "f"]
-        assert not any(np.isnan(one).any() for one in numbers), "a NaN came through"
+        numbers = [array for array in numbers_in(content) if array.dtype.kind == "f"]
+        assert not any(np.isnan(array).any() for array in numbers), "a NaN came through"
 
 
 def needs(kind):
@@ -186,9 +183,11 @@ def test_what_is_to_be_damaged_is_read(tmp_path, kind):
 
 @pytest.mark.parametrize("kind", READERS)
 @settings(
-    max_examples=2 * CASES, deadline=1000 * SLOWEST_S, derandomize=True,
+    max_examples=2 * CASES,
+    deadline=1000 * SLOWEST_S,
+    derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)  # fmt: skip
+)
 @given(data=st.data())
 def test_a_damaged_file_is_read_or_refused_by_name(tmp_path, kind, data):
     needs(kind)

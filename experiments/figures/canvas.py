@@ -22,11 +22,7 @@ LEGEND_COLUMNS = 2  # columns of a legend below panels
 
 
 def require_picture(option: str, path: Path) -> None:
-    """Refuse a picture that could not be drawn or written, before any work.
-
-    Args:
-        option: option that gives the file.
-        path: file to write.
+    """Refuse a picture that an option names and that could not be written, before any work.
 
     Raises:
         ValueError: the name does not end with .png, .svg or .pdf.
@@ -43,13 +39,10 @@ def require_picture(option: str, path: Path) -> None:
 
 @contextmanager
 def picture(path: Path, width_in: float, height_in: float) -> Iterator[Any]:
-    """Yield a matplotlib figure to draw into; the file is written at the end, in one step.
+    """Yield a matplotlib figure to draw into; a .png, .svg or .pdf file is written at the end.
 
-    The figure has the project's style, whatever the user's settings of matplotlib are.
-
-    Args:
-        path: .png, .svg or .pdf file.
-        width_in, height_in: size, inches.
+    The figure has the project's style, whatever the user's settings of matplotlib are. The file
+    is written in one step.
     """
     from matplotlib import style
     from matplotlib.figure import Figure
@@ -69,9 +62,8 @@ def caption(name: str) -> str:
     from matplotlib.font_manager import findfont, get_font
 
     font = get_font(findfont("DejaVu Sans"))  # the font that comes with matplotlib
-    return "".join(
-        one if font.get_char_index(ord(one)) else spelled(one) for one in printable(name)
-    )
+    letters = printable(name)
+    return "".join(x if font.get_char_index(ord(x)) else spelled(x) for x in letters)
 
 
 def contenders(names: Iterable[str]) -> dict[str, str]:
@@ -81,7 +73,7 @@ def contenders(names: Iterable[str]) -> dict[str, str]:
     """
     parts, shown = {name: Path(name).parts for name in names}, {}
     for name, own in parts.items():
-        others = [other for one, other in parts.items() if one != name]
+        others = [parts[other] for other in parts if other != name]
         alone = (k for k in range(1, len(own)) if all(o[-k:] != own[-k:] for o in others))
         shown[name] = caption(str(Path(*own[-next(alone, len(own)) :])))
     return shown
@@ -94,13 +86,9 @@ def legend_beside(axes: Any, **options: Any) -> None:
 
 @contextmanager
 def panels(path: Path, count: int, entries: int, narrow: bool) -> Iterator[tuple[Any, list[Any]]]:
-    """Yield a picture of panels with one legend, side by side or stacked for a phone.
+    """Yield a picture of panels, side by side or, for a phone, stacked.
 
-    Args:
-        path: .png, .svg or .pdf file.
-        count: number of panels.
-        entries: number of entries of the legend, which :func:`legend_of` draws.
-        narrow: whether the panels are stacked, with the legend below them.
+    The legend with so many entries, which :func:`legend_of` draws, is beside or below them.
     """
     if narrow:
         size = 4.6, 2.9 * count + 0.3 + 0.2 * (-(-entries // LEGEND_COLUMNS))

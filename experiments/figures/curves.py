@@ -1,16 +1,75 @@
-"""Learning curves of trainings."""
+"""Curves of learning, of position errors (CDF), and of the consistency of filters."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from experiments.figures.canvas import (
-    caption,
-    contenders,
-    legend_of,
-    panels,
-)
+import numpy as np
+from scipy.stats import chi2
 
+from experiments.figures.canvas import COLORS, caption, contenders, legend_of, panels, plain_numbers
+from mmwave_env.localization.position_errors import SHARES, horizontal, vertical
+from mmwave_env.numerics.numbers import Array
+
+SMALLEST_M = 1e-3  # smallest error on a logarithmic axis
+BOUNDS = "95 % bounds if consistent"
+_SHARES = np.linspace(0.0, 0.999, 400)
 Line = tuple[Sequence[float], Sequence[float]]  # steps, values
+_STYLES = ("-", "--", ":")  # styles for more lines than colors
+
+
+def _style(number: int) -> dict[str, Any]:
+    return {"color": f"C{number}", "ls": _STYLES[number // len(COLORS) % len(_STYLES)]}
+
+
+def draw_error_cdf(errors_m: Mapping[str, Array], path: Path, narrow: bool = False) -> None:
+    """Draw the distribution (CDF) of horizontal and vertical errors (..., 3), m, by contender."""
+    with panels(path, 2, len(errors_m), narrow) as (figure, (left, right)):
+        labels = contenders(errors_m)
+        for number, (name, errors) in enumerate(errors_m.items()):
+            look = _style(number) | {"label": labels[name]}
+            for axes, sizes in ((left, horizontal(errors)), (right, vertical(errors))):
+                values = np.maximum(sizes, SMALLEST_M)  # the error of a known height is 0
+                axes.plot(np.quantile(values, _SHARES), _SHARES, **look)
+                axes.plot(np.quantile(values, SHARES), SHARES, "o", ms=3.5, color=look["color"])
+        for axes, kind in ((left, "horizontal"), (right, "vertical")):
+            low = min(np.interp(0.03, line.get_ydata(), line.get_xdata()) for line in axes.lines)
+            axes.set(xscale="log", ylim=(0.0, 1.0), xlabel=f"{kind} position error (m)")
+            axes.set_xlim(left=low)
+            axes.set_yticks(SHARES, [f"{100.0 * share:.0f} %" for share in SHARES])
+            axes.set_ylabel("share of epochs below")
+            plain_numbers(axes.xaxis)
+        legend_of(figure, right, narrow, left.lines[::2])
+
+
+def draw_consistency(
+    time_s: Array, nees: Mapping[str, Array], dof: int, path: Path, narrow: bool = False
+) -> None:
+    """Draw NEES and its chi-square bounds as a picture: over time, and its distribution.
+
+    Args:
+        time_s: (T,) times since the first epoch of an episode.
+        nees: (n, T) NEES of n episodes, by contender.
+        dof: degrees of freedom, the number of coordinates.
+        path, narrow: as :func:`~experiments.figures.canvas.panels` takes them.
+    """
+    episodes = len(next(iter(nees.values())))
+    low, high = chi2.ppf([0.025, 0.975], episodes * dof) / (episodes * dof)
+    with panels(path, 2, len(nees) + 2, narrow) as (figure, (over_time, whole)):
+        bounds = over_time.axhspan(low, high, color="0.7", lw=0.0, label=BOUNDS)
+        whole.plot([0.0, 1.0], [0.0, 1.0], color="0.5", lw=4.0, alpha=0.6, label="consistent")
+        names = contenders(nees)
+        for number, (name, values) in enumerate(nees.items()):
+            look = _style(number) | {"label": names[name]}
+            over_time.plot(time_s, values.mean(axis=0) / dof, **look)
+            inside = np.sort(chi2.cdf(values, dof), axis=None)
+            whole.plot(_SHARES, np.searchsorted(inside, _SHARES, "right") / inside.size, **look)
+        label = f"mean NEES / {dof}, of {episodes:,} episodes"
+        over_time.set(xlabel="time since the begin (s)", yscale="log", ylabel=label)
+        plain_numbers(over_time.yaxis)
+        whole.set(xlabel="chi-square probability p", ylabel="share of NEES below its p-quantile")
+        whole.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
+        legend_of(figure, whole, narrow, [bounds, *whole.lines])
 
 
 def draw_learning_curves(
@@ -21,8 +80,7 @@ def draw_learning_curves(
     Args:
         figures: steps and values of every training, by the label of the y axis and by run. A line
             marks zero.
-        path: .png, .svg or .pdf file.
-        narrow: whether the panels are stacked.
+        path, narrow: as :func:`~experiments.figures.canvas.panels` takes them.
     """
     from matplotlib.ticker import EngFormatter, NullFormatter
 
@@ -30,13 +88,13 @@ def draw_learning_curves(
     labels = contenders(runs)
     with panels(path, len(figures), len(runs), narrow) as (figure, axes_of):
         handles = {}
-        for axes, (what, table) in zip(axes_of, figures.items(), strict=True):
+        for axes, (label, table) in zip(axes_of, figures.items(), strict=True):
             for run, lines in table.items():
                 look = {"color": f"C{runs.index(run)}", "lw": 1.0, "alpha": 0.8}
                 for steps, values in lines:
                     (handles[run],) = axes.plot(steps, values, label=labels[run], **look)
             axes.axhline(0.0, color="black", lw=0.8)
-            axes.set(xscale="log", xlabel="steps", ylabel=caption(what))
+            axes.set(xscale="log", xlabel="steps", ylabel=caption(label))
             axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 500k, 2M
             axes.xaxis.set_minor_formatter(NullFormatter())
         legend_of(figure, axes_of[-1], narrow, [*handles.values()])

@@ -10,7 +10,6 @@ import numpy as np
 from scipy.stats import chi2
 
 from experiments.figures.canvas import caption, legend_beside, picture
-from experiments.figures.timeline import mode_ribbon
 from mmwave_env.numerics.numbers import Array, Index
 
 ELLIPSES = 15  # approximate number along a track
@@ -21,29 +20,17 @@ _VISIBLE = 0.02  # share of the track's extent, smallest size that can be seen
 
 @dataclass(frozen=True, eq=False)
 class DrawnTrack:
-    """A track of T epochs to draw.
+    """A track of T epochs to draw."""
 
-    Attributes:
-        time_s: (T,) times of the epochs.
-        position_m: (T, 3) estimated positions.
-        covariance_m2: (T, 3, 3) covariances of the position.
-        truth_m: (T, 3) true positions, NaN where not known.
-        mode: (T,) number of the mode that ran.
-        segment: (T,) number of the segment, which rises where the track starts again.
-        modes: names of the modes.
-        anchors_m: (L, 3) positions of anchors, the physical gNB first.
-        whole: whether no epoch is left out; lines between epochs far apart would mislead.
-    """
-
-    time_s: Array
-    position_m: Array
-    covariance_m2: Array
-    truth_m: Array
-    mode: Index
-    segment: Index
-    modes: Sequence[str]
-    anchors_m: Array
-    whole: bool = True
+    time_s: Array  # (T,) times of the epochs
+    position_m: Array  # (T, 3) estimated positions
+    covariance_m2: Array  # (T, 3, 3) covariances of the position
+    truth_m: Array  # (T, 3) true positions, NaN where not known
+    mode: Index  # (T,) number of the mode that ran
+    segment: Index  # (T,) number of the segment, which rises where the track starts again
+    modes: Sequence[str]  # names of the modes
+    anchors_m: Array  # (L, 3) positions of anchors, the physical gNB first
+    whole: bool = True  # whether no epoch is left out; lines between epochs far apart would mislead
 
 
 def draw_trajectory(track: DrawnTrack, path: Path, title: str) -> None:
@@ -59,11 +46,24 @@ def draw_trajectory(track: DrawnTrack, path: Path, title: str) -> None:
         if several:
             panels[1].tick_params(labelbottom=False)
             panels[1].sharex(panels[2])
-            mode_ribbon(panels[2], time, track.mode, len(track.modes))
-            panels[2].set_yticks([0.5], ["mode"])
+            _draw_modes(panels[2], time, track.mode)
         panels[-1].set_xlabel(f"time since the first epoch ({unit})")
         lines = textwrap.wrap(caption(title), TITLE_LETTERS, break_on_hyphens=False)
         figure.suptitle("\n".join(lines), x=0.02, ha="left")
+
+
+def _draw_modes(axes: Any, time: Array, mode: Index) -> None:
+    """Draw a band in the colors of the modes that ran: time and number (T,)."""
+    begins = np.flatnonzero(np.diff(mode, prepend=-2))
+    ends = np.append(begins[1:], len(mode) - 1)
+    for number in np.unique(mode):
+        some = mode[begins] == number
+        spans = list(zip(time[begins[some]], (time[ends] - time[begins])[some], strict=True))
+        axes.broken_barh(spans, (0.0, 1.0), facecolors=f"C{number}", lw=0.0)
+    axes.grid(visible=False)
+    axes.spines[:].set_visible(False)
+    axes.tick_params(axis="y", length=0)
+    axes.set_yticks([0.5], ["mode"])
 
 
 def time_unit(time_s: Array) -> tuple[float, str]:
@@ -115,11 +115,9 @@ def _draw_ellipses(axes: Any, track: DrawnTrack) -> None:
     enlarged = next((n for n in _ENLARGED if n >= wanted), _ENLARGED[-1])
     for place, (short, long), turn in zip(at, axes_m, directions, strict=True):
         angle = np.degrees(np.arctan2(turn[1, 1], turn[0, 1]))
-        size, center = (
-            2.0 * enlarged * np.array([long, short]),
-            track.position_m[place, :2].tolist(),
-        )
-        axes.add_patch(Ellipse(center, *size, angle=angle, fc="none", ec="black", lw=0.8))
+        width, height = 2.0 * enlarged * long, 2.0 * enlarged * short
+        center = track.position_m[place, :2].tolist()
+        axes.add_patch(Ellipse(center, width, height, angle=angle, fc="none", ec="black", lw=0.8))
     label = "95 % ellipses" + (f",\nenlarged {enlarged} times" if enlarged > 1 else "")
     axes.plot([], [], "o", mfc="none", mec="black", mew=0.8, ms=8, label=label)
 
@@ -132,11 +130,12 @@ def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
     for number, anchor in enumerate(anchors_m[:, :2], start=1):
         if ((anchor > low - reach) & (anchor < high + reach)).all():
             name = "gNB" if number == 1 else f"virtual anchor {number}"
-            axes.plot(*anchor, "^" if number == 1 else "v", color="black", ms=8,
-                      mfc="black" if number == 1 else "white")  # fmt: skip
-            right = anchor[0] > middle[0]  # then the name is left of the anchor, inside the picture
-            axes.annotate(name, anchor, (-7 if right else 7, 0), textcoords="offset points",
-                          va="center", ha="right" if right else "left")  # fmt: skip
+            marker, fill = ("^", "black") if number == 1 else ("v", "white")
+            axes.plot(*anchor, marker, color="black", ms=8, mfc=fill)
+            # Right of the middle, the name is left of the anchor, inside the picture.
+            offset, side = (-7, "right") if anchor[0] > middle[0] else (7, "left")
+            place = {"textcoords": "offset points", "va": "center", "ha": side}
+            axes.annotate(name, anchor, (offset, 0), **place)
 
 
 def _draw_error(axes: Any, track: DrawnTrack, time: Array) -> None:

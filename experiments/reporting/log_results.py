@@ -36,9 +36,8 @@ from mmwave_env.localization.track_files import require_own_files, table_beside,
 from mmwave_env.localization.track_scores import Course, Groups, TruthScores
 from mmwave_env.logs.clock import clock_offset, keeping
 from mmwave_env.logs.lines import number
-from mmwave_env.logs.log import LogBlock, read_log
+from mmwave_env.logs.log import LogBlock, read_log, read_paths
 from mmwave_env.logs.log_tables import LogError
-from mmwave_env.logs.path_log import read_paths
 from mmwave_env.logs.truth import Truth
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import Scene, scene_from

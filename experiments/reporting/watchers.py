@@ -10,7 +10,7 @@ from experiments.evaluation.histories import EpochErrors
 from experiments.evaluation.positions import Positions, positions_markdown
 from experiments.evaluation.runner import Watch
 from experiments.figures.canvas import require_picture
-from experiments.figures.errors import draw_consistency, draw_error_cdf
+from experiments.figures.curves import draw_consistency, draw_error_cdf
 from mmwave_env.localization.position_errors import require_risk
 
 Made = tuple[str, dict[str, Any]]  # Markdown below the tables, and figures for JSON

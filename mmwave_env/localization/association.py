@@ -8,17 +8,15 @@ A track begins where a line-of-sight hypothesis explains enough of the coming ep
 begins anew where it is lost, or where another hypothesis explains more.
 """
 
-from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Iterator
+from typing import Any
 
 import numpy as np
 
 from mmwave_env.filters.modes import Mode
 from mmwave_env.localization.path_tracker import NO_PATH, PathTrack, PathTracker
-from mmwave_env.logs.log import LogBlock
-from mmwave_env.logs.log_tables import LogError
-from mmwave_env.logs.path_log import PathEpoch
+from mmwave_env.logs.log import LogBlock, PathEpoch
+from mmwave_env.logs.log_tables import LogError, in_windows
 from mmwave_env.models.measurement import Epoch
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio
@@ -40,18 +38,18 @@ class Association:
         self._paths = self._incomplete = self._untracked = 0
         self._associated, self._missed = np.zeros((2, anchors), np.int64)
 
-    def add(self, paths: PathEpoch, found: Index | None, begins: bool) -> None:
+    def add(self, paths: PathEpoch, labels: Index | None, begins: bool) -> None:
         """Add an epoch: the path of every anchor (L,), or None where there is no track."""
         self.epochs += 1
         self.starts += begins
         self._paths += len(paths.snr_db)
         self._incomplete += paths.incomplete
-        if found is None:
+        if labels is None:
             self.untracked_epochs += 1
             self._untracked += len(paths.snr_db)
             return
-        self._associated += found != NO_PATH
-        self._missed += found == NO_PATH
+        self._associated += labels != NO_PATH
+        self._missed += labels == NO_PATH
 
     def figures(self) -> dict[str, Any]:
         """Return the sums as a dictionary."""
@@ -91,51 +89,12 @@ def associate(
     Raises:
         LogError: from ``epochs``.
     """
-    held: list[_Labelled] = []
-    try:
-        for one in _labelled(epochs, scene, radio, mode, tally):
-            held.append(one)
-            if len(held) == epochs_per_block:
-                yield _block(held)
-                held = []
-    except LogError:
-        if held:
-            yield _block(held)
-        raise
-    if held:
-        yield _block(held)
-
-
-class _Labelled(NamedTuple):
-    """An epoch of paths, and the measurements of it that were associated with anchors."""
-
-    paths: PathEpoch
-    epoch: Epoch
-    begins: bool  # whether a track begins here, possibly in place of another track
-
-
-def _block(epochs: Sequence[_Labelled]) -> LogBlock:
-    """Return epochs with labels as a block of a log."""
-    last = epochs[-1].paths
-    visible = np.array([one.epoch.visible for one in epochs]) > 0.5
-    snr = np.array([one.epoch.snr_db for one in epochs])
-    return LogBlock(
-        layout=last.layout,
-        time_s=np.array([one.paths.time_s for one in epochs]),
-        measurement=np.array([one.epoch.z for one in epochs]),
-        visible=visible,
-        incomplete=np.zeros_like(visible),
-        snr_db=np.where(visible[:, : last.layout.anchors], snr, -np.inf),
-        doppler_spread_hz=np.array([one.paths.doppler_spread_hz for one in epochs]),
-        restarts=np.array([one.begins for one in epochs]),
-        rows=last.rows,
-        share=last.share,
-    )
+    return in_windows(_labelled(epochs, scene, radio, mode, tally), epochs_per_block)
 
 
 def _labelled(
     epochs: Iterable[PathEpoch], scene: Scene, radio: Radio, mode: Mode, tally: Association
-) -> Iterator[_Labelled]:
+) -> Iterator[LogBlock]:
     """Yield every epoch with the measurements of the anchors; between tracks there are none."""
     track: PathTrack | None = None
     tracker: PathTracker | None = None
@@ -153,25 +112,42 @@ def _labelled(
                 "further away than numbers reach; expected measurements that a receiver can make"
             ) from error
         track = rival or track
-        tally.add(paths, track and track.found, rival is not None)
-        epoch = track.epoch if track else tracker.nothing(paths)
-        yield _Labelled(paths, epoch, rival is not None)
+        tally.add(paths, track and track.labels, rival is not None)
+        yield _block(paths, track.epoch if track else tracker.nothing(paths), rival is not None)
+
+
+def _block(paths: PathEpoch, epoch: Epoch, begins: bool) -> LogBlock:
+    """Return the measurements of an epoch, associated with anchors, as a block of a log.
+
+    Args:
+        paths: the paths of the epoch.
+        epoch: the measurements.
+        begins: whether a track begins here, possibly in place of another track.
+    """
+    visible = np.array([epoch.visible]) > 0.5
+    return LogBlock(
+        layout=paths.layout,
+        time_s=np.array([paths.time_s]),
+        measurement=np.array([epoch.z]),
+        visible=visible,
+        incomplete=np.zeros_like(visible),
+        snr_db=np.where(visible[:, : paths.layout.anchors], [epoch.snr_db], -np.inf),
+        doppler_spread_hz=np.array([paths.doppler_spread_hz]),
+        restarts=np.array([begins]),
+        share=paths.share,
+    )
 
 
 def _windows(epochs: Iterable[PathEpoch], size: int) -> Iterator[list[PathEpoch]]:
     """Yield every epoch with up to ``size - 1`` that follow it; at a LogError, yield the rest."""
-    held: deque[PathEpoch] = deque()
-    error: LogError | None = None
+    held: list[PathEpoch] = []
     try:
         for epoch in epochs:
             held.append(epoch)
             if len(held) == size:
-                yield list(held)
-                held.popleft()
-    except LogError as damage:
-        error = damage
-    while held:
-        yield list(held)
-        held.popleft()
-    if error:
-        raise error
+                yield held
+                held = held[1:]
+    except LogError:
+        yield from (held[first:] for first in range(len(held)))
+        raise
+    yield from (held[first:] for first in range(len(held)))

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mmwave_env.logs.log import LogBlock
-from mmwave_env.logs.log_checks import RANGE_LIMITS_M, WIDEST_DEG
+from mmwave_env.logs.log_columns import RANGE_LIMITS_M, WIDEST_ELEVATION_DEG
 from mmwave_env.models.envelope import STEP_S
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio
@@ -89,9 +89,9 @@ def impossible(block: LogBlock) -> Iterator[Contradiction]:
     if len(ranges) and not least <= np.median(ranges) <= most:
         yield Contradiction("range", f"{np.median(ranges):.3g} m", f"{least:g} to {most:g} m")
     elevations = np.degrees(abs(block.measurement[:, 2 : block.layout.doppler : 4][visible]))
-    limit = WIDEST_DEG["aoa_elevation"]
-    if (elevations > limit).mean() > 0.5:
-        yield Contradiction("elevation", f"{elevations.max():.3g} degrees", f"up to {limit:g}")
+    if (elevations > WIDEST_ELEVATION_DEG).mean() > 0.5:
+        expected = f"up to {WIDEST_ELEVATION_DEG:g}"
+        yield Contradiction("elevation", f"{elevations.max():.3g} degrees", expected)
 
 
 def _oddities(block: LogBlock, scene: Scene, radio: Radio) -> Iterator[Contradiction]:
@@ -100,8 +100,8 @@ def _oddities(block: LogBlock, scene: Scene, radio: Radio) -> Iterator[Contradic
     for anchor in range(block.layout.anchors):
         snr = block.snr_db[np.isfinite(block.snr_db[:, anchor]), anchor]
         if len(snr) and not low <= snr.min() <= snr.max() <= high:
-            found = f"SNR of {snr.min():.3g} to {snr.max():.3g} dB"
-            yield Contradiction(f"anchor {anchor + 1}", found, f"{low:g} to {high:g} dB")
+            value = f"SNR of {snr.min():.3g} to {snr.max():.3g} dB"
+            yield Contradiction(f"anchor {anchor + 1}", value, f"{low:g} to {high:g} dB")
     direct = block.visible[:, 0]
     if direct.sum() >= _ENOUGH:
         above = float((block.measurement[direct, 2] > 0.0).mean())
@@ -113,8 +113,8 @@ def _oddities(block: LogBlock, scene: Scene, radio: Radio) -> Iterator[Contradic
             )
     slope, error = _range_per_doppler(block, scene, radio)
     if not _SLOPE_LIMITS[0] <= slope <= _SLOPE_LIMITS[1] and abs(slope - 1.0) > _SURE * error:
-        found = f"a range that grows by {slope:.3g} m where the shift says 1 m"
-        yield Contradiction("Doppler", found, "1 m: are sign and unit right?")
+        value = f"a range that grows by {slope:.3g} m where the shift says 1 m"
+        yield Contradiction("Doppler", value, "1 m: are sign and unit right?")
 
 
 def _range_per_doppler(block: LogBlock, scene: Scene, radio: Radio) -> tuple[float, float]:

@@ -50,18 +50,14 @@ _OUTLIER_QUANTILE = 1e-6  # a group's NIS beyond this quantile is an outlier, an
 
 
 class Reading(NamedTuple):
-    """The epochs of a log as they read under a hypothesis.
+    """The epochs of a log as they read under a hypothesis."""
 
-    Attributes:
-        block: the epochs; angles need not be wrapped.
-        scene, radio: scene and radio of the measurements.
-        log_scale: sum of the logarithms of the factors between these numbers and the numbers of
-            the file. It converts a likelihood of the former to one of the latter.
-    """
-
-    block: LogBlock
+    block: LogBlock  # the epochs; angles need not be wrapped
+    # scene, radio: scene and radio of the measurements
     scene: Scene
     radio: Radio
+    # sum of the logarithms of the factors between these numbers and the numbers of the file. It
+    # converts a likelihood of the former to one of the latter
     log_scale: float = 0.0
 
 
@@ -76,22 +72,17 @@ class Mistake(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """The result of testing a hypothesis.
+    """The result of testing a hypothesis."""
 
-    Attributes:
-        hypothesis: the hypothesis in words.
-        nis_per_dof: by group, the median over epochs (robust to outliers) divided by the
-            median of chi-square: 1 if right. None where a group was not measured or tracked.
-        log_likelihood: mean over epochs of the file's numbers; None where there is no track.
-        contradictions: what contradicts the hypothesis; empty if the log is consistent with it.
-        cure: how to correct the log if the hypothesis is right; empty for the log as it is.
-    """
-
-    hypothesis: str
+    hypothesis: str  # the hypothesis in words
+    # by group, the median over epochs (robust to outliers) divided by the median of chi-square: 1
+    # if right. None where a group was not measured or tracked
     nis_per_dof: dict[str, float | None]
+    # mean over epochs of the file's numbers; None where there is no track
     log_likelihood: float | None
+    # what contradicts the hypothesis; empty if the log is consistent with it
     contradictions: list[Contradiction]
-    cure: str = ""
+    cure: str = ""  # how to correct the log if the hypothesis is right; empty for the log as it is
 
     @property
     def worst_anchor(self) -> float | None:
@@ -125,12 +116,12 @@ def _timed(factor: float, reading: Reading) -> Reading:
     return reading._replace(block=replace(reading.block, time_s=factor * reading.block.time_s))
 
 
-def _exchanged(one: int, other: int, reading: Reading) -> Reading:
+def _exchanged(part: int, other: int, reading: Reading) -> Reading:
     """Exchange two parts of every link."""
     block, links = reading.block, reading.block.layout.doppler
     z = block.measurement.copy()
-    z[:, one:links:4] = block.measurement[:, other:links:4]
-    z[:, other:links:4] = block.measurement[:, one:links:4]
+    z[:, part:links:4] = block.measurement[:, other:links:4]
+    z[:, other:links:4] = block.measurement[:, part:links:4]
     return reading._replace(block=replace(block, measurement=z))
 
 
@@ -155,55 +146,46 @@ def _orders(anchors: int) -> list[tuple[int, ...]]:
 
 def hypotheses(scene: Scene, radio: Radio) -> dict[str, Mistake]:
     """Return likely mistakes in words, with how to undo them."""
-    ends, upside_down = partial(_exchanged, _AZIMUTH, _DEPARTURE), _scaled([_ELEVATION], -1.0)
-    swap = "exchange the columns of aoa_azimuth and"
-    found: dict[str, tuple[Hypothesis, str]] = {
+    ends, turned = partial(_exchanged, _AZIMUTH, _DEPARTURE), _scaled([_ELEVATION], -1.0)
+    vertical = partial(_exchanged, _AZIMUTH, _ELEVATION)
+    zenith, nadir = (_scaled([_ELEVATION], sign, -sign * PI / 2.0) for sign in (-1.0, 1.0))
+    swap, north = "exchange the columns of aoa_azimuth and", _scaled(_AZIMUTHS, -1.0, PI / 2.0)
+    flipped = f"{swap} aod_azimuth, negate aoa_elevation"
+    clockwise = "write 90 degrees - aoa_azimuth and 90 degrees - aod_azimuth"
+    mistakes: dict[str, tuple[Hypothesis, str]] = {
         "arrival and departure are exchanged": (ends, f"{swap} aod_azimuth"),
-        "azimuth and elevation of arrival are exchanged": (
-            partial(_exchanged, _AZIMUTH, _ELEVATION), f"{swap} aoa_elevation"
-        ),
-        "elevation has the other sign": (upside_down, "negate aoa_elevation"),
-        "arrival is at the user, as in a downlink": (
-            lambda r: upside_down(ends(r)), f"{swap} aod_azimuth, negate aoa_elevation"
-        ),
-        "elevation is a zenith angle": (
-            _scaled([_ELEVATION], -1.0, PI / 2.0), "write 90 degrees - aoa_elevation"
-        ),
-        "elevation is a nadir angle": (
-            _scaled([_ELEVATION], 1.0, -PI / 2.0), "write aoa_elevation - 90 degrees"
-        ),
-        "azimuths are clockwise from north": (
-            _scaled(_AZIMUTHS, -1.0, PI / 2.0),
-            "write 90 degrees - aoa_azimuth and 90 degrees - aod_azimuth",
-        ),
+        "azimuth and elevation of arrival are exchanged": (vertical, f"{swap} aoa_elevation"),
+        "elevation has the other sign": (turned, "negate aoa_elevation"),
+        "arrival is at the user, as in a downlink": (lambda r: turned(ends(r)), flipped),
+        "elevation is a zenith angle": (zenith, "write 90 degrees - aoa_elevation"),
+        "elevation is a nadir angle": (nadir, "write aoa_elevation - 90 degrees"),
+        "azimuths are clockwise from north": (north, clockwise),
         "time of flight is there and back": (_scaled([_RANGE], 0.5), "halve it"),
         "Doppler shift has the other sign": (_scaled((), -1.0), "negate doppler"),
-    }  # fmt: skip
+    }
     for name, (column, row) in _COLUMNS.items():
         cure = f"rename {column}_rad to {column}_deg"
-        found[f"{name} is in degrees"] = _scaled([row], PI / 180.0), cure
+        mistakes[f"{name} is in degrees"] = _scaled([row], PI / 180.0), cure
     for unit, suffix, factor in (("degrees", "deg", PI / 180.0), ("radians", "rad", 180.0 / PI)):
         cure = f"name the columns of angles by their unit, such as aoa_azimuth_{suffix}"
-        found[f"angles are in {unit}"] = _scaled(_ANGLES, factor), cure
-    for what, (factor, unit) in _FACTORS.items():
+        mistakes[f"angles are in {unit}"] = _scaled(_ANGLES, factor), cure
+    for error, (factor, unit) in _FACTORS.items():
         cure = f"multiply it by {factor:g}, or name the column by its true unit, such as"
-        found[f"time of flight is {what}"] = _scaled([_RANGE], factor), f"{cure} toa_{unit}"
-        found[f"time is {what}"] = partial(_timed, factor), f"{cure} time_{unit}"
+        mistakes[f"time of flight is {error}"] = _scaled([_RANGE], factor), f"{cure} toa_{unit}"
+        mistakes[f"time is {error}"] = partial(_timed, factor), f"{cure} time_{unit}"
     for unit, suffix, factor in (("m/s", "mps", scene.hz_per_mps), ("kHz", "khz", 1e3)):
         other = f"doppler_{suffix}"
-        cure = f"rename doppler_hz to {other}"
-        found[f"Doppler shift is in {unit}, not in Hz"] = _scaled((), factor), cure
-        found[f"Doppler shift is in Hz, not in {unit}"] = (
-            _scaled((), 1.0 / factor), f"rename {other} to doppler_hz"
-        )  # fmt: skip
+        to_unit, to_hz = f"rename doppler_hz to {other}", f"rename {other} to doppler_hz"
+        mistakes[f"Doppler shift is in {unit}, not in Hz"] = _scaled((), factor), to_unit
+        mistakes[f"Doppler shift is in Hz, not in {unit}"] = _scaled((), 1.0 / factor), to_hz
     for order in _orders(len(scene.anchors_m)):
         numbers = ", ".join(str(i + 1) for i in order)
         cure = f"write the scene's anchors in the order {numbers}"
-        found[f"anchors are the scene's {numbers}"] = partial(_anchors, order), cure
+        mistakes[f"anchors are the scene's {numbers}"] = partial(_anchors, order), cure
     for name in sorted(RADIOS.keys() - {radio.name}):
         cure = f"give --radio {name}, or radio={name!r}"
-        found[f"radio is {name}"] = partial(Reading._replace, radio=RADIOS[name]), cure
-    return {name: Mistake(*mistake) for name, mistake in found.items()}
+        mistakes[f"radio is {name}"] = partial(Reading._replace, radio=RADIOS[name]), cure
+    return {name: Mistake(*mistake) for name, mistake in mistakes.items()}
 
 
 # --- which mistake explains the log
@@ -230,22 +212,22 @@ def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Fi
     if not len(fixes):
         raise ValueError(f"log: found no link of anchor 1 in {len(block)} epochs, expected one")
     first = block.part(slice(fixes[0], fixes[0] + DIAGNOSED_EPOCHS))
-    given = Reading(first, scene, radio)
+    as_it_is = Reading(first, scene, radio)
     single = hypotheses(scene, radio)
-    readings = {AS_IT_IS: given} | {name: m.undo(given) for name, m in single.items()}
+    readings = {AS_IT_IS: as_it_is} | {name: m.undo(as_it_is) for name, m in single.items()}
     findings = _findings(readings, mode)
     if findings[0].contradictions:
         double = {
-            f"{a}; {b}": single[b].undo(single[a].undo(given)) for a, b in permutations(single, 2)
+            f"{a}; {b}": single[b].undo(single[a].undo(as_it_is))
+            for a, b in permutations(single, 2)
         }
         best = [f for f in _findings(double, mode) if not f.contradictions]
         findings = best[:1] + findings
-    return [f._replace(cure=_cure(f.hypothesis, single)) for f in findings]
-
-
-def _cure(hypothesis: str, single: dict[str, Mistake]) -> str:
-    """Return the cures of all mistakes of a hypothesis, in their order."""
-    return "; then ".join(single[name].cure for name in hypothesis.split("; ") if name in single)
+    for i, finding in enumerate(findings):
+        names = finding.hypothesis.split("; ")
+        cures = [single[name].cure for name in names if name in single]
+        findings[i] = finding._replace(cure="; then ".join(cures))
+    return findings
 
 
 def _findings(readings: dict[str, Reading], mode: Mode) -> list[Finding]:
@@ -254,10 +236,10 @@ def _findings(readings: dict[str, Reading], mode: Mode) -> list[Finding]:
     )
     ruled_out = {name: list(impossible(r.block)) for name, r in readings.items()}
     tracked = {name: r for name, r in readings.items() if not ruled_out[name]}
-    found = [Finding(name, {}, None, why) for name, why in ruled_out.items() if why]
+    findings = [Finding(name, {}, None, why) for name, why in ruled_out.items() if why]
     if tracked:
-        found += _track(tracked, plain)
-    return sorted(found, key=_rank)
+        findings += _track(tracked, plain)
+    return sorted(findings, key=_rank)
 
 
 def _rank(finding: Finding) -> tuple[bool, float]:
@@ -269,22 +251,17 @@ def _rank(finding: Finding) -> tuple[bool, float]:
 
 
 def _track(readings: dict[str, Reading], mode: Mode) -> Iterable[Finding]:
-    blocks = [_wrapped(reading.block) for reading in readings.values()]
-    episodes = [
-        episode_from(block, r.scene, r.radio)
-        for block, r in zip(blocks, readings.values(), strict=True)
-    ]
+    blocks, episodes = [], []
+    for reading in readings.values():
+        z = reading.block.measurement.copy()
+        wrap_angles(z, reading.block.layout)
+        blocks.append(replace(reading.block, measurement=z))
+        episodes.append(episode_from(blocks[-1], reading.scene, reading.radio))
     tracker = Tracker(Pipeline((mode,), blocks[0].layout), len(episodes))
     tracker.load(episodes)
     nis, likelihood = tracker.run("memory.nis", "log_likelihood").values()
     for i, (name, reading) in enumerate(readings.items()):
         yield _finding(name, reading, blocks[i], episodes[i].visible, nis[i], likelihood[i])
-
-
-def _wrapped(block: LogBlock) -> LogBlock:
-    z = block.measurement.copy()
-    wrap_angles(z, block.layout)
-    return replace(block, measurement=z)
 
 
 def _finding(
@@ -294,14 +271,14 @@ def _finding(
     dof = np.array(layout.widths)
     fits: dict[str, float | None] = {}
     for g, group in enumerate(layout.group_names):
-        seen = nis[visible[:, g], g]
-        fits[group] = float(np.median(seen) / chdtri(dof[g], 0.5)) if len(seen) else None
+        used = nis[visible[:, g], g]
+        fits[group] = float(np.median(used) / chdtri(dof[g], 0.5)) if len(used) else None
     if not np.isfinite(likelihood).all():
         return Finding(name, fits, None, [Contradiction("track", "no number", "numbers")])
     spared = np.maximum(nis - chdtri(dof, _OUTLIER_QUANTILE), 0.0).sum()
     mean = (float(likelihood.sum() + 0.5 * spared) + reading.log_scale) / len(block)
     groups = {
-        group: {"seen": int(seen), "rejected_share": 0.0, "nis_per_dof": fits[group]}
-        for group, seen in zip(layout.group_names, visible.sum(axis=0), strict=True)
+        group: {"seen": int(count), "rejected_share": 0.0, "nis_per_dof": fits[group]}
+        for group, count in zip(layout.group_names, visible.sum(axis=0), strict=True)
     }
     return Finding(name, fits, mean, contradictions(block, reading.scene, reading.radio, groups))

@@ -1,8 +1,10 @@
 """Localization of a measurement log, block by block (paper, Algorithm 1, Step 3; or an IMM).
 
-A track begins at the first line of sight, which gives its prior, and begins anew after a long gap
-(``segments.py``). From there on, every ``window`` epochs are smoothed. A log may be larger than
-memory, and its track does not depend on how it is cut into blocks.
+A track begins at the first line of sight, which gives its prior. Prediction bridges seconds; after
+half a minute without a link the filter is often lost, and confident of a wrong place. So the
+segment ends after a long gap, and the next one begins with the next line of sight. In a segment,
+every ``window`` epochs are smoothed. A log may be larger than memory, and its track does not depend
+on how it is cut into blocks.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -19,11 +21,11 @@ from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
-from mmwave_env.localization.segments import Piece, segments
-from mmwave_env.logs.log import Block, LogBlock, in_windows
-from mmwave_env.logs.log_tables import LogError
+from mmwave_env.logs.log import LogBlock
+from mmwave_env.logs.log_columns import RANGE_LIMITS_M
+from mmwave_env.logs.log_tables import LogError, in_windows
 from mmwave_env.models.measurement import Layout
-from mmwave_env.models.prior import prior_from_fix
+from mmwave_env.models.prior import GAP_S, STEEPEST_FIX_RAD, prior_from_fix
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Mask
@@ -32,33 +34,32 @@ from mmwave_env.world.episode import Episode
 _FILTERED = ("x", "P", "x_predicted", "P_predicted", "memory.mode", "memory.nis", "memory.accepted")
 
 
-@dataclass(frozen=True, eq=False)
-class TrackBlock(Block):
-    """T consecutive epochs of a track, all in the same segment."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TrackBlock(LogBlock):
+    """T consecutive epochs of a log in one segment, with their track.
 
-    layout: Layout  # groups of the measurements
-    planar: bool  # whether z and vz are known exactly
-    time_s: Array  # (T,) increasing, also across blocks
-    # x, P: (T, 7), (T, 28) filtered belief after each epoch; covariances are packed. With an IMM
-    # they are the moments of its mixture, and so are x_predicted and P_predicted
+    Attributes:
+        planar: whether z and vz are known exactly.
+        x, P: (T, 7), (T, 28) filtered belief after each epoch; covariances are packed. With an IMM
+            they are the moments of its mixture, and so are x_predicted and P_predicted.
+        x_predicted, P_predicted: (T, 7), (T, 28) belief predicted for each epoch.
+        smooth_x, smooth_P: (T, 7), (T, 28) smoothed belief; without smoothing, the filtered one.
+        mode: (T,) number of the mode that ran; with an IMM, the most probable mode.
+        nis: (T, groups) NIS in that mode; 0 where not visible.
+        visible: (T, groups) as of the log, but without the link that gave the prior.
+        accepted: (T, groups) whether the gate accepted the group.
+    """
+
+    planar: bool
     x: Array
     P: Array
-    # x_predicted, P_predicted: (T, 7), (T, 28) belief predicted for each epoch
     x_predicted: Array
     P_predicted: Array
-    # smooth_x, smooth_P: (T, 7), (T, 28) smoothed belief; the filtered one without smoothing
     smooth_x: Array
     smooth_P: Array
-    mode: NDArray[np.int64]  # (T,) number of the mode that ran; with an IMM, the most probable mode
-    nis: Array  # (T, groups) NIS in that mode; 0 where not visible
-    # visible, accepted, incomplete: (T, groups); the link that gave the prior is not visible
-    visible: Mask
+    mode: NDArray[np.int64]
+    nis: Array
     accepted: Mask
-    incomplete: Mask
-    segment: int  # number of the segment, from 0; each segment begins with a prior from a link
-    skipped: int  # number of epochs of the log before the track
-    dropped: int  # number of epochs of the log between segments, up to the next block
-    share: float  # share of the log read so far, 0 to 1
 
 
 def localize(
@@ -92,42 +93,27 @@ def localize(
 
 
 def _filtered(
-    pieces: Iterable[Piece],
+    blocks: Iterable[LogBlock],
     scene: Scene,
     radio: Radio,
     modes: Sequence[Mode] | Bank,
     rule: Rule | None,
     height_m: float | None,
 ) -> Iterator[TrackBlock]:
+    """Yield the filtered track of the segments of a log."""
     tracker: EpisodeFilter[Any] | None = None
-    for piece in pieces:
-        block = piece.block
-        episode = episode_from(block, scene, radio, piece.begins)
-        if tracker is None:
-            tracker = _tracker(modes, rule, block.layout, planar=height_m is not None)
+    planar = height_m is not None
+    for block in blocks:
+        episode = episode_from(block, scene, radio, block.begins)
+        tracker = tracker or _tracker(modes, rule, block.layout, planar)
         if height_m is not None:
             episode = episode.on_flat_ground(height_m)
-        tracker.load([episode], go_on=not piece.begins)
+        tracker.load([episode], go_on=not block.begins)
         parts = tracker.run(*_FILTERED).items()
-        found: dict[str, Any] = {name.removeprefix("memory."): of[0] for name, of in parts}
-        mode, accepted = found.pop("mode"), found.pop("accepted")
-        track = TrackBlock(
-            layout=block.layout,
-            planar=height_m is not None,
-            time_s=block.time_s,
-            **found,
-            smooth_x=found["x"],
-            smooth_P=found["P"],
-            mode=mode.astype(np.int64),
-            visible=episode.visible,
-            accepted=accepted > 0.5,
-            incomplete=block.incomplete,
-            segment=piece.segment,
-            skipped=piece.skipped,
-            dropped=piece.dropped,
-            share=block.share,
-        )
-        yield from _while_finite(track)
+        track: dict[str, Any] = {name.removeprefix("memory."): of[0] for name, of in parts}
+        track["mode"], track["accepted"] = track["mode"].astype(np.int64), track["accepted"] > 0.5
+        track |= {"smooth_x": track["x"], "smooth_P": track["P"], "visible": episode.visible}
+        yield from _while_finite(TrackBlock(**{**vars(block), **track}, planar=planar))
 
 
 def _tracker(
@@ -186,6 +172,95 @@ def episode_from(block: LogBlock, scene: Scene, radio: Radio, begins: bool = Tru
     )
 
 
+# --- segments
+
+
+def segments(blocks: Iterable[LogBlock]) -> Iterator[LogBlock]:
+    """Yield the epochs of the segments of a log, each block within one segment.
+
+    A segment ends when neither a link nor odometry was seen for more than ``GAP_S``, or where the
+    log says that a track must begin anew. The next segment begins with the next line of sight.
+
+    Raises:
+        LogError: from ``blocks``, after the epochs before the damage.
+        ValueError: there is no line of sight to begin with.
+    """
+    held: LogBlock | None = None  # held until its number of dropped epochs is known
+    skipped, incomplete = 0, 0
+    last_s: float | None = None  # last time with a measurement; None between segments
+    try:
+        for whole in blocks:
+            block = whole
+            while len(block):
+                begins = last_s is None
+                if last_s is None:
+                    first = _first_fix(block)
+                    if held:
+                        held = replace(held, dropped=held.dropped + first)
+                    else:
+                        skipped += first
+                        incomplete += int(block.incomplete[:first, 0].sum())
+                    block = block.part(slice(first, None))
+                    if not len(block):
+                        break
+                    last_s = float(block.time_s[0])
+                end, last_s = _end(block, last_s, begins)
+                if end:
+                    if held:
+                        yield held
+                    held = replace(
+                        block.part(slice(end)),
+                        segment=held.segment + begins if held else 0,
+                        begins=begins,
+                        skipped=skipped,
+                        dropped=held.dropped if held else 0,
+                    )
+                block = block.part(slice(end, None))
+    except LogError:
+        if held:
+            yield held
+        raise
+    if not held:
+        raise ValueError(
+            f"log: found {skipped} epochs without a line of sight, expected one with a range of "
+            f"at least {RANGE_LIMITS_M[0]:g} m, angles and SNR of anchor 1, and an elevation of at "
+            f"most {np.degrees(STEEPEST_FIX_RAD):g} degrees, where the track begins "
+            f"({incomplete} have only some of these)"
+        )
+    yield held
+
+
+def gives_fix(links: Array) -> Mask:
+    """Tell which links (n, 4 or more), m and rad, give a prior.
+
+    Straight above or below an anchor the azimuth is undefined. Near there the uncertainty of the
+    direction grows with the elevation, which a Gaussian does not describe.
+    """
+    return (links[:, 0] >= RANGE_LIMITS_M[0]) & (abs(links[:, 2]) <= STEEPEST_FIX_RAD)
+
+
+def _first_fix(block: LogBlock) -> int:
+    """Return the index of the first epoch that gives a prior; without one, the number of epochs."""
+    fixes = np.flatnonzero(block.visible[:, 0] & gives_fix(block.measurement))
+    return int(fixes[0]) if len(fixes) else len(block)
+
+
+def _end(block: LogBlock, last_s: float, begins: bool) -> tuple[int, float | None]:
+    """Count the block's epochs in the segment; return also the time of its last measurement.
+
+    The time is None if the segment ends in this block; ``begins`` tells whether it starts here.
+    """
+    measured = block.visible[:, : block.layout.anchors].any(axis=1)
+    if block.layout.odometry:  # dead reckoning bridges two minutes as well as ten seconds
+        measured |= block.visible[:, -1]
+    latest = np.maximum.accumulate(np.where(measured, block.time_s, last_s))
+    before = np.concatenate([[last_s], latest[:-1]])
+    ends = (block.time_s - before > GAP_S) | block.restarts
+    ends[0] &= not begins
+    over = np.flatnonzero(ends)
+    return (int(over[0]), None) if len(over) else (len(block), float(latest[-1]))
+
+
 # --- smoothing
 
 
@@ -193,9 +268,9 @@ def _smoothed(blocks: Iterable[TrackBlock], window: int) -> Iterator[TrackBlock]
     """Yield the track in blocks of whole windows, smoothed together, and the rest of segments."""
     for block in in_windows(blocks, window, lambda block: block.segment):
         epochs = min(window, len(block))
-        values = (block.x, block.P, block.x_predicted, block.P_predicted, block.time_s)
         x, P, x_predicted, P_predicted, time_s = (
-            one.reshape(-1, epochs, *one.shape[1:]) for one in values
+            values.reshape(-1, epochs, *values.shape[1:])
+            for values in (block.x, block.P, block.x_predicted, block.P_predicted, block.time_s)
         )
         x, P = smooth(x, P, x_predicted, P_predicted, np.diff(time_s), block.planar)
         yield replace(block, smooth_x=x.reshape(block.x.shape), smooth_P=P.reshape(block.P.shape))

@@ -21,8 +21,8 @@ from mmwave_env.filters.linearization import Tangent
 from mmwave_env.filters.memory import Memory, initial_memory, memory_after, memory_before
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline, predict, predict_update
-from mmwave_env.localization.segments import gives_fix
-from mmwave_env.logs.path_log import PathEpoch
+from mmwave_env.localization.localizer import gives_fix
+from mmwave_env.logs.log import PathEpoch
 from mmwave_env.models.measurement import Epoch, Layout, Site, link_group, seen_from_image
 from mmwave_env.models.prior import GAP_S, prior_from_fix
 from mmwave_env.models.radio import Radio
@@ -57,12 +57,12 @@ def assign(nis: Array, gate: float) -> Index:
         nis: (L, n) as :func:`path_nis` returns it.
         gate: the largest NIS of a path that belongs to an anchor.
     """
-    found = np.full(len(nis), NO_PATH)
+    labels = np.full(len(nis), NO_PATH)
     # A pair outside the gate costs as much as the gate; its anchor and path stay unassigned.
     anchors, paths = linear_sum_assignment(np.minimum(np.nan_to_num(nis, nan=np.inf), gate))
     inside = nis[anchors, paths] < gate
-    found[anchors[inside]] = paths[inside]
-    return found
+    labels[anchors[inside]] = paths[inside]
+    return labels
 
 
 def disagreement(paths: Array, sigma: Array) -> Array:
@@ -86,13 +86,13 @@ class PathTrack(NamedTuple):
     memory: Memory
     time_s: float
     seen_s: float  # last time at which a path or odometry belonged to the track
-    found: Index  # (L,) the path of every anchor in this epoch
+    labels: Index  # (L,) the path of every anchor in this epoch
     epoch: Epoch  # the epoch with these labels
 
     @property
     def fitted(self) -> int:
         """Return the number of paths that the track explains in this epoch."""
-        return int((self.found != NO_PATH).sum())
+        return int((self.labels != NO_PATH).sum())
 
 
 class _Links(NamedTuple):
@@ -127,9 +127,9 @@ class PathTracker:
         links, coming = self._links(paths), self.nothing(paths, paths.time_s - track.time_s)
         before = track.x, track.P, track.memory.gamma
         x, P = predict(self._pipeline, self._mode, *before, coming, self._scene.hz_per_mps)
-        found = assign(path_nis(x, P, self._anchors, links.z, links.sigma), self._gate)
-        epoch = self._with_labels(coming, paths, links, found)
-        return self._updated(track._replace(found=found, epoch=epoch), paths)
+        labels = assign(path_nis(x, P, self._anchors, links.z, links.sigma), self._gate)
+        epoch = self._with_labels(coming, paths, links, labels)
+        return self._updated(track._replace(labels=labels, epoch=epoch), paths)
 
     def rival(self, track: PathTrack | None, window: Sequence[PathEpoch]) -> PathTrack | None:
         """Return a track that begins here and explains more of the coming epochs, if there is one.
@@ -138,7 +138,7 @@ class PathTracker:
         for the end of a blockage instead of taking a reflection for the line of sight.
         """
         horizon = window[0].time_s + GAP_S
-        paths, *coming = (one for one in window if one.time_s <= horizon)
+        paths, *coming = (epoch for epoch in window if epoch.time_s <= horizon)
         best, fitted = self._best(track, paths, coming)
         if best is None:
             return None
@@ -147,20 +147,19 @@ class PathTracker:
         own = 0.0 if track is None else self._fitted(track, coming) + CLEARLY_MORE * len(coming)
         if fitted - 1 < max(own, len(coming)):
             return None
-        later = (self._best(None, one, coming[k + 1 :])[1] for k, one in enumerate(coming))
+        later = (self._best(None, epoch, coming[k + 1 :])[1] for k, epoch in enumerate(coming))
         return best if fitted >= max(later, default=0) else None
 
     def _best(
         self, track: PathTrack | None, paths: PathEpoch, coming: Sequence[PathEpoch]
     ) -> tuple[PathTrack | None, int]:
         """Return the track that begins here and explains most paths, and the number of paths."""
-        best: PathTrack | None = None
-        most = 0
-        for one in self._beginnings(track, paths):
-            fitted = self._fitted(one, coming)
-            if fitted > most:
-                best, most = one, fitted
-        return best, most
+        best: tuple[PathTrack | None, int] = None, 0
+        for begun in self._beginnings(track, paths):
+            fitted = self._fitted(begun, coming)
+            if fitted > best[1]:
+                best = begun, fitted
+        return best
 
     def _fitted(self, track: PathTrack, coming: Sequence[PathEpoch]) -> int:
         """Count the paths that a track explains in its epoch and in coming epochs."""
@@ -176,9 +175,9 @@ class PathTracker:
         sights = links.z[0]
         likely = gives_fix(sights) & (disagreement(sights, links.sigma[0]) < self._disagreement)
         if track:
-            likely[track.found[track.found != NO_PATH]] = False
-            if track.found[0] != NO_PATH:  # no path is shorter than the line of sight
-                likely &= sights[:, 0] < sights[track.found[0], 0]
+            likely[track.labels[track.labels != NO_PATH]] = False
+            if track.labels[0] != NO_PATH:  # no path is shorter than the line of sight
+                likely &= sights[:, 0] < sights[track.labels[0], 0]
         for path in np.flatnonzero(likely):
             begun = self._begin(paths, links, int(path))
             if begun:
@@ -194,13 +193,13 @@ class PathTracker:
         x, P = mean.tolist(), covariance.tolist()
         nis = path_nis(x, P, self._anchors, links.z, links.sigma)
         nis[0], nis[:, path] = np.inf, np.inf
-        found = assign(nis, self._gate)
-        epoch = self._with_labels(self.nothing(paths), paths, links, found)
-        prior = PathTrack(x, pack(P), self._memory, paths.time_s, paths.time_s, found, epoch)
+        labels = assign(nis, self._gate)
+        epoch = self._with_labels(self.nothing(paths), paths, links, labels)
+        prior = PathTrack(x, pack(P), self._memory, paths.time_s, paths.time_s, labels, epoch)
         track = self._updated(prior, paths)
-        found = found.copy()
-        found[0] = path
-        return track._replace(found=found, epoch=self._with_labels(epoch, paths, links, found))
+        labels = labels.copy()
+        labels[0] = path
+        return track._replace(labels=labels, epoch=self._with_labels(epoch, paths, links, labels))
 
     def _links(self, paths: PathEpoch) -> _Links:
         layout, n = self._layout, len(paths.snr_db)
@@ -225,20 +224,18 @@ class PathTracker:
             z[rows], sigma[rows], visible[-1] = paths.odometry.tolist(), self._odometry_sigma, 1.0
         return Epoch(dt, z, sigma, visible, snr, paths.doppler_spread_hz)
 
-    def _with_labels(self, epoch: Epoch, paths: PathEpoch, links: _Links, found: Index) -> Epoch:
+    def _with_labels(self, epoch: Epoch, paths: PathEpoch, links: _Links, labels: Index) -> Epoch:
         """Return the epoch with the paths of the anchors in their rows."""
         layout = self._layout
         z, sigma, visible, snr = (list(part) for part in epoch[1:5])
-        for anchor in np.flatnonzero(found != NO_PATH).tolist():
-            path, rows = found[anchor], layout.link(anchor)
+        for anchor in np.flatnonzero(labels != NO_PATH).tolist():
+            path, rows = labels[anchor], layout.link(anchor)
             z[rows], sigma[rows] = (part[anchor, path].tolist() for part in links[:2])
             visible[anchor], snr[anchor] = 1.0, float(paths.snr_db[path])
-        sight, row = found[0], layout.doppler
-        if sight != NO_PATH and np.isfinite(paths.measurement[sight, 4]):
-            z[row], sigma[row] = (
-                float(paths.measurement[sight, 4]),
-                float(links.doppler_sigma[sight]),
-            )
+        sight, row = labels[0], layout.doppler
+        doppler = float(paths.measurement[sight, 4]) if sight != NO_PATH else np.nan
+        if np.isfinite(doppler):
+            z[row], sigma[row] = doppler, float(links.doppler_sigma[sight])
             visible[layout.anchors] = 1.0
         return epoch._replace(z=z, sigma=sigma, visible=visible, snr_db=snr)
 
@@ -251,6 +248,8 @@ class PathTracker:
         )
         memory = memory_before(track.memory, [after], epoch, layout)
         memory = memory_after(layout, 0.0, track.x, after, memory, epoch.dt, epoch.visible)
-        seen = any(epoch.visible[: layout.anchors]) or (layout.odometry and epoch.visible[-1])
-        track = track._replace(x=after.x, P=after.P, memory=memory, time_s=paths.time_s)
-        return track._replace(seen_s=paths.time_s) if seen else track
+        measured = any(epoch.visible[: layout.anchors]) or (layout.odometry and epoch.visible[-1])
+        seen_s = paths.time_s if measured else track.seen_s
+        return track._replace(
+            x=after.x, P=after.P, memory=memory, time_s=paths.time_s, seen_s=seen_s
+        )

@@ -120,10 +120,10 @@ def percentiles(sizes: Array) -> dict[str, float | None]:
     """
     largest = np.where(np.isnan(sizes), np.inf, sizes)
     with np.errstate(invalid="ignore"):  # interpolation between two infinities is invalid
-        found = np.quantile(largest, SHARES) if sizes.size else np.full(len(SHARES), np.nan)
+        quantiles = np.quantile(largest, SHARES) if sizes.size else np.full(len(SHARES), np.nan)
     return {
         f"{100.0 * share:.0f}": float(value) if np.isfinite(value) else None
-        for share, value in zip(SHARES, found, strict=True)
+        for share, value in zip(SHARES, quantiles, strict=True)
     }
 
 
@@ -141,9 +141,9 @@ class BoundedErrors:
     def rows(self) -> Array:
         """Return errors and levels (n, 2) of all epochs, m."""
         self._file.seek(0)
-        found = np.frombuffer(self._file.read()).reshape(-1, 2)
+        rows = np.frombuffer(self._file.read()).reshape(-1, 2)
         self._file.seek(0, 2)
-        return found
+        return rows
 
     def figures(self) -> dict[str, Any]:
         """Return statistics of the errors and levels; see docs/errors.md."""

@@ -15,12 +15,11 @@ from mmwave_env.logs.tum import COLUMNS, tum_lines
 
 TRACK_ENDINGS = (".tum", ".txt")
 _VARIANCES = [i * (i + 3) // 2 for i in range(6)]  # of positions and velocities in packed P
-TABLE_COLUMNS = (
-    "time_s", "x_m", "y_m", "z_m", "sigma_x_m", "sigma_y_m", "sigma_z_m", "vx_mps", "vy_mps",
-    "vz_mps", "sigma_vx_mps", "sigma_vy_mps", "sigma_vz_mps", "mode",
-)  # fmt: skip
 _TRACK_HEADER = f"# {' '.join(COLUMNS)}; mmwave-loc localize\n"
-_TABLE_HEADER = ",".join(TABLE_COLUMNS) + "\n"
+_TABLE_HEADER = (
+    "time_s,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m,vx_mps,vy_mps,vz_mps,"
+    "sigma_vx_mps,sigma_vy_mps,sigma_vz_mps,mode\n"
+)
 
 
 def table_beside(track: Path) -> Path:
@@ -48,22 +47,19 @@ def require_own_files(track: Path) -> None:
         OSError: a file can't be read.
     """
     table = table_beside(track)
-    for path, header, found in (
+    for path, header, problem in (
         (track, _TRACK_HEADER, "no track of mmwave-loc localize and which the new one"),
         (table, _TABLE_HEADER, f"no table of a track and which that of {track}"),
     ):
-        if path.is_file() and not _begins(path, header):
+        if not path.is_file():
+            continue
+        with path.open("rb") as file:
+            own = file.read(len(header)) == header.encode()
+        if not own:
             raise ValueError(
-                f"out: found {path}, which is {found} would replace, expected another name, such "
+                f"out: found {path}, which is {problem} would replace, expected another name, such "
                 f"as {track.with_stem(f'{track.stem}-track')}"
             )
-
-
-def _begins(path: Path, header: str) -> bool:
-    """Tell whether a file begins with a header."""
-    expected = header.encode()
-    with path.open("rb") as file:
-        return file.read(len(expected)) == expected
 
 
 @contextmanager

@@ -167,9 +167,9 @@ class TruthScores:
         return np.column_stack(belief.error(where)), belief.nees(where)
 
     def _pair(self, end: bool = False) -> None:
-        found = self._pairs.take(end)
+        pairs = self._pairs.take(end)
         for accuracy in self._tracks.values():
-            accuracy.pair(*found)
+            accuracy.pair(*pairs)
 
     def figures(self) -> dict[str, Any]:
         """Return the accuracy of every track with the reference values to judge it by."""
@@ -220,14 +220,14 @@ class Groups:
         columns = [*self._sums.T, self._sums.sum(axis=1)]
         return {
             name: {
-                "seen": int(seen),
+                "seen": int(visible),
                 "rejected": int(rejected),
-                "rejected_share": ratio(rejected, seen),
+                "rejected_share": ratio(rejected, visible),
                 "incomplete": int(incomplete),
                 "nis_per_dof": ratio(nis, dof),
-                "nis_in_bounds": ratio(inside, seen - rejected),
+                "nis_in_bounds": ratio(inside, visible - rejected),
             }
-            for name, (seen, rejected, incomplete, dof, nis, inside) in zip(
+            for name, (visible, rejected, incomplete, dof, nis, inside) in zip(
                 self._names, columns, strict=True
             )
         }

@@ -40,19 +40,12 @@ _LEAST = 1e-6  # m, rad: deviation of a log without noise
 
 
 class ClockOffset(NamedTuple):
-    """An estimate of how far the clock of a truth is ahead of the clock of a log.
+    """An estimate of how far the clock of a truth is ahead of the clock of a log."""
 
-    Attributes:
-        seconds: the estimate.
-        deviation_s: its standard error.
-        part: share of the squared error, from 0 to 1, that the estimate explains.
-        limit: ratio of seconds to deviation_s that chance exceeds in one of 200 cases.
-    """
-
-    seconds: float
-    deviation_s: float
-    part: float
-    limit: float
+    seconds: float  # the estimate
+    deviation_s: float  # its standard error
+    part: float  # share of the squared error, from 0 to 1, that the estimate explains
+    limit: float  # ratio of seconds to deviation_s that chance exceeds in one of 200 cases
 
     @property
     def matters(self) -> bool:
@@ -93,16 +86,16 @@ def clock_offset(
         truth_at: returns the truth at times of the truth's clock.
     """
     log = log.part(slice(_COMPARED))
-    found = _linear(log, scene, truth_at(log.time_s))
-    if found is None:
+    estimate = _linear(log, scene, truth_at(log.time_s))
+    if estimate is None:
         return None
-    first, deviation = found
+    first, deviation = estimate
     seconds = first.seconds
     for _ in range(_ROUNDS):
-        found = _linear(log, scene, truth_at(log.time_s + seconds))
-        if found is None or abs(seconds + found[0].seconds) > _FARTHEST_S:
+        estimate = _linear(log, scene, truth_at(log.time_s + seconds))
+        if estimate is None or abs(seconds + estimate[0].seconds) > _FARTHEST_S:
             return first
-        left, moved = found
+        left, moved = estimate
         seconds += left.seconds
         if abs(left.seconds) < 0.1 * left.deviation_s:
             break
@@ -124,10 +117,10 @@ def _linear(log: LogBlock, scene: Scene, truth: TrueEpochs) -> tuple[ClockOffset
         rows = exact_rows([*position_m.T], [0.0] * 3, anchors, 0.0, layout)
         return np.array(rows[: layout.doppler]).T
 
-    def difference(one: Array, other: Array) -> Array:
-        found = one - other
-        found[:, layout.angles] = wrap(found[:, layout.angles])
-        return found
+    def difference(rows: Array, other: Array) -> Array:
+        change = rows - other
+        change[:, layout.angles] = wrap(change[:, layout.angles])
+        return change
 
     p, v = truth.position_m, truth.velocity_mps
     error = difference(log.measurement[:, : layout.doppler], exact(p))
@@ -149,17 +142,17 @@ def _linear(log: LogBlock, scene: Scene, truth: TrueEpochs) -> tuple[ClockOffset
         stretch_s *= 2.0
     ends_at = np.flatnonzero(np.diff((log.time_s - log.time_s[0]) // stretch_s)) + 1
     # products of 1, the error, and its derivatives by tau and by s, by stretch and row
-    sums = np.array([np.einsum("tri,trj->rij", one, one) for one in np.split(terms, ends_at)])
+    sums = np.array([np.einsum("tri,trj->rij", part, part) for part in np.split(terms, ends_at)])
     sums = sums[sums[:, :, 0, 0].any(axis=1)]
     total, n = sums.sum(axis=0), len(sums)
-    found = _fit(total)
-    if n < _FEWEST or not found:
+    fit = _fit(total)
+    if n < _FEWEST or not fit:
         return None
-    seconds, part = found
+    seconds, share = fit
     fits = filter(None, [_fit(total - stretch) for stretch in sums])
     without = np.array([fit[0] for fit in fits])
     error_s = math.sqrt((n - 1) / n * float(((without - seconds) ** 2).sum()))
-    return ClockOffset(seconds, error_s, part, float(t.isf(0.5 * _CHANCE, n - 1))), deviation
+    return ClockOffset(seconds, error_s, share, float(t.isf(0.5 * _CHANCE, n - 1))), deviation
 
 
 def _fit(sums: Array) -> tuple[float, float] | None:

@@ -6,36 +6,35 @@ import os
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from mmwave_env.io.files import naming, open_regular
 
 _BLOCK_BYTES = 1 << 20
 
 
-class LineBlock(NamedTuple):
-    """Consecutive lines of a file."""
-
-    first: int  # number of the first line, counted from 1, as editors do
-    lines: list[str]  # lines without their ends; bytes that are not UTF-8 are escaped, for messages
-    share: float  # share of the file read so far, 0 to 1
-
-
 class DamagedFileError(ValueError):
-    """A file that is damaged from some line on; every whole line before it has been delivered.
+    """A file that is damaged from some row on; every whole row before it has been delivered.
 
-    Attributes:
-        line: number of the first line that is not whole.
-        found, expected: words for the message.
+    Args:
+        path: path of the file.
+        row: number of the first row that is not whole, counted from 1.
+        problem, expected: words for the message.
+        unit: word for a row.
     """
 
-    def __init__(self, path: Path, line: int, found: str, expected: str) -> None:
-        super().__init__(f"{path}, line {line}: found {found}, expected {expected}")
-        self.line = line
+    def __init__(
+        self, path: Path, row: int, problem: str, expected: str, unit: str = "line"
+    ) -> None:
+        super().__init__(f"{path}, {unit} {row}: found {problem}, expected {expected}")
+        self.row = row
 
 
-def line_blocks(path: Path) -> Iterator[LineBlock]:
-    """Yield the lines of a text file, gzipped if its name ends in ``.gz``, about 1 MiB at a time.
+def line_blocks(path: Path) -> Iterator[tuple[list[str], float]]:
+    """Yield the lines of a text file, about 1 MiB at a time, and the share of it read so far.
+
+    The file is gzipped if its name ends in ``.gz``. Lines have no ends; bytes that are not UTF-8
+    are escaped, for messages.
 
     Raises:
         OSError: the file can't be opened or read.
@@ -53,13 +52,13 @@ def line_blocks(path: Path) -> Iterator[LineBlock]:
             content, rest = content[:cut], content[cut:]
             lines = _decode(content, first == 1)
             if lines:
-                yield LineBlock(first, lines, min(raw.tell() / total, 1.0))
+                yield lines, min(raw.tell() / total, 1.0)
             first += len(lines)
             if damage:
                 raise DamagedFileError(path, first, damage, "a file that is whole")
             if len(rest) > _BLOCK_BYTES:
-                found = f"more than {_BLOCK_BYTES} bytes that begin with {rest[:20]!r}"
-                raise DamagedFileError(path, first, found, "a line of text")
+                problem = f"more than {_BLOCK_BYTES} bytes that begin with {rest[:20]!r}"
+                raise DamagedFileError(path, first, problem, "a line of text")
 
 
 def _read(file: Any) -> tuple[bytes, bool, str]:

@@ -7,116 +7,60 @@ in the scene, from 1, the physical gNB, whose rows alone have a Doppler shift. A
 not measured is empty; an anchor that was not seen may be left out. Quantities of the epoch, not
 of an anchor (Doppler spread, odometry), may be in any row of the epoch.
 
+A log of paths has the same columns without ``anchor``: one row per epoch and path, as a receiver
+finds them. The rows of an epoch are in any order and may include false paths. Every path may have
+a Doppler shift, because the base station's path is not known yet.
+
 A log may be larger than memory, so it is read in blocks of consecutive epochs.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.logs.log_checks import EpochRows, whole_epochs
-from mmwave_env.logs.log_columns import LINK_QUANTITIES
-from mmwave_env.logs.log_tables import LogError, open_log
-from mmwave_env.models.measurement import Layout, seen_from_image, whole_groups, wrap_angles
+from mmwave_env.logs.log_checks import whole_epochs
+from mmwave_env.logs.log_columns import STATION
+from mmwave_env.logs.log_tables import Block, LogError, Table, in_windows, open_log
+from mmwave_env.models.measurement import (
+    Layout,
+    seen_from_image,
+    whole_groups,
+    wrap_angles,
+    wrapped,
+)
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Mask
-
-AnyBlock = TypeVar("AnyBlock", bound="Block")
-
-
-class Block:
-    """T consecutive epochs, as a dataclass of arrays (T, ...) and of values that they share."""
-
-    per_epoch: ClassVar[tuple[str, ...]]  # names of the arrays; joined blocks share the last's rest
-    time_s: Any
-
-    def __init_subclass__(cls) -> None:
-        hints = cls.__annotations__.items()
-        cls.per_epoch = tuple(
-            name for name, hint in hints if getattr(hint, "__origin__", 0) is np.ndarray
-        )
-
-    def __len__(self) -> int:
-        return len(self.time_s)
-
-    def part(self: AnyBlock, epochs: slice) -> AnyBlock:
-        """Return a part of the epochs."""
-        return self._with({name: getattr(self, name)[epochs] for name in self.per_epoch})
-
-    @classmethod
-    def joined(cls, blocks: Sequence[AnyBlock]) -> AnyBlock:
-        """Join blocks that follow each other."""
-        return blocks[-1]._with(
-            {name: np.concatenate([getattr(b, name) for b in blocks]) for name in cls.per_epoch}
-        )
-
-    def _with(self: AnyBlock, arrays: dict[str, Any]) -> AnyBlock:
-        return replace(self, **arrays)  # type: ignore[type-var]
-
-
-def in_windows(
-    blocks: Iterable[AnyBlock], window: int, piece: Callable[[AnyBlock], int] = lambda block: 0
-) -> Iterator[AnyBlock]:
-    """Yield the same epochs in blocks of whole windows, and the rest at the end of each piece.
-
-    Epochs before a LogError of ``blocks`` are delivered before it. ``piece`` returns the number of
-    the piece that a block belongs to; pieces are not joined.
-    """
-    waiting: list[AnyBlock] = []
-
-    def rest() -> Iterator[AnyBlock]:
-        if waiting:
-            yield waiting[-1].joined(waiting)
-
-    try:
-        for block in blocks:
-            if waiting and piece(block) != piece(waiting[0]):
-                yield from rest()
-                waiting = []
-            waiting.append(block)
-            if sum(map(len, waiting)) >= window:
-                joined = block.joined(waiting)
-                whole = len(joined) // window * window
-                yield joined.part(slice(whole))
-                waiting = [joined.part(slice(whole, None))] if whole < len(joined) else []
-    except LogError:
-        yield from rest()
-        raise
-    yield from rest()
 
 
 @dataclass(frozen=True, eq=False)
 class LogBlock(Block):
     """T consecutive epochs of a log; numbers of groups that are not visible have no meaning.
 
-    Attributes:
-        layout: rows and groups of the measurements.
-        time_s: (T,) increasing, also across blocks.
-        measurement: (T, rows) m, rad, Hz, m/s; angles in [-pi, pi).
-        visible: (T, groups) whether every number of the group was measured; for a link and for
-            the Doppler shift that includes the SNR, because their noise follows from it.
-        incomplete: (T, groups) whether only some of the numbers were measured: a lost group.
-        snr_db: (T, L); -inf, no signal, where none was measured.
-        doppler_spread_hz: (T,); 0 where none was measured.
-        restarts: (T,) whether a track must begin anew here, because its association with
-            anchors contradicts the epochs before. It is never set in a log with anchor numbers.
-        rows: number of rows of the file read, up to the end of this block or somewhat further.
-        share: share of the file read so far, 0 to 1.
+    :func:`~mmwave_env.localization.localizer.segments` sets what concerns segments.
     """
 
-    layout: Layout
-    time_s: Array
-    measurement: Array
+    layout: Layout  # rows and groups of the measurements
+    time_s: Array  # (T,) increasing, also across blocks
+    measurement: Array  # (T, rows) m, rad, Hz, m/s; angles in [-pi, pi)
+    # (T, groups) whether every number of the group was measured; for a link and for the Doppler
+    # shift that includes the SNR, because their noise follows from it
     visible: Mask
-    incomplete: Mask
-    snr_db: Array
-    doppler_spread_hz: Array
+    incomplete: Mask  # (T, groups) whether only some of the numbers were measured: a lost group
+    snr_db: Array  # (T, L); -inf, no signal, where none was measured
+    doppler_spread_hz: Array  # (T,); 0 where none was measured
+    # (T,) whether a track must begin anew here, because its association with anchors contradicts
+    # the epochs before. It is never set in a log with anchor numbers
     restarts: Mask
-    rows: int
-    share: float
+    share: float  # share of the file read so far, 0 to 1
+    segment: int = 0  # number of the segment of the track, from 0, that all epochs belong to
+    # whether the segment begins here, with a line of sight that gives its prior
+    begins: bool = False
+    skipped: int = 0  # number of epochs of the log before the first segment
+    dropped: int = 0  # number of epochs between segments, up to the next block
 
 
 def read_log(
@@ -154,50 +98,46 @@ def read_log(
         raise ValueError(f"epochs_per_block: found {epochs_per_block}, expected at least 1")
     log = open_log(path, scene.hz_per_mps, odometry)
     layout = Layout(len(scene.anchors_m), "speed" in log.columns)
-    rows = whole_epochs(log, layout.anchors, limits)
-    blocks = (_block(epochs, scene, layout, limits) for epochs in rows)
-    return _regroup(_require_measurements(log.path, blocks), epochs_per_block)
+    tables = whole_epochs(log, layout.anchors, limits)
+    blocks = (_block(table, scene, layout, limits) for table in tables)
+    return (
+        windows.part(slice(first, first + epochs_per_block))
+        for windows in in_windows(_require_measurements(path, blocks), epochs_per_block)
+        for first in range(0, len(windows), epochs_per_block)
+    )
 
 
 def _require_measurements(path: Path, blocks: Iterable[LogBlock]) -> Iterator[LogBlock]:
     """Yield the blocks; raise an error after the last one if none had a measurement."""
-    rows, incomplete, measured = 0, 0, False
+    epochs, incomplete, measured = 0, 0, False
     for block in blocks:
-        rows, incomplete = block.rows, incomplete + int(block.incomplete.sum())
+        epochs, incomplete = epochs + len(block), incomplete + int(block.incomplete.sum())
         measured = measured or bool(block.visible.any())
         yield block
     if not measured:
-        found = f"{rows} rows without a measurement" if rows else "a header and no rows"
-        lost = f", and {incomplete} groups with only some of their numbers" if incomplete else ""
-        raise LogError(f"{path}: found {found}{lost}, expected at least one measurement")
+        raise LogError(
+            f"{path}: found {epochs} epochs without a measurement, and {incomplete} groups with "
+            "only some of their numbers, expected at least one measurement"
+        )
 
 
-def _regroup(blocks: Iterable[LogBlock], epochs: int) -> Iterator[LogBlock]:
-    """Yield blocks of ``epochs`` epochs, and then the rest."""
-    for whole in in_windows(blocks, epochs):
-        for first in range(0, len(whole), epochs):
-            yield whole.part(slice(first, first + epochs))
-
-
-def _block(rows: EpochRows, scene: Scene, layout: Layout, wrap: bool) -> LogBlock:
+def _block(table: Table, scene: Scene, layout: Layout, wrap: bool) -> LogBlock:
     """Return rows of whole epochs as a block."""
-    cells, epoch, T, L = rows.cells, rows.epoch, rows.epochs, layout.anchors
-    anchor = cells["anchor"].astype(np.int64) - 1
-    if "aoa_azimuth_station" in cells:
-        arrival = cells["aoa_azimuth_station"], cells["aoa_elevation"]
-        seen = [seen_from_image(*arrival, scene.anchors_m[0], image) for image in scene.anchors_m]
-        cells["aoa_azimuth"], cells["aoa_elevation"] = np.array(seen)[
-            anchor, :, range(len(epoch))
-        ].T
-    time, snr, measurement = np.empty(T), np.full((T, L), np.nan), np.full((T, layout.size), np.nan)
-    time[epoch] = cells["time"]
-    snr[epoch, anchor] = cells["snr"]
-    for i, quantity in enumerate(LINK_QUANTITIES):
-        measurement[epoch, 4 * anchor + i] = cells[quantity]
-    measurement[:, layout.doppler] = rows.once("doppler")
-    if layout.odometry:
-        measurement[:, layout.doppler + 1] = rows.once("speed")
-        measurement[:, layout.doppler + 2] = rows.once("heading")
+    epoch, links, station = table.epoch, table.links(), scene.anchors_m[0]
+    anchor, T = table["anchor"].astype(np.int64) - 1, int(epoch[-1]) + 1
+    if STATION in table.columns:
+        arrivals = [
+            seen_from_image(links[:, 1], links[:, 2], station, image) for image in scene.anchors_m
+        ]
+        links[:, 1:3] = np.array(arrivals)[anchor, :, range(len(epoch))]
+    time, snr = np.empty(T), np.full((T, layout.anchors), np.nan)
+    measurement = np.full((T, layout.size), np.nan)
+    time[epoch], snr[epoch, anchor] = table["time"], table["snr"]
+    for row in range(links.shape[1]):
+        measurement[epoch, 4 * anchor + row] = links[:, row]
+    of_epoch = ("doppler", "speed", "heading") if layout.odometry else ("doppler",)
+    for row, quantity in enumerate(of_epoch, start=layout.doppler):
+        measurement[:, row] = table.first(table[quantity])
     if wrap:
         wrap_angles(measurement, layout)
     visible, incomplete = whole_groups(measurement, np.isfinite(snr), layout)
@@ -208,8 +148,73 @@ def _block(rows: EpochRows, scene: Scene, layout: Layout, wrap: bool) -> LogBloc
         visible=visible,
         incomplete=incomplete,
         snr_db=np.where(np.isnan(snr), -np.inf, snr),
-        doppler_spread_hz=np.nan_to_num(rows.once("doppler_spread")),
+        doppler_spread_hz=np.nan_to_num(table.first(table["doppler_spread"])),
         restarts=np.zeros(T, bool),
-        rows=rows.rows,
-        share=rows.share,
+        share=table.share,
     )
+
+
+# --- logs of paths
+
+
+class PathEpoch(NamedTuple):
+    """The n paths of an epoch; all numbers were measured, except perhaps the Doppler shift."""
+
+    layout: Layout  # layout of the scene's anchors, with or without odometry
+    time_s: float
+    measurement: Array  # (n, 5) rows of a link, m and rad, and its Doppler shift, Hz, or NaN
+    at_station: bool  # whether arrivals were seen at the base station, not at its mirror image
+    snr_db: Array  # (n,)
+    incomplete: int  # number of paths that are left out because some of their numbers are missing
+    doppler_spread_hz: float  # 0 where none was measured
+    odometry: Array  # (2,) speed, m/s, and heading, rad; NaN where not measured
+    share: float  # share of the file read so far, 0 to 1
+
+
+def read_paths(path: Path, scene: Scene, odometry: bool = True) -> Iterator[PathEpoch]:
+    """Read the epochs of a log of paths, one after the other.
+
+    A column of anchors is ignored, so that a log with labels can be read as one without.
+
+    Args:
+        path, scene, odometry: as :func:`read_log` takes them.
+
+    Raises:
+        LogError: as :func:`read_log`; also for too many paths in an epoch.
+        OSError: the file can't be read.
+    """
+    log = open_log(path, scene.hz_per_mps, odometry, associated=False)
+    layout, measured, epochs = Layout(len(scene.anchors_m), "speed" in log.columns), False, 0
+    for table in whole_epochs(log, None, limits=True):
+        for epoch in _split(table, layout):
+            measured, epochs = measured or len(epoch.snr_db) > 0, epochs + 1
+            yield epoch
+    if not measured:
+        raise LogError(f"{path}: found {epochs} epochs without a whole path, expected at least one")
+
+
+def _split(table: Table, layout: Layout) -> Iterator[PathEpoch]:
+    """Yield the paths of every epoch, without incomplete ones."""
+    snr, time = table["snr"], table["time"]
+    measurement = np.column_stack([table.links(), table["doppler"]])
+    measurement[:, 1:4] = wrapped(measurement[:, 1:4])
+    finite = np.isfinite(np.column_stack([measurement[:, :4], snr]))
+    whole, some = finite.all(axis=1), finite.any(axis=1)
+    spread, speed, heading = (
+        table.first(table[quantity]) for quantity in ("doppler_spread", "speed", "heading")
+    )
+    odometry = np.column_stack([speed, wrapped(heading)])
+    ends = np.searchsorted(table.epoch, np.arange(len(spread)), side="right")
+    for epoch, (first, end) in enumerate(pairwise([0, *ends.tolist()])):
+        kept = np.flatnonzero(whole[first:end]) + first
+        yield PathEpoch(
+            layout=layout,
+            time_s=float(time[first]),
+            measurement=measurement[kept],
+            at_station=STATION in table.columns,
+            snr_db=snr[kept],
+            incomplete=int((some & ~whole)[first:end].sum()),
+            doppler_spread_hz=float(np.nan_to_num(spread[epoch])),
+            odometry=odometry[epoch],
+            share=table.share,
+        )

@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mmwave_env.io.lookup import quoted
+from mmwave_env.io.records import Bound, between
+from mmwave_env.models import envelope
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 
 
@@ -16,44 +18,74 @@ class Unit(NamedTuple):
     divide: float = 1.0
 
 
-_TIME = {"_s": Unit(), "_ms": Unit(1.0, 1e3), "_us": Unit(1.0, 1e6), "_ns": Unit(1.0, 1e9)}
-_ANGLE = {"_rad": Unit(), "_deg": Unit(np.pi, 180.0)}
-_SHIFT = {"_hz": Unit(), "_khz": Unit(1e3), "_mps": Unit()}  # _mps: times f_c / c
+class Quantity(NamedTuple):
+    """A quantity in a log; its numbers are converted to s, m, rad, Hz, dB or m/s."""
+
+    columns: dict[str, Unit]  # names of the columns that may hold the quantity, with their units
+    meaning: str  # the quantity in words, for messages
+    # limits of a receiver's numbers, and their unit, degrees for angles. A least number of 0 holds
+    # for a diagnosis, too
+    limits: tuple[Bound, str] | None = None
+    per_epoch: bool = False  # whether the quantity belongs to the epoch instead of an anchor
 
 
 def _in(name: str, units: dict[str, Unit]) -> dict[str, Unit]:
     return {f"{name}{ending}": unit for ending, unit in units.items()}
 
 
-_FLIGHT = {f"toa{unit}": Unit(SPEED_OF_LIGHT, u.divide) for unit, u in _TIME.items()}
+_TIME = {"_s": Unit(), "_ms": Unit(1.0, 1e3), "_us": Unit(1.0, 1e6), "_ns": Unit(1.0, 1e9)}
+_ANGLE = {"_rad": Unit(), "_deg": Unit(np.pi, 180.0)}
+_SHIFT = {"_hz": Unit(), "_khz": Unit(1e3), "_mps": Unit()}  # _mps: times f_c / c
+_FLIGHT = {f"toa{ending}": Unit(SPEED_OF_LIGHT, unit.divide) for ending, unit in _TIME.items()}
+_SPEED = {"speed_mps": Unit(), "speed_kmh": Unit(1.0, 3.6)}
 
-QUANTITIES: dict[str, dict[str, Unit]] = {
-    "time": _in("time", _TIME),
-    "anchor": {"anchor": Unit()},
-    "toa": {**_FLIGHT, "range_m": Unit()},
-    "aoa_azimuth": _in("aoa_azimuth", _ANGLE),
-    "aoa_azimuth_station": _in("aoa_azimuth_station", _ANGLE),
-    "aoa_elevation": _in("aoa_elevation", _ANGLE),
-    "aod_azimuth": _in("aod_azimuth", _ANGLE),
-    "aod_azimuth_body": _in("aod_azimuth_body", _ANGLE),
-    "snr": {"snr_db": Unit()},
-    "doppler": _in("doppler", _SHIFT),
-    "doppler_spread": _in("doppler_spread", _SHIFT),
-    "speed": {"speed_mps": Unit(), "speed_kmh": Unit(1.0, 3.6)},
-    "heading": _in("heading", _ANGLE),
+RANGE_LIMITS_M = (1e-3, 1e6)  # limits of any antenna and any cell; a mistaken unit exceeds them
+WIDEST_ELEVATION_DEG = 90.0
+_RANGE = between(0.0, RANGE_LIMITS_M[1], "m"), "m"
+_TURN = between(-360.0, 360.0, "degrees (docs/data.md, Angles)"), "degrees"
+_TILT = (
+    between(-WIDEST_ELEVATION_DEG, WIDEST_ELEVATION_DEG, "degrees from the horizon"),
+    "degrees",
+)
+_SNR = between(-1e3, 1e3, "dB"), "dB"
+# limits within which filters are numerically sound
+_BIAS, _SPREAD = (envelope.BIAS_HZ, "Hz"), (envelope.DOPPLER_SPREAD_HZ, "Hz")
+_FASTEST = envelope.VELOCITY_MPS, "m/s"
+
+STATION = "aoa_azimuth_station"
+BODY = "aod_azimuth_body"
+QUANTITIES = {
+    "time": Quantity(_in("time", _TIME), "the time of the epoch"),
+    "anchor": Quantity(
+        {"anchor": Unit()},
+        "the number in the scene; mmwave-loc localize --associate does without (docs/data.md)",
+    ),
+    "toa": Quantity({**_FLIGHT, "range_m": Unit()}, "the time of flight, or the range", _RANGE),
+    "aoa_azimuth": Quantity(
+        _in("aoa_azimuth", _ANGLE), "the azimuth from the anchor to the user", _TURN
+    ),
+    STATION: Quantity(_in(STATION, _ANGLE), "the azimuth of arrival at the base station", _TURN),
+    "aoa_elevation": Quantity(_in("aoa_elevation", _ANGLE), "the elevation of arrival", _TILT),
+    "aod_azimuth": Quantity(
+        _in("aod_azimuth", _ANGLE), "the azimuth from the user to the anchor", _TURN
+    ),
+    BODY: Quantity(_in(BODY, _ANGLE), "the azimuth of departure from the heading", _TURN),
+    "snr": Quantity({"snr_db": Unit()}, "the signal-to-noise ratio", _SNR),
+    "doppler": Quantity(_in("doppler", _SHIFT), "the Doppler shift of anchor 1", _BIAS),
+    "doppler_spread": Quantity(
+        _in("doppler_spread", _SHIFT), "the Doppler spread", _SPREAD, per_epoch=True
+    ),
+    "speed": Quantity(_SPEED, "the speed by odometry", _FASTEST, per_epoch=True),
+    "heading": Quantity(_in("heading", _ANGLE), "the direction of travel", per_epoch=True),
 }
-"""Quantities with the columns that may hold them; converted units: s, m, rad, Hz, dB and m/s."""
+_QUANTITY_OF = {name: quantity for quantity, row in QUANTITIES.items() for name in row.columns}
 
 LINK_QUANTITIES = ("toa", "aoa_azimuth", "aoa_elevation", "aod_azimuth")
 ODOMETRY_QUANTITIES = ("speed", "heading")
 _REQUIRED = ("time", "anchor", *LINK_QUANTITIES, "snr")
-# Replaces aoa_azimuth: the azimuth at the base station, also of a path that a wall mirrors.
-_STATION = "aoa_azimuth_station"
-_BODY = "aod_azimuth_body"  # replaces aod_azimuth, if there is a heading
-
-_HINTS = {
-    "anchor": "; mmwave-loc localize --associate does without (docs/data.md)",
-    "heading": ", which turns the azimuth of departure from the body's frame to the map's",
+_OTHER_FRAMES = {  # quantity: the one that replaces it, and the one that is then required
+    "aoa_azimuth": (STATION, STATION),
+    "aod_azimuth": (BODY, "heading"),
 }
 
 
@@ -61,7 +93,7 @@ class Column(NamedTuple):
     """A column of a log."""
 
     name: str  # in the file
-    place: int  # in the file, from 0
+    number: int  # in the file, from 0
     unit: Unit  # to convert by
 
 
@@ -71,71 +103,65 @@ def columns_of(
     """Return the columns of a log by quantity, from the names of all its columns.
 
     Without ``odometry`` its columns are ignored, except a heading that angles need; a column of
-    anchors is ignored where rows are not ``associated``.
+    anchors is ignored where rows are not ``associated``. A Doppler shift in m/s is converted by
+    ``hz_per_mps``, f_c / c.
 
     Raises:
-        ValueError: a name is unknown or lacks its unit, or a quantity is given twice or is
+        ValueError: a name is unknown or lacks its unit, or a quantity occurs twice or is
             missing; the message tells which names are allowed.
     """
     columns: dict[str, Column] = {}
-    for place, name in enumerate(names):
+    for number, name in enumerate(names):
         quantity = _quantity(name)
         if quantity in columns:
-            other = columns[quantity].name
-            both = f"{other!r} twice" if name == other else f"both {other!r} and {name!r}"
-            raise ValueError(f"columns: found {both}, expected {quantity} once")
-        unit = QUANTITIES[quantity][name]
+            raise _twice(columns[quantity].name, name, f"{quantity} once")
+        unit = QUANTITIES[quantity].columns[name]
         if name.startswith("doppler") and name.endswith("_mps"):
             unit = Unit(hz_per_mps)
-        columns[quantity] = Column(name, place, unit)
-    if not associated:
-        columns.pop("anchor", None)
-    if not odometry:
-        columns.pop("speed", None)
-        if _BODY not in columns:
-            columns.pop("heading", None)
+        columns[quantity] = Column(name, number, unit)
+    ignored = () if odometry else ("speed",) if BODY in columns else ODOMETRY_QUANTITIES
+    for quantity in ignored if associated else (*ignored, "anchor"):
+        columns.pop(quantity, None)
     _require(columns, names, associated)
     return columns
 
 
+def _twice(name: str, other: str, expected: str) -> ValueError:
+    """Return the error for two columns with the same quantity."""
+    both = f"{name!r} twice" if name == other else f"both {name!r} and {other!r}"
+    return ValueError(f"columns: found {both}, expected {expected}")
+
+
 def _require(columns: dict[str, Column], names: Sequence[str], associated: bool) -> None:
     """Refuse columns if some are missing or contradict each other."""
-    instead: dict[str, str] = {}
-    for usual, other, needed in (
-        ("aoa_azimuth", _STATION, _STATION),
-        ("aod_azimuth", _BODY, "heading"),
-    ):
+    required = [quantity for quantity in _REQUIRED if associated or quantity != "anchor"]
+    for usual, (other, needed) in _OTHER_FRAMES.items():
         if other in columns:
-            instead[usual] = needed
             if usual in columns:
-                both = f"both {columns[usual].name!r} and {columns[other].name!r}"
-                raise ValueError(f"columns: found {both}, expected {usual} in one frame")
-    for quantity in (instead.get(one, one) for one in _REQUIRED if associated or one != "anchor"):
+                raise _twice(columns[usual].name, columns[other].name, f"{usual} in one frame")
+            required[required.index(usual)] = needed
+    if BODY not in columns and not columns.keys().isdisjoint(ODOMETRY_QUANTITIES):
+        required += ODOMETRY_QUANTITIES
+    for quantity in required:
         if quantity not in columns:
+            row = QUANTITIES[quantity]
             raise ValueError(
-                f"columns: found no {quantity} in {', '.join(names)}, "
-                f"expected {_one_of(QUANTITIES[quantity])}{_HINTS.get(quantity, '')}"
-            )
-    for one, other in (ODOMETRY_QUANTITIES, ODOMETRY_QUANTITIES[::-1]):
-        if one in columns and other not in columns and (one, _BODY in columns) != ("heading", True):
-            raise ValueError(
-                f"columns: found {columns[one].name!r} alone, expected {other} "
-                f"({_one_of(QUANTITIES[other])}) beside it"
+                f"columns: found no {quantity} in {', '.join(names)}, expected "
+                f"{_one_of(row.columns)}, {row.meaning}"
             )
 
 
 def _quantity(name: str) -> str:
     """Return the quantity in a column of this name."""
-    for quantity, spellings in QUANTITIES.items():
-        if name in spellings:
-            return quantity
+    if name in _QUANTITY_OF:
+        return _QUANTITY_OF[name]
     # The longest match, so that doppler_spread_x is not taken for a Doppler shift.
     spelled = {**{quantity: quantity for quantity in QUANTITIES}, "range": "toa"}
     meant = [start for start in spelled if name == start or name.startswith(f"{start}_")]
     if meant:
-        expected = _one_of(QUANTITIES[spelled[max(meant, key=len)]])
+        expected = _one_of(QUANTITIES[spelled[max(meant, key=len)]].columns)
         raise ValueError(f"column {quoted(name)}: found no unit we know, expected {expected}")
-    known = ", ".join(next(iter(spellings)) for spellings in QUANTITIES.values())
+    known = ", ".join(next(iter(row.columns)) for row in QUANTITIES.values())
     raise ValueError(
         f"column {quoted(name)}: found no quantity we know, expected columns divided by commas "
         f"out of {known}, or the same in other units"

@@ -6,40 +6,138 @@ and whether cells are numbers are checked here; `log.py` interprets the numbers.
 
 import csv
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.io.files import naming, open_regular
+from mmwave_env.io.files import open_regular
 from mmwave_env.io.lookup import quoted
 from mmwave_env.logs.lines import DamagedFileError, line_blocks, number
-from mmwave_env.logs.log_columns import Column, columns_of
+from mmwave_env.logs.log_columns import BODY, STATION, Column, columns_of
 from mmwave_env.numerics.numbers import Array
 
 Rows = NDArray[np.int64]
+AnyBlock = TypeVar("AnyBlock", bound="Block")
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 _BATCH_ROWS = 1 << 14
-_NOT_A_NUMBER = "expected a number, or nothing where it was not measured"
+_WHOLE = "a file that is whole"
 
 
 class LogError(ValueError):
     """A file that is not a measurement log, or is damaged from some row on."""
 
 
-class Table(NamedTuple):
+class Block:
+    """Consecutive rows or epochs, as a dataclass of arrays (n, ...) and of values they share."""
+
+    arrays: ClassVar[tuple[str, ...]] = ()  # names of the arrays; the first gives the length
+
+    def __init_subclass__(cls) -> None:
+        hints = cls.__annotations__.items()
+        own = [name for name, hint in hints if getattr(hint, "__origin__", 0) is np.ndarray]
+        cls.arrays = (*cls.arrays, *own)
+
+    def __len__(self) -> int:
+        return len(getattr(self, self.arrays[0]))
+
+    def part(self: AnyBlock, rows: slice) -> AnyBlock:
+        """Return a part of the block."""
+        return self._with({name: getattr(self, name)[rows] for name in self.arrays})
+
+    @classmethod
+    def joined(cls, blocks: Sequence[AnyBlock]) -> AnyBlock:
+        """Join blocks that follow each other; the shared values are the last block's."""
+        return blocks[-1]._with(
+            {name: np.concatenate([getattr(b, name) for b in blocks]) for name in cls.arrays}
+        )
+
+    def _with(self: AnyBlock, arrays: dict[str, Any]) -> AnyBlock:
+        return replace(self, **arrays)  # type: ignore[type-var]
+
+
+def in_windows(
+    blocks: Iterable[AnyBlock], window: int, segment: Callable[[AnyBlock], int] = lambda block: 0
+) -> Iterator[AnyBlock]:
+    """Yield the same epochs in blocks of whole windows, and the rest at the end of each segment.
+
+    Epochs before a LogError of ``blocks`` are delivered before it. ``segment`` returns the number
+    of the segment that a block belongs to; segments are not joined.
+    """
+    waiting: list[AnyBlock] = []
+    count = 0
+    try:
+        for block in blocks:
+            if waiting and segment(block) != segment(waiting[0]):
+                yield block.joined(waiting)
+                waiting, count = [], 0
+            waiting.append(block)
+            count += len(block)
+            if count >= window:
+                joined = block.joined(waiting)
+                whole = count // window * window
+                yield joined.part(slice(whole))
+                count -= whole
+                waiting = [joined.part(slice(whole, None))] if count else []
+    except LogError:
+        if waiting:
+            yield waiting[-1].joined(waiting)
+        raise
+    if waiting:
+        yield waiting[-1].joined(waiting)
+
+
+@dataclass(frozen=True, eq=False)
+class Table(Block):
     """Consecutive rows of a log."""
 
-    cells: Array  # (quantities, n) as in the file, NaN where empty
-    rows: Rows  # (n,) numbers of the rows, for messages
+    columns: dict[str, Column]  # the columns that are used, by quantity
+    rows: Rows  # (n,) numbers of the rows in the file, for messages
+    cells: Array  # (n, columns) as in the file, NaN where empty
     share: float  # share of the file read so far, 0 to 1
-    # the damage of the last row, after which nothing follows; cells of that row that can't be
-    # read are NaN
+    # damage of the last row, after which nothing follows; cells of that row that can't be read are
+    # NaN
     damage: LogError | None = None
+
+    def raw(self, quantity: str) -> Array:
+        """Return the cells (n,) of a quantity as in the file."""
+        return self.cells[:, list(self.columns).index(quantity)]  # type: ignore[no-any-return]
+
+    def __getitem__(self, quantity: str) -> Array:
+        """Return the numbers (n,) of a quantity in SI units and dB; NaN if the log lacks it."""
+        if quantity not in self.columns:
+            return np.full(len(self), np.nan)
+        unit = self.columns[quantity].unit
+        return self.raw(quantity) * unit.multiply / unit.divide
+
+    @cached_property
+    def epoch(self) -> Rows:
+        """Return the epoch (n,), from 0, of every row; the rows of an epoch have the same time."""
+        # The times in the file: two of them may be equal after conversion to seconds.
+        return np.concatenate([[0], np.cumsum(np.diff(self.raw("time")) != 0.0)])
+
+    def first(self, values: Array) -> Array:
+        """Return the first of the values (n,) of each epoch that is not NaN; NaN if all are."""
+        first = np.full(self.epoch[-1] + 1, np.nan)
+        some = np.flatnonzero(~np.isnan(values))[::-1]
+        first[self.epoch[some]] = values[some]  # of several rows, the last one stored stays
+        return first
+
+    def links(self) -> Array:
+        """Return the rows of links (n, 4), m and rad; departures are in the frame of the map.
+
+        Azimuths of arrival are at the base station if the log has them from there.
+        """
+        arrival = self[STATION if STATION in self.columns else "aoa_azimuth"]
+        departure = self["aod_azimuth"]
+        if BODY in self.columns:  # without a heading in the epoch there is no departure
+            departure = self[BODY] + self.first(self["heading"])[self.epoch]
+        return np.column_stack([self["toa"], arrival, self["aoa_elevation"], departure])
 
 
 @dataclass(frozen=True)
@@ -47,20 +145,23 @@ class LogFile:
     """A log whose header was read."""
 
     path: Path  # path of the file
-    # the columns that are used, by quantity; the rows of tables are in this order
-    columns: dict[str, Column]
+    columns: dict[str, Column]  # the columns that are used, by quantity
     width: int  # number of columns in the file
 
-    def error(self, row: int, quantity: str, found: str, expected: str) -> LogError:
+    def error(self, row: int, quantity: str, problem: str, expected: str) -> LogError:
         """Return the error that names a cell; rows of a CSV count as editors count lines."""
-        where = f"{'row' if _is_parquet(self.path) else 'line'} {row}"
+        place = f"{'row' if _is_parquet(self.path) else 'line'} {row}"
         if quantity:
-            where += f", column {self.columns[quantity].name!r}"
-        return LogError(f"{self.path}, {where}: found {found}, {expected}")
+            place += f", column {self.columns[quantity].name!r}"
+        return LogError(f"{self.path}, {place}: found {problem}, expected {expected}")
 
     def tables(self) -> Iterator[Table]:
         """Yield the rows in order, up to the first table with damage."""
-        return _parquet_tables(self) if _is_parquet(self.path) else _csv_tables(self)
+        try:
+            yield from _parquet_tables(self) if _is_parquet(self.path) else _csv_tables(self)
+        except DamagedFileError as error:
+            cells = np.full((1, len(self.columns)), np.nan)
+            yield Table(self.columns, np.array([error.row]), cells, 1.0, LogError(str(error)))
 
 
 def open_log(
@@ -70,9 +171,8 @@ def open_log(
 
     Args:
         path: path of a CSV (plain or gzipped) or Parquet file.
-        hz_per_mps: f_c / c, for Doppler shifts given in m/s.
-        odometry: False to ignore the columns of odometry.
-        associated: False where rows are paths: a column of anchors is ignored.
+        hz_per_mps, odometry, associated: as :func:`~mmwave_env.logs.log_columns.columns_of`
+            takes them.
 
     Raises:
         LogError: the file is of another format, or its columns are not those of a log.
@@ -80,9 +180,7 @@ def open_log(
     """
     if not path.name.lower().endswith(SUFFIXES):
         raise LogError(f"{path}: found {path.suffix!r}, expected a name in {', '.join(SUFFIXES)}")
-    with open_regular(path, "a measurement log") as file, naming(path):
-        if not file.read(1):
-            raise LogError(f"{path}: found an empty file, expected a measurement log")
+    open_regular(path, "a measurement log").close()
     names = list(_parquet_types(path)) if _is_parquet(path) else _csv_names(path)
     try:
         columns = columns_of(names, hz_per_mps, odometry, associated)
@@ -103,59 +201,57 @@ def _is_parquet(path: Path) -> bool:
 
 def _csv_names(path: Path) -> list[str]:
     try:
-        block = next(line_blocks(path), None)
+        lines, _ = next(line_blocks(path), ([], 0.0))
     except DamagedFileError as error:
         raise LogError(str(error)) from error
-    if block is None:
+    if not lines:
         raise LogError(f"{path}: found an empty file, expected a measurement log")
     try:  # by a real CSV reader, because some programs quote names
-        names = [name.strip() for name in next(csv.reader(block.lines[:1]))]
+        names = [name.strip() for name in next(csv.reader(lines[:1]))]
     except csv.Error:
         names = []
     if len(names) < 2:
         raise LogError(
-            f"{path}, line 1: found {block.lines[0][:60]!r}, expected names of columns, divided "
-            "by commas"
+            f"{path}, line 1: found {lines[0][:60]!r}, expected names of columns, divided by commas"
         )
     return names
 
 
 def _csv_tables(log: LogFile) -> Iterator[Table]:
-    order = list(log.columns.values())
-    try:
-        for block in line_blocks(log.path):
-            skip = 1 if block.first == 1 else 0  # the header
-            lines = block.lines[skip:]
-            first = block.first + skip
-            cells = _parse_quickly(lines, order, log.width)
-            if cells is None:
-                table = _parse_carefully(log, lines, first, block.share)
-            else:
-                table = Table(cells, np.arange(first, first + len(lines)), block.share)
-            yield table
-            if table.damage:
-                return
-    except DamagedFileError as error:
-        yield Table(
-            np.full((len(order), 1), np.nan), np.array([error.line]), 1.0, LogError(str(error))
-        )
+    first = 1
+    for lines, share in line_blocks(log.path):
+        header = 1 if first == 1 else 0
+        body = lines[header:]
+        cells = _parse_quickly(body, log)
+        if cells is None:
+            table = _parse_carefully(log, body, first + header, share)
+        else:
+            rows = np.arange(len(body)) + first + header
+            table = Table(log.columns, rows, cells, share)
+        yield table
+        if table.damage:
+            return
+        first += len(lines)
 
 
-def _parse_quickly(lines: list[str], columns: list[Column], width: int) -> Array | None:
-    """Parse cells (quantities, lines); return None where a line needs a closer look."""
+def _parse_quickly(lines: list[str], log: LogFile) -> Array | None:
+    """Parse cells (lines, columns); return None where a line needs a closer look."""
+    used = [column.number for column in log.columns.values()]
     if not lines:
-        return np.empty((len(columns), 0))
-    if any(line.count(",") != width - 1 for line in lines):
+        return np.empty((0, len(used)))
+    if any(line.count(",") != log.width - 1 for line in lines):
         return None
     text = "\n" + "\n".join(lines) + "\n"
     for empty, filled in ((",,", ",nan,"), (",,", ",nan,"), ("\n,", "\nnan,"), (",\n", ",nan\n")):
         text = text.replace(empty, filled)
+    split = text[1:-1].split("\n")
     try:
-        cells = np.loadtxt(text[1:-1].split("\n"), delimiter=",", comments=None, ndmin=2,
-                           usecols=[c.place for c in columns], encoding=None)  # fmt: skip
+        cells = np.loadtxt(
+            split, delimiter=",", comments=None, ndmin=2, usecols=used, encoding=None
+        )
     except ValueError:
         return None
-    return np.ascontiguousarray(cells.T) if len(cells) == len(lines) else None
+    return cells if len(cells) == len(lines) else None
 
 
 def _parse_carefully(log: LogFile, lines: list[str], first: int, share: float) -> Table:
@@ -168,20 +264,21 @@ def _parse_carefully(log: LogFile, lines: list[str], first: int, share: float) -
         values = [math.nan] * len(log.columns)
         if len(words) != log.width:
             count = f"{len(words)} cells" if len(words) > 1 else f"one cell, {line[:40]!r}"
-            damage = log.error(row, "", count, f"expected {log.width}, as in the header")
+            damage = log.error(row, "", count, f"{log.width}, as in the header")
         else:
             for i, (quantity, column) in enumerate(log.columns.items()):
-                word = words[column.place].strip()
+                word = words[column.number].strip()
                 values[i] = number(word)
                 empty = not word or word.lower().lstrip("+-") == "nan"
                 if damage is None and math.isnan(values[i]) and not empty:
-                    damage = log.error(row, quantity, quoted(word), _NOT_A_NUMBER)
+                    expected = "a number, or nothing where it was not measured"
+                    damage = log.error(row, quantity, quoted(word), expected)
         cells.append(values)
         rows.append(row)
         if damage:
             break
-    shape = (len(rows), len(log.columns))
-    return Table(np.array(cells, float).reshape(shape).T, np.array(rows, np.int64), share, damage)
+    table = np.array(cells, float).reshape(len(rows), len(log.columns))
+    return Table(log.columns, np.array(rows, np.int64), table, share, damage)
 
 
 # --- Parquet
@@ -219,12 +316,13 @@ def _parquet_types(path: Path) -> dict[str, Any]:
 
 
 def _require_numbers(log: LogFile) -> None:
-    types, found = require_arrow(log.path)[0].types, _parquet_types(log.path)
+    types, kinds = require_arrow(log.path)[0].types, _parquet_types(log.path)
     numeric = types.is_floating, types.is_integer, types.is_decimal, types.is_null
     for column in log.columns.values():
-        if not any(is_kind(found[column.name]) for is_kind in numeric):
-            where = f"{log.path}, column {column.name!r}"
-            raise LogError(f"{where}: found type {found[column.name]}, expected numbers")
+        kind = kinds[column.name]
+        if not any(is_kind(kind) for is_kind in numeric):
+            place = f"{log.path}, column {column.name!r}"
+            raise LogError(f"{place}: found type {kind}, expected numbers")
 
 
 def _parquet_tables(log: LogFile) -> Iterator[Table]:
@@ -232,24 +330,13 @@ def _parquet_tables(log: LogFile) -> Iterator[Table]:
     names = [column.name for column in log.columns.values()]
     with _open_parquet(log.path) as file:
         total, done = max(file.metadata.num_rows, 1), 0
-        batches = file.iter_batches(_BATCH_ROWS, columns=names, use_threads=False)
-        while True:
-            try:
-                batch = next(batches, None)
-                if batch is None:
-                    return
-                cells = np.array([
-                    batch.column(name).cast(pyarrow.float64(), safe=False)
-                    .to_numpy(zero_copy_only=False)
-                    for name in names
-                ])  # fmt: skip
-            except (OSError, pyarrow.ArrowException) as error:
-                damage = log.error(
-                    done + 1, "", f"broken Parquet data ({error})", "expected a file that is whole"
-                )
-                nothing = np.full((len(names), 1), np.nan)
-                yield Table(nothing, np.array([done + 1]), done / total, damage)
-                return
-            rows = np.arange(done + 1, done + 1 + cells.shape[1])
-            done += cells.shape[1]
-            yield Table(cells, rows, done / total)
+        try:
+            for batch in file.iter_batches(_BATCH_ROWS, columns=names, use_threads=False):
+                columns = [batch.column(name).cast(pyarrow.float64(), safe=False) for name in names]
+                cells = [column.to_numpy(zero_copy_only=False) for column in columns]
+                rows = np.arange(len(batch)) + done + 1
+                done += len(batch)
+                yield Table(log.columns, rows, np.stack(cells, axis=1), done / total)
+        except (OSError, pyarrow.ArrowException) as error:
+            problem = f"broken Parquet data ({error})"
+            raise DamagedFileError(log.path, done + 1, problem, _WHOLE, "row") from error

@@ -16,17 +16,11 @@ _REACH_S = 2.0 * BRIDGED_S  # interpolation depends on two poses on either side
 
 
 class TrueEpochs(NamedTuple):
-    """True positions in T epochs, and the distance in time to the nearest poses.
+    """True positions in T epochs, and the distance in time to the nearest poses."""
 
-    Attributes:
-        position_m: (T, 3), NaN where not known.
-        velocity_mps: (T, 3), NaN where no pose is before or no pose is after.
-        away_s: (T,) time of the nearest pose minus the epoch's; NaN where not known.
-    """
-
-    position_m: Array
-    velocity_mps: Array
-    away_s: Array
+    position_m: Array  # (T, 3), NaN where not known
+    velocity_mps: Array  # (T, 3), NaN where no pose is before or no pose is after
+    away_s: Array  # (T,) time of the nearest pose minus the epoch's; NaN where not known
 
 
 class Truth:

@@ -8,7 +8,7 @@ from typing import NamedTuple, NoReturn
 import numpy as np
 
 from mmwave_env.io.lookup import quoted
-from mmwave_env.logs.lines import LineBlock, line_blocks, number
+from mmwave_env.logs.lines import line_blocks, number
 from mmwave_env.numerics.numbers import Array
 
 COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -36,9 +36,10 @@ def tum_blocks(path: Path) -> Iterator[Poses]:
         ValueError: a line is damaged; the message names file and line, and what was expected.
         OSError: the file can't be read.
     """
-    last = -math.inf
-    for block in line_blocks(path):
-        track = _parse(path, block, last)
+    first, last = 1, -math.inf
+    for lines, _ in line_blocks(path):
+        track = _parse(path, lines, first, last)
+        first += len(lines)
         if len(track):
             last = track[-1, 0]
             yield Poses(track[:, 0].copy(), track[:, 1:].copy())
@@ -52,35 +53,43 @@ def read_tum(path: Path) -> Poses:
     return Poses(np.concatenate(time_s), np.concatenate(position_m))
 
 
-def _parse(path: Path, block: LineBlock, last_s: float) -> Array:
-    """Parse times and positions (lines, 4) of a block that follows the time ``last_s``."""
-    poses = [line for line in block.lines if line.strip() and not line.lstrip().startswith("#")]
+def _parse(path: Path, lines: list[str], first: int, last_s: float) -> Array:
+    """Parse times and positions (lines, 4) of lines that follow the time ``last_s``.
+
+    Args:
+        path: path of the file.
+        lines: consecutive lines of it.
+        first: number of the first line.
+        last_s: time of the last pose before them.
+    """
+    poses = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
     if not poses:
         return np.empty((0, 4))
     try:
         rows = np.loadtxt(poses, comments="#", ndmin=2, encoding=None)
     except ValueError:
-        _find_damage(path, block, last_s)
-    times = np.concatenate([[last_s], rows[:, 0]])
+        rows = np.empty((0, 0))
+    times = np.concatenate([[last_s], rows[:, :1].ravel()])
     if rows.shape[1] != len(COLUMNS) or not np.isfinite(rows).all() or (np.diff(times) <= 0).any():
-        _find_damage(path, block, last_s)
+        _find_damage(path, lines, first, last_s)
     return rows[:, :4].copy()
 
 
-def _find_damage(path: Path, block: LineBlock, last_s: float) -> NoReturn:
-    """Refuse a block, naming its first damaged line."""
-    for n, line in enumerate(block.lines, start=block.first):
-        words = line.split("#")[0].split()
-        where = f"{path}, line {n}"
+def _find_damage(path: Path, lines: list[str], first: int, last_s: float) -> NoReturn:
+    """Refuse lines, naming the first damaged line."""
+    for n, line in enumerate(lines, start=first):
+        words, place = line.split("#")[0].split(), f"{path}, line {n}"
         if words and len(words) != len(COLUMNS):
             raise ValueError(
-                f"{where}: found {len(words)} numbers, expected {len(COLUMNS)}: {' '.join(COLUMNS)}"
+                f"{place}: found {len(words)} numbers, expected {len(COLUMNS)}: {' '.join(COLUMNS)}"
             )
         for name, word in zip(COLUMNS, words, strict=False):
             if not math.isfinite(number(word)):
-                raise ValueError(f"{where}, {name}: found {quoted(word)}, expected a finite number")
+                raise ValueError(f"{place}, {name}: found {quoted(word)}, expected a finite number")
         if words and not float(words[0]) > last_s:
-            raise ValueError(f"{where}, t: found {words[0]}, expected more than {last_s}")
+            raise ValueError(f"{place}, t: found {words[0]}, expected more than {last_s}")
         last_s = float(words[0]) if words else last_s
-    where = f"{path}, lines {block.first} to {block.first + len(block.lines) - 1}"
-    raise ValueError(f"{where}: found what numpy does not read, expected {' '.join(COLUMNS)}")
+    raise ValueError(
+        f"{path}, lines {first} to {first + len(lines) - 1}: found what numpy does not read, "
+        f"expected {' '.join(COLUMNS)}"
+    )

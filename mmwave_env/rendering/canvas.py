@@ -61,17 +61,16 @@ class Canvas:
 
     def dashes(self, start: Point, end: Point, color: Color, width: float = 1.0) -> None:
         """Draw a dashed line between two points in the picture."""
-        (x, y), dx, dy = start, end[0] - start[0], end[1] - start[1]
-        length, dash, thick = math.hypot(dx, dy), 5.0 * self.unit, self._width(width)
+        way, dash = np.subtract(end, start), 5.0 * self.unit
+        length = math.hypot(*way)
         for i in range(math.ceil(length / (2.0 * dash))):
-            first, last = 2.0 * i * dash / length, min((2.0 * i + 1.0) * dash / length, 1.0)
-            tail, head = (((x + at * dx) * _TIMES, (y + at * dy) * _TIMES) for at in (first, last))
-            pygame.draw.line(self._large, color, tail, head, thick)
+            shares = 2.0 * i * dash / length, min((2.0 * i + 1.0) * dash / length, 1.0)
+            self.line(start + np.outer(shares, way), color, width)
 
     def disc(self, center: Point, radius: float, color: Color) -> None:
         """Draw a filled circle, its radius in units."""
-        ((x, y),) = _large(np.array([center]))
-        pygame.draw.circle(self._large, color, (x, y), radius * self.unit * _TIMES)
+        (middle,) = _large(np.array([center])).tolist()
+        pygame.draw.circle(self._large, color, middle, radius * self.unit * _TIMES)
 
     def words(
         self, text: str, at: Point, color: Color, size: float = 15.0, align: float = 0.0
@@ -99,10 +98,8 @@ class Canvas:
         """Return the words, cut to a width in px if they are wider."""
         if self.width_of(text, size) <= width:
             return text
-        kept = len(text)
-        while kept and self.width_of(text[:kept] + "...", size) > width:
-            kept -= 1
-        return text[:kept] + "..."
+        cut = (f"{text[:kept]}..." for kept in range(len(text), -1, -1))
+        return next((words for words in cut if self.width_of(words, size) <= width), "...")
 
     def finish(self) -> NDArray[np.uint8]:
         """Combine shapes and words; return the picture (height, width, 3)."""

@@ -1,6 +1,6 @@
 """Pictures of the first environments of many, for Gymnasium's vector wrappers."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -45,7 +45,7 @@ class Gallery:
 
     def begin(
         self,
-        places: Index,
+        indices: Index,
         names: Sequence[str],
         streets: Callable[[int], Streets | None],
         workspace: Callable[[int], Array],
@@ -53,18 +53,18 @@ class Gallery:
         """Start over in some environments, with the prior in their workspaces.
 
         Args:
-            places: indices of the environments.
+            indices: indices of the environments.
             names: (N,) names of the episodes.
             streets: returns the streets of the episode in an environment.
             workspace: returns the workspace of an environment, (size,).
         """
-        for place in self._drawn(places):
-            self.recorders[place].begin(names[place], streets(place), workspace(place))
+        for index in indices[indices < len(self.recorders)].tolist():
+            self.recorders[index].begin(names[index], streets(index), workspace(index))
 
-    def add(self, places: Index, actions: NDArray[Any], workspace: Callable[[int], Array]) -> None:
+    def add(self, indices: Index, actions: NDArray[Any], workspace: Callable[[int], Array]) -> None:
         """Record the epoch just processed in some environments, with actions (N,)."""
-        for place in self._drawn(places):
-            self.recorders[place].add(workspace(place), int(actions[place]))
+        for index in indices[indices < len(self.recorders)].tolist():
+            self.recorders[index].add(workspace(index), int(actions[index]))
 
     def draw(self) -> tuple[NDArray[np.uint8], ...]:
         """Draw a picture of each of the N environments; the undrawn share an empty picture."""
@@ -89,6 +89,3 @@ class Gallery:
         if self._window is not None:
             self._window.close()
             self._window = None
-
-    def _drawn(self, places: Index) -> Iterable[int]:
-        return (int(place) for place in places if place < len(self.recorders))

@@ -17,43 +17,26 @@ POSITION_NUMBERS = 6  # numbers of a packed covariance that belong to the positi
 
 
 class Scenery(NamedTuple):
-    """The data that stay the same through an episode.
+    """The data that stay the same through an episode."""
 
-    Attributes:
-        name: name of the episode.
-        anchors_m: (L, 3) positions, the base station first.
-        streets: streets of the map; None where unknown.
-    """
-
-    name: str
-    anchors_m: Array
-    streets: Streets | None
+    name: str  # name of the episode
+    anchors_m: Array  # (L, 3) positions, the base station first
+    streets: Streets | None  # streets of the map; None where unknown
 
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """The prior and the k epochs after it, in rows: the first row is the prior's.
+    """The prior and the k epochs after it, in rows: the first row is the prior's."""
 
-    Attributes:
-        scenery: data that stay the same through the episode.
-        axes: position axes that NEES covers.
-        time_s: (k + 1,) time since the first epoch.
-        modes: (k + 1,) number of the mode that ran; ``NO_MODE`` in the first row.
-        truth: (k + 1, 6) position (m), velocity (m/s).
-        estimate: (k + 1, 7) position (m), velocity (m/s), bias (Hz).
-        P: (k + 1, 6) covariance of the position, packed: xx, xy, yy, xz, yz, zz, m^2.
-        nees: (k + 1,), NaN in the first row.
-        accepted, rejected: (k + 1, groups) links first, then the Doppler shift.
-    """
-
-    scenery: Scenery
-    axes: int
-    time_s: Array
-    modes: Index
-    truth: Array
-    estimate: Array
-    P: Array
-    nees: Array
+    scenery: Scenery  # data that stay the same through the episode
+    axes: int  # position axes that NEES covers
+    time_s: Array  # (k + 1,) time since the first epoch
+    modes: Index  # (k + 1,) number of the mode that ran; ``NO_MODE`` in the first row
+    truth: Array  # (k + 1, 6) position (m), velocity (m/s)
+    estimate: Array  # (k + 1, 7) position (m), velocity (m/s), bias (Hz)
+    P: Array  # (k + 1, 6) covariance of the position, packed: xx, xy, yy, xz, yz, zz, m^2
+    nees: Array  # (k + 1,), NaN in the first row
+    # accepted, rejected: (k + 1, groups) links first, then the Doppler shift
     accepted: NDArray[np.bool_]
     rejected: NDArray[np.bool_]
 
@@ -66,12 +49,6 @@ class History:
     def error_m(self) -> Array:
         """Return the length (k + 1,) of the position error."""
         return np.linalg.norm(self.estimate[:, :3] - self.truth[:, :3], axis=1)  # type: ignore[no-any-return]
-
-    @cached_property
-    def speed_mps(self) -> tuple[Array, Array]:
-        """Return true and estimated speeds, (k + 1,) each."""
-        true, estimated = self.truth[:, 3:6], self.estimate[:, 3:6]
-        return np.linalg.norm(true, axis=1), np.linalg.norm(estimated, axis=1)
 
     @cached_property
     def error_95_m(self) -> Array:
@@ -88,8 +65,7 @@ class History:
         mean = xx + yy + zz
         square = xx**2 + yy**2 + zz**2 + 2.0 * (xy**2 + xz**2 + yz**2)
         with np.errstate(invalid="ignore", divide="ignore"):
-            found: Array = np.sqrt(square / mean * chdtri(mean**2 / square, 0.05))
-        return found
+            return np.sqrt(square / mean * chdtri(mean**2 / square, 0.05))  # type: ignore[no-any-return]
 
     def until(self, epochs: int) -> "History":
         """Return the history as it was after so many epochs."""
@@ -110,44 +86,32 @@ class Recorder:
 
     def __init__(self, rows: Mapping[str, slice], axes: int) -> None:
         P = slice(rows["P"].start, rows["P"].start + POSITION_NUMBERS)
-        numbers = {key: np.r_[part] for key, part in {**rows, "P": P}.items()}
-        self._anchors = numbers.pop("anchors")
-        ends = np.cumsum([len(part) for part in numbers.values()]).tolist()
-        self._columns = {
-            key: slice(begin, end)
-            for key, begin, end in zip(numbers, [0, *ends], ends, strict=False)
-        }
-        self._rows, self._axes = np.concatenate(list(numbers.values())), axes
-        self._time_s, self._mode = ends[-1], ends[-1] + 1  # the last two columns
+        self._rows, self._axes = {**rows, "P": P}, axes
         self._scenery = Scenery("", np.zeros((0, 3)), None)
-        self._table, self._count = np.empty((0, ends[-1] + 2)), 0
+        self._epochs: dict[str, list[Any]] = {}  # an entry an epoch
 
     def begin(self, name: str, streets: Streets | None, workspace: Array) -> None:
         """Start over with the prior in the workspace (size,)."""
-        self._scenery = Scenery(name, workspace[self._anchors].reshape(-1, 3), streets)
-        # a new table, because histories returned earlier are views of the old table
-        self._table, self._count = np.empty((64, self._mode + 1)), 0
+        anchors_m = workspace[self._rows["anchors"]].reshape(-1, 3).copy()
+        self._scenery = Scenery(name, anchors_m, streets)
+        self._epochs = {key: [] for key in (*self._rows, "time_s", "mode")}
         self._append(workspace, 0.0, NO_MODE)
-        self._table[0, self._columns["nees"]] = np.nan  # the workspace has the last episode's
+        self._epochs["nees"][0] = np.array([np.nan])  # the workspace has the last episode's
 
     def add(self, workspace: Array, mode: int) -> None:
         """Record the epoch that a mode just processed."""
-        last = self._table[self._count - 1]
-        self._append(workspace, last[self._time_s] + last[self._columns["dt"]][0], mode)
+        last = {key: values[-1] for key, values in self._epochs.items()}
+        self._append(workspace, last["time_s"] + last["dt"][0], mode)
 
     def _append(self, workspace: Array, time_s: float, mode: int) -> None:
-        if self._count == len(self._table):
-            self._table = np.vstack([self._table, np.empty_like(self._table)])
-        self._table[self._count] = np.append(workspace[self._rows], (time_s, mode))
-        self._count += 1
+        numbers = {key: workspace[rows].copy() for key, rows in self._rows.items()}
+        for key, value in {**numbers, "time_s": time_s, "mode": mode}.items():
+            self._epochs[key].append(value)
 
     @property
     def history(self) -> History:
         """Return all epochs so far."""
-        table = self._table[: self._count]
-        part = {key: table[:, columns] for key, columns in self._columns.items()}
-        return History(
-            self._scenery, self._axes, table[:, self._time_s],
-            table[:, self._mode].astype(np.int64), part["truth"], part["estimate"], part["P"],
-            part["nees"][:, 0], part["accepted"] > 0.5, part["rejected"] > 0.5,
-        )  # fmt: skip
+        part = {key: np.array(values) for key, values in self._epochs.items()}
+        states = part["truth"], part["estimate"], part["P"], part["nees"][:, 0]
+        gates = part["accepted"] > 0.5, part["rejected"] > 0.5
+        return History(self._scenery, self._axes, part["time_s"], part["mode"], *states, *gates)

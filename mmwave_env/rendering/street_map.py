@@ -1,21 +1,96 @@
-"""Map with streets, walls, anchors and links, and the trajectories of user and estimate."""
+"""Map with streets, walls, anchors and links, and the trajectories of user and estimate.
+
+The visible part of the map follows user and estimate without jumps.
+"""
 
 import math
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array, Index
-from mmwave_env.rendering.camera import View, clipped, nice
 from mmwave_env.rendering.canvas import Canvas, Point, Rect, ellipse
 from mmwave_env.rendering.history import History
 from mmwave_env.rendering.theme import Color, Theme
 
+_MEMORY_S, _LAG_S = 20.0, 4.0  # length of the past that counts; time constant with which it fades
+_AHEAD_S = 4.0  # time of the user's travel that fits between the center and the edge
+_LEAST_M = 25.0  # least distance from the center to the upper edge
+_INNER = 0.5  # share of the picture's height and width in which user and estimate stay
 _STREET_M = 14.0  # width of streets in the picture, if blocks leave enough room
 _FACADE_M = 4.0  # depth of a wall in the picture
 _SAME_HEIGHT_M = 0.1  # the image in a vertical wall is as high as the base station
 _TRAIL = 1500  # most epochs of a trajectory that are drawn
+
+
+class View(NamedTuple):
+    """A part of the map in a part of the picture."""
+
+    center_m: Array  # (2,) position at the center
+    scale: float  # px per meter
+    frame: Rect  # the part of the picture
+
+    def pixels(self, points_m: Array) -> Array:
+        """Return the positions (n, 2) in the picture of points (n, 2 or more) of the map."""
+        offset = (points_m[:, :2] - self.center_m) * self.scale
+        return self.frame.center + offset * (1.0, -1.0)
+
+    @property
+    def extent_m(self) -> tuple[Array, Array]:
+        """Return the south-west and north-east corners (2,) of the visible part."""
+        half = np.array([self.frame.width, self.frame.height]) / (2.0 * self.scale)
+        return self.center_m - half, self.center_m + half
+
+
+def follow(history: History, frame: Rect) -> View:
+    """Return the view of the last epoch: a function of the history, so that a copy shows the same.
+
+    Center and scale are averages over the last seconds, so that they change smoothly, except where
+    this would lose the user or the estimate.
+    """
+    recent = history.time_s >= history.time_s[-1] - _MEMORY_S
+    weights = np.exp((history.time_s[recent] - history.time_s[-1]) / _LAG_S)
+    weights /= weights.sum()
+    user = history.truth[recent]
+    truth, speed = user[:, :2], np.linalg.norm(user[:, 3:6], axis=1)
+    estimate = np.where(
+        np.isfinite(history.estimate[recent, :2]), history.estimate[recent, :2], truth
+    )
+    gap = abs(truth - estimate).max(axis=1)
+    deviation = np.sqrt(np.maximum(np.nan_to_num(history.P[recent][:, [0, 2]]).max(axis=1), 0.0))
+    wanted = np.maximum.reduce(
+        [np.full(len(gap), _LEAST_M), _AHEAD_S * speed, 1.2 * gap, 3.0 * deviation]
+    )
+    shape = np.array([frame.width / frame.height, 1.0])
+    half = max(
+        float(weights @ wanted),
+        float((abs(truth[-1] - estimate[-1]) / (2.0 * _INNER * shape)).max()) * 1.01,
+    )
+    center = weights @ ((truth + estimate) / 2.0)
+    inner = _INNER * half * shape
+    now = np.stack([truth[-1], estimate[-1]])
+    center = np.clip(center, now.max(axis=0) - inner, now.min(axis=0) + inner)
+    return View(center, frame.height / (2.0 * half), frame)
+
+
+def clipped(start: Point, end: Point, frame: Rect) -> tuple[Point, Point] | None:
+    """Clip a line to a frame (Liang and Barsky 1984); return None if it is outside."""
+    begin, way = np.array(start), np.subtract(end, start)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = (np.array([frame.topleft, frame.bottomright]) - begin) / way
+    first = np.nanmax(shares.min(axis=0), initial=0.0)
+    last = np.nanmin(shares.max(axis=0), initial=1.0)
+    if not first <= last:
+        return None
+    return tuple((begin + np.outer((first, last), way)).tolist())
+
+
+def nice(value: float) -> float:
+    """Return the largest of ..., 1, 2, 5, 10, ... that is not above the value."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(step * power for step in (10.0, 5.0, 2.0, 1.0) if step * power <= value * 1.000001)
 
 
 def draw_map(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
@@ -50,11 +125,10 @@ def _draw_streets(canvas: Canvas, view: View, streets: Streets, theme: Theme) ->
 
 def _blocks(extent_m: tuple[float, float], block_m: float, low: float, high: float) -> Array:
     """Return the positions at which the blocks between two limits begin."""
-    first = max(0, math.floor((low - extent_m[0]) / block_m))
-    last = min(
-        round((extent_m[1] - extent_m[0]) / block_m), math.ceil((high - extent_m[0]) / block_m)
+    begins = extent_m[0] + block_m * np.arange(
+        round((extent_m[1] - extent_m[0]) / block_m), dtype=float
     )
-    return extent_m[0] + block_m * np.arange(first, last, dtype=np.float64)
+    return begins[(begins > low - block_m) & (begins < high)]  # type: ignore[no-any-return]
 
 
 def _box(view: View, corners_m: Array) -> Rect:
@@ -180,10 +254,9 @@ def _draw_anchors(canvas: Canvas, view: View, history: History, theme: Theme) ->
 
 def _draw_arrow(canvas: Canvas, start: Point, tip: Point, color: Color) -> None:
     way = np.subtract(tip, start)
-    way /= max(float(np.hypot(*way)), 1e-9)
-    side, length = np.array([-way[1], way[0]]), 10.0 * canvas.unit
-    back = np.array(tip) - length * way
-    canvas.polygon(np.array([tip, back + 0.5 * length * side, back - 0.5 * length * side]), color)
+    way *= 10.0 * canvas.unit / max(float(np.hypot(*way)), 1e-9)
+    side, back = 0.5 * np.array([-way[1], way[0]]), np.array(tip) - way
+    canvas.polygon(np.array([tip, back + side, back - side]), color)
 
 
 def _label(
@@ -197,7 +270,7 @@ def _label(
         for row in (0, 1, -1, 2, -2)
         for left in (at[0] + gap, at[0] - gap - width)
     ]
-    place = next((one for one in places if one.collidelist(taken) < 0), places[0])
+    place = next((place for place in places if place.collidelist(taken) < 0), places[0])
     taken.append(place)
     _draw_plate(canvas, place, theme)
     canvas.words(text, (place.left + 3.0 * unit, place.centery), theme.ink, 14)

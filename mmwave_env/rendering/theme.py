@@ -10,15 +10,42 @@ from typing import NamedTuple
 
 from mmwave_env.io.lookup import choose, require_extra
 
-Color = tuple[int, int, int]
+Color = tuple[int, ...]  # red, green and blue, 0 to 255
+
+# Light and dark. "quiet" is for explanations, "none" for an action that trusts no mode.
+_COLORS = """\
+    paper     ffffff 111318
+    ink       222226 eeeeeb
+    quiet     686a70 9ea2aa
+    grid      d6d6d2 3a3e46
+    ground    f0efea 191c22
+    street    fdfdfc 2a2e36
+    building  e4e2db 21242b
+    wall      8c8880 808288
+    truth     222226 f5f5f0
+    accepted  60646c a0a4ac
+    rejected  d55e00 f07828
+    missing   d4d3ce 3e424a
+    band      cdd3dc 3e4858
+    none      bebeba 5a5e66
+    mode      0072b2 56b4e9
+    mode      e69f00 e69f00
+    mode      009e73 00b282
+    mode      cc79a7 d686b2
+    mode      8c8200 f0e442
+    mode      a03c00 d55e00
+    mode      56b4e9 3c78dc
+    mode      808080 aaaaaa
+    mode      463282 a08ce6
+"""
 
 
 class Theme(NamedTuple):
-    """The colors of everything that is drawn."""
+    """The colors of everything that is drawn, in the order of the table."""
 
     paper: Color
     ink: Color
-    quiet: Color  # color of explanations
+    quiet: Color
     grid: Color
     ground: Color
     street: Color
@@ -29,7 +56,7 @@ class Theme(NamedTuple):
     rejected: Color
     missing: Color
     band: Color
-    none: Color  # color of an action that trusts no mode
+    none: Color
     modes: tuple[Color, ...]
 
     def for_modes(self, names: Sequence[str]) -> "Theme":
@@ -53,47 +80,30 @@ def hex_of(color: Color) -> str:
     return "#" + bytes(color).hex()
 
 
-THEMES = {
-    "light": Theme(
-        paper=(255, 255, 255), ink=(34, 34, 38), quiet=(104, 106, 112), grid=(214, 214, 210),
-        ground=(240, 239, 234), street=(253, 253, 252), building=(228, 226, 219),
-        wall=(140, 136, 128), truth=(34, 34, 38), accepted=(96, 100, 108),
-        rejected=(213, 94, 0), missing=(212, 211, 206), band=(205, 211, 220), none=(190, 190, 186),
-        modes=(
-            (0, 114, 178), (230, 159, 0), (0, 158, 115), (204, 121, 167), (140, 130, 0),
-            (160, 60, 0), (86, 180, 233), (128, 128, 128), (70, 50, 130),
-        ),
-    ),
-    "dark": Theme(
-        paper=(17, 19, 24), ink=(238, 238, 235), quiet=(158, 162, 170), grid=(58, 62, 70),
-        ground=(25, 28, 34), street=(42, 46, 54), building=(33, 36, 43),
-        wall=(128, 130, 136), truth=(245, 245, 240), accepted=(160, 164, 172),
-        rejected=(240, 120, 40), missing=(62, 66, 74), band=(62, 72, 88), none=(90, 94, 102),
-        modes=(
-            (86, 180, 233), (230, 159, 0), (0, 178, 130), (214, 134, 178), (240, 228, 66),
-            (213, 94, 0), (60, 120, 220), (170, 170, 170), (160, 140, 230),
-        ),
-    ),
-}  # fmt: skip
+def _theme(column: int) -> Theme:
+    """Return the theme in a column of the table, from 1."""
+    colors = [tuple(bytes.fromhex(line.split()[column])) for line in _COLORS.splitlines()]
+    plain = len(Theme._fields) - 1
+    return Theme._make([*colors[:plain], tuple(colors[plain:])])
 
 
+THEMES = {"light": _theme(1), "dark": _theme(2)}
 SMALLEST, LARGEST = 480, 1080  # height and width in px
 FRAMES_PER_SECOND = 10  # default speed of videos and windows
 
 
-def require_drawable(size: int, theme: str, what: str) -> None:
-    """Refuse a picture that can't be drawn, before any work.
+def require_drawable(size: int, theme: str, purpose: str) -> None:
+    """Refuse a picture of a size in px that can't be drawn, before any work.
 
     Args:
-        size: height and width in px.
-        theme: name of the theme.
-        what: what needs pictures, for the message.
+        size, theme: as :class:`~mmwave_env.rendering.picture.Picture` takes them.
+        purpose: what needs pictures, for the message.
 
     Raises:
         ValueError: the size or the theme is invalid.
         MissingExtraError: pygame is not installed.
     """
-    require_extra("pygame", "render", what)
+    require_extra("pygame", "render", purpose)
     choose(THEMES, theme, "render_theme")
     if not (SMALLEST <= size <= LARGEST and size % 2 == 0):  # video formats need an even size
         raise ValueError(

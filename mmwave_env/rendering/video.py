@@ -20,11 +20,7 @@ _LAST_S = 2.0  # time for which a GIF shows its last picture, before it repeats
 
 
 def require_video(option: str, path: Path) -> None:
-    """Refuse a video that could not be written, before any work.
-
-    Args:
-        option: command-line option that names the file.
-        path: path of the file.
+    """Refuse a video that an option names and that could not be written, before any work.
 
     Raises:
         ValueError: the name does not end with .gif or .mp4.

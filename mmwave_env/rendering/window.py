@@ -20,13 +20,9 @@ _UNSEEN = {"offscreen", "dummy"}  # video drivers without a visible window
 
 
 def require_display(
-    what: str = 'render_mode="human"', instead: str = 'take render_mode="rgb_array"'
+    purpose: str = 'render_mode="human"', instead: str = 'take render_mode="rgb_array"'
 ) -> None:
-    """Refuse to open a window that nobody would see.
-
-    Args:
-        what: what needs the window, for the message.
-        instead: advice for the message.
+    """Refuse to open a window that nobody would see; the message names purpose and way out.
 
     Raises:
         OSError: there is no display; the message says which variable is missing.
@@ -40,8 +36,8 @@ def require_display(
     if not pygame.display.get_init() or (driver in _UNSEEN and driver != asked):
         pygame.display.quit()
         raise OSError(
-            f"{what}: found no display (SDL: {driver}), expected one: set the variable DISPLAY or "
-            f"WAYLAND_DISPLAY, or {instead}"
+            f"{purpose}: found no display (SDL: {driver}), expected one: set the variable DISPLAY "
+            f"or WAYLAND_DISPLAY, or {instead}"
         )
 
 

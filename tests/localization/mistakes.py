@@ -34,15 +34,17 @@ def linear(factor, *names, offset=0.0):
     return lambda c: {**c, **{name: offset + factor * c[name] for name in names}}
 
 
-def exchange(one, other):
+def exchange(column, other):
     """Two columns, one for the other."""
-    return lambda c: {**c, one: c[other], other: c[one]}
+    return lambda c: {**c, column: c[other], other: c[column]}
 
 
 exchanged = exchange(*AZIMUTHS)  # arrival for departure
-
-
 upside_down = linear(-1.0, "aoa_elevation_rad")
+FACTORS = {
+    f"1e{n} times too large ({unit}?)": 10.0**n for n, unit in ((3, "ms"), (6, "us"), (9, "ns"))
+}
+FACTORS |= {f"1e{n} times too small (s?)": 10.0**-n for n in (3, 6, 9)}
 MISTAKES = {  # hypothesis that explains it -> what was done to the log
     "arrival and departure are exchanged": exchanged,
     "azimuth and elevation of arrival are exchanged": exchange(AZIMUTHS[0], "aoa_elevation_rad"),
@@ -57,18 +59,11 @@ MISTAKES = {  # hypothesis that explains it -> what was done to the log
     "azimuth of departure is in degrees": linear(180.0 / np.pi, AZIMUTHS[1]),
     "elevation is in degrees": linear(180.0 / np.pi, "aoa_elevation_rad"),
     "time of flight is there and back": linear(2.0, "toa_s"),
-    "time of flight is 1e3 times too large (ms?)": linear(1e3, "toa_s"),
-    "time of flight is 1e6 times too large (us?)": linear(1e6, "toa_s"),
-    "time of flight is 1e9 times too large (ns?)": linear(1e9, "toa_s"),
-    "time of flight is 1e3 times too small (s?)": linear(1e-3, "toa_s"),
-    "time of flight is 1e6 times too small (s?)": linear(1e-6, "toa_s"),
-    "time of flight is 1e9 times too small (s?)": linear(1e-9, "toa_s"),
-    "time is 1e3 times too large (ms?)": linear(1e3, "time_s"),
-    "time is 1e6 times too large (us?)": linear(1e6, "time_s"),
-    "time is 1e9 times too large (ns?)": linear(1e9, "time_s"),
-    "time is 1e3 times too small (s?)": linear(1e-3, "time_s"),
-    "time is 1e6 times too small (s?)": linear(1e-6, "time_s"),
-    "time is 1e9 times too small (s?)": linear(1e-9, "time_s"),
+    **{
+        f"{quantity} is {mistake}": linear(factor, column)
+        for quantity, column in (("time of flight", "toa_s"), ("time", "time_s"))
+        for mistake, factor in FACTORS.items()
+    },
     "Doppler shift has the other sign": linear(-1.0, "doppler_hz"),
     "Doppler shift is in m/s, not in Hz": linear(1.0 / HZ_PER_MPS, "doppler_hz"),
     "Doppler shift is in Hz, not in m/s": linear(HZ_PER_MPS, "doppler_hz"),

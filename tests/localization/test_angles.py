@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from mmwave_env.localization.contradictions import NIS_LIMITS, SNR_LIMITS_DB
 from mmwave_env.models.measurement import Layout, exact_rows
-from mmwave_env.models.prior import GAP_S
 from tests.paths import ROOT
 
 PAGE = (ROOT / "docs" / "data.md").read_text(encoding="utf-8")
@@ -46,11 +44,3 @@ def test_every_conversion_of_the_page_gives_our_angles(user):
             if formula:
                 turn = eval(formula, {}, names) - angle
                 assert (turn + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-9), formula
-
-
-def test_the_limits_on_the_page_are_the_programs():
-    section = PAGE.split("### When something is wrong")[1].split("###")[0]
-    low, high = SNR_LIMITS_DB
-    assert f"outside {low:g} to {high:g} dB" in section
-    assert f"outside {NIS_LIMITS[0]:g} to {NIS_LIMITS[1]:g}" in section
-    assert f"more than {GAP_S:g} s apart" in section

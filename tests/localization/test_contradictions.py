@@ -33,7 +33,7 @@ def block(tmp_path_factory):
     return blocks_of(folder, SCENE, RADIO, "vehicle", 0)[0]
 
 
-def found(block, **group):
+def doubts_of(block, **group):
     groups = {"anchor 1": FINE | group, "all": FINE | {"nis_per_dof": 1e9}}
     return [str(doubt) for doubt in contradictions(block, SCENE, RADIO, groups)]
 
@@ -55,21 +55,21 @@ def test_of_a_thousand_right_logs_at_most_ten_are_doubted(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("group", "message"),
+    ("group", "value"),
     [
         ({}, None),
-        ({"nis_per_dof": 0.19}, "anchor 1: found NIS / dof 0.19, expected 0.2 to 5"),
-        ({"nis_per_dof": 2078.4}, "anchor 1: found NIS / dof 2.08e+03, expected 0.2 to 5"),
+        ({"nis_per_dof": 0.19}, "NIS / dof 0.19"),
+        ({"nis_per_dof": 2078.4}, "NIS / dof 2.08e+03"),
         ({"nis_per_dof": 2078.4, "seen": 19}, None),
-        ({"rejected_share": 0.34}, "anchor 1: found 34 % rejected, expected at most a third"),
+        ({"rejected_share": 0.34}, "34 % rejected"),
         ({"rejected_share": 0.34, "seen": 99}, None),
         ({"rejected_share": 1.0, "nis_per_dof": None}, "100 % rejected"),
         ({"seen": 0, "rejected_share": None, "nis_per_dof": None}, None),
     ],
 )
-def test_a_group_that_does_not_fit_the_track_is_doubted(block, group, message):
-    said = found(block, **group)
-    assert (not said) if message is None else (len(said) == 1 and message in said[0])
+def test_a_group_that_does_not_fit_the_track_is_doubted(block, group, value):
+    doubts = contradictions(block, SCENE, RADIO, {"anchor 1": FINE | group})
+    assert [(d.group, d.found) for d in doubts] == ([("anchor 1", value)] if value else [])
 
 
 def test_a_doppler_shift_may_be_predicted_better_than_claimed(block):
@@ -78,31 +78,23 @@ def test_a_doppler_shift_may_be_predicted_better_than_claimed(block):
         assert bool(contradictions(block, SCENE, RADIO, groups)) == doubted
 
 
-def test_an_snr_that_no_receiver_has_is_doubted(block):
-    snr = block.snr_db.copy()
+def test_what_no_receiver_measures_is_doubted(block):
+    snr, measurement = block.snr_db.copy(), block.measurement.copy()
     snr[5, 1] = 120.0
-    (line,) = found(replace(block, snr_db=snr))
-    assert line.startswith("anchor 2: found SNR of ")
-    assert line.endswith(" to 120 dB, expected -60 to 90 dB")
-
-
-def test_epochs_too_far_apart_for_a_track_are_doubted(block):
-    lines = found(replace(block, time_s=1e3 * block.time_s))
-    assert lines[0].startswith("time: found epochs 1e+03 s apart, expected at most 15 s")
-
-
-def test_a_user_above_the_base_station_is_doubted(block):
-    measurement = block.measurement.copy()
-    measurement[:, 2] *= -1.0
-    (line,) = found(replace(block, measurement=measurement))
-    assert "the user above it in " in line and "expected below: a negative elevation" in line
+    measurement[:, 2] *= -1.0  # a user above the base station
+    for changes, group in (
+        ({"snr_db": snr}, "anchor 2"),
+        ({"time_s": 1e3 * block.time_s}, "time"),
+        ({"measurement": measurement}, "anchor 1"),
+    ):
+        assert doubts_of(replace(block, **changes))[0].startswith(f"{group}: ")
 
 
 @pytest.mark.parametrize("factor", [-1.0, 1e-3, 1.0 / SCENE.hz_per_mps, 3.0])
 def test_a_doppler_shift_that_the_range_contradicts_is_doubted(block, factor):
     measurement = block.measurement.copy()
     measurement[:, block.layout.doppler] *= factor
-    (line,) = found(replace(block, measurement=measurement))
+    (line,) = doubts_of(replace(block, measurement=measurement))
     grows = float(line.split("grows by ")[1].split(" m")[0])
     assert grows == pytest.approx(1.0 / factor, rel=0.1)
 
@@ -113,4 +105,4 @@ def test_a_doppler_shift_of_a_user_at_rest_says_nothing(block, factor):
     measurement = block.measurement.copy()
     measurement[:, 0] = 50.0 + 0.2 * rng.standard_normal(len(block))
     measurement[:, block.layout.doppler] = factor * 10.0 * rng.standard_normal(len(block))
-    assert not found(replace(block, measurement=measurement))
+    assert not doubts_of(replace(block, measurement=measurement))

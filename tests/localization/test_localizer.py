@@ -1,9 +1,7 @@
 """The track of a log: where it begins, what filters and smooths it, and how it is cut."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -28,16 +26,14 @@ from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 from policies.speed_rule import by_odometry_speed, by_predicted_speed
 from tests.filters.tracks import track
+from tests.logs.by_hand import assert_same
+from tests.refusals import refuses
 
 SCENE, RADIO = SCENES["street"], RADIOS["handset"]
 T = 230
 SHIFT = 3  # group of the Doppler shift
 EKF, UKF = default_modes()
 BANK = best_bank()
-PER_EPOCH = [
-    field.name for field in fields(TrackBlock)
-    if field.name not in ("layout", "planar", "segment", "skipped", "dropped", "share")
-]  # fmt: skip
 
 
 @cache
@@ -75,15 +71,8 @@ def cut(block, sizes):
     return blocks
 
 
-def whole(blocks):
-    blocks = list(blocks)
-    return replace(
-        blocks[-1], **{f: np.concatenate([getattr(b, f) for b in blocks]) for f in PER_EPOCH}
-    )
-
-
 def run(blocks, modes=(EKF,), rule=None, **options):
-    return whole(localize(blocks, SCENE, RADIO, modes, rule, **options))
+    return TrackBlock.joined(list(localize(blocks, SCENE, RADIO, modes, rule, **options)))
 
 
 def episode_of(block):
@@ -94,70 +83,70 @@ def episode_of(block):
     prior = prior_from_fix(anchor, block.measurement[0, link], sigma[0, link], RADIO, SCENE)
     visible = block.visible.copy()
     visible[0, 0] = False
-    return Episode("log", SCENE.anchors_m, SCENE.hz_per_mps, block.time_s, block.measurement, sigma,
-                   visible, block.snr_db, block.doppler_spread_hz, *prior, None, None,
-                   block.layout)  # fmt: skip
+    arrays = block.measurement, sigma, visible, block.snr_db, block.doppler_spread_hz
+    site = SCENE.anchors_m, SCENE.hz_per_mps
+    return Episode("log", *site, block.time_s, *arrays, *prior, None, None, block.layout)
 
 
 # --- filtered
 
 
-def assert_engines(found, block, modes, planar=False):
+def assert_engines(result, block, modes, planar=False):
     """The filtered track is the engine's, epoch by epoch, in the modes that ran."""
     episode = episode_of(block)
     if planar:
         episode = episode.on_flat_ground(1.5)
     names = ("x", "P", "P_predicted", "memory.nis", "memory.accepted")
     pipeline = Pipeline(tuple(modes), block.layout, planar)
-    theirs = track(pipeline, [episode], found.mode[:, None], T - 2, names)
-    ours = (found.x, found.P, found.P_predicted, found.nis, found.accepted)
+    theirs = track(pipeline, [episode], result.mode[:, None], T - 2, names)
+    ours = (result.x, result.P, result.P_predicted, result.nis, result.accepted)
     for name, values in zip(names, ours, strict=True):
         np.testing.assert_allclose(values, theirs[name][:, 0], rtol=1e-9, atol=1e-9, err_msg=name)
-    np.testing.assert_array_equal(found.time_s, episode.time_s)
-    np.testing.assert_array_equal(found.visible, episode.usable)
-    np.testing.assert_array_equal(found.incomplete, block.incomplete[2:])
-    assert found.skipped == 2 and (~found.visible[0, 0]).all()
+    np.testing.assert_array_equal(result.time_s, episode.time_s)
+    np.testing.assert_array_equal(result.visible, episode.usable)
+    np.testing.assert_array_equal(result.incomplete, block.incomplete[2:])
+    assert result.skipped == 2 and (~result.visible[0, 0]).all()
 
 
 @pytest.mark.parametrize("mode", [EKF, UKF, robust(UKF), replace(EKF, gate=None, adaptive=False)])
 def test_one_pipeline_is_the_engines(block, mode):
-    found = run(cut(block, [50]), [mode])
-    assert_engines(found, block, [mode])
-    assert (found.mode == 0).all() and found.share == 1.0
+    result = run(cut(block, [50]), [mode])
+    assert_engines(result, block, [mode])
+    assert (result.mode == 0).all() and result.share == 1.0
 
 
 def test_the_speed_gate_decides_in_every_epoch(block):
-    found = run(cut(block, [64]), (EKF, UKF), by_predicted_speed)
-    assert_engines(found, block, (EKF, UKF))
-    before = np.concatenate([np.zeros((1, 3)), found.x[:-1, 3:6]])
-    np.testing.assert_array_equal(found.mode, np.linalg.norm(before, axis=1) > 2.0)
-    assert 0.1 < found.mode.mean() < 0.9
+    result = run(cut(block, [64]), (EKF, UKF), by_predicted_speed)
+    assert_engines(result, block, (EKF, UKF))
+    before = np.concatenate([np.zeros((1, 3)), result.x[:-1, 3:6]])
+    np.testing.assert_array_equal(result.mode, np.linalg.norm(before, axis=1) > 2.0)
+    assert 0.1 < result.mode.mean() < 0.9
 
 
 @pytest.mark.slow
 def test_the_speed_gate_may_follow_odometry(folder):
     block = log(folder, odometry=True)
     modes = (EKF, replace(EKF, name="fast", sigma_v=3.0))
-    found = run([block], modes, by_odometry_speed)
-    assert_engines(found, block, modes)
-    measured = found.visible[:, -1]
+    result = run([block], modes, by_odometry_speed)
+    assert_engines(result, block, modes)
+    measured = result.visible[:, -1]
     speed = block.measurement[2:, -2]
-    before = np.concatenate([[0.0], np.linalg.norm(found.x[:-1, 3:6], axis=1)])
-    np.testing.assert_array_equal(found.mode, np.where(measured, speed, before) > 2.0)
+    before = np.concatenate([[0.0], np.linalg.norm(result.x[:-1, 3:6], axis=1)])
+    np.testing.assert_array_equal(result.mode, np.where(measured, speed, before) > 2.0)
     assert measured.any() and not measured.all()
 
 
 @pytest.mark.parametrize("modes", [(EKF,), pytest.param(BANK, marks=pytest.mark.slow)])
 def test_flat_terrain_keeps_its_height(block, modes):
-    found = run([block], modes, height_m=1.5)
+    result = run([block], modes, height_m=1.5)
     if modes != BANK:
-        assert_engines(found, block, modes, planar=True)
-    for x in (found.x, found.smooth_x):
+        assert_engines(result, block, modes, planar=True)
+    for x in (result.x, result.smooth_x):
         np.testing.assert_allclose(x[:, 2], 1.5, rtol=1e-12 if modes == BANK else 0.0)
         assert not x[:, 5].any()
 
 
-def assert_imms(found, block, bank):
+def assert_imms(result, block, bank):
     """The filtered track is the IMM engine's on the same epochs, in pieces or not."""
     names = ("x", "P", "x_predicted", "P_predicted")
     imm = ImmEngine(
@@ -166,22 +155,22 @@ def assert_imms(found, block, bank):
     expected = imm.run([episode_of(block)], *names, "mixture.probability", "memory.nis")
     for name in names:
         np.testing.assert_allclose(
-            getattr(found, name), expected[name][0], rtol=1e-9, atol=1e-9, err_msg=name
+            getattr(result, name), expected[name][0], rtol=1e-9, atol=1e-9, err_msg=name
         )
-    np.testing.assert_array_equal(found.mode, expected["mixture.probability"][0].argmax(axis=1))
-    np.testing.assert_allclose(found.nis, expected["memory.nis"][0], rtol=1e-9, atol=1e-9)
-    assert not found.nis[~found.visible].any()
+    np.testing.assert_array_equal(result.mode, expected["mixture.probability"][0].argmax(axis=1))
+    np.testing.assert_allclose(result.nis, expected["memory.nis"][0], rtol=1e-9, atol=1e-9)
+    assert not result.nis[~result.visible].any()
 
 
 @pytest.mark.parametrize("size", [1, 50, T])
 def test_an_imm_is_the_engines(block, size):
-    found = run(cut(block, [size]), BANK)
-    assert_imms(found, block, BANK)
-    assert len(np.unique(found.mode)) > 2 and found.share == 1.0
+    result = run(cut(block, [size]), BANK)
+    assert_imms(result, block, BANK)
+    assert len(np.unique(result.mode)) > 2 and result.share == 1.0
 
 
 def test_an_imm_takes_no_rule(block):
-    with pytest.raises(ValueError, match="rule: found one with a bank, expected none"):
+    with refuses("rule"):
         run([block], BANK, by_predicted_speed)
 
 
@@ -191,20 +180,20 @@ def test_an_imm_takes_no_rule(block):
 @pytest.mark.parametrize("modes", [(EKF,), BANK], ids=["one", "imm"])
 @pytest.mark.parametrize("window", [2, 50, 57, T - 2, 1000])
 def test_every_window_is_smoothed_and_what_is_left_too(block, window, modes):
-    found = run(cut(block, [64]), modes, window=window)
+    result = run(cut(block, [64]), modes, window=window)
     for first in range(0, T - 2, window):
         part = slice(first, first + window)
-        values = (found.x, found.P, found.x_predicted, found.P_predicted)
-        x, P = smooth(*(v[None, part] for v in values), np.diff(found.time_s[part]))
-        np.testing.assert_allclose(found.smooth_x[part], x[0], rtol=1e-12, atol=1e-12)
-        np.testing.assert_allclose(found.smooth_P[part], P[0], rtol=1e-12, atol=1e-12)
-    assert not np.array_equal(found.smooth_x, found.x)
+        values = (result.x, result.P, result.x_predicted, result.P_predicted)
+        x, P = smooth(*(v[None, part] for v in values), np.diff(result.time_s[part]))
+        np.testing.assert_allclose(result.smooth_x[part], x[0], rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(result.smooth_P[part], P[0], rtol=1e-12, atol=1e-12)
+    assert not np.array_equal(result.smooth_x, result.x)
 
 
 def test_without_smoothing_the_track_is_the_filtered_one(block):
-    found = run([block], window=None)
-    np.testing.assert_array_equal(found.smooth_x, found.x)
-    np.testing.assert_array_equal(found.x, run([block]).x)
+    result = run([block], window=None)
+    np.testing.assert_array_equal(result.smooth_x, result.x)
+    np.testing.assert_array_equal(result.x, run([block]).x)
 
 
 @pytest.mark.parametrize(
@@ -215,13 +204,12 @@ def test_without_smoothing_the_track_is_the_filtered_one(block):
 def test_a_track_does_not_depend_on_the_blocks(folder, modes, rule, sizes, window):
     block = log(folder)
     first, second = with_gap(unseen(block, slice(101, 104)), 40.0)
-    block = joined(first, with_gap(second, 20.0, at=30)[0], with_gap(second, 20.0, at=30)[1])
+    block = LogBlock.joined([first, *with_gap(second, 20.0, at=30)])
     expected = run([block], modes, rule, window=window)
-    found = run(cut(block, sizes), modes, rule, window=window)
-    for name in PER_EPOCH:
-        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
+    result = run(cut(block, sizes), modes, rule, window=window)
+    assert_same(result, expected)
     for name in ("segment", "skipped", "dropped"):
-        assert getattr(found, name) == getattr(expected, name)
+        assert getattr(result, name) == getattr(expected, name)
     assert expected.segment == 2
 
 
@@ -235,12 +223,6 @@ def unseen(block, epochs):
     return replace(block, visible=visible, incomplete=incomplete)
 
 
-def test_a_range_of_zero_is_no_beginning(block):
-    measurement = block.measurement.copy()
-    measurement[2, 0] = 0.0
-    assert run([replace(block, measurement=measurement)]).skipped > 2
-
-
 def damaged(blocks):
     yield from blocks
     raise LogError("log.csv, line 7: found 'x'")
@@ -251,12 +233,11 @@ def damaged(blocks):
 def test_damage_comes_after_the_epochs_before_it(block, window, modes):
     blocks = []
     pieces = cut(block.part(slice(0, 130)), [40])
-    with pytest.raises(LogError, match="line 7"):
+    with refuses("line 7", error=LogError):
         blocks.extend(localize(damaged(pieces), SCENE, RADIO, modes, window=window))
-    found, expected = whole(blocks), run(pieces, modes, window=window)
-    for name in PER_EPOCH:
-        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
-    assert len(found) == 128
+    result, expected = TrackBlock.joined(blocks), run(pieces, modes, window=window)
+    assert_same(result, expected)
+    assert len(result) == 128
 
 
 UNGATED = replace(UKF, gate=None)
@@ -274,10 +255,10 @@ def test_a_measurement_no_filter_survives_is_damage(block, first, window, modes,
     measurement[2 + first, block.layout.doppler], visible[2 + first, SHIFT] = 1e300, True
     damaged = replace(block, measurement=measurement, visible=visible)
     blocks = []
-    with pytest.raises(LogError, match=r"time \d.*found no finite state after this epoch"):
+    with refuses("time", error=LogError):
         blocks.extend(localize([damaged], SCENE, RADIO, modes, window=window))
-    found = whole(blocks)
-    assert len(found) == first + finite and np.isfinite(found.smooth_x).all()
+    result = TrackBlock.joined(blocks)
+    assert len(result) == first + finite and np.isfinite(result.smooth_x).all()
 
 
 # --- gaps
@@ -291,42 +272,17 @@ def with_gap(block, seconds, at=100):
     return block.part(slice(at)), replace(block, time_s=time).part(slice(fix, None))
 
 
-def joined(*blocks):
-    names = LogBlock.per_epoch
-    arrays = {f: np.concatenate([getattr(b, f) for b in blocks]) for f in names}
-    return replace(blocks[-1], **arrays)
-
-
 @pytest.mark.parametrize("modes", [(UKF,), BANK], ids=["one", "imm"])
 @pytest.mark.parametrize("window", [None, 30, 1000])
 def test_after_a_long_gap_the_track_is_that_of_the_rest_alone(block, window, modes):
     before, after = with_gap(block, 60.0)
-    blocks = list(localize([joined(before, after)], SCENE, RADIO, modes, window=window))
+    blocks = list(localize([LogBlock.joined([before, after])], SCENE, RADIO, modes, window=window))
     assert [b.segment for b in blocks] == sorted(b.segment for b in blocks)
     for number, part in enumerate((before, after)):
-        found = whole(b for b in blocks if b.segment == number)
+        result = TrackBlock.joined([b for b in blocks if b.segment == number])
         expected = run([part], modes, window=window)
-        for name in PER_EPOCH:
-            np.testing.assert_array_equal(
-                getattr(found, name), getattr(expected, name), err_msg=name
-            )
+        assert_same(result, expected)
     assert blocks[-1].skipped == 2 and blocks[-1].dropped == 0
-
-
-def test_long_gaps_do_not_lose_the_track():
-    source = SimulatedSource(SCENE, RADIOS["standard"], "vehicle", epochs=200)
-    mode = default_modes("standard")[1]
-    for seed in range(8):
-        episode = source.sample(np.random.default_rng(seed))
-        with TemporaryDirectory() as folder:
-            path = Path(folder) / "log.csv"
-            write_log(path, episode)
-            (block,) = read_log(path, SCENE)
-        cut = joined(block.part(slice(50)), block.part(slice(110, None)))
-        blocks = list(localize([cut], SCENE, RADIOS["standard"], [mode]))
-        found = whole(b for b in blocks if b.segment == 1)
-        truth = episode.truth_position_m[np.searchsorted(episode.time_s, found.time_s)]
-        assert np.linalg.norm(found.x[:, :3] - truth, axis=1).mean() < 2.0, seed
 
 
 @pytest.mark.parametrize("steep", [0.0, 1e-9, 0.02], ids=["exactly", "all but", "about"])
@@ -340,10 +296,10 @@ def test_a_log_that_begins_straight_below_or_above_an_anchor_starts_at_the_next_
     position = np.stack([3.0 + along, np.full(epochs, 4.0), np.full(epochs, 10.0 + 8.0 * side)])
     velocity = [np.where(along > steep, 1.5, 0.0), np.zeros(epochs), np.zeros(epochs)]
     rows = exact_rows(list(position), velocity, scene.anchors_m.tolist(), scene.hz_per_mps, layout)
-    seen, snr, spread = np.ones((epochs, 3), bool), np.full((epochs, 2), 30.0), np.zeros(epochs)
+    visible, snr, spread = np.ones((epochs, 3), bool), np.full((epochs, 2), 30.0), np.zeros(epochs)
     time, table = np.arange(epochs, dtype=float), np.stack(rows, axis=1)
-    block = LogBlock(layout, time, table, seen, ~seen, snr, spread, spread > 0, epochs, 1.0)
-    found = whole(localize([block], scene, RADIO, [EKF], window=None))
-    assert found.skipped == 4 and found.time_s[0] == 4.0
-    error = np.linalg.norm(found.x[:, :3] - position.T[4:], axis=1)
+    block = LogBlock(layout, time, table, visible, ~visible, snr, spread, spread > 0, 1.0)
+    result = TrackBlock.joined(list(localize([block], scene, RADIO, [EKF], window=None)))
+    assert result.skipped == 4 and result.time_s[0] == 4.0
+    error = np.linalg.norm(result.x[:, :3] - position.T[4:], axis=1)
     assert error.max() < 1.0

@@ -47,7 +47,7 @@ def joined(blocks):
     blocks = list(blocks)
     return {
         name: np.concatenate([getattr(block, name) for block in blocks])
-        for name in blocks[0].per_epoch
+        for name in blocks[0].arrays
     }
 
 
@@ -56,7 +56,7 @@ def track_of(folder, columns, scene, modes):
     return joined(localize(read_log(folder / "log.csv", scene), scene, RADIO, modes))
 
 
-def assert_moved(found, plain, turn=UNTURNED, shift_m=(0.0, 0.0, 0.0)):
+def assert_moved(moved, plain, turn=UNTURNED, shift_m=(0.0, 0.0, 0.0)):
     """Beliefs are those of ``plain`` turned by a matrix (3, 3), then shifted; gates agree."""
     whole = np.eye(7)
     whole[:3, :3] = whole[3:6, 3:6] = turn
@@ -64,11 +64,11 @@ def assert_moved(found, plain, turn=UNTURNED, shift_m=(0.0, 0.0, 0.0)):
         expected = plain[x] @ whole.T + [*shift_m, 0.0, 0.0, 0.0, 0.0]
         covariance = whole @ unpacked(plain[P]) @ whole.T
         packed = covariance[..., TRIANGLE[0], TRIANGLE[1]]
-        ours, theirs = {"x": found[x], "P": found[P]}, {"x": expected, "P": packed}
+        ours, theirs = {"x": moved[x], "P": moved[P]}, {"x": expected, "P": packed}
         assert_same_beliefs(ours, theirs, rtol=ROUNDING)
-    np.testing.assert_allclose(found["nis"], plain["nis"], rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(moved["nis"], plain["nis"], rtol=1e-6, atol=1e-6)
     for name in ("visible", "accepted", "incomplete", "mode"):
-        np.testing.assert_array_equal(found[name], plain[name], err_msg=name)
+        np.testing.assert_array_equal(moved[name], plain[name], err_msg=name)
 
 
 def turned(angle):
@@ -95,10 +95,10 @@ MOVES = {  # pipelines, turn (3, 3), shift in m, what becomes of azimuths
 def test_a_moved_scene_gives_the_moved_track(street, tmp_path, move, pipeline):
     (columns, scene), modes = street, PIPELINES[pipeline]
     _, turn, shift_m, azimuths = MOVES[move]
-    told = columns | {name: azimuths(columns[name]) for name in AZIMUTHS}
-    there = with_anchors(scene, scene.anchors_m @ turn.T + shift_m)
+    moved_columns = columns | {name: azimuths(columns[name]) for name in AZIMUTHS}
+    place = with_anchors(scene, scene.anchors_m @ turn.T + shift_m)
     plain = track_of(tmp_path, columns, scene, modes)
-    assert_moved(track_of(tmp_path, told, there, modes), plain, turn, shift_m)
+    assert_moved(track_of(tmp_path, moved_columns, place, modes), plain, turn, shift_m)
 
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
@@ -106,15 +106,17 @@ def test_virtual_anchors_have_no_order(street, tmp_path, pipeline):
     (columns, scene), modes = street, PIPELINES[pipeline]
     plain = track_of(tmp_path, columns, scene, modes)
     for order in permutations(range(1, len(scene.anchors_m))):
-        place = np.array([0, *order])
+        numbers = np.array([0, *order])
         renumbered = columns | {
-            "anchor": 1.0 + np.argsort(place)[columns["anchor"].astype(int) - 1]
+            "anchor": 1.0 + np.argsort(numbers)[columns["anchor"].astype(int) - 1]
         }
-        found = track_of(tmp_path, renumbered, with_anchors(scene, scene.anchors_m[place]), modes)
-        groups = [*place, len(place)]
+        renamed = track_of(
+            tmp_path, renumbered, with_anchors(scene, scene.anchors_m[numbers]), modes
+        )
+        groups = [*numbers, len(numbers)]
         for name in ("nis", "visible", "accepted", "incomplete"):
-            found[name] = found[name][:, np.argsort(groups)]
-        assert_moved(found, plain)
+            renamed[name] = renamed[name][:, np.argsort(groups)]
+        assert_moved(renamed, plain)
 
 
 UNITS = {  # old name -> new name and factor
@@ -134,15 +136,17 @@ def test_units_orders_clock_and_parts_are_a_matter_of_writing(street, tmp_path):
     plain = track_of(tmp_path, columns, scene, modes)
     order = np.lexsort((-columns["anchor"], columns["time_s"]))
     later = columns | {"time_s": columns["time_s"] + 1024.0}
-    told = {}
+    written = {}
     for name in reversed(columns):
         new, factor = UNITS.get(name, (name, 1.0))
-        told[new] = factor * later[name][order]
+        written[new] = factor * later[name][order]
     parts = []
     for first, last in ((0.0, 0.5), (0.5, 6.4), (6.4, 15.0)):
-        since = 1e-3 * told["time_ms"] - 1024.0
+        since = 1e-3 * written["time_ms"] - 1024.0
         rows = (since >= first) & (since < last)
-        write_columns(tmp_path / "part.csv", {name: values[rows] for name, values in told.items()})
+        write_columns(
+            tmp_path / "part.csv", {name: values[rows] for name, values in written.items()}
+        )
         parts.append(tmp_path / f"{first}.csv.gz")
         parts[-1].write_bytes(gzip.compress((tmp_path / "part.csv").read_bytes()))
     blocks = chain.from_iterable(read_log(part, scene, epochs_per_block=50) for part in parts)

@@ -13,6 +13,7 @@ from mmwave_env.localization.position_errors import (
     require_risk,
     vertical_level,
 )
+from tests.refusals import refuses
 
 risks = st.floats(-7.0, np.log10(0.5)).map(lambda power: 10.0**power)
 
@@ -64,7 +65,7 @@ def test_levels_of_many_covariances_are_those_of_each():
     P = np.stack([turned(3.0, 1.0, 0.3), turned(1.0, 1.0, 0.0), turned(2.0, 0.0, 1.0)])
     many = horizontal_level(P.reshape(3, 1, 6), 1e-3)
     assert many.shape == (3, 1)
-    assert many[:, 0].tolist() == [float(horizontal_level(one, 1e-3)) for one in P]
+    assert many[:, 0].tolist() == [float(horizontal_level(single, 1e-3)) for single in P]
 
 
 @pytest.mark.parametrize("risk", [0.3, 1e-2, 1e-3])
@@ -86,11 +87,11 @@ def test_levels_hold_at_the_stated_risk_for_errors_drawn_from_the_covariances(ri
 def test_the_interval_is_clopper_and_pearson_s(exceeded, epochs):
     error = np.zeros(epochs)
     error[:exceeded] = 2.0
-    found = exceedance(error, np.ones(epochs))
+    figures = exceedance(error, np.ones(epochs))
     low = beta.ppf(0.025, exceeded, epochs - exceeded + 1) if exceeded else 0.0
     high = beta.ppf(0.975, exceeded + 1, epochs - exceeded) if exceeded < epochs else 1.0
-    assert found["exceeded"] == exceeded and found["share"] == exceeded / epochs
-    assert found["ci95"] == pytest.approx([low, high])
+    assert figures["exceeded"] == exceeded and figures["share"] == exceeded / epochs
+    assert figures["ci95"] == pytest.approx([low, high])
 
 
 def test_what_is_no_number_is_no_protection_and_no_epochs_say_nothing():
@@ -102,5 +103,5 @@ def test_what_is_no_number_is_no_protection_and_no_epochs_say_nothing():
 
 @pytest.mark.parametrize("risk", [0.0, -1.0, 0.6, np.nan, np.inf])
 def test_what_is_no_risk_is_refused(risk):
-    with pytest.raises(ValueError, match="risk: found .*, expected more than 0 and at most 0.5"):
+    with refuses("risk"):
         require_risk(risk)

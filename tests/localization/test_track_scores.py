@@ -21,12 +21,7 @@ T = 400
 def pieces(block, sizes):
     first = 0
     for size in sizes:
-        arrays = {
-            name: value[first : first + size]
-            for name, value in vars(block).items()
-            if isinstance(value, np.ndarray)
-        }
-        yield replace(block, **arrays)
+        yield block.part(slice(first, first + size))
         first += size
 
 
@@ -39,11 +34,11 @@ def test_accuracy_is_that_of_the_metrics(tmp_path, sizes, planar, known):
     (tmp_path / "truth.tum").write_text(tum_lines(block.time_s[known], truth[known]))
     kinds = ["filtered", "smoothed"]
     scores = TruthScores(Truth(tmp_path / "truth.tum"), kinds, planar, risk=0.1)
-    found = np.concatenate([scores.add(piece) for piece in pieces(block, sizes)])
-    np.testing.assert_array_equal(found[known], truth[known])
+    true = np.concatenate([scores.add(piece) for piece in pieces(block, sizes)])
+    np.testing.assert_array_equal(true[known], truth[known])
     figures = scores.figures()
     n = known.stop - known.start
-    assert figures["scored"] == n == np.isfinite(found[:, 0]).sum()
+    assert figures["scored"] == n == np.isfinite(true[:, 0]).sum()
     axes = [i for i in range(3) if not (planar and i in VERTICAL)]
     for name, x, P in (
         ("filtered", block.x, block.P),
@@ -53,8 +48,8 @@ def test_accuracy_is_that_of_the_metrics(tmp_path, sizes, planar, known):
         assert row["ate_m"] == pytest.approx(ate(error), rel=1e-12)
         assert row["rmse_m"] == pytest.approx(rmse(error), rel=1e-12)
         position = unpacked(P[known])[:, axes][:, :, axes]
-        nees = np.einsum("ti,ti->t", error[:, axes],
-                         np.linalg.solve(position, error[:, axes, None])[..., 0])  # fmt: skip
+        scaled = np.linalg.solve(position, error[:, axes, None])[..., 0]
+        nees = np.einsum("ti,ti->t", error[:, axes], scaled)
         assert row["nees"] == pytest.approx(nees.mean(), rel=1e-6)
         across = np.hypot(error[:, 0], error[:, 1])
         levels = horizontal_level(P[known], figures["risk"])
@@ -80,9 +75,8 @@ def test_a_truth_of_another_frame_is_warned_of_and_a_right_one_is_not(tmp_path, 
         scores.add(block)
         assert not recwarn
         scores.warn_if_far("filtered")
-    (said,) = recwarn
-    assert "truth.tum: found a mean NEES of " in str(said.message)
-    assert "expected about 3: is it in m, in the scene's frame" in str(said.message)
+    (warning,) = recwarn
+    assert "truth.tum: found a mean NEES" in str(warning.message)
 
 
 def scored_at(tmp_path, time_s, known, sizes=(T,), segment=None):
@@ -106,15 +100,15 @@ def mean_change(x, pairs):
 def test_rpe_pairs_what_is_a_second_apart_across_gaps(tmp_path, sizes):
     time = 0.1 * np.arange(T) + np.where(np.arange(T) >= 130, 7.3, 0.0)
     known = np.array([k for k in range(T) if not 200 <= k < 255])
-    found, apart, x = scored_at(tmp_path, time, known, sizes)
+    rpe_m, apart, x = scored_at(tmp_path, time, known, sizes)
     pairs = [(k, k + 10) for k in known if k + 10 in known and not k < 130 <= k + 10]
-    assert found == pytest.approx(mean_change(x, pairs), rel=1e-9)
+    assert rpe_m == pytest.approx(mean_change(x, pairs), rel=1e-9)
     assert apart == pytest.approx(1.0)
 
 
 def test_truth_rarer_than_seconds_has_no_rpe(tmp_path):
-    found, apart, _ = scored_at(tmp_path, 0.1 * np.arange(T), np.arange(0, T, 100))
-    assert found is None and apart is None
+    rpe_m, apart, _ = scored_at(tmp_path, 0.1 * np.arange(T), np.arange(0, T, 100))
+    assert rpe_m is None and apart is None
 
 
 @pytest.mark.parametrize("step", [1.0, 3.0])
@@ -122,16 +116,16 @@ def test_slow_logs_pair_neighbors_alone(tmp_path, step):
     time = step * np.arange(T)
     time[50:] += 9.0 * step
     known = np.array([k for k in range(T) if k != 70])
-    found, apart, x = scored_at(tmp_path, time, known)
+    rpe_m, apart, x = scored_at(tmp_path, time, known)
     pairs = [(k, k + 1) for k in range(T - 1) if k not in (49, 69, 70)]
-    assert found == pytest.approx(mean_change(x, pairs), rel=1e-9) and apart == step
+    assert rpe_m == pytest.approx(mean_change(x, pairs), rel=1e-9) and apart == step
 
 
 def test_rpe_does_not_cross_where_the_track_began_anew(tmp_path):
     segment = [0] * 100 + [1] * 300
     time = 20.0 * np.arange(T)
-    found, _, x = scored_at(tmp_path, time, np.arange(T), [100, 300], segment)
-    assert found == pytest.approx(mean_change(x, [(k, k + 1) for k in range(T - 1) if k != 99]))
+    rpe_m, _, x = scored_at(tmp_path, time, np.arange(T), [100, 300], segment)
+    assert rpe_m == pytest.approx(mean_change(x, [(k, k + 1) for k in range(T - 1) if k != 99]))
 
 
 def test_what_is_between_poses_counts(tmp_path):
@@ -143,13 +137,6 @@ def test_what_is_between_poses_counts(tmp_path):
     assert figures["scored"] == 211 and figures["interpolated"] == 208  # 10 ms after the last, too
     away = np.abs(block.time_s[:211, None] - [0.0, 0.1, 0.2]).min(axis=1)
     assert figures["nearest_pose_s"] == pytest.approx(away.mean())
-
-
-def test_a_truth_that_never_matches_scores_nothing(tmp_path):
-    (tmp_path / "truth.tum").write_text(tum_lines(np.arange(3.0), np.zeros((3, 3))))
-    scores = TruthScores(Truth(tmp_path / "truth.tum"), ["filtered"], planar=False)
-    assert np.isnan(scores.add(some_track(T))).all() and scores.scored == 0
-    assert scores.figures()["tracks"]["filtered"]["ate_m"] is None
 
 
 @pytest.mark.parametrize("sizes", [[T], [1, 99, 300]])
@@ -168,9 +155,9 @@ def test_groups_are_counted(sizes):
     assert list(figures) == ["anchor 1", "anchor 2", "anchor 3", "Doppler", "all"]
     for g, dof in enumerate((4, 4, 4, 1)):
         row = list(figures.values())[g]
-        seen, used = block.visible[:, g], accepted[:, g]
-        assert row["seen"] == seen.sum() and row["rejected"] == (seen & ~used).sum()
-        assert row["rejected_share"] == pytest.approx((seen & ~used).sum() / seen.sum())
+        visible, used = block.visible[:, g], accepted[:, g]
+        assert row["seen"] == visible.sum() and row["rejected"] == (visible & ~used).sum()
+        assert row["rejected_share"] == pytest.approx((visible & ~used).sum() / visible.sum())
         assert row["incomplete"] == block.incomplete[:, g].sum()
         if g == 2:
             assert row["nis_per_dof"] is None and row["nis_in_bounds"] is None

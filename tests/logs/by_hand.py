@@ -1,6 +1,5 @@
 """Logs written by hand, and blocks of them put together again."""
 
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -12,25 +11,24 @@ from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
+from tests.refusals import refuses
 
 SCENE = SCENES["street"]
 L = 3
 HEADER = "time_s,anchor,toa_s,aoa_azimuth_rad,aoa_elevation_rad,aod_azimuth_rad,doppler_hz,snr_db"
 BODY = HEADER.replace("aod_azimuth_rad", "aod_azimuth_body_deg")
 TIME, ANCHOR, TOA, AOA, ELEVATION, AOD, DOPPLER, SNR = range(8)
-PER_EPOCH = LogBlock.per_epoch
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 
 
-def rows(epochs=4, first=0):
+def rows(epochs=4):
     """Lines of cells, one for each epoch and anchor, all numbers different."""
-    out = []
-    for t in range(first, first + epochs):
-        for a in range(1, L + 1):
-            doppler = f"{t + 0.5}" if a == 1 else ""
-            out.append([f"{t}", f"{a}", f"{t + a}e-7", f"0.{a}{t}", f"-0.{a}", f"{a - 2}.{t}",
-                        doppler, f"{20 + a}"])  # fmt: skip
-    return out
+    lines = (
+        f"{t},{a},{t + a}e-7,0.{a}{t},-0.{a},{a - 2}.{t},{t + 0.5 if a == 1 else ''},{20 + a}"
+        for t in range(epochs)
+        for a in range(1, L + 1)
+    )
+    return [line.split(",") for line in lines]
 
 
 def text(lines, header=HEADER):
@@ -44,28 +42,26 @@ def store(folder, content, name="log.csv"):
 
 
 def read(path, scene=SCENE, **options):
-    return joined(list(read_log(path, scene, **options)))
+    return LogBlock.joined(list(read_log(path, scene, **options)))
 
 
-def joined(blocks):
-    return replace(
-        blocks[-1], **{f: np.concatenate([getattr(b, f) for b in blocks]) for f in PER_EPOCH}
-    )
-
-
-def delivered(path, scene=SCENE, **options):
-    """The blocks before the error, and the error."""
+def delivered(path, *fields, reader=read_log, **options):
+    """Return the blocks before the error of a damaged file, which names the fields."""
     blocks = []
-    with pytest.raises(LogError) as error:
-        blocks.extend(read_log(path, scene, **options))
-    # extend() keeps what came before the error
-    return blocks, str(error.value)
+    with refuses(path, *fields, error=LogError):
+        blocks.extend(reader(path, SCENE, **options))  # keeps what came before the error
+    return blocks
+
+
+def assert_same(block, expected):
+    """Check that all arrays of two blocks are equal."""
+    for name in expected.arrays:
+        np.testing.assert_array_equal(getattr(block, name), getattr(expected, name), err_msg=name)
 
 
 def shown(block):
     """(T, rows) whether a row is visible."""
-    widths = [group.stop - group.start for group in block.layout.groups]
-    return np.repeat(block.visible, widths, axis=1)
+    return np.repeat(block.visible, block.layout.widths, axis=1)
 
 
 @lru_cache
@@ -79,13 +75,13 @@ def require_pyarrow(suffix=".parquet"):
         pytest.importorskip("pyarrow")
 
 
-def hide_anchors(path, one, false_paths=0, seed=0):
+def hide_anchors(path, episode, false_paths=0, seed=0):
     """Write an episode as a log of paths in random order, false ones among them."""
-    columns, rng = log_columns(one), np.random.default_rng(seed)
+    columns, rng = log_columns(episode), np.random.default_rng(seed)
     del columns["anchor"]
-    n = false_paths * len(one)
+    n = false_paths * len(episode)
     false = {name: np.full(n, np.nan) for name in columns}
-    false["time_s"] = np.repeat(one.time_s, false_paths)
+    false["time_s"] = np.repeat(episode.time_s, false_paths)
     for name in HEADER.split(",")[TOA:]:
         false[name] = rng.uniform(np.nanmin(columns[name]), np.nanmax(columns[name]), n)
     columns = {name: np.concatenate([values, false[name]]) for name, values in columns.items()}

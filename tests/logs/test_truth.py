@@ -13,6 +13,7 @@ from mmwave_env.logs.truth import BRIDGED_S, TOLERANCE_S, TrueEpochs, Truth
 from mmwave_env.logs.tum import read_tum, tum_lines
 from mmwave_env.models.measurement import LINK, Layout
 from mmwave_env.models.scene import SCENES, read_scene
+from tests.refusals import refuses
 
 
 def truth_of(folder, time_s, position_m, monkeypatch, block_bytes=200):
@@ -53,9 +54,9 @@ def test_poses_are_interpolated_between_gaps_whatever_the_blocks(
         truth = truth_of(tmp_path_factory.mktemp("truth"), pose_s, position, patch)
         parts = [truth.at(time_s[i : i + size]) for i in range(0, len(time_s), size)]
         truth.read_on()
-    found, velocity, away = map(np.concatenate, zip(*parts, strict=True))
+    positions, velocity, away = map(np.concatenate, zip(*parts, strict=True))
     p, v = expected(pose_s, position, time_s)
-    np.testing.assert_allclose(found, p, atol=1e-9)
+    np.testing.assert_allclose(positions, p, atol=1e-9)
     np.testing.assert_allclose(velocity, v, atol=1e-6)
     apart = pose_s - time_s[:, None]
     np.testing.assert_array_equal(
@@ -68,9 +69,9 @@ def test_a_pose_at_the_time_of_an_epoch_is_taken_to_the_last_bit(tmp_path, monke
     rng = np.random.default_rng(1)
     pose_s = np.cumsum(rng.uniform(0.01, 2.0, 300))
     position = 1e3 * rng.standard_normal((300, 3))
-    found = truth_of(tmp_path, pose_s, position, monkeypatch).at(pose_s)
-    np.testing.assert_array_equal(found.position_m, position)
-    np.testing.assert_array_equal(found.away_s, 0.0)
+    true = truth_of(tmp_path, pose_s, position, monkeypatch).at(pose_s)
+    np.testing.assert_array_equal(true.position_m, position)
+    np.testing.assert_array_equal(true.away_s, 0.0)
 
 
 def test_no_more_of_a_long_truth_is_held_than_is_needed(tmp_path, monkeypatch):
@@ -92,11 +93,9 @@ def test_a_damaged_truth_is_named(tmp_path, monkeypatch):
     truth.path.write_text(truth.path.read_text().replace("\n50.0 ", "\nx "))
     truth = Truth(truth.path)
     assert np.isfinite(truth.at(np.arange(20.0)).position_m).all()
-    with pytest.raises(ValueError, match=r"truth.tum, line 51, t: found 'x'"):
+    with refuses("truth.tum, line 51, t"):
         truth.at(np.arange(20.0, 60.0))
 
-
-# --- the clock
 
 STREET = SCENES["street"]
 
@@ -104,10 +103,8 @@ STREET = SCENES["street"]
 def user(time_s, speed=8.0, sway=4.0):
     """Positions and velocities of who drives along a street, faster and slower."""
     v = np.column_stack([speed + sway * np.sin(0.7 * time_s), 0.5 * np.cos(0.3 * time_s)])
-    p = np.column_stack([
-        20.0 + speed * time_s - sway / 0.7 * np.cos(0.7 * time_s),
-        -40.0 + 0.5 / 0.3 * np.sin(0.3 * time_s),
-    ])  # fmt: skip
+    x = 20.0 + speed * time_s - sway / 0.7 * np.cos(0.7 * time_s)
+    p = np.column_stack([x, -40.0 + 0.5 / 0.3 * np.sin(0.3 * time_s)])
     return np.pad(p, [(0, 0), (0, 1)], constant_values=1.5), np.pad(v, [(0, 0), (0, 1)])
 
 
@@ -135,7 +132,6 @@ def log_of(time_s, position_m, rng, bias=0.0):
         snr_db=np.full((T, 3), 20.0),
         doppler_spread_hz=np.zeros(T),
         restarts=np.zeros(T, bool),
-        rows=T,
         share=1.0,
     )
 
@@ -155,22 +151,20 @@ def late(time_s, seconds, shift=(0.0, 0.0, 0.0)):
 def test_an_offset_is_found_beside_biases_and_a_frame_that_is_off(seconds, shift):
     time_s = np.arange(0.0, 60.0, 0.1)
     log = log_of(time_s, user(time_s)[0], np.random.default_rng(2), bias=0.5)
-    found = compared(log, seconds, shift)
-    assert found.seconds == pytest.approx(seconds, abs=4.0 * found.deviation_s + 0.01)
-    assert 0.0 < found.deviation_s < 0.01 and found.matters == bool(seconds)
+    clock = compared(log, seconds, shift)
+    assert clock.seconds == pytest.approx(seconds, abs=4.0 * clock.deviation_s + 0.01)
+    assert 0.0 < clock.deviation_s < 0.01 and clock.matters == bool(seconds)
     if seconds:
-        side, change = ("ahead of", "less") if seconds > 0.0 else ("behind", "more")
-        assert f"ms {side} the log's, expected the same; nothing was moved" in found.advice
-        assert found.advice.endswith(f"s {change}")
+        assert clock.advice.endswith("less" if seconds > 0.0 else "more")
 
 
 def test_its_standard_error_is_that_of_many_logs():
     time_s, rng = np.arange(0.0, 40.0, 0.1), np.random.default_rng(3)
-    found = [compared(log_of(time_s, user(time_s)[0], rng), 0.0) for _ in range(60)]
-    spread = np.std([one.seconds for one in found])
-    typical = np.median([one.deviation_s for one in found])
+    clocks = [compared(log_of(time_s, user(time_s)[0], rng), 0.0) for _ in range(60)]
+    spread = np.std([clock.seconds for clock in clocks])
+    typical = np.median([clock.deviation_s for clock in clocks])
     assert 0.7 * spread < typical < 1.5 * spread
-    assert not any(one.matters for one in found)
+    assert not any(clock.matters for clock in clocks)
 
 
 def test_it_is_the_least_squares_of_all_columns_at_once():
@@ -211,8 +205,8 @@ def test_who_never_changes_speed_tells_nothing_of_a_clock():
         moved = [20.0, -40.0, 1.5] + (time_s[:, None] - 0.3) * velocity
         return TrueEpochs(moved, velocity, np.zeros(len(time_s)))
 
-    found = clock_offset(log, STREET, truth_at)
-    assert found is None or not found.matters
+    clock = clock_offset(log, STREET, truth_at)
+    assert clock is None or not clock.matters
 
 
 def test_short_logs_and_a_truth_that_is_not_known_tell_nothing():
@@ -230,6 +224,6 @@ def test_an_offset_over_which_a_log_is_not_straight_is_found_too(tmp_path, late_
     path.write_text(tum_lines(poses.time_s + late_s, poses.position_m))
     scene = read_scene(folder / "scene.json")
     log = LogBlock.joined(list(read_log(folder / "log.csv", scene)))
-    found = clock_offset(log, scene, lambda time_s: Truth(path).at(time_s))
-    assert found.matters and found.seconds == pytest.approx(late_s, abs=0.03)
-    assert found.deviation_s < 0.02
+    clock = clock_offset(log, scene, lambda time_s: Truth(path).at(time_s))
+    assert clock.matters and clock.seconds == pytest.approx(late_s, abs=0.03)
+    assert clock.deviation_s < 0.02

@@ -42,30 +42,13 @@ def observe(table, **features):
     return observation.astype(np.float32)
 
 
-@pytest.fixture(params=["fixed", "speed", "likelihood"])
-def policy(request, table):
-    return {
-        "fixed": FixedMode(1),
-        "speed": SpeedRule(table),
-        "likelihood": LikelihoodRule(table, list(THREE)),
-    }[request.param]
-
-
 @pytest.mark.parametrize("n", [1, 5])
-def test_a_policy_maps_a_batch_of_observations_to_a_batch_of_actions(policy, table, n):
-    policy.reset(np.ones(n, bool))
-    actions = policy(np.zeros((n, len(table)), np.float32))
-    assert actions.shape == (n,) and actions.dtype == np.int64
-    assert ((actions >= 0) & (actions < 3)).all()
-    policy.reset(np.zeros(n, bool))
-
-
-@pytest.mark.parametrize("action", [0, 1, 2])
-def test_fixed_mode(table, action):
-    assert (FixedMode(action)(observe(table, predicted_speed=[0.0, 9.0])) == action).all()
-
-
-# --- speed rule
+def test_a_policy_maps_a_batch_of_observations_to_a_batch_of_actions(table, n):
+    for policy in (FixedMode(1), SpeedRule(table), LikelihoodRule(table, list(THREE))):
+        policy.reset(np.ones(n, bool))
+        actions = policy(np.zeros((n, len(table)), np.float32))
+        assert actions.shape == (n,) and actions.dtype == np.int64
+        assert ((actions >= 0) & (actions < 3)).all()
 
 
 @pytest.mark.parametrize("threshold", [0.0, 0.25, 0.5, 1.0, 2.0, 3.0, 7.3])
@@ -89,7 +72,7 @@ def test_the_speed_rule_may_use_odometry(table):
 
 def test_odometry_needs_an_observation_that_shows_it():
     plain = Observation(Pipeline(modes_from(None), Layout()))
-    with pytest.raises(KeyError, match="'odometry speed'.*predicted speed"):
+    with pytest.raises(KeyError, match="odometry speed"):
         SpeedRule(plain, feature="odometry speed")(np.zeros((1, len(plain)), np.float32))
 
 
@@ -99,15 +82,12 @@ def test_above_the_design_window_the_rule_warns_once_and_keeps_its_mode(table):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         rule(observe(table, predicted_speed=[19.99]))
-    with pytest.warns(UserWarning, match="above 20 m/s.*mode for high mobility") as caught:
+    with pytest.warns(UserWarning, match="20 m/s") as caught:
         np.testing.assert_array_equal(rule(fast), [0, 1, 1])
     assert len(caught) == 1
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         np.testing.assert_array_equal(rule(fast), [0, 1, 1])
-
-
-# --- likelihood rule
 
 
 @pytest.mark.parametrize("pace", ["fast", "slow"])
@@ -137,9 +117,6 @@ def test_the_likelihood_rule_needs_the_coming_epoch():
         LikelihoodRule(prior, ["ekf", "ukf"])(np.zeros((1, len(prior)), np.float32))
 
 
-# --- rules of tracks
-
-
 @pytest.mark.parametrize(("speed", "mode"), [(0.0, 0), (2.0, 0), (2.001, 1), (20.0, 1), (99.0, 1)])
 def test_rules_of_tracks_are_the_papers(speed, mode):
     x = [0.0, 0.0, 0.0, 0.6 * speed, -0.8 * speed, 0.0, 7.0]
@@ -154,9 +131,6 @@ def test_rules_of_tracks_are_the_papers(speed, mode):
     measured = blank._replace(z=[*blank.z[:-2], speed, 3.0], visible=[*blank.visible[:-1], 1.0])
     assert by_odometry_speed(slow, measured) == mode
     assert by_odometry_speed([99.0] * 7, measured) == mode
-
-
-# --- the best threshold of the speed rule
 
 
 @pytest.mark.slow

@@ -25,16 +25,8 @@ from policies.policy_file import (
     read_policy,
     to_bytes,
 )
-from tests.training.actors import (
-    HANDSET,
-    MODES,
-    PER_MODE,
-    STANDARD,
-    TABLE,
-    actor,
-    card_of,
-    write,
-)
+from tests.refusals import refuses
+from tests.training.actors import HANDSET, MODES, PER_MODE, STANDARD, TABLE, actor, card_of, write
 
 SMALL = {"features": 3, "hidden": (2,)}
 READ = TABLE.columns[:3]
@@ -62,18 +54,16 @@ def path(tmp_path):
     return tmp_path / "mine.safetensors"
 
 
-def same(found, tensors, card):
+def same(policy, tensors, card):
     """Whether a file's tensors and card are those."""
-    return (
-        found[1] == card
-        and found[0].keys() == tensors.keys()
-        and all(np.array_equal(found[0][name], tensors[name]) for name in tensors)
-    )
+    read, read_card = policy
+    equal = all(np.array_equal(read[name], tensors[name]) for name in tensors)
+    return read_card == card and read.keys() == tensors.keys() and equal
 
 
-def refused(path, content, message=""):
+def refused(path, content, *fields):
     path.write_bytes(content)
-    with pytest.raises(ValueError, match=f"(?s)mine.safetensors: not a policy file: .*{message}"):
+    with refuses(path, *fields):
         read_policy(path)
 
 
@@ -90,9 +80,9 @@ def assembled(tensors=TENSORS, card=None, **document):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_file_gives_back_what_was_written(path, kind):
     tensors, card = KINDS[kind]
-    found = read_policy(write(path, tensors, card))
-    assert same(found, tensors, card)
-    assert all(tensor.dtype == np.float32 for tensor in found[0].values())
+    policy = read_policy(write(path, tensors, card))
+    assert same(policy, tensors, card)
+    assert all(tensor.dtype == np.float32 for tensor in policy[0].values())
 
 
 def test_the_same_policy_makes_the_same_file():
@@ -125,8 +115,7 @@ def test_of_beliefs_per_mode_there_is_one_more_action_than_modes(path):
     assert PER_MODE_CARD.actions == ["none", "stand", "walk", "ride"]
     for actions in (3, 5):
         tensors = actor(**SMALL, actions=actions)
-        message = f"layer.1.weight': found shape .{actions}, 2., expected .4, 2."
-        refused(path, assembled(tensors, PER_MODE_CARD.as_json()), message)
+        refused(path, assembled(tensors, PER_MODE_CARD.as_json()), "layer.1.weight")
 
 
 # --- damage
@@ -154,8 +143,8 @@ def read_or_refused(path, content):
 def test_a_damaged_byte_is_noticed_or_means_nothing(path, place, change):
     content = bytearray(WHOLE)
     content[place] ^= change
-    found = read_or_refused(path, bytes(content))
-    assert found is None or same(found, TENSORS, CARD)
+    policy = read_or_refused(path, bytes(content))
+    assert policy is None or same(policy, TENSORS, CARD)
 
 
 def document():
@@ -166,7 +155,7 @@ def document():
 @given(st.sampled_from(sorted(TENSORS)), st.lists(st.integers(0, 5), max_size=3))
 def test_a_tensor_of_another_shape_is_refused(path, name, shape):
     assume(tuple(shape) != TENSORS[name].shape)
-    refused(path, assembled(TENSORS | {name: np.zeros(shape, np.float32)}), "tensor")
+    refused(path, assembled(TENSORS | {name: np.zeros(shape, np.float32)}))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -174,10 +163,10 @@ def test_every_tensor_is_needed_and_no_other(path, kind):
     tensors, card = KINDS[kind]
     for name in tensors:
         others = {other: tensor for other, tensor in tensors.items() if other != name}
-        refused(path, assembled(others, card.as_json()), "tensors?")
+        refused(path, assembled(others, card.as_json()))
     for name in ("critic", "layer.9.bias", "layer.x.weight", "lstm.bias_hh", ""):
         more = tensors | {name: np.zeros(3, np.float32)}
-        refused(path, assembled(more, card.as_json()), "unknown .*" + name)
+        refused(path, assembled(more, card.as_json()))
 
 
 ANYTHING = st.recursive(
@@ -192,10 +181,10 @@ ANYTHING = st.recursive(
 @given(st.sampled_from(sorted(asdict(CARD))), ANYTHING)
 def test_a_card_may_hold_anything_and_is_read_as_it_stands_or_refused(path, name, value):
     card = CARD.as_json() | {name: value}
-    found = read_or_refused(path, assembled(card=card))
-    if found is not None:
+    policy = read_or_refused(path, assembled(card=card))
+    if policy is not None:
         left_out = {"beliefs": "shared", "banks": {}}  # as they are where nothing is said of them
-        assert json.dumps((left_out | found[1].as_json())[name]) == json.dumps(value)
+        assert json.dumps((left_out | policy[1].as_json())[name]) == json.dumps(value)
 
 
 @settings(in_one_folder, max_examples=100)
@@ -203,9 +192,9 @@ def test_a_card_may_hold_anything_and_is_read_as_it_stands_or_refused(path, name
 def test_a_mode_may_hold_anything_and_is_read_as_it_stands_or_refused(path, mode):
     card = CARD.as_json()
     card["modes"][1] = card["modes"][1] | mode
-    found = read_or_refused(path, assembled(card=card))
-    if found is not None:
-        assert all(getattr(found[1].modes[1], name) == value for name, value in mode.items())
+    policy = read_or_refused(path, assembled(card=card))
+    if policy is not None:
+        assert all(getattr(policy[1].modes[1], name) == value for name, value in mode.items())
 
 
 @settings(in_one_folder, max_examples=100)
@@ -213,9 +202,9 @@ def test_a_mode_may_hold_anything_and_is_read_as_it_stands_or_refused(path, mode
 def test_a_bank_may_hold_anything_and_is_read_as_it_stands_or_refused(path, name, value):
     card = PER_MODE_CARD.as_json()
     card["banks"]["standard"] = card["banks"]["standard"] | {name: value}
-    found = read_or_refused(path, assembled(PER_MODE_TENSORS, card))
-    if found is not None:
-        written = found[1].as_json()["banks"]["standard"]
+    policy = read_or_refused(path, assembled(PER_MODE_TENSORS, card))
+    if policy is not None:
+        written = policy[1].as_json()["banks"]["standard"]
         assert json.dumps(written[name]) == json.dumps(value)
 
 
@@ -235,22 +224,22 @@ def raw(header, body=b""):
 
 
 @pytest.mark.parametrize(
-    ("content", "message"),
+    ("content", "fields"),
     [
-        (b"", "header"),
-        (pickle.dumps({"low": 1.0}), "header"),
-        (b"PK\x03\x04" + bytes(200), "header"),  # PyTorch's own format is a zip archive
-        (raw({}), "metadata: found nothing under 'policy', expected format, sha256, card"),
-        (save(TENSORS, {"policy": "{"}), "metadata 'policy': found no JSON"),
-        (save(TENSORS, {"policy": "[" * 100_000}), "metadata 'policy': found no JSON"),
-        (assembled(format=1), "format: found 1, expected 2; use the version"),
-        (assembled(more=1), "metadata 'policy': missing none, unknown more"),
-        (assembled(sha256="0"), "sha256: found '0', expected '.*damaged"),
-        (assembled(card={"seed": 1}), "card: missing algorithm, .*versions, unknown none"),
+        (b"", []),
+        (pickle.dumps({"low": 1.0}), []),
+        (b"PK\x03\x04" + bytes(200), []),  # PyTorch's own format is a zip archive
+        (raw({}), ["metadata"]),
+        (save(TENSORS, {"policy": "{"}), ["metadata 'policy'"]),
+        (save(TENSORS, {"policy": "[" * 100_000}), ["metadata 'policy'"]),
+        (assembled(format=1), ["format"]),
+        (assembled(more=1), []),
+        (assembled(sha256="0"), ["sha256"]),
+        (assembled(card={"seed": 1}), []),
     ],
 )
-def test_what_is_no_policy_file_is_refused(path, content, message):
-    refused(path, content, message)
+def test_what_is_no_policy_file_is_refused(path, content, fields):
+    refused(path, content, *fields)
 
 
 @pytest.mark.parametrize("dtype", ["F64", "F16", "BF16", "F8_E4M3", "I32", "BOOL"])
@@ -259,40 +248,40 @@ def test_other_types_of_numbers_are_refused(path, dtype):
     metadata = {"policy": json.dumps(document())}
     low = {"dtype": dtype, "shape": [3], "data_offsets": [0, 3 * bits]}
     content = raw({"__metadata__": metadata, "low": low}, bytes(3 * bits))
-    refused(path, content, f"tensor 'low': found type {dtype}, expected F32")
+    refused(path, content, "tensor 'low'")
 
 
 WRONG_TENSORS = [
-    ({"low": np.zeros(4, np.float32)}, "'high': found shape .3,., expected .4,."),
-    ({"low": np.full(3, 99.0, np.float32)}, "'low': found numbers above 'high'"),
-    ({"layer.1.bias": np.zeros(2, np.float32)}, "layer.1.bias': found shape .2,., expected .3,."),
-    ({"layer.0.bias": np.float32([0.0, np.inf])}, "layer.0.bias': found NaN or infinity"),
-    ({"layer.0.bias": np.zeros(2)}, "layer.0.bias': found type (F64|float64)"),
-    ({"low": np.zeros(0, np.float32)}, "'low': found nothing in it, expected numbers"),
-    ({"critic": np.zeros(2, np.float32)}, "tensors: missing none, unknown critic"),
+    ({"low": np.zeros(4, np.float32)}, ["high"]),
+    ({"low": np.full(3, 99.0, np.float32)}, ["low"]),
+    ({"layer.1.bias": np.zeros(2, np.float32)}, ["layer.1.bias"]),
+    ({"layer.0.bias": np.float32([0.0, np.inf])}, ["layer.0.bias"]),
+    ({"layer.0.bias": np.zeros(2)}, ["layer.0.bias"]),
+    ({"low": np.zeros(0, np.float32)}, ["low"]),
+    ({"critic": np.zeros(2, np.float32)}, []),
 ]
 
 
-@pytest.mark.parametrize(("changes", "message"), WRONG_TENSORS)
-def test_tensors_that_are_no_actor_are_neither_read_nor_written(path, changes, message):
-    refused(path, assembled(TENSORS | changes), message)
-    with pytest.raises(ValueError, match=message):
+@pytest.mark.parametrize(("changes", "fields"), WRONG_TENSORS)
+def test_tensors_that_are_no_actor_are_neither_read_nor_written(path, changes, fields):
+    refused(path, assembled(TENSORS | changes), *fields)
+    with refuses(*fields):
         to_bytes(TENSORS | changes, CARD)
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("field", "value"),
     [
-        ({"seed": "1"}, "seed: found '1', expected int"),
-        ({"features": (*READ[:2], READ[0])}, "features: found 3 with equal names"),
-        ({"observation": "all"}, "observation: found 'all', expected one of full, prior"),
-        ({"versions": {"numpy": "2.0"}}, "versions: found .*, expected one of 'mmwave-loc'"),
+        ("seed", "1"),
+        ("features", (*READ[:2], READ[0])),
+        ("observation", "all"),
+        ("versions", {"numpy": "2.0"}),
     ],
 )
-def test_a_card_of_the_wrong_kind_is_neither_read_nor_made(path, changes, message):
-    refused(path, assembled(card=CARD.as_json() | changes), message)
-    with pytest.raises(ValueError, match=message):
-        Card(**vars(CARD) | changes)
+def test_a_card_of_the_wrong_kind_is_neither_read_nor_made(path, field, value):
+    refused(path, assembled(card=CARD.as_json() | {field: value}), field)
+    with refuses(field):
+        Card(**vars(CARD) | {field: value})
 
 
 @pytest.mark.parametrize(
@@ -300,87 +289,72 @@ def test_a_card_of_the_wrong_kind_is_neither_read_nor_made(path, changes, messag
 )
 def test_a_feature_without_name_unit_or_scale_is_refused(path, row):
     content = CARD.as_json()
-    refused(
-        path, assembled(card=content | {"features": [*content["features"][:2], row]}), "features: "
-    )
-
-
-def test_as_many_features_as_inputs_are_needed(path):
-    content = CARD.as_json()
-    refused(
-        path, assembled(card=content | {"features": content["features"][:2]}), "features: found 2"
-    )
+    for features in ([*content["features"][:2], row], content["features"][:2]):  # or one too few
+        refused(path, assembled(card=content | {"features": features}), "features")
 
 
 RENAMED = replace(STANDARD, modes=tuple(replace(mode, name=f"my {mode.name}") for mode in MODES))
+FEWER = {"banks": {"standard": STANDARD, "handset": HANDSET}, "modes": MODES[:2]}
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("changes", "field"),
     [
-        ({"beliefs": "mine"}, "beliefs: found 'mine', expected one of shared, per-mode"),
-        ({"beliefs": "shared"}, "banks: found those of handset, standard, expected none where bel"),
-        ({"banks": {}}, "banks: found none, expected one or more where beliefs are 'per-mode'"),
-        ({"banks": {"standard": STANDARD, "handset": HANDSET}, "modes": MODES[:2]},
-         "modes: found stand, walk, expected stand, walk, ride as the first bank has them"),
-        ({"banks": {"handset": HANDSET, "lab": RENAMED}},
-         "bank of radio 'lab': found the modes my stand, my walk, my ride, expected stand, walk, "),
+        ({"beliefs": "mine"}, "beliefs"),
+        ({"beliefs": "shared"}, "banks"),
+        ({"banks": {}}, "banks"),
+        (FEWER, "modes"),
+        ({"banks": {"handset": HANDSET, "lab": RENAMED}}, "bank of radio 'lab'"),
     ],
-)  # fmt: skip
-def test_banks_that_fit_nothing_are_neither_read_nor_made(path, changes, message):
+)
+def test_banks_that_fit_nothing_are_neither_read_nor_made(path, changes, field):
     card = SimpleNamespace(**vars(PER_MODE_CARD) | changes)
-    with pytest.raises(ValueError, match=message):
+    with refuses(field):
         Card(**vars(card))
     content = PER_MODE_CARD.as_json() | {"beliefs": card.beliefs}
     content["modes"] = [as_written(mode) for mode in card.modes]
     content["banks"] = {radio: bank_as_written(bank) for radio, bank in card.banks.items()}
-    refused(path, assembled(PER_MODE_TENSORS, content), message)
+    refused(path, assembled(PER_MODE_TENSORS, content), field)
 
 
 BANK = PER_MODE_CARD.as_json()["banks"]["handset"]
 
 
 @pytest.mark.parametrize(
-    ("banks", "message"),
+    ("banks", "field"),
     [
-        ([BANK], "banks: found .*, expected an object, a bank for each radio"),
-        ({"lab": None}, "bank of radio 'lab': found None, expected an object"),
-        ({"lab": BANK | {"cap": 1}}, "'lab': key: found 'cap', expected one of modes"),
-        ({"lab": BANK | {"modes": []}}, "'lab': modes: found 0, expected a list of 1 to 32"),
-        ({"lab": BANK | {"transition": [[1.0]]}}, "'lab': transition: .* expected 3 rows of 3"),
-        ({"lab": BANK | {"transition": [[10**400]]}}, "'lab': transition: found .*inf"),
+        ([BANK], "banks"),
+        ({"lab": None}, "'lab'"),
+        ({"lab": BANK | {"cap": 1}}, "'lab'"),
+        ({"lab": BANK | {"modes": []}}, "'lab': modes"),
+        ({"lab": BANK | {"transition": [[1.0]]}}, "'lab': transition"),
+        ({"lab": BANK | {"transition": [[10**400]]}}, "'lab': transition"),
     ],
 )
-def test_damaged_banks_are_refused(path, banks, message):
+def test_damaged_banks_are_refused(path, banks, field):
     content = PER_MODE_CARD.as_json() | {"banks": banks}
-    refused(path, assembled(PER_MODE_TENSORS, content), message)
+    refused(path, assembled(PER_MODE_TENSORS, content), field)
 
 
 @pytest.mark.parametrize(
-    ("modes", "message"),
-    [
-        (None, "modes: found None, expected a list of 1 to 32"),
-        ([], "modes: found 0, expected a list of 1 to 32"),
-        ([{"name": "a", "algorithm": "pf"}], "'pf'.*ekf, ukf, ckf"),
-        ([{"name": "a"}, {"name": "a"}], "no name twice"),
-        ([{"name": "a"}], "layer.1.weight': found shape .3, 2., expected .1, 2."),
-    ],
+    "modes",
+    [None, [], [{"name": "a", "algorithm": "pf"}], [{"name": "a"}, {"name": "a"}], [{"name": "a"}]],
 )
-def test_unknown_modes_are_refused(path, modes, message):
-    refused(path, assembled(card=CARD.as_json() | {"modes": modes}), message)
+def test_unknown_modes_are_refused(path, modes):
+    refused(path, assembled(card=CARD.as_json() | {"modes": modes}))
 
 
 def test_no_file_can_hold_a_function():
-    with pytest.raises(ValueError, match="algorithm of mode 'own': found a function"):
+    with refuses("algorithm of mode 'own'"):
         to_bytes(actor(3, actions=1), card_of(modes=(Mode("own", ekf),), features=READ))
 
 
 def test_what_a_file_says_of_its_size_is_looked_at_before_its_numbers(path):
     for header in (MOST_HEADER + 1, 2**63):
-        refused(path, header.to_bytes(8, "little") + b"{}", f"found .* a header of {header}")
+        refused(path, header.to_bytes(8, "little") + b"{}")
     with path.open("wb") as file:  # takes no room on the disk
         file.truncate(MOST_BYTES + 1)
-    with pytest.raises(ValueError, match=f"found a file of {MOST_BYTES + 1} bytes"):
+    with refuses(path):
         read_policy(path)
 
 
@@ -388,11 +362,11 @@ def test_a_card_of_lists_in_lists_is_refused(path):
     nested = f'"modes": {"[" * 900 + "]" * 900}'
     card = json.dumps(CARD.as_json() | {"modes": 0}).replace('"modes": 0', nested)
     document = f'{{"format": {FORMAT}, "sha256": "", "card": {card}}}'
-    refused(path, save(TENSORS, {"policy": document}), "found lists or objects in each other")
+    refused(path, save(TENSORS, {"policy": document}), "metadata 'policy'")
 
 
 def test_a_missing_file_is_named(path, tmp_path):
-    with pytest.raises(FileNotFoundError, match="mine.safetensors: found no such file"):
+    with refuses(path, error=FileNotFoundError):
         read_policy(path)
-    with pytest.raises(IsADirectoryError, match="found a folder, expected a policy"):
+    with refuses(tmp_path, error=IsADirectoryError):
         read_policy(tmp_path)

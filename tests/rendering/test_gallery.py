@@ -69,15 +69,6 @@ def test_of_many_the_first_are_drawn():
     assert len({picture.tobytes() for picture in pictures}) == DRAWN + 1
 
 
-def test_a_state_restored_begins_a_picture_anew():
-    envs = many()
-    envs.reset(seed=0)
-    envs.step(np.ones(3, np.int64))
-    envs.restore(envs.state())
-    envs.step(np.zeros(3, np.int64))
-    assert len(envs.render()) == 3
-
-
 def test_there_is_no_picture_before_a_reset_or_without_a_mode():
     with pytest.raises(gym.error.ResetNeeded):
         many().render()

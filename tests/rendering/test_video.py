@@ -8,6 +8,7 @@ import pytest
 from mmwave_env.rendering.history import NO_MODE, History, Scenery
 from mmwave_env.rendering.picture import Picture, Playback
 from mmwave_env.rendering.video import require_video, write_video
+from tests.refusals import refuses
 
 HEIGHT, WIDTH, COUNT = 60, 100, 7
 
@@ -37,8 +38,8 @@ def mp4(path):
     reader = ffmpeg.read_frames(str(path))
     about = next(reader)
     width, height = about["size"]
-    pictures = [np.frombuffer(one, np.uint8).reshape(height, width, 3) for one in reader]
-    return np.array(pictures), about["fps"]
+    pictures = np.frombuffer(b"".join(reader), np.uint8).reshape(-1, height, width, 3)
+    return pictures, about["fps"]
 
 
 def written(path, draw=square):
@@ -73,40 +74,35 @@ def test_a_video_that_fails_leaves_what_was_there(ending, tmp_path):
 
     def fails(number):
         if number == 3:
-            raise ValueError("no more")
+            raise ZeroDivisionError
         return square(number)
 
-    with pytest.raises(ValueError, match="no more"):
+    with pytest.raises(ZeroDivisionError):
         write_video(path, fails, range(COUNT), 5, lambda _: None)
     assert path.read_bytes() == b"before" and list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.parametrize("name", ["square", "square.avi", "gif"])
 def test_other_endings_are_refused(name, tmp_path):
-    with pytest.raises(ValueError, match=f"out: found .*{name}, expected.*[.]gif or [.]mp4$"):
+    with refuses("out"):
         require_video("out", tmp_path / name)
 
 
 @pytest.mark.parametrize(("package", "ending"), [("PIL", "gif"), ("imageio_ffmpeg", "mp4")])
 def test_the_extra_is_named(package, ending, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)  # as if it were not installed
-    with pytest.raises(ImportError, match=rf"needs {package}: .*mmwave-loc\[render\]"):
+    with refuses("out", error=ImportError):
         require_video("out", tmp_path / f"square.{ending}")
-
-
-# --- side by side
 
 
 def history(error_m, rows=6):
     """A user at rest, and an estimate that goes away from it."""
     truth, estimate = np.zeros((rows, 6)), np.zeros((rows, 7))
     estimate[:, 0] = error_m * np.arange(rows)
-    gates = np.zeros((rows, 2), bool)
-    return History(
-        Scenery("test", np.array([[50.0, 30.0, 10.0]]), None), 3, np.arange(rows) - 1.0,
-        np.r_[NO_MODE, np.zeros(rows - 1, int)], truth, estimate,
-        np.tile([1.0, 0.0, 1.0, 0.0, 0.0, 1.0], (rows, 1)), np.ones(rows), gates, gates,
-    )  # fmt: skip
+    gates, P = np.zeros((rows, 2), bool), np.tile([1.0, 0.0, 1.0, 0.0, 0.0, 1.0], (rows, 1))
+    time, modes = np.arange(rows) - 1.0, np.r_[NO_MODE, np.zeros(rows - 1, int)]
+    place = Scenery("test", np.array([[50.0, 30.0, 10.0]]), None)
+    return History(place, 3, time, modes, truth, estimate, P, np.ones(rows), gates, gates)
 
 
 def test_side_by_side_are_the_pictures_of_each():
@@ -115,10 +111,10 @@ def test_side_by_side_are_the_pictures_of_each():
     for epochs in (0, 3, 5):
         whole = playback.draw(epochs)
         assert whole.shape == (480, 3 * 480, 3)
-        for place, (one, title) in enumerate(zip(histories, titles, strict=True)):
-            part = whole[:, place * 480 : (place + 1) * 480]
-            known = [each.until(epochs) for each in histories]
-            alone = Picture(["ekf"], 480, "dark", title).draw(one.until(epochs), known)
+        known = [each.until(epochs) for each in histories]
+        for number, title in enumerate(titles):
+            part = whole[:, number * 480 : (number + 1) * 480]
+            alone = Picture(["ekf"], 480, "dark", title).draw(known[number], known)
             np.testing.assert_array_equal(part[:, 4:], alone[:, 4:])  # but for a gap
 
 
@@ -140,8 +136,8 @@ def test_strips_are_at_one_height_whatever_the_modes():
 
 
 def test_a_title_is_a_line_of_its_own():
-    one, other = (Picture(["ekf"], title=title).draw(history(1.0)) for title in ("rule", "ppo"))
-    differs = (one != other).any(axis=(1, 2))
+    rule, ppo = (Picture(["ekf"], title=title).draw(history(1.0)) for title in ("rule", "ppo"))
+    differs = (rule != ppo).any(axis=(1, 2))
     assert differs[:24].any() and not differs[24:].any()
     for title in ("a" * 500, "a\nb\x1b[31m", "$x$ | 名"):
-        assert (Picture(["ekf"], title=title).draw(history(1.0)) != one).any()
+        assert (Picture(["ekf"], title=title).draw(history(1.0)) != rule).any()

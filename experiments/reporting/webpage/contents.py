@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 from experiments.evaluation.comparison import Comparison
 from experiments.evaluation.intervals import Interval, rounded
 from experiments.evaluation.positions import HEADER, KINDS, percent, row_of
-from experiments.figures.curves import draw_learning_curves
-from experiments.figures.errors import draw_consistency, draw_error_cdf
+from experiments.figures.curves import draw_consistency, draw_error_cdf, draw_learning_curves
 from experiments.reporting.track_report import track_markdown
 from experiments.reporting.webpage.markup import drawn, element, html_of, table
 from experiments.reporting.webpage.played import Played, ranking, watched_names
