@@ -22,8 +22,8 @@ def test_a_short_run_writes_everything(tmp_path):
     assert re.findall("^### (.*)", shown, re.MULTILINE) == list(TITLES)
     result = json.loads(file.read_text())
     assert result["command"] == "mmwave-loc speed --sizes 8 64 --seconds 0.0 --repeats 1"
-    assert list(result)[:7] == [
-        "command", "versions", "ratios", "limit_fraction", "steps_per_s", "cold_start_s",
+    assert list(result)[:8] == [
+        "command", "options", "versions", "ratios", "limit_fraction", "steps_per_s", "cold_start_s",
         "peak_rss_mb",
     ]  # fmt: skip
     rates = result["steps_per_s"]

@@ -34,8 +34,8 @@ def test_compare_shows_policies_over_the_bound(tmp_path):
     result = json.loads(file.read_text())
     bound = result["bound"]
     assert list(result) == [
-        "command", "versions", "scenario", "radio", "episodes", "seed", "policies", "paired",
-        "bound",
+        "command", "options", "versions", "scenario", "radio", "episodes", "seed", "policies",
+        "paired", "bound",
     ]  # fmt: skip
     assert list(bound["policies"]) == list(policies)
     episodes = draw_episodes(SimulatedSource(STREET, RADIO), range(6))

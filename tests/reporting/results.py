@@ -28,6 +28,7 @@ def comparison(names=("imm", "speed-rule"), **more):
     which = {"scenario": "mixed", "radio": "handset", "episodes": 2, "seed": 0}
     return {
         "command": "mmwave-loc compare --policies imm speed-rule --episodes 2 --episode-steps 30",
+        "options": {"episode_steps": 30, "policies": list(names), "json": "no output is read"},
         "versions": {"mmwave-loc": __version__, "python": "3.12.0"},
         **which,
         "policies": {name: metrics(-1.0 - i) for i, name in enumerate(names)},

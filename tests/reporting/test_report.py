@@ -1,15 +1,12 @@
 """mmwave-loc report: what is on the page, and what is refused."""
 
 import json
-import signal
 
 import numpy as np
 import pytest
 
-from experiments.console.signals import Ended
 from experiments.evaluation.intervals import Interval, rounded
 from experiments.figures.canvas import COLORS, NO_MODE
-from experiments.reporting.webpage import played
 from experiments.reporting.webpage.played import play
 from experiments.reporting.webpage.sources import read_source
 from mmwave_env.io.lookup import printable
@@ -148,24 +145,14 @@ def test_a_track_can_be_watched_with_its_gates(tmp_path, track):
 
 
 def test_what_is_not_played_again_leaves_the_tables(tmp_path, track):
-    gone = track | {"command": "mmwave-loc localize gone.csv --scene street"}
-    wrong = results.comparison(command="mmwave-loc compare --no-such-option")
-    others = write(tmp_path / "o.json", results.comparison(("os:getcwd", "never:made")))
-    gone = write(tmp_path / "t.json", gone)
-    page = report(tmp_path, write(tmp_path / "r.json", wrong), gone, others)
-    for words in ("no-such-option", "gone.csv", "os:getcwd was not", "never:made was not"):
+    content = {"gone": track | {"options": {"log": "gone.csv", "scene": "street"}}}
+    for name, options in {"wrong": {"dt": "fast"}, "old": None, "unknown": {"new": 1}}.items():
+        content[name] = results.comparison(("os:getcwd", "never:made"), options=options)
+    files = [write(tmp_path / f"{name}.json", part) for name, part in content.items()]
+    page = report(tmp_path, *files)
+    for words in ("options: dt", "options: found", "gone.csv", "os:getcwd was", "never:made was"):
         assert words in page.text
-    assert page.text.count("it is code of its own") == page.text.count("Means ±") == 2
-
-
-def test_a_signal_while_the_options_of_results_are_read_ends_it(tmp_path, monkeypatch):
-    def end(*_):
-        raise Ended(signal.SIGTERM)
-
-    monkeypatch.setattr(played, "read_arguments", end)
-    path, out = write(tmp_path / "r.json", results.comparison()), tmp_path / "page.html"
-    done = command("report", path, "--out", out)
-    assert (done.returncode, done.stdout) == (143, "") and not out.exists()
+    assert page.text.count("Means ±") == 3
 
 
 # --- names, colors, files
