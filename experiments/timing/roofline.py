@@ -24,14 +24,14 @@ LENGTH = 480  # operations of a timed kernel: many per loop, but few enough for 
 BLOCKS, ROWS = 4, 64  # 16 KiB, which any first-level cache holds
 CALLS, TRIES = 1000, 10
 
-# Steps of a chain; "one" and "zero" are numbers whose values the compiler does not know.
+# Steps of a chain; the factor 1 and the term 0 are numbers that the compiler does not know.
 _STEPS: dict[str, Callable[..., Any]] = {
-    "fused": lambda x, one, zero, other: x * one + zero,
-    "add": lambda x, one, zero, other: x + zero,
-    "multiply": lambda x, one, zero, other: x * one,
-    "divide": lambda x, one, zero, other: other / x,
-    "root": lambda x, one, zero, other: sqrt(x),
-    "select": lambda x, one, zero, other: where(x > zero, x, other),
+    "fused": lambda x, factor, term, other: x * factor + term,
+    "add": lambda x, factor, term, other: x + term,
+    "multiply": lambda x, factor, term, other: x * factor,
+    "divide": lambda x, factor, term, other: other / x,
+    "root": lambda x, factor, term, other: sqrt(x),
+    "select": lambda x, factor, term, other: where(x > term, x, other),
 }
 _INSTRUCTIONS = dict.fromkeys(_STEPS, 1) | {"select": 2}  # "select" compares, then chooses
 KINDS = tuple(_STEPS)
@@ -77,11 +77,11 @@ def _chains(order: tuple[str, ...], chains: int) -> Any:
     """Compile steps on independent chains; steps of every kind rotate through the chains."""
 
     def build(rows: Any) -> None:
-        one, zero, other, *x = (rows[row] for row in range(3 + chains))
+        factor, term, other, *x = (rows[row] for row in range(3 + chains))
         taken = Counter[str]()
         for kind in order:
             chain = taken[kind] % chains
-            x[chain] = _STEPS[kind](x[chain], one, zero, other)
+            x[chain] = _STEPS[kind](x[chain], factor, term, other)
             taken[kind] += 1
         for row, value in enumerate(x, start=3):
             rows[row] = value
@@ -113,10 +113,10 @@ def _repeated(build: Callable[[Any], None]) -> Any:
 def _seconds(repeat: Any, blocks: Any) -> float:
     """Return seconds per pass over the blocks, the shortest of several tries."""
     repeat(blocks.copy(), 1)  # compiles
-    found = []
+    shortest = np.inf
     for _ in range(TRIES):
         used = blocks.copy()
         begin = time.perf_counter()
         repeat(used, CALLS)
-        found.append(time.perf_counter() - begin)
-    return min(found) / CALLS
+        shortest = min(shortest, time.perf_counter() - begin)
+    return shortest / CALLS

@@ -2,7 +2,7 @@
 
 import pytest
 
-from experiments.sweeping.rows import keep, kept, read
+from experiments.sweeping.cells import keep, kept, read
 from experiments.sweeping.spec import read_spec
 
 GRID = """
