@@ -102,9 +102,7 @@ def track(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> Trac
     return TrackRun(_errors(errors, nees, axes), _errors(better_errors, better_nees, axes))
 
 
-def _tracks(
-    mode: Mode, episodes: Sequence[Episode], planar: bool
-) -> tuple[Array, Array, Array, Array]:
+def _tracks(mode: Mode, episodes: Sequence[Episode], planar: bool) -> Sequence[Array]:
     """Return position errors (n, T, 3) and NEES (n, T), filtered, then both smoothed."""
     pipeline = Pipeline((mode,), episodes[0].layout, planar)
     tracker = Tracker(pipeline, len(episodes))
@@ -167,17 +165,16 @@ class Section:
         return out
 
 
+Rows = Callable[[Bench], Iterator[Row]]
+
+
 def section(
     title: str, note: str, header: str, labels: int = 1
-) -> Callable[[Callable[[Bench], Iterator[Row]]], Callable[[Bench], Section]]:
-    """Return a decorator: a function that yields rows of a table then returns its section."""
+) -> Callable[[Rows], Callable[[Bench], Section]]:
+    """Return a decorator: a function that yields the rows of a table then returns its section."""
 
-    def of(rows: Callable[[Bench], Iterator[Row]]) -> Callable[[Bench], Section]:
-        @wraps(rows)
-        def measured(bench: Bench) -> Section:
-            return Section(title, note, header, labels, [*rows(bench)])
-
-        return measured
+    def of(rows: Rows) -> Callable[[Bench], Section]:
+        return wraps(rows)(lambda bench: Section(title, note, header, labels, [*rows(bench)]))
 
     return of
 

@@ -305,9 +305,9 @@ def _changes(radio: Radio) -> dict[str, dict[str, object]]:
         "no multipath": {"multipath_rate_hz": 0.0},
         "range floors halved": {"range_floor_m": tuple(v / 2 for v in radio.range_floor_m)},
         "elevation floor halved": {"elevation_floor_rad": radio.elevation_floor_rad / 2},
-        "angle floors halved": {**halved},
-        "angle floors halved, arrays doubled": {**halved, **larger},
-        "angle floors quartered, arrays doubled": {**quartered, **larger},
+        "angle floors halved": halved,
+        "angle floors halved, arrays doubled": halved | larger,
+        "angle floors quartered, arrays doubled": quartered | larger,
     }
 
 

@@ -51,8 +51,7 @@ def untuned(algorithm: str, coupling: bool) -> Mode:
 
 def _row(name: str, printed: Published | None, forms: Sequence[Scores]) -> Row:
     """Return a row: per metric the paper's figure, then ours for each form of process noise."""
-    columns = np.stack([scores[metric] for metric in PRINTED for scores in forms], axis=1)
-    ours = iter(bootstrap(columns))
+    ours = iter(bootstrap(np.stack([scores[m] for m in PRINTED for scores in forms], axis=1)))
     row: Row = [name]
     for metric in PRINTED:
         row.append("" if printed is None else getattr(printed, metric))

@@ -31,9 +31,8 @@ class _Sums:
     """Running sums over the epochs of a log, which may not fit in memory."""
 
     def __init__(self, anchors: int) -> None:
-        self.epochs = self.gaps = self.uneven = self.jumps = self.without = 0
-        self.links = np.zeros(anchors, np.int64)
-        self.incomplete: Counter[str] = Counter()
+        self.epochs, self.links = 0, np.zeros(anchors, np.int64)
+        self.irregular: Counter[str] = Counter()  # by what was counted, in words
         self.first_s = self.last_s = self.step_s = np.nan
         self.distance_m = self.moving_s = self.fastest_mps = 0.0
         self._before = np.empty((0, 4))  # time and true position of the last epoch
@@ -41,44 +40,36 @@ class _Sums:
     def add(self, block: LogBlock, position_m: Array) -> None:
         """Add a block with its true positions (T, 3), NaN where not known."""
         rows = np.column_stack([block.time_s, position_m])
-        joined = np.concatenate([self._before, rows])
+        changes = np.diff(np.concatenate([self._before, rows]), axis=0)
+        steps, moved = changes[:, 0], np.linalg.norm(changes[:, 1:], axis=1)
         self.first_s = self.first_s if self.epochs else float(block.time_s[0])
         self._before, self.last_s = rows[-1:], float(block.time_s[-1])
         self.epochs += len(rows)
-        links = block.visible[:, : block.layout.anchors]
-        self.links += links.sum(axis=0)
-        self.without += int((~links.any(axis=1)).sum())
-        counts = block.incomplete.sum(axis=0).tolist()
-        self.incomplete.update(dict(zip(block.layout.group_names, counts, strict=True)))
-        if len(joined) > 1:
-            self._add_steps(joined)
-
-    def _add_steps(self, rows: Array) -> None:
-        steps, moved = np.diff(rows[:, 0]), np.linalg.norm(np.diff(rows[:, 1:], axis=0), axis=1)
-        if np.isnan(self.step_s):
+        if np.isnan(self.step_s) and len(steps):
             self.step_s = float(np.median(steps))
-        self.gaps += int((steps > GAP_S).sum())
-        self.uneven += int((abs(steps - self.step_s) > _UNEVEN * self.step_s).sum())
         known = np.isfinite(moved) & (steps <= GAP_S)
         speed = moved[known] / steps[known]
         self.distance_m += float(moved[known].sum())
         self.moving_s += float(steps[known].sum())
         self.fastest_mps = max(self.fastest_mps, float(speed.max(initial=0.0)))
-        self.jumps += int((speed > FASTEST_MPS).sum())
+        links = block.visible[:, : block.layout.anchors]
+        self.links += links.sum(axis=0)
+        uneven = abs(steps - self.step_s) > _UNEVEN * self.step_s
+        counted = {
+            f"gaps of more than {GAP_S:g} s: tracks begin anew there": steps > GAP_S,
+            f"steps that differ from {self.step_s:.4g} s by more than 10 %": uneven,
+            f"steps of the truth faster than {FASTEST_MPS:g} m/s": speed > FASTEST_MPS,
+            "epochs in which no anchor was seen": ~links.any(axis=1),
+        } | {
+            f"times only some of the numbers of {name}, which count as not measured": incomplete
+            for name, incomplete in zip(block.layout.group_names, block.incomplete.T, strict=True)
+        }
+        self.irregular.update({words: int(epochs.sum()) for words, epochs in counted.items()})
 
     def problems(self) -> list[str]:
         """Return sentences about irregular counts."""
-        counts = {
-            f"gaps of more than {GAP_S:g} s: tracks begin anew there": self.gaps,
-            f"steps that differ from {self.step_s:.4g} s by more than 10 %": self.uneven,
-            f"steps of the truth faster than {FASTEST_MPS:g} m/s": self.jumps,
-            "epochs in which no anchor was seen": self.without,
-        } | {
-            f"times only some of the numbers of {name}, which count as not measured": count
-            for name, count in self.incomplete.items()
-        }
         never = [f"anchor {a + 1} was never seen" for a in np.flatnonzero(self.links == 0)]
-        return [f"{count} {sentence}" for sentence, count in counts.items() if count] + never
+        return [f"{count} {words}" for words, count in self.irregular.items() if count] + never
 
 
 def diagnosed(args: LogArgs, log: Path, scene: Scene, truth_file: Path | None, mode: Mode) -> None:

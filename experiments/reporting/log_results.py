@@ -38,13 +38,16 @@ from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.path_log import read_paths
 from mmwave_env.logs.truth import Truth
-from mmwave_env.models.radio import radio_from
+from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
 
 EPOCHS_PER_BLOCK = 1 << 14
 LONGEST_WINDOW = 20_000  # epochs; a window is held in memory
-RULES: dict[str, Rule] = {"prediction": by_predicted_speed, "odometry": by_odometry_speed}
+RULES: dict[str, tuple[Rule, str]] = {  # with the speed that each follows
+    "prediction": (by_predicted_speed, "the predicted"),
+    "odometry": (by_odometry_speed, "odometry's"),
+}
 
 
 class Inputs(NamedTuple):
@@ -77,10 +80,8 @@ def plan(args: LogArgs, modes: Sequence[Mode] | Bank) -> ModePlan:
     if isinstance(modes, Bank):
         return ModePlan(modes, None, f"of {args.imm} by their probability")
     if args.speed in (None, "auto"):
-        followed = "odometry's" if args.follow == "odometry" else "the predicted"
-        return ModePlan(
-            modes, RULES[args.follow], f"by {followed} speed, up to or above {SLOW_MPS:g} m/s"
-        )
+        rule, followed = RULES[args.follow]
+        return ModePlan(modes, rule, f"by {followed} speed, up to or above {SLOW_MPS:g} m/s")
     speed = parse_speed(args.speed)
     mode = modes[int(mode_at(speed))]
     if speed > DESIGN_LIMIT_MPS:
@@ -209,6 +210,7 @@ class Work(NamedTuple):
     """A log to localize, and the modes to localize it with."""
 
     scene: Scene
+    radio: Radio
     plan: ModePlan
     first: LogBlock  # first block of the log
     blocks: Iterable[LogBlock]  # all blocks, the first included
@@ -219,10 +221,10 @@ class Work(NamedTuple):
 def _work(args: LogArgs, files: Inputs, scene: Scene, epochs_per_block: int) -> Work:
     """Open the log, and the truth if there is one."""
     modes = _modes(args) if args.imm is None else _bank(args, args.imm)
-    association = None
+    association, radio = None, radio_from(args.radio)
     if args.associate:
         association = Association(len(scene.anchors_m))
-        paths, radio = read_paths(files.log, scene, args.odometry), radio_from(args.radio)
+        paths = read_paths(files.log, scene, args.odometry)
         fast = modes_from(args.modes, args.radio)[-1]
         blocks = associate(paths, scene, radio, fast, association, epochs_per_block)
     else:
@@ -232,13 +234,13 @@ def _work(args: LogArgs, files: Inputs, scene: Scene, epochs_per_block: int) -> 
         raise ValueError(
             f"follow: found odometry, but no speed in {files.log}, expected prediction"
         )
-    truth = Truth(files.truth) if files.truth else None
-    return Work(scene, plan(args, modes), first, chain([first], blocks), truth, association)
+    truth, blocks = Truth(files.truth) if files.truth else None, chain([first], blocks)
+    return Work(scene, radio, plan(args, modes), first, blocks, truth, association)
 
 
 def _track(args: LogArgs, work: Work, window: int | None) -> Iterator[TrackBlock]:
-    radio, chosen = radio_from(args.radio), work.plan
-    return localize(work.blocks, work.scene, radio, chosen.modes, chosen.rule, window, args.height)
+    modes, rule, _ = work.plan
+    return localize(work.blocks, work.scene, work.radio, modes, rule, window, args.height)
 
 
 def beginning(args: LogArgs, epochs: int) -> tuple[TrackBlock, Work]:
@@ -265,8 +267,7 @@ def _run(args: LogArgs, work: Work) -> tuple[dict[str, Any], TrackSampler, Value
     names, truth = work.plan.names, work.truth
     course, groups, sampler = Course(names), Groups(), TrackSampler(names, work.scene.anchors_m)
     tracks = ["filtered", "smoothed"] if args.smoothing else ["filtered"]
-    planar = args.height is not None
-    scores = TruthScores(truth, tracks, planar, args.risk) if truth else None
+    scores = TruthScores(truth, tracks, args.height is not None, args.risk) if truth else None
     first: list[LogBlock] = []
     if truth:
         work = work._replace(blocks=keeping(work.blocks, first))
@@ -292,8 +293,8 @@ def _run(args: LogArgs, work: Work) -> tuple[dict[str, Any], TrackSampler, Value
         figures["association"] = work.association.figures()
     if truth and scores and scores.scored:
         truth.warn_if_few(scores.scored, course.epochs, course.first_s, course.last_s)
-        log = first[0].joined(first)
-        clock = clock_offset(log, work.scene, lambda time_s: Truth(truth.path).at(time_s))
+        first_epochs = first[0].joined(first)
+        clock = clock_offset(first_epochs, work.scene, lambda time_s: Truth(truth.path).at(time_s))
         figures["truth"] = scores.figures() | {"clock": clock and clock.figures()}
         if clock and clock.matters:
             warnings.warn(f"{truth.path}: {clock.advice}", stacklevel=2)
@@ -311,18 +312,19 @@ def localized(args: LogArgs) -> None:
     if args.diagnose:
         return diagnosed(args, files.log, scene, files.truth, _modes(args)[-1])
     work = _work(args, files, scene, EPOCHS_PER_BLOCK)
-    for path in filter(None, _outputs(args).values()):
+    outputs = _outputs(args)
+    for path in filter(None, outputs.values()):
         require_writable(path)
     figures, sampler, error = _run(args, work)
-    doubts = contradictions(work.first, scene, radio_from(args.radio), figures["groups"])
+    doubts = contradictions(work.first, scene, work.radio, figures["groups"])
     for doubt in doubts:
         warnings.warn(f"{doubt}; --diagnose tries likely mistakes", stacklevel=2)
-    kind, written = "smoothed" if args.smoothing else "filtered", {}
-    if args.out:
-        written[f"{kind} track"] = str(args.out)
-        written["its standard deviations and modes"] = str(table_beside(args.out))
-    if args.plot:
-        written["picture"] = str(args.plot)
+    kind = "smoothed" if args.smoothing else "filtered"
+    written = {
+        f"{kind} track": outputs["out"],
+        "its standard deviations and modes": outputs["the table beside out"],
+        "picture": outputs["plot"],
+    }
     figures = {
         "log": str(files.log),
         "scene": scene.name,
@@ -331,15 +333,15 @@ def localized(args: LogArgs) -> None:
         "rule": work.plan.why,
         **figures,
         "contradictions": [d._asdict() for d in doubts],
-        "written": written,
+        "written": {content: str(path) for content, path in written.items() if path},
         "error": error and str(error),
     }
     if args.json:  # first, because whoever reads the tables may close the pipe
         write_json(args.json, provenance("localize", args) | figures)
     try:
         if args.plot:
-            title = f"{'/'.join(files.log.parts[-2:])}, {kind} track"
-            draw_trajectory(sampler.track, args.plot, title)
+            log = "/".join(files.log.parts[-2:])
+            draw_trajectory(sampler.track, args.plot, f"{log}, {kind} track")
     finally:  # the figures are shown even if a picture fails
         show(track_markdown(figures))
         if error:

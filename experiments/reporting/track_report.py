@@ -52,12 +52,12 @@ class TrackSampler:
         return DrawnTrack(time_s[:, 0], x, P.reshape(-1, 3, 3), truth, *numbers, *names, whole)
 
 
-def _decimals(value: float | None, digits: int = 3) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
+def _decimals(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"
 
 
-def _percent(share: float | None) -> str:
-    return "-" if share is None else f"{100.0 * share:.1f} %"
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.1f} %"
 
 
 def _times(count: int) -> str:

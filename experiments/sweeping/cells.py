@@ -63,11 +63,17 @@ def trained(values: Values, tell: Callable[[Row], None] = lambda row: None) -> R
         if news.evaluation is not None:
             tell(_row({**news.evaluation, "timesteps": news.timesteps}))
 
-    options: dict[str, Any] = {"checkpoint_every": 1 << 30, "episodes": args.episodes}
     with tempfile.TemporaryDirectory() as folder:
-        size = args.seed, args.total_timesteps
-        task, command = training_task(args), "mmwave-loc sweep"
-        job = Job(task, tried, *size, Path(folder), command, **options)
+        job = Job(
+            training_task(args),
+            tried,
+            args.seed,
+            args.total_timesteps,
+            Path(folder),
+            "mmwave-loc sweep",
+            checkpoint_every=1 << 30,
+            episodes=args.episodes,
+        )
         return _row(train(job, hear)["best"]) | {"policy_file": job.policy.read_bytes()}
 
 
@@ -77,10 +83,12 @@ def _row(figures: Mapping[str, float]) -> Row:
 
 def training_of(values: Values) -> tuple[Training, Hyperparameters]:
     """Return the options of a training, and the shipped hyperparameters with its changes."""
-    changed = {k: v for k, v in values.items() if k.startswith(HYPERPARAMETER)}
-    args = Training(**{k: v for k, v in values.items() if k not in changed})
-    shipped = hyperparameters(args, len(args.places) or 1)
-    return args, replace(shipped, **{k.removeprefix(HYPERPARAMETER): v for k, v in changed.items()})
+    options, changed = dict[str, Any](), dict[str, Any]()
+    for axis, value in values.items():
+        name = axis.removeprefix(HYPERPARAMETER)
+        (options if name == axis else changed)[name] = value
+    args = Training(**options)
+    return args, replace(hyperparameters(args, len(args.places) or 1), **changed)
 
 
 # --- the folder

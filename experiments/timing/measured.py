@@ -95,14 +95,13 @@ class Measured:
 
         Every round runs each workload once, so that a drift of the machine affects all alike.
         """
-        processes = min(FRESH_RUNS, repeats) * len(self._processes)
-        workloads = len(self.rates) + len(self.filters)
-        pieces = processes + workloads + repeats * (workloads + 1)
-        for done, _ in enumerate(self._pieces(seconds, repeats), start=1):
+        starts, workloads = min(FRESH_RUNS, repeats), len(self.rates) + len(self.filters)
+        pieces = starts * len(self._processes) + workloads + repeats * (workloads + 1)
+        for done, _ in enumerate(self._pieces(seconds, repeats, starts), start=1):
             yield done / pieces
 
-    def _pieces(self, seconds: float, repeats: int) -> Iterator[None]:
-        for _ in range(min(FRESH_RUNS, repeats)):
+    def _pieces(self, seconds: float, repeats: int, starts: int) -> Iterator[None]:
+        for _ in range(starts):
             for name, process in self._processes.items():
                 first_step_s, peak_mb = fresh(*process)
                 self.cold_start_s[name].append(first_step_s)
@@ -118,12 +117,9 @@ class Measured:
             for name, laps in running.items():
                 rates[name].measure(laps, seconds)
                 yield
-            self._time_the_core()
+            for name, operations in self.operations.items():
+                self.limits_s[name].append(limit_s(operations) / WIDTH)
             yield
-
-    def _time_the_core(self) -> None:
-        for name, operations in self.operations.items():
-            self.limits_s[name].append(limit_s(operations) / WIDTH)
 
     def natives(self, threads: int = BOTH) -> list[str]:
         """Return names of the native vector environments with ``threads`` threads."""

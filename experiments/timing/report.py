@@ -60,20 +60,17 @@ def _ratios(measured: Measured) -> str:
     return grid(["steps per second of", *(f"over {label(base)}" for base in BASES)], rows)
 
 
-def _rates(measured: Measured) -> str:
-    def row(name: str, rates: Rates) -> list[str]:
-        cost = short(1e9 / median(rates.steps_per_s))
-        return [label(name), spread(rates.steps_per_s), cost, f"{median(rates.cores):.2f}"]
+def _rate(name: str, rates: Rates) -> list[str]:
+    return [label(name), spread(rates.steps_per_s), short(1e9 / median(rates.steps_per_s))]
 
-    header = ["", "steps per second", "ns a step", "cores busy"]
-    return grid(header, [row(*item) for item in measured.rates.items()])
+
+def _rates(measured: Measured) -> str:
+    rows = [[*_rate(*item), f"{median(item[1].cores):.2f}"] for item in measured.rates.items()]
+    return grid(["", "steps per second", "ns a step", "cores busy"], rows)
 
 
 def _filters(measured: Measured) -> str:
-    rows = [
-        [label(name), spread(rates.steps_per_s), short(1e9 / median(rates.steps_per_s))]
-        for name, rates in measured.filters.items()
-    ]
+    rows = [_rate(*item) for item in measured.filters.items()]
     return grid(["filter", "epochs per second", "ns an epoch"], rows)
 
 

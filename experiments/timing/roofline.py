@@ -33,17 +33,15 @@ _STEPS: dict[str, Callable[..., Any]] = {
     "root": lambda x, factor, term, other: sqrt(x),
     "select": lambda x, factor, term, other: where(x > term, x, other),
 }
-_INSTRUCTIONS = dict.fromkeys(_STEPS, 1) | {"select": 2}  # "select" compares, then chooses
-KINDS = tuple(_STEPS)
 
 
 def limit_s(operations: Operations) -> float:
     """Return the least seconds of a core for the operations, each on eight environments."""
     steps, rows = sum(_steps(operations).values()), max(operations.load, operations.store)
-    return max(steps * mix_s(operations), rows * copying_s())
+    return max(steps * _mix_s(operations), rows * _copying_s())
 
 
-def mix_s(operations: Operations) -> float:
+def _mix_s(operations: Operations) -> float:
     """Return seconds per step of a mix, at the best number of chains."""
     order = interleaved(operations)
     blocks = np.full((1, ROWS, WIDTH), 1.7)
@@ -51,10 +49,9 @@ def mix_s(operations: Operations) -> float:
     return min(_seconds(_chains(order, chains), blocks) for chains in CHAINS) / LENGTH
 
 
-def copying_s() -> float:
+def _copying_s() -> float:
     """Return seconds of a load and a store in the first-level cache."""
-    blocks = np.zeros((BLOCKS, ROWS, WIDTH))
-    return _seconds(_copying(), blocks) / (BLOCKS * ROWS // 2)
+    return _seconds(_copying(), np.zeros((BLOCKS, ROWS, WIDTH))) / (BLOCKS * ROWS // 2)
 
 
 def interleaved(operations: Operations) -> tuple[str, ...]:
@@ -63,13 +60,14 @@ def interleaved(operations: Operations) -> tuple[str, ...]:
     total = sum(steps.values())
     order: list[str] = []
     for length in range(1, LENGTH + 1):
-        lag = {kind: length * steps[kind] / total - order.count(kind) for kind in KINDS}
-        order.append(max(KINDS, key=lag.__getitem__))
+        lag = {kind: length * steps[kind] / total - order.count(kind) for kind in _STEPS}
+        order.append(max(_STEPS, key=lag.__getitem__))
     return tuple(order)
 
 
 def _steps(operations: Operations) -> dict[str, float]:
-    return {kind: getattr(operations, kind) / _INSTRUCTIONS[kind] for kind in KINDS}
+    steps = {kind: getattr(operations, kind) for kind in _STEPS}
+    return steps | {"select": operations.select / 2}  # it compares, then chooses
 
 
 @cache

@@ -35,7 +35,7 @@ def page_of(args: PageArgs) -> str:
             verdict, tables = results_of(source)
             command, versions = source.content["command"], source.content.get("versions", {})
             origins.append(origin_of(source.path, command, versions))
-            list(errors_of(source, Played()))  # refuses results that can't be shown before any work
+            list(errors_of(source, Played()))  # results that can't be shown end here, before work
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ValueError(f"{source.path}: {told(error)}, expected {READ}") from error
         verdicts.append(verdict)
@@ -100,8 +100,8 @@ def _colors() -> str:
     """Return the colors of films as variables of the style."""
     light, dark = THEMES["light"], THEMES["dark"]
     pairs = {name: (getattr(light, name), getattr(dark, name)) for name in light._fields}
-    both = zip(*pairs.pop("modes"), strict=True)
-    pairs |= {f"mode-{number}": pair for number, pair in enumerate(both)}
+    modes = enumerate(zip(*pairs.pop("modes"), strict=True))
+    pairs |= {f"mode-{number}": pair for number, pair in modes}
     lines = (f"--{name}: light-dark({hex_of(a)}, {hex_of(b)});" for name, (a, b) in pairs.items())
     return f":root {{ {' '.join(lines)} }}\n"
 

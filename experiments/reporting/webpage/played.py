@@ -80,7 +80,7 @@ def play(source: Source, most: int, watched: int) -> Played:
 
 def _play_episodes(source: Source, most: int, watched: int) -> Played:
     names = ranking(source.content["policies"])
-    alike = {name: name for name in names}
+    alike = dict(zip(names, names, strict=True))
     args = options_from(EpisodeArgs, source.content)
     args = replace(args, episodes=min(most, source.content["episodes"]))
     task, selection, missing = task_of(args), selection_of(args), dict[str, str]()
@@ -99,11 +99,10 @@ def _play_episodes(source: Source, most: int, watched: int) -> Played:
     played = Played(str(selection), EpochErrors(alike), positions, shown, missing)
 
     def keep(contender: Contender, _: Sequence[Episode], epochs: EpochResults) -> None:
-        if contender.name in watched_names(names):
-            for i, episode in enumerate(shown):
-                results, weighed = {k: v[i] for k, v in epochs.items()}, contender.policy is None
-                course = _course(results, contender.actions, weighed)
-                episode["contenders"][printable(contender.name)] = course
+        for i, episode in enumerate(shown if contender.name in watched_names(names) else []):
+            results = {part: values[i] for part, values in epochs.items()}
+            course = _course(results, contender.actions, contender.policy is None)
+            episode["contenders"][printable(contender.name)] = course
 
     watch = [played.epochs.add, positions.add, keep]
     score_contenders(
@@ -116,9 +115,8 @@ def _play_log(source: Source) -> Played:
     """Localize the first epochs of a log again."""
     block, work = beginning(options_from(LogArgs, source.content), LONGEST)
     axes = (0, 1) if block.planar else (0, 1, 2)
-    known = np.full((len(block), 3), np.nan)
-    if work.truth:
-        known = work.truth.at(block.time_s).position_m
+    unknown = np.full((len(block), 3), np.nan)
+    known = work.truth.at(block.time_s).position_m if work.truth else unknown
     belief = Belief([*block.x.T], unpack([*block.P.T], VERTICAL if block.planar else ()), axes)
     results = {
         "x": block.x,
@@ -130,13 +128,12 @@ def _play_log(source: Source) -> Played:
         "memory.accepted": block.accepted,
         "memory.rejected": block.visible & ~block.accepted,
     }
-    scene, speed_mps = work.scene, np.linalg.norm(block.x[:, 3:6], axis=1)
+    truth = np.column_stack([block.time_s, known, np.linalg.norm(block.x[:, 3:6], axis=1)])
+    scene, log = work.scene, source.content["log"]
     streets = scene.streets if scene.streets_known else None
-    truth = np.column_stack([block.time_s, known, speed_mps])
-    name = source.content["log"]
-    shown = _scenery(name, block.layout, scene.anchors_m, streets, len(axes), truth)
-    weighed = isinstance(work.plan.modes, Bank)
-    shown["contenders"]["track"] = _course(results, work.plan.names, weighed)
+    shown = _scenery(log, block.layout, scene.anchors_m, streets, len(axes), truth)
+    course = _course(results, work.plan.names, isinstance(work.plan.modes, Bank))
+    shown["contenders"]["track"] = course
     return Played(shown=[shown])
 
 
@@ -163,7 +160,7 @@ def ranking(policies: Mapping[str, Any]) -> list[str]:
 def watched_names(ranked: Sequence[str]) -> list[str]:
     """Return the contenders that can be watched, in the order of the ranking."""
     best = [name for name in ranked if name != RULE][: WATCHED - (RULE in ranked)]
-    return [name for name in ranked if name == RULE or name in best]
+    return [name for name in ranked if name in (*best, RULE)]
 
 
 # --- episodes to watch, as data of the script
