@@ -138,13 +138,3 @@ def test_what_a_schema_refuses_is_refused(name, data, tmp_path_factory):
     content = data.draw(damaged(name))
     if not VALIDATORS[name].is_valid(content):
         assert refusal(name, content, tmp_path_factory.getbasetemp())
-
-
-def test_every_field_of_every_schema_says_what_it_is():
-    def undescribed(schema):
-        for key, part in schema.get("properties", {}).items():
-            yield from [] if "description" in part else [key]
-            yield from undescribed(part.get("items", part))
-
-    forms = [form for schema in SCHEMAS.values() for form in schema.get("oneOf", [schema])]
-    assert not [key for form in forms for key in undescribed(form)]

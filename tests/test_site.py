@@ -67,12 +67,11 @@ def test_the_page_of_the_environment_is_its_docstring():
     assert module.PAGE.read_text("utf-8") == module.page(), "run: make generated"
 
 
-def test_a_notebook_is_a_page_of_its_cells_with_a_link_to_the_file(hooks):
+def test_a_notebook_is_a_page_of_its_cells(hooks):
     ((uri, name),) = hooks.NOTEBOOKS.items()
     page, cells = hooks.made()[uri](), json.loads((ROOT / name).read_text("utf-8"))["cells"]
     code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
     assert re.findall(r"^```python\n(.*?)\n```$", page, re.DOTALL | re.MULTILINE) == code
-    assert "\n[file]: first_switcher.ipynb\n" in hooks.relinked(page, uri, ROOT / "docs" / uri)
 
 
 def test_every_command_shows_its_help(hooks):
@@ -81,24 +80,15 @@ def test_every_command_shows_its_help(hooks):
     assert all(f"usage: mmwave-loc {part.split()[0]}" in part for part in parts)
 
 
-def test_the_citation_names_the_authors_of_the_paper(hooks):
-    pytest.importorskip("yaml")
-    assert "Orimogunje, Abidemi and Cha, Kyeong-Ju" in hooks.citing_page()
-
-
 def test_every_module_of_the_reference_is_there(hooks):
-    names = re.findall(r"^\| \[([\w.]+)\]", hooks.api_index(), re.MULTILINE)
-    assert names == [
-        name for part in hooks.API for name in re.findall(r"::: (.*)", hooks.api_page(part))
-    ]
-    assert all((ROOT / f"{name.replace('.', '/')}.py").is_file() for name in names)
+    names = [name for part in hooks.API for name in re.findall("::: (.*)", hooks.api_page(part))]
+    assert names == re.findall(r"^\| \[([\w.]+)\]", hooks.api_index(), re.MULTILINE)
 
 
 def test_roles_of_docstrings_become_links_and_figures_stay_on_one_line(hooks):
     html = "<p>:func:<code>~mmwave_env.metrics.ate</code> :func:<code>draw</code></p>"
-    linked = hooks.on_page_content(html)
-    assert '<autoref optional identifier="mmwave_env.metrics.ate"><code>ate' in linked
-    assert linked.endswith(" <code>draw</code></p>")
+    links = re.findall('identifier="(.*?)"><code>(.*?)<', hooks.on_page_content(html))
+    assert links == [("mmwave_env.metrics.ate", "ate")]
     cells = "<td>imm-tuned</td><td>-1.8 ± 0.1</td><td>the error</td><td><code>plot</code></td>"
     assert hooks.on_page_content(cells).count('<td class="whole">') == 3
 

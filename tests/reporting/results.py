@@ -80,9 +80,9 @@ class Read(HTMLParser):
         return [known[name] for _, known in self.tags for name in names if name in known]
 
     def table(self, words):
-        """Return the rows of the table with these words in its caption."""
+        """Return the rows of the first table with these words in its caption."""
         parts = self.page.split('<div class="table">')[1:]
-        (part,) = (part for part in parts if words in part.partition("</p>")[0])
+        part = next(part for part in parts if words in part.partition("</p>")[0])
         rows = re.findall("<tr>(.*?)</tr>", part, re.DOTALL)
         cells = (re.findall("<t[hd].*?>(.*?)</t[hd]>", row, re.DOTALL) for row in rows)
         return [[*map(unescape, row)] for row in cells]

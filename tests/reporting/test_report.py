@@ -59,7 +59,9 @@ def test_tables_show_the_figures_of_the_file_best_first(tmp_path):
     content = results.comparison(("worse", "better"))
     rows = content["policies"]
     rows["worse"], rows["better"] = rows["better"], rows["worse"]
-    page = compared(tmp_path, content)
+    page = compared(tmp_path, {"mixed": content, "jam": results.comparison()})
+    assert [known for tag, known in page.tags if tag == "details"] == [{"open": None}, {}]
+    assert content["command"] in page.text and "python 3.12.0" in page.text
     _, *shown = page.table("Means")
     assert [row[0] for row in shown] == ["better", "worse"]
     for name, *cells in shown:
@@ -76,13 +78,6 @@ def test_tracks_and_runs_have_their_tables_and_a_sentence(tmp_path, track):
     _, row = page.table("on tuning seeds")
     assert row == ["0", "-1.5000", "2,000", "0.250 [0.150, 0.350]"]
     assert [tag for tag, _ in page.tags].count("figure") == 1
-
-
-def test_several_comparisons_are_folded_but_for_the_first_and_say_how_they_were_made(tmp_path):
-    parts = {"mixed": results.comparison(), "jam": results.comparison(scenario="jam")}
-    page = compared(tmp_path, parts)
-    assert [known for tag, known in page.tags if tag == "details"] == [{"open": None}, {}]
-    assert parts["mixed"]["command"] in page.text and "python 3.12.0" in page.text
 
 
 # --- what is played again

@@ -8,7 +8,6 @@ from experiments.timing.operations import Operations, count
 from experiments.timing.roofline import LENGTH, interleaved, limit_s
 from experiments.timing.workloads import EPISODE, filterpy_episode, pipeline, source
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
-from mmwave_env.numerics.linalg import cholesky, dot
 from mmwave_env.numerics.numbers import atan2, maximum, sqrt, where
 
 # --- operations
@@ -30,26 +29,12 @@ def counted(function, n):
         (lambda a, b: sqrt(a) - b, Operations(add=1, root=1)),
         (lambda a, b: where(a > b, a, 1.0), Operations(select=2)),
         (lambda a, b: where((a > b) & (a > 1.0), a, -b), Operations(select=5)),
-        (lambda a, b: maximum(a, b), Operations(select=1)),
         (lambda a, b: maximum(a, 2.0), Operations(select=1)),
         (lambda a, b: 1.0 * a + 0.0 * b, Operations()),
     ],
 )
 def test_operations_of_an_expression(function, expected):
     assert counted(lambda w: [function(*w), w[1]], 2) == expected
-
-
-def test_operations_of_small_algebra():
-    n = 4
-    assert counted(lambda w: [dot(w[:n], w[n:])] + w[1:], 2 * n) == Operations(multiply=1, fused=3)
-
-    def factor(w):
-        rows = [w[i * n : (i + 1) * n] for i in range(n)]
-        return [value for row in cholesky(rows) for value in row]
-
-    steps = counted(factor, n * n)
-    assert (steps.root, steps.divide) == (4, 3)  # nobody needs the last reciprocal
-    assert steps.fused + steps.multiply == sum(j + (n - 1 - j) * (j + 1) for j in range(n))
 
 
 def test_what_nobody_needs_costs_nothing():
