@@ -158,21 +158,13 @@ def renewed(page: Path) -> str:
         for block in blocks_of(page):
             if block.mark.startswith(("example", "published")):
                 printed = session.printed(block)
-                changes += [
-                    (table.span("shown"), made(table, printed, session.folder))
-                    for table in block.tables
-                ]
+                for table in block.tables:
+                    changes.append((table.span("shown"), made(table, printed, session.folder)))
     for (begin, end), shown in reversed(changes):
         text = text[:begin] + shown + text[end:]
     return text
 
 
-def main() -> None:
-    """Renew the pages that are named."""
-    for name in sys.argv[1:]:
-        page = Path(name)
-        page.write_text(renewed(page), encoding="utf-8")
-
-
 if __name__ == "__main__":
-    main()
+    for path in map(Path, sys.argv[1:]):
+        path.write_text(renewed(path), encoding="utf-8")

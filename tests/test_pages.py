@@ -4,6 +4,7 @@ import re
 import shlex
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import cache
 
 import pytest
 
@@ -52,9 +53,6 @@ def test_command_lines_are_understood(line):
             read_arguments(name, options)
 
 
-# --- examples
-
-
 def test_every_block_of_python_says_whether_it_is_run():
     silent = [
         f"{page.name}:{block.line}"
@@ -75,22 +73,15 @@ EXAMPLES = [
 
 
 @pytest.fixture(scope="module")
-def sessions(tmp_path_factory):
+def session_of(tmp_path_factory):
     """Return a function that returns the session of a page."""
-    begun = {}
-
-    def session(page):
-        if page not in begun:
-            begun[page] = Session(page, tmp_path_factory.mktemp(page.stem))
-        return begun[page]
-
-    return session
+    return cache(lambda page: Session(page, tmp_path_factory.mktemp(page.stem)))
 
 
 @pytest.mark.filterwarnings("ignore:speed .* is outside the design window")
 @pytest.mark.parametrize(("page", "block"), EXAMPLES)
-def test_examples_run_and_print_what_is_shown(page, block, sessions):
-    session = sessions(page)
+def test_examples_run_and_print_what_is_shown(page, block, session_of):
+    session = session_of(page)
     try:
         for earlier in BLOCKS[page]:
             quick = "slow" not in earlier.words or "slow" in block.words

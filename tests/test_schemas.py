@@ -110,8 +110,8 @@ def refusal(name, content, folder):
     try:
         READERS[name](path)
     except ValueError as error:
-        said, schema = str(error), path_of(name).relative_to(ROOT).as_posix()
-        return said if said.startswith(f"{path}: not a {name} file: ") and schema in said else ""
+        schema = path_of(name).relative_to(ROOT).as_posix()
+        return str(error) if str(path) in str(error) and schema in str(error) else ""
     return None
 
 

@@ -75,14 +75,10 @@ def test_a_notebook_is_a_page_of_its_cells(hooks):
 
 
 def test_every_command_shows_its_help(hooks):
-    parts = hooks.help_page().split("\n## ")[1:]
-    assert [part.split("\n")[0] for part in parts] == list(COMMANDS)
-    assert all(f"usage: mmwave-loc {part.split()[0]}" in part for part in parts)
-
-
-def test_every_module_of_the_reference_is_there(hooks):
-    names = [name for part in hooks.API for name in re.findall("::: (.*)", hooks.api_page(part))]
-    assert names == re.findall(r"^\| \[([\w.]+)\]", hooks.api_index(), re.MULTILINE)
+    names = re.findall(
+        r"^## (\S+)\n+```text\n(?:.*\n)*?usage: mmwave-loc \1 ", hooks.help_page(), re.M
+    )
+    assert names == list(COMMANDS)
 
 
 def test_roles_of_docstrings_become_links_and_figures_stay_on_one_line(hooks):
@@ -95,11 +91,9 @@ def test_roles_of_docstrings_become_links_and_figures_stay_on_one_line(hooks):
 
 def test_a_paragraph_that_is_but_a_link_to_a_report_gets_it_in_a_frame(hooks):
     html = '<p><a href="../report.html#episodes">Play it</a></p>'
-    for page in (html, '<p>See <a href="report.html">it</a>.</p>', '<p><a href="data/">it</a></p>'):
-        frame = re.search('<iframe .*src="([^"]*)"', hooks.on_page_content(page))
-        assert (frame[1] if frame else None) == (
-            "../report.html#episodes" if page == html else None
-        )
+    html += '<p>See <a href="report.html">it</a>.</p><p><a href="data/">it</a></p>'
+    frames = re.findall('<iframe .*src="([^"]*)"', hooks.on_page_content(html))
+    assert frames == ["../report.html#episodes"]
 
 
 def test_the_description_on_an_index_links_into_the_repository_at_its_tag():

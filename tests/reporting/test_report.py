@@ -37,9 +37,6 @@ def compared(tmp_path, content):
     return report(tmp_path, write(tmp_path / "r.json", content), *NONE)
 
 
-# --- tables
-
-
 @pytest.mark.parametrize(
     ("pairs", "title"),
     [
@@ -78,9 +75,6 @@ def test_tracks_and_runs_have_their_tables_and_a_sentence(tmp_path, track):
     _, row = page.table("on tuning seeds")
     assert row == ["0", "-1.5000", "2,000", "0.250 [0.150, 0.350]"]
     assert [tag for tag, _ in page.tags].count("figure") == 1
-
-
-# --- what is played again
 
 
 @pytest.mark.slow
@@ -131,9 +125,6 @@ def test_what_is_not_played_again_leaves_the_tables(tmp_path, track):
     assert page.text.count("Means ±") == 3
 
 
-# --- names, colors, files
-
-
 def test_names_of_others_neither_break_the_page_nor_act_in_it(tmp_path, track):
     policies = {HOSTILE: results.metrics(-1.0), f"{HOSTILE}2": results.metrics(-2.0)}
     content = results.comparison(
@@ -162,12 +153,8 @@ def test_all_that_a_page_is_made_of_is_in_the_wheel():
             assert f'"reporting/webpage/*{path.suffix}"' in project
 
 
-# --- what is refused
-
-
 MISTAKES = {
     "no results": ({"a": 1}, "command: found"),
-    "no object": ([1], "not results: found"),
     "no interval": (results.comparison(policies={"imm": {"reward": 3}}), ""),
     "no mean": (results.comparison(paired={"a": {"reward": {"ci95": None}}}), "mean: found"),
     "a seed that is none": (results.comparison(seed=-1), "seed: found -1"),
@@ -188,11 +175,12 @@ def test_wrong_folders_and_options_end_with_one_clear_line(tmp_path):
     log = results.run(tmp_path / "run") / "seed-0" / "progress.csv"
     log.write_text("timesteps,tuning/minus a\n1,x\n")
     file = write(tmp_path / "r.json", results.comparison())
-    for words, message in (
-        ([tmp_path / "no"], "no: found"),
-        ([tmp_path], "found a folder"),
-        ([tmp_path / "run"], "progress.csv: line 2: "),
-        ([file, "--out", file], "out: found .*r.json"),
-        ([file, "--episodes", -1], "episodes: found -1"),
-    ):
+    mistakes = {
+        "no: found": [tmp_path / "no"],
+        "found a folder": [tmp_path],
+        "progress.csv: line 2: ": [tmp_path / "run"],
+        "out: found .*r.json": [file, "--out", file],
+        "episodes: found -1": [file, "--episodes", -1],
+    }
+    for message, words in mistakes.items():
         assert_one_clear_line(command("report", *words), message)
