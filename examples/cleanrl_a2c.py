@@ -19,8 +19,8 @@ now, over = envs.reset(seed=10_000_000)[0], np.zeros(64, bool)
 for _ in range(1000):
     steps = []
     for _ in range(8):
-        seen, fresh = torch.tensor(now), over  # an action after an end is ignored: NextStep
-        choice, value = torch.distributions.Categorical(logits=actor(seen)), critic(seen)[:, 0]
+        state, fresh = torch.tensor(now), over  # an action after an end is ignored: NextStep
+        choice, value = torch.distributions.Categorical(logits=actor(state)), critic(state)[:, 0]
         action = choice.sample()
         now, reward, _, over, _ = envs.step(action.numpy())  # episodes only end by truncation
         steps.append([value, choice.log_prob(action), *map(torch.tensor, (reward, over, ~fresh))])

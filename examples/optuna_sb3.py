@@ -24,9 +24,9 @@ def reward(trial):
         return model.predict(envs.normalize_obs(observations), deterministic=True)[0]
 
     seed = 5_000_000  # tuning seeds, which neither training nor test has
-    found = compare({"trial": act}, beside=("fixed-ukf",), episodes=100, seed=seed).policies
-    trial.set_user_attr("fixed-ukf", found["fixed-ukf"]["reward"].mean)
-    return found["trial"]["reward"].mean
+    policies = compare({"trial": act}, beside=("fixed-ukf",), episodes=100, seed=seed).policies
+    trial.set_user_attr("fixed-ukf", policies["fixed-ukf"]["reward"].mean)
+    return policies["trial"]["reward"].mean
 
 
 study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=0), direction="maximize")

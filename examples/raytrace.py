@@ -34,11 +34,11 @@ def trace(geometry, carrier_hz, base_station_m, receivers_m):
         some = receivers_m[start : start + BLOCK].tolist()
         for i, position in enumerate(some):
             scene.add(rt.Receiver(f"user {i}", position=position))
+        on = dict.fromkeys(("los", "specular_reflection", "synthetic_array"), True)
+        off = dict.fromkeys(("diffuse_reflection", "refraction", "diffraction"), False)
         yield rt.PathSolver()(
-            scene=scene, max_depth=1, samples_per_src=RAYS, los=True, specular_reflection=True,
-            diffuse_reflection=False, refraction=False, diffraction=False, synthetic_array=True,
-            seed=SEED,
-        )  # fmt: skip
+            scene=scene, max_depth=1, samples_per_src=RAYS, seed=SEED, **on, **off
+        )
         for i in range(len(some)):
             scene.remove(f"user {i}")
         print(f"{start + len(some)} of {len(receivers_m)} epochs traced")
@@ -49,11 +49,11 @@ def arrays_of(paths):
     real, imaginary = (np.array(part, float)[:, 0, 0, 0] for part in paths.a)
     delay = np.array(paths.tau, float)[:, 0]
     gain = np.hypot(real, imaginary)
-    there = np.array(paths.valid, bool)[:, 0] & (delay >= 0.0) & (gain > 0.0)
+    valid = np.array(paths.valid, bool)[:, 0] & (delay >= 0.0) & (gain > 0.0)
     inter = np.zeros(delay.shape)
     for depth in np.array(paths.interactions)[:, :, 0]:
-        digit = np.select([depth == kind for kind in (0, *INTERACTIONS)],
-                          [0.0, *INTERACTIONS.values()], 9.0)  # fmt: skip
+        kinds, digits = (0, *INTERACTIONS), [0.0, *INTERACTIONS.values()]
+        digit = np.select([depth == kind for kind in kinds], digits, 9.0)
         inter = np.where(digit > 0.0, 10.0 * inter + digit, inter)
     bounce = np.array(paths.vertices, float)[0][:, 0]
     with np.errstate(divide="ignore"):
@@ -68,12 +68,12 @@ def arrays_of(paths):
     for end, name in (("r", "aoa"), ("t", "aod")):
         arrays[f"{name}_az"] = np.degrees(np.array(getattr(paths, f"phi_{end}"), float)[:, 0])
         arrays[f"{name}_el"] = np.degrees(np.array(getattr(paths, f"theta_{end}"), float)[:, 0])
-    order = np.argsort(-np.where(there, power, -np.inf), axis=1, kind="stable")
-    order = order[:, : there.sum(axis=1).max()]
+    order = np.argsort(-np.where(valid, power, -np.inf), axis=1, kind="stable")
+    order = order[:, : valid.sum(axis=1).max()]
     packed = {}
     for key, array in arrays.items():
         wide = (...,) + (None,) * (array.ndim - 2)
-        kept = np.where(there[wide], array, np.nan)
+        kept = np.where(valid[wide], array, np.nan)
         packed[key] = np.take_along_axis(kept, order[wide], axis=1)
     return packed
 

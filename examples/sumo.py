@@ -81,24 +81,24 @@ def make_traffic(out, seconds, seed, blocks=2, block_m=80):
     """Make traffic with SUMO's programs netgenerate, randomTrips.py and sumo."""
     home = Path(distribution("eclipse-sumo").locate_file("sumo"))
 
-    def run(program, *options):
+    def run(program, options, *values):
         tool = program.endswith(".py")
         file = home / ("tools" if tool else "bin") / program
-        words = [sys.executable] * tool + [file, *options]
-        subprocess.run(list(map(str, words)), cwd=folder, check=True, stdout=subprocess.DEVNULL,
-                       env=os.environ | {"SUMO_HOME": str(home)})  # fmt: skip
+        words = [sys.executable] * tool + [file, *options.split(), *values]
+        known, quiet = os.environ | {"SUMO_HOME": str(home)}, {"stdout": subprocess.DEVNULL}
+        subprocess.run([*map(str, words)], cwd=folder, env=known, check=True, **quiet)
 
     with TemporaryDirectory() as folder:
-        run("netgenerate", "--grid", "--grid.number", blocks + 1, "--grid.length", block_m,
-            "--default-junction-type", "traffic_light", "--sidewalks.guess", "--crossings.guess",
-            "--no-turnarounds", "-o", "net.xml")  # fmt: skip
-        for kind, more in (("vehicle", []), ("pedestrian", ["--pedestrians"])):
-            run("randomTrips.py", "-n", "net.xml", "-o", f"{kind}.trips.xml", "-r", f"{kind}.xml",
-                "-e", seconds, "-p", 8, "--seed", seed, "--prefix", kind,
-                "--min-distance", 0.5 * blocks * block_m, *more)  # fmt: skip
-        run("sumo", "-n", "net.xml", "-r", "vehicle.xml,pedestrian.xml", "-e", seconds,
-            "--seed", seed, "--no-step-log", "--step-length", 1, "--lanechange.duration", 3,
-            "--fcd-output", out.resolve())  # fmt: skip
+        lights = "--default-junction-type traffic_light --sidewalks.guess --crossings.guess"
+        size = f"--grid --grid.number {blocks + 1} --grid.length {block_m}"
+        run("netgenerate", f"{size} {lights} --no-turnarounds -o net.xml")
+        for kind, more in (("vehicle", ""), ("pedestrian", "--pedestrians")):
+            trips = f"-n net.xml -o {kind}.trips.xml -r {kind}.xml -e {seconds} -p 8 --seed {seed}"
+            least = f"--min-distance {0.5 * blocks * block_m}"
+            run("randomTrips.py", f"{trips} --prefix {kind} {least} {more}")
+        routes = f"-n net.xml -r vehicle.xml,pedestrian.xml -e {seconds} --seed {seed}"
+        steps = "--no-step-log --step-length 1 --lanechange.duration 3"
+        run("sumo", f"{routes} {steps} --fcd-output", out.resolve())
 
 
 if __name__ == "__main__":

@@ -22,13 +22,9 @@ net = Net(state_shape=envs.observation_space[0].shape, action_shape=actions.n, h
 policy = DiscreteQLearningPolicy(model=net, action_space=actions, eps_training=0.1)
 dqn = DQN(policy=policy, optim=AdamOptimizerFactory(lr=1e-3), gamma=0.9, target_update_freq=500)
 collector = Collector(dqn, envs, VectorReplayBuffer(50_000, 16), exploration_noise=True)
-dqn.run_training(
-    OffPolicyTrainerParams(
-        training_collector=collector, max_epochs=1, epoch_num_steps=50_000, batch_size=256,
-        collection_step_num_env_steps=16, update_step_num_gradient_steps_per_sample=0.1,
-        show_progress=False,
-    )
-)  # fmt: skip
+size = {"max_epochs": 1, "epoch_num_steps": 50_000, "batch_size": 256}
+size |= {"collection_step_num_env_steps": 16, "update_step_num_gradient_steps_per_sample": 0.1}
+dqn.run_training(OffPolicyTrainerParams(training_collector=collector, show_progress=False, **size))
 
 
 def act(observations):

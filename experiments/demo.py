@@ -28,7 +28,7 @@ class Args(JsonArgs):
 def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.progress import note, say
-    from experiments.console.provenance import provenance
+    from experiments.console.provenance import options_of, provenance
     from experiments.console.tables import show
     from experiments.evaluation.asked import all_contenders
     from experiments.evaluation.protocol import RECORDINGS
@@ -46,7 +46,7 @@ def main(args: Args) -> None:
         result, text, content, _ = results(options, names)
         show(str(replace(result, paired={})))
         tables.append(text)
-        everything[result.scenario] = made | content
+        everything[result.scenario] = made | {"options": options_of(one)} | content
         write_json(args.out / f"{result.scenario}.json", everything[result.scenario])
     write_text(args.out / "tables.md", "\n".join(tables))
     if args.json:

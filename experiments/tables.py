@@ -37,8 +37,7 @@ FIELDS = ("section", "row", "column", "mean", "low", "high")
 
 def sections(bench: "Bench") -> "Iterator[Section]":
     """Yield all sections, in order."""
-    from experiments.paper.accuracy import error_budget, headline
-    from experiments.paper.claims import CLAIMS
+    from experiments.paper.claims import CLAIMS, error_budget, headline
     from experiments.paper.printed import table_three, tables_one_and_two
 
     yield from tables_one_and_two(bench)

@@ -19,8 +19,8 @@ import re
 import shlex
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stdout
-from dataclasses import dataclass
+from contextlib import chdir, contextmanager, redirect_stdout
+from dataclasses import dataclass, replace
 from io import StringIO
 from itertools import dropwhile, takewhile
 from pathlib import Path
@@ -60,7 +60,7 @@ class Block:
 
     @property
     def file(self) -> str:
-        """The file that it is the content of."""
+        """Return the name of the file whose content the block is; "" of an example to run."""
         return next((word for word in self.words if "." in word), "")
 
     @property
@@ -70,25 +70,26 @@ class Block:
 
 
 def blocks_of(page: Path) -> list[Block]:
-    """All of a page, in order."""
+    """Return all blocks of a page, in order."""
     text = page.read_text(encoding="utf-8")
-    found = list(BLOCK.finditer(text))
-    ends = [*(match.start() for match in found[1:]), len(text)]
-    return [
-        Block(
-            match["language"], match["text"], text.count("\n", 0, match.start("text")),
-            match["mark"] or "", list(TABLE.finditer(text, match.end(), end)),
+    matches = list(BLOCK.finditer(text))
+    ends = [*(match.start() for match in matches[1:]), len(text)]
+    blocks = []
+    for match, end in zip(matches, ends, strict=False):  # of a page without blocks one end
+        line, tables = (
+            text.count("\n", 0, match.start("text")),
+            TABLE.finditer(text, match.end(), end),
         )
-        for match, end in zip(found, ends, strict=False)  # of a page without blocks one end
-    ]  # fmt: skip
+        blocks.append(Block(match["language"], match["text"], line, match["mark"] or "", [*tables]))
+    return blocks
 
 
 class Session:
     """A reader who goes through a page, in a folder of their own.
 
     Args:
-        page: to go through.
-        folder: an empty one; its docs/ are those of the checkout.
+        page: page to go through.
+        folder: empty folder; its docs/ become those of the checkout.
     """
 
     def __init__(self, page: Path, folder: Path) -> None:
@@ -108,11 +109,10 @@ class Session:
         if "few" in block.words:
             text = re.sub(r"(episodes[= ])[\d_]+", r"\g<1>2", text)
             text = re.sub(r"(total[_-]timesteps[= ])[\d_]+", r"\g<1>4096", text)
-        block = Block(block.language, text, block.line, block.mark, block.tables)
         if block.language != "python":
+            lines = replace(block, text=text).commands
             with self._inside():
-                shown = [succeed(*shlex.split(line), cwd=self.folder) for line in block.commands]
-                return "".join(shown)
+                return "".join(succeed(*shlex.split(line), cwd=self.folder) for line in lines)
         out = StringIO()
         with redirect_stdout(out), self._inside():
             before = set(self._names)
@@ -124,9 +124,7 @@ class Session:
 
     @contextmanager
     def _inside(self) -> Iterator[None]:
-        """Modules of the folder can be imported, and are forgotten."""
-        from contextlib import chdir
-
+        """Let modules of the folder be imported in the block, and forget them."""
         before = list(sys.path)  # agents by name append the current folder to it
         sys.path.insert(0, str(self.folder))
         try:
@@ -153,28 +151,20 @@ def made(table: re.Match[str], printed: str, folder: Path) -> str:
 
 
 def renewed(page: Path) -> str:
-    """The page with the tables that its blocks make today."""
+    """Return the page with the tables that its blocks make today."""
     text, changes = page.read_text(encoding="utf-8"), []
     with TemporaryDirectory() as folder:
         session = Session(page, Path(folder))
         for block in blocks_of(page):
             if block.mark.startswith(("example", "published")):
                 printed = session.printed(block)
-                changes += [
-                    (table.span("shown"), made(table, printed, session.folder))
-                    for table in block.tables
-                ]
+                for table in block.tables:
+                    changes.append((table.span("shown"), made(table, printed, session.folder)))
     for (begin, end), shown in reversed(changes):
         text = text[:begin] + shown + text[end:]
     return text
 
 
-def main() -> None:
-    """Renew the pages that are named."""
-    for name in sys.argv[1:]:
-        page = Path(name)
-        page.write_text(renewed(page), encoding="utf-8")
-
-
 if __name__ == "__main__":
-    main()
+    for path in map(Path, sys.argv[1:]):
+        path.write_text(renewed(path), encoding="utf-8")

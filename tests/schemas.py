@@ -7,6 +7,7 @@ import inspect
 import json
 import math
 import re
+from contextlib import suppress
 from dataclasses import MISSING, fields, is_dataclass
 from types import NoneType
 from typing import Annotated, get_args, get_origin
@@ -33,14 +34,15 @@ def described(kind):
     _, _, section = inspect.getdoc(kind).partition("Attributes:\n")
     section = section.split("\n\n")[0]
     entries = re.findall(r"^    (\w[\w, ]*): (.*(?:\n {5,}.*)*)", section, re.MULTILINE)
-    said = {name: text for names, text in entries for name in names.split(", ")}
     return {
-        name: " ".join(text.replace("`", "").rstrip(".").split()) for name, text in said.items()
+        name: " ".join(text.replace("`", "").rstrip(".").split())
+        for names, text in entries
+        for name in names.split(", ")
     }
 
 
 def bounds(bound):
-    """The keywords of a schema for the bounds of a number."""
+    """Return the keywords of a schema for the bounds of a number."""
     low = {"exclusiveMinimum": bound.above} if bound.least is None else {"minimum": bound.least}
     high = {"exclusiveMaximum": bound.below} if bound.most is None else {"maximum": bound.most}
     return {key: value for key, value in (low | high).items() if math.isfinite(value)}
@@ -54,40 +56,36 @@ def schema_of(hint):
     if hint in TYPES:
         return {"type": TYPES[hint]}
     if origin is Annotated:
-        base, said = inside
-        more = bounds(said) if isinstance(said, Bound) else {}
-        more |= NAME if isinstance(said, Printable) else {}
-        more |= {"minItems": said.least, "maxItems": said.most} if isinstance(said, Size) else {}
+        base, limits = inside
+        more = bounds(limits) if isinstance(limits, Bound) else {}
+        more |= NAME if isinstance(limits, Printable) else {}
+        more |= size(limits.least, limits.most) if isinstance(limits, Size) else {}
         return schema_of(base) | more
     if origin is tuple:
-        count = {} if inside[-1] is ... else {"minItems": len(inside), "maxItems": len(inside)}
+        count = {} if inside[-1] is ... else size(len(inside), len(inside))
         return {"type": "array", "items": schema_of(inside[0])} | count
-    return {"anyOf": [schema_of(one) for one in inside]}
+    return {"anyOf": [*map(schema_of, inside)]}
+
+
+def size(least, most):
+    """Return the keywords of a schema for the length of a list."""
+    return {"minItems": least, "maxItems": most}
 
 
 def object_schema(kind, optional=(), replaced=None):
     """Return the schema of a dataclass; some fields are optional in its file, some replaced."""
-    said, replaced = described(kind), replaced or {}
-    properties, required = {}, []
+    texts, properties, required = described(kind), {}, []
     for field in fields(kind):
-        one = replaced.get(field.name) or schema_of(hints_of(kind)[field.name])
-        default = json_of(field)
-        known = {"description": said[field.name]} if field.name in said else {}
-        properties[field.name] = one | known | default
+        part = (replaced or {}).get(field.name) or schema_of(hints_of(kind)[field.name])
+        if field.name in texts:
+            part = part | {"description": texts[field.name]}
+        with suppress(TypeError, ValueError):  # where JSON can hold the default
+            part = part | {"default": json.loads(json.dumps(field.default, allow_nan=False))}
+        properties[field.name] = part
         if field.default is field.default_factory is MISSING and field.name not in optional:
             required.append(field.name)
-    return {
-        "type": "object", "properties": properties, "required": required,
-        "additionalProperties": False,
-    }  # fmt: skip
-
-
-def json_of(field):
-    """The default of a field, where JSON can hold it."""
-    try:
-        return {"default": json.loads(json.dumps(field.default, allow_nan=False))}
-    except (TypeError, ValueError):
-        return {}
+    closed = {"required": required, "additionalProperties": False}
+    return {"type": "object", "properties": properties} | closed
 
 
 def radio():
@@ -96,34 +94,35 @@ def radio():
     properties = schema["properties"]
     for name in [n for n in properties if n.endswith("_rad")]:
         degrees = {k: v for k, v in properties[name].items() if k != "default"}
-        for end in {"minimum", "maximum"} & set(degrees):
-            degrees[end] = round(math.degrees(degrees[end]), 9)
+        for end, inward in {"minimum": math.ceil, "maximum": math.floor}.items():
+            if end in degrees:
+                degrees[end] = inward(1e9 * math.degrees(degrees[end])) / 1e9
         degrees["description"] += f", in degrees in place of {name}"
         properties[name.removesuffix("_rad") + "_deg"] = degrees
     properties["name"]["not"] = {"enum": list(RADIOS)}
     base = {"enum": list(RADIOS), "default": "standard"}
-    what = "shipped profile that gives what is left out, modes and banks, too"
-    base["description"] = f"{what}; defaults are of standard"
+    about = "shipped profile that gives what is left out, modes and banks, too"
+    base["description"] = f"{about}; defaults are of standard"
     return schema | {"properties": {"base": base} | properties | {"base": base}}
 
 
 def modes():
     """Return the schema of a mode file: a bank, and notes, which are not read."""
     mode = object_schema(Mode, replaced={"algorithm": {"enum": list(ALGORITHMS)}})
-    size = {"minItems": 1, "maxItems": MOST_MODES}
-    bank = object_schema(Bank, replaced={"modes": {"type": "array", "items": mode} | size})
-    bank["properties"] |= {name: {"description": said} for name, said in NOTES.items()}
+    listed = {"type": "array", "items": mode} | size(1, MOST_MODES)
+    bank = object_schema(Bank, replaced={"modes": listed})
+    bank["properties"] |= {name: {"description": text} for name, text in NOTES.items()}
     return bank
 
 
 def results():
     """Return the shipped schema of results, with the metrics of today."""
     schema = json.loads(path_of("results").read_text(encoding="utf-8"))
-    said = {name: metric.described for name, metric in METRICS.items()}
-    said |= {name: meaning for name, (_, meaning) in TERMS.items()}
+    texts = {name: metric.described for name, metric in METRICS.items()}
+    texts |= {name: meaning for name, (_, meaning) in TERMS.items()}
     interval = {"$ref": "#/$defs/interval"}
     schema["$defs"]["metrics"] |= {
-        "properties": {name: interval | {"description": text} for name, text in said.items()},
+        "properties": {name: interval | {"description": text} for name, text in texts.items()},
         "required": list(METRICS),
     }
     return schema
@@ -134,14 +133,14 @@ def schemas():
     scene = {"oneOf": [object_schema(kind, optional=["name"]) for kind in (Scene, AnchorScene)]}
     for form, title in zip(scene["oneOf"], ("by its walls", "by its anchors"), strict=True):
         form["title"] = title
-    found = {
+    bodies = {
         "scene": ("A street: a base station and the walls that mirror it", scene),
         "radio": ("A radio profile", radio()),
         "modes": ("Filter modes", modes()),
         "mobility": ("A kind of user", object_schema(Mobility, optional=["name"])),
     }
     dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
-    made = {name: dialect | {"title": title} | body for name, (title, body) in found.items()}
+    made = {name: dialect | {"title": title} | body for name, (title, body) in bodies.items()}
     return made | {"results": results()}
 
 

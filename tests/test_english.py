@@ -1,29 +1,30 @@
 """Tests of the language of docstrings and names."""
 
 import ast
-from collections import Counter
 
 from tests.paths import ROOT
 
-FOLDERS = ("mmwave_env", "policies", "experiments", "tests", "examples", "docs/site")
+SOURCE = ("mmwave_env", "policies", "experiments", "examples", "docs/site")
 MODULES = {
-    path.relative_to(ROOT): ast.parse(path.read_text(encoding="utf-8"))
-    for folder in FOLDERS
+    path.relative_to(ROOT).as_posix(): ast.parse(path.read_text(encoding="utf-8"))
+    for folder in (*SOURCE, "tests")
     for path in sorted((ROOT / folder).rglob("*.py"))
 }
 NO_SUBJECT = {"What", "How", "Where", "Who", "Of", "As", "By"}
 VAGUE = {"found", "one", "told", "seen", "what", "there", "given"}
-MOST_VAGUE = 930  # bindings; falls with every function that is edited, and never rises
+EXCEPTIONS: set[str] = set()  # "PATH: NAME" in the source: where no better name exists
+MOST_IN_TESTS = 40  # bindings of vague names
 
 
-def bound(node):
-    """Yield the names that a node binds."""
-    if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-        yield node.id
-    elif isinstance(node, ast.arg):
-        yield node.arg
-    elif isinstance(node, ast.FunctionDef | ast.ClassDef):
-        yield node.name
+def bound(tree):
+    """Yield the names that a module binds."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.id
+        elif isinstance(node, ast.arg):
+            yield node.arg
+        elif isinstance(node, ast.FunctionDef | ast.ClassDef):
+            yield node.name
 
 
 def test_docstrings_begin_with_a_subject_or_a_verb():
@@ -38,7 +39,7 @@ def test_docstrings_begin_with_a_subject_or_a_verb():
 
 
 def test_names_say_what_they_stand_for():
-    names = Counter(
-        name for tree in MODULES.values() for node in ast.walk(tree) for name in bound(node)
-    )
-    assert sum(names[name] for name in VAGUE) <= MOST_VAGUE
+    vague = [f"{path}: {n}" for path, tree in MODULES.items() for n in bound(tree) if n in VAGUE]
+    in_tests = [line for line in vague if line.startswith("tests/")]
+    assert sorted({*vague}.difference(in_tests) ^ EXCEPTIONS) == []
+    assert len(in_tests) <= MOST_IN_TESTS, in_tests

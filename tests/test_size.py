@@ -42,22 +42,20 @@ ROOMS = {  # lines of source; what is in no room counts for "."
 }
 SOURCE = ("mmwave_env", "experiments", "policies")
 FOR_DEVELOPERS = {"dev", "docs", "lint"}  # extras
-NO_TOKENS = {
-    tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT,
-}  # fmt: skip
+NO_TOKENS = {getattr(tokenize, name) for name in ["COMMENT", "NL", "NEWLINE", "INDENT", "DEDENT"]}
 
 
 def tokens(text: str) -> int:
     """Count what Python reads, docstrings left out: it does not fall when lines get denser."""
-    found = tokenize.generate_tokens(io.StringIO(text).readline)
     return sum(
-        one.type not in NO_TOKENS and not one.string.startswith(('"""', 'r"""')) for one in found
+        token.type not in NO_TOKENS and not token.string.startswith(('"""', 'r"""'))
+        for token in tokenize.generate_tokens(io.StringIO(text).readline)
     )
 
 
 @pytest.fixture(scope="module")
 def tracked():
-    """Files of the checkout by their path in it."""
+    """Return the contents of the checkout's files by path."""
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True)
     if listed.returncode:
         pytest.skip("this is no checkout of git")
@@ -66,7 +64,7 @@ def tracked():
 
 
 def code(tracked, *folders):
-    """Text of programs by path."""
+    """Return the texts of programs by path."""
     return {
         path: content.decode()
         for path, content in tracked.items()
@@ -80,7 +78,7 @@ def test_the_project_is_within_its_budget(tracked):
     pages = [tracked[p] for p in tracked if p.parts[0] == "docs" and p.suffix == ".md"]
     project = tomllib.loads(tracked[Path("pyproject.toml")].decode())["project"]
     makefile = tracked[Path("Makefile")].decode()
-    found = {
+    sizes = {
         "lines of source": sum(text.count("\n") for text in source.values()),
         "tokens of source": sum(tokens(t) for p, t in source.items() if p.suffix == ".py"),
         "files of source": len(source),
@@ -95,8 +93,7 @@ def test_the_project_is_within_its_budget(tracked):
         "virtual environments": len(set(re.findall(r"\.venv(?:-\w+)?(?=/)", makefile))),
         "lines that ruff may not format": sum(text.count("# fmt: " + "skip") for text in python),
     }
-    over = {what: f"{n} of {BUDGET[what]}" for what, n in found.items() if n > BUDGET[what]}
-    assert not over
+    assert not {name: f"{n} of {BUDGET[name]}" for name, n in sizes.items() if n > BUDGET[name]}
 
 
 def test_rooms_are_within_their_budget(tracked):

@@ -45,8 +45,8 @@ def _draw_above(axes: Any, angles: Array) -> None:
     names = ("anchor 1: base station", "anchor 2: its mirror image in the wall")
     for anchor, (arrival, _, departure), name in zip(SCENE.anchors_m, angles, names, strict=True):
         start = anchor[:2]
-        axes.plot(*np.transpose([start, user]), color=_ANCHOR, linewidth=1.5,
-                  linestyle="-" if name.startswith("anchor 1") else "--")  # fmt: skip
+        line = "-" if name.startswith("anchor 1") else "--"
+        axes.plot(*np.transpose([start, user]), color=_ANCHOR, linewidth=1.5, linestyle=line)
         axes.plot(*start, "^", color=_ANCHOR, markersize=12)
         axes.text(*(start + [0.0, 1.6 if start[1] else -3.0]), name, color=_ANCHOR, ha="left")
         _arc(axes, start, 7.0, arrival, f"aoa_azimuth {arrival:.1f}°", _ANCHOR)
@@ -79,8 +79,8 @@ def _arc(axes: Any, center: Array, radius: float, degrees: float, label: str, co
     """Draw an arrow from the horizontal through ``degrees``, with its label beside it."""
     turn = np.radians(np.linspace(0.0, degrees, 60))
     line = center[:, None] + radius * np.array([np.cos(turn), np.sin(turn)])
-    axes.plot([center[0], center[0] + radius + 2.0], [center[1]] * 2, color=color, linewidth=0.8,
-              linestyle=":")  # fmt: skip
+    x = [center[0], center[0] + radius + 2.0]
+    axes.plot(x, [center[1]] * 2, color=color, linewidth=0.8, linestyle=":")
     axes.plot(*line[:, :-1], color=color, linewidth=1.5)
     axes.annotate("", line[:, -1], line[:, -3], arrowprops={"arrowstyle": "-|>", "color": color})
     at = np.clip(0.5 * turn[-1], -0.8, 0.8)  # where there is room to the right of a long arc

@@ -210,11 +210,11 @@ def source_of(name: str) -> str:
 @cache
 def pages() -> dict[str, str]:
     """Map files of the checkout to pages of the site that show them in another form."""
-    found = {source: page for page, source in (MIRRORED | NOTEBOOKS).items()} | REPORTS
+    shown = {source: page for page, source in (MIRRORED | NOTEBOOKS).items()} | REPORTS
     for name, (_, parts) in API.items():
         for module in (m for part in parts for m in modules_of(part)):
-            found[f"{module.replace('.', '/')}.py"] = f"api/{name}.md#{module}"
-    return found | {"mmwave_env/env.py": "environment.md"}
+            shown[f"{module.replace('.', '/')}.py"] = f"api/{name}.md#{module}"
+    return shown | {"mmwave_env/env.py": "environment.md"}
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:

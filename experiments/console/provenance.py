@@ -1,14 +1,19 @@
-"""Provenance of results: the command and the versions that made them."""
+"""Provenance of results: the command, its options and the versions that made them."""
 
+import json
 import platform
 import shlex
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from importlib.metadata import version
-from typing import Any, get_type_hints
+from pathlib import Path
+from typing import Any, TypeVar, get_args, get_type_hints
 
 from experiments.console.parser import is_positional
 from mmwave_env import __version__
+from mmwave_env.io.records import require
 
+T = TypeVar("T")
 OUTPUTS = {"json", "episodes_csv", "errors", "consistency", "plot", "docs", "out"}
 
 
@@ -34,9 +39,43 @@ def _words(value: Any) -> list[str]:
 
 
 def provenance(name: str, args: Any) -> dict[str, Any]:
-    """Return the command without its outputs, and versions, for results in JSON."""
+    """Return the command without its outputs, its options, and versions, for results in JSON."""
     outputs = {f.name: f.default for f in fields(args) if f.name in OUTPUTS}
-    return {"command": command_line(name, replace(args, **outputs)), "versions": versions()}
+    command = command_line(name, replace(args, **outputs))
+    return {"command": command, "options": options_of(args), "versions": versions()}
+
+
+def options_of(args: Any) -> dict[str, Any]:
+    """Return options as results files hold them, without outputs: paths as text, tuples as lists.
+
+    Args:
+        args: dataclass of options.
+    """
+    options = {name: value for name, value in vars(args).items() if name not in OUTPUTS}
+    return json.loads(json.dumps(options, default=str))  # type: ignore[no-any-return]
+
+
+def options_from(kind: type[T], content: Mapping[str, Any]) -> T:
+    """Return the options in a results file; those that ``kind`` does not have are ignored.
+
+    Args:
+        kind: dataclass of options.
+        content: content of the file.
+
+    Raises:
+        ValueError: the file holds no options, or a value is not of its option's type.
+    """
+    stored: Any = content.get("options")
+    options: dict[str, Any] = {}
+    require("options", stored, dict)
+    for name, hint in get_type_hints(kind).items():
+        if name in stored and name not in OUTPUTS:
+            value = stored[name]
+            if Path in get_args(hint) and isinstance(value, str):
+                value = Path(value)
+            require(f"options: {name}", value, hint)
+            options[name] = tuple(value) if isinstance(value, list) else value
+    return kind(**options)
 
 
 def versions_of(*packages: str) -> dict[str, str]:

@@ -1,8 +1,8 @@
 """Runs of modes on the episodes of a setting, cached, and sections that show the results."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, wraps
 from typing import NamedTuple
 
 import numpy as np
@@ -102,23 +102,19 @@ def track(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> Trac
     return TrackRun(_errors(errors, nees, axes), _errors(better_errors, better_nees, axes))
 
 
-def _tracks(
-    mode: Mode, episodes: Sequence[Episode], planar: bool
-) -> tuple[Array, Array, Array, Array]:
+def _tracks(mode: Mode, episodes: Sequence[Episode], planar: bool) -> Sequence[Array]:
     """Return position errors (n, T, 3) and NEES (n, T), filtered, then both smoothed."""
     pipeline = Pipeline((mode,), episodes[0].layout, planar)
     tracker = Tracker(pipeline, len(episodes))
     tracker.load(episodes)
-    found = tracker.run("x", "P", "x_predicted", "P_predicted", "error", "nees")
-    x, error = found["x"], found["error"]
-    dt = np.diff(episodes[0].time_s)
-    predicted = found["x_predicted"], found["P_predicted"]
-    better_x, better_P = smooth(x, found["P"], *predicted, dt, planar)
+    run = tracker.run("x", "P", "x_predicted", "P_predicted", "error", "nees")
+    x, P, x_predicted, P_predicted, error, nees = run.values()
+    better_x, better_P = smooth(x, P, x_predicted, P_predicted, np.diff(episodes[0].time_s), planar)
     better = error + better_x[..., :3] - x[..., :3]
     covariance = unpack(list(np.moveaxis(better_P, -1, 0)), zero=pipeline.known_axes)
     # The error stands for the state and 0 for the truth: NEES depends only on their difference.
     offset = Belief(list(np.moveaxis(better, -1, 0)), covariance, pipeline.position_axes)
-    return error, found["nees"], better, offset.nees([0.0] * 3)
+    return error, nees, better, offset.nees([0.0] * 3)
 
 
 def _errors(error: Array, nees: Array, axes: int) -> Errors:
@@ -128,18 +124,23 @@ def _errors(error: Array, nees: Array, axes: int) -> Errors:
 
 
 Cell = str | float | Interval
+Row = list[Cell]
 
 
 @dataclass
 class Section:
     """A table with a title and a note."""
 
-    # title, note: Markdown
-    title: str
-    note: str
-    columns: list[str]  # headers; the first ``labels`` columns name a row
-    labels: int = 1  # number of cells that name a row
-    rows: list[list[Cell]] = field(default_factory=list)  # cells
+    title: str  # Markdown
+    note: str  # Markdown
+    header: str  # headers of the columns, with " | " between them
+    labels: int = 1  # number of first columns, which name a row
+    rows: list[Row] = field(default_factory=list)
+
+    @property
+    def columns(self) -> list[str]:
+        """Return the headers of the columns."""
+        return self.header.split(" | ")
 
     def body(self) -> str:
         """Return the table and its note as Markdown."""
@@ -150,9 +151,9 @@ class Section:
         """Return the whole section as Markdown."""
         return f"### {self.title}\n\n{self.body()}\n"
 
-    def records(self) -> list[list[Cell]]:
+    def records(self) -> list[Row]:
         """Return section, row, column, mean, low and high of every number."""
-        out: list[list[Cell]] = []
+        out: list[Row] = []
         for row in self.rows:
             name = ", ".join(str(cell) for cell in row[: self.labels])
             for column, cell in zip(self.columns[self.labels :], row[self.labels :], strict=True):
@@ -162,6 +163,20 @@ class Section:
                 elif isinstance(cell, float):
                     out.append([self.title, name, column, cell, "", ""])
         return out
+
+
+Rows = Callable[[Bench], Iterator[Row]]
+
+
+def section(
+    title: str, note: str, header: str, labels: int = 1
+) -> Callable[[Rows], Callable[[Bench], Section]]:
+    """Return a decorator: a function that yields the rows of a table then returns its section."""
+
+    def of(rows: Rows) -> Callable[[Bench], Section]:
+        return wraps(rows)(lambda bench: Section(title, note, header, labels, [*rows(bench)]))
+
+    return of
 
 
 def _shown(cell: Cell) -> str:

@@ -15,9 +15,10 @@ COLORS = {"ekf": "C0", "ukf": "C1"}
 
 
 def _errorbars(axes: Any, x: Sequence[float], cells: Sequence[Cell], **style: Any) -> None:
-    found = [cell for cell in cells if isinstance(cell, Interval)]
-    y = [cell.mean for cell in found]
-    spread = [[c.mean - c.low for c in found], [c.high - c.mean for c in found]]
+    intervals = [
+        (c.mean, c.mean - c.low, c.high - c.mean) for c in cells if isinstance(c, Interval)
+    ]
+    y, *spread = zip(*intervals, strict=True)
     axes.errorbar(x, y, yerr=spread, capsize=2, **style)
 
 
@@ -51,10 +52,8 @@ def _sweep(axes: Any, section: Section) -> None:
     styles = {"no gates": ":", "gates, no recovery": "-", "gates, recovery": "--"}
     for column, name in enumerate(section.columns[1:], start=1):
         algorithm, gates = name.split(", ", 1)
-        _errorbars(
-            axes, x, [row[column] for row in section.rows], label=name,
-            color=COLORS[algorithm.lower()], linestyle=styles[gates],
-        )  # fmt: skip
+        style = {"color": COLORS[algorithm.lower()], "linestyle": styles[gates]}
+        _errorbars(axes, x, [row[column] for row in section.rows], label=name, **style)
     axes.set_xscale("log")
     plain_numbers(axes.xaxis)
     axes.set_xlabel("process noise sigma_v (m/s)")
@@ -67,10 +66,7 @@ def draw(sections: dict[str, Section], path: Path) -> None:
     """Write the picture."""
     with picture(path, 13.0, 4.2) as figure:
         axes = figure.subplots(1, 3)
-        for panel, number, scenario in zip(
-            axes, ("I", "II"), ("pedestrian", "vehicle"), strict=False
-        ):
-            tables = [sections[f"Table {number}: {scenario}, {radio}"] for radio in RADIOS]
-            _bars(panel, tables, f"Table {number}: {scenario}")
+        for panel, title in zip(axes, ("Table I: pedestrian", "Table II: vehicle"), strict=False):
+            _bars(panel, [sections[f"{title}, {radio}"] for radio in RADIOS], title)
         axes[0].legend(markerscale=0.6)
         _sweep(axes[2], sections["Vehicle ATE against process noise, m"])

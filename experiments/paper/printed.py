@@ -8,15 +8,14 @@ import numpy as np
 
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.runner import Scores
-from experiments.paper.bench import Bench, Cell, Section, Setting
+from experiments.paper.bench import Bench, Row, Section, Setting, section
 from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.models.radio import RADIOS
 
 
 class Published(NamedTuple):
-    """A row of Table I or II."""
+    """A row of Table I or II, in the printed order."""
 
-    # ate_m, rpe_m, nees, rmse_m: columns in the printed order
     ate_m: float
     rpe_m: float
     nees: float
@@ -46,83 +45,73 @@ UNTUNED_SIGMA_V = 1.0  # m/s: the paper does not print its untuned process noise
 
 def untuned(algorithm: str, coupling: bool) -> Mode:
     """Return a filter of the paper's first rows: no tuning, gates, scaling or smoothing."""
-    return Mode(
-        algorithm, algorithm, sigma_v=UNTUNED_SIGMA_V, coupling=coupling,
-        gate=None, recovery=None, adaptive=False,
-    )  # fmt: skip
+    off = {"gate": None, "recovery": None, "adaptive": False}
+    return Mode(algorithm, algorithm, sigma_v=UNTUNED_SIGMA_V, coupling=coupling, **off)  # type: ignore[arg-type]
 
 
-def _row(name: str, printed: Published | None, forms: Sequence[Scores]) -> list[Cell]:
+def _row(name: str, printed: Published | None, forms: Sequence[Scores]) -> Row:
     """Return a row: per metric the paper's figure, then ours for each form of process noise."""
-    columns = np.stack([scores[metric] for metric in PRINTED for scores in forms], axis=1)
-    ours = iter(bootstrap(columns))
-    row: list[Cell] = [name]
+    ours = iter(bootstrap(np.stack([scores[m] for m in PRINTED for scores in forms], axis=1)))
+    row: Row = [name]
     for metric in PRINTED:
         row.append("" if printed is None else getattr(printed, metric))
         row += [next(ours) for _ in forms]
     return row
 
 
-def _rows(bench: Bench, setting: Setting, printed: dict[str, Published]) -> Iterator[list[Cell]]:
+def _rows(bench: Bench, setting: Setting, printed: dict[str, Published]) -> Iterator[Row]:
     forms = (False, True)  # plain diagonal, coupled
     for algorithm in ("ekf", "ukf", "ckf"):
         runs = [bench.run(untuned(algorithm, coupling), setting) for coupling in forms]
         name = algorithm.upper()
         yield _row(name, printed[name], [run.filtered.scores for run in runs])
     tuned = [setting.tuned(coupling) for coupling in forms]
-    name = str(tuned[0].algorithm).upper()
-    smoothed = [bench.run(mode, setting).smoothed.scores for mode in tuned]
-    yield _row(f"Optimized {name}", printed["optimized"], smoothed)
-    smoothed = [bench.run(robust(mode), setting).smoothed.scores for mode in tuned]
-    yield _row(f"Optimized {name}, robust", None, smoothed)
+    variants = {"": (tuned, setting), ", robust": ([*map(robust, tuned)], setting)}
     if setting.scenario == "pedestrian":
-        walking = replace(setting, odometry=True)
-        smoothed = [bench.run(mode, walking).smoothed.scores for mode in tuned]
-        yield _row(f"Optimized {name}, odometry", None, smoothed)
+        variants[", odometry"] = tuned, replace(setting, odometry=True)
+    for variant, (modes, measured) in variants.items():
+        smoothed = [bench.run(mode, measured).smoothed.scores for mode in modes]
+        name = f"Optimized {str(tuned[0].algorithm).upper()}{variant}"
+        yield _row(name, None if variant else printed["optimized"], smoothed)
 
 
 def tables_one_and_two(bench: Bench) -> Iterator[Section]:
     """Yield Table I and Table II, once for each radio profile."""
-    columns = ["filter"]
-    for header in PRINTED.values():
-        columns += [f"{header}: paper", "plain Q", "coupled Q"]
+    metrics = (f"{header}: paper | plain Q | coupled Q" for header in PRINTED.values())
+    header = " | ".join(["filter", *metrics])
     for number, scenario, printed in (
         ("I", "pedestrian", LOW_MOBILITY),
         ("II", "vehicle", HIGH_MOBILITY),
     ):
+        note = (
+            f"{bench.count} {scenario} episodes. Untuned: sigma_v {UNTUNED_SIGMA_V:g} m/s, no "
+            "gates, no adaptive scaling, no smoothing. Optimized: tuned, gated, scaled and "
+            "smoothed."
+        )
+        if scenario == "pedestrian":
+            note += " With odometry the same tracks are measured with other noise."
         for radio in RADIOS:
-            note = (
-                f"{bench.count} {scenario} episodes. Untuned: sigma_v {UNTUNED_SIGMA_V:g} m/s, no "
-                "gates, no adaptive scaling, no smoothing. Optimized: tuned, gated, scaled and "
-                "smoothed."
-            )
-            if scenario == "pedestrian":
-                note += " With odometry the same tracks are measured with other noise."
-            title = f"Table {number}: {scenario}, {radio}"
-            section = Section(title, note, columns)
-            section.rows += _rows(bench, Setting(scenario, radio), printed)
-            yield section
+            rows = _rows(bench, Setting(scenario, radio), printed)
+            yield Section(f"Table {number}: {scenario}, {radio}", note, header, rows=[*rows])
 
 
-def table_three(bench: Bench) -> Section:
+@section(
+    "Table III",
+    "Other people's figures are as the paper quotes them, on other data than ours: they show "
+    "an order of magnitude, no ranking. Ours: tuned, gated, scaled and smoothed, coupled Q.",
+    " | ".join(["method", "scenario", "ATE m: paper", *RADIOS]),
+    labels=2,
+)
+def table_three(bench: Bench) -> Iterator[Row]:
     """Return Table III with our figures, coupled process noise."""
-    section = Section(
-        "Table III",
-        "Other people's figures are as the paper quotes them, on other data than ours: they show "
-        "an order of magnitude, no ranking. Ours: tuned, gated, scaled and smoothed, coupled Q.",
-        ["method", "scenario", "ATE m: paper", *RADIOS],
-        labels=2,
-    )
-    for method, (where, ate) in OTHERS.items():
-        section.rows.append([method, where, ate, *[""] * len(RADIOS)])
+    for method, (environment, ate) in OTHERS.items():
+        yield [method, environment, ate, *[""] * len(RADIOS)]
     for name, scenario, printed in (
         ("Proposed EKF", "pedestrian", LOW_MOBILITY),
         ("Proposed UKF", "vehicle", HIGH_MOBILITY),
     ):
-        ours: list[Cell] = []
-        for radio in RADIOS:
-            setting = Setting(scenario, radio)
-            run = bench.run(setting.tuned(), setting)
-            ours += bootstrap(run.smoothed.scores["ate_m"][:, None])
-        section.rows.append([name, scenario, printed["optimized"].ate_m, *ours])
-    return section
+        row: Row = [name, scenario, printed["optimized"].ate_m]
+        for setting in (Setting(scenario, radio) for radio in RADIOS):
+            smoothed = bench.run(setting.tuned(), setting).smoothed
+            row += bootstrap(smoothed.scores["ate_m"][:, None])
+        yield row

@@ -18,12 +18,16 @@ from experiments.evaluation.asked import (
 )
 from experiments.evaluation.bounds import bound_markdown, over_bound
 from experiments.evaluation.comparison import Comparison, compare_scores, episodes_csv
+from experiments.evaluation.histories import EpochErrors
+from experiments.evaluation.positions import PARTS, Positions, positions_markdown
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.runs import trainings
 from experiments.evaluation.training_seeds import over_training_seeds, seeds_markdown
-from experiments.reporting.watchers import require_options, watchers
+from experiments.figures.canvas import require_picture
+from experiments.figures.curves import draw_consistency, draw_error_cdf
 from mmwave_env.interface.reward import reward_name
 from mmwave_env.io.files import write_json, write_text
+from mmwave_env.localization.position_errors import require_risk
 from mmwave_env.models.radio import radio_from
 
 
@@ -35,20 +39,16 @@ class Results(NamedTuple):
     json: dict[str, Any]  # every figure
     pictures: Sequence[Callable[[], None]]  # each writes a picture
 
-    def draw(self) -> None:
-        """Write the pictures."""
-        for picture in self.pictures:
-            picture()
 
-
-def report(command: str, args: EpisodeArgs, found: Results) -> None:
+def report(command: str, args: EpisodeArgs, made: Results) -> None:
     """Write ``args.json``, then the pictures, and print the tables of :func:`results`."""
     if args.json:  # first, because whoever reads the tables may close the pipe
-        write_json(args.json, provenance(command, args) | found.json)
+        write_json(args.json, provenance(command, args) | made.json)
     try:
-        found.draw()
+        for draw in made.pictures:
+            draw()
     finally:  # the tables are shown even if a picture fails
-        show(found.text)
+        show(made.text)
 
 
 def results(
@@ -63,51 +63,62 @@ def results(
         args: options that choose the episodes and the tables.
         names: contenders to run; the folder of a run stands for its median training.
         bound: whether to divide RMSEs by the posterior Cramer-Rao bounds, too.
-        pictures: files by option, as in :func:`~experiments.reporting.watchers.watchers`.
+        pictures: files to draw, by option: "errors" and "consistency".
+
+    Raises:
+        ValueError: an option is refused, or two pictures have the same file.
+        OSError: a picture can't be written.
     """
-    require_options(args, pictures)
+    require_risk(args.risk)
+    for option, path in pictures.items():
+        require_picture(option, path)
+    if len(set(pictures.values())) < len(pictures):
+        raise ValueError(f"consistency: found {path}, expected another file than --errors")
     task, runs = task_of(args), runs_of(args, names)
-    source, scoring = task.source, Scoring.of(task)
-    selection = selection_of(args)
+    scoring, selection = Scoring.of(task), selection_of(args)
     if bound and args.planar:
-        raise ValueError("bound: found with planar, whose bound there is not; expected one of them")
+        raise ValueError("bound: found with planar, whose bound is not known; expected one of them")
     files = {name: runs[name].policy if name in runs else name for name in names}
-    chosen = {file: contender_of(args, file) for file in trainings(names, runs)}
-    known = all_contenders(args)
-    own = [name for name in names if name not in known]
     shown = {file: name for name, file in files.items()}
-    everybody = [chosen[file] for file in trainings(names, runs)]
-    watched = watchers(args, shown, pictures)
-    found = score_contenders(
-        everybody,
-        source,
+    epochs, positions = EpochErrors(shown), Positions(shown, args.risk, args.planar)
+    scores_of = score_contenders(
+        [contender_of(args, file) for file in trainings(names, runs)],
+        task.source,
         args.radio,
         selection,
-        watch=[watcher.add for watcher in watched],
+        watch=[epochs.add] * bool(pictures) + [positions.add] * args.percentiles,
         scoring=scoring,
-        after=[*dict.fromkeys(part for watcher in watched for part in watcher.parts)],
+        after=PARTS * args.percentiles,
     )
-    scores = {name: found[file] for name, file in files.items()}
+    scores = {name: scores_of[file] for name, file in files.items()}
     if args.episodes_csv:
-        write_text(args.episodes_csv, episodes_csv(scores, selection, source))
-    drawn: list[Callable[[], None]] = []
-    result = compare_scores(
-        scores, own, scenario=source.name, radio=task.radio.name, selection=selection,
+        write_text(args.episodes_csv, episodes_csv(scores, selection, task.source))
+    known = all_contenders(args)
+    comparison = compare_scores(
+        scores,
+        [name for name in names if name not in known],
+        scenario=task.source.name,
+        radio=task.radio.name,
+        selection=selection,
         reward=reward_name(scoring.reward),
-    )  # fmt: skip
-    text = str(result) + (result.terms if args.percentiles else "")
-    content = result.json
+    )
+    text, content = str(comparison) + comparison.terms * args.percentiles, comparison.json
     if bound:
         with progress("bound"):
-            over = over_bound(scores, source, radio_from(args.radio), selection)
+            over = over_bound(scores, task.source, radio_from(args.radio), selection)
         text, content = text + bound_markdown(over), content | {"bound": over.json}
     if runs:
-        trained = {run: [found[file] for file in run.policies] for run in runs.values()}
+        trained = {run: [scores_of[file] for file in run.policies] for run in runs.values()}
         seeds = over_training_seeds(trained, scores)
         text += "".join(map(seeds_markdown, seeds))
-        content |= {"training_seeds": {one.run.name: one.json for one in seeds}}
-    for one in watched:
-        more, figures = one.told()
-        text, content = text + more, content | figures
-        drawn.append(one.draw)
-    return Results(result, text, content, drawn)
+        content["training_seeds"] = {spread.run.name: spread.json for spread in seeds}
+    if args.percentiles:
+        figures = content["position_errors"] = positions.figures()
+        text += f"\n{positions_markdown('policy', figures['policies'], args.risk)}"
+    drawings: dict[str, Callable[[], None]] = {
+        "errors": lambda: draw_error_cdf(epochs.errors_m, pictures["errors"]),
+        "consistency": lambda: draw_consistency(
+            epochs.time_s, epochs.nees, 2 if args.planar else 3, pictures["consistency"]
+        ),
+    }
+    return Results(comparison, text, content, [drawings[name] for name in pictures])

@@ -6,20 +6,19 @@ from contextlib import ExitStack
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from experiments.console.options import LogArgs
 from experiments.console.progress import progress
 from experiments.console.provenance import provenance
 from experiments.console.tables import show
 from experiments.evaluation.contenders import imm_banks
 from experiments.figures.canvas import require_picture
 from experiments.figures.trajectory import draw_trajectory
-from experiments.reporting.diagnosis_report import diagnosis_figures, diagnosis_markdown
-from experiments.reporting.log_facts import facts_markdown, log_facts
-from experiments.reporting.track_plot import TrackSampler
-from experiments.reporting.track_report import track_markdown
+from experiments.reporting.log_diagnosis import diagnosed
+from experiments.reporting.track_report import TrackSampler, track_markdown
 from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
 from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.engines.track_engine import Rule
@@ -29,7 +28,6 @@ from mmwave_env.io.files import require_writable, write_json
 from mmwave_env.io.lookup import choose
 from mmwave_env.localization.association import Association, associate
 from mmwave_env.localization.contradictions import contradictions
-from mmwave_env.localization.diagnosis import diagnose
 from mmwave_env.localization.localizer import TrackBlock, localize
 from mmwave_env.localization.position_errors import require_risk
 from mmwave_env.localization.track_files import require_own_files, table_beside, track_files
@@ -39,16 +37,16 @@ from mmwave_env.logs.lines import number
 from mmwave_env.logs.log import LogBlock, read_log, read_paths
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.truth import Truth
-from mmwave_env.models.radio import radio_from
+from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
 
-if TYPE_CHECKING:
-    from experiments.localize import Args
-
 EPOCHS_PER_BLOCK = 1 << 14
 LONGEST_WINDOW = 20_000  # epochs; a window is held in memory
-RULES: dict[str, Rule] = {"prediction": by_predicted_speed, "odometry": by_odometry_speed}
+RULES: dict[str, tuple[Rule, str]] = {  # with the speed that each follows
+    "prediction": (by_predicted_speed, "the predicted"),
+    "odometry": (by_odometry_speed, "odometry's"),
+}
 
 
 class Inputs(NamedTuple):
@@ -76,15 +74,13 @@ class ModePlan(NamedTuple):
 # --- choice of pipelines (Algorithm 1, Steps 1 to 3)
 
 
-def plan(args: "Args", modes: Sequence[Mode] | Bank) -> ModePlan:
+def plan(args: LogArgs, modes: Sequence[Mode] | Bank) -> ModePlan:
     """Return the pipelines that run (Algorithm 1, Step 3)."""
     if isinstance(modes, Bank):
         return ModePlan(modes, None, f"of {args.imm} by their probability")
     if args.speed in (None, "auto"):
-        followed = "odometry's" if args.follow == "odometry" else "the predicted"
-        return ModePlan(
-            modes, RULES[args.follow], f"by {followed} speed, up to or above {SLOW_MPS:g} m/s"
-        )
+        rule, followed = RULES[args.follow]
+        return ModePlan(modes, rule, f"by {followed} speed, up to or above {SLOW_MPS:g} m/s")
     speed = parse_speed(args.speed)
     mode = modes[int(mode_at(speed))]
     if speed > DESIGN_LIMIT_MPS:
@@ -111,7 +107,7 @@ def parse_speed(word: str) -> float:
 # --- options
 
 
-def inputs(args: "Args") -> Inputs:
+def inputs(args: LogArgs) -> Inputs:
     """Return the files of the log, its scene and the truth, if there is one."""
     if args.sample is None:
         if args.log is None:
@@ -122,23 +118,28 @@ def inputs(args: "Args") -> Inputs:
         if args.scene is None:
             raise ValueError(f"scene: found none, expected --scene with that of {args.log}")
         return Inputs(args.log, args.scene, args.truth)
-    for name, given in (("log", args.log), ("scene", args.scene)):
-        if given is not None:
-            raise ValueError(f"{name}: found {given}, but --sample brings it; expected one of them")
+    _require_none("--sample", log=args.log, scene=args.scene)
     folder = sample_folder(args.sample)
     return Inputs(folder / LOG, str(folder / SCENE), args.truth or folder / TRUTH)
 
 
-def _imm(args: "Args", name: str) -> Bank:
+def _require_none(beside: str, **options: object) -> None:
+    """Refuse options that mean nothing beside another one."""
+    for name, value in options.items():
+        if value is not None:
+            raise ValueError(f"{name}: found {value} with {beside}, expected one of them")
+
+
+def _bank(args: LogArgs, name: str) -> Bank:
     """Return the bank of an IMM, by its name or from a mode file."""
-    if name.endswith(".json"):
-        bank = bank_from(name, args.radio)
-    else:
-        bank = choose(imm_banks(args.radio), name, "imm")()
+    from_file = name.endswith(".json")
+    bank = (
+        bank_from(name, args.radio) if from_file else choose(imm_banks(args.radio), name, "imm")()
+    )
     return replace(bank, modes=_as_asked(args, bank.modes))
 
 
-def _modes(args: "Args") -> tuple[Mode, ...]:
+def _modes(args: LogArgs) -> tuple[Mode, ...]:
     """Return the low-mobility and the high-mobility pipeline."""
     if args.modes is not None and args.modes.suffix != ".json":
         raise ValueError(f"modes: found {str(args.modes)!r}, expected a mode file (.json)")
@@ -150,7 +151,7 @@ def _modes(args: "Args") -> tuple[Mode, ...]:
     return _as_asked(args, modes)
 
 
-def _as_asked(args: "Args", modes: tuple[Mode, ...]) -> tuple[Mode, ...]:
+def _as_asked(args: LogArgs, modes: tuple[Mode, ...]) -> tuple[Mode, ...]:
     """Return the modes with the safeguards that options ask for."""
     if args.robust:
         modes = tuple(map(robust, modes))
@@ -161,15 +162,16 @@ def _as_asked(args: "Args", modes: tuple[Mode, ...]) -> tuple[Mode, ...]:
     return modes
 
 
-def _check(args: "Args", given: Inputs) -> None:
+def _check(args: LogArgs, files: Inputs) -> None:
     """Refuse options that contradict each other, and outputs that would replace other files."""
     if args.diagnose:
-        _check_diagnosis(args)
-    if args.imm is not None:
-        for name, found in (("speed", args.speed), ("modes", args.modes)):
-            if found is not None:
-                raise ValueError(f"{name}: found {found} with --imm, expected one of them")
+        if args.out or args.plot:
+            raise ValueError("diagnose: found with --out or --plot, expected no track")
+        if args.associate:
+            raise ValueError("diagnose: found with --associate, expected rows with anchors")
     decided = args.speed in (None, "auto")
+    if args.imm is not None:
+        _require_none("--imm", speed=args.speed, modes=args.modes)
     if (args.imm or decided) and args.outside == "abort":
         other = "--imm" if args.imm else "--speed auto"
         raise ValueError(f"outside: found abort with {other}, expected a speed in m/s")
@@ -185,30 +187,19 @@ def _check(args: "Args", given: Inputs) -> None:
     require_risk(args.risk)
     if args.plot is not None:
         require_picture("plot", args.plot)
-    seen: dict[Path, str] = {}
-    files = {"the log": given.log, "scene": Path(given.scene), "truth": given.truth,
-             "modes": args.modes, "imm": Path(args.imm) if args.imm else None}  # fmt: skip
-    for name, path in (files | _outputs(args)).items():
-        if path is not None and seen.setdefault(path.resolve(), name) != name:
-            raise ValueError(
-                f"{name}: found {path}, which is also {seen[path.resolve()]}, expected another file"
-            )
+    owners: dict[Path, str] = {}
+    read = {"the log": files.log, "scene": Path(files.scene), "truth": files.truth}
+    banks = {"modes": args.modes, "imm": Path(args.imm) if args.imm else None}
+    for name, path in (read | banks | _outputs(args)).items():
+        if path is not None and (owner := owners.setdefault(path.resolve(), name)) != name:
+            raise ValueError(f"{name}: found {path}, which is also {owner}, expected another file")
     if args.out is not None:
         require_own_files(args.out)
 
 
-def _check_diagnosis(args: "Args") -> None:
-    if args.out or args.plot:
-        raise ValueError("diagnose: found with --out or --plot, expected no track")
-    if args.associate:
-        raise ValueError("diagnose: found with --associate, expected rows with anchors")
-
-
-def _outputs(args: "Args") -> dict[str, Path | None]:
-    table = None if args.out is None else table_beside(args.out)
-    return {
-        "out": args.out, "the table beside out": table, "plot": args.plot, "json": args.json,
-    }  # fmt: skip
+def _outputs(args: LogArgs) -> dict[str, Path | None]:
+    table = args.out and table_beside(args.out)
+    return {"out": args.out, "the table beside out": table, "plot": args.plot, "json": args.json}
 
 
 # --- running
@@ -218,6 +209,7 @@ class Work(NamedTuple):
     """A log to localize, and the modes to localize it with."""
 
     scene: Scene
+    radio: Radio
     plan: ModePlan
     first: LogBlock  # first block of the log
     blocks: Iterable[LogBlock]  # all blocks, the first included
@@ -225,59 +217,48 @@ class Work(NamedTuple):
     association: Association | None  # counts of associated paths so far
 
 
-def _work(args: "Args", given: Inputs, scene: Scene, epochs_per_block: int) -> Work:
+def _work(args: LogArgs, files: Inputs, scene: Scene, epochs_per_block: int) -> Work:
     """Open the log, and the truth if there is one."""
-    modes = _modes(args) if args.imm is None else _imm(args, args.imm)
-    association = Association(len(scene.anchors_m)) if args.associate else None
-    blocks = _blocks(args, given.log, scene, epochs_per_block, association)
+    modes = _modes(args) if args.imm is None else _bank(args, args.imm)
+    association, radio = None, radio_from(args.radio)
+    if args.associate:
+        association = Association(len(scene.anchors_m))
+        paths = read_paths(files.log, scene, args.odometry)
+        fast = modes_from(args.modes, args.radio)[-1]
+        blocks = associate(paths, scene, radio, fast, association, epochs_per_block)
+    else:
+        blocks = read_log(files.log, scene, epochs_per_block, args.odometry)
     first = next(blocks)
     if args.follow == "odometry" and not first.layout.odometry:
         raise ValueError(
-            f"follow: found odometry, but no speed in {given.log}, expected prediction"
+            f"follow: found odometry, but no speed in {files.log}, expected prediction"
         )
-    truth = Truth(given.truth) if given.truth else None
-    return Work(scene, plan(args, modes), first, chain([first], blocks), truth, association)
+    truth, blocks = Truth(files.truth) if files.truth else None, chain([first], blocks)
+    return Work(scene, radio, plan(args, modes), first, blocks, truth, association)
 
 
-def _blocks(
-    args: "Args", log: Path, scene: Scene, epochs_per_block: int, association: Association | None
-) -> Iterator[LogBlock]:
-    """Return the blocks of a log, with anchors from the log or by association."""
-    if association is None:
-        return read_log(log, scene, epochs_per_block, args.odometry)
-    paths, radio = read_paths(log, scene, args.odometry), radio_from(args.radio)
-    fast = modes_from(args.modes, args.radio)[-1]
-    return associate(paths, scene, radio, fast, association, epochs_per_block)
+def _track(args: LogArgs, work: Work, window: int | None) -> Iterator[TrackBlock]:
+    modes, rule, _ = work.plan
+    return localize(work.blocks, work.scene, work.radio, modes, rule, window, args.height)
 
 
-def _track(args: "Args", work: Work, window: int | None) -> Iterator[TrackBlock]:
-    radio, chosen = radio_from(args.radio), work.plan
-    return localize(work.blocks, work.scene, radio, chosen.modes, chosen.rule, window, args.height)
-
-
-def beginning(args: "Args", epochs: int) -> tuple[TrackBlock, Work]:
+def beginning(args: LogArgs, epochs: int) -> tuple[TrackBlock, Work]:
     """Filter the first epochs of a log; return their track and the work.
 
     Raises:
         ValueError: same as from the command.
         OSError: a file can't be read.
     """
-    given = inputs(args)
-    work = _work(args, given, scene_from(given.scene), epochs)
+    files = inputs(args)
+    work = _work(args, files, scene_from(files.scene), epochs)
     return next(_track(args, work, None)), work
 
 
-class Result(NamedTuple):
-    """Figures, the track to draw, and the error of the log or the truth."""
-
-    figures: dict[str, Any]
-    sampler: TrackSampler
-    scores: TruthScores | None  # scores against the truth, if there is one
-    error: ValueError | None
-
-
-def _run(args: "Args", work: Work) -> Result:
+def _run(args: LogArgs, work: Work) -> tuple[dict[str, Any], TrackSampler, ValueError | None]:
     """Localize, score and write, block by block.
+
+    Returns:
+        Figures, the track to draw, and the error of the log or the truth, if there is one.
 
     Raises:
         LogError: the log is damaged before the first epoch of a track; nothing is written.
@@ -285,8 +266,7 @@ def _run(args: "Args", work: Work) -> Result:
     names, truth = work.plan.names, work.truth
     course, groups, sampler = Course(names), Groups(), TrackSampler(names, work.scene.anchors_m)
     tracks = ["filtered", "smoothed"] if args.smoothing else ["filtered"]
-    planar = args.height is not None
-    scores = TruthScores(truth, tracks, planar, args.risk) if truth else None
+    scores = TruthScores(truth, tracks, args.height is not None, args.risk) if truth else None
     first: list[LogBlock] = []
     if truth:
         work = work._replace(blocks=keeping(work.blocks, first))
@@ -312,86 +292,57 @@ def _run(args: "Args", work: Work) -> Result:
         figures["association"] = work.association.figures()
     if truth and scores and scores.scored:
         truth.warn_if_few(scores.scored, course.epochs, course.first_s, course.last_s)
-        log = first[0].joined(first)
-        clock = clock_offset(log, work.scene, lambda time_s: Truth(truth.path).at(time_s))
+        first_epochs = first[0].joined(first)
+        clock = clock_offset(first_epochs, work.scene, lambda time_s: Truth(truth.path).at(time_s))
         figures["truth"] = scores.figures() | {"clock": clock and clock.figures()}
         if clock and clock.matters:
             warnings.warn(f"{truth.path}: {clock.advice}", stacklevel=2)
         scores.warn_if_far("filtered")
     elif truth and not error:
         error = truth.no_match(course.first_s, course.last_s)
-    return Result(figures, sampler, scores, error)
+    return figures, sampler, error
 
 
-def _diagnose(args: "Args", given: Inputs, scene: Scene, mode: Mode) -> None:
-    """Show facts about the log, and the likely mistakes whose correction makes it consistent.
-
-    Raises:
-        LogError: the log is damaged.
-    """
-    blocks = read_log(given.log, scene, odometry=False, limits=False)
-    first = next(blocks)
-    with progress("trying likely mistakes"):
-        findings = diagnose(first, scene, radio_from(args.radio), mode)
-        truth = Truth(given.truth) if given.truth else None
-        facts, damage = log_facts(chain([first], blocks), scene, truth)
-    if args.json:
-        figures = {"facts": facts} | diagnosis_figures(findings)
-        write_json(args.json, provenance("localize", args) | figures)
-    show(f"{facts_markdown(facts)}\n{diagnosis_markdown(findings)}")
-    if damage:
-        raise damage
-
-
-def localized(args: "Args") -> None:
+def localized(args: LogArgs) -> None:
     """Run the command."""
-    given = inputs(args)
-    _check(args, given)
-    scene = scene_from(given.scene)
+    files = inputs(args)
+    _check(args, files)
+    scene = scene_from(files.scene)
     if args.diagnose:
-        return _diagnose(args, given, scene, _modes(args)[-1])
-    work = _work(args, given, scene, EPOCHS_PER_BLOCK)
-    for path in filter(None, _outputs(args).values()):
+        return diagnosed(args, files.log, scene, files.truth, _modes(args)[-1])
+    work = _work(args, files, scene, EPOCHS_PER_BLOCK)
+    outputs = _outputs(args)
+    for path in filter(None, outputs.values()):
         require_writable(path)
-    figures, sampler, _, error = _run(args, work)
-    doubts = contradictions(work.first, scene, radio_from(args.radio), figures["groups"])
+    figures, sampler, error = _run(args, work)
+    doubts = contradictions(work.first, scene, work.radio, figures["groups"])
     for doubt in doubts:
         warnings.warn(f"{doubt}; --diagnose tries likely mistakes", stacklevel=2)
-    kind, written = "smoothed" if args.smoothing else "filtered", {}
-    if args.out:
-        written[f"{kind} track"] = str(args.out)
-        written["its standard deviations and modes"] = str(table_beside(args.out))
-    if args.plot:
-        written["picture"] = str(args.plot)
-    origin = {
-        "log": str(given.log),
+    kind = "smoothed" if args.smoothing else "filtered"
+    written = {
+        f"{kind} track": outputs["out"],
+        "its standard deviations and modes": outputs["the table beside out"],
+        "picture": outputs["plot"],
+    }
+    figures = {
+        "log": str(files.log),
         "scene": scene.name,
         "radio": args.radio,
         "imm": args.imm,
         "rule": work.plan.why,
-    }
-    figures = {
-        **origin,
         **figures,
         "contradictions": [d._asdict() for d in doubts],
-        "written": written,
+        "written": {content: str(path) for content, path in written.items() if path},
         "error": error and str(error),
     }
     if args.json:  # first, because whoever reads the tables may close the pipe
         write_json(args.json, provenance("localize", args) | figures)
     try:
         if args.plot:
-            title = f"{'/'.join(given.log.parts[-2:])}, {kind} track"
-            draw_trajectory(sampler.track, args.plot, title)
+            log = "/".join(files.log.parts[-2:])
+            draw_trajectory(sampler.track, args.plot, f"{log}, {kind} track")
     finally:  # the figures are shown even if a picture fails
-        _show(args, figures, error)
-
-
-def _show(args: "Args", figures: dict[str, Any], error: ValueError | None) -> None:
-    """Print the figures; then raise the error of the log or the truth, if there is one."""
-    try:
         show(track_markdown(figures))
-    finally:
         if error:
-            done = f"; {figures['epochs']} epochs are {'written' if args.out else 'shown'}"
-            raise ValueError(f"{error}{done}") from error
+            shown = "written" if args.out else "shown"
+            raise ValueError(f"{error}; {figures['epochs']} epochs are {shown}") from error

@@ -1,21 +1,63 @@
-"""Report that localize prints about a track."""
+"""Report that localize makes of a track: its text, and the epochs of its picture."""
 
+from collections.abc import Sequence
 from typing import Any
+
+import numpy as np
 
 from experiments.console.tables import grid
 from experiments.console.text import escaped
 from experiments.evaluation.positions import kinds_of, positions_markdown
+from experiments.figures.trajectory import DrawnTrack
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
+from mmwave_env.localization.localizer import TrackBlock
 from mmwave_env.metrics import HEADERS, INFO_KEYS
 from mmwave_env.models.prior import GAP_S
+from mmwave_env.numerics.numbers import Array
+
+_POINTS = 6000  # most points of a picture; a long track has at least half as many
+_POSITION = [0, 1, 3, 1, 2, 4, 3, 4, 5]  # position's part of a packed covariance
 
 
-def _decimals(value: float | None, digits: int = 3) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
+class TrackSampler:
+    """Every n-th epoch of a track, where n is a power of two that grows with the track.
+
+    Args:
+        modes: names of the modes.
+        anchors_m: (L, 3) positions of anchors, the physical gNB first.
+    """
+
+    def __init__(self, modes: Sequence[str], anchors_m: Array) -> None:
+        self._modes, self._anchors_m = list(modes), anchors_m
+        # time, mode, segment, position, truth, covariance
+        self._rows, self._every, self._epochs = np.empty((0, 18)), 1, 0
+
+    def add(self, block: TrackBlock, truth: Array | None) -> None:
+        """Add a block and its true positions (T, 3), NaN where not known."""
+        x, P = block.smooth_x[:, :3], block.smooth_P[:, _POSITION]
+        truth = np.full(x.shape, np.nan) if truth is None else truth
+        numbers = block.time_s, block.mode, np.full(len(block), block.segment)
+        rows = np.column_stack([*numbers, x, truth, P])[-self._epochs % self._every :: self._every]
+        self._rows = np.concatenate([self._rows, rows])
+        self._epochs += len(block)
+        while len(self._rows) > _POINTS:
+            self._rows, self._every = self._rows[::2], 2 * self._every
+
+    @property
+    def track(self) -> DrawnTrack:
+        """Return the sampled track for drawing."""
+        time_s, mode, segment, x, truth, P = np.split(self._rows, [1, 2, 3, 6, 9], axis=1)
+        numbers = mode[:, 0].astype(np.int64), segment[:, 0].astype(np.int64)
+        names, whole = (self._modes, self._anchors_m), self._every == 1
+        return DrawnTrack(time_s[:, 0], x, P.reshape(-1, 3, 3), truth, *numbers, *names, whole)
 
 
-def _percent(share: float | None) -> str:
-    return "-" if share is None else f"{100.0 * share:.1f} %"
+def _decimals(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.1f} %"
 
 
 def _times(count: int) -> str:
@@ -32,11 +74,11 @@ def _course(figures: dict[str, Any]) -> list[str]:
     if f["skipped"]:
         lines.append(f"{f['skipped']} epochs before the first line of sight were skipped")
     if f["restarts"] or f["dropped"]:
-        what = f"restarted {_times(f['restarts'])} after" if f["restarts"] else "ended at"
+        event = f"restarted {_times(f['restarts'])} after" if f["restarts"] else "ended at"
         gaps = f"{'a gap' if f['restarts'] < 2 else 'gaps'} of more than {GAP_S:g} s"
         if "association" in f:
             gaps += ", or where another track explained the paths better"
-        lines.append(f"{what} {gaps}; {f['dropped']} epochs skipped")
+        lines.append(f"{event} {gaps}; {f['dropped']} epochs skipped")
     shares = ", ".join(f"{escaped(name)} {_percent(n / epochs)}" for name, n in f["modes"].items())
     switches = f", switched {_times(f['switches'])}" if len(f["modes"]) > 1 else ""
     lines.append(f"modes {escaped(f['rule'])}: {shares} of the epochs{switches}")
@@ -77,28 +119,19 @@ def _clock(truth: dict[str, Any]) -> str:
     return said
 
 
-def _association(found: dict[str, Any]) -> list[str]:
-    between, starts = found["without_track"], found["starts"]
+def _association(counts: dict[str, Any]) -> list[str]:
+    between, starts = counts["without_track"], _times(counts["starts"])
     lines = [
-        f"{found['paths']} paths, {found['false']} of them false; the track was found "
-        f"{_times(starts)}"
+        f"{counts['paths']} paths, {counts['false']} of them false; the track was found {starts}"
     ]
-    if found["incomplete"]:
-        lines.append(f"{found['incomplete']} paths with only some of their numbers were left out")
+    if counts["incomplete"]:
+        lines.append(f"{counts['incomplete']} paths with only some of their numbers were left out")
     if between["epochs"]:
         lines.append(
             f"{between['epochs']} epochs without a track, whose {between['paths']} paths belong to "
             "no anchor"
         )
     return lines
-
-
-def _associated(found: dict[str, Any]) -> str:
-    rows = [
-        [name, str(paths), str(found["missed"][name])]
-        for name, paths in found["associated"].items()
-    ]
-    return grid(["anchor", "paths", "missed"], rows)
 
 
 def _accuracy(truth: dict[str, Any], epochs: int) -> str:
@@ -118,15 +151,16 @@ def _accuracy(truth: dict[str, Any], epochs: int) -> str:
 
 def track_markdown(figures: dict[str, Any]) -> str:
     """Return the figures of a track, as the command collects them, as Markdown."""
-    found = figures.get("association")
-    lines = _course(figures) + (_association(found) if found else [])
+    counts = figures.get("association")
+    lines = _course(figures) + (_association(counts) if counts else [])
     parts = ["".join(f"- {line}\n" for line in lines)]
-    if found:
-        parts.append(_associated(found) + "\n")
+    if counts:
+        rows = [[name, n, counts["missed"][name]] for name, n in counts["associated"].items()]
+        parts.append(grid(["anchor", "paths", "missed"], rows) + "\n")
     parts.append(_groups(figures["groups"]) + "\n")
     if "truth" in figures:
         parts.append(_accuracy(figures["truth"], figures["epochs"]))
     if figures["written"]:
-        files = (f"{escaped(path)} ({what})" for what, path in figures["written"].items())
+        files = (f"{escaped(path)} ({content})" for content, path in figures["written"].items())
         parts.append(f"Written: {', '.join(files)}\n")
     return "\n".join(parts)

@@ -1,4 +1,4 @@
-"""Rows of a sweep: results of an evaluation or of a training."""
+"""Rows of a sweep: results of an evaluation or of a training, in a folder of Parquet files."""
 
 import tempfile
 import warnings
@@ -13,9 +13,17 @@ from experiments.evaluation.asked import contender_of, task_of
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.seeds import Selection
-from experiments.sweeping.spec import HYPERPARAMETER, Evaluation, Training, Values
+from experiments.sweeping.spec import (
+    HYPERPARAMETER,
+    Evaluation,
+    Spec,
+    Training,
+    Values,
+    plain,
+)
 from experiments.training.hyperparameters import Hyperparameters
 from experiments.training.run import hyperparameters, training_task
+from mmwave_env.io.files import atomic_path, told, write_bytes
 from mmwave_env.metrics import METRICS
 
 Row = dict[str, Any]
@@ -25,13 +33,13 @@ def evaluated(values: Values) -> Row:
     """Return means of the metrics of an evaluation, their 95 % intervals, and every episode's."""
     args = Evaluation(**values)
     selection = Selection(range(args.seed, args.seed + args.episodes))
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always", UserWarning)
         task, contender = task_of(args), contender_of(args, args.policy)
         (scores,) = score_contenders(
             [contender], task.source, args.radio, selection, scoring=Scoring.of(task)
         ).values()
-    row: Row = {"warnings": "; ".join(sorted({str(one.message) for one in said}))}
+    row: Row = {"warnings": "; ".join(sorted({str(warning.message) for warning in warned}))}
     intervals = bootstrap(np.stack([*scores.values()], axis=1))
     for (metric, each), interval in zip(scores.items(), intervals, strict=True):
         row |= {f"{metric}_{part}": number for part, number in vars(interval).items()}
@@ -49,7 +57,7 @@ def trained(values: Values, tell: Callable[[Row], None] = lambda row: None) -> R
     from experiments.training.job import Job, News
     from experiments.training.processes import train
 
-    args, found = training_of(values)
+    args, tried = training_of(values)
 
     def hear(news: News) -> None:
         if news.evaluation is not None:
@@ -57,9 +65,15 @@ def trained(values: Values, tell: Callable[[Row], None] = lambda row: None) -> R
 
     with tempfile.TemporaryDirectory() as folder:
         job = Job(
-            training_task(args), found, args.seed, args.total_timesteps, Path(folder),
-            "mmwave-loc sweep", checkpoint_every=1 << 30, episodes=args.episodes,
-        )  # fmt: skip
+            training_task(args),
+            tried,
+            args.seed,
+            args.total_timesteps,
+            Path(folder),
+            "mmwave-loc sweep",
+            checkpoint_every=1 << 30,
+            episodes=args.episodes,
+        )
         return _row(train(job, hear)["best"]) | {"policy_file": job.policy.read_bytes()}
 
 
@@ -69,7 +83,58 @@ def _row(figures: Mapping[str, float]) -> Row:
 
 def training_of(values: Values) -> tuple[Training, Hyperparameters]:
     """Return the options of a training, and the shipped hyperparameters with its changes."""
-    changed = {k: v for k, v in values.items() if k.startswith(HYPERPARAMETER)}
-    args = Training(**{k: v for k, v in values.items() if k not in changed})
-    shipped = hyperparameters(args, len(args.places) or 1)
-    return args, replace(shipped, **{k.removeprefix(HYPERPARAMETER): v for k, v in changed.items()})
+    options, changed = dict[str, Any](), dict[str, Any]()
+    for axis, value in values.items():
+        name = axis.removeprefix(HYPERPARAMETER)
+        (options if name == axis else changed)[name] = value
+    args = Training(**options)
+    return args, replace(hyperparameters(args, len(args.places) or 1), **changed)
+
+
+# --- the folder
+
+
+def kept(folder: Path, spec: Spec) -> set[str]:
+    """Return the names of the cells, or trials, of a sweep whose rows are in a folder.
+
+    Raises:
+        ValueError: the folder has a row of another sweep.
+    """
+    names = {path.stem for path in folder.glob("[!.]*.parquet")}  # hidden files are incomplete
+    for name in names:
+        if not (name.startswith(spec.trial) if spec.free else name in spec.cells):
+            raise ValueError(
+                f"{folder / name}.parquet: found a row of another sweep, or of this one by another "
+                "version or before a file that it names was changed; --out names another folder"
+            )
+    return names
+
+
+def keep(folder: Path, name: str, values: Values, result: Values) -> None:
+    """Write the row of a cell, and with it the policy of a training."""
+    import pyarrow
+    from pyarrow import parquet
+
+    row = {axis: plain(value) for axis, value in values.items()} | dict(result)
+    if "policy_file" in row:
+        write_bytes(folder / f"{name}.safetensors", row.pop("policy_file"))
+    with atomic_path(folder / f"{name}.parquet") as temporary:
+        parquet.write_table(pyarrow.Table.from_pylist([row]), temporary)
+
+
+def read(folder: Path, spec: Spec) -> dict[str, Values]:
+    """Read the rows of a sweep, by the name of their cell.
+
+    Raises:
+        ValueError: same as from :func:`kept`, or a file can't be read; the message names it.
+    """
+    from pyarrow import ArrowException, parquet
+
+    rows = {}
+    for name in sorted(kept(folder, spec)):
+        path = folder / f"{name}.parquet"
+        try:
+            (rows[name],) = parquet.read_table(path).to_pylist()
+        except (ArrowException, OSError, ValueError) as error:
+            raise ValueError(f"{path}: found no row ({told(error)}); remove it") from error
+    return rows

@@ -6,7 +6,6 @@ import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -40,16 +39,13 @@ def connected(address: str | None, workers: int | None) -> Iterator[None]:
     os.environ |= ENVIRONMENT | ({"RAY_NUM_REDIS_GET_RETRIES": "1"} if address else {})
     import ray
 
-    where: dict[str, Any] = {
-        "num_cpus": workers,
-        "object_store_memory": 100 << 20,
-    }  # rows are small
+    options: dict[str, Any] = {"num_cpus": workers, "object_store_memory": 100 << 20}  # small rows
     if address is not None:
-        packages = [import_module(name) for name in ("mmwave_env", "policies", "experiments")]
-        folders = [str(Path(str(package.__file__)).parent) for package in packages]
-        where = {"address": address, "runtime_env": {"py_modules": folders}}
-    where |= {"include_dashboard": False, "log_to_driver": False, "logging_level": logging.ERROR}
-    ray.init(**where)
+        root = Path(__file__).resolve().parents[2]
+        folders = [str(root / package) for package in ("mmwave_env", "policies", "experiments")]
+        options = {"address": address, "runtime_env": {"py_modules": folders}}
+    options |= {"include_dashboard": False, "log_to_driver": False, "logging_level": logging.ERROR}
+    ray.init(**options)
     try:
         # Ray has just replaced the signal handlers by its own, and would print among our tables.
         with ended_by_signals(), open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
@@ -77,10 +73,10 @@ def computed(
             running[task.remote(values)] = name
         if not running:
             return
-        (one,), _ = ray.wait(list(running))
-        name = running.pop(one)
+        (finished,), _ = ray.wait(list(running))
+        name = running.pop(finished)
         try:
-            yield name, ray.get(one), ""
+            yield name, ray.get(finished), ""
         except ray.exceptions.RayError as error:
             cause = getattr(error, "cause", None)
             ended = f"its process ended {RETRIES + 1} times ({type(error).__name__})"
@@ -132,16 +128,13 @@ def searched(
     stopping = ASHAScheduler(
         "timesteps", max_t=most, grace_period=max(1, most // RUNGS), reduction_factor=SHARE
     )
+    tuning = tune.TuneConfig(
+        **goal, num_samples=spec.trials - len(before), search_alg=sampler, scheduler=stopping
+    )
+    retries = tune.FailureConfig(max_failures=RETRIES)
     with tempfile.TemporaryDirectory() as folder:
-        trials = tune.Tuner(
-            trial,
-            tune_config=tune.TuneConfig(
-                **goal, num_samples=spec.trials - len(before), search_alg=sampler,
-                scheduler=stopping,
-            ),
-            run_config=tune.RunConfig(
-                storage_path=folder, verbose=0, callbacks=[Keeper()],
-                failure_config=tune.FailureConfig(max_failures=RETRIES),
-            ),
-        ).fit()  # fmt: skip
+        running = tune.RunConfig(
+            storage_path=folder, verbose=0, callbacks=[Keeper()], failure_config=retries
+        )
+        trials = tune.Tuner(trial, tune_config=tuning, run_config=running).fit()
     return [str(error).strip().splitlines()[-1] for error in trials.errors]

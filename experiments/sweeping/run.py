@@ -12,9 +12,8 @@ from experiments.console.progress import note, progress, say
 from experiments.console.provenance import command_line
 from experiments.console.tables import grid, show
 from experiments.evaluation.intervals import Interval, rounded
-from experiments.sweeping.cells import evaluated, trained, training_of
+from experiments.sweeping.cells import evaluated, keep, kept, read, trained, training_of
 from experiments.sweeping.on_ray import computed, connected, searched
-from experiments.sweeping.rows import keep, kept, read
 from experiments.sweeping.spec import HYPERPARAMETER, Spec, Training, Values, read_spec
 from experiments.training.hyperparameters import hyperparameters_as_written
 from mmwave_env.io.files import write_json
@@ -33,11 +32,11 @@ def sweep(file: Path, folder: Path, address: str | None, workers: int | None) ->
     spec = read_spec(file)
     if spec.kind != "evaluate":
         require_extra("stable_baselines3", "train", f"{file}, which trains,")
-    there, failed = kept(folder, spec), list[str]()
-    note(f"{len(spec)} cells, {len(there)} of them kept from before, in {folder}")
-    if len(there) < len(spec):
+    done, failed = kept(folder, spec), list[str]()
+    note(f"{len(spec)} cells, {len(done)} of them kept from before, in {folder}")
+    if len(done) < len(spec):
         with connected(address, workers):
-            for failure in _failures(spec, folder, there):
+            for failure in _failures(spec, folder, done):
                 note(f"failed: {failure}")
                 failed.append(failure)
     if rows := read(folder, spec):
@@ -48,20 +47,20 @@ def sweep(file: Path, folder: Path, address: str | None, workers: int | None) ->
         raise ValueError(f"{len(failed)} of {len(spec)} cells failed, the others are in {folder}")
 
 
-def _failures(spec: Spec, folder: Path, there: Collection[str]) -> Iterator[str]:
+def _failures(spec: Spec, folder: Path, done: Collection[str]) -> Iterator[str]:
     """Compute missing cells, write their rows, and yield a message for each failure."""
     if spec.free:
         yield from searched(trained, spec, read(folder, spec), partial(keep, folder))
         return
-    todo = {name: values for name, values in spec.cells.items() if name not in there}
+    todo = {name: values for name, values in spec.cells.items() if name not in done}
     compute = evaluated if spec.kind == "evaluate" else trained
     with progress("cells") as bar:
         for number, (name, row, error) in enumerate(computed(compute, todo), start=1):
             if row is not None:
                 keep(folder, name, todo[name], row)
             else:
-                said = (f"{axis} {value}" for axis, value in todo[name].items())
-                yield f"{', '.join(said)}: {error}"
+                cell = ", ".join(f"{axis} {value}" for axis, value in todo[name].items())
+                yield f"{cell}: {error}"
             bar(number / len(todo))
 
 
@@ -88,7 +87,8 @@ def _tell_best(spec: Spec, folder: Path, rows: Mapping[str, Values]) -> None:
     if not spec.free:
         say(f"The best of the trainings is {folder / best}.safetensors")
         return
-    (args, found), path = training_of(spec.values_of(rows[best])), folder / "hyperparameters.json"
-    write_json(path, hyperparameters_as_written(found))
+    path = folder / "hyperparameters.json"
+    args, tried = training_of(spec.values_of(rows[best]))
+    write_json(path, hyperparameters_as_written(tried))
     train = command_line("train", replace(args, seed=Training.seed, episodes=Training.episodes))
     say("To train as the best did:", f"{train} --hyperparameters {shlex.quote(str(path))}")

@@ -82,23 +82,19 @@ class Spec:
 
     def values_of(self, row: Values) -> Values:
         """Return the values of the trial that has a row, or of a proposal of Optuna's."""
-        found = {axis: value for axis, (value,) in self.axes.items()}
+        values = {axis: value for axis, (value,) in self.axes.items()}
         for axis in self.free:
             value = json.loads(row[axis]) if isinstance(row[axis], str) else row[axis]
-            found[axis] = tuple(value) if isinstance(value, list) else value
-        return found
+            values[axis] = tuple(value) if isinstance(value, list) else value
+        return values
 
     def _digest(self, values: Values) -> str:
         """Return a name that depends on values, version and the content of the files they name."""
         words = itertools.chain(*(v if isinstance(v, tuple) else (v,) for v in values.values()))
-        files = [_content(word) for word in words if isinstance(word, str) and os.path.isfile(word)]
+        paths = (Path(word) for word in words if isinstance(word, str) and os.path.isfile(word))
+        files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
         work = json.dumps([__version__, self.kind, sorted(values.items()), files], default=repr)
         return hashlib.sha256(work.encode()).hexdigest()[:16]
-
-
-def _content(path: str) -> str:
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def plain(value: Any) -> Any:
@@ -131,11 +127,11 @@ def _spec(content: Any) -> Spec:
     trials = table.pop("trials", None) if kind == "search" else 1
     require(f"{kind}.trials", trials, Count)
     axes = dict(_options(kind, table))
-    found = dict(_hyperparameters(kind, tried, axes))
-    spec = Spec(kind, axes, trials, found) if kind == "search" else Spec(kind, axes | found)
+    free = dict(_hyperparameters(kind, tried, axes))
+    spec = Spec(kind, axes, trials, free) if kind == "search" else Spec(kind, axes | free)
     if len(spec) > MOST_CELLS:
         raise ValueError(f"{kind}: found {len(spec)} cells, expected at most {MOST_CELLS}")
-    if kind == "search" and not (found and all(len(values) == 1 for values in axes.values())):
+    if kind == "search" and not (free and all(len(values) == 1 for values in axes.values())):
         raise ValueError("search: expected hyperparameters to try, and one value of all else")
     return spec
 
@@ -144,52 +140,51 @@ def _options(kind: str, table: Values) -> Iterator[tuple[str, Sequence[Any]]]:
     for option in fields(KINDS[kind]):
         if option.default is MISSING and option.name not in table:
             raise ValueError(f"{kind}.{option.name}: found none, expected one")
-    for key, value in table.items():
-        hint, values = choose(hints_of(KINDS[kind]), key, f"{kind}: key"), _values(key, value)
-        for one in values:
-            require(f"{kind}.{key}", one, hint)
+    for key, content in table.items():
+        hint, values = choose(hints_of(KINDS[kind]), key, f"{kind}: key"), _values(key, content)
+        for value in values:
+            require(f"{kind}.{key}", value, hint)
         yield key, values
 
 
 def _hyperparameters(kind: str, table: Values, axes: Values) -> Iterator[tuple[str, Any]]:
     """Yield the values or the distribution of each hyperparameter; refuse invalid ones."""
     algo, beliefs = (axes.get(name, [getattr(Training, name)])[0] for name in ("algo", "beliefs"))
-    found = read_hyperparameters(shipped_hyperparameters(algo, beliefs), algo)
-    types = get_type_hints(type(found))
-    for name, value in table.items():
+    checked = read_hyperparameters(shipped_hyperparameters(algo, beliefs), algo)
+    types = get_type_hints(type(checked))
+    for name, content in table.items():
         axis, of_type = HYPERPARAMETER + name, choose(types, name, f"{kind}.hyperparameters")
-        is_range = kind == "search" and isinstance(value, dict)
-        values = [value.get("low"), value.get("high")] if is_range else _values(name, value)
-        for one in reversed(values):
-            found = replace(found, **{name: one})
+        is_range = kind == "search" and isinstance(content, dict)
+        values = [content.get("low"), content.get("high")] if is_range else _values(name, content)
+        for value in reversed(values):
+            checked = replace(checked, **{name: value})
         if kind == "search":
-            yield axis, _distribution(axis, value if is_range else values, of_type is int)
-        else:
-            yield axis, values
+            values = _distribution(axis, content if is_range else values, of_type is int)
+        yield axis, values
 
 
-def _distribution(axis: str, found: Any, whole: bool) -> Any:
+def _distribution(axis: str, choices: Any, whole: bool) -> Any:
     """Return the range or list that Optuna chooses from."""
     require_extra("optuna", "ray", "a search")
     from optuna import distributions
 
     try:
-        if not isinstance(found, dict):
-            return distributions.CategoricalDistribution([plain(one) for one in found])
+        if not isinstance(choices, dict):
+            return distributions.CategoricalDistribution([*map(plain, choices)])
         kind = distributions.IntDistribution if whole else distributions.FloatDistribution
-        return kind(**found)
+        return kind(**choices)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{axis}: found {quoted(found)}, expected low, high: {error}") from error
+        raise ValueError(f"{axis}: found {quoted(choices)}, expected low, high: {error}") from error
 
 
-def _values(key: str, value: Any) -> Sequence[Any]:
+def _values(key: str, content: Any) -> Sequence[Any]:
     """Return the values of an axis; several values of modes or places are lists of lists."""
-    several = isinstance(value, list) and (
-        key not in ("modes", "places") or all(isinstance(one, list) for one in value)
+    several = isinstance(content, list) and (
+        key not in ("modes", "places") or all(isinstance(value, list) for value in content)
     )
-    values = [tuple(v) if isinstance(v, list) else v for v in (value if several else [value])]
+    values = [tuple(v) if isinstance(v, list) else v for v in (content if several else [content])]
     if not values or len(set(map(repr, values))) < len(values):
-        raise ValueError(f"{key}: found {quoted(value)}, expected values, each once")
-    if any(isinstance(one, float) for one in values):  # a column holds numbers of one type
-        return [float(one) if type(one) is int else one for one in values]
+        raise ValueError(f"{key}: found {quoted(content)}, expected values, each once")
+    if any(isinstance(value, float) for value in values):  # a column holds numbers of one type
+        return [float(value) if type(value) is int else value for value in values]
     return values

@@ -2,10 +2,12 @@
 
 import gc
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from statistics import median
 from typing import Any
+
+import numpy as np
 
 from experiments.timing.fresh import fresh
 from experiments.timing.operations import Operations, count
@@ -35,6 +37,7 @@ from mmwave_env.world.travel import stride_of
 FRESH_RUNS = 3  # most runs of every process, since a run takes seconds
 FRESH_SIZES = 3  # the largest sizes only: smaller sizes need about the same
 STEP = "step"  # name of the whole environment's step among the kernels
+BASES = ("filterpy", SYNC_NAME)  # workloads that ours are compared with
 
 Rounds = dict[str, list[float]]
 
@@ -92,14 +95,13 @@ class Measured:
 
         Every round runs each workload once, so that a drift of the machine affects all alike.
         """
-        processes = min(FRESH_RUNS, repeats) * len(self._processes)
-        workloads = len(self.rates) + len(self.filters)
-        pieces = processes + workloads + repeats * (workloads + 1)
-        for done, _ in enumerate(self._pieces(seconds, repeats), start=1):
+        starts, workloads = min(FRESH_RUNS, repeats), len(self.rates) + len(self.filters)
+        pieces = starts * len(self._processes) + workloads + repeats * (workloads + 1)
+        for done, _ in enumerate(self._pieces(seconds, repeats, starts), start=1):
             yield done / pieces
 
-    def _pieces(self, seconds: float, repeats: int) -> Iterator[None]:
-        for _ in range(min(FRESH_RUNS, repeats)):
+    def _pieces(self, seconds: float, repeats: int, starts: int) -> Iterator[None]:
+        for _ in range(starts):
             for name, process in self._processes.items():
                 first_step_s, peak_mb = fresh(*process)
                 self.cold_start_s[name].append(first_step_s)
@@ -115,36 +117,35 @@ class Measured:
             for name, laps in running.items():
                 rates[name].measure(laps, seconds)
                 yield
-            self._time_the_core()
+            for name, operations in self.operations.items():
+                self.limits_s[name].append(limit_s(operations) / WIDTH)
             yield
-
-    def _time_the_core(self) -> None:
-        for name, operations in self.operations.items():
-            self.limits_s[name].append(limit_s(operations) / WIDTH)
 
     def natives(self, threads: int = BOTH) -> list[str]:
         """Return names of the native vector environments with ``threads`` threads."""
         return [native_name(n, threads) for n in self.sizes]
 
+    @property
+    def ours(self) -> list[str]:
+        """Return names of our environments, the single one first."""
+        return ["single"] + [name for threads in THREADS for name in self.natives(threads)]
+
     def ratios(self) -> Rounds:
         """Return steps per second relative to the filterpy loop and to the sync vector."""
-        ours = ["single"] + [name for threads in THREADS for name in self.natives(threads)]
-        rates = {name: rates.steps_per_s for name, rates in self.rates.items()}
         return {
-            f"{name}_over_{base}": quotients(rates[name], rates[base])
-            for base in ("filterpy", SYNC_NAME)
-            for name in ours
+            f"{name}_over_{base}": quotients(
+                self.rates[name].steps_per_s, self.rates[base].steps_per_s
+            )
+            for base in BASES
+            for name in self.ours
         }
 
     def fractions(self) -> Rounds:
         """Return the limit of a core over the time taken, for filters and environments."""
-        taken = self.filters | {name: self.rates[name] for name in self.natives(1)}
+        workloads = self.filters | {name: self.rates[name] for name in self.natives(1)}
         return {
-            name: [
-                limit * rate
-                for limit, rate in zip(self.limits_of(name), rates.steps_per_s, strict=True)
-            ]
-            for name, rates in taken.items()
+            name: np.multiply(self.limits_of(name), rates.steps_per_s).tolist()
+            for name, rates in workloads.items()
         }
 
     def limits_of(self, name: str) -> list[float]:
@@ -154,22 +155,26 @@ class Measured:
     def json(self) -> dict[str, Any]:
         """Return medians, and separately their range over the rounds."""
         rates = self.rates | self.filters
-        rounds: dict[str, Rounds] = {
+        tables: dict[str, Rounds] = {
             "ratios": self.ratios(),
             "limit_fraction": self.fractions(),
-            "steps_per_s": {name: one.steps_per_s for name, one in rates.items()},
+            "steps_per_s": {name: rate.steps_per_s for name, rate in rates.items()},
             "cold_start_s": self.cold_start_s,
             "peak_rss_mb": self.peak_mb,
-            "cores_busy": {name: one.cores for name, one in rates.items()},
+            "cores_busy": {name: rate.cores for name, rate in rates.items()},
             "limit_s": self.limits_s,
         }
+
+        def each(figure: Callable[[list[float]], Any]) -> dict[str, Any]:
+            return {
+                title: {name: figure(values) for name, values in table.items()}
+                for title, table in tables.items()
+            }
+
         return {
-            **{what: {k: median(v) for k, v in table.items()} for what, table in rounds.items()},
-            "operations": {name: found._asdict() for name, found in self.operations.items()},
-            "spread": {
-                what: {k: [min(v), max(v)] for k, v in table.items()}
-                for what, table in rounds.items()
-            },
+            **each(median),
+            "operations": {name: kernel._asdict() for name, kernel in self.operations.items()},
+            "spread": each(lambda values: [min(values), max(values)]),
         }
 
 
@@ -183,13 +188,14 @@ def kernels() -> dict[str, Operations]:
         name: Tracker(Pipeline((modes[name],), layout), 1).program for name in FILTERS
     }
     programs[STEP] = Engine(pipeline(), 1, TrackingReward()).batch.program
-    counted = {name: count(one.function, one.template) for name, one in programs.items()}
+    counted = {name: count(made.function, made.template) for name, made in programs.items()}
     drawn = source()
     observed, _, moved = (count(part, drawn.world.template) for part in drawn.world.parts)
-    made = zip(counted[STEP], observed, *[moved] * stride_of(drawn.dt), strict=True)
-    return counted | {STEP: Operations(*map(sum, made))}
+    parts = zip(counted[STEP], observed, *[moved] * stride_of(drawn.dt), strict=True)
+    return counted | {STEP: Operations(*map(sum, parts))}
 
 
 def quotients(over: Sequence[float], under: Sequence[float]) -> list[float]:
     """Divide two lists, round by round."""
-    return [a / b for a, b in zip(over, under, strict=True)]
+    quotient: list[float] = np.divide(over, under).tolist()
+    return quotient

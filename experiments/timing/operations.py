@@ -14,10 +14,8 @@ from llvmlite import ir
 from mmwave_env.compiler.lanes import Lanes
 from mmwave_env.numerics.pytree import flatten, unflatten
 
-_KINDS = {
-    "fadd": "add", "fsub": "add", "fmul": "multiply", "fdiv": "divide", "llvm.sqrt": "root",
-    "load": "load", "bitcast": "free",
-}  # fmt: skip
+_KINDS = {"fadd": "add", "fsub": "add", "fmul": "multiply", "fdiv": "divide"}
+_KINDS |= {"llvm.sqrt": "root", "load": "load", "bitcast": "free"}  # all others: "select"
 _COMMUTE = ("fadd", "fmul", "and_", "or_")
 
 
@@ -25,15 +23,12 @@ class Operations(NamedTuple):
     """SIMD instructions, each on eight environments."""
 
     fused: int = 0  # multiply-adds: products that only one sum uses
-    # add, multiply: remaining sums or differences, and remaining products
-    add: int = 0
-    multiply: int = 0
-    # divide, root: quotients and square roots
+    add: int = 0  # remaining sums and differences
+    multiply: int = 0  # remaining products
     divide: int = 0
-    root: int = 0
+    root: int = 0  # square roots
     select: int = 0  # comparisons, choices, signs and bits
-    # load, store: rows of the workspace
-    load: int = 0
+    load: int = 0  # rows of the workspace
     store: int = 0
 
 
@@ -95,28 +90,27 @@ def count(function: Callable[[Any], Any], template: Any) -> Operations:
 
 def _counted(results: Sequence[_Instruction], stores: int) -> Operations:
     needed = list(_needed(results))
-    kinds = Counter(one.kind for one in needed)
-    uses = Counter(source for one in needed for source in one.sources()) + Counter(results)
+    kinds = Counter(step.kind for step in needed)
+    uses = Counter(source for step in needed for source in step.sources()) + Counter(results)
     fused = sum(
-        any(source.kind == "multiply" and uses[source] == 1 for source in one.sources())
-        for one in needed
-        if one.kind == "add"
+        any(source.kind == "multiply" and uses[source] == 1 for source in step.sources())
+        for step in needed
+        if step.kind == "add"
     )
-    kinds.subtract({"add": fused, "multiply": fused})
     # Several quotients by one divisor become products with its reciprocal ("arcp" of the lanes).
-    divisors = Counter(one.operands[1] for one in needed if one.kind == "divide")
-    shared = [quotients for quotients in divisors.values() if quotients > 1]
-    kinds.update(divide=len(shared) - sum(shared), multiply=sum(shared))
-    kinds.update(fused=fused, store=stores)
+    divisors = Counter(step.operands[1] for step in needed if step.kind == "divide")
+    products = sum(quotients for quotients in divisors.values() if quotients > 1)
+    kinds.update(fused=fused, store=stores, multiply=products - fused, add=-fused)
+    kinds["divide"] = len(divisors)
     return Operations(**{kind: kinds[kind] for kind in Operations._fields})
 
 
 def _needed(results: Iterable[_Instruction]) -> Iterator[_Instruction]:
     """Yield every instruction that the results depend on, each once."""
-    waiting, seen = list(results), set()
+    waiting, yielded = list(results), set()
     while waiting:
-        one = waiting.pop()
-        if one not in seen:
-            seen.add(one)
-            waiting += one.sources()
-            yield one
+        step = waiting.pop()
+        if step not in yielded:
+            yielded.add(step)
+            waiting += step.sources()
+            yield step

@@ -12,8 +12,8 @@ import numba
 import numpy as np
 
 from experiments.console.tables import grid
-from experiments.timing.measured import Measured, Rates, quotients
-from experiments.timing.workloads import FILTERS, SYNC, SYNC_NAME, THREADS
+from experiments.timing.measured import BASES, Measured, Rates, Rounds, quotients
+from experiments.timing.workloads import FILTERS, SYNC, SYNC_NAME
 
 LABELS = {
     "filterpy": "filterpy loop",
@@ -26,8 +26,8 @@ def label(name: str) -> str:
     """Return the name of a workload in tables and pictures."""
     if name in LABELS:
         return LABELS[name]
-    what, n, *threads = name.split("_")  # such as native_64_2_threads
-    return ", ".join([what, f"N = {n}", *([" ".join(threads)] if threads else [])])
+    kind, n, *threads = name.split("_")  # such as native_64_1_thread
+    return ", ".join([kind, f"N = {n}", *[" ".join(threads)] * bool(threads)])
 
 
 def short(value: float) -> str:
@@ -53,29 +53,24 @@ def tables(measured: Measured) -> dict[str, str]:
 
 def _ratios(measured: Measured) -> str:
     ratios = measured.ratios()
-    names = ["single"] + [name for threads in THREADS for name in measured.natives(threads)]
     rows = [
-        [label(name)] + [spread(ratios[f"{name}_over_{base}"]) for base in ("filterpy", SYNC_NAME)]
-        for name in names
+        [label(name), *(spread(ratios[f"{name}_over_{base}"]) for base in BASES)]
+        for name in measured.ours
     ]
-    header = ["steps per second of", *(f"over {label(base)}" for base in ("filterpy", SYNC_NAME))]
-    return grid(header, rows)
+    return grid(["steps per second of", *(f"over {label(base)}" for base in BASES)], rows)
+
+
+def _rate(name: str, rates: Rates) -> list[str]:
+    return [label(name), spread(rates.steps_per_s), short(1e9 / median(rates.steps_per_s))]
 
 
 def _rates(measured: Measured) -> str:
-    def row(name: str, rates: Rates) -> list[str]:
-        cost = short(1e9 / median(rates.steps_per_s))
-        return [label(name), spread(rates.steps_per_s), cost, f"{median(rates.cores):.2f}"]
-
-    header = ["", "steps per second", "ns a step", "cores busy"]
-    return grid(header, [row(*one) for one in measured.rates.items()])
+    rows = [[*_rate(*item), f"{median(item[1].cores):.2f}"] for item in measured.rates.items()]
+    return grid(["", "steps per second", "ns a step", "cores busy"], rows)
 
 
 def _filters(measured: Measured) -> str:
-    rows = [
-        [label(name), spread(rates.steps_per_s), short(1e9 / median(rates.steps_per_s))]
-        for name, rates in measured.filters.items()
-    ]
+    rows = [_rate(*item) for item in measured.filters.items()]
     return grid(["filter", "epochs per second", "ns an epoch"], rows)
 
 
@@ -89,14 +84,9 @@ def _limits(measured: Measured) -> str:
     return grid(["one thread", "limit of the core, ns a step", "taken, ns", "reached, %"], rows)
 
 
-def _memory(measured: Measured) -> str:
-    peaks = [[label(name), spread(found)] for name, found in measured.peak_mb.items()]
-    return grid(["fresh process", "peak memory, MiB"], peaks)
-
-
-def _first_steps(measured: Measured) -> str:
-    rows = [[label(name), spread(found)] for name, found in measured.cold_start_s.items()]
-    return grid(["fresh process", "seconds to the end of the first step"], rows)
+def _processes(header: str, rounds: Rounds) -> str:
+    rows = [[label(name), spread(values)] for name, values in rounds.items()]
+    return grid(["fresh process", header], rows)
 
 
 def _machine(measured: Measured) -> str:
@@ -108,8 +98,8 @@ def _machine(measured: Measured) -> str:
 
 
 def _processor() -> str:
-    found = Path("/proc/cpuinfo")
-    if found.exists() and (names := re.findall(r"model name\s*: (.*)", found.read_text())):
+    info = Path("/proc/cpuinfo")
+    if info.exists() and (names := re.findall(r"model name\s*: (.*)", info.read_text())):
         return str(names[0])
     return platform.processor() or platform.machine()
 
@@ -119,8 +109,8 @@ _TABLES: dict[str, Callable[[Measured], str]] = {
     "Steps per second": _rates,
     "Filters alone": _filters,
     "Limit of the core": _limits,
-    "Peak memory": _memory,
-    "First step": _first_steps,
+    "Peak memory": lambda m: _processes("peak memory, MiB", m.peak_mb),
+    "First step": lambda m: _processes("seconds to the end of the first step", m.cold_start_s),
     "Machine": _machine,
 }
 TITLES = tuple(_TABLES)

@@ -24,26 +24,24 @@ LENGTH = 480  # operations of a timed kernel: many per loop, but few enough for 
 BLOCKS, ROWS = 4, 64  # 16 KiB, which any first-level cache holds
 CALLS, TRIES = 1000, 10
 
-# Steps of a chain; "one" and "zero" are numbers whose values the compiler does not know.
+# Steps of a chain; the factor 1 and the term 0 are numbers that the compiler does not know.
 _STEPS: dict[str, Callable[..., Any]] = {
-    "fused": lambda x, one, zero, other: x * one + zero,
-    "add": lambda x, one, zero, other: x + zero,
-    "multiply": lambda x, one, zero, other: x * one,
-    "divide": lambda x, one, zero, other: other / x,
-    "root": lambda x, one, zero, other: sqrt(x),
-    "select": lambda x, one, zero, other: where(x > zero, x, other),
+    "fused": lambda x, factor, term, other: x * factor + term,
+    "add": lambda x, factor, term, other: x + term,
+    "multiply": lambda x, factor, term, other: x * factor,
+    "divide": lambda x, factor, term, other: other / x,
+    "root": lambda x, factor, term, other: sqrt(x),
+    "select": lambda x, factor, term, other: where(x > term, x, other),
 }
-_INSTRUCTIONS = dict.fromkeys(_STEPS, 1) | {"select": 2}  # "select" compares, then chooses
-KINDS = tuple(_STEPS)
 
 
 def limit_s(operations: Operations) -> float:
     """Return the least seconds of a core for the operations, each on eight environments."""
     steps, rows = sum(_steps(operations).values()), max(operations.load, operations.store)
-    return max(steps * mix_s(operations), rows * copying_s())
+    return max(steps * _mix_s(operations), rows * _copying_s())
 
 
-def mix_s(operations: Operations) -> float:
+def _mix_s(operations: Operations) -> float:
     """Return seconds per step of a mix, at the best number of chains."""
     order = interleaved(operations)
     blocks = np.full((1, ROWS, WIDTH), 1.7)
@@ -51,10 +49,9 @@ def mix_s(operations: Operations) -> float:
     return min(_seconds(_chains(order, chains), blocks) for chains in CHAINS) / LENGTH
 
 
-def copying_s() -> float:
+def _copying_s() -> float:
     """Return seconds of a load and a store in the first-level cache."""
-    blocks = np.zeros((BLOCKS, ROWS, WIDTH))
-    return _seconds(_copying(), blocks) / (BLOCKS * ROWS // 2)
+    return _seconds(_copying(), np.zeros((BLOCKS, ROWS, WIDTH))) / (BLOCKS * ROWS // 2)
 
 
 def interleaved(operations: Operations) -> tuple[str, ...]:
@@ -63,13 +60,14 @@ def interleaved(operations: Operations) -> tuple[str, ...]:
     total = sum(steps.values())
     order: list[str] = []
     for length in range(1, LENGTH + 1):
-        lag = {kind: length * steps[kind] / total - order.count(kind) for kind in KINDS}
-        order.append(max(KINDS, key=lag.__getitem__))
+        lag = {kind: length * steps[kind] / total - order.count(kind) for kind in _STEPS}
+        order.append(max(_STEPS, key=lag.__getitem__))
     return tuple(order)
 
 
 def _steps(operations: Operations) -> dict[str, float]:
-    return {kind: getattr(operations, kind) / _INSTRUCTIONS[kind] for kind in KINDS}
+    steps = {kind: getattr(operations, kind) for kind in _STEPS}
+    return steps | {"select": operations.select / 2}  # it compares, then chooses
 
 
 @cache
@@ -77,11 +75,11 @@ def _chains(order: tuple[str, ...], chains: int) -> Any:
     """Compile steps on independent chains; steps of every kind rotate through the chains."""
 
     def build(rows: Any) -> None:
-        one, zero, other, *x = (rows[row] for row in range(3 + chains))
+        factor, term, other, *x = (rows[row] for row in range(3 + chains))
         taken = Counter[str]()
         for kind in order:
             chain = taken[kind] % chains
-            x[chain] = _STEPS[kind](x[chain], one, zero, other)
+            x[chain] = _STEPS[kind](x[chain], factor, term, other)
             taken[kind] += 1
         for row, value in enumerate(x, start=3):
             rows[row] = value
@@ -113,10 +111,10 @@ def _repeated(build: Callable[[Any], None]) -> Any:
 def _seconds(repeat: Any, blocks: Any) -> float:
     """Return seconds per pass over the blocks, the shortest of several tries."""
     repeat(blocks.copy(), 1)  # compiles
-    found = []
+    shortest = np.inf
     for _ in range(TRIES):
         used = blocks.copy()
         begin = time.perf_counter()
         repeat(used, CALLS)
-        found.append(time.perf_counter() - begin)
-    return min(found) / CALLS
+        shortest = min(shortest, time.perf_counter() - begin)
+    return shortest / CALLS

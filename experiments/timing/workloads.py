@@ -55,10 +55,10 @@ def environments(sizes: Sequence[int]) -> dict[str, Callable[[], Laps]]:
     """Return the workloads of environments, by name; each starts when it is called."""
     return {
         "filterpy": filterpy,
-        "single": single,
-        SYNC_NAME: partial(vector, SYNC, vectorization_mode="sync"),
+        "single": stepped,
+        SYNC_NAME: partial(stepped, SYNC, vectorization_mode="sync"),
         **{
-            native_name(n, threads): partial(vector, n, threads=threads)
+            native_name(n, threads): partial(stepped, n, threads=threads)
             for n in sizes
             for threads in THREADS
         },
@@ -108,30 +108,24 @@ def filterpy_episode(twin: Pipeline, episode: Episode) -> float:
     return paid
 
 
-def single() -> Laps:
-    """Step one environment that `gymnasium.make` makes."""
-    env = gym.make(ENVIRONMENT, episode_steps=EPISODE)
-    env.reset(seed=0)
-    action = np.int64(1)
-    while True:
-        for _ in range(EPISODE):
-            over = env.step(action)[3]
-        assert over
-        env.reset()
-        yield EPISODE
+def stepped(n: int = 0, **options: Any) -> Laps:
+    """Step n environments that `gymnasium.make_vec` makes, or one of `gymnasium.make` where n is 0.
 
-
-def vector(n: int, **options: Any) -> Laps:
-    """Step environments that `gymnasium.make_vec` makes; all episodes end together."""
-    env = gym.make_vec(ENVIRONMENT, num_envs=n, episode_steps=EPISODE, **options)
+    All episodes end together.
+    """
+    make: Any = partial(gym.make_vec, num_envs=n) if n else gym.make
+    env = make(ENVIRONMENT, episode_steps=EPISODE, **options)
     env.reset(seed=0)
-    actions = np.ones(n, np.int64)
+    actions: Any = np.ones(n, np.int64) if n else np.int64(1)
     while True:
         for _ in range(EPISODE):
             over = env.step(actions)[3]
-        assert over.all()
-        env.step(actions)  # this step only draws the next episodes
-        yield n * EPISODE
+        assert np.all(over)
+        if n:
+            env.step(actions)  # this step only draws the next episodes
+        else:
+            env.reset()
+        yield max(n, 1) * EPISODE
 
 
 def tracks(mode: Mode, episodes: Sequence[Episode]) -> Laps:

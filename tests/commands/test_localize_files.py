@@ -54,7 +54,7 @@ def test_a_picture_that_fails_costs_no_comparison_its_results(tmp_path, monkeypa
     def fails(*_):
         raise OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "e.png"))
 
-    monkeypatch.setattr("experiments.reporting.watchers.draw_error_cdf", fails)
+    monkeypatch.setattr("experiments.reporting.comparison_results.draw_error_cdf", fails)
     short = ("--policies", "fixed-ekf", "--episodes", 1, "--episode-steps", 20)
     files = ("--errors", tmp_path / "e.png", "--json", tmp_path / "e.json")
     done = command("compare", *short, *files)

@@ -27,7 +27,7 @@ def opened(chromium, address):
         page = contexts[-1].new_page()
         page.on("console", lambda message: complaints.append(f"{path}: {message.text}"))
         page.on("pageerror", lambda error: complaints.append(f"{path}: {error}"))
-        page.on("request", lambda one: complaints.append(one.url) if others(one.url) else None)
+        page.on("request", lambda sent: complaints.append(sent.url) if others(sent.url) else None)
         page.goto(address + path)
         return page
 

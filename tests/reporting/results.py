@@ -12,46 +12,46 @@ from mmwave_env.metrics import METRICS
 HOSTILE = "</script><img src=x onerror=alert(1)>$|`\n\x1b[31m\u202eΩ日本\"'&"
 
 
-def interval(mean, half=0.1):
+def interval(mean):
     """Return an interval as results hold it."""
-    return {"mean": mean, "ci95": [mean - half, mean + half]}
+    return {"mean": mean, "ci95": [mean - 0.1, mean + 0.1]}
 
 
 def metrics(mean):
-    """One of every kind."""
+    """Return all metrics, from a mean on."""
     return {metric: interval(mean + i) for i, metric in enumerate(METRICS)}
 
 
 def comparison(names=("imm", "speed-rule"), **more):
     """Return a comparison of policies whose rewards are -1, -2, ..., paired with the first."""
     first, *others = names
-    which = {"scenario": "mixed", "radio": "handset", "episodes": 2, "seed": 0}
-    return {
-        "command": "mmwave-loc compare --policies imm speed-rule --episodes 2 --episode-steps 30",
+    content = {"scenario": "mixed", "radio": "handset", "episodes": 2, "seed": 0}
+    content |= {
+        "command": "mmwave-loc compare --episodes 2 --episode-steps 30",
+        "options": {"episode_steps": 30, "policies": list(names), "json": "no output is read"},
         "versions": {"mmwave-loc": __version__, "python": "3.12.0"},
-        **which,
         "policies": {name: metrics(-1.0 - i) for i, name in enumerate(names)},
         "paired": {f"{name} - {first}": metrics(-0.5) for name in others},
-    } | more
+    }
+    return content | more
 
 
 def run(folder: Path, over=2):
-    """A folder as train leaves it: two trainings are begun, so many are over."""
+    """Make a folder as train leaves it: two trainings are begun, so many are over."""
+    log = "timesteps,tuning/reward,tuning/minus imm\n1000,,\n2000,-1.5,0.25\n4000,-1.4,0.3\n"
     for seed in range(2):
-        (folder / f"seed-{seed}").mkdir(parents=True)
-        journal = (
-            "timesteps,tuning/reward,tuning/minus imm\n1000,,\n2000,-1.5,0.25\n4000,-1.4,0.3\n"
-        )
-        (folder / f"seed-{seed}" / "progress.csv").write_text(journal)
+        training = folder / f"seed-{seed}"
+        training.mkdir(parents=True)
+        (training / "progress.csv").write_text(log)
         if seed < over:
             best = {"timesteps": 2000, "reward": -1.5, "minus imm": interval(0.25)}
-            write(folder / f"seed-{seed}" / "outcome.json", {"seed": seed, "best": best})
+            write(training / "outcome.json", {"seed": seed, "best": best})
     write(folder / "run.json", {"command": "mmwave-loc train --seeds 2", "recipe": {}})
     return folder
 
 
 def write(path: Path, content):
-    """A JSON file."""
+    """Write a JSON file."""
     path.write_text(json.dumps(content), encoding="utf-8")
     return path
 
@@ -75,10 +75,14 @@ class Read(HTMLParser):
         if tag not in ("script", "style"):
             self.text += data
 
+    def attributes(self, *names):
+        """Return the values of attributes in order."""
+        return [known[name] for _, known in self.tags for name in names if name in known]
+
     def table(self, words):
-        """Rows of the one with these words in its caption."""
-        (part,) = [one for one in self.page.split('<div class="table">')[1:]
-                   if words in one.partition("</p>")[0]]  # fmt: skip
+        """Return the rows of the first table with these words in its caption."""
+        parts = self.page.split('<div class="table">')[1:]
+        part = next(part for part in parts if words in part.partition("</p>")[0])
         rows = re.findall("<tr>(.*?)</tr>", part, re.DOTALL)
         cells = (re.findall("<t[hd].*?>(.*?)</t[hd]>", row, re.DOTALL) for row in rows)
-        return [[unescape(one) for one in row] for row in cells]
+        return [[*map(unescape, row)] for row in cells]

@@ -33,8 +33,7 @@ def test_nothing_is_wider_than_the_screen_nor_a_section_endless(opened, width, s
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     sections = page.locator("section").all()
     assert len(sections) == 4
-    for one in sections:
-        assert one.bounding_box()["height"] <= 10 * SCREEN
+    assert all(section.bounding_box()["height"] <= 10 * SCREEN for section in sections)
 
 
 def test_an_episode_plays_stops_and_is_moved_by_keys(opened):
@@ -61,11 +60,11 @@ def test_the_player_shows_the_numbers_of_the_data(opened):
     page.locator("#beside").select_option(label="imm")
     page.locator("#which").select_option(index=1)
     page.locator("#time").fill("12")
-    said = page.locator("#now").inner_text()
-    data = json.loads(page.locator("#data").evaluate("one => one.textContent"))
+    sentence = page.locator("#now").inner_text()
+    data = json.loads(page.locator("#data").evaluate("element => element.textContent"))
     for name in ("speed-rule", "imm"):
-        course = data["episodes"][1]["contenders"][name]
-        assert f"error {course['error_m'][12]:g} m" in said.split(f"{name}: ")[1].split(";")[0]
+        error_m = data["episodes"][1]["contenders"][name]["error_m"][12]
+        assert f"{error_m:g} m" in sentence.split(f"{name}: ")[1].split(";")[0]
     assert page.locator("#strips text", has_text="speed-rule: mode").is_visible()
 
 

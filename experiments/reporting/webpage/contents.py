@@ -29,59 +29,60 @@ def results_of(source: Source) -> tuple[Verdict, str]:
     Raises:
         KeyError, TypeError, ValueError, AttributeError: the content is not complete.
     """
+    content = source.content
     if source.kind == "track":
-        return _track_verdict(source.content), html_of(track_markdown(dict(source.content)))
+        return _track_verdict(content), html_of(track_markdown(dict(content)))
     if source.kind == "run":
-        over, begun = len(source.content["seeds"]), len(source.content["curves"])
-        said = f"{over} of {begun} trainings of {source.path} are over"
+        over, begun = len(content["seeds"]), len(content["curves"])
+        title = f"{over} of {begun} trainings of {source.path} are over"
         more = "" if over == begun else "; mmwave-loc train --resume goes on with the others"
-        return Verdict(source.path, said, f"{said}{more}."), "".join(_trainings(source))
-    found = Comparison.from_json(source.content)
-    return _verdict(found), "".join(_compared(found))
+        return Verdict(source.path, title, f"{title}{more}."), "".join(_trainings(source))
+    comparison = Comparison.from_json(content)
+    return _verdict(comparison), "".join(_compared(comparison))
 
 
-def _verdict(found: Comparison) -> Verdict:
+def _verdict(comparison: Comparison) -> Verdict:
     """Return the winner and its margin in words."""
-    best, *others = found.policies
-    name = f"{found.scenario}, {found.radio}, {found.selection}"
-    said = f"{len(others) + 1} contenders on {name}." if others else f"{best} on {name}."
-    minus = {other: one for other in others if (one := found.margin(best, other))}
-    if not minus:
-        reward = found.policies[best]["reward"]
-        return Verdict(name, f"{best} has a reward of {reward}", f"{said} Best reward: {reward}.")
-    other, by = next(iter(minus.items()))
+    best, *others = comparison.policies
+    name = f"{comparison.scenario}, {comparison.radio}, {comparison.selection}"
+    about = f"{len(others) + 1} contenders on {name}." if others else f"{best} on {name}."
+    paired = ((other, comparison.margin(best, other)) for other in others)
+    other, by = next(((other, margin) for other, margin in paired if margin), ("", None))
+    if by is None:
+        reward = comparison.policies[best]["reward"]
+        return Verdict(name, f"{best} has a reward of {reward}", f"{about} Best reward: {reward}.")
     interval = ", 95 % interval over pairs of the same episode" if by.known else ""
     title = f"{best} beats {other} by {by}"
     if by.low <= 0.0:
         title = f"{best} and {other} are level"
-        said += f" No winner: the best reward, of {best}, minus that of {other} is {by}{interval}."
+        about += f" No winner: the best reward, of {best}, minus that of {other} is {by}{interval}."
     else:
-        said += f" {best} won: its reward is {by} above that of {other}{interval}."
+        about += f" {best} won: its reward is {by} above that of {other}{interval}."
     if unpaired := others[: others.index(other)]:
-        said += f" Between them, but not paired with {best} here: {', '.join(unpaired)}."
-    return Verdict(name, title, said)
+        about += f" Between them, but not paired with {best} here: {', '.join(unpaired)}."
+    return Verdict(name, title, about)
 
 
 def _track_verdict(c: Mapping[str, Any]) -> Verdict:
-    said = f"{c['epochs']} epochs of {c['log']}, {c['first_s']:.10g} to {c['last_s']:.10g} s"
+    title = f"{c['epochs']} epochs of {c['log']}, {c['first_s']:.10g} to {c['last_s']:.10g} s"
     tracks = c["truth"]["tracks"] if "truth" in c else {}
-    off = [f"the {name} track has an ATE of {one['ate_m']:.3f} m" for name, one in tracks.items()]
+    ates = [f"the {name} track has an ATE of {row['ate_m']:.3f} m" for name, row in tracks.items()]
     broken = [f"not the whole log: {c['error']}"] if c.get("error") else []
-    return Verdict(f"{c['log']}, {c['scene']}", said, f"{'; '.join([said, *off, *broken])}.")
+    return Verdict(f"{c['log']}, {c['scene']}", title, f"{'; '.join([title, *ates, *broken])}.")
 
 
-def _compared(found: Comparison) -> Iterator[str]:
+def _compared(comparison: Comparison) -> Iterator[str]:
     rows = [
         [name, *(rounded(row[metric]) for metric in METRICS)]
-        for name, row in found.policies.items()
+        for name, row in comparison.policies.items()
     ]
     header = ["contender", *(HEADERS[metric] for metric in METRICS)]
     yield table("Means ± half of their 95 % intervals, best reward first", header, rows)
     pairs = [
-        [one, other, pair["reward"], pair["ate_m"]]
-        for one in found.policies
-        for other in found.policies
-        if (pair := found.paired.get(f"{one} - {other}"))
+        [name, other, pair["reward"], pair["ate_m"]]
+        for name in comparison.policies
+        for other in comparison.policies
+        if (pair := comparison.paired.get(f"{name} - {other}"))
     ]
     caption = "Differences in pairs of the same episode, with 95 % intervals"
     yield table(caption, ["contender", "minus", "reward", "ATE m"], pairs) if pairs else ""
@@ -91,14 +92,14 @@ def _trainings(source: Source) -> Iterator[str]:
     seeds, curves = source.content["seeds"], source.content["curves"].values()
     rivals = list(dict.fromkeys(rival for curve in curves for rival in curve if ":" not in rival))
     rows = []
-    for one in seeds:
-        best = one["best"]
+    for seed in seeds:
+        best = seed["best"]
         gains = [Interval.of(best[f"minus {rival}"]) for rival in rivals]
-        rows.append([one["seed"], f"{best['reward']:.4f}", f"{best['timesteps']:,}", *gains])
+        rows.append([seed["seed"], f"{best['reward']:.4f}", f"{best['timesteps']:,}", *gains])
     header = ["training seed", "reward", "after steps", *(f"minus {rival}" for rival in rivals)]
     yield table("The best policy of each training, on tuning seeds", header, rows)
     for rival in rivals:
-        lines = {source.path: [one[rival] for one in curves if rival in one]}
+        lines = {source.path: [curve[rival] for curve in curves if rival in curve]}
         draw = partial(draw_learning_curves, {f"reward minus {rival}'s": lines}, narrow=True)
         yield drawn(f"Learning curves against {rival}, a line a training, on tuning seeds", draw)
 
@@ -110,29 +111,29 @@ def errors_of(source: Source, played: Played) -> Iterator[str]:
     which, figures = played.which, played.positions.figures()
     if "position_errors" in source.content:
         which, figures = "all episodes", source.content["position_errors"]
-    ranked, told = ranking(source.content["policies"]), figures["policies"]
+    ranked, policies = ranking(source.content["policies"]), figures["policies"]
     for kind in KINDS:
-        rows = [[name, *row_of(told[name][kind])] for name in ranked if kind in told.get(name, {})]
+        rows = [[n, *row_of(policies[n][kind])] for n in ranked if kind in policies.get(n, {})]
         caption = f"{kind.capitalize()} errors of {which}, but for the first 10 epochs of each"
         yield table(caption, ["contender", *HEADER], rows) if rows else ""
-    if told:
-        words = (
+    if policies:
+        note = (
             "Errors that so many percent of the epochs stay below; shares of the epochs within a "
             "distance; the median protection level, and how often errors are above theirs, which "
             f"a risk of {figures['risk']:g} allows in {percent(figures['risk'])} of the epochs."
         )
-        yield element("p", words, "note")
-    errors, nees = played.epochs.errors_m, played.epochs.nees
-    if shown := [name for name in watched_names(ranked) if name in errors]:
-        draw = partial(draw_error_cdf, {name: errors[name] for name in shown}, narrow=True)
+        yield element("p", note, "note")
+    errors_m, nees = played.epochs.errors_m, played.epochs.nees
+    if shown := [name for name in watched_names(ranked) if name in errors_m]:
+        draw = partial(draw_error_cdf, {name: errors_m[name] for name in shown}, narrow=True)
         yield drawn(f"Distribution of errors (CDF), {played.which}", draw)
-        chosen = {name: nees[name] for name in shown}
-        axes = 2 if played.positions.planar else 3
+        chosen, axes = {name: nees[name] for name in shown}, 2 if played.positions.planar else 3
         draw = partial(draw_consistency, played.epochs.time_s, chosen, axes, narrow=True)
         yield drawn(f"NEES and its chi-square bounds, {played.which}", draw)
 
 
-def origin_of(what: str, command: str, versions: Mapping[str, Any]) -> str:
+def origin_of(title: str, command: str, versions: Mapping[str, Any]) -> str:
     """Return HTML of the command and the versions that made something."""
-    made = f"Made with {', '.join(f'{name} {one}' for name, one in versions.items())}."
-    return element("h3", what) + element("pre", command) + (element("p", made) if versions else "")
+    made = ", ".join(f"{name} {version}" for name, version in versions.items())
+    parts = element("h3", title), element("pre", command)
+    return "".join(parts) + (element("p", f"Made with {made}.") if versions else "")

@@ -29,9 +29,7 @@ function scale(low, high, start, end, log = false) {
   return (v) => start + ((turn(Math.max(v, low)) - turn(low)) / (turn(high) - turn(low))) * (end - start);
 }
 
-function pixels(values, to) {
-  return values.map((v) => (v === null ? null : to(v)));
-}
+const pixels = (values, to) => values.map((v) => (v === null ? null : to(v)));
 
 function ticks(low, high, count) {
   const rough = (high - low) / count;
@@ -40,13 +38,9 @@ function ticks(low, high, count) {
   return Array.from({ length: Math.floor(high / step + 1e-9) - first + 1 }, (_, k) => (first + k) * step);
 }
 
-function largest(values, least) {
-  return values.reduce((a, b) => Math.max(a, b ?? 0), least);
-}
+const largest = (values, least) => values.reduce((a, b) => Math.max(a, b ?? 0), least);
 
-function shown(value) {
-  return Math.abs(value) >= 1e4 ? value.toExponential(1) : String(Number(value.toPrecision(3)));
-}
+const shown = (value) => (Math.abs(value) >= 1e4 ? value.toExponential(1) : String(Number(value.toPrecision(3))));
 
 // Returns the d of a path through points, with a gap where a number is missing.
 function path(xs, ys) {

@@ -43,11 +43,10 @@ function mapScale(episode, courses, width, height) {
     return [known.reduce((a, b) => Math.min(a, b)), known.reduce((a, b) => Math.max(a, b))];
   };
   const [[west, east], [south, north]] = [ends("x"), ends("y")];
-  const room = 44;
-  const perMeter = Math.min((width - room) / Math.max(east - west, 40), (height - room) / Math.max(north - south, 40));
-  const toX = (x) => width / 2 + (x - (west + east) / 2) * perMeter;
-  const toY = (y) => height / 2 - (y - (south + north) / 2) * perMeter;
-  return [toX, toY, perMeter];
+  // 44 px are left free.
+  const perMeter = Math.min((width - 44) / Math.max(east - west, 40), (height - 44) / Math.max(north - south, 40));
+  const middle = [(west + east) / 2, (south + north) / 2];
+  return [(x) => width / 2 + (x - middle[0]) * perMeter, (y) => height / 2 - (y - middle[1]) * perMeter, perMeter];
 }
 
 function drawStreets(svg, episode, toX, toY, perMeter) {

@@ -43,9 +43,9 @@ def table(caption: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) ->
 
     Rows after the first :data:`SHOWN` are hidden until a box is checked, which needs no script.
     """
-    head = "".join(f'<th scope="col">{text(one)}</th>' for one in header)
+    head = "".join(f'<th scope="col">{text(title)}</th>' for title in header)
     body = "".join(
-        f'<tr><th scope="row">{text(name)}</th>{"".join(element("td", one) for one in cells)}</tr>'
+        f'<tr><th scope="row">{text(name)}</th>{"".join(element("td", c) for c in cells)}</tr>'
         for name, *cells in rows
     )
     more = f'<label><input type="checkbox"> Show all {len(rows)} rows</label>'
@@ -63,7 +63,7 @@ def html_of(markdown: str) -> str:
     for block in markdown.strip().split("\n\n"):
         lines = block.strip().splitlines()
         if block.startswith("|"):
-            cells = [[unescaped(one.strip()) for one in CELL.findall(line[1:])] for line in lines]
+            cells = [[unescaped(c.strip()) for c in CELL.findall(line[1:])] for line in lines]
             parts.append(table("", cells[0], cells[2:]))
         else:
             parts += [element("p", unescaped(line.removeprefix("- "))) for line in lines]
@@ -86,7 +86,7 @@ def drawn(caption: str, draw: Callable[[Path], None]) -> str:
     prefix = f"p{hashlib.sha256(svg.encode()).hexdigest()[:8]}-"  # ids are unique in a page
 
     def adapted(tag: re.Match[str]) -> str:
-        return NAMED.sub(rf"\1{prefix}", COLOR.sub(lambda found: VARIABLES[found[0]], tag[0]))
+        return NAMED.sub(rf"\1{prefix}", COLOR.sub(lambda color: VARIABLES[color[0]], tag[0]))
 
     svg = TAG.sub(adapted, OWN.sub("", svg[svg.index("<svg") :]))
     words = element("figcaption", caption)

@@ -9,7 +9,6 @@ from typing import Any
 from experiments.console.options import PageArgs
 from experiments.console.provenance import command_line
 from experiments.reporting.webpage.contents import Verdict, errors_of, origin_of, results_of
-from experiments.reporting.webpage.localized_log import localized
 from experiments.reporting.webpage.markup import element, text
 from experiments.reporting.webpage.played import LONGEST, Played, play
 from experiments.reporting.webpage.sources import READ, read_source
@@ -36,46 +35,44 @@ def page_of(args: PageArgs) -> str:
             verdict, tables = results_of(source)
             command, versions = source.content["command"], source.content.get("versions", {})
             origins.append(origin_of(source.path, command, versions))
-            list(errors_of(source, Played()))  # refuses results that can't be shown before any work
+            list(errors_of(source, Played()))  # results that can't be shown end here, before work
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ValueError(f"{source.path}: {told(error)}, expected {READ}") from error
         verdicts.append(verdict)
         results.append(tables)
     origins.append(origin_of("This page", command_line("report", args), {}))
-    again = {"comparison": lambda one: play(one, args.episodes, args.watch), "track": localized}
-    played = [again.get(source.kind, lambda _: Played())(source) for source in sources]
-    errors = ["".join(errors_of(source, one)) for source, one in zip(sources, played, strict=True)]
+    played = [play(source, args.episodes, args.watch) for source in sources]
+    errors = ["".join(errors_of(*pair)) for pair in zip(sources, played, strict=True)]
     sections = {
         "Results": _folded(verdicts, results),
         "Errors": _folded(verdicts, errors),
         "Episodes": _player(verdicts, played),
         "How it was made": "".join(origins),
     }
-    episodes = [one for some in played for one in some.shown if one["contenders"]]
-    return _html(verdicts, sections, {"episodes": episodes})
+    shown = (episode for part in played for episode in part.shown if episode["contenders"])
+    return _html(verdicts, sections, {"episodes": [*shown]})
 
 
 def _folded(verdicts: Sequence[Verdict], parts: Sequence[str]) -> str:
     """Return the part of each source under its name, all but the first folded."""
-    there = [(one.name, part) for one, part in zip(verdicts, parts, strict=True) if part]
+    named = [(verdict.name, part) for verdict, part in zip(verdicts, parts, strict=True) if part]
     return "".join(
         f"<details{'' if number else ' open'}><summary>{text(name)}</summary>{part}</details>"
-        for number, (name, part) in enumerate(there)
+        for number, (name, part) in enumerate(named)
     )
 
 
 def _player(verdicts: Sequence[Verdict], played: Sequence[Played]) -> str:
     """Return the element of the player, with notes on episodes that can't be watched."""
     parts = []
-    if any(one.shown for one in played):
+    if any(source.shown for source in played):
         parts = ['<div id="player"><noscript>Only this section needs JavaScript.</noscript></div>']
-    for verdict, one in zip(verdicts, played, strict=True):
-        missing = one.missing.items()
+    for verdict, source in zip(verdicts, played, strict=True):
         notes = [
-            f"{f'{who} was not' if who else 'no episode was'} played again: {why}"
-            for who, why in missing
+            f"{f'{name} was not' if name else 'no episode was'} played again: {why}"
+            for name, why in source.missing.items()
         ]
-        if any(episode["cut"] for episode in one.shown):
+        if any(episode["cut"] for episode in source.shown):
             notes.append(f"the first {LONGEST} epochs are shown")
         parts += [element("p", f"{verdict.name}: {note}", "note") for note in notes]
     return "".join(parts)
@@ -83,28 +80,28 @@ def _player(verdicts: Sequence[Verdict], played: Sequence[Played]) -> str:
 
 def _html(verdicts: Sequence[Verdict], sections: Mapping[str, str], data: Any) -> str:
     """Return the whole page; text that fills the template is not searched for marks."""
-    there = {re.sub(r"\W+", "-", title.lower()): title for title, part in sections.items() if part}
+    titles = {re.sub(r"\W+", "-", t.lower()): t for t, section in sections.items() if section}
     parts = {
         "title": text(verdicts[0].title),
-        "lead": "".join(element("p", one.sentence) for one in verdicts),
+        "lead": "".join(element("p", verdict.sentence) for verdict in verdicts),
         "style": _colors() + _file("page.css"),
         "script": "".join(map(_file, SCRIPTS)),
-        "links": "".join(f'<a href="#{name}">{text(title)}</a>' for name, title in there.items()),
+        "links": "".join(f'<a href="#{name}">{text(title)}</a>' for name, title in titles.items()),
         "sections": "".join(
             f'<section id="{name}"><h2>{text(title)}</h2>{sections[title]}</section>'
-            for name, title in there.items()
+            for name, title in titles.items()
         ),
-        "data": in_script(data),
+        "data": _in_script(data),
     }
-    return re.sub(r"<!--(\w+)-->", lambda found: parts[found[1]], _file("page.html"))
+    return re.sub(r"<!--(\w+)-->", lambda mark: parts[mark[1]], _file("page.html"))
 
 
 def _colors() -> str:
     """Return the colors of films as variables of the style."""
     light, dark = THEMES["light"], THEMES["dark"]
     pairs = {name: (getattr(light, name), getattr(dark, name)) for name in light._fields}
-    both = zip(*pairs.pop("modes"), strict=True)
-    pairs |= {f"mode-{number}": pair for number, pair in enumerate(both)}
+    modes = enumerate(zip(*pairs.pop("modes"), strict=True))
+    pairs |= {f"mode-{number}": pair for number, pair in modes}
     lines = (f"--{name}: light-dark({hex_of(a)}, {hex_of(b)});" for name, (a, b) in pairs.items())
     return f":root {{ {' '.join(lines)} }}\n"
 
@@ -113,7 +110,7 @@ def _file(name: str) -> str:
     return (files("experiments.reporting.webpage") / name).read_text(encoding="utf-8")
 
 
-def in_script(data: Any) -> str:
+def _in_script(data: Any) -> str:
     """Return JSON that is safe in a script element: nothing in it can end the element."""
-    found = json.dumps(data, allow_nan=False, separators=(",", ":"))
-    return found.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+    content = json.dumps(data, allow_nan=False, separators=(",", ":"))
+    return content.translate({ord(sign): f"\\u{ord(sign):04x}" for sign in "<>&"})

@@ -1,30 +1,30 @@
-"""Replay of some episodes of a comparison, for details that its file does not hold."""
+"""Replay of episodes of a comparison and of a log, for details that their files do not hold."""
 
-import shlex
 from collections.abc import Mapping, Sequence
-from contextlib import redirect_stderr
 from dataclasses import dataclass, field, replace
-from io import StringIO
 from typing import Any
 
 import numpy as np
 from scipy.special import chdtri
 
-from experiments.console.main import read_arguments
-from experiments.console.options import EpisodeArgs
-from experiments.console.signals import Ended
+from experiments.console.options import EpisodeArgs, LogArgs
+from experiments.console.provenance import options_from
 from experiments.evaluation.agents import is_agent
 from experiments.evaluation.asked import contender_of, runs_of, selection_of, task_of
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.histories import EpochErrors
 from experiments.evaluation.positions import Positions
 from experiments.evaluation.runner import EpochResults, Scoring, score_contenders
+from experiments.reporting.log_results import beginning
 from experiments.reporting.webpage.sources import Source
-from mmwave_env.datasets.samples import sample_names
+from mmwave_env.filters.bank import Bank
+from mmwave_env.filters.belief import Belief
+from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.io.lookup import printable
 from mmwave_env.metrics import nees_interval
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.scene import Streets
+from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.history import GATE
 from mmwave_env.rendering.theme import THEMES, hex_of
@@ -33,7 +33,6 @@ LONGEST = 600  # most epochs that can be watched
 ROWS = slice(LONGEST)
 WATCHED = 8  # most contenders to watch: the best by reward, and the rule
 RULE = "speed-rule"
-MADE_BY = {"comparison": ("compare", "evaluate", "demo"), "track": ("localize",)}
 AFTER = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected", "memory.mode")
 
 
@@ -56,65 +55,100 @@ class Played:
 
 
 def play(source: Source, most: int, watched: int) -> Played:
-    """Play the first episodes of a comparison again, with all contenders that are available.
+    """Play what a source is about again: the first episodes of a comparison, or the begin of a log.
 
     A user's code is not run: contenders that are a function in a module or a model in a zip file
     are left out.
 
     Args:
-        source: comparison to play again.
-        most: most episodes to play.
-        watched: number of episodes to keep epoch by epoch.
+        source: results to play again.
+        most: most episodes of a comparison to play.
+        watched: number of these to keep epoch by epoch.
     """
-    if not most:
-        return Played(missing={"": "none were asked for"})
-    found, names = Played(), ranking(source.content["policies"])
+    if source.kind == "run":
+        return Played()
     try:
-        args = arguments_of(source)
-        args = replace(args, episodes=min(most, source.content["episodes"]))
-        task = task_of(args)
-        scoring, chosen = Scoring.of(task), _contenders(args, names, found.missing)
-        selection = selection_of(args)
-        batch = selection.draw(task.source)[:watched]
+        if source.kind == "track":
+            return _play_log(source)
+        if most:
+            return _play_episodes(source, most, watched)
     except (ValueError, OSError) as error:
         return Played(missing={"": str(error)})
-    alike = {name: name for name in names}
-    found.which, found.epochs = str(selection), EpochErrors(alike)
-    found.positions = Positions(alike, args.risk, scoring.planar)
-    keys = selection.keys(task.source)
-    for i, (one, seed) in enumerate(zip(batch, selection.seeds, strict=False)):
-        name = f"{task.source.name}: {one.name}, seed {seed}"
+    return Played(missing={"": "none were asked for"})
+
+
+def _play_episodes(source: Source, most: int, watched: int) -> Played:
+    names = ranking(source.content["policies"])
+    alike = dict(zip(names, names, strict=True))
+    args = options_from(EpisodeArgs, source.content)
+    args = replace(args, episodes=min(most, source.content["episodes"]))
+    task, selection, missing = task_of(args), selection_of(args), dict[str, str]()
+    scoring, chosen = Scoring.of(task), _contenders(args, names, missing)
+    axes, keys = 2 if scoring.planar else 3, selection.keys(task.source)
+    shown = []
+    for i, episode in enumerate(selection.draw(task.source)[:watched]):
+        name = f"{task.source.name}: {episode.name}, seed {selection.seeds[i]}"
         streets = task.streets_of(0 if keys is None else int(keys[i]))
-        assert one.truth_position_m is not None and one.truth_velocity_mps is not None
-        speed_mps = np.linalg.norm(one.truth_velocity_mps, axis=1)
-        truth = np.column_stack([one.time_s, one.truth_position_m, speed_mps])
-        axes = 2 if scoring.planar else 3
-        found.shown.append(scenery(name, one.layout, one.scene_anchors_m, streets, axes, truth))
+        assert episode.truth_position_m is not None and episode.truth_velocity_mps is not None
+        speed_mps = np.linalg.norm(episode.truth_velocity_mps, axis=1)
+        truth = np.column_stack([episode.time_s, episode.truth_position_m, speed_mps])
+        anchors_m = episode.scene_anchors_m
+        shown.append(_scenery(name, episode.layout, anchors_m, streets, axes, truth))
+    positions = Positions(alike, args.risk, scoring.planar)
+    played = Played(str(selection), EpochErrors(alike), positions, shown, missing)
 
-    def keep(contender: Contender, _: Array, told: EpochResults) -> None:
-        for i, one in enumerate(found.shown if contender.name in watched_names(names) else []):
-            parts = {part: rows[i] for part, rows in told.items()}
-            weighed = contender.policy is None
-            one["contenders"][printable(contender.name)] = course(parts, contender.actions, weighed)
+    def keep(contender: Contender, _: Array, epochs: EpochResults) -> None:
+        for i, episode in enumerate(shown if contender.name in watched_names(names) else []):
+            results = {part: values[i] for part, values in epochs.items()}
+            course = _course(results, contender.actions, contender.policy is None)
+            episode["contenders"][printable(contender.name)] = course
 
-    what, watch = (task.source, args.radio, selection), [found.epochs.add, found.positions.add]
-    score_contenders(chosen, *what, watch=[*watch, keep], scoring=scoring, after=AFTER)
-    return found
+    watch = [played.epochs.add, positions.add, keep]
+    score_contenders(
+        chosen, task.source, args.radio, selection, watch=watch, scoring=scoring, after=AFTER
+    )
+    return played
+
+
+def _play_log(source: Source) -> Played:
+    """Localize the first epochs of a log again."""
+    block, work = beginning(options_from(LogArgs, source.content), LONGEST)
+    axes = (0, 1) if block.planar else (0, 1, 2)
+    unknown = np.full((len(block), 3), np.nan)
+    known = work.truth.at(block.time_s).position_m if work.truth else unknown
+    belief = Belief([*block.x.T], unpack([*block.P.T], VERTICAL if block.planar else ()), axes)
+    results = {
+        "x": block.x,
+        "P": block.P,
+        "error": block.x[:, :3] - known,
+        "nees": np.asarray(belief.nees([*known.T])),
+        "memory.mode": block.mode,
+        "memory.nis": block.nis,
+        "memory.accepted": block.accepted,
+        "memory.rejected": block.visible & ~block.accepted,
+    }
+    truth = np.column_stack([block.time_s, known, np.linalg.norm(block.x[:, 3:6], axis=1)])
+    scene, log = work.scene, source.content["log"]
+    streets = scene.streets if scene.streets_known else None
+    shown = _scenery(log, block.layout, scene.anchors_m, streets, len(axes), truth)
+    course = _course(results, work.plan.names, isinstance(work.plan.modes, Bank))
+    shown["contenders"]["track"] = course
+    return Played(shown=[shown])
 
 
 def _contenders(args: EpisodeArgs, names: list[str], missing: dict[str, str]) -> list[Contender]:
     """Return available contenders, and put reasons into ``missing`` for the others."""
-    found = []
+    available = []
     for name in names:
         try:
             if is_agent(name):
                 raise ValueError("it is code of its own, which is not run for a report")
             run = runs_of(args, [name])
             file = run[name].policy if run else name
-            found.append(replace(contender_of(args, file), name=name))
+            available.append(replace(contender_of(args, file), name=name))
         except (ValueError, OSError) as error:
             missing[name] = str(error)
-    return found
+    return available
 
 
 def ranking(policies: Mapping[str, Any]) -> list[str]:
@@ -125,35 +159,13 @@ def ranking(policies: Mapping[str, Any]) -> list[str]:
 def watched_names(ranked: Sequence[str]) -> list[str]:
     """Return the contenders that can be watched, in the order of the ranking."""
     best = [name for name in ranked if name != RULE][: WATCHED - (RULE in ranked)]
-    return [name for name in ranked if name == RULE or name in best]
-
-
-def arguments_of(source: Source) -> Any:
-    """Parse the options of the command that made results.
-
-    Raises:
-        ValueError: this version does not understand the command.
-    """
-    _, name, *words = shlex.split(str(source.content["command"]))
-    if name not in (known := MADE_BY[source.kind]):
-        raise ValueError(f"command: found {name}, expected one of {', '.join(known)}")
-    if name == "demo":  # the options of demo do not say which episodes it plays
-        scenario = source.content["scenario"]
-        return EpisodeArgs(data=scenario if scenario in sample_names() else None)
-    complaint = StringIO()
-    try:
-        with redirect_stderr(complaint):
-            return read_arguments(name, words)
-    except Ended:  # a signal came meanwhile
-        raise
-    except SystemExit:
-        raise ValueError(f"command: {complaint.getvalue().strip()}") from None
+    return [name for name in ranked if name in (*best, RULE)]
 
 
 # --- episodes to watch, as data of the script
 
 
-def scenery(
+def _scenery(
     name: str, layout: Layout, anchors_m: Array, streets: Streets | None, axes: int, truth: Array
 ) -> dict[str, Any]:
     """Return an episode without its contenders.
@@ -171,11 +183,11 @@ def scenery(
     return {
         "name": printable(name),
         "cut": len(truth) > LONGEST,
-        "time_s": numbers(truth[:, 0] - truth[0, 0], ".2f"),
-        "x": numbers(truth[:, 1], ".2f"),
-        "y": numbers(truth[:, 2], ".2f"),
-        "speed_mps": numbers(truth[:, 4], ".2f"),
-        "anchors": [numbers(one, ".2f") for one in anchors_m],
+        "time_s": _numbers(truth[:, 0] - truth[0, 0], ".2f"),
+        "x": _numbers(truth[:, 1], ".2f"),
+        "y": _numbers(truth[:, 2], ".2f"),
+        "speed_mps": _numbers(truth[:, 4], ".2f"),
+        "anchors": [_numbers(anchor, ".2f") for anchor in anchors_m],
         "streets": grid,
         "groups": ["gNB", *layout.group_names[1:]],
         "rows": dof,
@@ -185,38 +197,40 @@ def scenery(
     }
 
 
-def course(told: Mapping[str, Any], modes: Sequence[str], weighed: bool) -> dict[str, Any]:
+def _course(results: Mapping[str, Any], modes: Sequence[str], weighed: bool) -> dict[str, Any]:
     """Return the results of a contender in an episode, as the player needs them.
 
     Args:
-        told: results of :func:`~experiments.evaluation.runner.run_contender` on one episode:
+        results: results of :func:`~experiments.evaluation.runner.run_contender` on one episode:
             "x", "P", "error", "nees" and the parts in AFTER.
         modes: names of the contender's modes.
         weighed: whether modes are mixed, so that "mode" is only the most probable mode.
     """
-    accepted, rejected = told["memory.accepted"] > 0.5, told["memory.rejected"] > 0.5
+    accepted, rejected = results["memory.accepted"] > 0.5, results["memory.rejected"] > 0.5
     letters = np.where(accepted, "a", np.where(rejected, "r", "m"))[ROWS]
-    xx, xy, yy = told["P"][:, :3].T
+    xx, xy, yy = results["P"][:, :3].T
     mean, spread = (xx + yy) / 2.0, np.hypot((xx - yy) / 2.0, xy)
     axes = [2.0 * np.sqrt(np.maximum(size, 0.0)) for size in (mean + spread, mean - spread)]
     turn = -0.5 * np.degrees(np.arctan2(2.0 * xy, xx - yy))  # clockwise from the x axis
     themes = (THEMES[theme].for_modes(modes).modes for theme in ("light", "dark"))
     return {
-        "x": numbers(told["x"][:, 0], ".2f"),
-        "y": numbers(told["x"][:, 1], ".2f"),
-        "ellipse": [numbers(one) for one in (*axes, turn)],  # ellipse of two standard deviations
-        "speed_mps": numbers(np.linalg.norm(told["x"][:, 3:6], axis=1), ".2f"),
-        "error_m": numbers(np.linalg.norm(told["error"], axis=1), ".2f"),
-        "nees": numbers(told["nees"]),
+        "x": _numbers(results["x"][:, 0], ".2f"),
+        "y": _numbers(results["x"][:, 1], ".2f"),
+        "ellipse": [
+            _numbers(values) for values in (*axes, turn)
+        ],  # ellipse of two standard deviations
+        "speed_mps": _numbers(np.linalg.norm(results["x"][:, 3:6], axis=1), ".2f"),
+        "error_m": _numbers(np.linalg.norm(results["error"], axis=1), ".2f"),
+        "nees": _numbers(results["nees"]),
         "modes": [printable(name) for name in modes],
         "colors": [f"light-dark({hex_of(a)}, {hex_of(b)})" for a, b in zip(*themes, strict=True)],
-        "mode": told.get("mode", told["memory.mode"])[ROWS].astype(int).tolist(),
+        "mode": results.get("mode", results["memory.mode"])[ROWS].astype(int).tolist(),
         "weighed": weighed,
         "fate": ["".join(column) for column in letters.T],
-        "nis": [numbers(group) for group in told["memory.nis"].T],
+        "nis": [_numbers(group) for group in results["memory.nis"].T],
     }
 
 
-def numbers(values: Array, digits: str = ".4g") -> list[float | None]:
+def _numbers(values: Array, digits: str = ".4g") -> list[float | None]:
     """Round numbers; replace those that are not finite by None."""
     return [float(f"{v:{digits}}") if np.isfinite(v) else None for v in values[ROWS]]

@@ -95,9 +95,7 @@ function legend(place, episode, chosen) {
   place.replaceChildren(...modes, element("div", { class: "key" }, ...fates, element("span", {}, notes)));
 }
 
-function titleOf(course, name) {
-  return `${name}: ${course.weighed ? "most probable mode" : "mode"}`;
-}
+const titleOf = (course, name) => `${name}: ${course.weighed ? "most probable mode" : "mode"}`;
 
 function selector(id, label, names, chosen, choose) {
   const select = element("select", { id }, ...names.map((name, i) => element("option", { value: i }, name)));
@@ -205,9 +203,7 @@ function drawNis(svg, ts, episode, course, y, left, right) {
   });
 }
 
-function groupColor(number) {
-  return `var(--mode-${number % GROUPS})`;
-}
+const groupColor = (number) => `var(--mode-${number % GROUPS})`;
 
 // Cells of equal values, from one epoch to the next.
 function runs(values, take) {

@@ -40,11 +40,12 @@ def read_source(path: Path) -> list[Source]:
         if over.is_file():
             run = read_json(over, "the summary of a run", dict)
         else:
+            run = read_json(begun, "the manifest of a run", dict)
             outcomes = sorted(path.glob("seed-*/outcome.json"))
-            seeds = [read_json(file, "the outcome of a training", dict) for file in outcomes]
-            run = read_json(begun, "the manifest of a run", dict) | {"seeds": seeds}
-        curves = {p.parent.name: curves_of(p) for p in sorted(path.glob("seed-*/progress.csv"))}
-        return [Source(str(path), "run", run | {"curves": curves})]
+            run["seeds"] = [read_json(file, "the outcome of a training", dict) for file in outcomes]
+        logs = sorted(path.glob("seed-*/progress.csv"))
+        run["curves"] = {file.parent.name: curves_of(file) for file in logs}
+        return [Source(str(path), "run", run)]
     content = read_json(path, "results", dict)
     if content and all(isinstance(part, dict) for part in content.values()):  # of demo --json
         return [_result(f"{path}: {title}", part) for title, part in content.items()]

@@ -1,0 +1,188 @@
+"""Report that localize --diagnose prints of a log: facts about its epochs, and likely mistakes."""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.console.options import LogArgs
+from experiments.console.progress import progress
+from experiments.console.provenance import provenance
+from experiments.console.tables import grid, show
+from mmwave_env.filters.modes import Mode
+from mmwave_env.io.files import write_json
+from mmwave_env.localization.diagnosis import AS_IT_IS, Finding, diagnose
+from mmwave_env.logs.log import LogBlock, read_log
+from mmwave_env.logs.log_tables import LogError
+from mmwave_env.logs.truth import Truth
+from mmwave_env.models.prior import GAP_S
+from mmwave_env.models.radio import radio_from
+from mmwave_env.models.scene import Scene
+from mmwave_env.numerics.numbers import Array
+from mmwave_env.world.mobility import FASTEST_MPS
+
+_UNEVEN = 0.1  # share of the median step
+
+
+class _Sums:
+    """Running sums over the epochs of a log, which may not fit in memory."""
+
+    def __init__(self, anchors: int) -> None:
+        self.epochs, self.links = 0, np.zeros(anchors, np.int64)
+        self.irregular: Counter[str] = Counter()  # by what was counted, in words
+        self.first_s = self.last_s = self.step_s = np.nan
+        self.distance_m = self.moving_s = self.fastest_mps = 0.0
+        self._before = np.empty((0, 4))  # time and true position of the last epoch
+
+    def add(self, block: LogBlock, position_m: Array) -> None:
+        """Add a block with its true positions (T, 3), NaN where not known."""
+        rows = np.column_stack([block.time_s, position_m])
+        changes = np.diff(np.concatenate([self._before, rows]), axis=0)
+        steps, moved = changes[:, 0], np.linalg.norm(changes[:, 1:], axis=1)
+        self.first_s = self.first_s if self.epochs else float(block.time_s[0])
+        self._before, self.last_s = rows[-1:], float(block.time_s[-1])
+        self.epochs += len(rows)
+        if np.isnan(self.step_s) and len(steps):
+            self.step_s = float(np.median(steps))
+        known = np.isfinite(moved) & (steps <= GAP_S)
+        speed = moved[known] / steps[known]
+        self.distance_m += float(moved[known].sum())
+        self.moving_s += float(steps[known].sum())
+        self.fastest_mps = max(self.fastest_mps, float(speed.max(initial=0.0)))
+        links = block.visible[:, : block.layout.anchors]
+        self.links += links.sum(axis=0)
+        uneven = abs(steps - self.step_s) > _UNEVEN * self.step_s
+        counted = {
+            f"gaps of more than {GAP_S:g} s: tracks begin anew there": steps > GAP_S,
+            f"steps that differ from {self.step_s:.4g} s by more than 10 %": uneven,
+            f"steps of the truth faster than {FASTEST_MPS:g} m/s": speed > FASTEST_MPS,
+            "epochs in which no anchor was seen": ~links.any(axis=1),
+        } | {
+            f"times only some of the numbers of {name}, which count as not measured": incomplete
+            for name, incomplete in zip(block.layout.group_names, block.incomplete.T, strict=True)
+        }
+        self.irregular.update({words: int(epochs.sum()) for words, epochs in counted.items()})
+
+    def problems(self) -> list[str]:
+        """Return sentences about irregular counts."""
+        never = [f"anchor {a + 1} was never seen" for a in np.flatnonzero(self.links == 0)]
+        return [f"{count} {words}" for words, count in self.irregular.items() if count] + never
+
+
+def diagnosed(args: LogArgs, log: Path, scene: Scene, truth_file: Path | None, mode: Mode) -> None:
+    """Show facts about a log, and the likely mistakes whose correction makes it consistent.
+
+    Raises:
+        LogError: the log is damaged.
+    """
+    blocks = read_log(log, scene, odometry=False, limits=False)
+    first = next(blocks)
+    with progress("trying likely mistakes"):
+        findings = diagnose(first, scene, radio_from(args.radio), mode)
+        truth = Truth(truth_file) if truth_file else None
+        facts, damage = log_facts(chain([first], blocks), scene, truth)
+    if args.json:
+        hypotheses = [
+            {**f._asdict(), "contradictions": [c._asdict() for c in f.contradictions]}
+            for f in findings
+        ]
+        figures = {"facts": facts, "verdict": _verdict(findings), "hypotheses": hypotheses}
+        write_json(args.json, provenance("localize", args) | figures)
+    show(f"{facts_markdown(facts)}\n{diagnosis_markdown(findings)}")
+    if damage:
+        raise damage
+
+
+def log_facts(
+    blocks: Iterable[LogBlock], scene: Scene, truth: Truth | None
+) -> tuple[dict[str, Any], LogError | None]:
+    """Read a log to its end or to the first damage; return facts about it, and the damage."""
+    sums, damage = _Sums(len(scene.anchors_m)), None
+    try:
+        for block in blocks:
+            unknown = np.full((len(block), 3), np.nan)
+            sums.add(block, truth.at(block.time_s).position_m if truth else unknown)
+    except LogError as error:
+        damage = error
+    epochs, speed = max(sums.epochs, 1), None
+    if sums.moving_s:
+        speed = {"mean": sums.distance_m / sums.moving_s, "max": sums.fastest_mps}
+    return {
+        "epochs": sums.epochs,
+        "first_s": sums.first_s,
+        "last_s": sums.last_s,
+        "step_s": None if np.isnan(sums.step_s) else sums.step_s,
+        "speed_mps": speed,
+        "anchors": [
+            {"position_m": anchor.tolist(), "seen": int(count), "share": float(count / epochs)}
+            for anchor, count in zip(scene.anchors_m, sums.links, strict=True)
+        ],
+        "problems": sums.problems() + [str(damage)] * (damage is not None),
+    }, damage
+
+
+def facts_markdown(facts: dict[str, Any]) -> str:
+    """Return the facts about a log as Markdown."""
+    f, step, speed = facts, facts["step_s"], facts["speed_mps"]
+    rate = f", {1.0 / step:.4g} Hz" if step else ""
+    lines = [f"{f['epochs']} epochs, {f['first_s']:.10g} to {f['last_s']:.10g} s{rate}"]
+    if speed:
+        mean, most = speed["mean"], speed["max"]
+        lines.append(f"speed by the truth: {mean:.2f} m/s on average, {most:.2f} m/s at most")
+    rows = [
+        [
+            f"{number}{', base station' if number == 1 else ''}",
+            *(f"{x:.2f}" for x in anchor["position_m"]),
+            f"{anchor['seen']} ({anchor['share']:.1%})",
+        ]
+        for number, anchor in enumerate(f["anchors"], start=1)
+    ]
+    table = grid(["anchor", "x m", "y m", "z m", "seen"], rows)
+    lists = lines, f["problems"] or ["no problems found"]
+    above, below = ("".join(f"- {line}\n" for line in items) for items in lists)
+    return f"{above}\n{table}\n\n{below}"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
+
+
+def _verdict(findings: Sequence[Finding]) -> str:
+    """Return a sentence on what is wrong and how to correct it."""
+    best = findings[0]
+    if best.contradictions:
+        return (
+            "None of these makes the log consistent. Look at the scene, at angles in the frame of "
+            "the antenna instead of the map (docs/data.md, Angles), and at the radio."
+        )
+    if best.hypothesis == AS_IT_IS:
+        return "The log is consistent as it is."
+    return (
+        f"The log is consistent if {best.hypothesis}. It was not changed. To mend it, {best.cure} "
+        "(docs/data.md)."
+    )
+
+
+def diagnosis_markdown(findings: Sequence[Finding]) -> str:
+    """Return a verdict and a table of the hypotheses that allow a track, the best first."""
+    header = ["hypothesis", "anchors", "Doppler", "consistent"]
+    rows = [
+        [
+            f.hypothesis,
+            _number(f.worst_anchor),
+            _number(f.nis_per_dof.get("Doppler")),
+            "no" if f.contradictions else "yes",
+        ]
+        for f in findings
+        if f.nis_per_dof
+    ]
+    others = sum(not f.nis_per_dof for f in findings)
+    impossible = f" {others} other mistakes allow no track; --json names them." if others else ""
+    return (
+        f"{_verdict(findings)}\n\n{grid(header, rows)}\n\nMedian NIS / dof, of the anchor that is "
+        "farthest from 1, and of the Doppler shift. Consistent also asks for a user mostly below "
+        f"the base station and for an SNR and a Doppler shift that can be.{impossible}\n"
+    )
