@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from mmwave_env.engines.environment import RestorableEnvironment
-from mmwave_env.engines.vector_step import StepBuffers, Stepper
+from mmwave_env.engines.vector_step import Stepper
 from mmwave_env.interface.info import (
     INFOS,
     NONFINITE_KEY,
@@ -245,15 +245,13 @@ class MmWaveLocVectorEnv(
     def step(self, actions: Index) -> Step:
         """Process an epoch in every environment with its mode (N,); see the class about ends."""
         actions = self._checked(actions)
-        buffers = StepBuffers.fresh(self.num_envs, len(self.observation))
-        observations, rewards, terminated, truncated = buffers
         fresh, resets = self._over, self._ended  # none unless autoreset is NextStep
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
-        self._ended, infos = self._stepper.step(actions, buffers)
+        result, self._ended, infos = self._stepper.step(actions)
+        observations, rewards, terminated, truncated, *_ = result
         if self._gallery:
             self._begin_pictures(np.flatnonzero(fresh))
             self._gallery.add(np.flatnonzero(~fresh), actions, self._engine.column)
-        terminated[:] = False
         if self._baseline:
             self._baseline.subtract(rewards, np.flatnonzero(~fresh))
         if resets:

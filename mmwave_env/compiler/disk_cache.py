@@ -250,10 +250,11 @@ class LazyJit:
     """
 
     def __init__(self, function: Callable[..., Any], plain_work: int) -> None:
-        self.plain, self.compiled = function, compiled(function)
+        self.plain = function
+        self.compiled: Any = compiled(function)
         self._left = plain_work
 
-    def choice(self, work: int, *arguments: Any) -> Callable[..., Any]:
+    def choice(self, work: int, *arguments: Any) -> Any:
         """Return the plain or the compiled function, for an amount of work with such arguments.
 
         If threads share the work, call this once for all threads.
@@ -262,7 +263,7 @@ class LazyJit:
             self._left -= work
             return self.plain
         self._left = 0
-        return self.compiled  # type: ignore[no-any-return]
+        return self.compiled
 
     def __call__(self, work: int, *arguments: Any) -> Any:
         """Do an amount of work, as plain Python or compiled."""

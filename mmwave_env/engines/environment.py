@@ -174,11 +174,11 @@ class RestorableEnvironment(Environment):
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         """Return the arrays that a state copies unchanged."""
-        tracks, tally = self._engine.batch.state, self._tally
+        tracks, counts = self._engine.batch.state, self._tally.counts
         return {
             "rows": tracks.rows, "worlds": tracks.feed.kept, "table": tracks.table,
             "length": tracks.length, "epoch": tracks.epoch, "keys": self._engine.keys,
-            "sums": tally.sums, "errors": tally.errors, "second": tally.second,
+            "sums": counts.sums, "errors": counts.errors, "second": counts.second,
         }  # fmt: skip
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:

@@ -30,7 +30,7 @@ INFOS = {
 }
 
 
-def told_rows(at: Any) -> dict[str, Any]:
+def info_rows(at: Any) -> dict[str, Any]:
     """Return the parts of an environment's workspace that are in its infos, except ``mode``.
 
     Args:
@@ -51,10 +51,10 @@ def drawn_rows(at: Any, span: Callable[[Any], slice]) -> dict[str, slice]:
     """Return the rows of a workspace that a :class:`~mmwave_env.rendering.history.Recorder` reads.
 
     Args:
-        at: as :func:`told_rows` takes it.
+        at: as :func:`info_rows` takes it.
         span: returns the rows of a part of the workspace.
     """
-    told = told_rows(at)
+    told = info_rows(at)
     parts = {name: told[name] for name in ("truth", "estimate", "nees", "accepted", "rejected")}
     parts |= {"P": at.P, "dt": at.pending.dt, "anchors": at.site.anchors}
     return {name: span(part) for name, part in parts.items()}
@@ -86,7 +86,7 @@ def step_info(column: Array, told: dict[str, Any], mode: int) -> dict[str, Any]:
 
     Args:
         column: workspace (size,) after the step.
-        told: places of the values in it, as :func:`told_rows` returns them: rows or slices.
+        told: places of the values in it, as :func:`info_rows` returns them: rows or slices.
         mode: number of the mode that ran.
     """
     info: dict[str, Any] = {}
