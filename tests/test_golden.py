@@ -16,8 +16,10 @@ def written(name):
     "name", [pytest.param(k, marks=[pytest.mark.slow] if k in SLOW else []) for k in TRACES]
 )
 def test_no_number_has_changed(name):
-    found = differences(name, written(name), text_of(TRACES[name]()))
-    assert not found, "\n".join(["", *found[:9], "If this is meant: `make golden`, and say why."])
+    differing = differences(name, written(name), text_of(TRACES[name]()))
+    assert not differing, "\n".join(
+        ["", *differing[:9], "If this is meant: `make golden`, and say why."]
+    )
 
 
 def test_every_file_is_one_of_a_trace_and_shows_what_it_is_for():
@@ -29,7 +31,7 @@ def test_every_file_is_one_of_a_trace_and_shows_what_it_is_for():
 
 
 @pytest.mark.parametrize(
-    ("column", "a", "b", "found"),
+    ("column", "a", "b", "differing"),
     [
         ("var vy", "0.5", "0.5000005", 1), ("var vy", "0.5", "0.50000000000005", 0),
         ("var vy", "0.5", "nan", 1), ("gates", "aa-a", "ar-a", 1),
@@ -39,8 +41,8 @@ def test_every_file_is_one_of_a_trace_and_shows_what_it_is_for():
     ],
 )  # fmt: skip
 def test_observations_are_of_single_precision_and_whole_numbers_and_words_exact(
-    column, a, b, found
+    column, a, b, differing
 ):
     old, new = (f"# header\nrow;{column}\n0;{cell}\n" for cell in (a, b))
-    assert len(differences("rollout", old, new)) == found
+    assert len(differences("rollout", old, new)) == differing
     assert differences("rollout", old, "# header\nrow\n0\n") == ["rollout: other rows or columns"]

@@ -56,7 +56,7 @@ FUNCTIONS = {
 
 
 def test_what_computes_something_else_has_another_name():
-    names = {what: name_of(function) for what, function in FUNCTIONS.items()}
+    names = {name: name_of(function) for name, function in FUNCTIONS.items()}
     assert len(set(names.values())) == len(names)
 
 

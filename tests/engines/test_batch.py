@@ -41,8 +41,8 @@ def test_starting_some_leaves_the_others_as_they_are(on_floats):
     for _ in range(3):
         observations = engine.observations()
         np.testing.assert_array_equal(observations[places], expected.observations())
-        for one in (engine, expected):
-            one.step(np.int64(0))
+        for each in (engine, expected):
+            each.step(np.int64(0))
 
 
 @ON
@@ -98,9 +98,9 @@ def test_an_episode_ends_with_the_metrics_of_its_track(epochs, dt, axes):
         nees = rng.chisquare(axes, epochs)
         for k, (error, number) in enumerate(zip(errors, nees, strict=True)):
             count(tally.counts, 1, k, *error, number)
-        found = tally.metrics(where, np.array([epochs]))
+        metrics = tally.metrics(where, np.array([epochs]))
     expected = summary(errors, nees, max(1.0, round(1.0 / dt)), axes)
-    assert {key: value.item() for key, value in found.items()} == pytest.approx(
+    assert {key: value.item() for key, value in metrics.items()} == pytest.approx(
         {key: float(value) for key, value in expected.items()}, rel=1e-12
     )
     assert not tally.counts.sums[[0, 2]].any()

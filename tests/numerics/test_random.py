@@ -69,8 +69,8 @@ def drawn(keys, runs):
 
 
 def test_lanes_draw_what_floats_and_numpy_draw():
-    found = drawn(KEYS, 3)
-    for key, uniform, exponential, normal in zip(KEYS, *found, strict=True):
+    numbers = drawn(KEYS, 3)
+    for key, uniform, exponential, normal in zip(KEYS, *numbers, strict=True):
         dice, bits = Dice(seeded(number(key), 0)), theirs(key, 0)
         bits.random_raw(18)
         rng = np.random.Generator(bits)
