@@ -380,12 +380,12 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
     def _episode_info(self) -> dict[str, Any]:
         """Return metrics of the processed epochs, and the count of those with nonfinite beliefs."""
         self._history.turn = self._steps
-        told: dict[str, Any] = {k: float(v[0]) for k, v in self._metrics_of(_HERE).items()}
+        metrics: dict[str, Any] = {k: float(v[0]) for k, v in self._metrics_of(_HERE).items()}
         (lost,) = self._tally.nonfinite(_HERE).tolist()
         if lost:
             warn_of_nonfinite()
-            told[NONFINITE_KEY] = lost
-        return told
+            metrics[NONFINITE_KEY] = lost
+        return metrics
 
 
 if MmWaveLocEnv.__doc__ is not None:  # python -OO drops docstrings

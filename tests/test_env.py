@@ -73,19 +73,17 @@ def roll(env, seed=0, steps=200, actions=None):
 
 # --- checkers and registration
 
+ROBUST = Mode("robust", robust=True, blockage_aware=True, cost=0.1)
 CONFIGURATIONS = {
     "default": {},
     "vehicle": {"scenario": "vehicle", "radio": "standard", "scene": "o1", "modes": ["ukf"]},
     "prior": {"observation": "prior", "reward": "log-score"} | EKF,
     "flat": {"planar": True, "odometry": True, "dt": 0.5} | EKF,
-    "own modes": {
-        "modes": ["ekf", Mode("robust", robust=True, blockage_aware=True, cost=0.1),
-                  Mode("re-acquire", gate=None, recovery=None)],
-    },
+    "own modes": {"modes": ["ekf", ROBUST, Mode("re-acquire", gate=None, recovery=None)]},
     "recorded": {"episodes": "canyon28_vehicle", "episode_steps": 40} | EKF,
     "filterpy": {"backend": "filterpy", "episode_steps": 5} | EKF,
     "ends early": {"terminate_on_divergence": True, "episode_steps": 30} | EKF,
-}  # fmt: skip
+}
 
 
 @pytest.fixture(params=CONFIGURATIONS)
@@ -144,11 +142,8 @@ def test_a_seed_is_a_run(configuration):
 
 
 @pytest.mark.parametrize(
-    "action",
-    [2, -1, np.int64(7), 0.0, 1.0, np.float64(0.0), float("nan"), np.nan, None, "ekf",
-     np.array([0]), np.array([0, 1]), np.zeros((1, 1), np.int64)],
-    ids=repr,
-)  # fmt: skip
+    "action", [2, -1, np.int64(7), 0.0, np.float64(0.0), np.nan, None, "ekf", np.array([0, 1])]
+)
 def test_a_bad_action_is_refused_and_changes_nothing(action):
     env, twin = gym.make(ID), gym.make(ID)
     env.reset(seed=0)

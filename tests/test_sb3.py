@@ -34,14 +34,12 @@ def native(n=4, **arguments):
 
 # --- against single environments
 
+LOSING = {"scenario": "vehicle", "modes": MODES[:1]}
 CONFIGURATIONS = {
     "truncated": {},
-    "ends early": {
-        "episode_steps": 20, "terminate_on_divergence": True, "scenario": "vehicle",
-        "modes": MODES[:1],  # which loses a vehicle
-    },
+    "ends early": {"episode_steps": 20, "terminate_on_divergence": True} | LOSING,
     "log score": {"observation": "prior", "reward": "log-score", "odometry": True},
-}  # fmt: skip
+}
 
 
 def assert_same(info, expected):

@@ -48,25 +48,21 @@ class Twice(SimulatedSource):
 
 
 # believes that nobody ever changes speed, and so loses most vehicles
-LOSING = Mode("ekf", sigma_v=1e-3, sigma_p=1e-3, adaptive=False, recovery=None)
+STUBBORN = Mode("ekf", sigma_v=1e-3, sigma_p=1e-3, adaptive=False, recovery=None)
+LOSING = {"scenario": "vehicle", "modes": [STUBBORN]}
+OWN = {"modes": ["ckf", Mode("robust", robust=True, cost=0.1), "ekf"]}
 CONFIGURATIONS = {
     "default": {"episode_steps": 6},
     "one step": {"episode_steps": 1} | EKF,
     "flat": {"episode_steps": 7, "planar": True, "odometry": True, "dt": 0.5} | EKF,
-    "own modes": {
-        "episode_steps": 5, "scenario": "jam", "radio": "high", "scene": "o1",
-        "modes": ["ckf", Mode("robust", robust=True, cost=0.1), "ekf"],
-    },
+    "own modes": {"episode_steps": 5, "scenario": "jam", "radio": "high", "scene": "o1"} | OWN,
     "prior": {"episode_steps": 12, "observation": "prior", "reward": "log-score"} | EKF,
     "per mode": {"episode_steps": 6, "beliefs": "per-mode", "modes": ["ekf", "ukf"]},
     "recorded": {"episodes": "canyon28_pedestrian", "episode_steps": 11} | EKF,
     "patchy": {"episodes": Patchy()},
     "twice": {"episodes": Twice(SCENES["street"], RADIOS["handset"], epochs=4)} | EKF,
-    "ends early": {
-        "episode_steps": 14, "terminate_on_divergence": True, "scenario": "vehicle",
-        "modes": [LOSING],
-    },
-}  # fmt: skip
+    "ends early": {"episode_steps": 14, "terminate_on_divergence": True} | LOSING,
+}
 CONFIGURATIONS["paired"] = CONFIGURATIONS["ends early"] | {"reward": "paired"}
 QUICK = ("default", "flat", "per mode", "recorded", "paired")
 

@@ -9,26 +9,23 @@ import pytest
 from gymnasium.error import ResetNeeded
 
 import mmwave_env  # noqa: F401  registers the environment
-from mmwave_env.filters.modes import Mode
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
 from tests.paths import ROOT, representative
 from tests.refusals import refuses
+from tests.test_vector_env import LOSING
 from tests.training.actors import MODES
 from tests.vector_checker import forward, same
 
 AUTORESET = ["NextStep", "SameStep", "Disabled"]
 CONFIGURATIONS = {
     "short": {"episode_steps": 1, "dt": 0.5},
-    "ends early": {
-        "episode_steps": 18, "terminate_on_divergence": True, "scenario": "vehicle",
-        "modes": [Mode("ekf", sigma_v=1e-3, sigma_p=1e-3, adaptive=False, recovery=None)],
-    },
+    "ends early": {"episode_steps": 18, "terminate_on_divergence": True} | LOSING,
     "per mode": {"episode_steps": 4, "beliefs": "per-mode"},
     "paired": {"episode_steps": 4, "reward": "paired"},
     "flat": {"episode_steps": 5, "planar": True, "dt": 0.5, "modes": MODES[:1]},
-}  # fmt: skip
+}
 
 
 def make(mode="SameStep", n=9, **arguments):

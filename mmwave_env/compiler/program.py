@@ -112,11 +112,10 @@ class StepIO(NamedTuple):
         obs_rows: Index = NO_ROWS,
     ) -> "StepIO":
         """Return zeros as inputs, and empty arrays for outputs and observations."""
-        return cls(
-            input_rows, np.zeros((n, epochs, len(input_rows))),
-            output_rows, np.empty((n, epochs, len(output_rows))),
-            obs_rows, np.empty((n, epochs, len(obs_rows)), np.float32),
-        )  # fmt: skip
+        inputs = np.zeros((n, epochs, len(input_rows)))
+        outputs = np.empty((n, epochs, len(output_rows)))
+        observations = np.empty((n, epochs, len(obs_rows)), np.float32)
+        return cls(input_rows, inputs, output_rows, outputs, obs_rows, observations)
 
 
 def tree_kernel(
@@ -234,9 +233,8 @@ class Repeated:
 
     def __call__(self, work: int, jobs: Sequence[tuple[Any, ...]]) -> list[Any]:
         """Return the results of an amount of work, which a thread for each of the jobs shares."""
-        run = self._unchecked or self._function.choice(work, *jobs[0])
+        run: Any = self._unchecked or self._function.choice(work, *jobs[0])
         results = share(run, jobs, len(jobs))
-        compiled = self._function.compiled
-        if run is compiled:
-            self._unchecked = compiled.overloads[tuple(map(typeof, jobs[0]))].entry_point
+        if run is self._function.compiled:
+            self._unchecked = run.overloads[tuple(map(typeof, jobs[0]))].entry_point
         return results

@@ -24,13 +24,17 @@ class Baseline:
     """Rewards of an IMM on the episodes of a batch.
 
     Args:
-        imm: the IMM.
+        task: the task, whose baseline is the IMM.
         batch: the batch that runs the episodes.
         threads: number of threads that may work at once; results do not depend on it.
     """
 
-    def __init__(self, imm: ImmEngine, batch: Batch[Any], threads: int = 1) -> None:
-        self._imm, self._batch, self._threads = imm, batch, threads
+    def __init__(self, task: Task, batch: Batch[Any], threads: int = 1) -> None:
+        bank = task.baseline
+        assert bank is not None
+        pipeline = replace(task.pipeline, modes=bank.modes)
+        self._imm = ImmEngine(pipeline, task.reward, bank.transition, bank.nis_quantile)
+        self._batch, self._threads = batch, threads
         self._rewards = np.zeros((batch.n, 0), np.float32)
 
     def begin(self, places: Index, episodes: Callable[[Index], EpisodeBatch]) -> None:
@@ -67,13 +71,3 @@ class Baseline:
         tracks = self._batch.state
         spans = zip(places, tracks.epoch[places] - 1, tracks.length[places], strict=True)
         return np.array([fsum(self._rewards[place, now:end]) for place, now, end in spans])
-
-
-def baseline_of(task: Task, batch: Batch[Any], threads: int = 1) -> Baseline | None:
-    """Return the baseline of a task on the episodes of a batch; None where the task has none."""
-    bank = task.baseline
-    if bank is None:
-        return None
-    pipeline = replace(task.pipeline, modes=bank.modes)
-    imm = ImmEngine(pipeline, task.reward, bank.transition, bank.nis_quantile)
-    return Baseline(imm, batch, threads)

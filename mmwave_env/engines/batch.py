@@ -84,18 +84,18 @@ class Batch(Generic[Workspace]):
         Raises:
             ValueError: the layout of an episode is not the batch's.
         """
-        found = EpisodeBatch.of(episodes, self.layout)
+        packed = EpisodeBatch.of(episodes, self.layout)
         places = np.arange(self.n) if places is None else places
-        epochs = found.table.shape[1]
+        epochs = packed.table.shape[1]
         self.make_room(epochs)
-        self.state.length[places] = found.length
-        self.state.table[places, :epochs] = found.table
+        self.state.length[places] = packed.length
+        self.state.table[places, :epochs] = packed.table
         if gap_s is not None:
             self.state.table[places, 0, columns_of(self.layout).dt] = gap_s
             self.state.epoch[places] = 0
             return
         _, site, _, *_ = self.at
-        self.write(site, found.site, places)
+        self.write(site, packed.site, places)
         self.restart(places)
 
     def begin(self, source: SimulatedSource, begun: Begun, places: Index) -> None:

@@ -13,7 +13,7 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.threads import portions, share
-from mmwave_env.engines.baseline import Baseline, baseline_of
+from mmwave_env.engines.baseline import Baseline
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.tally import Tally
@@ -59,7 +59,7 @@ class Environment:
         self._engine = Engine(pipeline, n, task.reward, kind, task.bank, on_floats, threads)
         self.modes, self.observation = pipeline.modes, self._engine.observation
         self._replay = Replay(task.pipeline, task.bank) if self._smoothing else None
-        self._baseline = baseline_of(task, self._engine.batch, threads)
+        self._baseline = Baseline(task, self._engine.batch, threads) if task.baseline else None
 
     @property
     def _drawn(self) -> tuple[dict[str, slice], int, list[str]]:
@@ -70,9 +70,9 @@ class Environment:
     def _streets_of(self, place: int) -> Streets | None:
         return self._task.streets_of(int(self._engine.keys[place]))
 
-    def _require_begun(self, what: str) -> None:
+    def _require_begun(self, call: str) -> None:
         if not self._begun:
-            raise ResetNeeded(f"Call reset before {what}: there is no episode under way.")
+            raise ResetNeeded(f"Call reset before {call}: there is no episode under way.")
 
     def _begin_baseline(self, places: Index) -> None:
         if self._baseline:
@@ -92,10 +92,10 @@ class Environment:
     def _metrics_of(self, ended: Index, threads: int = 1) -> dict[str, Array]:
         """Compute the final metrics of episodes that ended in some environments (k,)."""
         epochs = self._engine.batch.state.epoch[ended] - 1
-        metrics = self._tally.metrics(ended, epochs)
-        told = {INFO_KEYS[name]: values for name, values in metrics.items()}
+        figures = self._tally.metrics(ended, epochs)
+        metrics = {INFO_KEYS[name]: values for name, values in figures.items()}
         if not self._replay:
-            return told
+            return metrics
         jobs = []
         for steps in set(epochs.tolist()):
             alike = np.flatnonzero(epochs == steps)
@@ -108,7 +108,7 @@ class Environment:
             smoothed[some] = ate(errors[:, scored(steps)])
 
         share(smooth, jobs, threads)
-        return told | {SMOOTHED_KEY: smoothed}
+        return metrics | {SMOOTHED_KEY: smoothed}
 
     def _charge(self, rewards: Array, places: Index) -> None:
         """Add the worst reward for every remaining epoch where an episode ends early."""
@@ -120,9 +120,9 @@ class Environment:
 
     def _set_up_noting(self) -> None:
         """Set up, and note the attributes made here, which a copy makes by itself."""
-        given = set(vars(self))
+        attributes = set(vars(self))
         self._set_up()
-        self._remade = frozenset(vars(self)) - given
+        self._remade = frozenset(vars(self)) - attributes
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the attributes that a copy cannot make by itself."""
@@ -175,11 +175,9 @@ class RestorableEnvironment(Environment):
     def _arrays(self) -> dict[str, NDArray[Any]]:
         """Return the arrays that a state copies unchanged."""
         tracks, counts = self._engine.batch.state, self._tally.counts
-        return {
-            "rows": tracks.rows, "worlds": tracks.feed.kept, "table": tracks.table,
-            "length": tracks.length, "epoch": tracks.epoch, "keys": self._engine.keys,
-            "sums": counts.sums, "errors": counts.errors, "second": counts.second,
-        }  # fmt: skip
+        arrays = {key: getattr(tracks, key) for key in ("rows", "table", "length", "epoch")}
+        arrays |= {"worlds": tracks.feed.kept, "keys": self._engine.keys}
+        return arrays | {key: getattr(counts, key) for key in ("sums", "errors", "second")}
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
         """Continue as the environment that returned this :meth:`state`, to the last bit.
@@ -197,10 +195,10 @@ class RestorableEnvironment(Environment):
         arrays = self._arrays()
         others = {"streams": (n, 2), "over": (n,), "actions": history.rows.shape}
         for name, shape in (others | {key: array.shape for key, array in arrays.items()}).items():
-            found = state[name].shape if name in state else "nothing"
-            if found != shape:
+            stored = state[name].shape if name in state else "nothing"
+            if stored != shape:
                 raise ValueError(
-                    f"{name} of the state: found {found}, expected {shape}, as in an "
+                    f"{name} of the state: found {stored}, expected {shape}, as in an "
                     "environment with the same arguments"
                 )
         epochs = set(state["length"].tolist())
@@ -224,9 +222,9 @@ class RestorableEnvironment(Environment):
         self._tally.make_room(min(round(1.0 / source.dt), source.epochs))
         self._remember(source.epochs)
 
-    def _require_simulated(self, what: str) -> None:
+    def _require_simulated(self, call: str) -> None:
         if not self._task.has_keys:
             raise ValueError(
-                f"{what}: found episodes of a source of your own, or recorded ones, expected "
+                f"{call}: found episodes of a source of your own, or recorded ones, expected "
                 "simulated ones; what such a source remembers is not known here"
             )

@@ -241,10 +241,8 @@ OPTIONS = {
     "recovery": {"sigma_v": 0.1, "sigma_p": 0.01},
 }
 ALL = ("ekf", "ukf", "ckf")
-KEPT = (
-    "x", "P", "P_predicted", "memory", "candidates", "observation", "reward", "error", "nees",
-    "memory.accepted", "memory.lockout",
-)  # fmt: skip
+KEPT = ("x", "P", "P_predicted", "memory", "candidates", "observation", "reward", "error", "nees")
+KEPT += ("memory.accepted", "memory.lockout")
 
 
 def lanes_and_floats(pipeline, episodes, actions):

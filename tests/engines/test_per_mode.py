@@ -139,11 +139,11 @@ def test_the_prediction_of_a_mixture_is_the_mean_over_its_modes():
     """
     modes = tuple(replace(mode, spread_gain=0.0) for mode in BANK.modes)
     imm = ImmEngine(Pipeline(modes, STREET), TrackingReward(), BANK.transition, 0.99)
-    run = imm.run(simulated(3, epochs=20), "x", "P", "x_predicted", "P_predicted",
-                  "mixture.probability")  # fmt: skip
+    names = ("x", "P", "x_predicted", "P_predicted", "mixture.probability")
+    run = imm.run(simulated(3, epochs=20), *names)
     F, P = textbook.F(1.0), unpacked(run["P"])
-    np.testing.assert_allclose(run["x_predicted"][:, 1:], run["x"][:, :-1] @ F.T, rtol=1e-9,
-                               atol=1e-9)  # fmt: skip
+    moved = run["x"][:, :-1] @ F.T
+    np.testing.assert_allclose(run["x_predicted"][:, 1:], moved, rtol=1e-9, atol=1e-9)
     weights = run["mixture.probability"][:, :-1] @ np.array(BANK.transition)
     Q = unpacked(run["P_predicted"])[:, 1:] - F @ P[:, :-1] @ F.T
     velocity = weights @ np.square([mode.sigma_v for mode in modes])

@@ -102,8 +102,8 @@ def test_a_mixture_is_smoothed_as_by_numpy(mixture):
     time_s = dt * np.arange(x.shape[1])
     found_x, found_P = smooth(x, P, x_predicted, P_predicted, np.diff(time_s))
     for e in range(len(x)):
-        expected = textbook.rts(x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s,
-                                x_predicted=x_predicted[e])  # fmt: skip
+        track = x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s
+        expected = textbook.rts(*track, x_predicted=x_predicted[e])
         np.testing.assert_allclose(found_x[e], expected[0], rtol=1e-7, atol=1e-7)
         np.testing.assert_allclose(unpacked(found_P[e]), expected[1], rtol=1e-6, atol=1e-6)
 

@@ -88,10 +88,9 @@ def _episode(log: str) -> Episode:
     fix = block.measurement[0, :4], sigma[0, :4]
     mean, covariance = prior_from_fix(scene.anchors_m[0], *fix, radio, scene)
     visible[0, 0] = False  # or the link would be used twice
-    return Episode(
-        log, scene.anchors_m, scene.hz_per_mps, block.time_s, block.measurement, sigma, visible,
-        block.snr_db, block.doppler_spread_hz, mean, covariance, None, None, block.layout,
-    )  # fmt: skip
+    measured = block.measurement, sigma, visible, block.snr_db, block.doppler_spread_hz
+    received = log, scene.anchors_m, scene.hz_per_mps, block.time_s, *measured
+    return Episode(*received, mean, covariance, None, None, block.layout)
 
 
 def _shown(states: Any) -> list[int]:

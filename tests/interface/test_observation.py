@@ -247,10 +247,10 @@ def test_what_a_mode_would_make_of_the_coming_epoch_is_what_it_makes_of_it(rollo
         name = ("ekf", "ukf")[info["mode"]]
 
         def coming(part, name=name, t=t):
-            return rollout.read(f"coming {what} {name}")[t]
+            return rollout.read(f"coming {part} {name}")[t]
 
         def limited(part, value, name=name):
-            return rollout.limited(f"coming {what} {name}", value)
+            return rollout.limited(f"coming {part} {name}", value)
 
         visible = rollout.episode.usable[t]
         mean_nis = info["nis"][visible].sum() / max(dof[visible].sum(), 1)

@@ -92,9 +92,7 @@ def test_lanes_draw_what_floats_and_numpy_draw():
             )
 
 
-KINDS = {
-    "uniform": stats.uniform(), "exponential": stats.expon(), "normal": stats.norm(),
-}  # fmt: skip
+KINDS = {"uniform": stats.uniform(), "exponential": stats.expon(), "normal": stats.norm()}
 
 
 @pytest.fixture(scope="module")
