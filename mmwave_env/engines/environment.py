@@ -5,7 +5,9 @@ An environment that continues from a copy or a state gives the same numbers, to 
 
 from collections.abc import Callable
 from copy import deepcopy
+from dataclasses import replace
 from functools import partial
+from math import fsum
 from typing import Any, Self
 
 import numpy as np
@@ -13,8 +15,9 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.threads import portions, share
-from mmwave_env.engines.baseline import Baseline
+from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.tally import Tally
 from mmwave_env.engines.vector_step import ActionHistory, Stepper
@@ -25,9 +28,65 @@ from mmwave_env.metrics import INFO_KEYS, ate, scored
 from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.task import Task
+from mmwave_env.world.episode import EpisodeBatch
 from mmwave_env.world.keys import Streams
 
-REPLAYED = 64  # episodes at once: few enough for their memory not to matter
+REPLAYED, FILTERED = 64, 256  # episodes at once: few enough for their memory not to matter
+
+
+class Baseline:
+    """The baseline of a paired reward: the rewards of an IMM on the episodes of a batch.
+
+    No action changes an episode, so these rewards are known once the episode is loaded.
+
+    Args:
+        task: the task, whose baseline is the IMM.
+        batch: the batch that runs the episodes.
+        threads: number of threads that may work at once; results do not depend on it.
+    """
+
+    def __init__(self, task: Task, batch: Batch[Any], threads: int = 1) -> None:
+        bank = task.baseline
+        assert bank is not None
+        pipeline = replace(task.pipeline, modes=bank.modes)
+        self._imm = ImmEngine(pipeline, task.reward, bank.transition, bank.nis_quantile)
+        self._batch, self._threads = batch, threads
+        self._rewards = np.zeros((batch.n, 0), np.float32)
+
+    def begin(self, places: Index, episodes: Callable[[Index], EpisodeBatch]) -> None:
+        """Run the IMM on the episodes that begin in some environments (n,).
+
+        Args:
+            places: the environments.
+            episodes: function that returns the episodes of some of the environments.
+        """
+        missing = self._batch.state.length.max() - self._rewards.shape[1]
+        self._rewards = np.pad(self._rewards, ((0, 0), (0, max(0, missing))))
+
+        def run(some: Index) -> None:
+            rewards = self._imm.run(episodes(some), "reward")["reward"]
+            self._rewards[some, : rewards.shape[1]] = rewards
+
+        parts = portions(len(places), self._threads, FILTERED)
+        share(run, [(places[part],) for part in parts], self._threads)
+
+    def subtract(self, rewards: Array, places: Index) -> None:
+        """Subtract from rewards (N,) the IMM's rewards in the epoch that was just processed.
+
+        The result has single precision, which agents learn from, so recorded trainings repeat.
+
+        Args:
+            rewards: (N,) rewards of all environments, changed in place.
+            places: (n,) environments that processed an epoch.
+        """
+        epoch = self._batch.state.epoch[places] - 2  # the epoch before the one considered
+        rewards[places] = rewards[places].astype(np.float32) - self._rewards[places, epoch]
+
+    def rest(self, places: Index) -> Array:
+        """Return the IMM's total reward in the remaining epochs of some environments (n,)."""
+        tracks = self._batch.state
+        spans = zip(places, tracks.epoch[places] - 1, tracks.length[places], strict=True)
+        return np.array([fsum(self._rewards[place, now:end]) for place, now, end in spans])
 
 
 class Environment:
@@ -175,9 +234,13 @@ class RestorableEnvironment(Environment):
     def _arrays(self) -> dict[str, NDArray[Any]]:
         """Return the arrays that a state copies unchanged."""
         tracks, counts = self._engine.batch.state, self._tally.counts
-        arrays = {key: getattr(tracks, key) for key in ("rows", "table", "length", "epoch")}
-        arrays |= {"worlds": tracks.feed.kept, "keys": self._engine.keys}
-        return arrays | {key: getattr(counts, key) for key in ("sums", "errors", "second")}
+        arrays: dict[str, NDArray[Any]] = {
+            "rows": tracks.rows,
+            "worlds": tracks.feed.kept,
+            "table": tracks.table,
+        }
+        arrays |= {"length": tracks.length, "epoch": tracks.epoch, "keys": self._engine.keys}
+        return arrays | {"sums": counts.sums, "errors": counts.errors, "second": counts.second}
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
         """Continue as the environment that returned this :meth:`state`, to the last bit.

@@ -34,7 +34,7 @@ def info_rows(at: Any) -> dict[str, Any]:
     """Return the parts of an environment's workspace that are in its infos, except ``mode``.
 
     Args:
-        at: workspace of :mod:`~mmwave_env.engines.shared_epoch` with row numbers as leaves.
+        at: workspace of :mod:`~mmwave_env.engines.environment_epoch` with row numbers as leaves.
     """
     memory = at.memory
     rows = {"position_error_m": at.distance, "nees": at.nees}

@@ -130,37 +130,6 @@ posix = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and signa
 
 @pytest.mark.slow
 @posix
-def test_an_interrupt_waits_for_the_others_and_the_next_reset_starts_over(tmp_path):
-    code = """
-    done = []
-    def job(i):
-        if i == 0:
-            signal.raise_signal(signal.SIGINT)
-        time.sleep(0.05)
-        done.append(i)
-    try:
-        share(job, [(i,) for i in range(6)], 2)
-    except KeyboardInterrupt:
-        before = len(done)
-        time.sleep(0.3)
-        print("interrupted", len(done) == before)
-    def interrupted(*arguments):
-        stepping.share = share
-        share(*arguments)
-        raise KeyboardInterrupt
-    stepping.share = interrupted
-    try:
-        env.step(np.zeros(32, int))
-    except KeyboardInterrupt:
-        env.reset(seed=0)
-        again = [env.step(np.zeros(32, int))[1] for _ in range(3)]
-        print(np.array_equal(rewards, again))
-    """
-    assert process(code, tmp_path) == ["interrupted", "True", "True"]
-
-
-@pytest.mark.slow
-@posix
 def test_an_environment_goes_on_after_an_interrupted_step(tmp_path):
     """The metrics count the actions of that step and their results."""
     code = """

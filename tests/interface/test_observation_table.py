@@ -7,7 +7,6 @@ import pytest
 from gymnasium import spaces
 
 import mmwave_env  # noqa: F401  registers the environment
-from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.filters.bank import best_bank, modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
@@ -64,11 +63,6 @@ def test_the_documented_table_lists_every_feature_in_order(pipeline, kind):
     cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
     assert [(int(number), name) for number, name, *_ in cells] == list(enumerate(names(table)))
     assert all(len(row) == 8 == head.count("|") - 1 == rule.count("|") - 1 for row in cells)
-
-
-def test_the_environment_s_docstring_holds_the_table():
-    documented = MmWaveLocEnv.__doc__.replace("\n    ", "\n")
-    assert Observation(PIPELINES["default"]).table() in documented
 
 
 def observed(table, values):
