@@ -46,7 +46,7 @@ def main(args: Args) -> None:
         result, text, content, _ = results(options, names)
         show(str(replace(result, paired={})))
         tables.append(text)
-        everything[result.scenario] = made | {"options": options_of(one)} | content
+        everything[result.scenario] = made | {"options": options_of(options)} | content
         write_json(args.out / f"{result.scenario}.json", everything[result.scenario])
     write_text(args.out / "tables.md", "\n".join(tables))
     if args.json:

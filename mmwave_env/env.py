@@ -18,8 +18,8 @@ from mmwave_env.interface.info import (
     INFOS,
     NONFINITE_KEY,
     STATE_KEYS,
+    info_rows,
     step_info,
-    told_rows,
     warn_of_nonfinite,
     worded,
 )
@@ -232,9 +232,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
         choose(INFOS, infos, "infos")
         self.render_mode, self._backend, self._infos = render_mode, backend, infos
         self._take_task(task_from(**arguments), observation, smoothed)
-        self._interval = self._tally.interval.tolist()
         self._over, self._steps, self._length = True, 0, 0
-        self._sums, self._errors, self._second = [0.0], [[0.0]], 1
         self._stream = Stream()
         self._set_up_noting()
         drawn = (*self._drawn, render_size, render_theme)
@@ -252,11 +250,11 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
             pipeline = filterpy_pipeline(pipeline)
         self._start_engine(pipeline, on_floats=on_floats)
         at, span = self._engine.at, self._engine.span
-        self._io = self._engine.io()
+        self._io, self._counts = self._engine.io(), self._tally.in_python()
         self._observed, self._error = span(at.observation), span(at.error)
         self._told = {
             key: part if isinstance(part, int) else span(part)
-            for key, part in told_rows(at).items()
+            for key, part in info_rows(at).items()
         }
 
     @property  # type: ignore[override]
@@ -296,8 +294,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
         self._begin_tracks(_HERE)
         self._begun, self._over, self._steps = True, False, 0
         self._length = int(self._engine.batch.state.length[0])
-        self._sums, self._second = self._tally.sums[0].tolist(), int(self._tally.second[0])
-        self._errors = self._tally.errors[0].tolist()
+        self._counts = self._tally.in_python()
         self._history.make_room(self._length)
         column = self._engine.column(0)
         if self._gallery:
@@ -342,7 +339,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
         if self._baseline:
             self._baseline.subtract(rewards, _HERE)
         off, nees = column[self._error].tolist(), info["nees"]
-        count(self._sums, self._errors, self._second, self._interval, self._steps, *off, nees)
+        count(self._counts, 0, self._steps, *off, nees)
         self._history.rows[self._steps, 0] = action
         self._steps += 1
         terminated = self._task.worst is not None and not distance <= DIVERGENCE_M
@@ -382,13 +379,13 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
 
     def _episode_info(self) -> dict[str, Any]:
         """Return metrics of the processed epochs, and the count of those with nonfinite beliefs."""
-        self._tally.sums[0], self._history.turn = self._sums, self._steps
-        told: dict[str, Any] = {k: float(v[0]) for k, v in self._metrics_of(_HERE).items()}
+        self._history.turn = self._steps
+        metrics: dict[str, Any] = {k: float(v[0]) for k, v in self._metrics_of(_HERE).items()}
         (lost,) = self._tally.nonfinite(_HERE).tolist()
         if lost:
             warn_of_nonfinite()
-            told[NONFINITE_KEY] = lost
-        return told
+            metrics[NONFINITE_KEY] = lost
+        return metrics
 
 
 if MmWaveLocEnv.__doc__ is not None:  # python -OO drops docstrings

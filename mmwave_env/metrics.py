@@ -172,10 +172,8 @@ def summary(
     """
     counted = scored(nees.shape[-1])
     pays = nees if reward is None else reward
-    epochs = Epochs(
-        pays[..., counted], error[..., counted, :], nees[..., counted],
-        max(1, round(epochs_per_s)), nees_interval(axes),
-    )  # fmt: skip
+    columns = pays[..., counted], error[..., counted, :], nees[..., counted]
+    epochs = Epochs(*columns, max(1, round(epochs_per_s)), nees_interval(axes))
     wanted = [m for m in METRICS.values() if reward is not None or m.name != "reward"]
     return {metric.name: metric.whole(epochs) for metric in wanted}
 

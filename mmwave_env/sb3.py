@@ -74,21 +74,21 @@ class SB3VecEnv(VecEnv):
 
     def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], Infos]:
         """Make a step; return observations (n, ...), rewards (n,), ends (n,) and infos."""
-        observations, rewards, terminated, truncated, told = self.env.step(self._actions)
+        observations, rewards, terminated, truncated, batched = self.env.step(self._actions)
         self._returns += rewards
         self._lengths += 1
         over = terminated | truncated
         infos: Infos = [{} for _ in range(self.num_envs)]
         for i in map(int, np.flatnonzero(over)):
-            infos[i] = self._ending(told, i)
+            infos[i] = self._ending(batched, i)
             infos[i]["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
         self._returns[over], self._lengths[over] = 0.0, 0
         return observations, rewards.astype(np.float32), over, infos
 
-    def _ending(self, told: dict[str, Any], i: int) -> dict[str, Any]:
+    def _ending(self, batched: dict[str, Any], i: int) -> dict[str, Any]:
         """Return the info of the last step of an episode."""
-        return _of(told["final_info"], i) | {
-            "terminal_observation": told["final_obs"][i],
+        return _of(batched["final_info"], i) | {
+            "terminal_observation": batched["final_obs"][i],
             "episode": {
                 "r": float(self._returns[i]),
                 "l": int(self._lengths[i]),
@@ -129,16 +129,16 @@ class SB3VecEnv(VecEnv):
         """Tell for each index whether a wrapper's work is done here; only that of Monitor is."""
         return [wrapper_class is Monitor] * len(list(self._get_indices(indices)))
 
-    def _require_all(self, indices: Indices, what: str) -> None:
+    def _require_all(self, indices: Indices, call: str) -> None:
         if len(set(self._get_indices(indices))) < self.num_envs:
-            raise ValueError(f"{what}: found indices {indices}, expected all of them")
+            raise ValueError(f"{call}: found indices {indices}, expected all of them")
 
 
-def _of(told: dict[str, Any], i: int) -> dict[str, Any]:
+def _of(batched: dict[str, Any], i: int) -> dict[str, Any]:
     """Return the batched infos of one environment, as their masks say."""
-    found: dict[str, Any] = {}
-    for key, value in told.items():
-        mask = told.get(f"_{key}")
-        if not (key[:1] == "_" and key[1:] in told) and (mask is None or mask[i]):
-            found[key] = _of(value, i) if isinstance(value, dict) else value[i]
-    return found
+    info: dict[str, Any] = {}
+    for key, value in batched.items():
+        mask = batched.get(f"_{key}")
+        if not (key[:1] == "_" and key[1:] in batched) and (mask is None or mask[i]):
+            info[key] = _of(value, i) if isinstance(value, dict) else value[i]
+    return info

@@ -143,21 +143,21 @@ def task_from(**arguments: Any) -> Task:
                 f"got an unexpected keyword argument {name!r}, expected one of "
                 f"{', '.join(known)}{hint}"
             )
-    given = TaskArguments(**arguments)
-    require("episode_steps", given.episode_steps, int | None)
-    require("dt", given.dt, float | None)
+    asked = TaskArguments(**arguments)
+    require("episode_steps", asked.episode_steps, int | None)
+    require("dt", asked.dt, float | None)
     for name in ("planar", "odometry", "terminate_on_divergence"):
-        require(name, getattr(given, name), bool)
-    source, radio = _source(given, radio_from(given.radio))
-    pays = reward_from(given.reward)
-    bank, modes = bank_and_modes(given.modes, given.beliefs, radio)
-    pipeline = Pipeline(modes, source.layout, given.planar)
+        require(name, getattr(asked, name), bool)
+    source, radio = _source(asked, radio_from(asked.radio))
+    pays = reward_from(asked.reward)
+    bank, modes = bank_and_modes(asked.modes, asked.beliefs, radio)
+    pipeline = Pipeline(modes, source.layout, asked.planar)
     baseline = None
     if isinstance(pays, PairedReward):
         baseline = bank or Bank(modes_from(None, radio))
         pays = pays.reward
     worst = None
-    if given.terminate_on_divergence:
+    if asked.terminate_on_divergence:
         if getattr(pays, "worst", None) is None:
             raise ValueError("terminate_on_divergence: the reward needs its lowest value, worst")
         worst = pays.worst - max(mode.cost for mode in pipeline.modes)  # type: ignore[attr-defined]
@@ -190,27 +190,27 @@ def bank_and_modes(
     return None, modes_from(modes, radio)
 
 
-def _source(given: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
+def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
     """Return the source of episodes, and the radio that they were received with."""
-    if given.episodes is None:
+    if asked.episodes is None:
         simulated = SimulatedSource(
-            scenes_from("street" if given.scene is None else given.scene),
+            scenes_from("street" if asked.scene is None else asked.scene),
             radio,
-            scenario_from("mixed" if given.scenario is None else given.scenario),
-            1.0 if given.dt is None else given.dt,
-            EPISODE_STEPS if given.episode_steps is None else given.episode_steps,
-            given.odometry,
+            scenario_from("mixed" if asked.scenario is None else asked.scenario),
+            1.0 if asked.dt is None else asked.dt,
+            EPISODE_STEPS if asked.episode_steps is None else asked.episode_steps,
+            asked.odometry,
         )
-        if given.episode_steps is not None and simulated.epochs < given.episode_steps:
+        if asked.episode_steps is not None and simulated.epochs < asked.episode_steps:
             raise ValueError(
-                f"episode_steps: found {given.episode_steps}, expected at most {simulated.epochs}, "
+                f"episode_steps: found {asked.episode_steps}, expected at most {simulated.epochs}, "
                 f"the epochs of {simulated.name}"
             )
         return simulated, radio
     for name in ("scenario", "scene", "dt", "odometry"):
-        if (value := getattr(given, name)) is not None and value is not False:
+        if (value := getattr(asked, name)) is not None and value is not False:
             raise ValueError(f"{name}: found {value!r}, but recorded episodes bring it")
-    source = _recorded(given.episodes, radio, given.episode_steps)
+    source = _recorded(asked.episodes, radio, asked.episode_steps)
     return source, getattr(source, "radio", radio)
 
 

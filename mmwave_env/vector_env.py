@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from mmwave_env.engines.environment import RestorableEnvironment
-from mmwave_env.engines.vector_step import StepBuffers, Stepper
+from mmwave_env.engines.vector_step import Stepper
 from mmwave_env.interface.info import (
     INFOS,
     NONFINITE_KEY,
@@ -220,40 +220,38 @@ class MmWaveLocVectorEnv(
     def _draw(self, places: Index, keys: Keys | None = None) -> dict[str, NDArray[Any]]:
         """Begin episodes in some environments; return their infos for ``reset``, (N,) each."""
         task, engine = self._task, self._engine
-        told: dict[str, NDArray[Any]] = {"episode_name": np.full(self.num_envs, None, object)}
-        told["nonfinite"] = np.zeros(self.num_envs, np.int64)
+        infos: dict[str, NDArray[Any]] = {"episode_name": np.full(self.num_envs, None, object)}
+        infos["nonfinite"] = np.zeros(self.num_envs, np.int64)
         if task.has_keys:
             keys = self._streams.keys(places) if keys is None else keys
             for first in range(0, len(places), BEGUN):
                 now = slice(first, first + BEGUN)
                 names = engine.begin(task, keys[now], places[now], self._threads)
-                told["episode_name"][places[now]] = names
-            told["episode_key"] = engine.keys.copy()
+                infos["episode_name"][places[now]] = names
+            infos["episode_key"] = engine.keys.copy()
         else:
             drawn = [task.draw(self._streams.generator(int(place))) for place in places]
             engine.batch.load(drawn, places)
-            told["episode_name"][places] = [episode.name for episode in drawn]
-            told["nonfinite"][places] = [episode.nonfinite for episode in drawn]
+            infos["episode_name"][places] = [episode.name for episode in drawn]
+            infos["nonfinite"][places] = [episode.nonfinite for episode in drawn]
         self._begin_tracks(places)
         self._remember(int(engine.batch.state.length.max()))
-        self._names[places] = told["episode_name"][places]
+        self._names[places] = infos["episode_name"][places]
         self._over = self._over.copy()
         self._over[places] = False
         self._ended = int(np.count_nonzero(self._over))
-        return {} if self._infos == "none" else told
+        return {} if self._infos == "none" else infos
 
     def step(self, actions: Index) -> Step:
         """Process an epoch in every environment with its mode (N,); see the class about ends."""
         actions = self._checked(actions)
-        buffers = StepBuffers.fresh(self.num_envs, len(self.observation))
-        observations, rewards, terminated, truncated = buffers
         fresh, resets = self._over, self._ended  # none unless autoreset is NextStep
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
-        self._ended, infos = self._stepper.step(actions, buffers)
+        result, self._ended, infos = self._stepper.step(actions)
+        observations, rewards, terminated, truncated, *_ = result
         if self._gallery:
             self._begin_pictures(np.flatnonzero(fresh))
             self._gallery.add(np.flatnonzero(~fresh), actions, self._engine.column)
-        terminated[:] = False
         if self._baseline:
             self._baseline.subtract(rewards, np.flatnonzero(~fresh))
         if resets:
@@ -268,9 +266,9 @@ class MmWaveLocVectorEnv(
         if self._ended:
             self._over = terminated | truncated
         if self._infos == "episode" and (resets or self._ended):
-            told = self._stepper.look(actions)
-            state = masked({key: told.pop(key) for key in STATE_KEYS}, fresh | self._over)
-            infos |= masked(told, self._over) | state
+            last = self._stepper.look(actions)
+            state = masked({key: last.pop(key) for key in STATE_KEYS}, fresh | self._over)
+            infos |= masked(last, self._over) | state
         if self._ended:
             infos = self._end(observations, infos)
         return observations, rewards, terminated, truncated, infos
@@ -295,9 +293,9 @@ class MmWaveLocVectorEnv(
                 f"The episodes of environments {np.flatnonzero(self._over).tolist()} are over: "
                 'call reset(options={"reset_mask": ...}) before step.'
             )
-        found = np.asarray(actions)
-        if found.shape == (self.num_envs,) and found.dtype.kind in "iu":
-            chosen = found.astype(np.int64)
+        array = np.asarray(actions)
+        if array.shape == (self.num_envs,) and array.dtype.kind in "iu":
+            chosen = array.astype(np.int64)
             wrong = chosen.view(np.uint64) >= self._mode_count  # negative actions wrap around
             if self._ended:
                 wrong[self._over] = False
@@ -311,11 +309,11 @@ class MmWaveLocVectorEnv(
     def _metrics(self) -> dict[str, NDArray[Any]]:
         """Return the metrics for the last info of episodes, (N,) each."""
         ended = np.flatnonzero(self._over)
-        told = self._metrics_of(ended, self._threads)
-        found = {key: np.zeros(self.num_envs) for key in told}
-        for key, values in told.items():
-            found[key][ended] = values
-        return found
+        metrics = {}
+        for key, values in self._metrics_of(ended, self._threads).items():
+            metrics[key] = np.zeros(self.num_envs)
+            metrics[key][ended] = values
+        return metrics
 
     def _same_step(self, observations: Observations, infos: dict[str, Any]) -> dict[str, Any]:
         """Reset where episodes ended; their last observations and infos become ``final_*``."""
@@ -324,8 +322,8 @@ class MmWaveLocVectorEnv(
         final_obs = np.full(self.num_envs, None, object)
         for place, observation in zip(ended, observations[ended], strict=True):
             final_obs[place] = observation.copy()
-        values = {key: value for key, value in infos.items() if not key.startswith("_")}
-        final = masked({key: value.copy() for key, value in values.items()}, over)
+        values = {key: array.copy() for key, array in infos.items() if not key.startswith("_")}
+        final = masked(values, over)
         if NONFINITE_KEY in final:
             (mask,) = mask_keys([NONFINITE_KEY])
             final[mask] = final[NONFINITE_KEY] > 0
@@ -335,10 +333,8 @@ class MmWaveLocVectorEnv(
         self._begin_pictures(ended)
         for key, anew in begun.items():
             infos[key][ended] = anew[ended]
-        told = stepped(infos, ~over)
+        infos = stepped(infos, ~over)
         if self._infos != "all":
-            told = {key: told[key] for key in (*begun, *mask_keys(begun))}
-        return told | masked(drawn, over) | {
-            "final_obs": final_obs, "_final_obs": over.copy(), "final_info": final,
-            "_final_info": over.copy(),
-        }  # fmt: skip
+            infos = {key: infos[key] for key in (*begun, *mask_keys(begun))}
+        infos |= masked(drawn, over) | {"final_obs": final_obs, "final_info": final}
+        return infos | {key: over.copy() for key in mask_keys(["final_obs", "final_info"])}

@@ -158,8 +158,10 @@ def renewed(page: Path) -> str:
         for block in blocks_of(page):
             if block.mark.startswith(("example", "published")):
                 printed = session.printed(block)
-                for table in block.tables:
-                    changes.append((table.span("shown"), made(table, printed, session.folder)))
+                changes += [
+                    (table.span("shown"), made(table, printed, session.folder))
+                    for table in block.tables
+                ]
     for (begin, end), shown in reversed(changes):
         text = text[:begin] + shown + text[end:]
     return text

@@ -10,7 +10,6 @@ from dataclasses import fields, replace
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import InvalidAction, ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from scipy.stats import chi2
@@ -28,20 +27,15 @@ from mmwave_env.task import TaskArguments
 from mmwave_env.world.keys import keys_of
 from mmwave_env.world.simulated import SimulatedSource
 from tests.filters.tracks import replay, unpacked
+from tests.refusals import refuses
 from tests.vector_checker import arrays, same
 
 ID = "MmWaveLoc-v0"
 EKF = {"modes": ["ekf"]}  # one mode alone compiles fastest
 
-STEP_KEYS = {
-    "position_error_m", "nees", "nis", "accepted", "rejected", "mode", "gamma", "truth",
-    "estimate", "reward_terms",
-}  # fmt: skip
-END_KEYS = {
-    "ate_m", "rmse_m", "rpe_m", "mean_nees", "in_bounds", "divergence",
-}  # fmt: skip
-
-
+STEP_KEYS = {"position_error_m", "nees", "nis", "accepted", "rejected", "mode", "gamma"}
+STEP_KEYS |= {"truth", "estimate", "reward_terms"}
+END_KEYS = {"ate_m", "rmse_m", "rpe_m", "mean_nees", "in_bounds", "divergence"}
 SMOOTHED = "smoothed_ate_m"  # where it is asked for
 
 
@@ -79,19 +73,17 @@ def roll(env, seed=0, steps=200, actions=None):
 
 # --- checkers and registration
 
+ROBUST = Mode("robust", robust=True, blockage_aware=True, cost=0.1)
 CONFIGURATIONS = {
     "default": {},
     "vehicle": {"scenario": "vehicle", "radio": "standard", "scene": "o1", "modes": ["ukf"]},
     "prior": {"observation": "prior", "reward": "log-score"} | EKF,
     "flat": {"planar": True, "odometry": True, "dt": 0.5} | EKF,
-    "own modes": {
-        "modes": ["ekf", Mode("robust", robust=True, blockage_aware=True, cost=0.1),
-                  Mode("re-acquire", gate=None, recovery=None)],
-    },
+    "own modes": {"modes": ["ekf", ROBUST, Mode("re-acquire", gate=None, recovery=None)]},
     "recorded": {"episodes": "canyon28_vehicle", "episode_steps": 40} | EKF,
     "filterpy": {"backend": "filterpy", "episode_steps": 5} | EKF,
     "ends early": {"terminate_on_divergence": True, "episode_steps": 30} | EKF,
-}  # fmt: skip
+}
 
 
 @pytest.fixture(params=CONFIGURATIONS)
@@ -123,14 +115,6 @@ def test_the_prefixed_id_needs_no_import():
     assert done.stdout.strip() == str(env.observation_space.shape)
 
 
-def test_the_specification_goes_through_json():
-    arguments = {"scenario": "vehicle", "radio": "high", "episode_steps": 12} | EKF
-    spec = gym.make(ID, **arguments).spec
-    again = gym.make(EnvSpec.from_json(spec.to_json()))
-    assert again.spec.kwargs == arguments
-    assert again.unwrapped.source == gym.make(ID, **arguments).unwrapped.source
-
-
 def test_the_docstring_explains_every_argument_and_every_info():
     page = inspect.cleandoc(MmWaveLocEnv.__doc__)
     arguments = page.split("## Arguments")[1].split("## Vectorized")[0]
@@ -154,38 +138,19 @@ def test_a_seed_is_a_run(configuration):
     assert not np.array_equal(other[0], roll(first, seed=3, steps=20)[-1][0])
 
 
-def test_without_a_seed_the_next_episode_is_another_and_repeatable():
-    runs = []
-    for _ in range(2):
-        env = gym.make(ID, **EKF)
-        runs.append([env.reset(seed=0), env.reset(), env.reset()])
-    assert same(runs[0], runs[1])
-    assert not np.array_equal(runs[0][1][0], runs[0][2][0])
-
-
 # --- steps
 
 
 @pytest.mark.parametrize(
-    "action",
-    [2, -1, np.int64(7), 0.0, 1.0, np.float64(0.0), float("nan"), np.nan, None, "ekf",
-     np.array([0]), np.array([0, 1]), np.zeros((1, 1), np.int64)],
-    ids=repr,
-)  # fmt: skip
+    "action", [2, -1, np.int64(7), 0.0, np.float64(0.0), np.nan, None, "ekf", np.array([0, 1])]
+)
 def test_a_bad_action_is_refused_and_changes_nothing(action):
     env, twin = gym.make(ID), gym.make(ID)
     env.reset(seed=0)
     twin.reset(seed=0)
-    with pytest.raises(InvalidAction, match=r"action: found .* expected an integer in Discrete\(2"):
+    with refuses("action", error=InvalidAction):
         env.step(action)
     assert same(env.step(np.int64(1)), twin.step(np.int64(1)))
-
-
-@pytest.mark.parametrize("action", [0, 1, np.int64(1), np.int32(0), np.uint8(1), np.array(1)])
-def test_any_integer_in_range_is_an_action(action):
-    env = gym.make(ID)
-    env.reset(seed=0)
-    assert env.step(action)[-1]["mode"] == int(action)
 
 
 @pytest.mark.parametrize("wrapped", [True, False])
@@ -198,7 +163,7 @@ def test_a_step_before_reset_is_refused(wrapped):
 def test_a_step_after_the_end_is_refused_until_reset():
     env = gym.make(ID, episode_steps=3, **EKF)
     roll(env)
-    with pytest.raises(ResetNeeded, match="reset"):
+    with pytest.raises(ResetNeeded):
         env.step(np.int64(0))
     env.reset()
     env.step(np.int64(0))
@@ -249,8 +214,8 @@ def test_info_tells_the_episode_s_truth_and_prior():
 def test_nonfinite_measurements_are_counted_in_info():
     episode = draw(0)
     measurement = episode.measurement.copy()
-    seen = np.argwhere(episode.visible[:, :3])[:5]
-    measurement[seen[:, 0], 4 * seen[:, 1]] = np.nan
+    epochs, links = np.argwhere(episode.visible[:, :3])[:5].T
+    measurement[epochs, 4 * links] = np.nan
     env = gym.make(ID, episodes=replay(replace(episode, measurement=measurement)), **EKF)
     assert env.reset(seed=0)[1]["nonfinite"] == 5
     assert all(np.isfinite(obs).all() and math.isfinite(r) for obs, r, *_ in roll(env))
@@ -289,15 +254,6 @@ def test_flat_terrain_pins_the_height(odometry):
     assert info["nees"] < 1e3
 
 
-@pytest.mark.slow
-def test_odometry_helps():
-    errors = {}
-    for odometry in (False, True):
-        env = gym.make(ID, odometry=odometry, scenario="vehicle", modes=["ukf"])
-        errors[odometry] = np.mean([roll(env, seed)[-1][-1]["ate_m"] for seed in range(8)])
-    assert errors[True] < errors[False]
-
-
 # --- the end of an episode
 
 
@@ -333,11 +289,11 @@ def test_divergence_in_the_last_epoch_pays_nothing_more():
 
 
 def test_smoothed_tracks_are_told_with_filterpy_at_work_too():
-    told = []
-    for backend in ("lanes", "filterpy"):
-        env = gym.make(ID, backend=backend, smoothed=True, episode_steps=14)
-        told.append(roll(env)[-1][-1]["smoothed_ate_m"])
-    assert told[0] == pytest.approx(told[1], rel=1e-12)
+    lanes, filterpy = (
+        roll(gym.make(ID, backend=backend, smoothed=True, episode_steps=14))[-1][-1][SMOOTHED]
+        for backend in ("lanes", "filterpy")
+    )
+    assert lanes == pytest.approx(filterpy, rel=1e-12)
 
 
 @pytest.mark.parametrize("dt", [0.5, 1.0])
@@ -368,9 +324,9 @@ def test_the_end_sums_up_the_steps(dt):
         "divergence": float(distance.max() > 50.0),
         SMOOTHED: np.linalg.norm(smoothed[:, :3] - truth, axis=1)[10:].mean(),
     }
-    found = {key: infos[-1][key] for key in END_KEYS | {SMOOTHED}}
-    assert found == pytest.approx(expected, rel=1e-9)
-    assert found[SMOOTHED] < found["ate_m"]
+    last = {key: infos[-1][key] for key in END_KEYS | {SMOOTHED}}
+    assert last == pytest.approx(expected, rel=1e-9)
+    assert last[SMOOTHED] < last["ate_m"]
 
 
 def test_lean_infos_tell_of_episodes_alone_or_nothing():
@@ -378,10 +334,10 @@ def test_lean_infos_tell_of_episodes_alone_or_nothing():
         roll(gym.make(ID, episode_steps=12, infos=infos, **EKF), steps=12)
         for infos in ("all", "episode", "none")
     )
-    for (*step, told), (*once, end), (*again, nothing) in zip(all_, lean, none, strict=True):
+    for (*step, info), (*once, end), (*again, nothing) in zip(all_, lean, none, strict=True):
         assert same(step, once) and same(step, again)
         assert nothing == {}
-        assert same(end, told if step[2] or step[3] else {})
+        assert same(end, info if step[2] or step[3] else {})
     env = gym.make(ID, infos="episode", **EKF)
     assert "episode_key" in env.reset(seed=0)[1]
 
@@ -392,5 +348,5 @@ def test_lean_infos_tell_of_episodes_alone_or_nothing():
 @pytest.mark.parametrize("unknown", ["truth_position_m", "truth_velocity_mps"])
 def test_an_episode_without_whole_truth_is_refused(unknown):
     env = gym.make(ID, episodes=replay(replace(draw(0), **{unknown: None})), **EKF)
-    with pytest.raises(ValueError, match="truth"):
+    with refuses("episode"):
         env.reset(seed=0)

@@ -101,16 +101,16 @@ def columns(seed=0, episodes=3):
 
 def test_summary_averages_what_counts():
     reward, error, nees = columns()
-    found = summary(error, nees, reward=reward)
-    assert set(found) == set(METRICS)
-    np.testing.assert_allclose(found["reward"], reward[:, 10:].mean(axis=1))
-    np.testing.assert_allclose(found["ate_m"], ate(error[:, 10:]))
-    np.testing.assert_allclose(found["rmse_m"], rmse(error[:, 10:]))
-    np.testing.assert_allclose(found["rpe_m"], rpe(error[:, 10:]))
-    np.testing.assert_allclose(found["nees"], nees[:, 10:].mean(axis=1))
+    metrics = summary(error, nees, reward=reward)
+    assert set(metrics) == set(METRICS)
+    np.testing.assert_allclose(metrics["reward"], reward[:, 10:].mean(axis=1))
+    np.testing.assert_allclose(metrics["ate_m"], ate(error[:, 10:]))
+    np.testing.assert_allclose(metrics["rmse_m"], rmse(error[:, 10:]))
+    np.testing.assert_allclose(metrics["rpe_m"], rpe(error[:, 10:]))
+    np.testing.assert_allclose(metrics["nees"], nees[:, 10:].mean(axis=1))
     low, high = chi2.ppf([0.025, 0.975], 3)
     inside = (nees[:, 10:] > low) & (nees[:, 10:] < high)
-    np.testing.assert_allclose(found["in_bounds"], inside.mean(axis=1))
+    np.testing.assert_allclose(metrics["in_bounds"], inside.mean(axis=1))
 
 
 def test_bounds_of_flat_terrain_have_two_axes():
@@ -123,8 +123,8 @@ def test_bounds_of_flat_terrain_have_two_axes():
 @pytest.mark.parametrize(("rate", "delta"), [(0.5, 1), (1.0, 1), (2.0, 2), (10.0, 10)])
 def test_rpe_looks_over_a_second(rate, delta):
     _, error, nees = columns()
-    found = summary(error, nees, epochs_per_s=rate)["rpe_m"]
-    np.testing.assert_allclose(found, rpe(error[:, 10:], delta))
+    metrics = summary(error, nees, epochs_per_s=rate)["rpe_m"]
+    np.testing.assert_allclose(metrics, rpe(error[:, 10:], delta))
 
 
 @pytest.mark.parametrize(("error_m", "diverged"), [(49.9, 0.0), (50.1, 1.0)])

@@ -19,6 +19,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecCheckNan, VecMonito
 
 from mmwave_env.sb3 import SB3VecEnv
 from tests.paths import representative
+from tests.refusals import refuses
 from tests.training.actors import MODES
 
 pytestmark = pytest.mark.torch
@@ -33,23 +34,21 @@ def native(n=4, **arguments):
 
 # --- against single environments
 
+LOSING = {"scenario": "vehicle", "modes": MODES[:1]}
 CONFIGURATIONS = {
     "truncated": {},
-    "ends early": {
-        "episode_steps": 20, "terminate_on_divergence": True, "scenario": "vehicle",
-        "modes": MODES[:1],  # which loses a vehicle
-    },
+    "ends early": {"episode_steps": 20, "terminate_on_divergence": True} | LOSING,
     "log score": {"observation": "prior", "reward": "log-score", "odometry": True},
-}  # fmt: skip
+}
 
 
-def assert_same(found, expected):
+def assert_same(info, expected):
     """Two infos tell the same; of an ``episode`` all but the wall time, to single precision."""
-    found, expected = dict(found), dict(expected)
-    ours, theirs = found.pop("episode", None), expected.pop("episode", None)
-    assert found.keys() == expected.keys()
+    info, expected = dict(info), dict(expected)
+    ours, theirs = info.pop("episode", None), expected.pop("episode", None)
+    assert info.keys() == expected.keys()
     for key, value in expected.items():
-        np.testing.assert_array_equal(found[key], value, err_msg=key)
+        np.testing.assert_array_equal(info[key], value, err_msg=key)
     assert (ours is None) == (theirs is None)
     if ours:
         assert ours.keys() == theirs.keys() and ours["l"] == theirs["l"] and ours["t"] >= 0.0
@@ -64,23 +63,20 @@ def test_it_is_what_stable_baselines3_makes_of_single_environments(configuration
     rng, ended, ways = np.random.default_rng(1), np.zeros(4, int), set()
     for venv in (ours, theirs):
         venv.seed(7)
-    found, expected = ours.reset(), theirs.reset()
-    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(ours.reset(), theirs.reset())
     for _ in range(100):
         actions = rng.integers(ours.action_space.n, size=4)
-        (found, *scores, infos), (expected, *their_scores, their_infos) = (
-            venv.step(actions) for venv in (ours, theirs)
-        )
-        for a, b in zip((found, *scores), (expected, *their_scores), strict=True):
+        (*results, infos), (*expected, their_infos) = (v.step(actions) for v in (ours, theirs))
+        for a, b in zip(results, expected, strict=True):
             np.testing.assert_array_equal(a, b)
             assert a.dtype == b.dtype
-        for i, over in enumerate(scores[1]):
+        for i, over in enumerate(results[2]):
             if over:
                 assert_same(infos[i], their_infos[i])
                 ways.add(infos[i]["TimeLimit.truncated"])
             else:
                 assert infos[i] == {}
-        ended += scores[1]
+        ended += results[2]
     assert ended.min() >= 3
     assert ways == ({True, False} if configuration == "ends early" else {True})
 
@@ -91,8 +87,8 @@ def test_infos_of_any_vector_environment_are_told():
     class Talkative(gym.Wrapper):
         def step(self, action):
             observation, reward, _, truncated, _ = self.env.step(action)
-            told = {"nested": {"action": int(action)}} | ({"rare": "yes"} if action else {})
-            return observation, reward, False, truncated, {"always": reward} | told
+            info = {"always": reward, "nested": {"action": int(action)}}
+            return observation, reward, False, truncated, info | ({"rare": "yes"} if action else {})
 
     def make():
         return Talkative(gym.make("CartPole-v1", max_episode_steps=3))
@@ -103,9 +99,9 @@ def test_infos_of_any_vector_environment_are_told():
     venv.reset()
     for _ in range(2):
         assert venv.step(np.array([0, 1]))[3] == [{}, {}]
-    *_, (one, other) = venv.step(np.array([0, 1]))
-    assert (one["always"], one["nested"], one["episode"]["l"]) == (1.0, {"action": 0}, 3)
-    assert "rare" not in one and other["rare"] == "yes" and other["TimeLimit.truncated"]
+    *_, (first, other) = venv.step(np.array([0, 1]))
+    assert (first["always"], first["nested"], first["episode"]["l"]) == (1.0, {"action": 0}, 3)
+    assert "rare" not in first and other["rare"] == "yes" and other["TimeLimit.truncated"]
 
 
 # --- seeds, options, attributes
@@ -124,20 +120,20 @@ def test_seeds_and_options_count_once():
 def test_different_options_are_refused():
     venv = SB3VecEnv(native())
     venv.set_options([{"a": 1}, {}, {}, {}])
-    with pytest.raises(ValueError, match="options: found .*'a': 1.*, expected the same everywh"):
+    with refuses("options"):
         venv.reset()
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "Disabled"])
 def test_other_autoreset_modes_are_refused(mode):
     env = gym.make_vec(ID, num_envs=2, autoreset_mode=mode, modes=MODES)
-    with pytest.raises(ValueError, match=f"found '{mode}', expected \"SameStep\": gymnasium.make"):
+    with refuses("autoreset_mode"):
         SB3VecEnv(env)
 
 
 def test_an_environment_that_tells_no_autoreset_mode_is_refused():
     env = gym.vector.VectorEnv()
-    with pytest.raises(ValueError, match="autoreset_mode: found None"):
+    with refuses("autoreset_mode"):
         SB3VecEnv(env)
 
 
@@ -149,12 +145,12 @@ def test_attributes_and_methods_are_those_of_all():
     assert not venv.has_attr("nothing")
     venv.set_attr("word", "x")
     assert env.word == "x"
-    with pytest.raises(ValueError, match=r"set_attr\('word'\): found indices 1, expected all"):
+    with refuses("set_attr('word')"):
         venv.set_attr("word", "y", 1)
     venv.reset()
     states = venv.env_method("state", indices=[0, 1, 2, 3])
     assert len(states) == 4 and all(state is states[0] for state in states)
-    with pytest.raises(ValueError, match=r"env_method\('state'\): found indices \[0\], expected"):
+    with refuses("env_method('state')"):
         venv.env_method("state", indices=[0])
     assert venv.env_is_wrapped(Monitor) == [True] * 4
     assert venv.env_is_wrapped(gym.wrappers.TimeLimit, [2]) == [False]
@@ -212,11 +208,7 @@ def test_returns_and_lengths_go_on():
 # --- single environments
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [{}, {"observation": "prior"} | {"modes": ["ekf"]}, {"odometry": True} | {"modes": ["ekf"]},
-     {"terminate_on_divergence": True, "episode_steps": 20}],
-)  # fmt: skip
+@pytest.mark.parametrize("arguments", [{}, {"terminate_on_divergence": True, "episode_steps": 20}])
 def test_stable_baselines3_s_checker_is_content(arguments):
     env = gym.make(ID, **arguments)
     with warnings.catch_warnings():

@@ -26,8 +26,8 @@ def call(run: int, block: Array) -> None:
 
 def call_feed(run: int, block: Array, kept: Array, settings: Array) -> None:
     """Run a feed's function, by its address, on blocks as :class:`Feed` has them."""
-    takes = [ctypes.c_int64] * 3
-    ctypes.CFUNCTYPE(None, *takes)(run)(*(part.ctypes.data for part in (block, settings, kept)))
+    function = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 3)(run)
+    function(block.ctypes.data, settings.ctypes.data, kept.ctypes.data)
 
 
 @overload(call)  # type: ignore[untyped-decorator]
@@ -37,10 +37,9 @@ def _compiled_call(run, block):  # type: ignore[no-untyped-def]
 
 @overload(call_feed)  # type: ignore[untyped-decorator]
 def _compiled_call_feed(run, block, kept, settings):  # type: ignore[no-untyped-def]
-    def compiled(run, block, kept, settings):  # type: ignore[no-untyped-def]
-        _jump(run, (block.ctypes.data, settings.ctypes.data, kept.ctypes.data))
-
-    return compiled
+    return lambda run, block, kept, settings: _jump(
+        run, (block.ctypes.data, settings.ctypes.data, kept.ctypes.data)
+    )
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -56,25 +55,26 @@ def _jump(_, run, places):  # type: ignore[no-untyped-def]
 
 
 @register_jitable  # type: ignore[untyped-decorator]
-def _load(block, sources, first, here, step, blank, table, length, epoch):  # type: ignore[no-untyped-def]
+def _load(block, sources, first, here, step, blank, state):  # type: ignore[no-untyped-def]
     """Load the incoming rows; lanes past the last track repeat the first track of their block."""
     for lane in range(WIDTH):
         e = first + lane if lane < here else first
-        t = epoch[e] + step
-        sources[lane] = address(table, e, t) if t < length[e] else blank.ctypes.data
+        t = state.epoch[e] + step
+        loaded = t < state.length[e]
+        sources[lane] = address(state.table, e, t) if loaded else blank.ctypes.data
     gather(block, sources, len(blank))
 
 
 @register_jitable  # type: ignore[untyped-decorator]
-def _make(block, feed, b, here, step, blank, length, epoch):  # type: ignore[no-untyped-def]
+def _make(block, b, here, step, blank, state):  # type: ignore[no-untyped-def]
     """Let the feed make the incoming rows."""
-    run, settings, kept, timed, times = feed
-    call_feed(run, block, kept[b], settings)
+    feed = state.feed
+    call_feed(feed.run, block, feed.kept[b], feed.settings)
     for lane in range(here):
         e = b * WIDTH + lane
-        t = epoch[e] + step
-        if t < length[e]:
-            block[timed, lane] = times[t]
+        t = state.epoch[e] + step
+        if t < state.length[e]:
+            block[feed.timed, lane] = feed.times[t]
             continue
         for i in range(len(blank)):
             block[i, lane] = blank[i]
@@ -107,96 +107,91 @@ def _copy(source, target):  # type: ignore[no-untyped-def]
 
 
 @register_jitable  # type: ignore[untyped-decorator]
-def _put_back(before, block, b, n, running):  # type: ignore[no-untyped-def]
+def _put_back(before, block, b, running):  # type: ignore[no-untyped-def]
     """Restore the lanes of tracks that do not run."""
-    for lane in range(min(WIDTH, n - b * WIDTH)):
+    for lane in range(min(WIDTH, len(running) - b * WIDTH)):
         if not running[b * WIDTH + lane]:
             for i in range(len(block)):
                 block[i, lane] = before[i, lane]
 
 
 @register_jitable  # type: ignore[untyped-decorator]
-def _idle(b, n, running):  # type: ignore[no-untyped-def]
+def _idle(b, running):  # type: ignore[no-untyped-def]
     """Count the tracks of a block that do not run."""
     idle = 0
-    for e in range(b * WIDTH, min(b * WIDTH + WIDTH, n)):
+    for e in range(b * WIDTH, min(b * WIDTH + WIDTH, len(running))):
         idle += not running[e]
     return idle
 
 
 @register_jitable  # type: ignore[untyped-decorator]
-def _take_in(  # type: ignore[no-untyped-def]
-    b, end, step, blank, rows, feed, table, length, epoch, input_rows, inputs, at
-):
+def _take_in(b, end, step, blank, state, io, sources):  # type: ignore[no-untyped-def]
     """Bring a block into the caches and set its incoming rows and inputs."""
-    n, block, first = len(length), rows[b], b * WIDTH
+    n, block, first = len(state.length), state.rows[b], b * WIDTH
     here = min(WIDTH, n - first)
     touched = 0.0
-    if rows.size > NEAR:
+    if state.rows.size > NEAR:
         for i in range(len(block)):
             touched = max(touched, block[i, 0])
-    if feed[0] != 0:
-        _make(block, feed, b, here, step, blank, length, epoch)
+    if state.feed.run != 0:
+        _make(block, b, here, step, blank, state)
     else:
-        _announce(first + here, min(first + here + WIDTH, end * WIDTH, n), table, length, epoch)
-        _load(block, at, first, here, step, blank, table, length, epoch)
+        following = min(first + here + WIDTH, end * WIDTH, n)
+        _announce(first + here, following, state.table, state.length, state.epoch)
+        _load(block, sources, first, here, step, blank, state)
     for lane in range(here):
-        for i in range(len(input_rows)):
-            block[input_rows[i], lane] = inputs[first + lane, step, i]
+        for i in range(len(io.input_rows)):
+            block[io.input_rows[i], lane] = io.inputs[first + lane, step, i]
     return touched
 
 
 @register_jitable  # type: ignore[untyped-decorator]
-def _give_out(  # type: ignore[no-untyped-def]
-    b, step, rows, running, output_rows, outputs, obs_rows, observations, at, nowhere
-):
+def _give_out(b, step, state, io, targets, nowhere):  # type: ignore[no-untyped-def]
     """Write the outputs and observations of a block to their arrays."""
     first = b * WIDTH
-    here = min(WIDTH, len(running) - first)
-    _aim(at, first, here, step, running, outputs, nowhere)
-    scatter(rows[b], output_rows, at)
-    _aim(at, first, here, step, running, observations, nowhere)
-    scatter_single(rows[b], obs_rows, at)
+    here = min(WIDTH, len(state.running) - first)
+    _aim(targets, first, here, step, state.running, io.outputs, nowhere)
+    scatter(state.rows[b], io.output_rows, targets)
+    _aim(targets, first, here, step, state.running, io.observations, nowhere)
+    scatter_single(state.rows[b], io.obs_rows, targets)
 
 
 @register_jitable  # type: ignore[untyped-decorator]
-def _finish(b, n, rows, before, feed, kept_before, running, epoch, epochs):  # type: ignore[no-untyped-def]
+def _finish(b, state, before, kept_before, epochs):  # type: ignore[no-untyped-def]
     """Count the epochs that a block ran, and restore the tracks that were not to run."""
-    for e in range(b * WIDTH, min(b * WIDTH + WIDTH, n)):
+    running = state.running
+    for e in range(b * WIDTH, min(b * WIDTH + WIDTH, len(running))):
         if running[e]:
-            epoch[e] += epochs
-    if _idle(b, n, running) > 0:
-        _put_back(before, rows[b], b, n, running)
-        if feed[0] != 0:
-            _put_back(kept_before, feed[2][b], b, n, running)
+            state.epoch[e] += epochs
+    if _idle(b, running) > 0:
+        _put_back(before, state.rows[b], b, running)
+        if state.feed.run != 0:
+            _put_back(kept_before, state.feed.kept[b], b, running)
 
 
 @register_jitable  # type: ignore[untyped-decorator]
-def _some_blocks(b, end, rows, feed, running, before, kept_before, some):  # type: ignore[no-untyped-def]
+def _some_blocks(b, end, state, before, kept_before, some):  # type: ignore[no-untyped-def]
     """Find the next blocks with a running track; save those in which another track is idle.
 
     Returns:
         The number of blocks found, and the block to continue with.
     """
-    n, count = len(running), 0
+    n, count = len(state.running), 0
     while b < end and count < len(some):
-        idle = _idle(b, n, running)
+        idle = _idle(b, state.running)
         if idle < min(WIDTH, n - b * WIDTH):
             some[count] = b
             if idle > 0:
-                _copy(rows[b], before[count])
-                if feed[0] != 0:
-                    _copy(feed[2][b], kept_before[count])
+                _copy(state.rows[b], before[count])
+                if state.feed.run != 0:
+                    _copy(state.feed.kept[b], kept_before[count])
             count += 1
         b += 1
     return count, b
 
 
 @register_jitable  # type: ignore[untyped-decorator]
-def advance(  # type: ignore[no-untyped-def]
-    begin, end, run, blank, rows, feed, table, length, epoch, running, input_rows, inputs,
-    output_rows, outputs, obs_rows, observations,
-):  # fmt: skip
+def advance(begin, end, run, blank, state, io):  # type: ignore[no-untyped-def]
     """Run the tracks of blocks ``begin`` to ``end``.
 
     Ignore the returned number: without it the compiler would drop the reads that bring rows into
@@ -208,26 +203,28 @@ def advance(  # type: ignore[no-untyped-def]
     they are prefetched. The code of a feed and the code of a program do not fit into the core's
     first cache together, so each runs for some blocks in a row.
     All loops are plain because slices of arrays take numba long to compile.
+
+    Args:
+        begin, end: first block, and the block after the last.
+        run: address of the program, as ``Program.on_lanes`` returns it.
+        blank: (incoming,) the epoch that is loaded past the end of an episode.
+        state, io: the tracks, their inputs and outputs: a :class:`BatchState` and a :class:`StepIO`
+            of :mod:`mmwave_env.compiler.program`.
     """
-    n, epochs, some = len(length), outputs.shape[1], np.empty(min(TOGETHER, end - begin), np.int64)
-    before = np.empty((len(some), rows.shape[1], WIDTH))
-    kept_before = np.empty((len(some), feed[2].shape[1], WIDTH))
-    at, nowhere = np.empty(WIDTH, np.int64), np.empty(max(len(output_rows), len(obs_rows)))
+    epochs, some = io.outputs.shape[1], np.empty(min(TOGETHER, end - begin), np.int64)
+    before = np.empty((len(some), state.rows.shape[1], WIDTH))
+    kept_before = np.empty((len(some), state.feed.kept.shape[1], WIDTH))
+    addresses = np.empty(WIDTH, np.int64)
+    nowhere = np.empty(max(len(io.output_rows), len(io.obs_rows)))
     touched, b = 0.0, begin
     while b < end:
-        count, b = _some_blocks(b, end, rows, feed, running, before, kept_before, some)
+        count, b = _some_blocks(b, end, state, before, kept_before, some)
         for step in range(epochs):
             for i in range(count):
-                touched += _take_in(
-                    some[i], end, step, blank, rows, feed, table, length, epoch, input_rows,
-                    inputs, at,
-                )  # fmt: skip
+                touched += _take_in(some[i], end, step, blank, state, io, addresses)
             for i in range(count):
-                call(run, rows[some[i]])
-                _give_out(
-                    some[i], step, rows, running, output_rows, outputs, obs_rows, observations,
-                    at, nowhere,
-                )  # fmt: skip
+                call(run, state.rows[some[i]])
+                _give_out(some[i], step, state, io, addresses, nowhere)
         for i in range(count):
-            _finish(some[i], n, rows, before[i], feed, kept_before[i], running, epoch, epochs)
+            _finish(some[i], state, before[i], kept_before[i], epochs)
     return touched

@@ -148,8 +148,8 @@ def _version() -> str | None:
 def _edited() -> bool:
     """Tell whether a source changed since this process read the first source."""
     with suppress(OSError):
-        found = map(os.stat, _PACKAGE.rglob("*.py"))
-        return any(max(file.st_mtime, file.st_ctime) > _READ for file in found)
+        files = map(os.stat, _PACKAGE.rglob("*.py"))
+        return any(max(file.st_mtime, file.st_ctime) > _READ for file in files)
     return True
 
 
@@ -177,13 +177,13 @@ def _descriptor(path: str | Path, kind: int, folder: int | None = None) -> int:
     raise PermissionError(f"{path} may be others' work")
 
 
-def _is_ours(found: os.stat_result, kind: int) -> bool:
+def _is_ours(status: os.stat_result, kind: int) -> bool:
     """Tell whether a file has that kind, this user owns it and nobody else may write to it."""
-    if stat.S_IFMT(found.st_mode) != kind:
+    if stat.S_IFMT(status.st_mode) != kind:
         return False
     if not hasattr(os, "geteuid"):  # Windows, which protects a user's folders from others itself
         return True
-    return found.st_uid == os.geteuid() and not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return status.st_uid == os.geteuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def _checksum(key: str, content: bytes) -> bytes:
@@ -250,10 +250,11 @@ class LazyJit:
     """
 
     def __init__(self, function: Callable[..., Any], plain_work: int) -> None:
-        self.plain, self.compiled = function, compiled(function)
+        self.plain = function
+        self.compiled: Any = compiled(function)
         self._left = plain_work
 
-    def choice(self, work: int, *arguments: Any) -> Callable[..., Any]:
+    def choice(self, work: int, *arguments: Any) -> Any:
         """Return the plain or the compiled function, for an amount of work with such arguments.
 
         If threads share the work, call this once for all threads.
@@ -262,7 +263,7 @@ class LazyJit:
             self._left -= work
             return self.plain
         self._left = 0
-        return self.compiled  # type: ignore[no-any-return]
+        return self.compiled
 
     def __call__(self, work: int, *arguments: Any) -> Any:
         """Do an amount of work, as plain Python or compiled."""

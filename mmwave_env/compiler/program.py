@@ -11,7 +11,7 @@ from operator import attrgetter
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
-from numba import types
+from numba import typeof, types
 from numba.core.compiler_lock import global_compiler_lock
 from numpy.typing import NDArray
 
@@ -19,6 +19,7 @@ from mmwave_env.compiler.advance import advance
 from mmwave_env.compiler.disk_cache import LazyJit, compiled_callback
 from mmwave_env.compiler.fingerprint import fingerprint
 from mmwave_env.compiler.lanes import WIDTH, kernel
+from mmwave_env.compiler.threads import share
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import Tree, flatten, indices, unflatten
 
@@ -111,11 +112,10 @@ class StepIO(NamedTuple):
         obs_rows: Index = NO_ROWS,
     ) -> "StepIO":
         """Return zeros as inputs, and empty arrays for outputs and observations."""
-        return cls(
-            input_rows, np.zeros((n, epochs, len(input_rows))),
-            output_rows, np.empty((n, epochs, len(output_rows))),
-            obs_rows, np.empty((n, epochs, len(obs_rows)), np.float32),
-        )  # fmt: skip
+        inputs = np.zeros((n, epochs, len(input_rows)))
+        outputs = np.empty((n, epochs, len(output_rows)))
+        observations = np.empty((n, epochs, len(obs_rows)), np.float32)
+        return cls(input_rows, inputs, output_rows, outputs, obs_rows, observations)
 
 
 def tree_kernel(
@@ -179,22 +179,21 @@ class Program(Generic[Workspace]):
         """Run epoch after epoch, eight environments at a time, in some of the blocks or all."""
         first, end = blocks or (0, len(state.rows))
         epochs = (end - first) * io.outputs.shape[1]
-        _advance(epochs, first, end, self.on_lanes(), self.blank, *state, *io)
+        run_blocks(epochs, first, end, self.on_lanes(), self.blank, state, io)
 
     def run_on_floats(self, state: BatchState, io: StepIO) -> None:
         """Run all environments one after the other in plain Python: slow, for reference."""
-        rows, _, table, length, epoch, running = state  # feeds run on lanes only
-        input_rows, inputs, output_rows, outputs, obs_rows, observations = io
-        for e in np.flatnonzero(running):
-            lanes = rows[e // WIDTH, :, e % WIDTH]
-            for step in range(outputs.shape[1]):
-                t = epoch[e] + step
-                lanes[: len(self.blank)] = table[e, t] if t < length[e] else self.blank
-                lanes[input_rows] = inputs[e, step]
-                tree = unflatten(self.template, iter(lanes.tolist()))
-                lanes[:] = flatten(self.function(tree))
-                outputs[e, step], observations[e, step] = lanes[output_rows], lanes[obs_rows]
-            epoch[e] += outputs.shape[1]
+        for e in np.flatnonzero(state.running):  # feeds run on lanes only
+            lanes = state.rows[e // WIDTH, :, e % WIDTH]
+            for step in range(io.outputs.shape[1]):
+                t = state.epoch[e] + step
+                incoming = state.table[e, t] if t < state.length[e] else self.blank
+                lanes[: len(self.blank)] = incoming
+                lanes[io.input_rows] = io.inputs[e, step]
+                lanes[:] = flatten(self.function(unflatten(self.template, iter(lanes.tolist()))))
+                io.outputs[e, step] = lanes[io.output_rows]
+                io.observations[e, step] = lanes[io.obs_rows]
+            state.epoch[e] += io.outputs.shape[1]
 
     def on_lanes(self) -> int:
         """Return the address of a C function that runs the program on a block, for :func:`call`.
@@ -219,4 +218,23 @@ class Program(Generic[Workspace]):
         return compiled_callback(types.void(types.int64), on_address)
 
 
-_advance = LazyJit(advance, PLAIN_BLOCK_EPOCHS)
+run_blocks = LazyJit(advance, PLAIN_BLOCK_EPOCHS)
+
+
+class Repeated:
+    """Calls of a lazy function with arguments of the same types in every call.
+
+    They do without numba's check of the types, which takes microseconds for structures.
+    """
+
+    def __init__(self, function: LazyJit) -> None:
+        self._function = function
+        self._unchecked: Callable[..., Any] | None = None
+
+    def __call__(self, work: int, jobs: Sequence[tuple[Any, ...]]) -> list[Any]:
+        """Return the results of an amount of work, which a thread for each of the jobs shares."""
+        run: Any = self._unchecked or self._function.choice(work, *jobs[0])
+        results = share(run, jobs, len(jobs))
+        if run is self._function.compiled:
+            self._unchecked = run.overloads[tuple(map(typeof, jobs[0]))].entry_point
+        return results

@@ -33,13 +33,13 @@ def share(
     """
     if threads == 1 or len(jobs) == 1:
         return [function(*job) for job in jobs]
-    found: list[Any] = [None] * len(jobs)
+    results: list[Any] = [None] * len(jobs)
     waiting = iter(range(len(jobs)))  # next() is atomic
 
     def work(here: Lock) -> None:
         with here:
             for i in waiting:
-                found[i] = function(*jobs[i])
+                results[i] = function(*jobs[i])
 
     # Locks instead of futures: an interrupt may come before a running job's future is known.
     places = [Lock() for _ in range(min(threads, len(jobs)) - 1)]
@@ -56,7 +56,7 @@ def share(
     for other in others:
         if not other.cancel():
             other.result()
-    return found
+    return results
 
 
 def spans(count: int, parts: int) -> list[tuple[int, int]]:

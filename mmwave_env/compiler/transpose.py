@@ -45,9 +45,12 @@ def gather(block: Array, sources: Index, count: int) -> None:
         block[:count, lane] = _numbers(source, count, ctypes.c_double)
 
 
-def pick(block: Array, rows: Index, out: Array) -> None:
+@register_jitable  # type: ignore[untyped-decorator]
+def pick(block, rows, out):  # type: ignore[no-untyped-def]
     """Copy rows (k,) of a block (size, 8) to ``out`` (k, 8)."""
-    out[:] = block[rows]
+    for i in range(len(rows)):
+        for lane in range(WIDTH):
+            out[i, lane] = block[rows[i], lane]
 
 
 def scatter(block: Array, rows: Index, targets: Index) -> None:
@@ -82,16 +85,6 @@ def _compiled_gather(block, sources, count):  # type: ignore[no-untyped-def]
             return
         for first in range(0, count, WIDTH):  # the last tile overlaps the one before
             _turn_in(block.ctypes.data, sources.ctypes.data, min(first, count - WIDTH))
-
-    return compiled
-
-
-@overload(pick)  # type: ignore[untyped-decorator]
-def _compiled_pick(block, rows, out):  # type: ignore[no-untyped-def]
-    def compiled(block, rows, out):  # type: ignore[no-untyped-def]
-        source, target = block.ctypes.data, out.ctypes.data
-        for i in range(len(rows)):
-            _copy_row(source + 8 * WIDTH * rows[i], target + 8 * WIDTH * i)
 
     return compiled
 
@@ -161,16 +154,6 @@ def _put(kind: ir.Type) -> Any:
         return types.void(address, types.float64), build
 
     return put
-
-
-@intrinsic  # type: ignore[untyped-decorator]
-def _copy_row(_, source, target):  # type: ignore[no-untyped-def]
-    def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        there, here = (_pointer(builder, place, _VECTOR) for place in arguments)
-        builder.store(builder.load(there, align=8), here, align=8)
-        return context.get_dummy_value()
-
-    return types.void(source, target), build
 
 
 @intrinsic  # type: ignore[untyped-decorator]

@@ -5,7 +5,7 @@ The workspace of such a program begins with three fields that a :class:`Batch` f
 ``is_first``, 1 where an episode begins, which the program sets back to 0.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Generic
 
 import numpy as np
@@ -16,11 +16,13 @@ from mmwave_env.compiler.program import (
     NO_ROWS,
     BatchState,
     Program,
+    Repeated,
     StepIO,
     Workspace,
     blocks_of,
+    run_blocks,
 )
-from mmwave_env.compiler.threads import share, spans
+from mmwave_env.compiler.threads import spans
 from mmwave_env.models.measurement import Layout
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import flatten
@@ -62,11 +64,8 @@ class Batch(Generic[Workspace]):
         rows = blocks_of(program.start, n)
         self.state = BatchState.of(np.empty((n, 0, len(program.blank))), rows)
         self._input_rows = input_rows
-        self._run: Callable[..., None] = (
-            program.run_on_floats if on_floats else program.run_on_lanes
-        )
-        parts = 1 if on_floats else max(1, min(threads, blocks // BLOCKS_PER_THREAD))
-        self.parts = spans(blocks, parts)
+        self._run = None if on_floats else Repeated(run_blocks)
+        self.parts = spans(blocks, max(1, min(threads, blocks // BLOCKS_PER_THREAD)))
 
     def load(
         self,
@@ -85,18 +84,18 @@ class Batch(Generic[Workspace]):
         Raises:
             ValueError: the layout of an episode is not the batch's.
         """
-        found = EpisodeBatch.of(episodes, self.layout)
+        packed = EpisodeBatch.of(episodes, self.layout)
         places = np.arange(self.n) if places is None else places
-        epochs = found.table.shape[1]
+        epochs = packed.table.shape[1]
         self.make_room(epochs)
-        self.state.length[places] = found.length
-        self.state.table[places, :epochs] = found.table
+        self.state.length[places] = packed.length
+        self.state.table[places, :epochs] = packed.table
         if gap_s is not None:
             self.state.table[places, 0, columns_of(self.layout).dt] = gap_s
             self.state.epoch[places] = 0
             return
         _, site, _, *_ = self.at
-        self.write(site, found.site, places)
+        self.write(site, packed.site, places)
         self.restart(places)
 
     def begin(self, source: SimulatedSource, begun: Begun, places: Index) -> None:
@@ -167,10 +166,12 @@ class Batch(Generic[Workspace]):
         """
         io = self.io() if io is None else io
         state = self.state if running is None else self.state._replace(running=running)
-        if len(self.parts) == 1:
-            self._run(state, io)
-        else:
-            share(self._run, [(state, io, part) for part in self.parts], len(self.parts))
+        if self._run is None:
+            self.program.run_on_floats(state, io)
+            return
+        program = self.program.on_lanes(), self.program.blank, state, io
+        jobs = [(begin, end, *program) for begin, end in self.parts]
+        self._run(len(state.rows) * io.outputs.shape[1], jobs)
 
     def span(self, tree: Any) -> slice:
         """Return the slice of rows of a subtree of ``at``, which are contiguous."""

@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.compiler.program import NO_ROWS, BatchState, Program, StepIO, rows_of
-from mmwave_env.engines import per_mode_epoch, shared_epoch
+from mmwave_env.compiler.program import NO_ROWS, BatchState, StepIO, rows_of
 from mmwave_env.engines.batch import Batch
-from mmwave_env.engines.track_engine import untuned
+from mmwave_env.engines.environment_epoch import program_of
 from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
@@ -52,11 +51,7 @@ class Engine:
     ) -> None:
         self.pipeline = pipeline
         self.observation = Observation(pipeline, observation, "per-mode" if bank else "shared")
-        program: Program[Any] = (
-            per_mode_epoch.program_of(untuned(pipeline), observation, reward)
-            if bank
-            else shared_epoch.program_of(pipeline, observation, reward)
-        )
+        program = program_of(pipeline, observation, reward, per_mode=bank is not None)
         action, self._on_floats = np.array([program.index.action]), on_floats
         self.keys = np.zeros(n, np.uint64)
         self.batch = Batch(program, pipeline.layout, n, action, on_floats, threads)

@@ -5,7 +5,9 @@ An environment that continues from a copy or a state gives the same numbers, to 
 
 from collections.abc import Callable
 from copy import deepcopy
+from dataclasses import replace
 from functools import partial
+from math import fsum
 from typing import Any, Self
 
 import numpy as np
@@ -13,8 +15,9 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.threads import portions, share
-from mmwave_env.engines.baseline import Baseline, baseline_of
+from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.tally import Tally
 from mmwave_env.engines.vector_step import ActionHistory, Stepper
@@ -25,9 +28,65 @@ from mmwave_env.metrics import INFO_KEYS, ate, scored
 from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.task import Task
+from mmwave_env.world.episode import EpisodeBatch
 from mmwave_env.world.keys import Streams
 
-REPLAYED = 64  # episodes at once: few enough for their memory not to matter
+REPLAYED, FILTERED = 64, 256  # episodes at once: few enough for their memory not to matter
+
+
+class Baseline:
+    """The baseline of a paired reward: the rewards of an IMM on the episodes of a batch.
+
+    No action changes an episode, so these rewards are known once the episode is loaded.
+
+    Args:
+        task: the task, whose baseline is the IMM.
+        batch: the batch that runs the episodes.
+        threads: number of threads that may work at once; results do not depend on it.
+    """
+
+    def __init__(self, task: Task, batch: Batch[Any], threads: int = 1) -> None:
+        bank = task.baseline
+        assert bank is not None
+        pipeline = replace(task.pipeline, modes=bank.modes)
+        self._imm = ImmEngine(pipeline, task.reward, bank.transition, bank.nis_quantile)
+        self._batch, self._threads = batch, threads
+        self._rewards = np.zeros((batch.n, 0), np.float32)
+
+    def begin(self, places: Index, episodes: Callable[[Index], EpisodeBatch]) -> None:
+        """Run the IMM on the episodes that begin in some environments (n,).
+
+        Args:
+            places: the environments.
+            episodes: function that returns the episodes of some of the environments.
+        """
+        missing = self._batch.state.length.max() - self._rewards.shape[1]
+        self._rewards = np.pad(self._rewards, ((0, 0), (0, max(0, missing))))
+
+        def run(some: Index) -> None:
+            rewards = self._imm.run(episodes(some), "reward")["reward"]
+            self._rewards[some, : rewards.shape[1]] = rewards
+
+        parts = portions(len(places), self._threads, FILTERED)
+        share(run, [(places[part],) for part in parts], self._threads)
+
+    def subtract(self, rewards: Array, places: Index) -> None:
+        """Subtract from rewards (N,) the IMM's rewards in the epoch that was just processed.
+
+        The result has single precision, which agents learn from, so recorded trainings repeat.
+
+        Args:
+            rewards: (N,) rewards of all environments, changed in place.
+            places: (n,) environments that processed an epoch.
+        """
+        epoch = self._batch.state.epoch[places] - 2  # the epoch before the one considered
+        rewards[places] = rewards[places].astype(np.float32) - self._rewards[places, epoch]
+
+    def rest(self, places: Index) -> Array:
+        """Return the IMM's total reward in the remaining epochs of some environments (n,)."""
+        tracks = self._batch.state
+        spans = zip(places, tracks.epoch[places] - 1, tracks.length[places], strict=True)
+        return np.array([fsum(self._rewards[place, now:end]) for place, now, end in spans])
 
 
 class Environment:
@@ -59,7 +118,7 @@ class Environment:
         self._engine = Engine(pipeline, n, task.reward, kind, task.bank, on_floats, threads)
         self.modes, self.observation = pipeline.modes, self._engine.observation
         self._replay = Replay(task.pipeline, task.bank) if self._smoothing else None
-        self._baseline = baseline_of(task, self._engine.batch, threads)
+        self._baseline = Baseline(task, self._engine.batch, threads) if task.baseline else None
 
     @property
     def _drawn(self) -> tuple[dict[str, slice], int, list[str]]:
@@ -70,9 +129,9 @@ class Environment:
     def _streets_of(self, place: int) -> Streets | None:
         return self._task.streets_of(int(self._engine.keys[place]))
 
-    def _require_begun(self, what: str) -> None:
+    def _require_begun(self, call: str) -> None:
         if not self._begun:
-            raise ResetNeeded(f"Call reset before {what}: there is no episode under way.")
+            raise ResetNeeded(f"Call reset before {call}: there is no episode under way.")
 
     def _begin_baseline(self, places: Index) -> None:
         if self._baseline:
@@ -92,10 +151,10 @@ class Environment:
     def _metrics_of(self, ended: Index, threads: int = 1) -> dict[str, Array]:
         """Compute the final metrics of episodes that ended in some environments (k,)."""
         epochs = self._engine.batch.state.epoch[ended] - 1
-        metrics = self._tally.metrics(ended, epochs)
-        told = {INFO_KEYS[name]: values for name, values in metrics.items()}
+        figures = self._tally.metrics(ended, epochs)
+        metrics = {INFO_KEYS[name]: values for name, values in figures.items()}
         if not self._replay:
-            return told
+            return metrics
         jobs = []
         for steps in set(epochs.tolist()):
             alike = np.flatnonzero(epochs == steps)
@@ -108,7 +167,7 @@ class Environment:
             smoothed[some] = ate(errors[:, scored(steps)])
 
         share(smooth, jobs, threads)
-        return told | {SMOOTHED_KEY: smoothed}
+        return metrics | {SMOOTHED_KEY: smoothed}
 
     def _charge(self, rewards: Array, places: Index) -> None:
         """Add the worst reward for every remaining epoch where an episode ends early."""
@@ -120,9 +179,9 @@ class Environment:
 
     def _set_up_noting(self) -> None:
         """Set up, and note the attributes made here, which a copy makes by itself."""
-        given = set(vars(self))
+        attributes = set(vars(self))
         self._set_up()
-        self._remade = frozenset(vars(self)) - given
+        self._remade = frozenset(vars(self)) - attributes
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the attributes that a copy cannot make by itself."""
@@ -174,12 +233,14 @@ class RestorableEnvironment(Environment):
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         """Return the arrays that a state copies unchanged."""
-        tracks, tally = self._engine.batch.state, self._tally
-        return {
-            "rows": tracks.rows, "worlds": tracks.feed.kept, "table": tracks.table,
-            "length": tracks.length, "epoch": tracks.epoch, "keys": self._engine.keys,
-            "sums": tally.sums, "errors": tally.errors, "second": tally.second,
-        }  # fmt: skip
+        tracks, counts = self._engine.batch.state, self._tally.counts
+        arrays: dict[str, NDArray[Any]] = {
+            "rows": tracks.rows,
+            "worlds": tracks.feed.kept,
+            "table": tracks.table,
+        }
+        arrays |= {"length": tracks.length, "epoch": tracks.epoch, "keys": self._engine.keys}
+        return arrays | {"sums": counts.sums, "errors": counts.errors, "second": counts.second}
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
         """Continue as the environment that returned this :meth:`state`, to the last bit.
@@ -197,10 +258,10 @@ class RestorableEnvironment(Environment):
         arrays = self._arrays()
         others = {"streams": (n, 2), "over": (n,), "actions": history.rows.shape}
         for name, shape in (others | {key: array.shape for key, array in arrays.items()}).items():
-            found = state[name].shape if name in state else "nothing"
-            if found != shape:
+            stored = state[name].shape if name in state else "nothing"
+            if stored != shape:
                 raise ValueError(
-                    f"{name} of the state: found {found}, expected {shape}, as in an "
+                    f"{name} of the state: found {stored}, expected {shape}, as in an "
                     "environment with the same arguments"
                 )
         epochs = set(state["length"].tolist())
@@ -224,9 +285,9 @@ class RestorableEnvironment(Environment):
         self._tally.make_room(min(round(1.0 / source.dt), source.epochs))
         self._remember(source.epochs)
 
-    def _require_simulated(self, what: str) -> None:
+    def _require_simulated(self, call: str) -> None:
         if not self._task.has_keys:
             raise ValueError(
-                f"{what}: found episodes of a source of your own, or recorded ones, expected "
+                f"{call}: found episodes of a source of your own, or recorded ones, expected "
                 "simulated ones; what such a source remembers is not known here"
             )

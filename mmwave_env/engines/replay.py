@@ -31,7 +31,7 @@ from mmwave_env.filters.smoother import (
 )
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.measurement import STATE_SIZE
-from mmwave_env.numerics.numbers import Array, Number
+from mmwave_env.numerics.numbers import Array, Index, Number
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.world.episode import EpisodeBatch
 
@@ -48,7 +48,7 @@ class ReplayedEpoch(NamedTuple):
     nees: Number  # NEES of the position
 
 
-class ReturnState(NamedTuple):
+class BackwardPass(NamedTuple):
     """The state of the backward pass between two epochs."""
 
     incoming: ReplayedEpoch  # the current epoch
@@ -64,15 +64,15 @@ def _replayed(track: TrackState | ImmState) -> ReplayedEpoch:
 
 
 @lru_cache(maxsize=2)
-def _way_back(known_axes: tuple[int, ...]) -> Program[ReturnState]:
-    def function(w: ReturnState) -> ReturnState:
+def _backward_program(known_axes: tuple[int, ...]) -> Program[BackwardPass]:
+    def function(w: BackwardPass) -> BackwardPass:
         (filtered, error, _), after = w.incoming, w.after
         after = smooth_mean(filtered, after, known_axes)
         moved = [e + (after.x[i] - filtered.x[i]) for i, e in enumerate(error)]
-        return ReturnState(w.incoming, after, moved)
+        return BackwardPass(w.incoming, after, moved)
 
     blank = ReplayedEpoch(blank_epoch(), [0.0] * AXES, 0.0)
-    return Program(function, ReturnState(blank, track_end(with_covariance=False), blank.error))
+    return Program(function, BackwardPass(blank, track_end(with_covariance=False), blank.error))
 
 
 class Replay:
@@ -84,20 +84,20 @@ class Replay:
     """
 
     def __init__(self, pipeline: Pipeline, bank: Bank | None = None) -> None:
-        self._there: Program[Any]
+        self._forward: Program[Any]
         if bank:
-            self._there = imm_program(pipeline, TrackingReward(), acted=True)
-            tuned: Any = self._there.index.settings
+            self._forward = imm_program(pipeline, TrackingReward(), acted=True)
+            tuned: Any = self._forward.index.settings
             numbers = flatten(settings_of(bank, pipeline.layout))
         else:
-            self._there = program_of(pipeline)
-            tuned = self._there.index.tunings
+            self._forward = program_of(pipeline)
+            tuned = self._forward.index.tunings
             numbers = flatten([mode.tuning for mode in pipeline.modes])
-        self._back = _way_back(pipeline.known_axes)
-        there, at = self._there.index, self._back.index
-        self._start = self._there.start.copy()
+        self._backward = _backward_program(pipeline.known_axes)
+        at = self._backward.index
+        self._start = self._forward.start.copy()
         self._start[rows_of(tuned)] = numbers
-        self._site, self._keep = rows_of(there.site), rows_of(_replayed(there))
+        self._keep = rows_of(_replayed(self._forward.index))
         self._show = rows_of([at.incoming.error, at.incoming.nees, at.smoothed_error])
 
     def run(self, episodes: EpisodeBatch, actions: Actions) -> tuple[Array, ...]:
@@ -112,42 +112,53 @@ class Replay:
         Returns:
             Filtered position errors (n, T, 3), m; NEES (n, T); smoothed position errors (n, T, 3).
         """
-        there, back, n = self._there, self._back, len(actions)
-        rows = fill(blocks_of(self._start, n), self._site, episodes.site)
-        keep, show, tables = self._keep, self._show, episodes.table
-        figures = np.empty((len(show), *actions.shape))  # numpy reduces along contiguous numbers
-        _there_and_back(
-            there.on_lanes(), back.on_lanes(), rows, back.start, tables, actions,
-            there.index.action, keep, show, figures,
-        )  # fmt: skip
+        forward, backward = self._forward, self._backward
+        site = rows_of(forward.index.site)
+        rows = fill(blocks_of(self._start, len(actions)), site, episodes.site)
+        figures = np.empty((len(self._show), *actions.shape))  # numpy reduces contiguous numbers
+        _both_ways(
+            ReplayCode(forward.on_lanes(), forward.index.action, self._keep),
+            ReplayCode(backward.on_lanes(), 0, self._show),
+            rows,
+            backward.start,
+            episodes.table,
+            actions,
+            figures,
+        )
         error, nees, smoothed = figures[:AXES], figures[AXES], figures[AXES + 1 :]
         return np.moveaxis(error, 0, -1), nees, np.moveaxis(smoothed, 0, -1)
 
 
+class ReplayCode(NamedTuple):
+    """A program of a pass over the epochs."""
+
+    run: int  # address of the program
+    action: int  # the row of the action, if the program takes one
+    rows: Index  # (k,) rows to keep of each epoch
+
+
 @register_jitable  # type: ignore[untyped-decorator]
-def _return(run, start, way, show, out):  # type: ignore[no-untyped-def]
+def _run_backwards(backward, start, kept, out):  # type: ignore[no-untyped-def]
     """Run up to eight episodes backwards from their last epoch; fill ``out`` (s, n, T)."""
-    block = np.empty((len(start), WIDTH))
+    block, (run, _, shown) = np.empty((len(start), WIDTH)), backward
     for i in range(len(start)):
         for lane in range(WIDTH):
             block[i, lane] = start[i]
-    for t in range(len(way) - 1, -1, -1):
-        for i in range(way.shape[1]):
+    for t in range(len(kept) - 1, -1, -1):
+        for i in range(kept.shape[1]):
             for lane in range(WIDTH):
-                block[i, lane] = way[t, i, lane]
+                block[i, lane] = kept[t, i, lane]
         call(run, block)
-        for i in range(len(show)):
+        for i in range(len(shown)):
             for e in range(out.shape[1]):
-                out[i, e, t] = block[show[i], e]
+                out[i, e, t] = block[shown[i], e]
 
 
 @compiled
-def _there_and_back(  # type: ignore[no-untyped-def]
-    there, back, rows, start, tables, actions, action, keep, show, out
-):
+def _both_ways(forward, backward, rows, start, tables, actions, out):  # type: ignore[no-untyped-def]
     """Run eight episodes at a time both ways, so that the kept epochs stay in a cache."""
-    n, epochs = actions.shape
-    way = np.empty((epochs, len(keep), WIDTH))
+    (n, epochs), (run, action, picked) = actions.shape, forward
+    kept = np.empty((epochs, len(picked), WIDTH))
     sources = np.empty(WIDTH, np.int64)
     for b in range(len(rows)):
         block, first = rows[b], b * WIDTH
@@ -158,9 +169,9 @@ def _there_and_back(  # type: ignore[no-untyped-def]
                 sources[lane] = address(tables, e, t)
                 block[action, lane] = actions[e, t]
             gather(block, sources, tables.shape[2])
-            call(there, block)
-            pick(block, keep, way[t])
-        _return(back, start, way, show, out[:, first:end])
+            call(run, block)
+            pick(block, picked, kept[t])
+        _run_backwards(backward, start, kept, out[:, first:end])
 
 
 class SmoothingState(NamedTuple):

@@ -1,6 +1,7 @@
 """Running sums for the metrics of current episodes, which are then known at an episode's end."""
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba.extending import register_jitable
@@ -14,39 +15,53 @@ NONFINITE = 6  # number of epochs, burn-in included, with an error or NEES that 
 SUMS = 7
 
 
+class Counts(NamedTuple):
+    """The sums of n environments; in plain Python, sequences of these shapes serve as well."""
+
+    sums: Array  # (n, 7)
+    errors: Array  # (n, T, 3) ring buffer of the latest position errors, m
+    second: Index  # (n,) number of epochs in a second, from 1 to the length of the episode
+    interval: Array  # (2,) interval of the NEES of a consistent filter
+
+
 class Tally:
-    """Sums over the epochs that metrics count, with one row for each of N environments.
+    """Sums over the epochs that metrics count.
 
     Args:
         n: number of environments.
         axes: number of position axes that NEES covers.
 
     Attributes:
-        sums: (n, 7) sums.
-        errors: (n, T, 3) ring buffer of the latest position errors, m; T epochs cover a second or
-            the longest episode.
-        second: (n,) number of epochs in a second, from 1 to the length of the episode.
-        interval: (2,) interval of the NEES of a consistent filter.
+        counts: the sums; the ring buffer holds a second or the longest episode.
     """
 
     def __init__(self, n: int, axes: int) -> None:
-        self.sums, self.errors = np.zeros((n, SUMS)), np.zeros((n, 1, 3))
-        self.second, self.interval = np.ones(n, np.int64), np.array(nees_interval(axes))
+        interval = np.array(nees_interval(axes))
+        self.counts = Counts(
+            np.zeros((n, SUMS)), np.zeros((n, 1, 3)), np.ones(n, np.int64), interval
+        )
 
     def begin(self, places: Index, step_s: Array, epochs: Index) -> None:
         """Start over in some environments, given their numbers of epochs and their steps, s."""
-        self.second[places] = np.clip(np.round(1.0 / step_s), 1, epochs)
-        self.make_room(int(self.second.max()))
+        second = self.counts.second
+        second[places] = np.clip(np.round(1.0 / step_s), 1, epochs)
+        self.make_room(int(second.max()))
 
     def make_room(self, epochs: int) -> None:
         """Make room for at least that number of errors."""
-        missing = epochs - self.errors.shape[1]
-        if missing > 0:
-            self.errors = np.pad(self.errors, ((0, 0), (0, missing), (0, 0)))
+        errors = self.counts.errors
+        missing = max(0, epochs - errors.shape[1])
+        self.counts = self.counts._replace(errors=np.pad(errors, ((0, 0), (0, missing), (0, 0))))
+
+    def in_python(self) -> Counts:
+        """Return the counts of the first environment, in a form that is fast without a compiler."""
+        sums, errors, second, interval = self.counts
+        rows: Any = [[memoryview(sums[0])], [[memoryview(error) for error in errors[0]]]]
+        return Counts(rows[0], rows[1], second.tolist(), interval.tolist())  # type: ignore[arg-type]
 
     def nonfinite(self, places: Index) -> Index:
         """Return the number (k,) of epochs without a finite belief in some environments (k,)."""
-        return self.sums[places, NONFINITE].astype(np.int64)  # type: ignore[no-any-return]
+        return self.counts.sums[places, NONFINITE].astype(np.int64)  # type: ignore[no-any-return]
 
     def metrics(self, places: Index, epochs: Index) -> dict[str, Array]:
         """Return the running metrics of some environments (k,), by name.
@@ -56,22 +71,21 @@ class Tally:
             epochs: (k,) number of epochs that each environment ran.
         """
         counted = np.maximum(epochs - BURN_IN, 1)
-        changes = np.maximum(counted - self.second[places], 0)
-        return running_summary(Sums(counted, changes, *self.sums[places, :NONFINITE].T))
+        changes = np.maximum(counted - self.counts.second[places], 0)
+        return running_summary(Sums(counted, changes, *self.counts.sums[places, :NONFINITE].T))
 
 
 @register_jitable
-def count(sums, errors, second, interval, k, x, y, z, nees):  # type: ignore[no-untyped-def]
+def count(counts, e, k, x, y, z, nees):  # type: ignore[no-untyped-def]
     """Count epoch ``k`` of an episode, from 0, with its position error (m) and NEES.
 
     Up to the burn-in, an epoch replaces earlier epochs: of a shorter episode the last one counts.
 
     Args:
-        sums: (7,) sums of the environment, changed in place.
-        errors: (T, 3) errors of the environment, changed in place.
-        second: number of epochs in a second.
-        interval: (2,) interval of the NEES.
+        counts: a :class:`Counts`, changed in place.
+        e: index of the environment.
     """
+    sums, errors, second = counts.sums[e], counts.errors[e], counts.second[e]
     if k <= BURN_IN:
         for i in range(NONFINITE):
             sums[i] = 0.0
@@ -83,7 +97,7 @@ def count(sums, errors, second, interval, k, x, y, z, nees):  # type: ignore[no-
     sums[LENGTH] += math.sqrt(squared)
     sums[SQUARED] += squared
     sums[NEES] += nees
-    if interval[0] <= nees <= interval[1]:
+    if counts.interval[0] <= nees <= counts.interval[1]:
         sums[INSIDE] += 1.0
     if squared > sums[LARGEST] or math.isnan(squared):  # once NaN, it stays NaN
         sums[LARGEST] = squared

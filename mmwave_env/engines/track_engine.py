@@ -27,6 +27,7 @@ from mmwave_env.numerics.numbers import Array, Number, Vector
 from mmwave_env.numerics.pytree import flatten, tree_at
 from mmwave_env.world.episode import Episode, Incoming
 
+NOISES = ("sigma_p", "sigma_v", "sigma_pz", "sigma_vz", "sigma_b_mps", "spread_gain")
 Rule = Callable[[Vector, Epoch], Number]
 
 
@@ -54,14 +55,14 @@ def track_epoch(w: TrackState, pipeline: Pipeline, rule: Rule | None) -> TrackSt
     """Compute one epoch of a track, on numbers."""
     layout, epoch = pipeline.layout, w.incoming.epoch(pipeline.layout)
     x, P, memory = begun(w, w.x, w.P, w.memory, pipeline)
-    mode = w.action if rule is None else rule(x, epoch)
+    number = w.action if rule is None else rule(x, epoch)
     candidates = [
-        predict_update(pipeline, one, x, P, memory, epoch, w.site, tuning)
-        for one, tuning in zip(pipeline.modes, w.tunings, strict=True)
+        predict_update(pipeline, mode, x, P, memory, epoch, w.site, tuning)
+        for mode, tuning in zip(pipeline.modes, w.tunings, strict=True)
     ]
-    chosen: ModeResult = tree_at(mode, candidates)
+    chosen: ModeResult = tree_at(number, candidates)
     memory = memory_before(memory, candidates, epoch, layout)
-    memory = memory_after(layout, mode, x, chosen, memory, epoch.dt, epoch.visible)
+    memory = memory_after(layout, number, x, chosen, memory, epoch.dt, epoch.visible)
     covariance = unpack(chosen.P, zero=pipeline.known_axes)
     belief = Belief(chosen.x, covariance, pipeline.position_axes)
     return w._replace(
@@ -97,16 +98,13 @@ def _program(pipeline: Pipeline, rule: Rule | None) -> Program[TrackState]:
 
 def untuned(pipeline: Pipeline) -> Pipeline:
     """Return the pipeline without tunings: modes that differ only in tuning become equal."""
-    blank = [
-        replace(
-            mode, name=str(i), sigma_p=0.0, sigma_v=0.0, sigma_pz=0.0, sigma_vz=0.0,
-            sigma_b_mps=0.0, spread_gain=0.0, coupling=False,
-            acceleration_mps2=float(mode.acceleration_mps2 != 0.0),
-            turn_rate_radps=float(mode.turn_rate_radps != 0.0),
-        )
-        for i, mode in enumerate(pipeline.modes)
-    ]  # fmt: skip
-    return replace(pipeline, modes=tuple(blank))
+    zeros: dict[str, Any] = dict.fromkeys(NOISES, 0.0) | {"coupling": False}
+    modes = []
+    for i, mode in enumerate(pipeline.modes):
+        kept = ("acceleration_mps2", "turn_rate_radps")
+        motion = {name: float(getattr(mode, name) != 0.0) for name in kept}
+        modes.append(replace(mode, name=str(i), **zeros | motion))
+    return replace(pipeline, modes=tuple(modes))
 
 
 class EpisodeFilter(Generic[Workspace]):

@@ -13,20 +13,15 @@ from numpy.typing import NDArray
 from mmwave_env.compiler.advance import advance
 from mmwave_env.compiler.disk_cache import LazyJit
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.program import PLAIN_BLOCK_EPOCHS, rows_of
-from mmwave_env.compiler.threads import share
+from mmwave_env.compiler.program import PLAIN_BLOCK_EPOCHS, Repeated, StepIO, rows_of
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.tally import Tally, count
-from mmwave_env.interface.info import (
-    FLAGS,
-    STATE_KEYS,
-    mask_keys,
-    told_rows,
-)
+from mmwave_env.engines.tally import Counts, Tally, count
+from mmwave_env.interface.info import FLAGS, STATE_KEYS, info_rows, mask_keys
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.numerics.pytree import flatten
 
 Modes = NDArray[np.unsignedinteger]
+Infos = dict[str, NDArray[Any]]
 
 
 class ActionHistory:
@@ -45,11 +40,9 @@ class ActionHistory:
 
     def make_room(self, steps: int) -> None:
         """Make T at least this many steps; the modes stored so far are kept."""
-        known = len(self.rows)
-        if steps > known:
-            longer = np.zeros((steps, self.rows.shape[1]), self.rows.dtype)
-            longer[self._last(known) % steps] = self.rows[self._last(known) % known]
-            self.rows = longer
+        missing = steps - len(self.rows)
+        if missing > 0:
+            self.set_all(np.pad(self.all(), ((missing, 0), (0, 0))))
 
     def next(self) -> None:
         """Go on to the next row, once the modes of a step are written."""
@@ -57,37 +50,46 @@ class ActionHistory:
 
     def of(self, places: Index, steps: int) -> Modes:
         """Return the modes (places, steps) of the last steps, at most T, of some environments."""
-        rows = self._last(steps) % len(self.rows)
-        return np.ascontiguousarray(self.rows[:, places][rows].T)
+        return np.ascontiguousarray(self.all()[-steps:, places].T)
 
     def all(self) -> Modes:
         """Return the modes (T, n) of the last T steps, oldest first; 0 where no step was made."""
-        return self.rows[self._last(len(self.rows)) % len(self.rows)]
+        return np.roll(self.rows, -self.turn, axis=0)
 
     def set_all(self, modes: Modes) -> None:
         """Restore the modes (T, n) that :meth:`all` returned."""
         self.rows, self.turn = modes.astype(self.rows.dtype), 0
 
-    def _last(self, steps: int) -> Index:
-        return np.arange(self.turn - steps, self.turn)
 
-
-Infos = dict[str, NDArray[Any]]
-
-
-class StepBuffers(NamedTuple):
-    """The arrays that a step fills and returns."""
+class StepResult(NamedTuple):
+    """The arrays that a step of n environments fills."""
 
     observations: NDArray[np.float32]  # (n, features)
-    rewards: Array  # (n,)
-    terminated: Mask  # (n,)
-    truncated: Mask  # (n,)
+    rewards: Array  # (n,) those of the reward function
+    terminated: Mask  # (n,) False: a step does not know how episodes end
+    truncated: Mask  # (n,) whether the episode has no epoch left
+    # accepted, rejected: (n, groups); (n, 0) if steps return no infos
+    accepted: Mask
+    rejected: Mask
 
-    @classmethod
-    def fresh(cls, n: int, features: int) -> "StepBuffers":
-        """Return new buffers for a step."""
-        flags = np.zeros((2, n), np.bool_)
-        return cls(np.empty((n, features), np.float32), np.empty(n), flags[0], flags[1])
+
+class StepColumns(NamedTuple):
+    """The numbers of the output columns that a step reads; of a part, its first column."""
+
+    reward: int
+    nees: int
+    error: int  # 3 columns
+    # accepted, rejected: one column per group of measurements, if steps return infos
+    accepted: int
+    rejected: int
+
+
+class StepMemory(NamedTuple):
+    """What later steps and the ends of episodes need of a step."""
+
+    counts: Counts  # sums for the metrics
+    modes: Modes  # (T, n) the modes of the last T steps
+    turn: int  # the row of ``modes`` to write
 
 
 class Stepper:
@@ -101,85 +103,71 @@ class Stepper:
     """
 
     def __init__(
-        self,
-        engine: Engine,
-        tally: Tally,
-        history: ActionHistory,
-        infos: str = "all",
+        self, engine: Engine, tally: Tally, history: ActionHistory, infos: str = "all"
     ) -> None:
         at, n = engine.at, engine.batch.n
-        self._known = {} if infos == "none" else told_rows(at)
-        told = dict(self._known) if infos == "all" else {}
-        flags = [told.pop(key) for key in FLAGS if key in told]
-        # _step_blocks reads the first four of these
-        tree = {"reward": at.reward, "nees": at.nees, "error": at.error, "flags": flags}
-        tree |= {key: part for key, part in told.items() if key != "nees"}
-        self._rows = rows_of(list(tree.values()))
-        ends = np.cumsum([len(flatten(part)) for part in tree.values()]).tolist()
+        self._known = {} if infos == "none" else info_rows(at)
+        shown = self._known if infos == "all" else {}
+        parts = {"reward": at.reward, "nees": at.nees, "error": at.error}
+        parts |= {key: [] for key in FLAGS} | shown
+        ends = np.cumsum([len(flatten(part)) for part in parts.values()]).tolist()
+        begins = dict(zip(parts, [0, *ends], strict=False))
         self._columns = {
-            name: (slice(None), 0, end - 1 if isinstance(part, int) else slice(begin, end))
-            for (name, part), begin, end in zip(tree.items(), [0, *ends], ends, strict=False)
+            name: (slice(None), 0, begin if isinstance(part, int) else slice(begin, end))
+            for (name, part), begin, end in zip(parts.items(), begins.values(), ends, strict=True)
         }
-        self._engine, self._told = engine, tuple(told)
-        self._groups = len(at.memory.accepted) if told else 0
-        self._action, self._obs_rows = rows_of(at.action), rows_of(at.observation)
-        self._mask_keys = mask_keys([*self._told, *FLAGS, "mode"])
+        self._read = StepColumns(*[begins[name] for name in StepColumns._fields])
+        self._engine, self._told = engine, tuple(key for key in shown if key not in FLAGS)
+        self._groups = len(at.memory.accepted) if shown else 0
+        self._rows = rows_of(list(parts.values()))
+        self._io = engine.io(self._rows)
+        self._mask_keys = mask_keys([*shown, "mode"])
         self._everywhere = np.ones(n, np.bool_)
-        self._outputs = np.empty((n, 1, len(self._rows)))
         self._tally, self._history = tally, history
+        self._run = Repeated(_step)
         history.make_room(1)
 
-    def step(self, actions: Index, out: StepBuffers) -> tuple[int, Infos]:
+    def step(self, actions: Index) -> tuple[StepResult, int, Infos]:
         """Commit every environment to its mode and consider the next epoch; see `Engine.step`.
 
         Args:
             actions: (n,) numbers of the modes; infos keep this array.
-            out: filled with observations, with the reward function's rewards, and with truncated
-                where the episode has no epoch left. ``terminated`` is not changed.
 
         Returns:
-            The number of environments without epochs left; and fresh infos of all environments with
-            their masks, if infos are wanted for every step.
+            Fresh results; the number of environments without epochs left; and fresh infos of all
+            environments with their masks, if infos are wanted for every step.
         """
-        batch, history, n = self._engine.batch, self._history, len(actions)
-        flags = np.empty((2, n, self._groups), np.bool_)
-        if self._told:
-            self._outputs = np.empty_like(self._outputs)  # infos hold the previous array
-        outputs, program, parts, tally = self._outputs, batch.program, batch.parts, self._tally
-        arguments = (
-            actions, history.rows, history.turn, out.rewards, flags, out.truncated,
-            tally.sums, tally.errors, tally.second, tally.interval,
-            program.on_lanes(), program.blank, *batch.state, self._action, self._rows, outputs,
-            self._obs_rows, out.observations[:, None],
-        )  # fmt: skip
+        batch, history, io = self._engine.batch, self._history, self._io
+        n, features = len(actions), len(io.obs_rows)
+        ends, flags = np.zeros((2, n), np.bool_), np.empty((2, n, self._groups), np.bool_)
+        observations = np.empty((n, 1, features), np.float32)
+        result = StepResult(observations[:, 0], np.empty(n), ends[0], ends[1], flags[0], flags[1])
+        # infos hold the previous outputs
+        outputs = np.empty_like(io.outputs) if self._told else io.outputs
+        io = StepIO(io.input_rows, io.inputs, self._rows, outputs, io.obs_rows, observations)
+        self._io, memory = io, StepMemory(self._tally.counts, history.rows, history.turn)
+        program = batch.program.on_lanes(), batch.program.blank
+        arguments = (*program, batch.state, io, self._read, actions, result, memory)
+        jobs = [(begin, end, *arguments) for begin, end in batch.parts]
         history.next()  # here, so that no interrupt can come between the step and this line
-        if len(parts) == 1:
-            [(begin, end)] = parts
-            ended = _step(end - begin, begin, end, *arguments)
-        else:
-            jobs = [(end - begin, begin, end, *arguments) for begin, end in parts]
-            ended = sum(share(_step, jobs, len(jobs)))
+        ended = sum(self._run(len(batch.state.rows), jobs))
         if not self._told:
-            return ended, {}
-        at = self._columns
-        infos: Infos = {key: outputs[at[key]] for key in self._told}
-        infos |= {"accepted": flags[0], "rejected": flags[1], "mode": actions}
+            return result, ended, {}
+        infos: Infos = {key: outputs[self._columns[key]] for key in self._told}
+        infos |= {"accepted": result.accepted, "rejected": result.rejected, "mode": actions}
         infos |= dict.fromkeys(self._mask_keys, self._everywhere.copy())
-        return ended, infos
+        return result, ended, infos
 
     def look(self, actions: Index) -> Infos:
         """Return the infos of the last step, where infos are not returned by every step."""
-        read = self._engine.read
-        told = {
-            key: read(part) > 0.5 if key in FLAGS else read(part)
-            for key, part in self._known.items()
-        }
-        return told and told | {"mode": actions}
+        infos = {key: self._engine.read(part) for key, part in self._known.items()}
+        infos |= {key: infos[key] > 0.5 for key in FLAGS if infos}
+        return infos and infos | {"mode": actions}
 
     @property
     def distances_m(self) -> Array:
         """Return the position errors (n,) in the epoch stepped last."""
-        error = self._outputs[self._columns["error"]]
+        error = self._io.outputs[self._columns["error"]]
         return np.sqrt((error * error).sum(axis=1))  # type: ignore[no-any-return]
 
     def start(self, places: Index) -> tuple[NDArray[np.float32], Infos]:
@@ -191,40 +179,35 @@ class Stepper:
         """
         observations, outputs = self._engine.start(places, self._rows)
         if self._told:
-            told = {key: outputs[:, None][self._columns[key]] for key in STATE_KEYS}
-        else:
-            known = [key for key in STATE_KEYS if key in self._known]
-            told = {key: self._engine.read(self._known[key]) for key in known}
-        return observations, told
+            return observations, {key: outputs[:, None][self._columns[key]] for key in STATE_KEYS}
+        known = [key for key in STATE_KEYS if key in self._known]
+        return observations, {key: self._engine.read(self._known[key]) for key in known}
 
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _step_blocks(  # type: ignore[no-untyped-def]
-    begin, end, actions, noted, turn, rewards, flags, truncated, sums, errors, second, interval,
-    run, blank, rows, feed, table, length, epoch, running, input_rows, output_rows, outputs,
-    obs_rows, observations,
-):  # fmt: skip
+    begin, end, run, blank, state, io, columns, actions, result, memory
+):
     """Step the environments of blocks ``begin`` to ``end``; return how many episodes ended."""
-    n = len(actions)
-    first, last = begin * WIDTH, min(end * WIDTH, n)
-    inputs = np.empty((n, 1, 1))
+    first, last = begin * WIDTH, min(end * WIDTH, len(actions))
+    inputs, outputs, epoch, length = io.inputs, io.outputs, state.epoch, state.length
+    counts, modes, turn = memory
     for e in range(first, last):
         inputs[e, 0, 0] = actions[e]
-        noted[turn, e] = actions[e]
-    advance(
-        begin, end, run, blank, rows, feed, table, length, epoch, running, input_rows, inputs,
-        output_rows, outputs, obs_rows, observations,
-    )  # fmt: skip
-    groups, ended = flags.shape[2], 0
+        modes[turn, e] = actions[e]
+    advance(begin, end, run, blank, state, io)
+    _, rewards, _, truncated, accepted, rejected = result
+    ended = 0
     for e in range(first, last):
-        rewards[e] = outputs[e, 0, 0]
+        rewards[e] = outputs[e, 0, columns.reward]
         k = epoch[e] - 2  # the epoch before the one considered
         if k >= 0:
-            nees, x, y, z = outputs[e, 0, 1], outputs[e, 0, 2], outputs[e, 0, 3], outputs[e, 0, 4]
-            count(sums[e], errors[e], second[e], interval, k, x, y, z, nees)
-        for flag in range(2):
-            for i in range(groups):
-                flags[flag, e, i] = outputs[e, 0, 5 + flag * groups + i] > 0.5
+            i = columns.error
+            x, y, z = outputs[e, 0, i], outputs[e, 0, i + 1], outputs[e, 0, i + 2]
+            count(counts, e, k, x, y, z, outputs[e, 0, columns.nees])
+        for g in range(accepted.shape[1]):
+            accepted[e, g] = outputs[e, 0, columns.accepted + g] > 0.5
+            rejected[e, g] = outputs[e, 0, columns.rejected + g] > 0.5
         truncated[e] = epoch[e] > length[e]
         ended += truncated[e]
     return ended

@@ -6,7 +6,8 @@ are functions of numbers, so they are computed inside the SIMD kernel.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 from mmwave_env.filters.memory import Memory
 from mmwave_env.filters.pipeline import Pipeline
@@ -40,7 +41,7 @@ class View(NamedTuple):
     candidates: list[ModeResult]  # per mode, its result for the coming epoch
     epoch: Epoch  # the coming epoch
     site: Site  # anchors and carrier
-    mixture: MixtureView | None = None  # only with a belief per mode
+    mixture: Any = None  # a MixtureView, with a belief per mode
 
 
 @dataclass(frozen=True)
@@ -85,15 +86,22 @@ def _speed(view: View) -> Number:
 
 
 def _motion(layout: Layout) -> list[Feature]:
+    def spread(v: View) -> Number:
+        return v.epoch.doppler_spread_hz / v.site.hz_per_mps
+
+    def spread_average(v: View) -> Number:
+        return v.memory.spread_average_hz / v.site.hz_per_mps
+
+    def odometry(v: View) -> Number:
+        return where(v.epoch.visible[-1] > 0.5, v.epoch.z[-2], _speed(v))
+
+    measured = "of the coming epoch; predicted speed where missing"
     table = [
         Feature("predicted speed", "norm of the predicted velocity", "m/s", 0, 50, _speed),
-        Feature("Doppler spread", "of the coming epoch, over f_c / c", "m/s", 0, 50,
-                lambda v: v.epoch.doppler_spread_hz / v.site.hz_per_mps),
-        Feature("Doppler spread average", "the same, averaged", "m/s", 0, 50,
-                lambda v: v.memory.spread_average_hz / v.site.hz_per_mps),
-        Feature("odometry speed", "of the coming epoch; predicted speed where missing", "m/s", 0,
-                50, lambda v: where(v.epoch.visible[-1] > 0.5, v.epoch.z[-2], _speed(v))),
-    ]  # fmt: skip
+        Feature("Doppler spread", "of the coming epoch, over f_c / c", "m/s", 0, 50, spread),
+        Feature("Doppler spread average", "the same, averaged", "m/s", 0, 50, spread_average),
+        Feature("odometry speed", measured, "m/s", 0, 50, odometry),
+    ]
     return table if layout.odometry else table[:-1]
 
 
@@ -148,18 +156,23 @@ def _links(layout: Layout, distances: bool) -> list[Feature]:
                     lambda v, a=a: _distance(v, a), "distance"),
         ][: 3 if distances else 2]  # fmt: skip
     each = [1.0] * layout.anchors
-    seen = Feature("visible links", "of the coming epoch", "links", 0, layout.anchors,
-                   lambda v: dot(each, v.epoch.visible[: layout.anchors]))  # fmt: skip
-    return table if distances else [*table, seen]
+
+    def visible(v: View) -> Number:
+        return dot(each, v.epoch.visible[: layout.anchors])
+
+    links = Feature("visible links", "of the coming epoch", "links", 0, layout.anchors, visible)
+    return table if distances else [*table, links]
 
 
 def _previous(pipeline: Pipeline) -> list[Feature]:
+    def ran(m: int, v: View) -> Number:
+        return where(abs(v.memory.mode - float(m)) < 0.5, 1.0, 0.0)
+
+    kind, meaning = "previous mode", "1 if it ran in the last epoch"
     return [
-        Feature(f"previous mode {mode.name}", "1 if it ran in the last epoch", "", 0, 1,
-                lambda v, m=m: where(abs(v.memory.mode - float(m)) < 0.5, 1.0, 0.0),
-                "previous mode")
+        Feature(f"{kind} {mode.name}", meaning, "", 0, 1, partial(ran, m), kind)
         for m, mode in enumerate(pipeline.modes)
-    ]  # fmt: skip
+    ]
 
 
 def _track() -> list[Feature]:
@@ -179,12 +192,6 @@ def _track() -> list[Feature]:
     ]  # fmt: skip
 
 
-def _mixture_of(view: View) -> MixtureView:
-    """Return the inputs of features that need a belief per mode."""
-    assert view.mixture is not None  # environments with these features have a mixture
-    return view.mixture
-
-
 def _log_odds(p: Number) -> Number:
     """Compute ln(p / (1 - p)) of a probability, which may be 0 or 1."""
     return log(maximum(p, _LEAST) / maximum(1.0 - p, _LEAST))
@@ -193,10 +200,10 @@ def _log_odds(p: Number) -> Number:
 def _mixture(pipeline: Pipeline) -> list[Feature]:
     return [
         *(Feature(f"Doppler spread {pace} average", "over f_c / c", "m/s", 0, 16,
-                  lambda v, i=i: _mixture_of(v).spread_averages_hz[i] / v.site.hz_per_mps)
+                  lambda v, i=i: v.mixture.spread_averages_hz[i] / v.site.hz_per_mps)
           for i, pace in enumerate(("fast", "slow", "slowest"))),
         *(Feature(f"predicted log-odds {mode.name}", "of the mode, before the coming measurement",
-                  "", -16, 16, lambda v, m=m: _log_odds(_mixture_of(v).predicted[m]),
+                  "", -16, 16, lambda v, m=m: _log_odds(v.mixture.predicted[m]),
                   "predicted log-odds") for m, mode in enumerate(pipeline.modes)),
     ]  # fmt: skip
 
@@ -220,7 +227,7 @@ def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
         if m < len(modes) - 1:
             table += _against(layout, m, mode.name, modes[-1].name)
     names = [mode.name for mode in modes] if per_mode else []
-    return table + [one for m, name in enumerate(names) for one in _posterior(m, name)]
+    return table + [feature for m, name in enumerate(names) for feature in _posterior(m, name)]
 
 
 def _doppler_innovation(view: View, layout: Layout) -> Number:
@@ -298,7 +305,7 @@ def _posterior(m: int, name: str) -> list[Feature]:
     """Return features of a mode after the coming measurement: its probability and its velocity."""
     return [
         Feature(f"coming log-odds {name}", "of the mode, after the coming measurement", "", -16, 16,
-                lambda v: _log_odds(_mixture_of(v).posterior[m]), "coming log-odds"),
+                lambda v: _log_odds(v.mixture.posterior[m]), "coming log-odds"),
         Feature(f"coming speed {name}", "ln of the horizontal speed + 0.05 m/s", "ln m/s", -4, 4,
                 lambda v: _log_speed(v, m), "coming speed"),
         Feature(f"coming velocity variance {name}", "ln of the trace of its P, horizontal velocity",

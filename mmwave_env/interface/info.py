@@ -30,32 +30,30 @@ INFOS = {
 }
 
 
-def told_rows(at: Any) -> dict[str, Any]:
+def info_rows(at: Any) -> dict[str, Any]:
     """Return the parts of an environment's workspace that are in its infos, except ``mode``.
 
     Args:
-        at: workspace of :mod:`~mmwave_env.engines.shared_epoch` with row numbers as leaves.
+        at: workspace of :mod:`~mmwave_env.engines.environment_epoch` with row numbers as leaves.
     """
     memory = at.memory
-    told = {
-        "position_error_m": at.distance, "nees": at.nees, "nis": memory.nis,
-        "accepted": memory.accepted, "rejected": memory.rejected, "gamma": memory.gamma,
-        "truth": at.truth, "estimate": at.x, TERMS_KEY: at.reward_terms,
-    }  # fmt: skip
+    rows = {"position_error_m": at.distance, "nees": at.nees}
+    rows |= {key: getattr(memory, key) for key in ("nis", *FLAGS, "gamma")}
+    rows |= {"truth": at.truth, "estimate": at.x, TERMS_KEY: at.reward_terms}
     if hasattr(at, PROBABILITIES):
-        told[PROBABILITIES] = at.mode_probabilities
-    return told
+        rows[PROBABILITIES] = at.mode_probabilities
+    return rows
 
 
 def drawn_rows(at: Any, span: Callable[[Any], slice]) -> dict[str, slice]:
     """Return the rows of a workspace that a :class:`~mmwave_env.rendering.history.Recorder` reads.
 
     Args:
-        at: as :func:`told_rows` takes it.
+        at: as :func:`info_rows` takes it.
         span: returns the rows of a part of the workspace.
     """
-    told = told_rows(at)
-    parts = {name: told[name] for name in ("truth", "estimate", "nees", "accepted", "rejected")}
+    rows = info_rows(at)
+    parts = {name: rows[name] for name in ("truth", "estimate", "nees", "accepted", "rejected")}
     parts |= {"P": at.P, "dt": at.pending.dt, "anchors": at.site.anchors}
     return {name: span(part) for name, part in parts.items()}
 
@@ -81,18 +79,18 @@ def stepped(infos: dict[str, Any], where: Mask) -> dict[str, Any]:
     return masked(did, where) | {key: infos[key] for key in kept if key in infos}
 
 
-def step_info(column: Array, told: dict[str, Any], mode: int) -> dict[str, Any]:
+def step_info(column: Array, rows: dict[str, Any], mode: int) -> dict[str, Any]:
     """Return the info of a step of one environment.
 
     Args:
         column: workspace (size,) after the step.
-        told: places of the values in it, as :func:`told_rows` returns them: rows or slices.
+        rows: places of the values in it, as :func:`info_rows` returns them: rows or slices.
         mode: number of the mode that ran.
     """
     info: dict[str, Any] = {}
-    for key, rows in told.items():
-        value = column[rows]
-        info[key] = float(value) if isinstance(rows, int) else value
+    for key, part in rows.items():
+        value = column[part]
+        info[key] = float(value) if isinstance(part, int) else value
     return info | {key: info[key] > 0.5 for key in FLAGS} | {"mode": mode}
 
 

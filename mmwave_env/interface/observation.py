@@ -90,6 +90,7 @@ class Observation:
         if kind == "full":
             self.features += coming(pipeline, per_mode)
         self.scales = [feature_scales()[feature.kind] for feature in self.features]
+        self._rows = list(zip(self.features, self.scales, strict=True))
         self._index = {feature.name: i for i, feature in enumerate(self.features)}
 
     def __len__(self) -> int:
@@ -109,24 +110,20 @@ class Observation:
     @property
     def space(self) -> spaces.Box:
         """Return the Box of one observation, float32."""
-        low, high = np.array(self._bounds(), np.float32).T
-        return spaces.Box(low, high, dtype=np.float32)
+        return spaces.Box(*np.array(self._bounds(), np.float32).T, dtype=np.float32)
 
     def _bounds(self) -> list[tuple[Number, Number]]:
         """Return the limits of every feature as it is shown."""
-        rows = zip(self.features, self.scales, strict=True)
-        return [(_shown(f.low, f, s), _shown(f.high, f, s)) for f, s in rows]
+        return [(_shown(f.low, f, s), _shown(f.high, f, s)) for f, s in self._rows]
 
     @property
     def columns(self) -> tuple[Column, ...]:
         """Return the columns in their order."""
-        rows = zip(self.features, self.scales, strict=True)
-        return tuple(Column(f.name, f.unit, float(s.mean), float(s.deviation)) for f, s in rows)
+        return tuple(Column(f.name, f.unit, *map(float, scale)) for f, scale in self._rows)
 
     def values(self, view: View) -> list[Number]:
         """Return the observation as numbers."""
-        rows = zip(self.features, self.scales, strict=True)
-        return [_shown(f.value(view), f, scale) for f, scale in rows]
+        return [_shown(f.value(view), f, scale) for f, scale in self._rows]
 
     def read(self, observation: NDArray[np.float32], name: str) -> NDArray[np.float64]:
         """Return a feature in its own unit, from observations (..., features).
@@ -140,10 +137,10 @@ class Observation:
         if name not in self._index:
             raise KeyError(f"feature {name!r}: expected one of {', '.join(self._index)}")
         i = self._index[name]
-        seen, (mean, deviation) = observation[..., i].astype(np.float32), self.scales[i]
-        value = seen.astype(np.float64) * deviation + mean
+        shown, (mean, deviation) = observation[..., i].astype(np.float32), self.scales[i]
+        value = shown.astype(np.float64) * deviation + mean
         # Round to a power of two that is no finer than the resolution of single precision here.
-        step = np.exp2(np.ceil(np.log2(np.spacing(np.abs(seen)).astype(np.float64) * deviation)))
+        step = np.exp2(np.ceil(np.log2(np.spacing(np.abs(shown)).astype(np.float64) * deviation)))
         return np.asarray(np.rint(value / step) * step)
 
     def table(self) -> str:
@@ -152,8 +149,7 @@ class Observation:
             "| # | feature | meaning | unit | mean | deviation | low | high |",
             "|---|---|---|---|---|---|---|---|",
         ]
-        rows = zip(self.features, self.scales, self._bounds(), strict=True)
-        for i, (f, scale, bounds) in enumerate(rows):
+        for i, ((f, scale), bounds) in enumerate(zip(self._rows, self._bounds(), strict=True)):
             numbers = " | ".join(f"{number:.4g}" for number in (*scale, *bounds))
             lines.append(f"| {i} | {f.name} | {f.meaning} | {f.unit} | {numbers} |")
         return "\n".join(lines)

@@ -94,8 +94,10 @@ class PairedReward:
 
 
 REWARDS: dict[str, Reward | PairedReward] = {
-    "tracking": TrackingReward(), "log-score": LogScore(), "paired": PairedReward(),
-}  # fmt: skip
+    "tracking": TrackingReward(),
+    "log-score": LogScore(),
+    "paired": PairedReward(),
+}
 
 
 def terms_of(reward: Reward, belief: Belief, truth: Vector) -> Terms:

@@ -17,10 +17,8 @@ TEXT_BYTES = 16 << 20  # most bytes in memory at once; logs and tracks are strea
 JSON_BYTES = 8 << 20  # most bytes read as JSON: a hundred times our largest file
 JSON_DEPTH = 50  # most lists and objects inside each other
 
-_KINDS = {
-    stat.S_IFDIR: "a folder", stat.S_IFIFO: "a FIFO", stat.S_IFSOCK: "a socket",
-    stat.S_IFCHR: "a device", stat.S_IFBLK: "a device",
-}  # fmt: skip
+_KINDS = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a FIFO", stat.S_IFSOCK: "a socket"}
+_KINDS |= dict.fromkeys((stat.S_IFCHR, stat.S_IFBLK), "a device")
 
 
 # --- errors
@@ -93,8 +91,8 @@ def read_bounded(path: Path, most: int, expected: str = "a file") -> bytes:
         size = os.fstat(file.fileno()).st_size
         content = file.read(most + 1) if size <= most else b""  # some systems report no size
         if max(size, len(content)) > most:
-            found = f"{size} bytes" if size > most else f"more than {most} bytes"
-            raise OSError(f"{path}: found {found}, expected {expected} of at most {most}")
+            length = f"{size} bytes" if size > most else f"more than {most} bytes"
+            raise OSError(f"{path}: found {length}, expected {expected} of at most {most}")
         return content
 
 
@@ -110,8 +108,9 @@ def read_text(path: Path, expected: str = "text", most: int = TEXT_BYTES) -> str
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
-        found, where = content[error.start : error.start + 1], f"{path}, line {line}"
-        raise ValueError(f"{where}: found {found!r}, expected {expected} in UTF-8") from error
+        byte = content[error.start : error.start + 1]
+        message = f"{path}, line {line}: found {byte!r}, expected {expected} in UTF-8"
+        raise ValueError(message) from error
 
 
 def parse_json(text: str) -> Any:
@@ -122,24 +121,24 @@ def parse_json(text: str) -> Any:
     """
     nested = f"found lists or objects in each other, expected at most {JSON_DEPTH} deep"
     try:
-        found = json.loads(text)
+        value = json.loads(text)
     except RecursionError:
         raise ValueError(nested) from None
-    level = [found]
+    level = [value]
     for _ in range(JSON_DEPTH + 1):
-        level = [*chain(*(one.values() if isinstance(one, dict) else one for one in level
-                          if isinstance(one, dict | list)))]  # fmt: skip
+        nodes = (node for node in level if isinstance(node, dict | list))
+        level = [*chain(*(node.values() if isinstance(node, dict) else node for node in nodes))]
     if level:
         raise ValueError(nested)
-    return found
+    return value
 
 
-def read_json(path: Path, what: str, make: Callable[[dict[str, Any]], T], see: str = "") -> T:
+def read_json(path: Path, kind: str, make: Callable[[dict[str, Any]], T], see: str = "") -> T:
     """Read the object in a JSON file, and return what ``make`` makes of it.
 
     Args:
         path: path of the file.
-        what: kind of the file, for messages, such as "a mode file".
+        kind: kind of the file, for messages, such as "a mode file".
         make: takes the object. Errors that code raises for an object of another shape, because a
             key is missing or a value has another type, become the ValueError here, too.
         see: where this kind of file is described, for messages.
@@ -148,14 +147,14 @@ def read_json(path: Path, what: str, make: Callable[[dict[str, Any]], T], see: s
         ValueError: the file is invalid; the message names the file and what is wrong in it.
         OSError: as :func:`read_bounded`; FileNotFoundError if there is no such file.
     """
-    text = read_text(path, f"{what}, JSON", JSON_BYTES)
+    text = read_text(path, f"{kind}, JSON", JSON_BYTES)
     try:
-        found = parse_json(text)
-        if not isinstance(found, dict):
-            raise ValueError(f"found {type(found).__name__}, expected an object")
-        return make(found)
+        content = parse_json(text)
+        if not isinstance(content, dict):
+            raise ValueError(f"found {type(content).__name__}, expected an object")
+        return make(content)
     except (ValueError, TypeError, AttributeError, LookupError, ArithmeticError) as error:
-        raise ValueError(f"{path}: not {what}: {told(error)}{f' ({see})' * bool(see)}") from error
+        raise ValueError(f"{path}: not {kind}: {told(error)}{f' ({see})' * bool(see)}") from error
 
 
 # --- writing

@@ -22,7 +22,7 @@ def spelled(letter: str) -> str:
 
 def printable(text: str) -> str:
     """Return the text with unprintable letters (escape sequences, line ends) as escape codes."""
-    return "".join(one if one.isprintable() else spelled(one) for one in text)
+    return "".join(letter if letter.isprintable() else spelled(letter) for letter in text)
 
 
 def is_name(value: object) -> bool:
@@ -49,23 +49,23 @@ def quoted(value: object) -> str:
 # --- lookup
 
 
-def choose(options: Mapping[str, T], name: str, what: str) -> T:
+def choose(options: Mapping[str, T], name: str, field: str) -> T:
     """Return ``options[name]``.
 
     Raises:
         ValueError: the name is unknown; the message lists the valid names.
     """
     if not isinstance(name, str) or name not in options:
-        raise ValueError(unknown(what, name, options))
+        raise ValueError(unknown(field, name, options))
     return options[name]
 
 
-def unknown(what: str, name: object, known: Iterable[str]) -> str:
+def unknown(field: str, name: object, known: Iterable[str]) -> str:
     """Return the message about an unknown name."""
     names = list(known)
     hint = did_you_mean(name, names)
     begin = f"{hint.removeprefix('; ')} E" if hint else "e"
-    return f"{what}: found {quoted(name)}, {begin}xpected one of {', '.join(names)}"
+    return f"{field}: found {quoted(name)}, {begin}xpected one of {', '.join(names)}"
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
@@ -82,16 +82,16 @@ class MissingExtraError(ImportError, ValueError):
     """
 
 
-def require_extra(package: str, extra: str, what: str) -> None:
+def require_extra(package: str, extra: str, user: str) -> None:
     """Refuse a task whose package is not installed, before any work.
 
     Args:
         package: name of the package, as it is imported.
         extra: extra of mmwave-loc that installs it.
-        what: what needs the package, for the message.
+        user: what needs the package, for the message.
 
     Raises:
         MissingExtraError: the package is not installed; the message says how to get it.
     """
     if importlib.util.find_spec(package) is None:
-        raise MissingExtraError(f"{what} needs {package}: pip install 'mmwave-loc[{extra}]'")
+        raise MissingExtraError(f"{user} needs {package}: pip install 'mmwave-loc[{extra}]'")

@@ -87,9 +87,11 @@ Probability = Annotated[float, Bound("a number in [0, 1]", least=0.0, most=1.0)]
 Name = Annotated[str, Printable()]
 
 _KINDS: dict[Any, tuple[type, str]] = {
-    str: (str, "str"), bool: (bool, "bool"), int: (Integral, "int"), float: (Real, "a number"),
+    **{kind: (kind, kind.__name__) for kind in (str, bool)},
+    int: (Integral, "int"),
+    float: (Real, "a number"),
     type(None): (type(None), "None"),
-}  # fmt: skip
+}
 
 
 @cache
@@ -112,7 +114,7 @@ def _fits(hint: Any, value: Any) -> bool:
             return kind and said.holds(value)
         return _fits(base, value) and (isinstance(said, str) or said.holds(value))
     if origin in (Literal, Union, UnionType):
-        return value in inside if origin is Literal else any(_fits(one, value) for one in inside)
+        return value in inside if origin is Literal else any(_fits(kind, value) for kind in inside)
     if origin is tuple:
         every = inside[:1] * len(value) if inside[-1] is ... and _is_list(value) else inside
         return _is_list(value) and len(value) == len(every) and all(map(_fits, every, value))
@@ -136,7 +138,7 @@ def _said(hint: Any) -> str:
     if origin in (Union, UnionType):
         return " or ".join(map(_said, inside))
     if origin is tuple:
-        said = [_said(one) for one in inside if one is not ...]
+        said = [_said(element) for element in inside if element is not ...]
         return f"a list, each {said[0]}" if inside[-1] is ... else f"[{', '.join(said)}]"
     return "a function" if origin else "an object"
 
@@ -177,8 +179,8 @@ def _require(hint: Any, value: Any, name: str, of: str) -> None:
         return
     bare = get_args(hint)[0] if get_origin(hint) is Annotated else hint
     if get_origin(bare) is tuple and get_args(bare)[-1] is ... and _is_list(value):
-        for i, one in enumerate(value):  # find the invalid element
-            _require(get_args(bare)[0], one, f"{name}[{i}]", of)
+        for i, element in enumerate(value):  # find the invalid element
+            _require(get_args(bare)[0], element, f"{name}[{i}]", of)
         raise ValueError(f"{name}{of}: found {len(value)}, expected {_said(hint)}")
     raise ValueError(f"{name}{of}: found {quoted(value)}, expected {_said(hint)}")
 
@@ -218,24 +220,24 @@ def _built(hint: Any, value: Any, where: str) -> Any:
         return _built(get_args(hint)[0], value, where)
     if get_origin(hint) is tuple and isinstance(value, list):
         inside = get_args(hint)[0]
-        return tuple(_built(inside, one, f"{where}[{i}]") for i, one in enumerate(value))
+        return tuple(_built(inside, element, f"{where}[{i}]") for i, element in enumerate(value))
     if hint is float and type(value) is int:
         return float(value) if abs(value) < 1e300 else math.inf
     is_object = isinstance(hint, type) and is_dataclass(hint)
     return object_from(hint, value, f"{where}.") if is_object else value
 
 
-def read_object(path: str | os.PathLike[str], what: str, make: Callable[[dict[str, Any]], T]) -> T:
+def read_object(path: str | os.PathLike[str], schema: str, make: Callable[[Any], T]) -> T:
     """Read an object from a JSON file.
 
     Args:
         path: path of the file.
-        what: name of the schema: "scene", "modes", "radio", "mobility".
+        schema: name of the schema: "scene", "modes", "radio", "mobility".
         make: makes the result from the file's object.
 
     Raises:
         ValueError: the file is invalid; the message names file, mistake and schema.
         OSError: the file can't be read; FileNotFoundError if there is no such file.
     """
-    schema = f"mmwave_env/data/schemas/{what}.schema.json"
-    return read_json(Path(path), f"a {what} file", make, schema)
+    described = f"mmwave_env/data/schemas/{schema}.schema.json"
+    return read_json(Path(path), f"a {schema} file", make, described)

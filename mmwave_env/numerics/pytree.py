@@ -44,7 +44,7 @@ def select(condition: Any, a: Tree, b: Tree) -> Tree:
 
 def tree_at(place: Number, trees: Sequence[Tree]) -> Tree:
     """Return ``trees[place]``, where the place is a number that is known only at run time."""
-    found = trees[0]
+    chosen = trees[0]
     for number, tree in enumerate(trees[1:], start=1):
-        found = select(place > number - 0.5, tree, found)
-    return found
+        chosen = select(place > number - 0.5, tree, chosen)
+    return chosen

@@ -39,9 +39,9 @@ _REFUSALS = {  # key: (the operation in words, what to write instead)
 
 
 def _refuse(asked: str) -> NoReturn:
-    what, instead = _REFUSALS[asked]
+    operation, instead = _REFUSALS[asked]
     raise NoValueError(
-        f"{what} needs the value of a number that stands for 8 environments: write {instead}"
+        f"{operation} needs the value of a number that stands for 8 environments: write {instead}"
     )
 
 
@@ -127,9 +127,15 @@ def _combined(op: str, a: Any, b: Any) -> Any:
 
 
 _OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
-    "add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv,
-    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
-}  # fmt: skip
+    "add": operator.add,
+    "sub": operator.sub,
+    "mul": operator.mul,
+    "div": operator.truediv,
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+}
 
 
 class FloatCondition(TracerCondition):

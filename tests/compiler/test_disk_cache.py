@@ -47,11 +47,9 @@ def started(package, script=SCRIPT, **variables):
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "XDG"))}
     # Python's own bytecode goes by time and size, which edits keep here; it is not at issue.
     own = {"PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1", "HOME": str(home)}
-    given = {name: value for name, value in (clean | own | variables).items() if value is not None}
-    return subprocess.Popen(
-        [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        env=given, cwd=home,
-    )  # fmt: skip
+    every = {name: value for name, value in (clean | own | variables).items() if value is not None}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen([sys.executable, "-c", script], env=every, cwd=home, **pipes)
 
 
 def finished(process):
@@ -144,15 +142,6 @@ def test_an_edit_in_any_room_makes_a_new_version(whole, monkeypatch, room):
     assert disk_cache._version() == before
 
 
-@pytest.mark.slow
-def test_functions_lie_beside_the_bytecode_or_where_numba_is_told_to(package, tmp_path):
-    elsewhere = tmp_path / "elsewhere"
-    for name in (None, str(elsewhere), "relative"):
-        assert run(package, NUMBA_CACHE_DIR=name) == (41, 0)
-    places = {path.parent.parent for path in kept(package)}
-    assert places == {package / "__pycache__", elsewhere, tmp_path / "relative"}
-
-
 READ_ONLY = {
     "a home": ({}, 1),
     "a cache folder of one's own": ({"XDG_CACHE_HOME": "{tmp}/mine"}, 1),
@@ -174,19 +163,8 @@ def test_a_package_that_is_read_only_works(package, tmp_path, case):
     assert not list(tmp_path.rglob("~*"))
 
 
-@pytest.mark.slow
-def test_a_folder_that_vanishes_costs_no_more_than_a_compilation(package):
-    vanishing = (
-        "import shutil\n"
-        "from mmwave_env.caller import function\n"
-        "shutil.rmtree(function.stats.cache_path)\n"
-        "print(function(20), function(2.0))\n"
-    )
-    assert finished(started(package, vanishing)) == ["41", "5.0"]
-    assert not kept(package)
-
-
 FLIPS = """
+import pickle
 from pathlib import Path
 from numba.core.registry import cpu_target
 from mmwave_env.caller import function
@@ -205,7 +183,9 @@ for signature, entry in zip(function.signatures, entries):
         entry.write_bytes(damaged)
         taken += cache.load_overload(signature, context) is not None
         checked += 1
-    entry.write_bytes(damaged)
+    for damaged in (b"", whole[: len(whole) // 2], whole[:32] + pickle.dumps(1)):
+        entry.write_bytes(damaged)
+        taken += cache.load_overload(signature, context) is not None
 again = compiled(function.py_func)
 print(len(entries), taken, checked, again(20), again(2.0), again(2j))
 print(sum(again.stats.cache_hits.values()))
@@ -213,7 +193,7 @@ print(sum(again.stats.cache_hits.values()))
 
 
 @pytest.mark.slow
-def test_no_flipped_bit_is_taken_for_the_function(package):
+def test_no_damaged_file_is_taken_for_the_function(package):
     entries, taken, checked, *values, hits = finished(started(package, FLIPS))
     assert (entries, taken, values, hits) == ("3", "0", ["41", "5.0", "(1+4j)"], "0")
     assert int(checked) > 3000
@@ -241,21 +221,6 @@ def test_processes_may_start_at_once(package):
     assert {finished(process)[0] for process in together} == {"41"}
     assert len(kept(package)) == 1
     assert run(package) == (41, 1)
-
-
-@pytest.mark.slow
-def test_versions_long_out_of_use_are_removed_but_never_the_one_in_use(package):
-    run(package)
-    (file,) = kept(package)
-    os.utime(file.parent, (0, 0))
-    for age in range(1, 31):
-        newer = file.parent.parent / f"mmwave_env-{age}"
-        newer.mkdir()
-        os.utime(newer, (age, age))
-    assert run(package) == (41, 1)
-    versions = {path.name for path in file.parent.parent.glob("mmwave_env-*")}
-    assert 1 < len(versions) < 30
-    assert "mmwave_env-30" in versions and "mmwave_env-1" not in versions
 
 
 PLANT = """

@@ -56,7 +56,7 @@ FUNCTIONS = {
 
 
 def test_what_computes_something_else_has_another_name():
-    names = {what: name_of(function) for what, function in FUNCTIONS.items()}
+    names = {name: name_of(function) for name, function in FUNCTIONS.items()}
     assert len(set(names.values())) == len(names)
 
 
@@ -83,10 +83,8 @@ def started(tmp_path):
     def run(code):
         variables = {"NUMBA_CACHE_DIR": str(tmp_path / "kept")}
         variables["PYTHONPATH"] = str(Path(mmwave_env.__file__).parents[1])
-        done = subprocess.run(
-            [sys.executable, "-c", textwrap.dedent(code)],
-            env=os.environ | variables, capture_output=True, text=True, check=False,
-        )  # fmt: skip
+        command = [sys.executable, "-c", textwrap.dedent(code)]
+        done = subprocess.run(command, env=os.environ | variables, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
         return done.stdout.split()
 

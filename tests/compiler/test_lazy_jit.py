@@ -70,8 +70,8 @@ def test_environments_are_the_same_to_the_bit(scenario, mode, monkeypatch):
         envs = gym.make_vec(
             "MmWaveLoc-v0", num_envs=9, episode_steps=12, scenario=scenario, autoreset_mode=mode
         )
-        found = [envs.reset(seed=0)]
-        return found + [envs.step(np.arange(9) % 2) for _ in range(14)]
+        results = [envs.reset(seed=0)]
+        return results + [envs.step(np.arange(9) % 2) for _ in range(14)]
 
     plain, ready = run(lambda lazy: lazy.plain), run(lambda lazy: lazy.compiled)
     assert data_equivalence(plain, ready, exact=True)

@@ -33,11 +33,6 @@ def compiled_scatter_single(block, rows, targets):
 
 
 @numba.njit
-def compiled_pick(block, rows, out):
-    tiles.pick(block, rows, out)
-
-
-@numba.njit
 def compiled_prefetch(place):
     tiles.prefetch(place)
 
@@ -87,7 +82,7 @@ def test_scatters_rows_and_nothing_else(scatter, dtype, rows, seed):
     np.testing.assert_array_equal(room, expected)
 
 
-@pytest.mark.parametrize("pick", [tiles.pick, compiled_pick])
+@pytest.mark.parametrize("pick", [tiles.pick, numba.njit(tiles.pick)])
 @settings(deadline=None)
 @given(rows=st.lists(st.integers(0, SIZE - 1), max_size=30), seed=st.integers(0, 99))
 def test_picks_rows(pick, rows, seed):

@@ -41,8 +41,8 @@ def test_starting_some_leaves_the_others_as_they_are(on_floats):
     for _ in range(3):
         observations = engine.observations()
         np.testing.assert_array_equal(observations[places], expected.observations())
-        for one in (engine, expected):
-            one.step(np.int64(0))
+        for each in (engine, expected):
+            each.step(np.int64(0))
 
 
 @ON
@@ -97,20 +97,18 @@ def test_an_episode_ends_with_the_metrics_of_its_track(epochs, dt, axes):
         errors = rng.normal(0.0, 20.0, (epochs, 3))
         nees = rng.chisquare(axes, epochs)
         for k, (error, number) in enumerate(zip(errors, nees, strict=True)):
-            count(
-                tally.sums[1], tally.errors[1], tally.second[1], tally.interval, k, *error, number
-            )
-        found = tally.metrics(where, np.array([epochs]))
+            count(tally.counts, 1, k, *error, number)
+        metrics = tally.metrics(where, np.array([epochs]))
     expected = summary(errors, nees, max(1.0, round(1.0 / dt)), axes)
-    assert {key: value.item() for key, value in found.items()} == pytest.approx(
+    assert {key: value.item() for key, value in metrics.items()} == pytest.approx(
         {key: float(value) for key, value in expected.items()}, rel=1e-12
     )
-    assert not tally.sums[[0, 2]].any()
-    assert tally.errors.shape[1] <= epochs  # however many there are in a second
+    assert not tally.counts.sums[[0, 2]].any()
+    assert tally.counts.errors.shape[1] <= epochs  # however many there are in a second
 
 
 def test_an_error_without_a_number_is_a_divergence_for_good():
     tally = Tally(1, 3)
     for k, x in enumerate([0.0] * 12 + [np.nan] + [1.0] * 5):
-        count(tally.sums[0], tally.errors[0], 1, tally.interval, k, x, 0.0, 0.0, 3.0)
+        count(tally.counts, 0, k, x, 0.0, 0.0, 3.0)
     assert tally.metrics(np.array([0]), np.array([18]))["divergence_rate"] == 1.0

@@ -23,6 +23,7 @@ from mmwave_env.models.scene import SCENES, Wall
 from mmwave_env.world.episode import Episode
 from mmwave_env.world.mobility import MOBILITIES
 from mmwave_env.world.simulated import SimulatedSource
+from tests.refusals import refuses
 
 ASIDE = 0.01  # how far within an end or beyond it, as a share of it
 FAR = (1e30, 1e150, 1e300, np.nan)  # an infinite sigma is no error, but a row that is missing
@@ -143,7 +144,7 @@ def test_beliefs_are_sound_with_each_quantity_and_any_two_at_the_ends(name):
     single = [(quantity, value) for quantity in QUANTITIES for value in quantity.within()]
     pairs = [pair for pair in combinations(single, 2) if pair[0][0].put is not pair[1][0].put]
     ordinary, cases = {seed: drawn(seed, epochs=30) for seed in SEEDS}, {}
-    for seed, changes in product(SEEDS, [*((one,) for one in single), *pairs]):
+    for seed, changes in product(SEEDS, [*zip(single), *pairs]):
         changed = ordinary[seed]
         for quantity, value in changes:
             changed = quantity.put(changed, value)
@@ -172,7 +173,7 @@ BEYOND = [(quantity, value) for quantity in QUANTITIES for value in quantity.bey
     ("quantity", "value"), BEYOND, ids=[f"{quantity.name} {value:g}" for quantity, value in BEYOND]
 )
 def test_beyond_the_ends_an_episode_is_refused_by_name(quantity, value, episode):
-    with np.errstate(all="ignore"), pytest.raises(ValueError, match="of episode '.*expected "):
+    with np.errstate(all="ignore"), refuses("of episode"):
         quantity.put(episode, value)
 
 
@@ -224,22 +225,18 @@ def test_far_off_it_is_refused_by_name(record, name, bound, shape):
     of, _ = RECORDS[record]
     for value in (-1e300, 1e300, np.nan, -(10**200), 10**200):
         if value < 0 or bound.most != np.inf:  # a time may be without end
-            with pytest.raises(ValueError, match=f"^{name}.*: found .*, expected "):
+            with refuses(name):
                 replace(of, **{name: shape(value)})
 
 
 def test_what_a_radio_in_a_scene_comes_to_is_held_against_the_envelope():
     far = replace(STREET, walls=(Wall((1.0, 0.0), 9e5),))
     loud = replace(RADIOS["standard"], spread_gain=90.0)
-    for scene, radio, message in (
-        (far, RADIOS["high"], "scene_anchors_m of episode 'high in street': found 1.79999e.06"),
-        (
-            STREET,
-            loud,
-            "doppler_spread_hz of episode 'standard in street': found 1.87",
-        ),
+    for scene, radio, name in (
+        (far, RADIOS["high"], "scene_anchors_m of episode 'high in street'"),
+        (STREET, loud, "doppler_spread_hz of episode 'standard in street'"),
     ):
-        with pytest.raises(ValueError, match=message):
+        with refuses(name):
             SimulatedSource(scene, radio)
 
 
@@ -264,11 +261,11 @@ def test_at_its_ends_beliefs_are_sound_or_the_episode_is_refused(record, name, b
 @pytest.mark.parametrize("name", [*NOISES, "spread_gain"])
 @pytest.mark.parametrize("value", [-0.1, 100.1, 1e150, np.nan])
 def test_a_mode_beyond_them_is_refused_by_name(name, value):
-    with pytest.raises(ValueError, match=f"{name} of mode 'loud': .* a number of 0 to "):
+    with refuses(f"{name} of mode 'loud'"):
         Mode("loud", **{name: value})
 
 
 @pytest.mark.parametrize("dt", [0.0, 1e-9, 61.0, 1e12, np.inf, np.nan])
 def test_a_step_of_minutes_is_refused_before_anything_is_drawn(dt):
-    with pytest.raises(ValueError, match=r"^dt: found .*, expected a number of 1e-06 to 60 s$"):
+    with refuses("dt"):
         SimulatedSource(SCENES["street"], RADIOS["handset"], dt=dt)

@@ -48,11 +48,11 @@ def played(bank, episodes, actions, names=("x", "P", "mode_probabilities"), **op
 @pytest.mark.parametrize("radio", RADIOS)
 def test_trusting_none_is_the_imm(radio, dt):
     bank, episodes = best_bank(radio), in_steps_of(dt, simulated(9, epochs=200))
-    _, found = played(bank, episodes, np.zeros((9, 200), int), ("x", "P", "reward", "nees"))
+    _, ours = played(bank, episodes, np.zeros((9, 200), int), ("x", "P", "reward", "nees"))
     pipeline = Pipeline(bank.modes, STREET)
     imm = ImmEngine(pipeline, TrackingReward(), bank.transition, bank.nis_quantile)
-    expected = imm.run(episodes, *found)
-    for name, values in found.items():
+    expected = imm.run(episodes, *ours)
+    for name, values in ours.items():
         np.testing.assert_allclose(values, expected[name], rtol=1e-10, atol=1e-10, err_msg=name)
 
 
@@ -105,11 +105,11 @@ def test_a_replay_repeats_what_was_seen(planar):
     if planar:
         episodes = [e.on_flat_ground(float(e.truth_position_m[0, 2])) for e in episodes]
     actions = np.random.default_rng(3).integers(0, 3, (9, T)).astype(np.uint8)
-    engine, seen = played(bank, episodes, actions, ("error", "nees"), planar=planar)
+    engine, stepped = played(bank, episodes, actions, ("error", "nees"), planar=planar)
     replay = Replay(engine.pipeline, bank)
     error, nees, smoothed = replay.run(engine.batch.episodes(np.arange(9)), actions)
-    np.testing.assert_allclose(error, seen["error"], rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(nees, seen["nees"], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(error, stepped["error"], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(nees, stepped["nees"], rtol=1e-9, atol=1e-9)
     np.testing.assert_array_equal(smoothed[:, -1], error[:, -1])
     away = [np.linalg.norm(e, axis=-1)[:, 10:].mean() for e in (smoothed, error)]
     assert away[0] < 0.9 * away[1]
@@ -122,14 +122,14 @@ def test_twins_are_smoothed_as_one_filter_is():
     twins, episodes = Bank((mode, replace(mode, name="b"))), simulated(5, epochs=T)
     actions = np.random.default_rng(4).integers(0, 3, (5, T)).astype(np.uint8)
     engine, _ = played(twins, episodes, actions)
-    _, _, found = Replay(engine.pipeline, twins).run(engine.batch.episodes(np.arange(5)), actions)
+    _, _, ours = Replay(engine.pipeline, twins).run(engine.batch.episodes(np.arange(5)), actions)
     tracker = Tracker(Pipeline((mode,), STREET), 5)
     tracker.load(episodes)
     run = tracker.run("x", "P", "x_predicted", "P_predicted", "error")
     predicted = run["x_predicted"], run["P_predicted"]
     x, _ = smooth(run["x"], run["P"], *predicted, np.ones(T - 1))
     expected = run["error"] + (x - run["x"])[..., :3]
-    np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(ours, expected, rtol=1e-7, atol=1e-7)
 
 
 def test_the_prediction_of_a_mixture_is_the_mean_over_its_modes():
@@ -139,11 +139,11 @@ def test_the_prediction_of_a_mixture_is_the_mean_over_its_modes():
     """
     modes = tuple(replace(mode, spread_gain=0.0) for mode in BANK.modes)
     imm = ImmEngine(Pipeline(modes, STREET), TrackingReward(), BANK.transition, 0.99)
-    run = imm.run(simulated(3, epochs=20), "x", "P", "x_predicted", "P_predicted",
-                  "mixture.probability")  # fmt: skip
+    names = ("x", "P", "x_predicted", "P_predicted", "mixture.probability")
+    run = imm.run(simulated(3, epochs=20), *names)
     F, P = textbook.F(1.0), unpacked(run["P"])
-    np.testing.assert_allclose(run["x_predicted"][:, 1:], run["x"][:, :-1] @ F.T, rtol=1e-9,
-                               atol=1e-9)  # fmt: skip
+    moved = run["x"][:, :-1] @ F.T
+    np.testing.assert_allclose(run["x_predicted"][:, 1:], moved, rtol=1e-9, atol=1e-9)
     weights = run["mixture.probability"][:, :-1] @ np.array(BANK.transition)
     Q = unpacked(run["P_predicted"])[:, 1:] - F @ P[:, :-1] @ F.T
     velocity = weights @ np.square([mode.sigma_v for mode in modes])
@@ -163,13 +163,13 @@ def test_a_mode_that_is_trusted_costs_what_it_says():
 
 
 def test_environments_take_banks_of_their_own():
-    one, other = best_bank("handset"), best_bank("high")
+    bank, other = best_bank("handset"), best_bank("high")
     episodes, actions = simulated(10, epochs=15), np.zeros((10, 15), int)
-    engine = Engine(Pipeline(one.modes, STREET), 10, TrackingReward(), bank=one)
+    engine = Engine(Pipeline(bank.modes, STREET), 10, TrackingReward(), bank=bank)
     engine.tune(other, np.arange(5, 10))
     engine.reset(episodes)
     for chosen in actions.T:
         engine.step(chosen)
-    for bank, some in ((one, slice(5)), (other, slice(5, 10))):
-        alone, _ = played(bank, episodes[some], actions[some])
+    for own, some in ((bank, slice(5)), (other, slice(5, 10))):
+        alone, _ = played(own, episodes[some], actions[some])
         np.testing.assert_array_equal(engine.read(engine.at.x)[some], alone.read(alone.at.x))

@@ -65,9 +65,9 @@ def test_company_and_place_change_no_bit():
 def test_an_episode_cut_short_is_smoothed_from_where_it_ended():
     pipeline = Pipeline(default_modes(), STREET)
     engine, errors, _ = played(pipeline, simulated(2, epochs=T), ACTIONS[:2])
-    found, nees, smoothed = Replay(pipeline).run(
+    errors_again, nees, smoothed = Replay(pipeline).run(
         engine.batch.episodes(np.arange(2)), ACTIONS[:2, :9]
     )
-    assert found.shape == smoothed.shape == (2, 9, 3) and nees.shape == (2, 9)
-    np.testing.assert_allclose(found, errors[:, :9], rtol=1e-9, atol=1e-9)
-    np.testing.assert_array_equal(smoothed[:, -1], found[:, -1])
+    assert errors_again.shape == smoothed.shape == (2, 9, 3) and nees.shape == (2, 9)
+    np.testing.assert_allclose(errors_again, errors[:, :9], rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(smoothed[:, -1], errors_again[:, -1])

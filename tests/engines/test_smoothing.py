@@ -102,8 +102,8 @@ def test_a_mixture_is_smoothed_as_by_numpy(mixture):
     time_s = dt * np.arange(x.shape[1])
     found_x, found_P = smooth(x, P, x_predicted, P_predicted, np.diff(time_s))
     for e in range(len(x)):
-        expected = textbook.rts(x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s,
-                                x_predicted=x_predicted[e])  # fmt: skip
+        track = x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s
+        expected = textbook.rts(*track, x_predicted=x_predicted[e])
         np.testing.assert_allclose(found_x[e], expected[0], rtol=1e-7, atol=1e-7)
         np.testing.assert_allclose(unpacked(found_P[e]), expected[1], rtol=1e-6, atol=1e-6)
 
@@ -146,20 +146,13 @@ def test_the_last_epoch_is_smooth_already():
     assert (after <= before).all() and (after < before).mean() > 0.98  # if those know anything
 
 
-def test_one_epoch_is_smooth_already():
-    x, P, x_predicted, P_predicted = (part[:1, :1] for part in tracks(planar=False))
-    found_x, found_P = smooth(x, P, x_predicted, P_predicted, np.empty(0))
-    np.testing.assert_array_equal(found_x, x)
-    np.testing.assert_array_equal(found_P, P)
-
-
 def test_tracks_may_have_their_own_times():
     x, P, x_predicted, P_predicted = (part[:3] for part in tracks(planar=False))
     times = np.random.default_rng(0).uniform(0.2, 2.0, x.shape[:2]).cumsum(axis=1)
-    found = smooth(x, P, x_predicted, P_predicted, np.diff(times))
+    together = smooth(x, P, x_predicted, P_predicted, np.diff(times))
     for e in range(3):
         alone = smooth(
             *(part[e : e + 1] for part in (x, P, x_predicted, P_predicted)), np.diff(times[e])
         )
-        for together, one in zip(found, alone, strict=True):
-            np.testing.assert_array_equal(together[e], one[0])
+        for all_tracks, single in zip(together, alone, strict=True):
+            np.testing.assert_array_equal(all_tracks[e], single[0])

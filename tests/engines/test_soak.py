@@ -49,17 +49,17 @@ def damaged(episode, rng):
 
 def unsound(engine):
     """Kinds of numbers that are not finite in any environment, and P where it is not definite."""
-    found = []
+    kinds = []
     for name in PARTS:
         part = getattr(engine.at, name)
         if not np.isfinite(engine.read(part if isinstance(part, int) else engine.span(part))).all():
-            found.append(name)
+            kinds.append(name)
     P = unpack(list(np.ascontiguousarray(engine.read(engine.span(engine.at.P)).T)))
     with np.errstate(invalid="ignore", divide="ignore"):
         factor = cholesky(P)
         if not all((factor[i][i] > 0.0).all() for i in range(len(P))):
-            found.append("definite P")
-    return found
+            kinds.append("definite P")
+    return kinds
 
 
 def soaked(modes, users, n):
@@ -73,8 +73,8 @@ def soaked(modes, users, n):
         actions, stay = rng.integers(len(modes), size=n), rng.choice(STAY, n)
         for epoch in range(200):
             engine.step(actions)
-            if found := unsound(engine):
-                return f"{scenario}, {radio.name}, epoch {epoch}", found
+            if kinds := unsound(engine):
+                return f"{scenario}, {radio.name}, epoch {epoch}", kinds
             changed = rng.random(n) >= stay
             actions = np.where(changed, rng.integers(len(modes), size=n), actions)
     return None
@@ -95,5 +95,5 @@ def rotten(x, P, measurement, gate):
 
 def test_a_number_that_is_not_sound_is_found():
     modes = [named_modes()["ekf"], Mode("rotten", rotten)]
-    _, found = soaked(modes, [("pedestrian", RADIOS["handset"])], 16)
-    assert set(found) & {"definite P", "candidates", "x"}
+    _, kinds = soaked(modes, [("pedestrian", RADIOS["handset"])], 16)
+    assert set(kinds) & {"definite P", "candidates", "x"}

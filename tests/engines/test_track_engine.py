@@ -48,10 +48,10 @@ def test_actions_pick_the_mode(on_floats, episodes):
     actions = np.random.default_rng(0).integers(0, 2, (3, T))
     tracker = Tracker(pipeline, 3, on_floats=on_floats)
     tracker.load(episodes[:3])
-    found = tracker.run("x", "memory.mode", actions=actions)
-    np.testing.assert_array_equal(found["memory.mode"], actions)
+    ours = tracker.run("x", "memory.mode", actions=actions)
+    np.testing.assert_array_equal(ours["memory.mode"], actions)
     expected = track(pipeline, episodes[:3], actions.T, T, ("x",))["x"]
-    np.testing.assert_allclose(found["x"], expected.swapaxes(0, 1), rtol=1e-11, atol=1e-11)
+    np.testing.assert_allclose(ours["x"], expected.swapaxes(0, 1), rtol=1e-11, atol=1e-11)
 
 
 def test_recovery_keeps_tracks_within_reach():

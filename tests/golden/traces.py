@@ -66,8 +66,8 @@ def track_imm(log: str) -> Iterator[Row]:
     """The track of a log by the IMM over the default modes."""
     episode, modes = _episode(log), default_modes(RADIO)
     engine = ImmEngine(Pipeline(modes, episode.layout), TrackingReward())
-    told = engine.run([episode], "x", "P", "mixture.probability")
-    x, P, probability = (values[0] for values in told.values())
+    parts = engine.run([episode], "x", "P", "mixture.probability")
+    x, P, probability = (values[0] for values in parts.values())
     for k in _shown(x):
         yield _belief(k, x, P) | _parts("probability", probability[k])
 
@@ -88,10 +88,9 @@ def _episode(log: str) -> Episode:
     fix = block.measurement[0, :4], sigma[0, :4]
     mean, covariance = prior_from_fix(scene.anchors_m[0], *fix, radio, scene)
     visible[0, 0] = False  # or the link would be used twice
-    return Episode(
-        log, scene.anchors_m, scene.hz_per_mps, block.time_s, block.measurement, sigma, visible,
-        block.snr_db, block.doppler_spread_hz, mean, covariance, None, None, block.layout,
-    )  # fmt: skip
+    measured = block.measurement, sigma, visible, block.snr_db, block.doppler_spread_hz
+    received = log, scene.anchors_m, scene.hz_per_mps, block.time_s, *measured
+    return Episode(*received, mean, covariance, None, None, block.layout)
 
 
 def _shown(states: Any) -> list[int]:
@@ -209,7 +208,7 @@ def operations() -> Iterator[Row]:
     programs["step, shared beliefs"] = Engine(both, 1, reward).batch.program
     programs["step, per-mode beliefs"] = Engine(five, 1, reward, bank=bank).batch.program
     programs["IMM of five modes"] = imm_program(five, reward)
-    kernels = {name: (one.function, one.template) for name, one in programs.items()}
+    kernels = {name: (program.function, program.template) for name, program in programs.items()}
     for name, part in zip(("measured", "happens", "substep"), source.world.parts, strict=True):
         kernels[f"world: {name}"] = part, source.world.template
     for name, kernel in kernels.items():

@@ -67,7 +67,7 @@ def test_values_are_finite_and_within_their_bounds_whatever_happens():
         observations = engine.observations()
         assert observations.dtype == np.float32
         assert np.isfinite(observations).all()
-        assert all(space.contains(one) for one in observations)
+        assert all(space.contains(row) for row in observations)
         engine.step(rng.integers(2, size=len(episodes)))
 
 
@@ -113,9 +113,9 @@ def roll(episode, **kwargs):
     return Rollout(episode, env.unwrapped.observation, np.array(observations), infos)
 
 
-def close(found, expected, tolerance=1e-5):
+def close(values, expected, tolerance=1e-5):
     """Equal up to the rounding of float32."""
-    np.testing.assert_allclose(found, expected, rtol=tolerance, atol=tolerance)
+    np.testing.assert_allclose(values, expected, rtol=tolerance, atol=tolerance)
 
 
 def test_predicted_speed_is_the_estimate_s(rollout):
@@ -133,15 +133,15 @@ def test_nis_and_verdicts_are_those_of_the_last_epoch(rollout):
             int(info["accepted"][g]) - int(info["rejected"][g]) for info in rollout.infos[1:]
         ]
         np.testing.assert_array_equal(rollout.read(f"verdict {name}")[1:], verdict)
-        seen = rollout.episode.usable[:, g]
-        np.testing.assert_array_equal(np.array(verdict) != 0, seen)
+        visible = rollout.episode.usable[:, g]
+        np.testing.assert_array_equal(np.array(verdict) != 0, visible)
     assert rollout.read("NIS Doppler")[0] == 0.0 == rollout.read("verdict Doppler")[0]
 
 
 def test_snr_is_that_of_the_coming_epoch(rollout):
     for a in range(3):
-        seen, snr = rollout.episode.usable[:, a], rollout.episode.snr_db[:, a]
-        coming = np.clip(np.where(seen, snr, -20.0), -20.0, 80.0)
+        visible, snr = rollout.episode.usable[:, a], rollout.episode.snr_db[:, a]
+        coming = np.clip(np.where(visible, snr, -20.0), -20.0, 80.0)
         close(rollout.read(f"SNR anchor {a + 1}"), [*coming, -20.0])
 
 
@@ -163,11 +163,11 @@ def test_the_doppler_spread_is_averaged(rollout):
 def test_an_snr_drop_is_below_the_slow_mean_of_what_was_seen(rollout):
     for a in range(3):
         mean, expected = None, []
-        seen, snr = rollout.episode.usable[:, a], rollout.episode.snr_db[:, a]
-        for visible, now in zip(seen, snr, strict=True):
-            if visible:
+        visible, snr = rollout.episode.usable[:, a], rollout.episode.snr_db[:, a]
+        for measured, now in zip(visible, snr, strict=True):
+            if measured:
                 mean = now if mean is None else 0.95 * mean + 0.05 * now
-            expected.append(np.clip(mean - now, -20.0, 40.0) if visible else 0.0)
+            expected.append(np.clip(mean - now, -20.0, 40.0) if measured else 0.0)
         close(rollout.read(f"SNR drop anchor {a + 1}")[:-1], expected)
 
 
@@ -233,9 +233,9 @@ def test_the_previous_mode_is_marked(rollout):
 def test_lock_out_and_time_since_fix_count(rollout):
     lockout, unfixed_s = [0.0], [0.0]
     for t, info in enumerate(rollout.infos[1:]):
-        links, seen = info["accepted"][:3], rollout.episode.usable[t, :3].any()
+        links, visible = info["accepted"][:3], rollout.episode.usable[t, :3].any()
         fixed, passed = links.any(), (links & (info["nis"][:3] <= chi2.ppf(0.99, 4))).any()
-        lockout.append(0.0 if passed else lockout[-1] + seen)
+        lockout.append(0.0 if passed else lockout[-1] + visible)
         unfixed_s.append(0.0 if fixed else unfixed_s[-1] + (1.0 if t else 0.0))
     close(rollout.read("lock-out"), rollout.limited("lock-out", lockout))
     close(rollout.read("time since fix"), rollout.limited("time since fix", unfixed_s))
@@ -246,20 +246,20 @@ def test_what_a_mode_would_make_of_the_coming_epoch_is_what_it_makes_of_it(rollo
     for (t, x), info in zip(predictions(rollout), rollout.infos[1:], strict=True):
         name = ("ekf", "ukf")[info["mode"]]
 
-        def coming(what, name=name, t=t):
-            return rollout.read(f"coming {what} {name}")[t]
+        def coming(part, name=name, t=t):
+            return rollout.read(f"coming {part} {name}")[t]
 
-        def limited(what, value, name=name):
-            return rollout.limited(f"coming {what} {name}", value)
+        def limited(part, value, name=name):
+            return rollout.limited(f"coming {part} {name}", value)
 
-        seen = rollout.episode.usable[t]
-        mean_nis = info["nis"][seen].sum() / max(dof[seen].sum(), 1)
+        visible = rollout.episode.usable[t]
+        mean_nis = info["nis"][visible].sum() / max(dof[visible].sum(), 1)
         close(coming("NIS"), limited("NIS", np.log1p(mean_nis)))
         assert coming("rejected") == info["rejected"][:3].sum()
         if name == "ukf":  # the last mode: NIS of every group
             for g, group in enumerate(("anchor 1", "anchor 2", "anchor 3", "Doppler")):
-                what = f"NIS {group}"
-                close(coming(what), limited(what, np.log1p(info["nis"][g])))
+                part = f"NIS {group}"
+                close(coming(part), limited(part, np.log1p(info["nis"][g])))
         after = rollout.read("position variance")[t + 1]
         both = rollout.limited("position variance", coming("variance"))
         close(both, limited("variance", after), 1e-4)
@@ -269,8 +269,8 @@ def test_what_a_mode_would_make_of_the_coming_epoch_is_what_it_makes_of_it(rollo
         faster = info["estimate"][3:5] - x[3:5]
         for of, change in (("position", step), ("velocity", faster)):
             for way, axis in (("along", ahead), ("across", left)):
-                what = f"{of} correction {way}"
-                close(coming(what), limited(what, change @ axis), 1e-4)
+                part = f"{of} correction {way}"
+                close(coming(part), limited(part, change @ axis), 1e-4)
 
 
 def test_corrections_are_averaged(rollout):
@@ -294,8 +294,8 @@ def test_preferences_average_the_log_likelihood_difference(rollout):
 
 def test_odometry_speed_is_measured_or_else_predicted():
     done = roll(draw(0, odometry=True), modes=["ekf"])
-    seen, speed = done.episode.usable[:, -1], done.episode.measurement[:, 13]
-    assert seen.any() and not seen.all()
+    visible, speed = done.episode.usable[:, -1], done.episode.measurement[:, 13]
+    assert visible.any() and not visible.all()
     predicted = done.read("predicted speed")
-    expected = np.clip(np.where(seen, speed, predicted[:-1]), 0.0, 50.0)
+    expected = np.clip(np.where(visible, speed, predicted[:-1]), 0.0, 50.0)
     close(done.read("odometry speed"), [*expected, predicted[-1]])

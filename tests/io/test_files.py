@@ -3,7 +3,6 @@
 import errno
 import json
 import os
-import re
 import socket
 import stat
 import subprocess
@@ -27,6 +26,7 @@ from mmwave_env.io.files import (
     write_json,
     write_text,
 )
+from tests.refusals import refuses
 
 posix = pytest.mark.skipif(os.name != "posix", reason="modes, links and FIFOs as POSIX has them")
 
@@ -73,9 +73,9 @@ def test_text_bytes_and_json_replace_what_was_there(tmp_path):
 def test_what_is_no_file_is_not_written(tmp_path):
     require_writable(tmp_path / "new" / "a.json")
     assert names(tmp_path / "new") == []
-    for path, found in ((tmp_path, "a folder"), (os.devnull, "a device")):
-        with pytest.raises(OSError, match=f"found {found}, expected a file"):
-            require_writable(Path(path))
+    for path in (tmp_path, Path(os.devnull)):
+        with refuses(path, error=OSError):
+            require_writable(path)
 
 
 # --- who may read a result, and where it goes
@@ -114,11 +114,11 @@ def test_a_file_that_is_replaced_keeps_who_may_read_it(tmp_path, umask, mode):
 
 
 @posix
-@pytest.mark.parametrize("there", [True, False])
-def test_of_a_link_the_file_behind_it_is_written(tmp_path, there):
+@pytest.mark.parametrize("exists", [True, False])
+def test_of_a_link_the_file_behind_it_is_written(tmp_path, exists):
     (tmp_path / "store").mkdir()
     target, link = tmp_path / "store" / "a.json", tmp_path / "a.json"
-    if there:
+    if exists:
         target.write_text("old")
     link.symlink_to(target)
     require_writable(link)
@@ -141,7 +141,7 @@ def test_a_pipe_behind_a_device_is_named():
 def test_no_device_behind_a_link_is_replaced(tmp_path):
     link = tmp_path / "a.json"
     link.symlink_to(os.devnull)
-    with pytest.raises(OSError, match="a.json: found a device, expected a file to write"):
+    with refuses(link, error=OSError):
         write_text(link, "{}")
     assert names(tmp_path) == ["a.json"]
 
@@ -155,33 +155,33 @@ def full_disk(*_, **__):
 
 def test_a_full_disk_is_said_of_the_result(tmp_path, monkeypatch):
     monkeypatch.setattr(Path, "write_text", full_disk)
-    with pytest.raises(OSError, match=f"No space left on device: '{tmp_path}/a.json'$") as error:
+    with pytest.raises(OSError, match="a.json") as error:
         write_json(tmp_path / "a.json", {})
+    assert error.value.filename == str(tmp_path / "a.json")
     assert error.value.errno == errno.ENOSPC and names(tmp_path) == []
 
 
 def test_no_error_names_a_temporary_file(tmp_path, monkeypatch):
     with pytest.raises(FileNotFoundError) as error, atomic_path(tmp_path / "a") as temporary:
         temporary.unlink()
-    assert str(error.value) == f"[Errno 2] No such file or directory: '{tmp_path / 'a'}'"
+    assert error.value.filename == str(tmp_path / "a")
 
     def refused(*_, **__):
         raise PermissionError(errno.EACCES, "Permission denied", str(tmp_path / "tmpxyz"))
 
     monkeypatch.setattr("tempfile.TemporaryFile", refused)
-    with pytest.raises(PermissionError, match=f"Permission denied: '{tmp_path}/a'$"):
+    with pytest.raises(PermissionError) as error:
         require_writable(tmp_path / "a")
+    assert error.value.filename == str(tmp_path / "a")
 
 
 def test_an_error_about_another_file_stays_as_it_is(tmp_path):
     for of_ours in (atomic_path, naming):
-        nowhere = pytest.raises(FileNotFoundError, match=r"No such file.*'nowhere.csv'$")
-        with nowhere, of_ours(tmp_path / "a.json"):
+        with pytest.raises(FileNotFoundError) as error, of_ours(tmp_path / "a.json"):
             Path("nowhere.csv").read_text()
-        with pytest.raises(OSError, match="^said already$"), of_ours(tmp_path / "a.json"):
-            raise OSError("said already")
-    with pytest.raises(OSError, match="No space.*'a.csv'"), naming(Path("a.csv")):
-        full_disk()
+        assert error.value.filename == "nowhere.csv"
+        with refuses("b.csv", error=OSError), of_ours(tmp_path / "a.json"):
+            raise OSError("b.csv: found nothing")
 
 
 # --- what is read
@@ -189,7 +189,7 @@ def test_an_error_about_another_file_stays_as_it_is(tmp_path):
 
 @pytest.fixture(params=["folder", "FIFO", "device", "socket"])
 def special(request, tmp_path):
-    """Return a path that is no file, and its name in messages."""
+    """Return a path that is no file."""
     path = tmp_path / "odd.json"
     if request.param == "folder":
         path.mkdir()
@@ -202,21 +202,18 @@ def special(request, tmp_path):
     else:
         with socket.socket(socket.AF_UNIX) as made:
             made.bind(os.path.relpath(path))
-    return path, request.param
+    return path
 
 
 def test_what_is_no_file_is_refused_before_it_is_opened(special):
-    path, what = special
-    for read in (open_regular, lambda p: read_bounded(p, 10), read_text):
-        with pytest.raises(OSError, match=f"odd.json: found a {what}, expected"):
-            read(path)
-    with pytest.raises(OSError, match=f"odd.json: found a {what}, expected a scene, JSON"):
-        read_json(path, "a scene", dict)
+    for read in (open_regular, lambda p: read_bounded(p, 10), lambda p: read_json(p, "a", dict)):
+        with refuses(special, error=OSError):
+            read(special)
 
 
 def test_a_missing_file_is_named_with_what_was_expected(tmp_path):
     for path in (tmp_path / "a", tmp_path / "a\0b"):
-        with pytest.raises(FileNotFoundError, match=r"found no such file, expected a log$"):
+        with refuses(path, error=FileNotFoundError):
             open_regular(path, "a log")
 
 
@@ -224,18 +221,18 @@ def test_no_more_is_read_than_is_said(tmp_path):
     path = tmp_path / "long"
     path.write_bytes(b"12345")
     assert read_bounded(path, 5) == b"12345"
-    with pytest.raises(OSError, match="long: found 5 bytes, expected a log of at most 4"):
+    with refuses(path, error=OSError):
         read_bounded(path, 4, "a log")
     with path.open("wb") as file:  # takes no room on the disk
         file.truncate(JSON_BYTES + 1)
-    with pytest.raises(OSError, match=f"found {JSON_BYTES + 1} bytes.*at most {JSON_BYTES}"):
+    with refuses(path, error=OSError):
         read_json(path, "a scene", dict)
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no procfs")
 def test_files_that_tell_no_size_are_bounded_too():
     assert b"VmHWM" in read_bounded(Path("/proc/self/status"), 1 << 20)
-    with pytest.raises(OSError, match="status: found more than 10 bytes"):
+    with refuses("status", error=OSError):
         read_bounded(Path("/proc/self/status"), 10)
 
 
@@ -244,7 +241,7 @@ def test_text_is_utf8_with_or_without_its_mark(tmp_path):
     path.write_bytes(b"\xef\xbb\xbft,x\r\n\xc3\xa9")
     assert read_text(path) == "t,x\r\né"
     path.write_bytes(b"t,x\n1,\xff")
-    with pytest.raises(ValueError, match=r"t.csv, line 2: found b'\\xff', expected text in UTF-8"):
+    with refuses(path, "line 2"):
         read_text(path)
 
 
@@ -252,27 +249,18 @@ def test_nested_json_is_read_to_a_depth():
     for begin, end in (("[", "]"), ('{"a":', "}")):
         assert parse_json(begin * JSON_DEPTH + "1" + end * JSON_DEPTH)
         for depth in (JSON_DEPTH + 1, 900, 100_000):
-            with pytest.raises(ValueError, match="found lists or objects in each other"):
+            with pytest.raises(ValueError, match="deep"):
                 parse_json(begin * depth + "1" + end * depth)
 
 
-WRONG = {
-    "no JSON": ("{", "Expecting property name .*line 1"),
-    "a list": ("[]", "found list, expected an object"),
-    "without the key": ("{}", "modes: found none"),
-    "of another type": ('{"modes": 5}', "'int' object is not"),
-    "too large": ('{"modes": [1' + "0" * 299 + "0.0e99]}", "cannot convert float infinity"),
-}
+TOO_LARGE = '{"modes": [1' + "0" * 299 + "0.0e99]}"
 
 
-@pytest.mark.parametrize("damage", WRONG)
-def test_what_code_makes_of_another_content_is_said_of_the_file(tmp_path, damage):
-    content, message = WRONG[damage]
+@pytest.mark.parametrize("content", ["{", "[]", "{}", '{"modes": 5}', TOO_LARGE])
+def test_what_code_makes_of_another_content_is_said_of_the_file(tmp_path, content):
     path = tmp_path / "m.json"
     path.write_text(content)
-    said = f"^{re.escape(str(path))}: not a mode file: .*{message}"
-    with pytest.raises(ValueError, match=said) as error:
-        read_json(path, "a mode file", lambda found: [int(mode) for mode in found["modes"]], "see")
-    assert str(error.value).endswith(" (see)")
+    with refuses(path):
+        read_json(path, "a mode file", lambda read: [int(mode) for mode in read["modes"]])
     path.write_text('{"modes": [1.0]}')
-    assert read_json(path, "a mode file", lambda found: found["modes"]) == [1.0]
+    assert read_json(path, "a mode file", lambda read: read["modes"]) == [1.0]

@@ -5,9 +5,10 @@ import warnings
 import numpy as np
 import pytest
 
+from experiments.console.options import TUNING_SEED
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import score
-from experiments.evaluation.seeds import TUNING_SEED, draw_episodes
+from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.filters.bank import modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline

@@ -1,0 +1,193 @@
+"""The epochs of environments whose modes share a belief, and of those with a belief per mode.
+
+A step takes the result of the action as the belief, scores it against the truth, loads the next
+epoch and runs every mode on it. All modes run before the action, because the observation shows the
+result of each mode. No action changes the world, so episodes are loaded whole.
+
+Where the modes share a belief, the action picks the candidate of a mode. Where every mode keeps
+its own, the modes interact as in an IMM (:mod:`mmwave_env.filters.imm`), and an action chooses the
+mode to trust in the epoch that was just filtered: the probability of that mode is raised before the
+beliefs are combined, scored and mixed again. Action 0, which trusts no mode, is the IMM itself.
+"""
+
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
+
+from mmwave_env.compiler.program import Program
+from mmwave_env.engines.epoch_state import PendingEpoch, begun, blank_environment, scores
+from mmwave_env.engines.track_engine import untuned
+from mmwave_env.filters.bank import Bank, settings_of
+from mmwave_env.filters.belief import Belief
+from mmwave_env.filters.imm import (
+    ImmSettings,
+    Mixture,
+    begin,
+    estimate,
+    imm_epoch,
+    most_probable_memory,
+    trusting,
+)
+from mmwave_env.filters.memory import Memory, memory_after, memory_before
+from mmwave_env.filters.pipeline import Pipeline, predict_update
+from mmwave_env.filters.update import ModeResult
+from mmwave_env.interface.features import MixtureView, View
+from mmwave_env.interface.observation import Observation
+from mmwave_env.interface.reward import Reward
+from mmwave_env.models.measurement import Site
+from mmwave_env.numerics.linalg import pack, unpack
+from mmwave_env.numerics.numbers import Number, where
+from mmwave_env.numerics.pytree import select, tree_at
+from mmwave_env.world.episode import Incoming
+
+SPREAD_MEMORIES = (0.6, 0.9, 0.97)  # weights of the past in averages of the Doppler spread
+
+
+class EnvState(NamedTuple):
+    """The state of an environment between two epochs."""
+
+    incoming: Incoming  # the epoch under consideration
+    site: Site  # anchors, carrier and prior
+    is_first: Number  # 1 to start over from the prior instead of committing
+    action: Number  # the mode to commit to
+    pending: PendingEpoch  # the epoch whose candidates wait for an action
+    # x, P: (7,), (28,) belief after the last committed epoch
+    x: list[Number]
+    P: list[Number]
+    memory: Memory  # memory of the track
+    # one per mode, for the pending epoch, without the predicted beliefs: the smaller environments
+    # are, the more of them fit into a cache
+    candidates: list[ModeResult]
+    observation: list[Number]  # (features,)
+    reward: Number  # reward of the last committed epoch
+    reward_terms: list[Number]  # terms of the reward, and minus the mode's cost
+    truth: list[Number]  # (6,) truth of that epoch; if no epoch is committed yet, of the first
+    error: list[Number]  # (3,) position error of that epoch, m
+    distance: Number  # length of the error, m
+    nees: Number  # NEES of that epoch
+
+
+def shared_epoch(
+    w: EnvState, pipeline: Pipeline, observation: Observation, reward: Reward
+) -> EnvState:
+    """Compute a step of an environment whose modes share a belief, on numbers."""
+    layout, modes = pipeline.layout, pipeline.modes
+    chosen: ModeResult = tree_at(w.action, w.candidates)
+    cost: Number = tree_at(w.action, [mode.cost for mode in modes])
+    dt, visible, truth = w.pending
+    memory = memory_after(layout, w.action, w.x, chosen, w.memory, dt, visible)
+    belief = Belief(chosen.x, unpack(chosen.P, zero=pipeline.known_axes), pipeline.position_axes)
+
+    x, P, memory = begun(w, chosen.x, chosen.P, memory, pipeline)
+    coming = w.incoming.epoch(layout)
+    candidates = [predict_update(pipeline, m, x, P, memory, coming, w.site) for m in modes]
+    memory = memory_before(memory, candidates, coming, layout)
+    view = View(x, unpack(P, zero=pipeline.known_axes), memory, candidates, coming, w.site)
+    return w._replace(
+        is_first=0.0,
+        pending=PendingEpoch(coming.dt, coming.visible, w.incoming.truth),
+        x=x,
+        P=P,
+        memory=memory,
+        candidates=[result._replace(x_predicted=[], P_predicted=[]) for result in candidates],
+        observation=observation.values(view),
+        truth=select(w.is_first > 0.5, w.incoming.truth, truth),
+        **scores(belief, truth, reward, cost),
+    )
+
+
+class PerModeState(NamedTuple):
+    """The state between two epochs of an environment in which every mode keeps its own belief."""
+
+    incoming: Incoming  # the epoch under consideration
+    site: Site  # anchors, carrier and prior
+    is_first: Number  # 1 to start over from the prior instead of taking the action
+    action: Number  # number of the mode to trust, from 1; 0 for none
+    settings: ImmSettings  # parameters of the bank
+    pending: PendingEpoch  # the epoch whose mixture waits for an action
+    mixture: Mixture  # belief after that epoch
+    spread_averages_hz: list[Number]  # average Doppler spread, for each of SPREAD_MEMORIES
+    # all further fields are those of the last epoch in which an action was taken:
+    mode_probabilities: list[Number]  # (modes,) probabilities after the action
+    # x, P: (7,), (28,) the combined belief
+    x: list[Number]
+    P: list[Number]
+    memory: Memory  # memory of the most probable mode; its preferences cover all modes
+    observation: list[Number]  # (features,)
+    # reward to nees: as in :class:`EnvState`
+    reward: Number
+    reward_terms: list[Number]
+    truth: list[Number]
+    error: list[Number]
+    distance: Number
+    nees: Number
+
+
+def per_mode_epoch(
+    w: PerModeState, pipeline: Pipeline, observation: Observation, reward: Reward
+) -> PerModeState:
+    """Compute a step of an environment in which every mode keeps its belief, on numbers."""
+    dt, _, truth = w.pending
+    layout, costs = pipeline.layout, [0.0, *(mode.cost for mode in pipeline.modes)]
+    mixture = trusting(w.mixture, w.action, dt)
+    x, covariance = estimate(mixture)
+    belief = Belief(x, covariance, pipeline.position_axes)
+    probabilities = mixture.probability
+    memory = most_probable_memory(mixture)._replace(preference=w.memory.preference)
+
+    is_first, prior = w.is_first > 0.5, begin(pipeline, w.site.prior_x, w.site.prior_P)
+    x, P, memory = begun(w, x, pack(covariance), memory, pipeline)
+    mixture = select(is_first, prior, mixture)
+    coming = w.incoming.epoch(layout)
+    mixture, predicted, _, results = imm_epoch(pipeline, w.settings, mixture, coming, w.site)
+    memory = memory_before(memory, results, coming, layout)
+    spread = coming.doppler_spread_hz
+    averages = [
+        where(is_first, spread, keep * old + (1.0 - keep) * spread)
+        for old, keep in zip(w.spread_averages_hz, SPREAD_MEMORIES, strict=True)
+    ]
+    shown = MixtureView(predicted, mixture.probability, averages)
+    view = View(x, unpack(P, zero=pipeline.known_axes), memory, results, coming, w.site, shown)
+    return w._replace(
+        is_first=0.0,
+        pending=PendingEpoch(coming.dt, coming.visible, w.incoming.truth),
+        mixture=mixture,
+        spread_averages_hz=averages,
+        mode_probabilities=probabilities,
+        x=x,
+        P=P,
+        memory=memory,
+        observation=observation.values(view),
+        truth=select(is_first, w.incoming.truth, truth),
+        **scores(belief, truth, reward, tree_at(w.action, costs)),
+    )
+
+
+@lru_cache(maxsize=32)
+def program_of(pipeline: Pipeline, kind: str, reward: Reward, per_mode: bool) -> Program[Any]:
+    """Return the program of an epoch, shared by all environments with the same arguments.
+
+    Args:
+        pipeline: modes and layout; with a belief per mode, the tunings are part of the state.
+        kind: kind of observation.
+        reward: function of (belief, truth).
+        per_mode: whether every mode keeps its own belief.
+    """
+    if per_mode:
+        pipeline = untuned(pipeline)
+    observation = Observation(pipeline, kind, "per-mode" if per_mode else "shared")
+    layout, modes = pipeline.layout, len(pipeline.modes)
+    blank = blank_environment(layout, modes, reward, len(observation))
+    arguments: Any = {"pipeline": pipeline, "observation": observation, "reward": reward}
+    if per_mode:
+        template = PerModeState(
+            settings=settings_of(Bank(pipeline.modes), layout),
+            mixture=begin(pipeline, blank["x"], blank["P"]),
+            spread_averages_hz=[0.0] * len(SPREAD_MEMORIES),
+            mode_probabilities=[1.0 / modes] * modes,
+            **blank,
+        )
+        return Program(partial(per_mode_epoch, **arguments), template)
+    groups = [0.0] * len(layout.groups)
+    candidate = ModeResult(blank["x"], blank["P"], [], [], groups, groups, 0.0, 0.0)
+    start = EnvState(candidates=[candidate] * modes, **blank)
+    return Program(partial(shared_epoch, **arguments), start)
