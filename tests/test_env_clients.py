@@ -230,7 +230,7 @@ NAMED = {"episode_steps": "", "episodes": "", "terminate_on_divergence": "", "mo
         {"episodes": "canyon28_vehicle", "odometry": True},
         {"reward": lambda belief, truth: 0.0, "terminate_on_divergence": True},
     ],
-    ids=repr,
+    ids=lambda arguments: ", ".join(arguments),
 )
 @pytest.mark.filterwarnings("ignore:.*render_mode")  # Gymnasium warns before we refuse
 def test_wrong_arguments_are_refused_by_name(arguments):
