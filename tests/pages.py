@@ -158,8 +158,9 @@ def renewed(page: Path) -> str:
         for block in blocks_of(page):
             if block.mark.startswith(("example", "published")):
                 printed = session.printed(block)
-                for table in block.tables:
-                    changes.append((table.span("shown"), made(table, printed, session.folder)))
+                changes += [
+                    (t.span("shown"), made(t, printed, session.folder)) for t in block.tables
+                ]
     for (begin, end), shown in reversed(changes):
         text = text[:begin] + shown + text[end:]
     return text
