@@ -159,8 +159,7 @@ def renewed(page: Path) -> str:
             if block.mark.startswith(("example", "published")):
                 printed = session.printed(block)
                 changes += [
-                    (table.span("shown"), made(table, printed, session.folder))
-                    for table in block.tables
+                    (t.span("shown"), made(t, printed, session.folder)) for t in block.tables
                 ]
     for (begin, end), shown in reversed(changes):
         text = text[:begin] + shown + text[end:]

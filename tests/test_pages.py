@@ -1,4 +1,4 @@
-"""What README and docs show is there and runs: links, blocks with their commands, tables."""
+"""Tests that links, blocks, commands and tables of README and docs hold and run."""
 
 import re
 import shlex
