@@ -12,8 +12,11 @@ MODULES = {
 }
 NO_SUBJECT = {"What", "How", "Where", "Who", "Of", "As", "By"}
 VAGUE = {"found", "one", "told", "seen", "what", "there", "given"}
-EXCEPTIONS: set[str] = set()  # "PATH: NAME" in the source: where no better name exists
-MOST_IN_TESTS = 40  # bindings of vague names
+EXCEPTIONS = {  # "PATH: NAME" in the source: names that users type and files hold
+    "experiments/list.py: what",
+    "mmwave_env/localization/contradictions.py: found",
+}
+MOST_IN_TESTS = 10  # bindings of vague names
 
 
 def bound(tree):

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments.evaluation.intervals import Interval
-from mmwave_env.io.files import read_json, read_text, told
+from mmwave_env.io.files import first_line, read_json, read_text
 
 
 def require_outcome(outcome: dict[str, Any]) -> dict[str, Any]:
@@ -117,5 +117,5 @@ def curves_of(log: Path) -> dict[str, tuple[list[float], list[float]]]:
                     steps.append(float(row["timesteps"]))
                     values.append(float(value))
     except (csv.Error, AttributeError, KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{log}: line {rows.line_num}: {told(error)[:300]}") from error
+        raise ValueError(f"{log}: line {rows.line_num}: {first_line(error)[:300]}") from error
     return curves

@@ -23,7 +23,7 @@ from experiments.sweeping.spec import (
 )
 from experiments.training.hyperparameters import Hyperparameters
 from experiments.training.run import hyperparameters, training_task
-from mmwave_env.io.files import atomic_path, told, write_bytes
+from mmwave_env.io.files import atomic_path, first_line, write_bytes
 from mmwave_env.metrics import METRICS
 
 Row = dict[str, Any]
@@ -136,5 +136,5 @@ def read(folder: Path, spec: Spec) -> dict[str, Values]:
         try:
             (rows[name],) = parquet.read_table(path).to_pylist()
         except (ArrowException, OSError, ValueError) as error:
-            raise ValueError(f"{path}: found no row ({told(error)}); remove it") from error
+            raise ValueError(f"{path}: found no row ({first_line(error)}); remove it") from error
     return rows

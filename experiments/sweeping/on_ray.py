@@ -11,7 +11,7 @@ from typing import Any
 
 from experiments.console.signals import ended_by_signals
 from experiments.sweeping.spec import Spec, Values
-from mmwave_env.io.files import told
+from mmwave_env.io.files import first_line
 from mmwave_env.metrics import METRICS
 
 RETRIES = 2  # repeats of a cell whose process ran out of memory, ended, or raised OSError
@@ -80,7 +80,7 @@ def computed(
         except ray.exceptions.RayError as error:
             cause = getattr(error, "cause", None)
             ended = f"its process ended {RETRIES + 1} times ({type(error).__name__})"
-            yield name, None, f"{type(cause).__name__}: {told(cause)}" if cause else ended
+            yield name, None, f"{type(cause).__name__}: {first_line(cause)}" if cause else ended
 
 
 def searched(

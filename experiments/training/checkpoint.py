@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from experiments.evaluation.runs import require_outcome
-from mmwave_env.io.files import read_bounded, told, write_bytes
+from mmwave_env.io.files import first_line, read_bounded, write_bytes
 from mmwave_env.io.lookup import quoted
 
 MOST_BYTES = 1 << 30  # largest checkpoint; the memory of rollouts takes most of it
@@ -59,7 +59,9 @@ def going_on_from(path: Path) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        message = f"{path}: not a checkpoint: {told(error)}; remove it to train from the start"
+        message = (
+            f"{path}: not a checkpoint: {first_line(error)}; remove it to train from the start"
+        )
         raise ValueError(message) from error
 
 

@@ -85,7 +85,7 @@ class StepColumns(NamedTuple):
 
 
 class StepMemory(NamedTuple):
-    """What later steps and the ends of episodes need of a step."""
+    """The part of a step that later steps and the ends of episodes read."""
 
     counts: Counts  # sums for the metrics
     modes: Modes  # (T, n) the modes of the last T steps

@@ -45,7 +45,7 @@ def naming(path: Path, temporary: Path | None = None) -> Iterator[None]:
         raise _named(error, path) from error
 
 
-def told(error: Exception) -> str:
+def first_line(error: Exception) -> str:
     """Return the first line of an error's message; for a KeyError, the missing key."""
     if isinstance(error, KeyError):
         return f"{error.args[0]}: found none"
@@ -154,7 +154,9 @@ def read_json(path: Path, kind: str, make: Callable[[dict[str, Any]], T], see: s
             raise ValueError(f"found {type(content).__name__}, expected an object")
         return make(content)
     except (ValueError, TypeError, AttributeError, LookupError, ArithmeticError) as error:
-        raise ValueError(f"{path}: not {kind}: {told(error)}{f' ({see})' * bool(see)}") from error
+        raise ValueError(
+            f"{path}: not {kind}: {first_line(error)}{f' ({see})' * bool(see)}"
+        ) from error
 
 
 # --- writing

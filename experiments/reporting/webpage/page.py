@@ -12,7 +12,7 @@ from experiments.reporting.webpage.contents import Verdict, errors_of, origin_of
 from experiments.reporting.webpage.markup import element, text
 from experiments.reporting.webpage.played import LONGEST, Played, play
 from experiments.reporting.webpage.sources import READ, read_source
-from mmwave_env.io.files import told
+from mmwave_env.io.files import first_line
 from mmwave_env.rendering.theme import THEMES, hex_of
 
 SCRIPTS = ("drawing.js", "map.js", "player.js")
@@ -37,7 +37,7 @@ def page_of(args: PageArgs) -> str:
             origins.append(origin_of(source.path, command, versions))
             list(errors_of(source, Played()))  # results that can't be shown end here, before work
         except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise ValueError(f"{source.path}: {told(error)}, expected {READ}") from error
+            raise ValueError(f"{source.path}: {first_line(error)}, expected {READ}") from error
         verdicts.append(verdict)
         results.append(tables)
     origins.append(origin_of("This page", command_line("report", args), {}))
