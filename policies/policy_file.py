@@ -28,7 +28,7 @@ from safetensors.numpy import save
 from mmwave_env.filters.bank import Bank, as_written, bank_as_written, bank_in
 from mmwave_env.filters.modes import Mode
 from mmwave_env.interface.observation import BELIEFS, OBSERVATIONS, Column, action_names
-from mmwave_env.io.files import naming, open_regular, parse_json, told
+from mmwave_env.io.files import first_line, naming, open_regular, parse_json
 from mmwave_env.io.lookup import choose, quoted
 
 FORMAT = 2
@@ -202,7 +202,7 @@ def read_policy(path: str | os.PathLike[str]) -> tuple[Tensors, Card]:
             )
     # These include errors that code raises for a card of another shape.
     except (ValueError, TypeError, AttributeError, LookupError, SafetensorError) as error:
-        raise ValueError(f"{path}: not a policy file: {told(error)}") from error
+        raise ValueError(f"{path}: not a policy file: {first_line(error)}") from error
     return tensors, card
 
 
