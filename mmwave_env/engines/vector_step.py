@@ -85,7 +85,7 @@ class StepColumns(NamedTuple):
 
 
 class StepMemory(NamedTuple):
-    """What later steps and the ends of episodes need of a step."""
+    """The record of a step for later steps and for the ends of episodes."""
 
     counts: Counts  # sums for the metrics
     modes: Modes  # (T, n) the modes of the last T steps
