@@ -85,7 +85,7 @@ class StepColumns(NamedTuple):
 
 
 class StepMemory(NamedTuple):
-    """The part of a step that later steps and the ends of episodes read."""
+    """The record of a step for later steps and for the ends of episodes."""
 
     counts: Counts  # sums for the metrics
     modes: Modes  # (T, n) the modes of the last T steps
