@@ -24,8 +24,6 @@ class Args(EpisodeArgs):
     """names of mmwave-loc list policies, policy files (.safetensors), folders of runs of mmwave-loc
     train, and module:function, a function without arguments that returns an agent; all that have a
     name where none is named"""
-    bound: bool = False
-    """also show each policy's RMSE over the posterior Cramer-Rao bound"""
     errors: Path | None = None
     """draw the distribution (CDF) of horizontal and of vertical errors to this .png, .svg or .pdf
     file"""
@@ -43,4 +41,4 @@ def main(args: Args) -> None:
 
     pictures = {name: getattr(args, name) for name in PICTURES if getattr(args, name) is not None}
     names = args.policies or all_contenders(args)
-    report("compare", args, results(args, names, args.bound, pictures))
+    report("compare", args, results(args, names, pictures))

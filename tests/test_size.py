@@ -16,29 +16,29 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 31_500,
-    "tokens of source": 205_000,
+    "lines of source": 30_000,
+    "tokens of source": 195_000,
     "files of source": 280,
-    "lines of tests": 26_000,
-    "tokens of tests": 228_000,
+    "lines of tests": 24_000,
+    "tokens of tests": 215_000,
     "words of docs": 38_000,
-    "pages of docs": 22,
+    "pages of docs": 23,
     "tracked files": 620,
     "tracked MB": 8,
     "commands": 14,
     "extras for users": 8,
     "virtual environments": 6,
-    "lines that ruff may not format": 300,
+    "lines that ruff may not format": 60,
 }
 ROOMS = {  # lines of source; what is in no room counts for "."
-    "experiments/evaluation": 2_300,
-    "experiments/training": 2_500,
+    "experiments/evaluation": 1_900,
+    "experiments/training": 2_350,
     "experiments/reporting/webpage": 1_100,
     "mmwave_env/datasets": 1_625,
-    "mmwave_env/engines": 1_900,
-    "mmwave_env/filters": 2_450,
-    "mmwave_env/localization": 1_850,
-    "mmwave_env/world": 2_300,
+    "mmwave_env/engines": 1_850,
+    "mmwave_env/filters": 2_320,
+    "mmwave_env/localization": 1_750,
+    "mmwave_env/world": 2_150,
 }
 SOURCE = ("mmwave_env", "experiments", "policies")
 FOR_DEVELOPERS = {"dev", "docs", "lint"}  # extras

@@ -6,7 +6,6 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from experiments.console.options import EpisodeArgs
-from experiments.console.progress import progress
 from experiments.console.provenance import provenance
 from experiments.console.tables import show
 from experiments.evaluation.asked import (
@@ -16,7 +15,6 @@ from experiments.evaluation.asked import (
     selection_of,
     task_of,
 )
-from experiments.evaluation.bounds import bound_markdown, over_bound
 from experiments.evaluation.comparison import Comparison, compare_scores, episodes_csv
 from experiments.evaluation.histories import EpochErrors
 from experiments.evaluation.positions import PARTS, Positions, positions_markdown
@@ -28,7 +26,6 @@ from experiments.figures.curves import draw_consistency, draw_error_cdf
 from mmwave_env.interface.reward import reward_name
 from mmwave_env.io.files import write_json, write_text
 from mmwave_env.localization.position_errors import require_risk
-from mmwave_env.models.radio import radio_from
 
 
 class Results(NamedTuple):
@@ -54,7 +51,6 @@ def report(command: str, args: EpisodeArgs, made: Results) -> None:
 def results(
     args: EpisodeArgs,
     names: Sequence[str],
-    bound: bool = False,
     pictures: Mapping[str, Path] = MappingProxyType({}),
 ) -> Results:
     """Run contenders on the episodes.
@@ -62,7 +58,6 @@ def results(
     Args:
         args: options that choose the episodes and the tables.
         names: contenders to run; the folder of a run stands for its median training.
-        bound: whether to divide RMSEs by the posterior Cramer-Rao bounds, too.
         pictures: files to draw, by option: "errors" and "consistency".
 
     Raises:
@@ -76,8 +71,6 @@ def results(
         raise ValueError(f"consistency: found {path}, expected another file than --errors")
     task, runs = task_of(args), runs_of(args, names)
     scoring, selection = Scoring.of(task), selection_of(args)
-    if bound and args.planar:
-        raise ValueError("bound: found with planar, whose bound is not known; expected one of them")
     files = {name: runs[name].policy if name in runs else name for name in names}
     shown = {file: name for name, file in files.items()}
     epochs, positions = EpochErrors(shown), Positions(shown, args.risk, args.planar)
@@ -103,10 +96,6 @@ def results(
         reward=reward_name(scoring.reward),
     )
     text, content = str(comparison) + comparison.terms * args.percentiles, comparison.json
-    if bound:
-        with progress("bound"):
-            over = over_bound(scores, task.source, radio_from(args.radio), selection)
-        text, content = text + bound_markdown(over), content | {"bound": over.json}
     if runs:
         trained = {run: [scores_of[file] for file in run.policies] for run in runs.values()}
         seeds = over_training_seeds(trained, scores)

@@ -116,8 +116,3 @@ def test_an_option_of_the_environment_means_the_same(option, tmp_path):
     assert row["reward"]["mean"] == pytest.approx(np.mean(rewards[BURN_IN:]))
     for metric in ("ate_m", "rmse_m", "rpe_m", "nees", "in_bounds"):
         assert row[metric]["mean"] == pytest.approx(info[INFO_KEYS[metric]]), metric
-
-
-def test_a_bound_on_flat_ground_is_refused():
-    done = command("compare", "--policies", "imm", "--episodes", 1, "--planar", "--bound")
-    assert_one_clear_line(done, "bound: found with planar")
