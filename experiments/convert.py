@@ -17,7 +17,7 @@ class TrainedArgs:
     """Options that the model was trained with."""
 
     scenario: str = "mixed"
-    """kind of user: pedestrian, vehicle, walk-ride, jam, cyclist or mixed"""
+    """kind of user, by name (mmwave-loc list scenarios) or from a JSON file"""
     radio: str = "handset"
     """handset, standard, high or a JSON file"""
     modes: tuple[str, ...] = ()

@@ -36,14 +36,6 @@ class Args:
 
 
 COLUMN = 25  # where the meanings of names begin
-SCENARIOS = {
-    "pedestrian": "walks, stands, turns at crossings",
-    "vehicle": "drives, brakes, waits at red lights",
-    "walk-ride": "walks, rides a car, walks again",
-    "jam": "stop-and-go traffic",
-    "cyclist": "cycles",
-    "mixed": "the five in equal shares",
-}
 POLICIES = {
     "speed-rule": "the paper's rule: EKF up to 2 m/s, UKF above",
     "likelihood-rule": "the mode that explains the coming measurement best",
@@ -73,6 +65,13 @@ def modes(radio: str) -> dict[str, str]:
         name: ", ".join(f"{k} {v}" for k, v in as_written(mode).items() if k != "name")
         for name, mode in named_modes(radio).items()
     }
+
+
+def scenarios() -> dict[str, str]:
+    """Return the kinds of users."""
+    from mmwave_env.world.mobility import SCENARIOS
+
+    return SCENARIOS
 
 
 def radios() -> dict[str, str]:
@@ -169,7 +168,7 @@ def main(args: Args) -> None:
     radio_from(args.radio)  # refuses an unknown radio
     kinds: dict[str, Callable[[], dict[str, str]]] = {
         "policies": partial(policies, args.radio),
-        "scenarios": lambda: SCENARIOS,
+        "scenarios": scenarios,
         "radios": radios,
         "scenes": scenes,
         "modes": partial(modes, args.radio),

@@ -38,8 +38,8 @@ class WorldArgs:
     """Options of streets, users and radio, as in the environment."""
 
     scenario: str | None = None
-    """kind of user: pedestrian, vehicle, walk-ride, jam, cyclist or mixed (equal shares; where
-    none is named), or a JSON file; or ways of your own, a CSV file with columns t, x, y, z, and id
+    """kind of user, by name (mmwave-loc list scenarios; mixed where none is named) or from a JSON
+    file; or ways of your own, a CSV file with columns t, x, y, z, and id
     where there are several users"""
     radio: str = "handset"
     """handset, standard, high or a JSON file"""
@@ -105,8 +105,7 @@ class TaskArgs:
     """ppo is that of Stable-Baselines3; rollouts is rollout policy iteration with common random
     numbers: every action is tried on the same measurements"""
     scenario: str = "mixed"
-    """pedestrian, vehicle, walk-ride, jam, cyclist or mixed (equal shares), or a JSON file;
-    or a way of your own, a CSV file with columns t, x, y, z"""
+    """kind of user, by name (mmwave-loc list scenarios) or from a JSON file; or a way of your own, a CSV file with columns t, x, y, z"""
     radio: str = "handset"
     """handset, standard, high or a JSON file: of the street, where no places are named"""
     places: tuple[str, ...] = ()

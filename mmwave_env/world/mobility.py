@@ -149,7 +149,15 @@ MOBILITIES: dict[str, Mobility] = {
     "cyclist": Mobility("cyclist", (Phase(_CYCLING, _CYCLE),)),
 }
 MIXED = "mixed"
-SCENARIOS = (*MOBILITIES, MIXED)
+_IN_EQUAL_SHARES = ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")  # never longer: default
+SCENARIOS = {  # each with its meaning
+    "pedestrian": "walks, stands, turns at crossings",
+    "vehicle": "drives, brakes, waits at red lights",
+    "walk-ride": "walks, rides a car, walks again",
+    "jam": "stop-and-go traffic",
+    "cyclist": "cycles",
+    MIXED: f"{', '.join(_IN_EQUAL_SHARES)} in equal shares",
+}
 
 
 def mobilities_of(scenario: str | os.PathLike[str]) -> tuple[Mobility, ...]:
@@ -161,7 +169,7 @@ def mobilities_of(scenario: str | os.PathLike[str]) -> tuple[Mobility, ...]:
     """
     if str(scenario).endswith(".json"):
         return (read_mobility(scenario),)
-    mixed = {MIXED: tuple(MOBILITIES.values())}
+    mixed = {MIXED: tuple(MOBILITIES[name] for name in _IN_EQUAL_SHARES)}
     each = {name: (mobility,) for name, mobility in MOBILITIES.items()}
     return choose(each | mixed, str(scenario), "scenario")  # type: ignore[operator]
 
