@@ -105,7 +105,8 @@ class TaskArgs:
     """ppo is that of Stable-Baselines3; rollouts is rollout policy iteration with common random
     numbers: every action is tried on the same measurements"""
     scenario: str = "mixed"
-    """kind of user, by name (mmwave-loc list scenarios) or from a JSON file; or a way of your own, a CSV file with columns t, x, y, z"""
+    """kind of user, by name (mmwave-loc list scenarios) or from a JSON file; or a way of your own,
+    a CSV file with columns t, x, y, z"""
     radio: str = "handset"
     """handset, standard, high or a JSON file: of the street, where no places are named"""
     places: tuple[str, ...] = ()
