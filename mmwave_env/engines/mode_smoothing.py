@@ -1,0 +1,140 @@
+"""Fixed-interval smoothing of interacting modes, backwards over a finished track of an IMM.
+
+The Rauch-Tung-Striebel smoother on the moments of the mixture takes its spread for one Gaussian,
+and is overconfident where a quiet mode is in the bank. Here every mode has its own smoothed belief.
+Going back by an epoch, each pair (mode j now, mode i in the following epoch) is smoothed by the
+transition of mode i, and the pairs of j are merged. The weight of a pair is the probability of i
+given all measurements times that of j given i, which depends on how well mode i, started from j,
+predicts the smoothed state.
+
+Sources: Kim 1994, "Dynamic linear models with Markov-switching" (pairs, and their merging); Barber
+2006, "Expectation correction for smoothed inference in switching linear dynamical systems", JMLR 7
+(the weight with the smoothed state). With one mode it is the smoother of
+:func:`mmwave_env.filters.textbook.rts`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mmwave_env.filters.bank import Bank, settings_of
+from mmwave_env.filters.imm import over_step
+from mmwave_env.filters.pipeline import Pipeline, predict
+from mmwave_env.models.measurement import STATE_SIZE, Epoch
+from mmwave_env.models.motion import transition_times
+from mmwave_env.numerics.linalg import unpack
+from mmwave_env.numerics.numbers import Array
+
+
+class ModeBeliefs(NamedTuple):
+    """Beliefs of all modes after an epoch, or after every epoch, of N tracks.
+
+    Attributes:
+        x: (N, ..., modes, 7) means.
+        P: (N, ..., modes, 7, 7) covariances.
+        probability: (N, ..., modes) probabilities of the modes.
+    """
+
+    x: Array
+    P: Array
+    probability: Array
+
+
+def merged(beliefs: ModeBeliefs) -> tuple[Array, Array]:
+    """Return the means (..., 7) and the covariances (..., 7, 7) of mixtures over their modes."""
+    weight = beliefs.probability[..., None]
+    mean = (weight * beliefs.x).sum(axis=-2)
+    offset = beliefs.x - mean[..., None, :]
+    outer = offset[..., :, None] * offset[..., None, :]
+    return mean, (weight[..., None] * (beliefs.P + outer)).sum(axis=-3)
+
+
+def smooth_modes(
+    bank: Bank,
+    pipeline: Pipeline,
+    filtered: ModeBeliefs,
+    gamma: Array,
+    dt: Array,
+    spread_hz: Array,
+    hz_per_mps: float,
+) -> tuple[Array, Array]:
+    """Return the smoothed means (N, T, 7) and covariances (N, T, 7, 7) of finished tracks.
+
+    Args:
+        bank: modes, with their tunings, and transition probabilities.
+        pipeline: pipeline of the bank's modes.
+        filtered: beliefs after each of T epochs, (N, T, ...).
+        gamma: (N, T, modes) adaptive scale of each mode's noise after each epoch.
+        dt: (N, T) seconds since the epoch before.
+        spread_hz: (N, T) measured Doppler spread.
+        hz_per_mps: carrier frequency over the speed of light.
+    """
+    transition = settings_of(bank, pipeline.layout).transition
+    after = ModeBeliefs(*(part[:, -1] for part in filtered))
+    smoothed = [merged(after)]
+    for t in range(dt.shape[1] - 2, -1, -1):
+        now = ModeBeliefs(*(part[:, t] for part in filtered))
+        coming = Epoch(dt[:, t + 1, None], [], [], [], [], spread_hz[:, t + 1, None])
+        moves = over_step(transition, dt[:, t + 1, None, None])
+        matrix = np.concatenate([np.concatenate(row, axis=2) for row in moves], axis=1)
+        after = _backwards(pipeline, now, gamma[:, t], after, coming, hz_per_mps, matrix)
+        smoothed.append(merged(after))
+    x, P = (np.stack(parts[::-1], axis=1) for parts in zip(*smoothed, strict=True))
+    return x, P
+
+
+def _backwards(
+    pipeline: Pipeline,
+    now: ModeBeliefs,
+    gamma: Array,
+    after: ModeBeliefs,
+    coming: Epoch,
+    hz_per_mps: float,
+    transition: Array,
+) -> ModeBeliefs:
+    """Return the smoothed beliefs of an epoch, given those of the following epoch.
+
+    Args:
+        pipeline: pipeline of the modes.
+        now, gamma: filtered beliefs of the epoch, and the scales (N, modes) of their noise.
+        after: smoothed beliefs of the following epoch.
+        coming: step and Doppler spread of the following epoch, (N, 1).
+        hz_per_mps: carrier frequency over the speed of light.
+        transition: (N, modes, modes) probabilities (from, to) over the step.
+    """
+    known = list(pipeline.known_axes)
+    x_now = [now.x[..., i] for i in range(STATE_SIZE)]  # numbers are arrays (N, modes now)
+    packed = [now.P[..., i, j] for i in range(STATE_SIZE) for j in range(i + 1)]
+    FP = _matrix(transition_times(unpack(packed), coming.dt), now.x.shape[:-1])
+    x, P, weight = [], [], []
+    for i, mode in enumerate(pipeline.modes):
+        mean, covariance = predict(
+            pipeline, mode, x_now, packed, gamma[:, i, None], coming, hz_per_mps
+        )
+        x_predicted = np.stack(np.broadcast_arrays(*mean), axis=-1)
+        P_predicted = _matrix(covariance, now.x.shape[:-1])
+        P_predicted[..., known, known] = 1.0  # these have no variance, and no gain
+        gain = np.swapaxes(np.linalg.solve(P_predicted, FP), -1, -2)
+        step = after.x[:, i, None] - x_predicted
+        P_predicted[..., known, known] = 0.0
+        change = after.P[:, i, None] - P_predicted
+        x.append(now.x + (gain @ step[..., None])[..., 0])
+        P.append(now.P + gain @ change @ np.swapaxes(gain, -1, -2))
+        P_predicted[..., known, known] = 1.0
+        distance = (step * np.linalg.solve(P_predicted, step[..., None])[..., 0]).sum(axis=-1)
+        density = -0.5 * (distance + np.linalg.slogdet(P_predicted)[1])
+        weight.append(np.log(transition[:, :, i] * now.probability) + density)
+    logs = np.stack(weight, axis=2)  # (N, mode now, mode after)
+    joint = np.exp(logs - logs.max(axis=1, keepdims=True))
+    joint *= after.probability[:, None] / joint.sum(axis=1, keepdims=True)
+    probability = np.maximum(joint.sum(axis=2), np.finfo(float).tiny)
+    pairs = ModeBeliefs(
+        np.stack(x, axis=2), np.stack(P, axis=2), joint / probability[..., None]
+    )
+    return ModeBeliefs(*merged(pairs), probability / probability.sum(axis=1, keepdims=True))
+
+
+def _matrix(entries: list[list[Array]], shape: tuple[int, ...]) -> Array:
+    """Return a matrix of arrays as an array (..., 7, 7)."""
+    rows = [np.stack([np.broadcast_to(e, shape) for e in row], axis=-1) for row in entries]
+    return np.stack(rows, axis=-2)
