@@ -73,8 +73,8 @@ def shared_epoch(
     layout, modes = pipeline.layout, pipeline.modes
     chosen: ModeResult = tree_at(w.action, w.candidates)
     cost: Number = tree_at(w.action, [mode.cost for mode in modes])
-    dt, visible, truth = w.pending
-    memory = memory_after(layout, w.action, w.x, chosen, w.memory, dt, visible)
+    dt, visible, truth, measured = w.pending
+    memory = memory_after(layout, w.action, w.x, chosen, w.memory, dt, visible, measured)
     belief = Belief(chosen.x, unpack(chosen.P, zero=pipeline.known_axes), pipeline.position_axes)
 
     x, P, memory = begun(w, chosen.x, chosen.P, memory, pipeline)
@@ -84,7 +84,7 @@ def shared_epoch(
     view = View(x, unpack(P, zero=pipeline.known_axes), memory, candidates, coming, w.site)
     return w._replace(
         is_first=0.0,
-        pending=PendingEpoch(coming.dt, coming.visible, w.incoming.truth),
+        pending=PendingEpoch(coming.dt, coming.visible, w.incoming.truth, coming.measured),
         x=x,
         P=P,
         memory=memory,
@@ -126,7 +126,7 @@ def per_mode_epoch(
     w: PerModeState, pipeline: Pipeline, observation: Observation, reward: Reward
 ) -> PerModeState:
     """Compute a step of an environment in which every mode keeps its belief, on numbers."""
-    dt, _, truth = w.pending
+    dt, _, truth, _ = w.pending
     layout, costs = pipeline.layout, [0.0, *(mode.cost for mode in pipeline.modes)]
     mixture = trusting(w.mixture, w.action, dt)
     x, covariance = estimate(mixture)
@@ -149,7 +149,7 @@ def per_mode_epoch(
     view = View(x, unpack(P, zero=pipeline.known_axes), memory, results, coming, w.site, shown)
     return w._replace(
         is_first=0.0,
-        pending=PendingEpoch(coming.dt, coming.visible, w.incoming.truth),
+        pending=PendingEpoch(coming.dt, coming.visible, w.incoming.truth, coming.measured),
         mixture=mixture,
         spread_averages_hz=averages,
         mode_probabilities=probabilities,

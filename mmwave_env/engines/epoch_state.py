@@ -19,6 +19,7 @@ class PendingEpoch(NamedTuple):
     dt: Number
     visible: list[Number]
     truth: list[Number]  # (6,) true position (m) and velocity (m/s)
+    measured: Vector  # as in :class:`~mmwave_env.models.measurement.Epoch`
 
 
 def blank_track(layout: Layout, modes: int) -> dict[str, Any]:
@@ -42,7 +43,7 @@ def blank_environment(layout: Layout, modes: int, reward: Reward, features: int)
     track = blank_track(layout, modes)
     truth = track["incoming"].truth
     return track | {
-        "pending": PendingEpoch(0.0, [0.0] * len(layout.groups), truth),
+        "pending": PendingEpoch(0.0, [0.0] * len(layout.groups), truth, layout.whole_or([0.0])),
         "observation": [0.0] * features,
         "reward": 0.0,
         "reward_terms": [0.0] * (len(term_names(reward)) + 1),

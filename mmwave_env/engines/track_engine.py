@@ -62,7 +62,9 @@ def track_epoch(w: TrackState, pipeline: Pipeline, rule: Rule | None) -> TrackSt
     ]
     chosen: ModeResult = tree_at(number, candidates)
     memory = memory_before(memory, candidates, epoch, layout)
-    memory = memory_after(layout, number, x, chosen, memory, epoch.dt, epoch.visible)
+    memory = memory_after(
+        layout, number, x, chosen, memory, epoch.dt, epoch.visible, epoch.measured
+    )
     covariance = unpack(chosen.P, zero=pipeline.known_axes)
     belief = Belief(chosen.x, covariance, pipeline.position_axes)
     return w._replace(

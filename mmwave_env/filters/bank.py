@@ -13,6 +13,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any
 
+from mmwave_env.filters.gating import at_degrees, chi_square_limits
 from mmwave_env.filters.imm import ImmSettings, stay_matrix
 from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.io.lookup import choose
@@ -75,12 +76,12 @@ Modes = Bank | Sequence[Mode | str] | Mapping[str, Any] | str | os.PathLike[str]
 
 def settings_of(bank: Bank, layout: Layout) -> ImmSettings:
     """Return the parameters of a bank as numbers, for measurements of a layout."""
-    from scipy.special import chdtri  # imported here: describing a bank does not need it
+    limits = chi_square_limits(bank.nis_quantile)
 
     return ImmSettings(
         [list(row) for row in bank.transition or stay_matrix(len(bank.modes))],
         [mode.tuning for mode in bank.modes],
-        [float(chdtri(k, 1.0 - bank.nis_quantile)) for k in layout.widths],
+        limits if layout.partial else [at_degrees(limits, rows) for rows in layout.widths],
     )
 
 

@@ -3,6 +3,7 @@
 The normalized innovation squared (NIS) of a group is tested against a chi-square quantile.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from mmwave_env.filters.linearization import Latents, Prior
@@ -49,13 +50,28 @@ def innovation_statistics(group: Group, V: Matrix, latents: Latents) -> tuple[Nu
     return dot(e, e) + group.spare_nis, pivots * pivots * group.spare_determinant
 
 
-def passes(nis: Number, rows: int, quantile: float | None) -> Number:
+def chi_square_limits(quantile: float) -> list[float]:
+    """Return the chi-square quantiles of 1 to 4 degrees of freedom, the most that a group has."""
+    from scipy.special import chdtri  # imported here: describing a mode does not need it
+
+    return [float(chdtri(rows, 1.0 - quantile)) for rows in range(1, 5)]
+
+
+def at_degrees(limits: Sequence[Number], rows: Number) -> Number:
+    """Return the limit at a number of degrees of freedom, from the limits of 1, 2, ... of them."""
+    if isinstance(rows, int):
+        return limits[rows - 1]
+    limit = limits[0]
+    for k, larger in enumerate(limits[1:], start=1):
+        limit = where(rows > k + 0.5, larger, limit)
+    return limit
+
+
+def passes(nis: Number, rows: Number, quantile: float | None) -> Number:
     """Return 1 where the NIS of a group with that number of rows is within its gate, else 0."""
     if quantile is None:
         return 1.0
-    from scipy.special import chdtri  # imported here: describing a mode does not need it
-
-    return where(nis <= float(chdtri(rows, 1.0 - quantile)), 1.0, 0.0)
+    return where(nis <= at_degrees(chi_square_limits(quantile), rows), 1.0, 0.0)
 
 
 class GateResult(NamedTuple):
@@ -71,11 +87,12 @@ class GateResult(NamedTuple):
 def gate_groups(prior: Prior, measurement: Measurement, gate: Gate) -> GateResult:
     """Gate every group of an epoch at the prior."""
     groups, V, latents, layout = prior.groups, prior.V, prior.latents, measurement.layout
+    degrees = layout.degrees(measurement.measured)
     nis, accepted, noise = [], [], []
     density: Number = 1.0
     likelihood: Number = 0.0
     for g, (group, visible) in enumerate(zip(groups, measurement.visible, strict=True)):
-        rows, is_link = layout.widths[g], g < layout.anchors
+        rows, is_link = degrees[g], g < layout.anchors
         value, determinant = innovation_statistics(group, V[g], latents)
         nis.append(visible * value)
         density = density * where(visible > 0.5, determinant, 1.0)
@@ -83,7 +100,7 @@ def gate_groups(prior: Prior, measurement: Measurement, gate: Gate) -> GateResul
         if g % _GROUPS_PER_LOG == _GROUPS_PER_LOG - 1 or g == len(groups) - 1:
             likelihood, density = likelihood - 0.5 * log(density), 1.0
         if gate.robust and is_link:  # inflate the noise of a NIS too large for its dimension
-            ratio = value * (1.0 / (ROBUST_ONSET * rows))
+            ratio = value * (1.0 / (ROBUST_ONSET * maximum(rows, 1)))
             doubt = where(ratio > 1.0, ratio * ratio, 1.0)
             accepted.append(visible)
             noise.append([v * doubt for v in group.variance])

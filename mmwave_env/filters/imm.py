@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import reduce
 from typing import NamedTuple
 
+from mmwave_env.filters.gating import at_degrees
 from mmwave_env.filters.memory import Memory, initial_memory, memory_after, memory_before
 from mmwave_env.filters.modes import Tuning
 from mmwave_env.filters.pipeline import Pipeline, predict_update
@@ -31,7 +32,7 @@ class ImmSettings(NamedTuple):
     transition: list[list[Number]]  # (modes, modes) probabilities (from, to) over a second
     tunings: list[Tuning]  # motion model of every mode
     # (groups,) as in :func:`~mmwave_env.filters.update.limited_likelihood`; infinite in the
-    # textbook
+    # textbook. In a partial layout (4,), of groups with 1 to 4 measured rows
     limits: list[Number]
 
 
@@ -141,10 +142,15 @@ def imm_epoch(
         alone = replace(pipeline, modes=(mode,))
         result = predict_update(alone, mode, x, P, track.memory, epoch, site, tuning)
         memory = memory_before(track.memory, [result], epoch, layout)
-        memory = memory_after(layout, 0.0, x, result, memory, epoch.dt, epoch.visible)
+        memory = memory_after(
+            layout, 0.0, x, result, memory, epoch.dt, epoch.visible, epoch.measured
+        )
         tracks.append(ModeTrack(result.x, result.P, memory))
         results.append(result)
-    likelihoods = [limited_likelihood(result, settings.limits) for result in results]
+    limits = settings.limits
+    if layout.partial:
+        limits = [at_degrees(limits, rows) for rows in layout.degrees(epoch.measured)]
+    likelihoods = [limited_likelihood(result, limits) for result in results]
     best = reduce(maximum, likelihoods)
     weights = [
         p * exp(likelihood - best) for p, likelihood in zip(predicted, likelihoods, strict=True)

@@ -75,7 +75,8 @@ def memory_before(
         grown = SNR_MEMORY * mean + (1.0 - SNR_MEMORY) * now
         grown = where(mean < SNR_UNSEEN_DB + 1.0, now, grown)
         snr.append(where(visible > 0.5, grown, mean))
-    likelihoods = [capped_log_likelihood(candidate, layout) for candidate in candidates]
+    degrees = layout.degrees(epoch.measured)
+    likelihoods = [capped_log_likelihood(candidate, degrees) for candidate in candidates]
     preference = []
     for past, keep in zip(memory.preference, PREFERENCE_MEMORY, strict=True):
         row = []
@@ -96,6 +97,7 @@ def memory_after(
     memory: Memory,
     dt: Number,
     visible: Vector,
+    measured: Vector = (),
 ) -> Memory:
     """Return the memory after a candidate has become the belief.
 
@@ -105,8 +107,9 @@ def memory_after(
         before: (7,) mean before the epoch, unpredicted.
         memory: as :func:`memory_before` left it.
         dt, visible: the epoch's step, seconds, and its visible groups (groups,).
+        measured: as in :class:`~mmwave_env.models.measurement.Epoch`.
     """
-    accepted_dof = dot(chosen.accepted, list(map(float, layout.widths)))
+    accepted_dof = dot(chosen.accepted, [1.0 * rows for rows in layout.degrees(measured)])
     some = accepted_dof > 0.5
     ratio = dot(chosen.accepted, chosen.nis) / where(some, accepted_dof, 1.0)
     window = [

@@ -115,7 +115,10 @@ def measurement_of(
             factor = _blockage(epoch.snr_db[link], memory.snr_mean_db[link])
             rows = layout.link(link)
             variance[rows] = [v * factor for v in variance[rows]]
-    return Measurement(site.anchors, site.hz_per_mps, epoch.z, variance, epoch.visible, layout)
+    return Measurement(
+        site.anchors, site.hz_per_mps, epoch.z, variance, epoch.visible, layout, epoch.measured,
+        epoch.doppler_of,
+    )  # fmt: skip
 
 
 def predict(
@@ -181,6 +184,7 @@ def predict_update(
         x_predicted, P_predicted, measurement, gate
     )
     quantile = None if mode.robust else mode.gate
-    within = [passes(q, k, quantile) for q, k in zip(nis, pipeline.layout.widths, strict=True)]
+    degrees = pipeline.layout.degrees(epoch.measured)
+    within = [passes(q, k, quantile) for q, k in zip(nis, degrees, strict=True)]
     passed = dot(within, accepted[: pipeline.layout.anchors])
     return ModeResult(x, pack(P), x_predicted, pack(P_predicted), nis, accepted, passed, likelihood)

@@ -4,12 +4,12 @@ The update has a reduced form that is exact. :mod:`~mmwave_env.filters.textbook`
 textbook's, K = P H' S^-1 with all rows at once; ``tests/filters/test_update.py`` compares the two.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from mmwave_env.filters.gating import Gate, gate_groups
+from mmwave_env.filters.gating import Gate, at_degrees, chi_square_limits, gate_groups
 from mmwave_env.filters.linearization import Linearization, SigmaPoints, Tangent, linearize
-from mmwave_env.models.measurement import STATE_SIZE, Layout, Measurement
+from mmwave_env.models.measurement import STATE_SIZE, Measurement
 from mmwave_env.numerics.linalg import cholesky, dot, forward, symmetric
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, maximum
 
@@ -202,9 +202,12 @@ def limited_likelihood(candidate: ModeResult, limits: Vector) -> Number:
     return candidate.log_likelihood + 0.5 * dot(excess, [1.0] * len(excess))
 
 
-def capped_log_likelihood(candidate: ModeResult, layout: Layout) -> Number:
-    """Return the log-likelihood that modes are compared by, limited at :data:`CAP_QUANTILE`."""
-    from scipy.special import chdtri
+def capped_log_likelihood(candidate: ModeResult, degrees: Sequence[Number]) -> Number:
+    """Return the log-likelihood that modes are compared by, limited at :data:`CAP_QUANTILE`.
 
-    limits = [float(chdtri(rows, 1.0 - CAP_QUANTILE)) for rows in layout.widths]
-    return limited_likelihood(candidate, limits)
+    Args:
+        candidate: result of a mode.
+        degrees: (groups,) degrees of freedom, :meth:`Layout.degrees`.
+    """
+    limits = chi_square_limits(CAP_QUANTILE)
+    return limited_likelihood(candidate, [at_degrees(limits, rows) for rows in degrees])

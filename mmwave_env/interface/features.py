@@ -232,7 +232,7 @@ def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
 
 def _doppler_innovation(view: View, layout: Layout) -> Number:
     """Compute the measured minus the predicted radial velocity, m/s; 0 where missing."""
-    x, base = move(view.x, view.epoch.dt), view.site.anchors[0]
+    x, base = move(view.x, view.epoch.dt), doppler_anchor(view.epoch, view.site.anchors)
     step = [x[i] - base[i] for i in range(3)]
     measured = (view.epoch.z[layout.doppler] - x[6]) / view.site.hz_per_mps
     innovation = measured - range_rate(step, x[3:6])
@@ -251,7 +251,8 @@ def _innovation(pipeline: Pipeline) -> list[Feature]:
 
 
 def _mean_nis(layout: Layout, candidate: ModeResult, epoch: Epoch) -> Number:
-    rows = dot(epoch.visible, list(map(float, layout.widths)))
+    degrees = layout.degrees(epoch.measured)
+    rows = dot(epoch.visible, [1.0 * number for number in degrees])
     total = dot(epoch.visible, candidate.nis)
     return total / where(rows > 0.5, rows, 1.0)
 
@@ -288,7 +289,8 @@ def _candidate(layout: Layout, m: int, name: str) -> list[Feature]:
 
 def _against(layout: Layout, m: int, name: str, last: str) -> list[Feature]:
     def likelihood(view: View, mode: int) -> Number:
-        return capped_log_likelihood(view.candidates[mode], layout)
+        degrees = layout.degrees(view.epoch.measured)
+        return capped_log_likelihood(view.candidates[mode], degrees)
 
     return [
         Feature(f"coming log-likelihood {name}", f"minus that of {last}; NIS counts up to 99.9 %",

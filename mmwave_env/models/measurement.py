@@ -10,8 +10,9 @@ angles are in radians and the Doppler shift is in hertz:
 The paper prints the first term in m/s and adds b in hertz; we scale it to hertz and keep
 its sign (positive while the range grows).
 
-Each *group* (a link, the Doppler, the odometry) is gated on its own and is present or
-missing as a whole. A group is described by three things: its value, its Jacobian, and its
+Each *group* (a link, the Doppler, the odometry) is gated on its own, and is present or missing as a
+whole; in a *partial* layout each row may be missing on its own, and the Doppler shift may be that
+of any anchor. A group is described by three things: its value, its Jacobian, and its
 exact change under a finite step of the state. Sigma points need the change, which never
 crosses the cut of an angle.
 
@@ -21,7 +22,7 @@ takes from it as the square. Lengths up to :data:`NEAREST_M` therefore count as 
 direction carries no information: innovation, gradient and change of its rows are 0.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -29,6 +30,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import (
     PI,
     Matrix,
@@ -58,10 +60,13 @@ class Layout:
     Attributes:
         anchors: number of anchors L >= 1, the physical gNB first.
         odometry: whether two rows of odometry follow the Doppler shift.
+        partial: whether each row may be missing on its own, and the Doppler shift may be that of
+            any anchor; otherwise groups are present or missing as a whole.
     """
 
     anchors: int = 3
     odometry: bool = False
+    partial: bool = False
 
     @property
     def size(self) -> int:
@@ -90,6 +95,16 @@ class Layout:
     def widths(self) -> list[int]:
         """Return the number of rows of each group."""
         return [rows.stop - rows.start for rows in self.groups]
+
+    def degrees(self, measured: Vector) -> Sequence[Number]:
+        """Return the number of measured rows of each group, its degrees of freedom.
+
+        Args:
+            measured: (rows,) 1 where a row was measured; empty unless the layout is partial.
+        """
+        if not self.partial:
+            return self.widths
+        return [sum(measured[rows][1:], measured[rows][0]) for rows in self.groups]
 
     @property
     def group_names(self) -> list[str]:
@@ -148,6 +163,8 @@ class Measurement(NamedTuple):
         variance: (rows,) noise variances in squared units of z; positive, also where missing.
         visible: (groups,) 1 where the group was measured, else 0.
         layout: where each row stands.
+        measured: (rows,) 1 where the row was measured, else 0; empty unless the layout is partial.
+        doppler_of: (L,) 1 for the anchor of the Doppler shift, else 0; empty likewise.
     """
 
     anchors: Matrix
@@ -156,6 +173,8 @@ class Measurement(NamedTuple):
     variance: Vector
     visible: Vector
     layout: Layout
+    measured: Vector = ()
+    doppler_of: Vector = ()
 
 
 class Group(NamedTuple):
@@ -243,13 +262,21 @@ def exact_rows(
     return rows
 
 
-def link_group(x: Vector, anchor: Vector, z: Vector, variance: Vector) -> Group:
+def link_group(
+    x: Vector, anchor: Vector, z: Vector, variance: Vector, measured: Vector = ()
+) -> Group:
     """Return the group of a link, its four rows fused to three: range, azimuth and elevation.
 
     The azimuths of arrival and departure (which differ by pi, paper Sec. II-B) both measure one
     bearing; fused, they are one row with variance ra rd / (ra + rd). Fusing drops their difference,
     which has variance ra + rd and does not depend on the state. :mod:`~mmwave_env.filters.textbook`
     (``Sensor``) has all four rows.
+
+    Args:
+        x: (7,) prior mean.
+        anchor: (3,) m.
+        z, variance: (4,) measured values and their noise variances.
+        measured: (4,) 1 where a row was measured, else 0; empty where all were.
     """
     d = [x[i] - anchor[i] for i in range(3)]
     distance, azimuth, elevation = direction(d)
@@ -261,13 +288,20 @@ def link_group(x: Vector, anchor: Vector, z: Vector, variance: Vector) -> Group:
     total = arrival_variance + departure_variance
     bearing_variance = arrival_variance * departure_variance / total
     bearing = (arrival * departure_variance + departure * arrival_variance) / total
+    disagreement = arrival - departure
+    spare_nis, spare_determinant = disagreement * disagreement / total, total
+    if len(measured):
+        both, alone = measured[1] * measured[3] > 0.5, measured[1] > 0.5
+        bearing = where(both, bearing, where(alone, arrival, departure))
+        alone_variance = where(alone, arrival_variance, departure_variance)
+        bearing_variance = where(both, bearing_variance, alone_variance)
+        spare_nis, spare_determinant = where(both, spare_nis, 0.0), where(both, total, 1.0)
     inverse, inverse_horizontal = _inverse(distance), _inverse(horizontal)
     slope = d[2] * inverse_horizontal * inverse * inverse
     across = inverse_horizontal * inverse_horizontal
     east, north = where(aside, d[0], 0.0), where(aside, d[1], 0.0)
     level, up = where(apart, horizontal, 0.0), where(apart, d[2], 0.0)
     still = [0.0] * 4
-    disagreement = arrival - departure
 
     def change(step: Vector) -> list[Number]:
         q = [d[i] + step[i] for i in range(3)]
@@ -277,7 +311,7 @@ def link_group(x: Vector, anchor: Vector, z: Vector, variance: Vector) -> Group:
         rise = atan2(q[2] * level - q_horizontal * up, q_horizontal * level + q[2] * up)
         return [q_distance - distance, turn, rise]
 
-    return Group(
+    group = Group(
         innovation=[z[0] - distance, bearing, where(apart, wrap(z[2] - elevation), 0.0)],
         variance=[range_variance, bearing_variance, elevation_variance],
         jacobian=[
@@ -287,8 +321,29 @@ def link_group(x: Vector, anchor: Vector, z: Vector, variance: Vector) -> Group:
         ],
         change=change,
         curved=3,
-        spare_nis=disagreement * disagreement / total,
-        spare_determinant=total,
+        spare_nis=spare_nis,
+        spare_determinant=spare_determinant,
+    )
+    if not len(measured):
+        return group
+    return _only(group, [measured[0], maximum(measured[1], measured[3]), measured[2]])
+
+
+def _only(group: Group, measured: Vector) -> Group:
+    """Return a group in which rows that were not measured (k,) carry no information.
+
+    Their innovation, gradient and change are 0 and their variance is 1, so that they add nothing
+    to NIS, determinant and information.
+    """
+
+    def change(step: Vector) -> list[Number]:
+        return [m * c for m, c in zip(measured, group.change(step), strict=True)]
+
+    return group._replace(
+        innovation=[m * y for m, y in zip(measured, group.innovation, strict=True)],
+        variance=[where(m > 0.5, v, 1.0) for m, v in zip(measured, group.variance, strict=True)],
+        jacobian=[[m * d for d in row] for m, row in zip(measured, group.jacobian, strict=True)],
+        change=change,
     )
 
 
@@ -353,13 +408,17 @@ def groups_of(x: Vector, m: Measurement) -> list[Group]:
     """Return every group of an epoch, expanded at prior mean x (7,): links, Doppler, odometry."""
     rows = m.layout.groups
     links = [
-        link_group(x, anchor, m.z[r], m.variance[r])
+        link_group(x, anchor, m.z[r], m.variance[r], m.measured[r])
         for anchor, r in zip(m.anchors, rows, strict=False)
     ]
-    r = rows[m.layout.anchors]
-    groups = [*links, doppler_group(x, m.anchors[0], m.hz_per_mps, m.z[r], m.variance[r])]
+    r, anchor = rows[m.layout.anchors], m.anchors[0]
+    if m.layout.partial:
+        columns = zip(*m.anchors, strict=True)
+        anchor = [dot(m.doppler_of, list(column)) for column in columns]
+    groups = [*links, doppler_group(x, anchor, m.hz_per_mps, m.z[r], m.variance[r])]
     if m.layout.odometry:
-        groups.append(odometry_group(x, m.z[rows[-1]], m.variance[rows[-1]]))
+        odometry = odometry_group(x, m.z[rows[-1]], m.variance[rows[-1]])
+        groups.append(_only(odometry, m.measured[rows[-1]]) if m.layout.partial else odometry)
     return groups
 
 
@@ -372,6 +431,9 @@ class Epoch(NamedTuple):
     visible: list[Number]  # (groups,) 1 where measured, else 0
     snr_db: list[Number]  # (L,) signal-to-noise ratio per link, dB
     doppler_spread_hz: Number  # Doppler spread, Hz
+    # measured, doppler_of: (rows,), (L,) as in :class:`Measurement`; empty unless partial
+    measured: Vector = ()
+    doppler_of: Vector = ()
 
 
 class Site(NamedTuple):
