@@ -42,8 +42,9 @@ def blank_environment(layout: Layout, modes: int, reward: Reward, features: int)
     """Return the fields of every environment's state, as they are before the first epoch."""
     track = blank_track(layout, modes)
     truth = track["incoming"].truth
+    measured = [0.0] * layout.size if layout.partial else ()
     return track | {
-        "pending": PendingEpoch(0.0, [0.0] * len(layout.groups), truth, layout.whole_or([0.0])),
+        "pending": PendingEpoch(0.0, [0.0] * len(layout.groups), truth, measured),
         "observation": [0.0] * features,
         "reward": 0.0,
         "reward_terms": [0.0] * (len(term_names(reward)) + 1),

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from mmwave_env.filters.memory import Memory
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.update import ModeResult, capped_log_likelihood
-from mmwave_env.models.measurement import Epoch, Layout, Site, range_rate
+from mmwave_env.models.measurement import Epoch, Layout, Site, doppler_anchor, range_rate
 from mmwave_env.models.motion import move
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, log, maximum, sqrt, where
@@ -232,7 +232,7 @@ def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
 
 def _doppler_innovation(view: View, layout: Layout) -> Number:
     """Compute the measured minus the predicted radial velocity, m/s; 0 where missing."""
-    x, base = move(view.x, view.epoch.dt), doppler_anchor(view.epoch, view.site.anchors)
+    x, base = move(view.x, view.epoch.dt), doppler_anchor(view.site.anchors, view.epoch.doppler_of)
     step = [x[i] - base[i] for i in range(3)]
     measured = (view.epoch.z[layout.doppler] - x[6]) / view.site.hz_per_mps
     innovation = measured - range_rate(step, x[3:6])

@@ -137,7 +137,9 @@ def wrapped(angles: NDArray[np.float64]) -> NDArray[np.float64]:
 def whole_groups(
     measurement: NDArray[np.float64], heard: NDArray[np.bool_], layout: Layout
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return which groups (T, groups) were measured in full, and which only in part.
+    """Return which groups (T, groups) count as measured, and which are lost with a part missing.
+
+    In a partial layout a part is enough, and none is lost.
 
     Args:
         measurement: (T, rows), NaN where not measured.
@@ -147,6 +149,9 @@ def whole_groups(
     """
     starts = [group.start for group in layout.groups]
     finite = np.isfinite(measurement)
+    if layout.partial:
+        some = np.logical_or.reduceat(finite, starts, axis=1)
+        return some, np.zeros_like(some)
     whole = np.logical_and.reduceat(finite, starts, axis=1)
     whole[:, : layout.anchors] &= heard
     whole[:, layout.anchors] &= heard[:, 0]
@@ -404,6 +409,13 @@ def odometry_group(x: Vector, z: Vector, variance: Vector) -> Group:
     )
 
 
+def doppler_anchor(anchors: Matrix, doppler_of: Vector) -> Vector:
+    """Return the anchor (3,) of the Doppler shift: the first, unless ``doppler_of`` (L,) says."""
+    if not len(doppler_of):
+        return anchors[0]
+    return [dot(doppler_of, list(column)) for column in zip(*anchors, strict=True)]
+
+
 def groups_of(x: Vector, m: Measurement) -> list[Group]:
     """Return every group of an epoch, expanded at prior mean x (7,): links, Doppler, odometry."""
     rows = m.layout.groups
@@ -411,10 +423,7 @@ def groups_of(x: Vector, m: Measurement) -> list[Group]:
         link_group(x, anchor, m.z[r], m.variance[r], m.measured[r])
         for anchor, r in zip(m.anchors, rows, strict=False)
     ]
-    r, anchor = rows[m.layout.anchors], m.anchors[0]
-    if m.layout.partial:
-        columns = zip(*m.anchors, strict=True)
-        anchor = [dot(m.doppler_of, list(column)) for column in columns]
+    r, anchor = rows[m.layout.anchors], doppler_anchor(m.anchors, m.doppler_of)
     groups = [*links, doppler_group(x, anchor, m.hz_per_mps, m.z[r], m.variance[r])]
     if m.layout.odometry:
         odometry = odometry_group(x, m.z[rows[-1]], m.variance[rows[-1]])

@@ -16,7 +16,7 @@ from mmwave_env.models import envelope
 from mmwave_env.models.measurement import Epoch, Layout, Site, blank_site
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import Array, Index, Mask, Number, where
+from mmwave_env.numerics.numbers import Array, Index, Mask, Number, Vector, where
 from mmwave_env.numerics.pytree import flatten, indices
 from mmwave_env.world.checks import refuse, require_epochs, require_finite, require_within
 
@@ -26,7 +26,8 @@ class Episode:
     """The data of T epochs of one user.
 
     Missing groups are marked by a mask, never by a magic value: where ``visible`` is False the
-    numbers are meaningless. Measurements that are NaN or infinite are marked missing and counted.
+    numbers are meaningless. Measurements that are NaN or infinite are marked missing and counted. In
+    a partial layout a row that was not measured is NaN, and its group is visible if any row is.
     Numbers outside the filters' envelope are refused (:mod:`~mmwave_env.models.envelope`).
 
     Attributes:
@@ -44,6 +45,8 @@ class Episode:
         truth_position_m: (T, 3) true positions, or None where unknown.
         truth_velocity_mps: (T, 3) true velocities, or None where unknown.
         layout: rows and groups.
+        doppler_anchor: (T,) anchor of the Doppler shift, from 0, in a partial layout; None for the
+            first anchor in every epoch.
     """
 
     name: str
@@ -60,6 +63,7 @@ class Episode:
     truth_position_m: Array | None
     truth_velocity_mps: Array | None
     layout: Layout
+    doppler_anchor: Index | None = None
 
     def __post_init__(self) -> None:
         T, layout = len(self.time_s), self.layout
@@ -72,6 +76,7 @@ class Episode:
             "prior_covariance": (7, 7),
             "truth_position_m": (T, 3),
             "truth_velocity_mps": (T, 3),
+            "doppler_anchor": (T,),
         }
         require_epochs(self._record, self, shapes)
         if not (self.sigma > 0.0).all():
@@ -158,16 +163,22 @@ class Episode:
     @cached_property
     def usable(self) -> Mask:
         """Return whether (T, groups) each group is visible and all its numbers are finite."""
-        finite = np.isfinite(self.measurement) & np.isfinite(self.sigma)
+        finite, starts = self._finite, [rows.start for rows in self.layout.groups]
+        if self.layout.partial:
+            return self.visible & np.logical_or.reduceat(finite, starts, axis=1)  # type: ignore[no-any-return]
         for link in range(self.layout.anchors):
             finite[:, self.layout.link(link)] &= np.isfinite(self.snr_db[:, link, None])
-        starts = [rows.start for rows in self.layout.groups]
         return self.visible & np.logical_and.reduceat(finite, starts, axis=1)  # type: ignore[no-any-return]
 
     @property
+    def _finite(self) -> Mask:
+        return np.isfinite(self.measurement) & np.isfinite(self.sigma)
+
+    @property
     def _used(self) -> Mask:
-        """Return :attr:`usable` for every row (T, rows)."""
-        return np.repeat(self.usable, self.layout.widths, axis=1)
+        """Return which rows (T, rows) are measurements of usable groups."""
+        groups = np.repeat(self.usable, self.layout.widths, axis=1)
+        return groups & self._finite if self.layout.partial else groups
 
     @property
     def nonfinite(self) -> int:
@@ -197,11 +208,15 @@ class Episode:
         at, links = columns_of(self.layout), self.usable[:, : self.layout.anchors]
         keep = self._used
         position, velocity = self.truth_position_m, self.truth_velocity_mps
-        table = np.empty((len(self), at.truth[-1] + 1))
+        table = np.empty((len(self), len(flatten(at))))
         table[:, at.dt] = np.diff(self.time_s, prepend=self.time_s[0])
         table[:, at.z] = np.where(keep, self.measurement, 0.0)
         table[:, at.signed_sigma] = np.where(keep, self.sigma, -1.0)
         table[:, at.snr_db] = np.where(links, self.snr_db, 0.0)
+        if self.layout.partial:
+            first = np.zeros(len(self), np.int64)
+            anchor = first if self.doppler_anchor is None else self.doppler_anchor
+            table[:, at.doppler_of] = np.eye(self.layout.anchors)[anchor]
         table[:, at.doppler_spread_hz] = self.doppler_spread_hz
         table[:, at.truth[:3]] = np.nan if position is None else position
         table[:, at.truth[3:]] = np.nan if velocity is None else velocity
@@ -289,8 +304,9 @@ class Incoming(NamedTuple):
 
     Attributes:
         dt, z, snr_db, doppler_spread_hz: as in :class:`Epoch`.
-        signed_sigma: (rows,) standard deviations, negative where the group is missing.
+        signed_sigma: (rows,) standard deviations, negative where the row is missing.
         truth: (6,) true position (m) and velocity (m/s), for scores.
+        doppler_of: as in :class:`Epoch`.
     """
 
     dt: Number
@@ -299,19 +315,27 @@ class Incoming(NamedTuple):
     snr_db: list[Number]
     doppler_spread_hz: Number
     truth: list[Number]
+    doppler_of: Vector = ()
 
     def epoch(self, layout: Layout) -> Epoch:
         """Return the part of the row that the estimator sees."""
+        sigma = [abs(sigma) for sigma in self.signed_sigma]
+        parts = self.dt, self.z, sigma
+        if layout.partial:
+            measured = [where(sigma > 0.0, 1.0, 0.0) for sigma in self.signed_sigma]
+            some = [where(number > 0.5, 1.0, 0.0) for number in layout.degrees(measured)]
+            more = measured, self.doppler_of
+            return Epoch(*parts, some, self.snr_db, self.doppler_spread_hz, *more)
         first = [self.signed_sigma[rows.start] for rows in layout.groups]
         visible = [where(sigma > 0.0, 1.0, 0.0) for sigma in first]
-        sigma = [abs(sigma) for sigma in self.signed_sigma]
-        return Epoch(self.dt, self.z, sigma, visible, self.snr_db, self.doppler_spread_hz)
+        return Epoch(*parts, visible, self.snr_db, self.doppler_spread_hz)
 
 
 def blank_incoming(layout: Layout) -> Incoming:
     """Return an epoch without measurements."""
-    nothing = [0.0] * layout.size
-    return Incoming(0.0, nothing, [-1.0] * layout.size, [0.0] * layout.anchors, 0.0, [0.0] * 6)
+    L, nothing = layout.anchors, [0.0] * layout.size
+    of = [float(a == 0) for a in range(L)] if layout.partial else ()
+    return Incoming(0.0, nothing, [-1.0] * layout.size, [0.0] * L, 0.0, [0.0] * 6, of)
 
 
 @lru_cache(maxsize=64)
