@@ -169,10 +169,13 @@ class ImmTracker(EpisodeFilter[ImmState]):
         layout: rows of the measurements.
         n: number of tracks.
         planar: as in :class:`~mmwave_env.filters.pipeline.Pipeline`.
+        acted: whether :meth:`run` is given the modes to trust.
     """
 
-    def __init__(self, bank: Bank, layout: Layout, n: int, planar: bool = False) -> None:
-        program = imm_program(Pipeline(bank.modes, layout, planar), TrackingReward())
+    def __init__(
+        self, bank: Bank, layout: Layout, n: int, planar: bool = False, acted: bool = False
+    ) -> None:
+        program = imm_program(Pipeline(bank.modes, layout, planar), TrackingReward(), acted)
         batch = Batch(program, layout, n, rows_of(program.index.action))
         batch.write(program.index.settings, np.array(flatten(settings_of(bank, layout)), float))
         super().__init__(batch)

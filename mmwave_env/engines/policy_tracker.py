@@ -1,0 +1,73 @@
+"""A track whose modes a policy chooses, epoch by epoch, without a truth.
+
+An environment's engine computes the observations, and one of the engines of whole tracks runs the
+actions. Both give the same numbers to the last bit, so the track is that of the environment.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.imm_engine import ImmTracker
+from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.filters.bank import Bank
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.reward import TrackingReward
+from mmwave_env.numerics.numbers import Array
+from mmwave_env.world.episode import Episode
+
+Choose = Callable[[NDArray[np.float32]], NDArray[np.integer]]  # observations (n, features)
+
+
+class PolicyTracker:
+    """One track in which a policy chooses the mode, or the mode to trust, in every epoch.
+
+    Args:
+        pipeline: modes and layout.
+        choose: function from observations (1, features) to actions (1,).
+        begin: called where a track starts over, so that the policy forgets its past.
+        observation: "full" or "prior".
+        bank: bank of the modes, if every mode keeps its own belief; None if they share a belief.
+    """
+
+    def __init__(
+        self,
+        pipeline: Pipeline,
+        choose: Choose,
+        begin: Callable[[], None],
+        observation: str = "full",
+        bank: Bank | None = None,
+    ) -> None:
+        self._engine = Engine(pipeline, 1, TrackingReward(), observation, bank)
+        self._filter: Tracker | ImmTracker = (
+            ImmTracker(bank, pipeline.layout, 1, pipeline.planar, acted=True)
+            if bank
+            else Tracker(pipeline, 1)
+        )
+        self._choose, self._begin = choose, begin
+        self._epochs, self._end_s, self._action = 0, 0.0, 0
+        self._starts = True
+
+    def load(self, episodes: Sequence[Episode], go_on: bool = False) -> None:
+        """Load an episode, as :meth:`EpisodeFilter.load` does."""
+        (episode,) = episodes
+        self._filter.load(episodes, go_on)
+        gap_s = float(episode.time_s[0]) - self._end_s if go_on else None
+        self._engine.batch.load(episodes, gap_s=gap_s)
+        self._epochs, self._end_s, self._starts = len(episode), float(episode.time_s[-1]), not go_on
+
+    def run(self, *names: str) -> dict[str, Array]:
+        """Filter the loaded episode once; return parts of the state as :meth:`EpisodeFilter.run`.
+
+        The array "action" (1, epochs) is returned, too.
+        """
+        if self._starts:
+            self._begin()
+        actions = np.empty((1, self._epochs), np.int64)
+        for t in range(self._epochs):
+            # An environment that starts over ignores the action.
+            self._engine.step(np.int64(self._action))
+            (self._action,) = actions[:, t] = self._choose(self._engine.observations())
+        return self._filter.run(*names, actions=actions) | {"action": actions}

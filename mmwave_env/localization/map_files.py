@@ -1,0 +1,189 @@
+"""Track files on the map of the world: GeoJSON, GPX and NMEA 0183, written block by block.
+
+Positions of the scene become latitude, longitude and height (WGS 84) by the scene's origin;
+pymap3d converts the frames.
+"""
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from functools import reduce
+from operator import xor
+from pathlib import Path
+from typing import TextIO
+from xml.sax.saxutils import escape
+
+import numpy as np
+import pymap3d
+
+from mmwave_env.io.files import atomic_path, naming
+from mmwave_env.models.scene import Origin
+from mmwave_env.numerics.numbers import Array
+
+MAP_ENDINGS = (".geojson", ".gpx", ".nmea")
+ELLIPSE_SHARE = 0.95
+_ELLIPSE_NIS = -2.0 * np.log(1.0 - ELLIPSE_SHARE)  # chi-square quantile, 2 degrees of freedom
+_CORNERS = 32  # of an ellipse's polygon
+_ELLIPSES_APART_S = 1.0  # a polygon per epoch at 100 Hz would make a file that no map opens
+_UNIX_S = 1e8  # larger times count as Unix time (from 1973 on), others as seconds of a day
+
+WriteTrack = Callable[[Array, Array, Array, int], None]  # time_s, x, P packed, segment
+
+
+def geodetic(origin: Origin, points_m: Array) -> Array:
+    """Return latitude, longitude (degrees) and height (m) of points (n, 3) of the scene."""
+    bearing = np.radians(origin.bearing_deg)
+    x, y, up = points_m.T
+    east = x * np.sin(bearing) - y * np.cos(bearing)
+    north = x * np.cos(bearing) + y * np.sin(bearing)
+    place = origin.latitude_deg, origin.longitude_deg, origin.height_m
+    return np.column_stack(pymap3d.enu2geodetic(east, north, up, *place))
+
+
+@contextmanager
+def map_file(path: Path, origin: Origin, name: str) -> Iterator[WriteTrack]:
+    """Yield a function that writes the next epochs of a track; at the end, put the file in place.
+
+    Args:
+        path: file to write; its ending is one of :data:`MAP_ENDINGS`.
+        origin: place of the scene on the earth.
+        name: name of the track in the file.
+    """
+    kind = {".geojson": _geojson, ".gpx": _gpx, ".nmea": _nmea}[path.suffix]
+    with (
+        atomic_path(path) as temporary,
+        temporary.open("w", encoding="ascii", newline="\n") as file,
+        naming(path),
+        kind(file, origin, name) as write,
+    ):
+        yield write
+
+
+def _ellipses(origin: Origin, x: Array, P: Array) -> Array:
+    """Return the corners (n, corners, 2) of the 95 % ellipses, longitude and latitude."""
+    variance = np.array([[P[:, 0], P[:, 1]], [P[:, 1], P[:, 2]]]).transpose(2, 0, 1)
+    size, axes = np.linalg.eigh(variance)
+    angle = np.linspace(0.0, 2.0 * np.pi, _CORNERS, endpoint=False)
+    circle = np.stack([np.cos(angle), np.sin(angle)])
+    radius = np.sqrt(_ELLIPSE_NIS * np.maximum(size, 0.0))
+    offsets = (axes * radius[:, None]) @ circle  # (n, 2, corners)
+    corners = np.repeat(x[:, None, :3], _CORNERS, axis=1)
+    corners[..., :2] += offsets.transpose(0, 2, 1)
+    around = geodetic(origin, corners.reshape(-1, 3)).reshape(len(x), _CORNERS, 3)
+    return np.concatenate([around, around[:, :1]], axis=1)[..., [1, 0]]  # closed
+
+
+@contextmanager
+def _geojson(file: TextIO, origin: Origin, name: str) -> Iterator[WriteTrack]:
+    """Write a FeatureCollection: lines of the track, and the 95 % ellipse of an epoch a second."""
+    separator, last = "", (-1, -np.inf, [])  # segment, time of the last ellipse, last point
+    file.write('{"type": "FeatureCollection", "features": [')
+
+    def feature(kind: str, coordinates: object, **properties: object) -> None:
+        nonlocal separator
+        geometry = {"type": kind, "coordinates": coordinates}
+        told = {"type": "Feature", "properties": properties, "geometry": geometry}
+        file.write(f"{separator}\n{json.dumps(told)}")
+        separator = ","
+
+    def write(time_s: Array, x: Array, P: Array, segment: int) -> None:
+        nonlocal last
+        before, ellipse_s, point = last
+        ways = geodetic(origin, x[:, :3]).round(9)[:, [1, 0, 2]].tolist()
+        line = [*([point] if segment == before else []), *ways]
+        if len(line) > 1:
+            span = {"from_s": float(time_s[0]), "to_s": float(time_s[-1])}
+            feature("LineString", line, name=name, segment=segment, **span)
+        shown = []
+        for number, moment in enumerate(time_s.tolist()):
+            if segment != before or moment - ellipse_s >= _ELLIPSES_APART_S:
+                shown.append(number)
+                before, ellipse_s = segment, moment
+        for number, ring in zip(shown, _ellipses(origin, x[shown], P[shown]), strict=True):
+            ring = ring.round(9).tolist()
+            feature("Polygon", [ring], time_s=float(time_s[number]), share=ELLIPSE_SHARE)
+        last = segment, ellipse_s, ways[-1]
+
+    yield write
+    file.write("\n]}\n")
+
+
+@contextmanager
+def _gpx(file: TextIO, origin: Origin, name: str) -> Iterator[WriteTrack]:
+    """Write a GPX 1.1 track with a segment for each segment of the track."""
+    file.write('<?xml version="1.0" encoding="UTF-8"?>\n')
+    file.write('<gpx version="1.1" creator="mmwave-loc"')
+    file.write(f' xmlns="http://www.topografix.com/GPX/1/1"><trk><name>{escape(name)}</name>')
+    current = -1
+
+    def write(time_s: Array, x: Array, P: Array, segment: int) -> None:
+        nonlocal current
+        if segment != current:
+            file.write(f"{'</trkseg>' if current >= 0 else ''}<trkseg>\n")
+            current = segment
+        points = geodetic(origin, x[:, :3]).tolist()
+        for moment, (latitude, longitude, height) in zip(time_s.tolist(), points, strict=True):
+            time = f"<time>{_iso(moment)}</time>" if moment > _UNIX_S else ""
+            place = f'<trkpt lat="{latitude:.9f}" lon="{longitude:.9f}">'
+            file.write(f"{place}<ele>{height:.3f}</ele>{time}</trkpt>\n")
+
+    yield write
+    file.write(f"{'</trkseg>' if current >= 0 else ''}</trk></gpx>\n")
+
+
+def _iso(moment: float) -> str:
+    return datetime.fromtimestamp(moment, UTC).isoformat(timespec="milliseconds")[:-6] + "Z"
+
+
+@contextmanager
+def _nmea(file: TextIO, origin: Origin, name: str) -> Iterator[WriteTrack]:
+    """Write NMEA 0183: GGA (position) and GST (standard deviations, ellipse) of every epoch."""
+
+    def write(time_s: Array, x: Array, P: Array, segment: int) -> None:
+        places = geodetic(origin, x[:, :3])
+        for moment, place, packed in zip(time_s.tolist(), places, P, strict=True):
+            file.write(nmea(origin, moment, place, packed))
+
+    yield write
+
+
+def nmea(origin: Origin, moment: float, place: Array, packed: Array) -> str:
+    """Return the sentences GGA and GST of an epoch.
+
+    Args:
+        origin: place of the scene on the earth.
+        moment: time, s.
+        place: (3,) latitude and longitude (degrees) and height (m).
+        packed: (28,) packed covariance.
+    """
+    hundredths = round(moment % 86400.0 * 100.0) % 8_640_000
+    seconds, minutes = hundredths / 100.0 % 60.0, hundredths // 6000
+    clock = f"{minutes // 60:02d}{minutes % 60:02d}{seconds:05.2f}"
+    latitude, longitude, height = place
+    where = f"{_degrees(latitude, 2, 'NS')},{_degrees(longitude, 3, 'EW')}"
+    bearing = np.radians(origin.bearing_deg)
+    turn = np.array([[np.sin(bearing), -np.cos(bearing)], [np.cos(bearing), np.sin(bearing)]])
+    xx, xy, yy = packed[:3]
+    east_north = turn @ np.array([[xx, xy], [xy, yy]]) @ turn.T
+    size, axes = np.linalg.eigh(east_north)
+    minor, major = np.sqrt(np.maximum(size, 0.0))
+    along = np.degrees(np.arctan2(axes[0, 1], axes[1, 1])) % 180.0  # from true north, clockwise
+    east, north = np.sqrt(np.maximum(np.diag(east_north), 0.0))
+    up = np.sqrt(max(packed[5], 0.0))
+    spread = f"{major:.3f},{minor:.3f},{along:.1f},{north:.3f},{east:.3f},{up:.3f}"
+    return _sentence(f"GPGGA,{clock},{where},1,,,{height:.3f},M,,M,,") + _sentence(
+        f"GPGST,{clock},,{spread}"
+    )
+
+
+def _degrees(angle: float, digits: int, sides: str) -> str:
+    """Return degrees and minutes as NMEA writes them, with the side of the earth."""
+    minutes = round(abs(angle) * 60.0 * 1e7)  # 1e-7 minutes are 0.2 mm
+    whole, rest = divmod(minutes, 600_000_000)
+    return f"{whole:0{digits}d}{rest / 1e7:010.7f},{sides[angle < 0.0]}"
+
+
+def _sentence(text: str) -> str:
+    """Return a sentence with its checksum, the exclusive or of its letters."""
+    return f"${text}*{reduce(xor, text.encode()):02X}\r\n"
