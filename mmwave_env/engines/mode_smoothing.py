@@ -13,17 +13,19 @@ Sources: Kim 1994, "Dynamic linear models with Markov-switching" (pairs, and the
 :func:`mmwave_env.filters.textbook.rts`.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from mmwave_env.filters.bank import Bank, settings_of
-from mmwave_env.filters.imm import over_step
+from mmwave_env.filters.imm import begin, over_step
 from mmwave_env.filters.pipeline import Pipeline, predict
 from mmwave_env.models.measurement import STATE_SIZE, Epoch
 from mmwave_env.models.motion import transition_times
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array
+from mmwave_env.numerics.pytree import indices
 
 
 class ModeBeliefs(NamedTuple):
@@ -52,24 +54,24 @@ def merged(beliefs: ModeBeliefs) -> tuple[Array, Array]:
 def smooth_modes(
     bank: Bank,
     pipeline: Pipeline,
-    filtered: ModeBeliefs,
-    gamma: Array,
+    mixtures: Array,
     dt: Array,
     spread_hz: Array,
     hz_per_mps: float,
 ) -> tuple[Array, Array]:
-    """Return the smoothed means (N, T, 7) and covariances (N, T, 7, 7) of finished tracks.
+    """Return the smoothed means (N, T, 7) and packed covariances (N, T, 28) of finished tracks.
 
     Args:
         bank: modes, with their tunings, and transition probabilities.
         pipeline: pipeline of the bank's modes.
-        filtered: beliefs after each of T epochs, (N, T, ...).
-        gamma: (N, T, modes) adaptive scale of each mode's noise after each epoch.
+        mixtures: (N, T, numbers) the IMM's :class:`~mmwave_env.filters.imm.Mixture` after each
+            epoch, flattened.
         dt: (N, T) seconds since the epoch before.
         spread_hz: (N, T) measured Doppler spread.
         hz_per_mps: carrier frequency over the speed of light.
     """
     transition = settings_of(bank, pipeline.layout).transition
+    filtered, gamma = _beliefs(mixtures, pipeline)
     after = ModeBeliefs(*(part[:, -1] for part in filtered))
     smoothed = [merged(after)]
     for t in range(dt.shape[1] - 2, -1, -1):
@@ -80,7 +82,19 @@ def smooth_modes(
         after = _backwards(pipeline, now, gamma[:, t], after, coming, hz_per_mps, matrix)
         smoothed.append(merged(after))
     x, P = (np.stack(parts[::-1], axis=1) for parts in zip(*smoothed, strict=True))
-    return x, P
+    return x, P[..., *np.tril_indices(STATE_SIZE)]
+
+
+def _beliefs(mixtures: Array, pipeline: Pipeline) -> tuple[ModeBeliefs, Array]:
+    """Return the beliefs of the modes and the scales (N, T, modes) of their noise."""
+    at = indices(begin(pipeline, [0.0] * STATE_SIZE, [0.0] * 28))
+    packed = mixtures[..., np.array([track.P for track in at.tracks])]
+    P = np.empty((*packed.shape[:-1], STATE_SIZE, STATE_SIZE))
+    row, column = np.tril_indices(STATE_SIZE)
+    P[..., row, column] = P[..., column, row] = packed
+    x = mixtures[..., np.array([track.x for track in at.tracks])]
+    gamma = mixtures[..., np.array([track.memory.gamma for track in at.tracks])]
+    return ModeBeliefs(x, P, mixtures[..., np.array(at.probability)]), gamma
 
 
 def _backwards(
@@ -114,27 +128,24 @@ def _backwards(
         x_predicted = np.stack(np.broadcast_arrays(*mean), axis=-1)
         P_predicted = _matrix(covariance, now.x.shape[:-1])
         P_predicted[..., known, known] = 1.0  # these have no variance, and no gain
-        gain = np.swapaxes(np.linalg.solve(P_predicted, FP), -1, -2)
         step = after.x[:, i, None] - x_predicted
-        P_predicted[..., known, known] = 0.0
+        solved = np.linalg.solve(P_predicted, np.concatenate([FP, step[..., None]], axis=-1))
+        gain = np.swapaxes(solved[..., :-1], -1, -2)  # 0 for what is known
         change = after.P[:, i, None] - P_predicted
         x.append(now.x + (gain @ step[..., None])[..., 0])
         P.append(now.P + gain @ change @ np.swapaxes(gain, -1, -2))
-        P_predicted[..., known, known] = 1.0
-        distance = (step * np.linalg.solve(P_predicted, step[..., None])[..., 0]).sum(axis=-1)
+        distance = (step * solved[..., -1]).sum(axis=-1)
         density = -0.5 * (distance + np.linalg.slogdet(P_predicted)[1])
         weight.append(np.log(transition[:, :, i] * now.probability) + density)
     logs = np.stack(weight, axis=2)  # (N, mode now, mode after)
     joint = np.exp(logs - logs.max(axis=1, keepdims=True))
     joint *= after.probability[:, None] / joint.sum(axis=1, keepdims=True)
     probability = np.maximum(joint.sum(axis=2), np.finfo(float).tiny)
-    pairs = ModeBeliefs(
-        np.stack(x, axis=2), np.stack(P, axis=2), joint / probability[..., None]
-    )
+    pairs = ModeBeliefs(np.stack(x, axis=2), np.stack(P, axis=2), joint / probability[..., None])
     return ModeBeliefs(*merged(pairs), probability / probability.sum(axis=1, keepdims=True))
 
 
-def _matrix(entries: list[list[Array]], shape: tuple[int, ...]) -> Array:
+def _matrix(entries: Sequence[Sequence[Array]], shape: tuple[int, ...]) -> Array:
     """Return a matrix of arrays as an array (..., 7, 7)."""
     rows = [np.stack([np.broadcast_to(e, shape) for e in row], axis=-1) for row in entries]
     return np.stack(rows, axis=-2)

@@ -4,7 +4,8 @@ An environment's engine computes the observations, and one of the engines of who
 actions. Both give the same numbers to the last bit, so the track is that of the environment.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,12 @@ from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
 
-Choose = Callable[[NDArray[np.float32]], NDArray[np.integer]]  # observations (n, features)
+
+class Choice(Protocol):
+    """A policy, as :class:`policies.policy.Policy`, which this room does not see."""
+
+    def reset(self, mask: NDArray[np.bool_]) -> None: ...  # noqa: D102
+    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]: ...  # noqa: D102
 
 
 class PolicyTracker:
@@ -26,8 +32,8 @@ class PolicyTracker:
 
     Args:
         pipeline: modes and layout.
-        choose: function from observations (1, features) to actions (1,).
-        begin: called where a track starts over, so that the policy forgets its past.
+        policy: function from observations (1, features) to actions (1,), with a method
+            ``reset(mask)`` that is called where a track starts over.
         observation: "full" or "prior".
         bank: bank of the modes, if every mode keeps its own belief; None if they share a belief.
     """
@@ -35,8 +41,7 @@ class PolicyTracker:
     def __init__(
         self,
         pipeline: Pipeline,
-        choose: Choose,
-        begin: Callable[[], None],
+        policy: Choice,
         observation: str = "full",
         bank: Bank | None = None,
     ) -> None:
@@ -46,7 +51,7 @@ class PolicyTracker:
             if bank
             else Tracker(pipeline, 1)
         )
-        self._choose, self._begin = choose, begin
+        self._policy = policy
         self._epochs, self._end_s, self._action = 0, 0.0, 0
         self._starts = True
 
@@ -59,15 +64,12 @@ class PolicyTracker:
         self._epochs, self._end_s, self._starts = len(episode), float(episode.time_s[-1]), not go_on
 
     def run(self, *names: str) -> dict[str, Array]:
-        """Filter the loaded episode once; return parts of the state as :meth:`EpisodeFilter.run`.
-
-        The array "action" (1, epochs) is returned, too.
-        """
+        """Filter the loaded episode once; return parts of the state as :meth:`EpisodeFilter.run`."""
         if self._starts:
-            self._begin()
+            self._policy.reset(np.array([True]))
         actions = np.empty((1, self._epochs), np.int64)
         for t in range(self._epochs):
             # An environment that starts over ignores the action.
             self._engine.step(np.int64(self._action))
-            (self._action,) = actions[:, t] = self._choose(self._engine.observations())
-        return self._filter.run(*names, actions=actions) | {"action": actions}
+            (self._action,) = actions[:, t] = self._policy(self._engine.observations())
+        return self._filter.run(*names, actions=actions)

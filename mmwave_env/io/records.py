@@ -216,6 +216,8 @@ def object_from(kind: type[T], content: Any, where: str = "") -> T:
 
 def _built(hint: Any, value: Any, where: str) -> Any:
     """Convert a value to the type of a field, if the type determines the conversion."""
+    if value is None:
+        return None
     if get_origin(hint) in (Annotated, Union, UnionType):
         return _built(get_args(hint)[0], value, where)
     if get_origin(hint) is tuple and isinstance(value, list):

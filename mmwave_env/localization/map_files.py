@@ -77,14 +77,15 @@ def _ellipses(origin: Origin, x: Array, P: Array) -> Array:
 @contextmanager
 def _geojson(file: TextIO, origin: Origin, name: str) -> Iterator[WriteTrack]:
     """Write a FeatureCollection: lines of the track, and the 95 % ellipse of an epoch a second."""
-    separator, last = "", (-1, -np.inf, [])  # segment, time of the last ellipse, last point
+    separator = ""
+    last: tuple[int, float, list[float]] = -1, -np.inf, []  # segment, time of an ellipse, point
     file.write('{"type": "FeatureCollection", "features": [')
 
     def feature(kind: str, coordinates: object, **properties: object) -> None:
         nonlocal separator
         geometry = {"type": kind, "coordinates": coordinates}
-        told = {"type": "Feature", "properties": properties, "geometry": geometry}
-        file.write(f"{separator}\n{json.dumps(told)}")
+        content = {"type": "Feature", "properties": properties, "geometry": geometry}
+        file.write(f"{separator}\n{json.dumps(content)}")
         separator = ","
 
     def write(time_s: Array, x: Array, P: Array, segment: int) -> None:
@@ -101,8 +102,8 @@ def _geojson(file: TextIO, origin: Origin, name: str) -> Iterator[WriteTrack]:
                 shown.append(number)
                 before, ellipse_s = segment, moment
         for number, ring in zip(shown, _ellipses(origin, x[shown], P[shown]), strict=True):
-            ring = ring.round(9).tolist()
-            feature("Polygon", [ring], time_s=float(time_s[number]), share=ELLIPSE_SHARE)
+            corners = ring.round(9).tolist()
+            feature("Polygon", [corners], time_s=float(time_s[number]), share=ELLIPSE_SHARE)
         last = segment, ellipse_s, ways[-1]
 
     yield write

@@ -21,7 +21,7 @@ from mmwave_env.filters.linearization import Tangent
 from mmwave_env.filters.memory import Memory, initial_memory, memory_after, memory_before
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline, predict, predict_update
-from mmwave_env.localization.localizer import gives_fix
+from mmwave_env.localization.segments import gives_fix
 from mmwave_env.logs.log import PathEpoch
 from mmwave_env.models.measurement import Epoch, Layout, Site, link_group, seen_from_image
 from mmwave_env.models.prior import GAP_S, prior_from_fix

@@ -15,7 +15,7 @@ A log may be larger than memory, so it is read in blocks of consecutive epochs.
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -23,8 +23,15 @@ from typing import NamedTuple
 import numpy as np
 
 from mmwave_env.logs.log_checks import whole_epochs
-from mmwave_env.logs.log_columns import STATION
-from mmwave_env.logs.log_tables import Block, LogError, Table, in_windows, open_log
+from mmwave_env.logs.log_columns import (
+    BODY,
+    LINK_QUANTITIES,
+    QUANTITIES,
+    ROW_QUANTITIES,
+    SIGMA_OF,
+    STATION,
+)
+from mmwave_env.logs.log_tables import Block, LogError, LogFile, Table, in_windows, open_log
 from mmwave_env.models.measurement import (
     Layout,
     seen_from_image,
@@ -33,7 +40,7 @@ from mmwave_env.models.measurement import (
     wrapped,
 )
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import Array, Mask
+from mmwave_env.numerics.numbers import Array, Index, Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,21 +53,34 @@ class LogBlock(Block):
     layout: Layout  # rows and groups of the measurements
     time_s: Array  # (T,) increasing, also across blocks
     measurement: Array  # (T, rows) m, rad, Hz, m/s; angles in [-pi, pi)
+    sigma: Array  # (T, rows) the receiver's own standard deviations; NaN where it states none
     # (T, groups) whether every number of the group was measured; for a link and for the Doppler
-    # shift that includes the SNR, because their noise follows from it
+    # shift that includes the SNR, because their noise follows from it. In a partial layout, whether
+    # any number was measured whose noise is known
     visible: Mask
-    incomplete: Mask  # (T, groups) whether only some of the numbers were measured: a lost group
+    # (T, groups) whether only some of the numbers were measured: a lost group. In a partial layout,
+    # whether a number was lost because its noise is unknown
+    incomplete: Mask
+    doppler_anchor: Index  # (T,) anchor of the Doppler shift, from 0
     snr_db: Array  # (T, L); -inf, no signal, where none was measured
     doppler_spread_hz: Array  # (T,); 0 where none was measured
     # (T,) whether a track must begin anew here, because its association with anchors contradicts
     # the epochs before. It is never set in a log with anchor numbers
     restarts: Mask
     share: float  # share of the file read so far, 0 to 1
+    whole_columns: bool = True  # whether the log has a column for each number of a link
     segment: int = 0  # number of the segment of the track, from 0, that all epochs belong to
-    # whether the segment begins here, with a line of sight that gives its prior
+    # whether the segment begins here, with a first fix that gives its prior
     begins: bool = False
     skipped: int = 0  # number of epochs of the log before the first segment
     dropped: int = 0  # number of epochs between segments, up to the next block
+
+    def whole(self) -> "LogBlock":
+        """Return the block with only the groups that were measured in full, with an SNR."""
+        layout = replace(self.layout, partial=False)
+        visible, _ = whole_groups(self.measurement, np.isfinite(self.snr_db), layout)
+        visible[:, layout.anchors] &= self.doppler_anchor == 0
+        return replace(self, layout=layout, visible=visible & self.visible)
 
 
 def read_log(
@@ -69,6 +89,8 @@ def read_log(
     epochs_per_block: int = 4096,
     odometry: bool = True,
     limits: bool = True,
+    partial: bool = False,
+    snr_db: float | None = None,
 ) -> Iterator[LogBlock]:
     """Read the epochs of a log, ``epochs_per_block`` at a time; the last block may be shorter.
 
@@ -87,6 +109,9 @@ def read_log(
             where the log has it.
         limits: False to accept ranges and angles of any size, and not to wrap angles, for
             a diagnosis.
+        partial: whether a link may lack some of its numbers, in some epochs or everywhere, and
+            any anchor may have the Doppler shift.
+        snr_db: SNR of links without one.
 
     Raises:
         LogError: at once for a file or a header that is not a log's, later for a damaged row,
@@ -96,15 +121,28 @@ def read_log(
     """
     if epochs_per_block < 1:
         raise ValueError(f"epochs_per_block: found {epochs_per_block}, expected at least 1")
-    log = open_log(path, scene.hz_per_mps, odometry)
-    layout = Layout(len(scene.anchors_m), "speed" in log.columns)
+    log = open_log(path, scene.hz_per_mps, odometry, partial=partial)
+    if partial and snr_db is None:
+        _require_noise(log)
+    layout = Layout(len(scene.anchors_m), "speed" in log.columns, partial)
     tables = whole_epochs(log, layout.anchors, limits)
-    blocks = (_block(table, scene, layout, limits) for table in tables)
+    blocks = (_block(table, scene, layout, limits, snr_db) for table in tables)
     return (
         windows.part(slice(first, first + epochs_per_block))
         for windows in in_windows(_require_measurements(path, blocks), epochs_per_block)
         for first in range(0, len(windows), epochs_per_block)
     )
+
+
+def _require_noise(log: LogFile) -> None:
+    """Refuse a log that states the noise of a measurement neither directly nor by an SNR."""
+    for quantity in (*ROW_QUANTITIES, STATION, BODY) if "snr" not in log.columns else ():
+        if quantity in log.columns and SIGMA_OF[quantity] not in log.columns:
+            own = next(iter(QUANTITIES[SIGMA_OF[quantity]].columns))
+            raise LogError(
+                f"{log.path}: columns: found {log.columns[quantity].name} without its noise, "
+                f"expected {own} or snr_db, or --snr DB for all links"
+            )
 
 
 def _require_measurements(path: Path, blocks: Iterable[LogBlock]) -> Iterator[LogBlock]:
@@ -121,36 +159,61 @@ def _require_measurements(path: Path, blocks: Iterable[LogBlock]) -> Iterator[Lo
         )
 
 
-def _block(table: Table, scene: Scene, layout: Layout, wrap: bool) -> LogBlock:
+def _block(
+    table: Table, scene: Scene, layout: Layout, wrap: bool, snr_db: float | None
+) -> LogBlock:
     """Return rows of whole epochs as a block."""
     epoch, links, station = table.epoch, table.links(), scene.anchors_m[0]
     anchor, T = table["anchor"].astype(np.int64) - 1, int(epoch[-1]) + 1
+    of_doppler = table.first(np.where(np.isnan(table["doppler"]), np.nan, anchor))
     if STATION in table.columns:
         arrivals = [
             seen_from_image(links[:, 1], links[:, 2], station, image) for image in scene.anchors_m
         ]
         links[:, 1:3] = np.array(arrivals)[anchor, :, range(len(epoch))]
     time, snr = np.empty(T), np.full((T, layout.anchors), np.nan)
-    measurement = np.full((T, layout.size), np.nan)
+    measurement, sigma = np.full((2, T, layout.size), np.nan)
     time[epoch], snr[epoch, anchor] = table["time"], table["snr"]
-    for row in range(links.shape[1]):
+    if snr_db is not None:
+        snr[np.isnan(snr)] = snr_db
+    for row, quantity in enumerate(LINK_QUANTITIES):
         measurement[epoch, 4 * anchor + row] = links[:, row]
+        sigma[epoch, 4 * anchor + row] = table[SIGMA_OF[quantity]]
+    sigma[:, layout.doppler] = table.first(table[SIGMA_OF["doppler"]])
     of_epoch = ("doppler", "speed", "heading") if layout.odometry else ("doppler",)
     for row, quantity in enumerate(of_epoch, start=layout.doppler):
         measurement[:, row] = table.first(table[quantity])
     if wrap:
         wrap_angles(measurement, layout)
+    shifted = np.nan_to_num(of_doppler).astype(np.int64)
     visible, incomplete = whole_groups(measurement, np.isfinite(snr), layout)
+    if not layout.partial:
+        visible[:, layout.anchors] &= shifted == 0
+    else:
+        rows = np.repeat(np.isfinite(snr), 4, axis=1)
+        known = np.column_stack([rows, np.isfinite(snr)[np.arange(T), shifted]])
+        known = np.pad(known, ((0, 0), (0, layout.size - known.shape[1])), constant_values=True)
+        lost = np.isfinite(measurement) & ~known & ~np.isfinite(sigma)
+        measurement[lost] = np.nan
+        visible, _ = whole_groups(measurement, np.isfinite(snr), layout)
+        starts = [group.start for group in layout.groups]
+        incomplete = np.logical_or.reduceat(lost, starts, axis=1)
     return LogBlock(
         layout=layout,
         time_s=time,
         measurement=measurement,
+        sigma=sigma,
         visible=visible,
         incomplete=incomplete,
+        doppler_anchor=shifted,
         snr_db=np.where(np.isnan(snr), -np.inf, snr),
         doppler_spread_hz=np.nan_to_num(table.first(table["doppler_spread"])),
         restarts=np.zeros(T, bool),
         share=table.share,
+        whole_columns=all(
+            not {quantity, other}.isdisjoint(table.columns)
+            for quantity, other in zip(LINK_QUANTITIES, ("", STATION, "", BODY), strict=True)
+        ),
     )
 
 

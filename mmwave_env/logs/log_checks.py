@@ -120,8 +120,9 @@ def _anchor_checks(table: Table, anchors: int) -> Iterator[_Check]:
         lambda row: f"{_show(anchor[row])} a second time at time {_show(time[row])}",
     )
     if "doppler" in table.columns:
-        elsewhere = ~np.isnan(table.raw("doppler")) & (anchor != 1.0)
-        yield _Check("doppler", elsewhere, "none but in the rows of anchor 1")
+        shifted = ~np.isnan(table.raw("doppler"))
+        again = shifted & (anchor != table.first(np.where(shifted, anchor, np.nan))[table.epoch])
+        yield _Check("doppler", again, "the Doppler shift of one anchor in an epoch")
 
 
 def _one_value(table: Table, quantity: str) -> _Check:
@@ -158,6 +159,8 @@ def _limit(table: Table, quantity: str, bound: Bound, unit: str) -> _Check:
     if unit == "degrees":
         values, most = np.degrees(values), most + _ROUNDING_DEG
     wrong = abs(values) > most
+    if (least := bound.least or 0.0) > 0.0:
+        wrong |= values < least
     stem, _, ending = table.columns[quantity].name.rpartition("_")
     likely = f"if it is in degrees, name the column {stem}_deg; " if ending == "rad" else ""
     if quantity == "aoa_elevation" and abs(values[np.argmax(wrong)]) <= 360.0:

@@ -36,7 +36,19 @@ def _in(name: str, units: dict[str, Unit]) -> dict[str, Unit]:
 _TIME = {"_s": Unit(), "_ms": Unit(1.0, 1e3), "_us": Unit(1.0, 1e6), "_ns": Unit(1.0, 1e9)}
 _ANGLE = {"_rad": Unit(), "_deg": Unit(np.pi, 180.0)}
 _SHIFT = {"_hz": Unit(), "_khz": Unit(1e3), "_mps": Unit()}  # _mps: times f_c / c
-_FLIGHT = {f"toa{ending}": Unit(SPEED_OF_LIGHT, unit.divide) for ending, unit in _TIME.items()}
+
+
+def _flight(name: str) -> dict[str, Unit]:
+    """Return the columns of a range: the time of one way, of the way there and back, or meters."""
+    ways = (("toa", SPEED_OF_LIGHT), ("rtt", SPEED_OF_LIGHT / 2.0))
+    times = {
+        f"{way}{name}{ending}": Unit(speed, unit.divide)
+        for way, speed in ways
+        for ending, unit in _TIME.items()
+    }
+    return {**times, f"range{name}_m": Unit()}
+
+
 _SPEED = {"speed_mps": Unit(), "speed_kmh": Unit(1.0, 3.6)}
 
 RANGE_LIMITS_M = (1e-3, 1e6)  # limits of any antenna and any cell; a mistaken unit exceeds them
@@ -51,6 +63,7 @@ _SNR = between(-1e3, 1e3, "dB"), "dB"
 # limits within which filters are numerically sound
 _BIAS, _SPREAD = (envelope.BIAS_HZ, "Hz"), (envelope.DOPPLER_SPREAD_HZ, "Hz")
 _FASTEST = envelope.VELOCITY_MPS, "m/s"
+_DEVIATION = envelope.ANGLE_SIGMA_RAD, "rad"
 
 STATION = "aoa_azimuth_station"
 BODY = "aod_azimuth_body"
@@ -60,7 +73,7 @@ QUANTITIES = {
         {"anchor": Unit()},
         "the number in the scene; mmwave-loc localize --associate does without (docs/data.md)",
     ),
-    "toa": Quantity({**_FLIGHT, "range_m": Unit()}, "the time of flight, or the range", _RANGE),
+    "toa": Quantity(_flight(""), "the time of flight (rtt: there and back), or the range", _RANGE),
     "aoa_azimuth": Quantity(
         _in("aoa_azimuth", _ANGLE), "the azimuth from the anchor to the user", _TURN
     ),
@@ -71,7 +84,21 @@ QUANTITIES = {
     ),
     BODY: Quantity(_in(BODY, _ANGLE), "the azimuth of departure from the heading", _TURN),
     "snr": Quantity({"snr_db": Unit()}, "the signal-to-noise ratio", _SNR),
-    "doppler": Quantity(_in("doppler", _SHIFT), "the Doppler shift of anchor 1", _BIAS),
+    "doppler": Quantity(_in("doppler", _SHIFT), "the Doppler shift of one anchor", _BIAS),
+    "toa_sigma": Quantity(
+        _flight("_sigma"), "the standard deviation of the range", (envelope.RANGE_SIGMA_M, "m")
+    ),
+    **{
+        f"{angle}_sigma": Quantity(
+            _in(f"{angle}_sigma", _ANGLE), f"the standard deviation of {angle}", _DEVIATION
+        )
+        for angle in ("aoa_azimuth", "aoa_elevation", "aod_azimuth")
+    },
+    "doppler_sigma": Quantity(
+        _in("doppler_sigma", _SHIFT),
+        "the standard deviation of the Doppler shift",
+        (envelope.DOPPLER_SIGMA_HZ, "Hz"),
+    ),
     "doppler_spread": Quantity(
         _in("doppler_spread", _SHIFT), "the Doppler spread", _SPREAD, per_epoch=True
     ),
@@ -82,7 +109,11 @@ _QUANTITY_OF = {name: quantity for quantity, row in QUANTITIES.items() for name 
 
 LINK_QUANTITIES = ("toa", "aoa_azimuth", "aoa_elevation", "aod_azimuth")
 ODOMETRY_QUANTITIES = ("speed", "heading")
-_REQUIRED = ("time", "anchor", *LINK_QUANTITIES, "snr")
+SIGMA_OF = {quantity: f"{quantity}_sigma" for quantity in (*LINK_QUANTITIES, "doppler")}
+SIGMA_OF |= {STATION: "aoa_azimuth_sigma", BODY: "aod_azimuth_sigma"}
+ROW_QUANTITIES = (*LINK_QUANTITIES, "doppler")  # of each anchor
+HORIZONTAL = ("toa", "aoa_azimuth", STATION, "aod_azimuth", BODY)  # at least one is required
+_WHOLE = (*LINK_QUANTITIES, "snr")  # required where links are whole
 _OTHER_FRAMES = {  # quantity: the one that replaces it, and the one that is then required
     "aoa_azimuth": (STATION, STATION),
     "aod_azimuth": (BODY, "heading"),
@@ -98,13 +129,18 @@ class Column(NamedTuple):
 
 
 def columns_of(
-    names: Sequence[str], hz_per_mps: float, odometry: bool = True, associated: bool = True
+    names: Sequence[str],
+    hz_per_mps: float,
+    odometry: bool = True,
+    associated: bool = True,
+    partial: bool = False,
 ) -> dict[str, Column]:
     """Return the columns of a log by quantity, from the names of all its columns.
 
     Without ``odometry`` its columns are ignored, except a heading that angles need; a column of
     anchors is ignored where rows are not ``associated``. A Doppler shift in m/s is converted by
-    ``hz_per_mps``, f_c / c.
+    ``hz_per_mps``, f_c / c. In a ``partial`` log any of the horizontal measurements is enough;
+    otherwise all rows of a link and the SNR are required.
 
     Raises:
         ValueError: a name is unknown or lacks its unit, or a quantity occurs twice or is
@@ -122,7 +158,7 @@ def columns_of(
     ignored = () if odometry else ("speed",) if BODY in columns else ODOMETRY_QUANTITIES
     for quantity in ignored if associated else (*ignored, "anchor"):
         columns.pop(quantity, None)
-    _require(columns, names, associated)
+    _require(columns, names, associated, partial)
     return columns
 
 
@@ -132,14 +168,23 @@ def _twice(name: str, other: str, expected: str) -> ValueError:
     return ValueError(f"columns: found {both}, expected {expected}")
 
 
-def _require(columns: dict[str, Column], names: Sequence[str], associated: bool) -> None:
+def _require(
+    columns: dict[str, Column], names: Sequence[str], associated: bool, partial: bool
+) -> None:
     """Refuse columns if some are missing or contradict each other."""
-    required = [quantity for quantity in _REQUIRED if associated or quantity != "anchor"]
+    required = ["time", *(["anchor"] if associated else []), *(() if partial else _WHOLE)]
     for usual, (other, needed) in _OTHER_FRAMES.items():
         if other in columns:
             if usual in columns:
                 raise _twice(columns[usual].name, columns[other].name, f"{usual} in one frame")
-            required[required.index(usual)] = needed
+            required = [needed if quantity == usual else quantity for quantity in required]
+            required += [needed] if partial else []
+    if partial and columns.keys().isdisjoint(HORIZONTAL):
+        known = ", ".join(next(iter(QUANTITIES[quantity].columns)) for quantity in HORIZONTAL)
+        raise ValueError(
+            f"columns: found {', '.join(names)}, which say nothing of the horizontal position, "
+            f"expected one or more of {known}"
+        )
     if BODY not in columns and not columns.keys().isdisjoint(ODOMETRY_QUANTITIES):
         required += ODOMETRY_QUANTITIES
     for quantity in required:

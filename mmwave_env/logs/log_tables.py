@@ -165,14 +165,18 @@ class LogFile:
 
 
 def open_log(
-    path: Path, hz_per_mps: float, odometry: bool = True, associated: bool = True
+    path: Path,
+    hz_per_mps: float,
+    odometry: bool = True,
+    associated: bool = True,
+    partial: bool = False,
 ) -> LogFile:
     """Read the header of a log.
 
     Args:
         path: path of a CSV (plain or gzipped) or Parquet file.
-        hz_per_mps, odometry, associated: as :func:`~mmwave_env.logs.log_columns.columns_of`
-            takes them.
+        hz_per_mps, odometry, associated, partial: as
+            :func:`~mmwave_env.logs.log_columns.columns_of` takes them.
 
     Raises:
         LogError: the file is of another format, or its columns are not those of a log.
@@ -183,7 +187,7 @@ def open_log(
     open_regular(path, "a measurement log").close()
     names = list(_parquet_types(path)) if _is_parquet(path) else _csv_names(path)
     try:
-        columns = columns_of(names, hz_per_mps, odometry, associated)
+        columns = columns_of(names, hz_per_mps, odometry, associated, partial)
     except ValueError as error:
         raise LogError(f"{path}: {error}") from error
     log = LogFile(path, columns, len(names))

@@ -80,6 +80,25 @@ class Wall:
 
 
 @dataclass(frozen=True)
+class Origin:
+    """The place of a scene's origin on the earth (WGS 84).
+
+    Attributes:
+        latitude_deg, longitude_deg: of the point (0, 0, 0) of the scene.
+        height_m: its height above the ellipsoid.
+        bearing_deg: direction of the x axis, clockwise from north; 90 is east.
+    """
+
+    latitude_deg: Annotated[float, between(-90.0, 90.0, "degrees")]
+    longitude_deg: Annotated[float, between(-180.0, 180.0, "degrees")]
+    height_m: Annotated[float, between(-1e4, 1e5, "m")] = 0.0
+    bearing_deg: Annotated[float, between(-360.0, 360.0, "degrees")] = 90.0
+
+    def __post_init__(self) -> None:
+        require_fields(self)
+
+
+@dataclass(frozen=True)
 class Streets:
     """A rectangular net of streets to move on.
 
@@ -131,6 +150,7 @@ class Scene:
         carrier_hz: carrier frequency f_c.
         bandwidth_hz: signal bandwidth B.
         virtual_anchors_m: positions of more virtual anchors, of a survey or a ray tracing.
+        origin: place on the earth; None where it is not known.
     """
 
     name: Name
@@ -140,6 +160,7 @@ class Scene:
     carrier_hz: Carrier = 28e9
     bandwidth_hz: Bandwidth = 100e6
     virtual_anchors_m: Annotated[tuple[Point, ...], Size(0, MOST_ANCHORS - 1)] = ()
+    origin: Origin | None = None
 
     def __post_init__(self) -> None:
         require_fields(self)
@@ -262,10 +283,13 @@ def read_scene(path: Path) -> Scene:
 def scene_json(scene: Scene) -> dict[str, Any]:
     """Return the scene as :func:`read_scene` reads it: with its walls, else with its anchors."""
     if scene.walls:
-        return asdict(scene)
+    origin = {"origin": asdict(scene.origin)} if scene.origin else {}
+    if scene.walls:
+        return {key: value for key, value in asdict(scene).items() if key != "origin"} | origin
     streets = {"streets": asdict(scene.streets)} if scene.streets_known else {}
     signal = {"carrier_hz": scene.carrier_hz, "bandwidth_hz": scene.bandwidth_hz}
-    return {"name": scene.name, "anchors": scene.anchors_m.tolist()} | signal | streets
+    anchors = {"name": scene.name, "anchors": scene.anchors_m.tolist()}
+    return anchors | signal | streets | origin
 
 
 @dataclass(frozen=True)
@@ -282,6 +306,7 @@ class AnchorScene:
     carrier_hz: Carrier
     bandwidth_hz: Bandwidth
     streets: Streets = field(default_factory=Streets)
+    origin: Origin | None = None
 
     def __post_init__(self) -> None:
         require_fields(self)
@@ -299,4 +324,5 @@ def _scene(content: dict[str, Any]) -> Scene:
         return object_from(Scene, content)
     s = object_from(AnchorScene, content)
     gnb, *virtual = s.anchors
-    return Scene(s.name, gnb, (), s.streets, s.carrier_hz, s.bandwidth_hz, tuple(virtual))
+    signal = s.carrier_hz, s.bandwidth_hz
+    return Scene(s.name, gnb, (), s.streets, *signal, tuple(virtual), s.origin)

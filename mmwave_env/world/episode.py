@@ -20,14 +20,16 @@ from mmwave_env.numerics.numbers import Array, Index, Mask, Number, Vector, wher
 from mmwave_env.numerics.pytree import flatten, indices
 from mmwave_env.world.checks import refuse, require_epochs, require_finite, require_within
 
+NEUTRAL_SNR_DB = 20.0  # about the mean in streets, for links whose SNR was not measured
+
 
 @dataclass(frozen=True, eq=False)
 class Episode:
     """The data of T epochs of one user.
 
     Missing groups are marked by a mask, never by a magic value: where ``visible`` is False the
-    numbers are meaningless. Measurements that are NaN or infinite are marked missing and counted. In
-    a partial layout a row that was not measured is NaN, and its group is visible if any row is.
+    numbers are meaningless. Measurements that are NaN or infinite are marked missing and counted.
+    In a partial layout a row that was not measured is NaN; its group is visible if any row is.
     Numbers outside the filters' envelope are refused (:mod:`~mmwave_env.models.envelope`).
 
     Attributes:
@@ -125,25 +127,39 @@ class Episode:
         snr_db: Array,
         doppler_spread_hz: Array,
         prior: tuple[Array, Array],
+        sigma: Array | None = None,
+        doppler_anchor: Index | None = None,
         position_m: Array | None = None,
         velocity_mps: Array | None = None,
     ) -> "Episode":
-        """Return the episode of measured arrays; the radio determines the standard deviations.
+        """Return the episode of measured arrays; the radio determines what noise is not stated.
 
         Args:
             name, layout, time_s, measurement, visible, snr_db, doppler_spread_hz: attributes.
+            doppler_anchor: attribute.
             scene: scene whose anchors were measured.
             radio: profile of the receiver.
             prior: mean (7,) and covariance (7, 7) at the first epoch.
+            sigma: (T, rows) the receiver's own standard deviations, NaN where it states none.
             position_m, velocity_mps: the truth (T, 3), or None where unknown.
         """
+        known = np.isfinite(snr_db)
+        stated = radio.sigma(snr_db, scene, layout)
+        if layout.partial:
+            snr_db = np.where(known, snr_db, NEUTRAL_SNR_DB)  # features, not noise, depend on it
+            if doppler_anchor is not None:
+                shifted = np.repeat(snr_db[np.arange(len(snr_db)), doppler_anchor], layout.anchors)
+                of_doppler = radio.sigma(shifted.reshape(snr_db.shape), scene, layout)
+                stated[:, layout.doppler] = of_doppler[:, layout.doppler]
+        if sigma is not None:
+            stated = np.where(np.isfinite(sigma), sigma, stated)
         return cls(
             name,
             scene.anchors_m,
             scene.hz_per_mps,
             time_s,
             measurement,
-            radio.sigma(snr_db, scene, layout),
+            stated,
             visible,
             snr_db,
             doppler_spread_hz,
@@ -151,6 +167,7 @@ class Episode:
             position_m,
             velocity_mps,
             layout,
+            doppler_anchor,
         )
 
     @property

@@ -1,0 +1,237 @@
+"""Segments of a log, and the first position of each, from the links of one epoch.
+
+Prediction bridges seconds; after half a minute without a link the filter is often lost, and
+confident of a wrong place. So a segment ends after a long gap, and the next one begins with the
+next first fix.
+
+A whole link of the base station gives it directly. Where a log has no such links, all links of the
+epoch give it together, by nonlinear least squares with the height of the streets as a weak prior.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from mmwave_env.logs.log import LogBlock
+from mmwave_env.logs.log_columns import RANGE_LIMITS_M
+from mmwave_env.logs.log_tables import LogError
+from mmwave_env.models.measurement import Measurement, groups_of
+from mmwave_env.models.prior import GAP_S, STEEPEST_FIX_RAD, UNKNOWN_VELOCITY_MPS, prior_from_fix
+from mmwave_env.models.radio import Radio
+from mmwave_env.models.scene import Scene
+from mmwave_env.numerics.numbers import Array, Mask
+
+HEIGHT_SIGMA_M = 2.0  # of a user's height about that of the streets, where no elevation tells it
+_FARTHEST_M = 1e3  # deviation of the weak prior about the anchors
+_WORST_FIX_M = 50.0  # horizontal deviation of a position that a track can begin with
+_AMBIGUOUS = 12.0  # least difference of the squared errors of two solutions of which one is right
+_DIRECTIONS, _STARTS_M, _ROUNDS = 12, (10.0, 40.0, 160.0), 15
+
+
+class Fix(NamedTuple):
+    """A first position."""
+
+    prior: tuple[Array, Array]  # mean (7,) and covariance (7, 7) of the state
+    used: Mask  # (groups,) groups that gave it
+
+
+def gives_fix(links: Array) -> Mask:
+    """Tell which links (n, 4 or more), m and rad, give a prior.
+
+    Straight above or below an anchor the azimuth is undefined. Near there the uncertainty of the
+    direction grows with the elevation, which a Gaussian does not describe.
+    """
+    return (links[:, 0] >= RANGE_LIMITS_M[0]) & (abs(links[:, 2]) <= STEEPEST_FIX_RAD)
+
+
+def first_fix(block: LogBlock, epoch: int, scene: Scene, radio: Radio) -> Fix | None:
+    """Return the position that an epoch of a block determines, or None."""
+    row = block.part(slice(epoch, epoch + 1))
+    sigma = radio.sigma(row.snr_db, scene, row.layout)
+    sigma = np.where(np.isfinite(row.sigma), row.sigma, sigma)[0]
+    link = row.measurement[0, :4]
+    used = np.zeros(len(row.layout.groups), np.bool_)
+    if row.visible[0, 0] and np.isfinite(link).all():
+        if not gives_fix(row.measurement)[0]:
+            return None
+        used[0] = True
+        return Fix(prior_from_fix(scene.anchors_m[0], link, sigma[:4], radio, scene), used)
+    if row.whole_columns:
+        return None
+    used[: row.layout.anchors] = row.visible[0, : row.layout.anchors]
+    solved = _least_squares(row, sigma, scene)
+    if solved is None:
+        return None
+    position, covariance = solved
+    P = radio.prior_covariance(scene)
+    P[:3, :3] = covariance
+    P[3, 3] = P[4, 4] = UNKNOWN_VELOCITY_MPS**2
+    return Fix((np.concatenate([position, np.zeros(4)]), P), used)
+
+
+def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Array] | None:
+    """Return the position (3,) and its covariance from all links of an epoch (T = 1), or None.
+
+    The search starts around every anchor, in all directions, because ranges and angles alone have
+    several minima. None is returned where two of them explain the links, or none is sharp.
+    """
+    layout, anchors = row.layout, scene.anchors_m
+    measured = np.isfinite(row.measurement[0]).astype(float)
+    values = np.nan_to_num(row.measurement[0]).tolist()
+    visible = row.visible[0].astype(float).tolist()
+    noise = np.where(measured > 0.5, sigma**2, 1.0).tolist()
+    epoch = Measurement(
+        anchors.tolist(), scene.hz_per_mps, values, noise, visible, layout, measured.tolist(),
+        np.eye(layout.anchors)[0].tolist(),
+    )  # fmt: skip
+    center = np.array([*anchors[:, :2].mean(axis=0), scene.streets.height_m])
+    weight = 1.0 / np.array([_FARTHEST_M, _FARTHEST_M, HEIGHT_SIGMA_M]) ** 2
+
+    def normal(position: Array) -> tuple[float, Array, Array]:
+        """Return the squared error, its gradient and the information at a position."""
+        x = [*position.tolist(), 0.0, 0.0, 0.0, 0.0]
+        links = groups_of(x, epoch)[: layout.anchors]
+        e = np.array([value for link in links for value in link.innovation])
+        H = np.array([gradient[:3] for link in links for gradient in link.jacobian])
+        w = 1.0 / np.array([value for link in links for value in link.variance])
+        spare = sum(float(link.spare_nis) for link in links)
+        away = center - position
+        cost = float((w * e * e).sum() + (weight * away * away).sum()) + spare
+        return cost, H.T @ (w * e) + weight * away, (H.T * w) @ H + np.diag(weight)
+
+    solutions = sorted((_descend(normal, start) for start in _starts(anchors, center)), key=_cost)
+    cost, position, information = solutions[0]
+    covariance = np.linalg.inv(information).astype(float)
+    if np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]) > _WORST_FIX_M:
+        return None
+    for other, elsewhere, _ in solutions[1:]:
+        apart = (elsewhere - position)[:2]
+        if other - cost < _AMBIGUOUS and apart @ np.linalg.solve(covariance[:2, :2], apart) > 16.0:
+            return None
+    return position, covariance
+
+
+def _cost(solution: tuple[float, Array, Array]) -> float:
+    return solution[0]
+
+
+def _starts(anchors: Array, center: Array) -> Iterator[Array]:
+    """Yield positions around every anchor, at the height of the streets."""
+    turns = np.linspace(0.0, 2.0 * np.pi, _DIRECTIONS, endpoint=False)
+    for anchor in anchors:
+        for distance in _STARTS_M:
+            for turn in turns:
+                aside = distance * np.array([np.cos(turn), np.sin(turn)])
+                yield np.array([*(anchor[:2] + aside), center[2]])
+
+
+def _descend(
+    normal: Callable[[Array], tuple[float, Array, Array]], position: Array
+) -> tuple[float, Array, Array]:
+    """Return squared error, position and information at the minimum near a start (Gauss-Newton)."""
+    cost, gradient, information = normal(position)
+    for _ in range(_ROUNDS):
+        step = np.linalg.solve(information, gradient)
+        for _ in range(5):
+            new = normal(position + step)
+            if new[0] <= cost:
+                break
+            step *= 0.5
+        else:
+            break
+        improved, position = cost - new[0], position + step
+        cost, gradient, information = new
+        if improved < 1e-6:
+            break
+    return cost, position, information
+
+
+# --- segments
+
+
+def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator[LogBlock]:
+    """Yield the epochs of the segments of a log, each block within one segment.
+
+    A segment ends when neither a link nor odometry was seen for more than ``GAP_S``, or where the
+    log says that a track must begin anew. The next segment begins with the next first fix.
+
+    Raises:
+        LogError: from ``blocks``, after the epochs before the damage.
+        ValueError: no epoch determines a position to begin with.
+    """
+    held: LogBlock | None = None  # held until its number of dropped epochs is known
+    skipped, incomplete = 0, 0
+    last_s: float | None = None  # last time with a measurement; None between segments
+    try:
+        for whole in blocks:
+            block = whole
+            while len(block):
+                begins = last_s is None
+                if last_s is None:
+                    first = _first_fix(block, scene, radio)
+                    if held:
+                        held = replace(held, dropped=held.dropped + first)
+                    else:
+                        skipped += first
+                        incomplete += int(block.incomplete[:first, 0].sum())
+                    block = block.part(slice(first, None))
+                    if not len(block):
+                        break
+                    last_s = float(block.time_s[0])
+                end, last_s = _end(block, last_s, begins)
+                if end:
+                    if held:
+                        yield held
+                    held = replace(
+                        block.part(slice(end)),
+                        segment=held.segment + begins if held else 0,
+                        begins=begins,
+                        skipped=skipped,
+                        dropped=held.dropped if held else 0,
+                    )
+                block = block.part(slice(end, None))
+    except LogError:
+        if held:
+            yield held
+        raise
+    if not held:
+        sight = (
+            f"one with a range of at least {RANGE_LIMITS_M[0]:g} m, angles and SNR of anchor 1, "
+            f"and an elevation of at most {np.degrees(STEEPEST_FIX_RAD):g} degrees"
+        )
+        raise ValueError(
+            f"log: found {skipped} epochs, none of which determines a position, expected "
+            f"{sight if block.whole_columns else 'one with links that have one solution'}, where "
+            f"the track begins ({incomplete} lack some numbers)"
+        )
+    yield held
+
+
+def _first_fix(block: LogBlock, scene: Scene, radio: Radio) -> int:
+    """Return the index of the first epoch that gives a prior; without one, the number of epochs."""
+    if block.whole_columns:
+        whole = np.isfinite(block.measurement[:, :4]).all(axis=1)
+        fixes = np.flatnonzero(block.visible[:, 0] & whole & gives_fix(block.measurement))
+        return int(fixes[0]) if len(fixes) else len(block)
+    for epoch in np.flatnonzero(block.visible[:, : block.layout.anchors].any(axis=1)):
+        if first_fix(block, int(epoch), scene, radio):
+            return int(epoch)
+    return len(block)
+
+
+def _end(block: LogBlock, last_s: float, begins: bool) -> tuple[int, float | None]:
+    """Count the block's epochs in the segment; return also the time of its last measurement.
+
+    The time is None if the segment ends in this block; ``begins`` tells whether it starts here.
+    """
+    measured = block.visible[:, : block.layout.anchors].any(axis=1)
+    if block.layout.odometry:  # dead reckoning bridges two minutes as well as ten seconds
+        measured |= block.visible[:, -1]
+    latest = np.maximum.accumulate(np.where(measured, block.time_s, last_s))
+    before = np.concatenate([[last_s], latest[:-1]])
+    ends = (block.time_s - before > GAP_S) | block.restarts
+    ends[0] &= not begins
+    over = np.flatnonzero(ends)
+    return (int(over[0]), None) if len(over) else (len(block), float(latest[-1]))
