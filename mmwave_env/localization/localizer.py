@@ -5,8 +5,10 @@ A track begins with a first fix, which gives its prior, and begins anew after a 
 memory, and its track does not depend on how it is cut into blocks.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -30,6 +32,7 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Mask
 from mmwave_env.world.episode import Episode
+from policies.learned import LearnedSwitch
 from policies.policy import Policy
 
 _FILTERED = ("x", "P", "memory.mode", "memory.nis", "memory.accepted")
@@ -44,8 +47,8 @@ class TrackBlock(LogBlock):
         planar: whether z and vz are known exactly.
         x, P: (T, 7), (T, 28) filtered belief after each epoch; covariances are packed. With an IMM
             they are the moments of its mixture.
-        kept: (T, numbers) what the smoother needs beside: the belief predicted for each epoch, or
-            the mixture of a bank.
+        filtered: (T, numbers) what the smoother needs: x, P, and the belief predicted for each
+            epoch, or the mixture of a bank.
         smooth_x, smooth_P: (T, 7), (T, 28) smoothed belief; without smoothing, the filtered one.
         mode: (T,) number of the mode that ran; with an IMM, the most probable mode.
         nis: (T, groups) NIS in that mode; 0 where not visible.
@@ -56,7 +59,7 @@ class TrackBlock(LogBlock):
     planar: bool
     x: Array
     P: Array
-    kept: Array
+    filtered: Array
     smooth_x: Array
     smooth_P: Array
     mode: NDArray[np.int64]
@@ -99,6 +102,11 @@ class Switching:
         """Return the names of the modes."""
         return [mode.name for mode in (self.bank.modes if self.bank else self.modes)]  # type: ignore[union-attr]
 
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Return the parts of the state to keep of every epoch; the last are for the smoother."""
+        return (*_FILTERED, "mixture") if self.bank else (*_FILTERED, *_PREDICTED)
+
     def pipeline(self, layout: Layout, planar: bool) -> Pipeline:
         """Return the pipeline of the modes."""
         modes = self.modes.modes if isinstance(self.modes, Bank) else tuple(self.modes)
@@ -114,6 +122,18 @@ class Switching:
         if bank:
             return ImmTracker(bank, layout, 1, planar)
         return Tracker(pipeline, 1, self.rule)
+
+
+def learned(path: str | os.PathLike[str], radio: str) -> Switching:
+    """Return the learned switcher of a policy file, or a shipped one by its name.
+
+    Args:
+        path: as :class:`~policies.learned.LearnedSwitch` takes it.
+        radio: profile that selects the bank of a switcher with several banks.
+    """
+    switch = LearnedSwitch(path)
+    modes = switch.bank(radio) if switch.beliefs == "per-mode" else switch.modes
+    return Switching(modes, None, partial(LearnedSwitch, path), switch.card.observation)
 
 
 def localize(
@@ -154,17 +174,16 @@ def _filtered(
     """Yield the filtered track of the segments of a log."""
     tracker: EpisodeFilter[Any] | PolicyTracker | None = None
     planar = height_m is not None
-    names = (*_FILTERED, "mixture") if switching.bank else (*_FILTERED, *_PREDICTED)
     for block in blocks:
         episode = episode_from(block, scene, radio, block.begins)
         tracker = tracker or switching.tracker(block.layout, planar)
         if height_m is not None:
             episode = episode.on_flat_ground(height_m)
         tracker.load([episode], go_on=not block.begins)
-        parts = tracker.run(*names).items()
-        track: dict[str, Any] = {name.removeprefix("memory."): of[0] for name, of in parts}
+        parts = {name: of[0] for name, of in tracker.run(*switching.parts).items()}
+        track: dict[str, Any] = {name.removeprefix("memory."): parts[name] for name in _FILTERED}
         track["mode"], track["accepted"] = track["mode"].astype(np.int64), track["accepted"] > 0.5
-        track["kept"] = np.hstack([track.pop(name) for name in names[len(_FILTERED) :]])
+        track["filtered"] = filtered_of(parts)
         track |= {"smooth_x": track["x"], "smooth_P": track["P"], "visible": episode.visible}
         yield from _while_finite(TrackBlock(**{**vars(block), **track}, planar=planar))
 
@@ -226,15 +245,39 @@ def _smoothed(
     """Yield the track in blocks of whole windows, smoothed together, and the rest of segments."""
     for block in in_windows(blocks, window, lambda block: block.segment):
         epochs = min(window, len(block))
-        x, P, kept, time_s, spread_hz = (
+        parts, time_s, spread_hz = (
             values.reshape(-1, epochs, *values.shape[1:])
-            for values in (block.x, block.P, block.kept, block.time_s, block.doppler_spread_hz)
+            for values in (block.filtered, block.time_s, block.doppler_spread_hz)
         )
-        dt = np.diff(time_s)
-        if switching.bank:
-            pipeline = switching.pipeline(block.layout, block.planar)
-            steps = np.pad(dt, ((0, 0), (1, 0)))
-            x, P = smooth_modes(switching.bank, pipeline, kept, steps, spread_hz, scene.hz_per_mps)
-        else:
-            x, P = smooth(x, P, kept[..., :STATE_SIZE], kept[..., STATE_SIZE:], dt, block.planar)
+        x, P = smoothed(switching, block.layout, block.planar, scene, parts, time_s, spread_hz)
         yield replace(block, smooth_x=x.reshape(block.x.shape), smooth_P=P.reshape(block.P.shape))
+
+
+def filtered_of(parts: Mapping[str, Array]) -> Array:
+    """Return what the smoother needs (T, numbers) of parts of the state of T epochs."""
+    kept = (values for name, values in parts.items() if name not in _FILTERED)
+    return np.hstack([parts["x"], parts["P"], *kept])
+
+
+def smoothed(
+    switching: Switching,
+    layout: Layout,
+    planar: bool,
+    scene: Scene,
+    filtered: Array,
+    time_s: Array,
+    spread_hz: Array,
+) -> tuple[Array, Array]:
+    """Return smoothed means (N, T, 7) and packed covariances (N, T, 28) of N windows of a track.
+
+    Args:
+        switching, layout, planar, scene: of the track.
+        filtered: (N, T, numbers) x and P of every epoch, and what else the smoother needs.
+        time_s, spread_hz: (N, T) times and Doppler spreads.
+    """
+    dt, ends = np.diff(time_s), [STATE_SIZE, STATE_SIZE + 28]
+    x, P, kept = np.split(filtered, ends, axis=2)
+    if switching.bank:
+        steps, pipeline = np.pad(dt, ((0, 0), (1, 0))), switching.pipeline(layout, planar)
+        return smooth_modes(switching.bank, pipeline, kept, steps, spread_hz, scene.hz_per_mps)
+    return smooth(x, P, kept[..., :STATE_SIZE], kept[..., STATE_SIZE:], dt, planar)

@@ -123,10 +123,10 @@ def read_log(
         raise ValueError(f"epochs_per_block: found {epochs_per_block}, expected at least 1")
     log = open_log(path, scene.hz_per_mps, odometry, partial=partial)
     if partial and snr_db is None:
-        _require_noise(log)
+        require_noise(log)
     layout = Layout(len(scene.anchors_m), "speed" in log.columns, partial)
     tables = whole_epochs(log, layout.anchors, limits)
-    blocks = (_block(table, scene, layout, limits, snr_db) for table in tables)
+    blocks = (block_of(table, scene, layout, limits, snr_db) for table in tables)
     return (
         windows.part(slice(first, first + epochs_per_block))
         for windows in in_windows(_require_measurements(path, blocks), epochs_per_block)
@@ -134,7 +134,7 @@ def read_log(
     )
 
 
-def _require_noise(log: LogFile) -> None:
+def require_noise(log: LogFile) -> None:
     """Refuse a log that states the noise of a measurement neither directly nor by an SNR."""
     for quantity in (*ROW_QUANTITIES, STATION, BODY) if "snr" not in log.columns else ():
         if quantity in log.columns and SIGMA_OF[quantity] not in log.columns:
@@ -159,7 +159,7 @@ def _require_measurements(path: Path, blocks: Iterable[LogBlock]) -> Iterator[Lo
         )
 
 
-def _block(
+def block_of(
     table: Table, scene: Scene, layout: Layout, wrap: bool, snr_db: float | None
 ) -> LogBlock:
     """Return rows of whole epochs as a block."""

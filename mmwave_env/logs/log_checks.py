@@ -34,7 +34,7 @@ def whole_epochs(log: LogFile, anchors: int | None, limits: bool) -> Iterator[Ta
     for table in log.tables():
         # The last epoch of the tables before may go on in this table.
         rows = table.joined([*rest, table])
-        damaged, error = _first_damage(log, rows, anchors, limits)
+        damaged, error = first_damage(log, rows, anchors, limits)
         end = _end_of_epochs(rows.raw("time"), damaged, anchors)
         if end:
             yield rows.part(slice(end))
@@ -54,7 +54,7 @@ class _Check(NamedTuple):
     words: Callable[[int], str] | None = None  # words for a row; None for the number in it
 
 
-def _first_damage(
+def first_damage(
     log: LogFile, table: Table, anchors: int | None, limits: bool
 ) -> tuple[int, LogError | None]:
     """Return index and error of the first damaged row; without one, the number of rows."""

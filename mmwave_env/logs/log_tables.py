@@ -228,7 +228,7 @@ def _csv_tables(log: LogFile) -> Iterator[Table]:
         body = lines[header:]
         cells = _parse_quickly(body, log)
         if cells is None:
-            table = _parse_carefully(log, body, first + header, share)
+            table = parse_carefully(log, body, first + header, share)
         else:
             rows = np.arange(len(body)) + first + header
             table = Table(log.columns, rows, cells, share)
@@ -258,7 +258,7 @@ def _parse_quickly(lines: list[str], log: LogFile) -> Array | None:
     return cells if len(cells) == len(lines) else None
 
 
-def _parse_carefully(log: LogFile, lines: list[str], first: int, share: float) -> Table:
+def parse_carefully(log: LogFile, lines: list[str], first: int, share: float) -> Table:
     """Parse cell by cell up to the first damage; skip blank lines; blank cells are empty."""
     cells, rows, damage = [], [], None
     for row, line in enumerate(lines, start=first):
