@@ -64,7 +64,7 @@ class PolicyTracker:
         self._epochs, self._end_s, self._starts = len(episode), float(episode.time_s[-1]), not go_on
 
     def run(self, *names: str) -> dict[str, Array]:
-        """Filter the loaded episode once; return parts of the state as :meth:`EpisodeFilter.run`."""
+        """Filter the loaded episode once, as :meth:`EpisodeFilter.run` does."""
         if self._starts:
             self._policy.reset(np.array([True]))
         actions = np.empty((1, self._epochs), np.int64)

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mmwave_env.localization.first_fix import first_fix
 from mmwave_env.localization.localizer import (
     Switching,
     episode_from,
@@ -16,6 +15,7 @@ from mmwave_env.localization.localizer import (
     smoothed,
 )
 from mmwave_env.localization.map_files import geodetic
+from mmwave_env.localization.segments import first_fix
 from mmwave_env.logs.live_log import LiveLog
 from mmwave_env.logs.log import LogBlock
 from mmwave_env.models.prior import GAP_S

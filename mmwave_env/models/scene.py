@@ -282,7 +282,6 @@ def read_scene(path: Path) -> Scene:
 
 def scene_json(scene: Scene) -> dict[str, Any]:
     """Return the scene as :func:`read_scene` reads it: with its walls, else with its anchors."""
-    if scene.walls:
     origin = {"origin": asdict(scene.origin)} if scene.origin else {}
     if scene.walls:
         return {key: value for key, value in asdict(scene).items() if key != "origin"} | origin
