@@ -1,4 +1,4 @@
-"""mmwave-loc localize: the track of a recorded log, by the paper's Algorithm 1 or by an IMM."""
+"""mmwave-loc localize: the track of a log, by a learned policy, Algorithm 1 or an IMM."""
 
 from dataclasses import dataclass
 
@@ -7,17 +7,23 @@ from experiments.console.options import LogArgs
 
 @dataclass(kw_only=True)
 class Args(LogArgs):
-    """The track of a measurement log, by the paper's EKF and UKF pipelines (Algorithm 1).
+    """The track of a measurement log, recorded or live.
 
-    Up to 2 m/s the EKF pipeline runs, above it the UKF pipeline; or both, and more, in an IMM.
+    A learned policy weighs the filters of a bank in every epoch. Or the paper's Algorithm 1 runs:
+    up to 2 m/s the EKF pipeline, above it the UKF pipeline. Or an IMM mixes a bank by itself.
 
+    mmwave-loc localize log.csv --scene scene.json --out track.tum
     mmwave-loc localize log.csv --scene scene.json --speed auto --out track.tum
-    mmwave-loc localize log.csv --scene scene.json --imm imm-best --out track.tum
+    mmwave-loc localize - --live --scene scene.json
     """
 
 
 def main(args: Args) -> None:
     """Run the command."""
+    if args.live:
+        from experiments.reporting.live import run_live
+
+        return run_live(args)
     from experiments.reporting.log_results import localized
 
-    localized(args)
+    return localized(args)

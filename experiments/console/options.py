@@ -11,6 +11,7 @@ from typing import Literal
 from tyro.conf import Positional
 
 USUAL_EPISODES = 1000
+AUTO = "auto"  # the radio whose noise is nearest to a log's
 TUNING_SEED = 5_000_000  # the first seed for tuning
 
 
@@ -147,23 +148,21 @@ class TrackOutputArgs:
 class FilterArgs:
     """Filters."""
 
-    radio: str = "handset"
-    """handset, standard, high or a JSON file: noise by SNR, and the tuning of the modes"""
-    modes: Path | None = None
-    """mode file with other pipelines: the one for low, then the one for high mobility"""
+    policy: str | None = None
+    """who chooses the modes: guided (where nothing else is named), ppo, a policy file, or
+    module:function"""
     imm: str | None = None
-    """in place of one pipeline at a time, all modes of an IMM at once, mixed by how well each
-    explains the log: imm-best, imm or a bank's mode file"""
-    gating: bool = True
-    """reject measurements outside their 99 % chi-square gates"""
-    adaptive: bool = True
-    """scale Q and R by the innovations"""
+    """in place of a policy, all modes of an IMM, mixed by how well each explains the log: imm-best,
+    imm or a bank's mode file"""
+    radio: str = AUTO
+    """noise by SNR, and the tuning of the modes: handset, standard, high or a JSON file; auto takes
+    the profile whose noise is nearest to the log's"""
+    snr: float | None = None
+    """of links without one, dB: needed where the log states neither SNR nor standard deviations"""
     smoothing: bool = True
-    """Rauch-Tung-Striebel smoothing"""
+    """smooth the track: Rauch-Tung-Striebel, and mode by mode where several interact"""
     window: int = 200
     """epochs smoothed together"""
-    robust: bool = False
-    """doubt links far off instead of rejecting them; does without adaptive scaling"""
     odometry: bool = True
     """use speed and heading where the log has them"""
     height: float | None = None
@@ -171,21 +170,41 @@ class FilterArgs:
 
 
 @dataclass(kw_only=True)
-class LogArgs(FilterArgs, IntegrityArgs, TrackOutputArgs):
-    """Log, scene and truth."""
+class AlgorithmArgs:
+    """The paper's Algorithm 1, in place of a policy; any of these asks for it."""
 
-    log: Positional[Path | None] = None
-    """measurement log: .csv, .csv.gz or .parquet"""
-    scene: str | None = None
-    """JSON file with the anchors; or street, o1, dynamic-doppler"""
-    sample: str | None = None
-    """in place of a log: canyon28_vehicle or canyon28_pedestrian, with its scene and truth"""
     speed: str | None = None
-    """of the user, m/s; or auto, to decide in every epoch, as where none is given"""
+    """Algorithm 1: speed of the user, m/s, by which one pipeline runs; or auto, to decide in every
+    epoch"""
     outside: Literal["fallback", "abort"] = "fallback"
     """above 20 m/s, outside the design window: run the UKF pipeline, or stop"""
     follow: Literal["prediction", "odometry"] = "prediction"
     """the speed that --speed auto follows"""
+    modes: Path | None = None
+    """mode file with other pipelines: the one for low, then the one for high mobility"""
+    gating: bool = True
+    """reject measurements outside their 99 % chi-square gates (also of --imm)"""
+    adaptive: bool = True
+    """scale Q and R by the innovations (also of --imm)"""
+    robust: bool = False
+    """doubt links far off instead of rejecting them (also of --imm)"""
+
+
+@dataclass(kw_only=True)
+class LogArgs(AlgorithmArgs, FilterArgs, IntegrityArgs, TrackOutputArgs):
+    """Log, scene and truth."""
+
+    log: Positional[Path | None] = None
+    """measurement log: .csv, .csv.gz or .parquet; - for standard input, with --live"""
+    scene: str | None = None
+    """JSON file with the anchors; or street, o1, dynamic-doppler"""
+    sample: str | None = None
+    """in place of a log: canyon28_vehicle or canyon28_pedestrian, with its scene and truth"""
+    live: bool = False
+    """read rows from standard input (log -), CSV or JSON lines, and print one JSON line per epoch
+    at once"""
+    lag: int = 0
+    """with --live, also print the position this many epochs ago, smoothed by those since"""
     associate: bool = False
     """rows are paths that nobody has given an anchor: find out which belong to which, and which are
     false"""

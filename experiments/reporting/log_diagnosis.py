@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from experiments.console.options import LogArgs
+from experiments.console.options import AUTO, LogArgs
 from experiments.console.progress import progress
 from experiments.console.provenance import provenance
 from experiments.console.tables import grid, show
-from mmwave_env.filters.modes import Mode
+from experiments.reporting.log_choice import modes_of
 from mmwave_env.io.files import write_json
 from mmwave_env.localization.diagnosis import AS_IT_IS, Finding, diagnose
+from mmwave_env.localization.radio_choice import nearest_radio
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.truth import Truth
@@ -72,7 +73,7 @@ class _Sums:
         return [f"{count} {words}" for words, count in self.irregular.items() if count] + never
 
 
-def diagnosed(args: LogArgs, log: Path, scene: Scene, truth_file: Path | None, mode: Mode) -> None:
+def diagnosed(args: LogArgs, log: Path, scene: Scene, truth_file: Path | None) -> None:
     """Show facts about a log, and the likely mistakes whose correction makes it consistent.
 
     Raises:
@@ -80,8 +81,9 @@ def diagnosed(args: LogArgs, log: Path, scene: Scene, truth_file: Path | None, m
     """
     blocks = read_log(log, scene, odometry=False, limits=False)
     first = next(blocks)
+    radio = nearest_radio(first, scene) if args.radio == AUTO else args.radio
     with progress("trying likely mistakes"):
-        findings = diagnose(first, scene, radio_from(args.radio), mode)
+        findings = diagnose(first, scene, radio_from(radio), modes_of(args, radio)[-1])
         truth = Truth(truth_file) if truth_file else None
         facts, damage = log_facts(chain([first], blocks), scene, truth)
     if args.json:

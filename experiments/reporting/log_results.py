@@ -1,52 +1,44 @@
 """Localization of a recorded log by the paper's Algorithm 1 or by an IMM."""
 
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
-from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.console.options import LogArgs
+from experiments.console.options import AUTO, LogArgs
 from experiments.console.progress import progress
 from experiments.console.provenance import provenance
 from experiments.console.tables import show
-from experiments.evaluation.contenders import imm_banks
 from experiments.figures.canvas import require_picture
 from experiments.figures.trajectory import draw_trajectory
+from experiments.reporting.log_choice import Choice, choice_of, is_algorithm_1
 from experiments.reporting.log_diagnosis import diagnosed
 from experiments.reporting.track_report import TrackSampler, track_markdown
 from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
 from mmwave_env.datasets.samples import sample_folder
-from mmwave_env.engines.track_engine import Rule
-from mmwave_env.filters.bank import Bank, bank_from, modes_from
-from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
+from mmwave_env.filters.bank import modes_from
 from mmwave_env.io.files import require_writable, write_json
-from mmwave_env.io.lookup import choose
 from mmwave_env.localization.association import Association, associate
 from mmwave_env.localization.contradictions import contradictions
 from mmwave_env.localization.localizer import TrackBlock, localize
 from mmwave_env.localization.position_errors import require_risk
+from mmwave_env.localization.radio_choice import nearest_radio
 from mmwave_env.localization.track_files import require_own_files, table_beside, track_files
 from mmwave_env.localization.track_scores import Course, Groups, TruthScores
 from mmwave_env.logs.clock import clock_offset, keeping
-from mmwave_env.logs.lines import number
 from mmwave_env.logs.log import LogBlock, read_log, read_paths
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.truth import Truth
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import Scene, scene_from
-from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
+from mmwave_env.world.episode import NEUTRAL_SNR_DB
 
 EPOCHS_PER_BLOCK = 1 << 14
 LONGEST_WINDOW = 20_000  # epochs; a window is held in memory
-RULES: dict[str, tuple[Rule, str]] = {  # with the speed that each follows
-    "prediction": (by_predicted_speed, "the predicted"),
-    "odometry": (by_odometry_speed, "odometry's"),
-}
 
 
 class Inputs(NamedTuple):
@@ -55,53 +47,6 @@ class Inputs(NamedTuple):
     log: Path
     scene: str
     truth: Path | None
-
-
-class ModePlan(NamedTuple):
-    """Modes to run, with the rule between two modes or a bank, and the reason in words."""
-
-    modes: Sequence[Mode] | Bank
-    rule: Rule | None
-    why: str
-
-    @property
-    def names(self) -> list[str]:
-        """Return the names of the modes."""
-        modes = self.modes.modes if isinstance(self.modes, Bank) else self.modes
-        return [mode.name for mode in modes]
-
-
-# --- choice of pipelines (Algorithm 1, Steps 1 to 3)
-
-
-def plan(args: LogArgs, modes: Sequence[Mode] | Bank) -> ModePlan:
-    """Return the pipelines that run (Algorithm 1, Step 3)."""
-    if isinstance(modes, Bank):
-        return ModePlan(modes, None, f"of {args.imm} by their probability")
-    if args.speed in (None, "auto"):
-        rule, followed = RULES[args.follow]
-        return ModePlan(modes, rule, f"by {followed} speed, up to or above {SLOW_MPS:g} m/s")
-    speed = parse_speed(args.speed)
-    mode = modes[int(mode_at(speed))]
-    if speed > DESIGN_LIMIT_MPS:
-        window = f"outside the design window (up to {DESIGN_LIMIT_MPS:g} m/s)"
-        if args.outside == "abort":
-            raise ValueError(f"speed: found {speed:g} m/s, {window}; --outside fallback runs on")
-        warnings.warn(f"speed {speed:g} m/s is {window}; falling back to {mode.name}", stacklevel=2)
-    side = "up to" if speed <= SLOW_MPS else "above"
-    return ModePlan([mode], None, f"for {speed:g} m/s, {side} {SLOW_MPS:g} m/s")
-
-
-def parse_speed(word: str) -> float:
-    """Read a speed in m/s (Algorithm 1, Step 1).
-
-    Raises:
-        ValueError: the word is not a finite number, or is negative.
-    """
-    speed = number(word.strip())
-    if not 0.0 <= speed < float("inf"):
-        raise ValueError(f"speed: found {word.strip()!r}, expected a number of m/s, at least 0")
-    return speed
 
 
 # --- options
@@ -130,38 +75,6 @@ def _require_none(beside: str, **options: object) -> None:
             raise ValueError(f"{name}: found {value} with {beside}, expected one of them")
 
 
-def _bank(args: LogArgs, name: str) -> Bank:
-    """Return the bank of an IMM, by its name or from a mode file."""
-    from_file = name.endswith(".json")
-    bank = (
-        bank_from(name, args.radio) if from_file else choose(imm_banks(args.radio), name, "imm")()
-    )
-    return replace(bank, modes=_as_asked(args, bank.modes))
-
-
-def _modes(args: LogArgs) -> tuple[Mode, ...]:
-    """Return the low-mobility and the high-mobility pipeline."""
-    if args.modes is not None and args.modes.suffix != ".json":
-        raise ValueError(f"modes: found {str(args.modes)!r}, expected a mode file (.json)")
-    modes = modes_from(args.modes, args.radio)
-    if len(modes) != 2:
-        raise ValueError(
-            f"{args.modes}: found {len(modes)} modes, expected 2, for low and for high mobility"
-        )
-    return _as_asked(args, modes)
-
-
-def _as_asked(args: LogArgs, modes: tuple[Mode, ...]) -> tuple[Mode, ...]:
-    """Return the modes with the safeguards that options ask for."""
-    if args.robust:
-        modes = tuple(map(robust, modes))
-    if not args.gating:
-        modes = tuple(replace(mode, gate=None) for mode in modes)
-    if not args.adaptive:
-        modes = tuple(replace(mode, adaptive=False) for mode in modes)
-    return modes
-
-
 def _check(args: LogArgs, files: Inputs) -> None:
     """Refuse options that contradict each other, and outputs that would replace other files."""
     if args.diagnose:
@@ -169,13 +82,18 @@ def _check(args: LogArgs, files: Inputs) -> None:
             raise ValueError("diagnose: found with --out or --plot, expected no track")
         if args.associate:
             raise ValueError("diagnose: found with --associate, expected rows with anchors")
-    decided = args.speed in (None, "auto")
+    by_speed = args.speed not in (None, "auto")
     if args.imm is not None:
-        _require_none("--imm", speed=args.speed, modes=args.modes)
-    if (args.imm or decided) and args.outside == "abort":
-        other = "--imm" if args.imm else "--speed auto"
-        raise ValueError(f"outside: found abort with {other}, expected a speed in m/s")
-    if (args.imm or not decided) and args.follow == "odometry":
+        _require_none("--imm", speed=args.speed, modes=args.modes, policy=args.policy)
+    if args.policy is not None and is_algorithm_1(args):
+        _require_none("--policy", speed=args.speed, modes=args.modes)
+        raise ValueError(
+            "policy: found with an option of Algorithm 1 (--follow, --robust, --no-gating or "
+            "--no-adaptive), expected one of them, because it was trained with modes of its own"
+        )
+    if not by_speed and args.outside == "abort":
+        raise ValueError("outside: found abort without --speed, expected a speed in m/s")
+    if (args.imm or by_speed) and args.follow == "odometry":
         raise ValueError("follow: found odometry without --speed auto, expected both")
     if not 2 <= args.window <= LONGEST_WINDOW:
         raise ValueError(
@@ -210,7 +128,7 @@ class Work(NamedTuple):
 
     scene: Scene
     radio: Radio
-    plan: ModePlan
+    choice: Choice
     first: LogBlock  # first block of the log
     blocks: Iterable[LogBlock]  # all blocks, the first included
     truth: Truth | None
@@ -219,27 +137,36 @@ class Work(NamedTuple):
 
 def _work(args: LogArgs, files: Inputs, scene: Scene, epochs_per_block: int) -> Work:
     """Open the log, and the truth if there is one."""
-    modes = _modes(args) if args.imm is None else _bank(args, args.imm)
-    association, radio = None, radio_from(args.radio)
+    association = None
     if args.associate:
         association = Association(len(scene.anchors_m))
-        paths = read_paths(files.log, scene, args.odometry)
-        fast = modes_from(args.modes, args.radio)[-1]
-        blocks = associate(paths, scene, radio, fast, association, epochs_per_block)
+        paths, name = read_paths(files.log, scene, args.odometry), args.radio
+        name = "handset" if name == AUTO else name
+        fast = modes_from(args.modes, name)[-1]
+        blocks = associate(paths, scene, radio_from(name), fast, association, epochs_per_block)
+        first = next(blocks)
     else:
-        blocks = read_log(files.log, scene, epochs_per_block, args.odometry)
-    first = next(blocks)
+        options = {"odometry": args.odometry, "partial": True, "snr_db": args.snr}
+        blocks = read_log(files.log, scene, epochs_per_block, **options)
+        first = next(blocks)
+        name = nearest_radio(first, scene) if args.radio == AUTO else args.radio
     if args.follow == "odometry" and not first.layout.odometry:
         raise ValueError(
             f"follow: found odometry, but no speed in {files.log}, expected prediction"
         )
+    choice = choice_of(args, name)
+    if choice.switching.policy and not np.isfinite(first.snr_db).any():
+        warnings.warn(
+            f"{files.log}: found no SNR, so the policy sees {NEUTRAL_SNR_DB:g} dB for every link",
+            stacklevel=2,
+        )
     truth, blocks = Truth(files.truth) if files.truth else None, chain([first], blocks)
-    return Work(scene, radio, plan(args, modes), first, blocks, truth, association)
+    return Work(scene, radio_from(name), choice, first, blocks, truth, association)
 
 
 def _track(args: LogArgs, work: Work, window: int | None) -> Iterator[TrackBlock]:
-    modes, rule, _ = work.plan
-    return localize(work.blocks, work.scene, work.radio, modes, rule, window, args.height)
+    switching = work.choice.switching
+    return localize(work.blocks, work.scene, work.radio, switching, window, args.height)
 
 
 def beginning(args: LogArgs, epochs: int) -> tuple[TrackBlock, Work]:
@@ -263,7 +190,7 @@ def _run(args: LogArgs, work: Work) -> tuple[dict[str, Any], TrackSampler, Value
     Raises:
         LogError: the log is damaged before the first epoch of a track; nothing is written.
     """
-    names, truth = work.plan.names, work.truth
+    names, truth = work.choice.switching.names, work.truth
     course, groups, sampler = Course(names), Groups(), TrackSampler(names, work.scene.anchors_m)
     tracks = ["filtered", "smoothed"] if args.smoothing else ["filtered"]
     scores = TruthScores(truth, tracks, args.height is not None, args.risk) if truth else None
@@ -309,13 +236,13 @@ def localized(args: LogArgs) -> None:
     _check(args, files)
     scene = scene_from(files.scene)
     if args.diagnose:
-        return diagnosed(args, files.log, scene, files.truth, _modes(args)[-1])
+        return diagnosed(args, files.log, scene, files.truth)
     work = _work(args, files, scene, EPOCHS_PER_BLOCK)
     outputs = _outputs(args)
     for path in filter(None, outputs.values()):
         require_writable(path)
     figures, sampler, error = _run(args, work)
-    doubts = contradictions(work.first, scene, work.radio, figures["groups"])
+    doubts = contradictions(work.first.whole(), scene, work.radio, figures["groups"])
     for doubt in doubts:
         warnings.warn(f"{doubt}; --diagnose tries likely mistakes", stacklevel=2)
     kind = "smoothed" if args.smoothing else "filtered"
@@ -327,9 +254,9 @@ def localized(args: LogArgs) -> None:
     figures = {
         "log": str(files.log),
         "scene": scene.name,
-        "radio": args.radio,
+        "radio": f"{work.radio.name}, whose noise is nearest" if args.radio == AUTO else args.radio,
         "imm": args.imm,
-        "rule": work.plan.why,
+        "rule": work.choice.why,
         **figures,
         "contradictions": [d._asdict() for d in doubts],
         "written": {content: str(path) for content, path in written.items() if path},

@@ -200,8 +200,11 @@ class Groups:
 
     def add(self, block: TrackBlock) -> None:
         """Add a block."""
-        rows = np.array(block.layout.widths)
-        low, high = np.array([nees_interval(n) for n in rows]).T
+        starts = [group.start for group in block.layout.groups]
+        measured = np.isfinite(block.measurement).astype(np.int64)
+        whole = np.broadcast_to(block.layout.widths, block.visible.shape)
+        rows = np.add.reduceat(measured, starts, axis=1) if block.layout.partial else whole
+        low, high = np.array([nees_interval(max(n, 1)) for n in range(5)]).T[:, rows]
         accepted = block.accepted
         counted = (
             block.visible,

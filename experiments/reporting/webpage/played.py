@@ -131,7 +131,9 @@ def _play_log(source: Source) -> Played:
     scene, log = work.scene, source.content["log"]
     streets = scene.streets if scene.streets_known else None
     shown = _scenery(log, block.layout, scene.anchors_m, streets, len(axes), truth)
-    course = _course(results, work.plan.names, isinstance(work.plan.modes, Bank))
+    course = _course(
+        results, work.choice.switching.names, isinstance(work.choice.switching.modes, Bank)
+    )
     shown["contenders"]["track"] = course
     return Played(shown=[shown])
 

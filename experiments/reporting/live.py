@@ -1,0 +1,133 @@
+"""Live localization: rows from standard input, one JSON line per epoch on standard output."""
+
+import csv
+import json
+import sys
+from collections.abc import Iterator
+from itertools import chain
+from typing import Any, BinaryIO
+
+from experiments.console.options import AUTO, LogArgs
+from experiments.console.progress import note
+from experiments.reporting.log_choice import choice_of
+from mmwave_env.io.files import parse_json
+from mmwave_env.io.lookup import printable, quoted
+from mmwave_env.localization.radio_choice import nearest_radio
+from mmwave_env.localization.tracker import Position, Tracker
+from mmwave_env.logs.live_log import LiveLog
+from mmwave_env.logs.log import LogBlock
+from mmwave_env.logs.log_tables import LogError
+from mmwave_env.models.scene import Scene, scene_from
+
+LONGEST_LINE = 1 << 16  # bytes; a longer one is no row
+SOURCE = "standard input"
+
+
+def run_live(args: LogArgs) -> None:
+    """Read rows until the end of the input; print the belief after each epoch.
+
+    A damaged or late row is named in a warning and left out.
+
+    Raises:
+        ValueError: options make no sense, or the first line is no header and no JSON object.
+    """
+    if str(args.log) != "-" or args.scene is None:
+        raise ValueError("live: found no log - with --scene, expected both")
+    for name in ("sample", "truth", "out", "plot", "json"):
+        if getattr(args, name) is not None:
+            raise ValueError(f"{name}: found with --live, expected none: pipe what it prints")
+    if args.lag < 0:
+        raise ValueError(f"lag: found {args.lag}, expected 0 or more epochs")
+    scene = scene_from(args.scene)
+    tracker: Tracker | None = None
+    for block in _epochs(sys.stdin.buffer, scene, args.snr):
+        if tracker is None:
+            radio = nearest_radio(block, scene) if args.radio == AUTO else args.radio
+            choice = choice_of(args, radio)
+            tracker = Tracker(
+                scene, choice.switching, radio, height_m=args.height, lag=max(args.lag, 1)
+            )
+            note(f"a track begins anew: modes {choice.why}, radio {radio}")
+        position = tracker.step(block)
+        if position:
+            late = tracker.smoothed() if args.lag else None
+            content = _content(position) | ({"smoothed": _content(late)} if late else {})
+            print(json.dumps(content), flush=True)
+
+
+def _content(position: Position) -> dict[str, Any]:
+    """Return what a line says, without what is not known."""
+    return {name: value for name, value in position._asdict().items() if value is not None}
+
+
+def _epochs(stream: BinaryIO, scene: Scene, snr_db: float | None) -> Iterator[LogBlock]:
+    """Yield the epochs of rows: CSV below a header, or JSON objects.
+
+    A JSON object is a row, or {"rows": [...]}, all rows of an epoch. The first one has all columns.
+    """
+    lines = _lines(stream)
+    number, first = next(lines, (0, ""))
+    if not first.strip():
+        raise ValueError(f"log: found nothing on {SOURCE}, expected a header or JSON lines")
+    as_json = first.lstrip().startswith("{")
+    if as_json:
+        names = dict.fromkeys(name for row in _objects(first, number)[0] for name in row)
+        lines = chain([(number, first)], lines)
+    else:
+        names = dict.fromkeys(name.strip() for name in next(csv.reader([first])))
+    log = LiveLog([*names], scene, snr_db, SOURCE)
+    for number, line in lines:
+        try:
+            rows, whole = _objects(line, number) if as_json else ([line], False)
+            for row in rows:
+                yield from log.add(row, number)
+            if whole:
+                yield from log.end_epoch()
+        except LogError as error:
+            _warn(error)
+    yield from log.end_epoch()
+
+
+def _objects(line: str, number: int) -> tuple[list[Any], bool]:
+    """Return the rows in a line of JSON, and whether they are a whole epoch.
+
+    Raises:
+        LogError: the line holds no JSON object, or one that is no row.
+    """
+    try:
+        content = parse_json(line)
+        rows = content.get("rows", [content])
+        if not all(isinstance(row, dict) for row in rows):
+            raise ValueError("a row that is no object")
+    except (ValueError, TypeError, AttributeError) as error:
+        raise LogError(
+            f"{SOURCE}, line {number}: found {quoted(line)}, expected a row as a JSON object, or "
+            'all rows of an epoch as {"rows": [...]}'
+        ) from error
+    return rows, "rows" in content
+
+
+def _lines(stream: BinaryIO) -> Iterator[tuple[int, str]]:
+    """Yield the number and the text of every line; name and leave out what is no text."""
+    number, rest = 0, False
+    while content := stream.readline(LONGEST_LINE):
+        whole = content.endswith(b"\n")
+        number += not rest
+        too_long, rest = rest or (not whole and len(content) == LONGEST_LINE), not whole
+        try:
+            if too_long:
+                raise ValueError(f"more than {LONGEST_LINE} bytes")
+            text = content.decode("utf-8").rstrip("\r\n")
+            if not text.replace("\t", " ").isprintable():
+                raise ValueError("binary data")
+        except ValueError:
+            if whole or not too_long:
+                _warn(
+                    f"{SOURCE}, line {number}: found {quoted(content[:20])}, expected a row of text"
+                )
+            continue
+        yield number, text
+
+
+def _warn(problem: object) -> None:
+    print(f"warning: {printable(str(problem))[:1000]}", file=sys.stderr, flush=True)

@@ -1,0 +1,118 @@
+"""The choice of a localizer for a log: a policy, an IMM, or the paper's Algorithm 1."""
+
+import warnings
+from dataclasses import replace
+from typing import NamedTuple
+
+from experiments.console.options import LogArgs
+from experiments.evaluation.contenders import contender_from, imm_banks
+from mmwave_env.engines.track_engine import Rule
+from mmwave_env.filters.bank import Bank, bank_from, modes_from
+from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
+from mmwave_env.io.lookup import choose
+from mmwave_env.localization.localizer import Switching
+from mmwave_env.logs.lines import number
+from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
+
+DEFAULT_POLICY = "guided"
+RULES: dict[str, tuple[Rule, str]] = {  # with the speed that each follows
+    "prediction": (by_predicted_speed, "the predicted"),
+    "odometry": (by_odometry_speed, "odometry's"),
+}
+
+
+class Choice(NamedTuple):
+    """Modes to run, who chooses between them, and the reason in words."""
+
+    switching: Switching
+    why: str
+
+
+def is_algorithm_1(args: LogArgs) -> bool:
+    """Tell whether options ask for the paper's Algorithm 1: a speed, or anything of its own."""
+    asked = (args.speed, args.modes, args.follow != "prediction" or None, args.robust or None)
+    return any(option is not None for option in asked) or not (args.gating and args.adaptive)
+
+
+def choice_of(args: LogArgs, radio: str) -> Choice:
+    """Return the localizer that options ask for; by default the learned one.
+
+    Args:
+        args: options of the command.
+        radio: radio profile, a name or a JSON file.
+
+    Raises:
+        ValueError: a policy, a bank or a mode is unknown or does not fit.
+    """
+    if args.imm is not None:
+        bank = _bank(args.imm, radio)
+        bank = replace(bank, modes=_as_asked(args, bank.modes))
+        return Choice(Switching(bank), f"of {args.imm} by their probability")
+    if args.policy is not None or not is_algorithm_1(args):
+        name = args.policy or DEFAULT_POLICY
+        contender = contender_from(name, radio)
+        bank_or_modes = contender.bank or contender.modes
+        if contender.policy is None:
+            bank_or_modes = Bank(contender.modes, contender.transition, contender.nis_quantile)
+        switching = Switching(bank_or_modes, None, contender.policy, contender.observation)
+        return Choice(switching, f"chosen by the policy {name}")
+    return _algorithm_1(args, modes_of(args, radio))
+
+
+def _bank(name: str, radio: str) -> Bank:
+    """Return the bank of an IMM, by its name or from a mode file."""
+    if name.endswith(".json"):
+        return bank_from(name, radio)
+    return choose(imm_banks(radio), name, "imm")()
+
+
+def modes_of(args: LogArgs, radio: str) -> tuple[Mode, ...]:
+    """Return the low-mobility and the high-mobility pipeline of Algorithm 1."""
+    if args.modes is not None and args.modes.suffix != ".json":
+        raise ValueError(f"modes: found {str(args.modes)!r}, expected a mode file (.json)")
+    modes = modes_from(args.modes, radio)
+    if len(modes) != 2:
+        raise ValueError(
+            f"{args.modes}: found {len(modes)} modes, expected 2, for low and for high mobility"
+        )
+    return _as_asked(args, modes)
+
+
+def _as_asked(args: LogArgs, modes: tuple[Mode, ...]) -> tuple[Mode, ...]:
+    """Return the modes with the safeguards that options ask for."""
+    if args.robust:
+        modes = tuple(map(robust, modes))
+    if not args.gating:
+        modes = tuple(replace(mode, gate=None) for mode in modes)
+    if not args.adaptive:
+        modes = tuple(replace(mode, adaptive=False) for mode in modes)
+    return modes
+
+
+def _algorithm_1(args: LogArgs, modes: tuple[Mode, ...]) -> Choice:
+    """Return the pipelines of Algorithm 1, Step 3."""
+    if args.speed in (None, "auto"):
+        rule, followed = RULES[args.follow]
+        why = f"by {followed} speed, up to or above {SLOW_MPS:g} m/s"
+        return Choice(Switching(modes, rule), why)
+    speed = parse_speed(args.speed)
+    mode = modes[int(mode_at(speed))]
+    if speed > DESIGN_LIMIT_MPS:
+        window = f"outside the design window (up to {DESIGN_LIMIT_MPS:g} m/s)"
+        if args.outside == "abort":
+            raise ValueError(f"speed: found {speed:g} m/s, {window}; --outside fallback runs on")
+        warnings.warn(f"speed {speed:g} m/s is {window}; falling back to {mode.name}", stacklevel=2)
+    side = "up to" if speed <= SLOW_MPS else "above"
+    return Choice(Switching((mode,)), f"for {speed:g} m/s, {side} {SLOW_MPS:g} m/s")
+
+
+def parse_speed(word: str) -> float:
+    """Read a speed in m/s (Algorithm 1, Step 1).
+
+    Raises:
+        ValueError: the word is not a finite number, or is negative.
+    """
+    speed = number(word.strip())
+    if not 0.0 <= speed < float("inf"):
+        raise ValueError(f"speed: found {word.strip()!r}, expected a number of m/s, at least 0")
+    return speed

@@ -1,0 +1,49 @@
+"""The radio profile of a log, where nobody names it: the shipped one whose noise is nearest."""
+
+import numpy as np
+
+from mmwave_env.logs.log import LogBlock
+from mmwave_env.models.measurement import LINK
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import Scene
+from mmwave_env.numerics.numbers import Array, wrap
+from mmwave_env.world.episode import NEUTRAL_SNR_DB
+
+_FEWEST = 20  # second differences for a median
+_ROBUST = 1.4826 / np.sqrt(6.0)  # median absolute second difference of noise, to its deviation
+
+
+def nearest_radio(block: LogBlock, scene: Scene) -> str:
+    """Return the name of the shipped profile whose deviations are nearest to those of a log.
+
+    A row's deviation is the median of the receiver's own, if it states them; otherwise it follows
+    from second differences in time, in which a steady motion cancels. Distances are between
+    logarithms, in the mean over the rows that were measured.
+
+    Args:
+        block: first epochs of the log.
+        scene: scene whose anchors were measured.
+    """
+    measured = np.array([_deviation(block, row) for row in range(len(LINK))])
+    snr = block.snr_db[np.isfinite(block.snr_db)]
+    snr_db = np.full((1, block.layout.anchors), np.median(snr) if len(snr) else NEUTRAL_SNR_DB)
+    distances = {
+        name: np.nanmean(np.log(measured / radio.sigma(snr_db, scene, block.layout)[0, :4]) ** 2)
+        for name, radio in RADIOS.items()
+        if np.isfinite(measured).any()
+    }
+    return min(distances, key=lambda name: distances[name], default="handset")
+
+
+def _deviation(block: LogBlock, row: int) -> float:
+    """Return the deviation of a row of links, m or rad; NaN where too few were measured."""
+    columns = slice(row, block.layout.doppler, len(LINK))
+    own = block.sigma[:, columns]
+    if np.isfinite(own).any():
+        return float(np.nanmedian(own))
+    links = block.visible[:, : block.layout.anchors]
+    values: Array = np.where(links, block.measurement[:, columns], np.nan)
+    change = np.diff(values, axis=0)
+    second = np.diff(wrap(change) if row else change, axis=0)
+    second = second[np.isfinite(second)]
+    return float(_ROBUST * np.median(np.abs(second))) if len(second) >= _FEWEST else np.nan
