@@ -9,7 +9,7 @@ from typing import Any, BinaryIO
 
 from experiments.console.options import AUTO, LogArgs
 from experiments.console.progress import note
-from experiments.reporting.log_choice import choice_of
+from experiments.reporting.log_choice import choice_of, require_one_choice
 from mmwave_env.io.files import parse_json
 from mmwave_env.io.lookup import printable, quoted
 from mmwave_env.localization.radio_choice import nearest_radio
@@ -38,6 +38,7 @@ def run_live(args: LogArgs) -> None:
             raise ValueError(f"{name}: found with --live, expected none: pipe what it prints")
     if args.lag < 0:
         raise ValueError(f"lag: found {args.lag}, expected 0 or more epochs")
+    require_one_choice(args)
     scene = scene_from(args.scene)
     tracker: Tracker | None = None
     for block in _epochs(sys.stdin.buffer, scene, args.snr):

@@ -34,6 +34,30 @@ def is_algorithm_1(args: LogArgs) -> bool:
     return any(option is not None for option in asked) or not (args.gating and args.adaptive)
 
 
+def require_none(beside: str, **options: object) -> None:
+    """Refuse options that mean nothing beside another one."""
+    for name, value in options.items():
+        if value is not None:
+            raise ValueError(f"{name}: found {value} with {beside}, expected one of them")
+
+
+def require_one_choice(args: LogArgs) -> None:
+    """Refuse options of a policy, an IMM and Algorithm 1 that contradict each other."""
+    by_speed = args.speed not in (None, "auto")
+    if args.imm is not None:
+        require_none("--imm", speed=args.speed, modes=args.modes, policy=args.policy)
+    if args.policy is not None and is_algorithm_1(args):
+        require_none("--policy", speed=args.speed, modes=args.modes)
+        raise ValueError(
+            "policy: found with an option of Algorithm 1 (--follow, --robust, --no-gating or "
+            "--no-adaptive), expected one of them, because it was trained with modes of its own"
+        )
+    if not by_speed and args.outside == "abort":
+        raise ValueError("outside: found abort without --speed, expected a speed in m/s")
+    if (args.imm or by_speed) and args.follow == "odometry":
+        raise ValueError("follow: found odometry without --speed auto, expected both")
+
+
 def choice_of(args: LogArgs, radio: str) -> Choice:
     """Return the localizer that options ask for; by default the learned one.
 

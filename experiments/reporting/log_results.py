@@ -15,7 +15,7 @@ from experiments.console.provenance import provenance
 from experiments.console.tables import show
 from experiments.figures.canvas import require_picture
 from experiments.figures.trajectory import draw_trajectory
-from experiments.reporting.log_choice import Choice, choice_of, is_algorithm_1
+from experiments.reporting.log_choice import Choice, choice_of, require_none, require_one_choice
 from experiments.reporting.log_diagnosis import diagnosed
 from experiments.reporting.track_report import TrackSampler, track_markdown
 from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
@@ -63,16 +63,9 @@ def inputs(args: LogArgs) -> Inputs:
         if args.scene is None:
             raise ValueError(f"scene: found none, expected --scene with that of {args.log}")
         return Inputs(args.log, args.scene, args.truth)
-    _require_none("--sample", log=args.log, scene=args.scene)
+    require_none("--sample", log=args.log, scene=args.scene)
     folder = sample_folder(args.sample)
     return Inputs(folder / LOG, str(folder / SCENE), args.truth or folder / TRUTH)
-
-
-def _require_none(beside: str, **options: object) -> None:
-    """Refuse options that mean nothing beside another one."""
-    for name, value in options.items():
-        if value is not None:
-            raise ValueError(f"{name}: found {value} with {beside}, expected one of them")
 
 
 def _check(args: LogArgs, files: Inputs) -> None:
@@ -82,19 +75,7 @@ def _check(args: LogArgs, files: Inputs) -> None:
             raise ValueError("diagnose: found with --out or --plot, expected no track")
         if args.associate:
             raise ValueError("diagnose: found with --associate, expected rows with anchors")
-    by_speed = args.speed not in (None, "auto")
-    if args.imm is not None:
-        _require_none("--imm", speed=args.speed, modes=args.modes, policy=args.policy)
-    if args.policy is not None and is_algorithm_1(args):
-        _require_none("--policy", speed=args.speed, modes=args.modes)
-        raise ValueError(
-            "policy: found with an option of Algorithm 1 (--follow, --robust, --no-gating or "
-            "--no-adaptive), expected one of them, because it was trained with modes of its own"
-        )
-    if not by_speed and args.outside == "abort":
-        raise ValueError("outside: found abort without --speed, expected a speed in m/s")
-    if (args.imm or by_speed) and args.follow == "odometry":
-        raise ValueError("follow: found odometry without --speed auto, expected both")
+    require_one_choice(args)
     if not 2 <= args.window <= LONGEST_WINDOW:
         raise ValueError(
             f"window: found {args.window}, expected 2 to {LONGEST_WINDOW} epochs; --no-smoothing "
@@ -146,8 +127,9 @@ def _work(args: LogArgs, files: Inputs, scene: Scene, epochs_per_block: int) -> 
         blocks = associate(paths, scene, radio_from(name), fast, association, epochs_per_block)
         first = next(blocks)
     else:
-        options = {"odometry": args.odometry, "partial": True, "snr_db": args.snr}
-        blocks = read_log(files.log, scene, epochs_per_block, **options)
+        blocks = read_log(
+            files.log, scene, epochs_per_block, args.odometry, partial=True, snr_db=args.snr
+        )
         first = next(blocks)
         name = nearest_radio(first, scene) if args.radio == AUTO else args.radio
     if args.follow == "odometry" and not first.layout.odometry:

@@ -17,7 +17,6 @@ from experiments.evaluation.positions import Positions
 from experiments.evaluation.runner import EpochResults, Scoring, score_contenders
 from experiments.reporting.log_results import beginning
 from experiments.reporting.webpage.sources import Source
-from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.io.lookup import printable
@@ -131,9 +130,8 @@ def _play_log(source: Source) -> Played:
     scene, log = work.scene, source.content["log"]
     streets = scene.streets if scene.streets_known else None
     shown = _scenery(log, block.layout, scene.anchors_m, streets, len(axes), truth)
-    course = _course(
-        results, work.choice.switching.names, isinstance(work.choice.switching.modes, Bank)
-    )
+    switching = work.choice.switching
+    course = _course(results, switching.names, switching.bank is not None)
     shown["contenders"]["track"] = course
     return Played(shown=[shown])
 
