@@ -27,7 +27,7 @@ SEES = {
     "engines": WORLDS,
     "policies": FILTER_SIDE | {"interface"},
     **dict.fromkeys(["env", "vector_env"], frozenset(ENVIRONMENT)),
-    "localization": ENVIRONMENT | {"logs"},
+    "localization": ENVIRONMENT | {"logs", "policies"},
     "sb3": {"vector_env"},
     **dict.fromkeys(EVERYBODY, frozenset({"numerics"})),
     "rendering": {"numerics", "models"},  # streets, and numbers: no filter and no episode

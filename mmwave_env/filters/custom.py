@@ -63,6 +63,7 @@ class _Trial(NamedTuple):
     P: list[Number]
     measured: list[Any]  # the fields of a Measurement before its layout
     force: Number
+    rows: list[list[Number]]  # ``measured`` and ``doppler_of``; empty unless the layout is partial
 
 
 def _trials(layout: Layout) -> Iterator[_Trial]:
@@ -79,12 +80,18 @@ def _trials(layout: Layout) -> Iterator[_Trial]:
     exact[layout.doppler] += truth[6]
     z = [h + 0.3 * s for h, s in zip(exact, sigma, strict=True)]
     variance = [s * s for s in sigma]
-    yield _Trial(x, P, [anchors, hz_per_mps, z, variance, [1.0] * len(layout.groups)], 0.0)
+    of = [float(a == layout.anchors - 1) for a in range(layout.anchors)]
+    every = [[1.0] * layout.size, of] if layout.partial else []
+    yield _Trial(x, P, [anchors, hz_per_mps, z, variance, [1.0] * len(layout.groups)], 0.0, every)
     spoiled = [z[0] + 50.0, *z[1:]]
     for group in layout.groups[1::2]:
         spoiled[group] = [0.0] * (group.stop - group.start)
     visible = [float(g % 2 == 0) for g in range(len(layout.groups))]
-    yield _Trial(x, P, [anchors, hz_per_mps, spoiled, variance, visible], 1.0)
+    some = [
+        [v * (r % 3 != 1) for v, k in zip(visible, layout.widths, strict=True) for r in range(k)]
+    ]
+    some = [*some, of] if layout.partial else []
+    yield _Trial(x, P, [anchors, hz_per_mps, spoiled, variance, visible], 1.0, some)
 
 
 def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> None:
@@ -145,8 +152,8 @@ def _error(mode: Mode, problem: str, line: Line | None, advice: str = "") -> Alg
 
 def _run(mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial) -> Any:
     """Run the algorithm on an epoch and return its result."""
-    x, P, measured, force = unflatten(trial, iter(flatten(trial)))  # a copy
-    measurement = Measurement._make([*measured, layout])
+    x, P, measured, force, rows = unflatten(trial, iter(flatten(trial)))  # a copy
+    measurement = Measurement(*measured, layout, *rows)
     gate = Gate(mode.gate, 0.0 if mode.recovery is None else force, mode.robust)
     arguments = x, unpack(P, zero=known_axes), measurement
     before = [flatten(argument) for argument in arguments]

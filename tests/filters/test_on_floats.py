@@ -172,7 +172,9 @@ def test_memory_follows_its_definition_over_many_epochs():
 
 def test_outliers_count_up_to_a_quantile_where_modes_are_compared():
     cap, nis = chi2.ppf(0.999, [4, 4, 1]), np.array([3.0, 50.0, 40.0])
-    capped = capped_log_likelihood(outcome(nis.tolist(), [], log_likelihood=-50.0), Layout(2))
+    capped = capped_log_likelihood(
+        outcome(nis.tolist(), [], log_likelihood=-50.0), Layout(2).widths
+    )
     assert capped == pytest.approx(-50.0 + 0.5 * np.maximum(nis - cap, 0.0).sum())
 
 

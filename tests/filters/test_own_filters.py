@@ -21,7 +21,7 @@ from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.localization.localizer import localize
+from mmwave_env.localization.localizer import Switching, localize
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
@@ -94,7 +94,14 @@ def test_a_log_is_localized_with_it(iekf, tmp_path):
     write_log(tmp_path / "log.csv", source.sample(np.random.default_rng(0)))
     once = partial(iekf, iterations=1)
     (own,), (ours,) = (
-        list(localize(read_log(tmp_path / "log.csv", scene), scene, radio, [Mode("m", algorithm)]))
+        list(
+            localize(
+                read_log(tmp_path / "log.csv", scene),
+                scene,
+                radio,
+                Switching((Mode("m", algorithm),)),
+            )
+        )
         for algorithm in (once, "ekf")
     )
     np.testing.assert_allclose(own.smooth_x, ours.smooth_x, rtol=1e-6, atol=1e-6)

@@ -23,7 +23,7 @@ from mmwave_env.filters.bank import best_bank, default_modes, named_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.localization.localizer import TrackBlock, localize
+from mmwave_env.localization.localizer import Switching, TrackBlock, localize
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import radio_from
@@ -74,9 +74,9 @@ def track_imm(log: str) -> Iterator[Row]:
 
 def _localized(log: str, mode: str, window: int | None = None) -> TrackBlock:
     scene = read_scene(LOGS / log / "scene.json")
-    modes = [named_modes(RADIO)[mode]]
+    modes = (named_modes(RADIO)[mode],)
     blocks = read_log(LOGS / log / "log.csv", scene)
-    (block,) = localize(blocks, scene, radio_from(RADIO), modes, window=window)
+    (block,) = localize(blocks, scene, radio_from(RADIO), Switching(modes), window=window)
     return block
 
 

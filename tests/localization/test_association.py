@@ -9,7 +9,7 @@ import pytest
 from mmwave_env.datasets.log_folder import read_log_folder
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.localization.association import Association, associate
-from mmwave_env.localization.localizer import localize, segments
+from mmwave_env.localization.localizer import Switching, localize, segments
 from mmwave_env.logs.log import LogBlock, PathEpoch, read_log, read_paths
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.measurement import Layout, exact_rows, seen_from_image
@@ -74,7 +74,9 @@ def shipped(name):
 
 
 def ate(block, scene, truth_m, times):
-    tracks = list(localize([block], scene, RADIO, MODES, by_predicted_speed, window=None))
+    tracks = list(
+        localize([block], scene, RADIO, Switching(MODES, by_predicted_speed), window=None)
+    )
     x, time = (np.concatenate([getattr(t, name) for t in tracks]) for name in ("x", "time_s"))
     return np.linalg.norm(x[:, :3] - truth_m[np.searchsorted(times, time)], axis=1).mean()
 
@@ -158,7 +160,7 @@ def test_a_track_of_a_reflection_gives_way_to_the_line_of_sight():
     assert seen_in(block)[:20] == [(0,)] * 20 and begins[0] == 0  # all that it knows fits
     assert len(begins) == 2 and 20 < begins[1] <= 30
     assert seen_in(block)[30:] == anchors_seen[30:] and tally.figures()["starts"] == 2
-    pieces = list(segments([block]))
+    pieces = list(segments([block], SCENE, RADIO))
     assert [piece.segment for piece in pieces] == [0, 1] and len(pieces[1]) >= 20
 
 
@@ -170,7 +172,7 @@ def test_a_track_is_found_again_after_a_gap(false_paths):
     wrong = sum(set(a) - set(b) != set() for a, b in zip(seen_in(block), anchors_seen, strict=True))
     assert wrong <= (1 if false_paths else 0)
     assert seen_in(block)[-9:] == anchors_seen[-9:]
-    pieces = list(segments([block]))
+    pieces = list(segments([block], SCENE, RADIO))
     assert {piece.segment for piece in pieces} == {0, 1} and tally.figures()["starts"] == 2
 
 

@@ -9,7 +9,7 @@ import pytest
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.localization.contradictions import contradictions
 from mmwave_env.localization.diagnosis import AS_IT_IS, diagnose, hypotheses
-from mmwave_env.localization.localizer import localize
+from mmwave_env.localization.localizer import Switching, localize
 from mmwave_env.localization.track_scores import Groups
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
@@ -37,7 +37,7 @@ def doubts(blocks, scene, radio=RADIO):
     """Return the warnings of localize."""
     blocks, groups = list(blocks), Groups()
     modes = default_modes(radio.name)
-    for block in localize(blocks, scene, radio, modes, by_predicted_speed, window=None):
+    for block in localize(blocks, scene, radio, Switching(modes, by_predicted_speed), window=None):
         groups.add(block)
     return [str(doubt) for doubt in contradictions(blocks[0], scene, radio, groups.figures())]
 

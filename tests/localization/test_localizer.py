@@ -10,12 +10,11 @@ from hypothesis import strategies as st
 
 from mmwave_env.datasets.log_writer import write_log
 from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.engines.replay import smooth
 from mmwave_env.filters.bank import Bank, best_bank, default_modes
 from mmwave_env.filters.modes import robust
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.localization.localizer import TrackBlock, localize
+from mmwave_env.localization.localizer import Switching, TrackBlock, localize, smoothed
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.measurement import Layout, exact_rows
@@ -72,7 +71,11 @@ def cut(block, sizes):
 
 
 def run(blocks, modes=(EKF,), rule=None, **options):
-    return TrackBlock.joined(list(localize(blocks, SCENE, RADIO, modes, rule, **options)))
+    return TrackBlock.joined(list(localized(blocks, modes, rule, **options)))
+
+
+def localized(blocks, modes, rule=None, **options):
+    return localize(blocks, SCENE, RADIO, Switching(modes, rule), **options)
 
 
 def episode_of(block):
@@ -99,7 +102,7 @@ def assert_engines(result, block, modes, planar=False):
     names = ("x", "P", "P_predicted", "memory.nis", "memory.accepted")
     pipeline = Pipeline(tuple(modes), block.layout, planar)
     theirs = track(pipeline, [episode], result.mode[:, None], T - 2, names)
-    ours = (result.x, result.P, result.P_predicted, result.nis, result.accepted)
+    ours = (result.x, result.P, result.filtered[:, 42:], result.nis, result.accepted)
     for name, values in zip(names, ours, strict=True):
         np.testing.assert_allclose(values, theirs[name][:, 0], rtol=1e-9, atol=1e-9, err_msg=name)
     np.testing.assert_array_equal(result.time_s, episode.time_s)
@@ -148,14 +151,18 @@ def test_flat_terrain_keeps_its_height(block, modes):
 
 def assert_imms(result, block, bank):
     """The filtered track is the IMM engine's on the same epochs, in pieces or not."""
-    names = ("x", "P", "x_predicted", "P_predicted")
+    names = ("x", "P", "mixture")
     imm = ImmEngine(
         Pipeline(bank.modes, block.layout), TrackingReward(), bank.transition, bank.nis_quantile
     )
     expected = imm.run([episode_of(block)], *names, "mixture.probability", "memory.nis")
     for name in names:
         np.testing.assert_allclose(
-            getattr(result, name), expected[name][0], rtol=1e-9, atol=1e-9, err_msg=name
+            result.filtered[:, 35:] if name == "mixture" else getattr(result, name),
+            expected[name][0],
+            rtol=1e-9,
+            atol=1e-9,
+            err_msg=name,
         )
     np.testing.assert_array_equal(result.mode, expected["mixture.probability"][0].argmax(axis=1))
     np.testing.assert_allclose(result.nis, expected["memory.nis"][0], rtol=1e-9, atol=1e-9)
@@ -183,8 +190,10 @@ def test_every_window_is_smoothed_and_what_is_left_too(block, window, modes):
     result = run(cut(block, [64]), modes, window=window)
     for first in range(0, T - 2, window):
         part = slice(first, first + window)
-        values = (result.x, result.P, result.x_predicted, result.P_predicted)
-        x, P = smooth(*(v[None, part] for v in values), np.diff(result.time_s[part]))
+        values = (result.filtered, result.time_s, result.doppler_spread_hz)
+        x, P = smoothed(
+            Switching(modes), block.layout, False, SCENE, *(v[None, part] for v in values)
+        )
         np.testing.assert_allclose(result.smooth_x[part], x[0], rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(result.smooth_P[part], P[0], rtol=1e-12, atol=1e-12)
     assert not np.array_equal(result.smooth_x, result.x)
@@ -234,7 +243,7 @@ def test_damage_comes_after_the_epochs_before_it(block, window, modes):
     blocks = []
     pieces = cut(block.part(slice(0, 130)), [40])
     with refuses("line 7", error=LogError):
-        blocks.extend(localize(damaged(pieces), SCENE, RADIO, modes, window=window))
+        blocks.extend(localized(damaged(pieces), modes, window=window))
     result, expected = TrackBlock.joined(blocks), run(pieces, modes, window=window)
     assert_same(result, expected)
     assert len(result) == 128
@@ -256,7 +265,7 @@ def test_a_measurement_no_filter_survives_is_damage(block, first, window, modes,
     damaged = replace(block, measurement=measurement, visible=visible)
     blocks = []
     with refuses("time", error=LogError):
-        blocks.extend(localize([damaged], SCENE, RADIO, modes, window=window))
+        blocks.extend(localized([damaged], modes, window=window))
     result = TrackBlock.joined(blocks)
     assert len(result) == first + finite and np.isfinite(result.smooth_x).all()
 
@@ -276,7 +285,7 @@ def with_gap(block, seconds, at=100):
 @pytest.mark.parametrize("window", [None, 30, 1000])
 def test_after_a_long_gap_the_track_is_that_of_the_rest_alone(block, window, modes):
     before, after = with_gap(block, 60.0)
-    blocks = list(localize([LogBlock.joined([before, after])], SCENE, RADIO, modes, window=window))
+    blocks = list(localized([LogBlock.joined([before, after])], modes, window=window))
     assert [b.segment for b in blocks] == sorted(b.segment for b in blocks)
     for number, part in enumerate((before, after)):
         result = TrackBlock.joined([b for b in blocks if b.segment == number])
@@ -298,8 +307,11 @@ def test_a_log_that_begins_straight_below_or_above_an_anchor_starts_at_the_next_
     rows = exact_rows(list(position), velocity, scene.anchors_m.tolist(), scene.hz_per_mps, layout)
     visible, snr, spread = np.ones((epochs, 3), bool), np.full((epochs, 2), 30.0), np.zeros(epochs)
     time, table = np.arange(epochs, dtype=float), np.stack(rows, axis=1)
-    block = LogBlock(layout, time, table, visible, ~visible, snr, spread, spread > 0, 1.0)
-    result = TrackBlock.joined(list(localize([block], scene, RADIO, [EKF], window=None)))
+    own, first = np.full(table.shape, np.nan), np.zeros(epochs, int)
+    seen_by = table, own, visible, ~visible, first, snr, spread, spread > 0
+    block = LogBlock(layout, time, *seen_by, 1.0)
+    track_of_it = localize([block], scene, RADIO, Switching((EKF,)), window=None)
+    result = TrackBlock.joined(list(track_of_it))
     assert result.skipped == 4 and result.time_s[0] == 4.0
     error = np.linalg.norm(result.x[:, :3] - position.T[4:], axis=1)
     assert error.max() < 1.0

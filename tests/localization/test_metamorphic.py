@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from mmwave_env.filters.bank import named_modes
-from mmwave_env.localization.localizer import localize
+from mmwave_env.localization.localizer import Switching, localize
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene, scene_of_anchors
@@ -53,14 +53,14 @@ def joined(blocks):
 
 def track_of(folder, columns, scene, modes):
     write_columns(folder / "log.csv", columns)
-    return joined(localize(read_log(folder / "log.csv", scene), scene, RADIO, modes))
+    return joined(localize(read_log(folder / "log.csv", scene), scene, RADIO, Switching(modes)))
 
 
 def assert_moved(moved, plain, turn=UNTURNED, shift_m=(0.0, 0.0, 0.0)):
     """Beliefs are those of ``plain`` turned by a matrix (3, 3), then shifted; gates agree."""
     whole = np.eye(7)
     whole[:3, :3] = whole[3:6, 3:6] = turn
-    for x, P in (("x", "P"), ("x_predicted", "P_predicted"), ("smooth_x", "smooth_P")):
+    for x, P in (("x", "P"), ("smooth_x", "smooth_P")):
         expected = plain[x] @ whole.T + [*shift_m, 0.0, 0.0, 0.0, 0.0]
         covariance = whole @ unpacked(plain[P]) @ whole.T
         packed = covariance[..., TRIANGLE[0], TRIANGLE[1]]
@@ -150,4 +150,4 @@ def test_units_orders_clock_and_parts_are_a_matter_of_writing(street, tmp_path):
         parts.append(tmp_path / f"{first}.csv.gz")
         parts[-1].write_bytes(gzip.compress((tmp_path / "part.csv").read_bytes()))
     blocks = chain.from_iterable(read_log(part, scene, epochs_per_block=50) for part in parts)
-    assert_moved(joined(localize(blocks, scene, RADIO, modes)), plain)
+    assert_moved(joined(localize(blocks, scene, RADIO, Switching(modes))), plain)

@@ -22,13 +22,17 @@ def log(time_s, groups_seen, odometry=True):
     time = np.array(time_s, float)
     rows = np.full((T, layout.size), 1.0)
     zeros = np.zeros(T)
-    return LogBlock(layout, time, rows, visible, ~visible, np.zeros((T, 2)), zeros, zeros > 0, 1.0)
+    own, first = np.full(rows.shape, np.nan), np.zeros(T, int)
+    return LogBlock(
+        layout, time, rows, own, visible, ~visible, first, np.zeros((T, 2)), zeros, zeros > 0, 1.0
+    )
 
 
 def pieces_of(*blocks):
     """(times, segment, begins, skipped, dropped) of every piece."""
     return [
-        (p.time_s.tolist(), p.segment, p.begins, p.skipped, p.dropped) for p in segments(blocks)
+        (p.time_s.tolist(), p.segment, p.begins, p.skipped, p.dropped)
+        for p in segments(blocks, SCENES["street"], RADIOS["handset"])
     ]
 
 

@@ -25,8 +25,9 @@ def some_track(epochs, seed=0):
     P = (root @ np.swapaxes(root, 1, 2))[:, rows, columns]
     groups = rng.random((epochs, 4)) < 0.8
     time, zeros = 1.7e9 + np.arange(epochs) / 3.0, np.zeros(epochs)
-    log = Layout(3), time, np.zeros((epochs, 13)), groups, ~groups, np.zeros((epochs, 3)), zeros
-    track = {"x": x, "P": P, "x_predicted": x, "P_predicted": P}
+    rows, first = np.zeros((epochs, 13)), np.zeros(epochs, int)
+    log = Layout(3), time, rows, rows, groups, ~groups, first, np.zeros((epochs, 3)), zeros
+    track = {"x": x, "P": P, "filtered": np.hstack([x, P])}
     track |= {"smooth_x": x + 1.0, "smooth_P": 2.0 * P, "mode": rng.integers(2, size=epochs)}
     track |= {"nis": rng.random((epochs, 4)), "accepted": groups, "planar": False}
     return TrackBlock(*log, zeros > 0.0, 1.0, **track)
