@@ -10,6 +10,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from experiments.figures.canvas import caption, legend_beside, picture
+from experiments.figures.timeline import mode_ribbon
 from mmwave_env.numerics.numbers import Array, Index
 
 ELLIPSES = 15  # approximate number along a track
@@ -46,24 +47,11 @@ def draw_trajectory(track: DrawnTrack, path: Path, title: str) -> None:
         if several:
             panels[1].tick_params(labelbottom=False)
             panels[1].sharex(panels[2])
-            _draw_modes(panels[2], time, track.mode)
+            mode_ribbon(panels[2], time, track.mode, len(track.modes))
+            panels[2].set_yticks([0.5], ["mode"])
         panels[-1].set_xlabel(f"time since the first epoch ({unit})")
         lines = textwrap.wrap(caption(title), TITLE_LETTERS, break_on_hyphens=False)
         figure.suptitle("\n".join(lines), x=0.02, ha="left")
-
-
-def _draw_modes(axes: Any, time: Array, mode: Index) -> None:
-    """Draw a band in the colors of the modes that ran: time and number (T,)."""
-    begins = np.flatnonzero(np.diff(mode, prepend=-2))
-    ends = np.append(begins[1:], len(mode) - 1)
-    for number in np.unique(mode):
-        some = mode[begins] == number
-        spans = list(zip(time[begins[some]], (time[ends] - time[begins])[some], strict=True))
-        axes.broken_barh(spans, (0.0, 1.0), facecolors=f"C{number}", lw=0.0)
-    axes.grid(visible=False)
-    axes.spines[:].set_visible(False)
-    axes.tick_params(axis="y", length=0)
-    axes.set_yticks([0.5], ["mode"])
 
 
 def time_unit(time_s: Array) -> tuple[float, str]:

@@ -8,9 +8,14 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from experiments.evaluation.contenders import contender_from
+from experiments.evaluation.histories import history_of
+from experiments.evaluation.seeds import draw_episodes
 from experiments.figures.canvas import caption, contenders, picture
 from experiments.figures.curves import draw_consistency, draw_error_cdf, draw_learning_curves
+from experiments.figures.timeline import draw_histories
 from experiments.figures.trajectory import DrawnTrack, draw_trajectory
+from mmwave_env.task import task_from
 
 AWKWARD = "a$b_{^$ | \x1b[31m <b>\n漢字 \u202eق"
 T = 50
@@ -28,12 +33,19 @@ def track(modes, position_m=None):
 def drawn(name, path):
     """Every picture there is, with a name in it."""
     errors = np.random.default_rng(1).normal(size=(4, T, 3))
-    files = [path / f"{kind}.svg" for kind in ("track", "cdf", "nees", "curves")]
+    files = [path / f"{kind}.svg" for kind in ("track", "cdf", "nees", "curves", "time")]
     draw_trajectory(track([name, "ukf"]), files[0], name)
     draw_error_cdf({name: errors, "imm": 2.0 * errors}, files[1])
     draw_consistency(np.arange(T) * 1.0, {name: (errors**2).sum(axis=-1)}, 3, files[2])
     draw_learning_curves({f"reward minus {name}": {name: [([1e3, 1e6], [0.0, 1.0])]}}, files[3])
+    draw_histories(episode_of(name), ["ekf", "ukf"], slice(None), files[4])
     return files
+
+
+def episode_of(name):
+    """Return the history of an episode under a contender's name."""
+    (episode,) = draw_episodes(task_from(episode_steps=30).source, [0])
+    return {name: history_of(contender_from("speed-rule", "handset"), episode)}
 
 
 @pytest.mark.slow
@@ -41,7 +53,7 @@ def drawn(name, path):
 def test_no_name_breaks_a_picture(name, tmp_path):
     for path in drawn(name, tmp_path):
         ElementTree.parse(path)
-    assert len(list(tmp_path.iterdir())) == 4
+    assert len(list(tmp_path.iterdir())) == 5
 
 
 def test_names_are_shown_as_they_are_and_what_cannot_be_seen_is_spelled_out():
