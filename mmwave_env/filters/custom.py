@@ -87,10 +87,8 @@ def _trials(layout: Layout) -> Iterator[_Trial]:
     for group in layout.groups[1::2]:
         spoiled[group] = [0.0] * (group.stop - group.start)
     visible = [float(g % 2 == 0) for g in range(len(layout.groups))]
-    some = [
-        [v * (r % 3 != 1) for v, k in zip(visible, layout.widths, strict=True) for r in range(k)]
-    ]
-    some = [*some, of] if layout.partial else []
+    whole = [v for v, k in zip(visible, layout.widths, strict=True) for _ in range(k)]
+    some = [[v * (row % 3 != 1) for row, v in enumerate(whole)], of] if layout.partial else []
     yield _Trial(x, P, [anchors, hz_per_mps, spoiled, variance, visible], 1.0, some)
 
 

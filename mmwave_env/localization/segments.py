@@ -54,8 +54,6 @@ def first_fix(block: LogBlock, epoch: int, scene: Scene, radio: Radio) -> Fix | 
     link = row.measurement[0, :4]
     used = np.zeros(len(row.layout.groups), np.bool_)
     if row.visible[0, 0] and np.isfinite(link).all():
-        if not gives_fix(row.measurement)[0]:
-            return None
         used[0] = True
         return Fix(prior_from_fix(scene.anchors_m[0], link, sigma[:4], radio, scene), used)
     if row.whole_columns:
@@ -69,6 +67,14 @@ def first_fix(block: LogBlock, epoch: int, scene: Scene, radio: Radio) -> Fix | 
     P[:3, :3] = covariance
     P[3, 3] = P[4, 4] = UNKNOWN_VELOCITY_MPS**2
     return Fix((np.concatenate([position, np.zeros(4)]), P), used)
+
+
+def can_begin(block: LogBlock, epoch: int, scene: Scene, radio: Radio) -> bool:
+    """Tell whether an epoch of a block determines a position that a track can begin with."""
+    link = block.measurement[epoch : epoch + 1, :4]
+    if block.visible[epoch, 0] and np.isfinite(link).all():
+        return bool(gives_fix(link)[0])
+    return first_fix(block, epoch, scene, radio) is not None
 
 
 def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Array] | None:
@@ -216,7 +222,7 @@ def _first_fix(block: LogBlock, scene: Scene, radio: Radio) -> int:
         fixes = np.flatnonzero(block.visible[:, 0] & whole & gives_fix(block.measurement))
         return int(fixes[0]) if len(fixes) else len(block)
     for epoch in np.flatnonzero(block.visible[:, : block.layout.anchors].any(axis=1)):
-        if first_fix(block, int(epoch), scene, radio):
+        if can_begin(block, int(epoch), scene, radio):
             return int(epoch)
     return len(block)
 

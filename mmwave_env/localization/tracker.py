@@ -15,7 +15,7 @@ from mmwave_env.localization.localizer import (
     smoothed,
 )
 from mmwave_env.localization.map_files import geodetic
-from mmwave_env.localization.segments import first_fix
+from mmwave_env.localization.segments import can_begin
 from mmwave_env.logs.live_log import LiveLog
 from mmwave_env.logs.log import LogBlock
 from mmwave_env.models.prior import GAP_S
@@ -121,7 +121,7 @@ class Tracker:
         begins = self._last_s is None or time_s - self._last_s > GAP_S
         if begins:
             self._last_s = None
-            if first_fix(block, 0, self._scene, self._radio) is None:
+            if not can_begin(block, 0, self._scene, self._radio):
                 return None
         links = block.visible[0, : layout.anchors].any()
         if begins or links or (layout.odometry and block.visible[0, -1]):

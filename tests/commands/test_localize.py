@@ -60,10 +60,11 @@ def test_what_is_no_speed_is_refused(capsys, word):
     assert f"speed: found {word!r}, expected a number of m/s, at least 0" in line
 
 
-def test_without_a_speed_the_mode_is_chosen_in_every_epoch():
+def test_without_a_choice_the_guided_policy_chooses_in_every_epoch():
     log = WALK / "log.csv"
-    default, auto = (succeed("localize", *options(log, *m)) for m in ((), ("--speed", "auto")))
-    assert default == auto
+    choices = ((), ("--policy", "guided"), ("--speed", "auto"))
+    default, guided, auto = (succeed("localize", *options(log, *choice)) for choice in choices)
+    assert default == guided != auto
 
 
 # --- the figures

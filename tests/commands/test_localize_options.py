@@ -10,7 +10,7 @@ import pytest
 from experiments.console.main import run
 from experiments.evaluation.contenders import imm_banks
 from mmwave_env.filters.bank import best_bank, default_modes
-from mmwave_env.localization.localizer import localize
+from mmwave_env.localization.localizer import Switching, localize
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.radio import RADIOS
@@ -25,8 +25,8 @@ def test_the_track_is_the_localizers(tmp_path):
     scene = read_scene(RIDE / "scene.json")
     mode = default_modes("high")[1]
     mode = type(mode)(**{**vars(mode), "gate": None, "adaptive": False})
-    log = read_log(RIDE / "log.csv", scene)
-    blocks = localize(log, scene, RADIOS["high"], [mode], window=50)
+    log = read_log(RIDE / "log.csv", scene, partial=True)
+    blocks = localize(log, scene, RADIOS["high"], Switching((mode,)), window=50)
     x = np.concatenate([block.smooth_x for block in blocks])
     np.testing.assert_array_equal(read_tum(out).position_m, x[:, :3])
 
@@ -72,7 +72,8 @@ def test_an_imm_is_smoothed_to_less_than_the_filtered_error(tmp_path, folder):
     for metric in ("ate_m", "rmse_m", "rpe_m"):
         assert smoothed[metric] < filtered[metric]
     assert 0.8 < results["groups"]["all"]["nis_per_dof"] < 1.2 and smoothed["in_bounds"] > 0.85
-    blocks = list(localize(read_log(folder / "log.csv", scene), scene, RADIOS["standard"], bank))
+    log = read_log(folder / "log.csv", scene, partial=True)
+    blocks = list(localize(log, scene, RADIOS["standard"], Switching(bank)))
     x, mode = (np.concatenate([getattr(b, name) for b in blocks]) for name in ("smooth_x", "mode"))
     np.testing.assert_array_equal(read_tum(out).position_m, x[:, :3])
     with (tmp_path / "track.csv").open(newline="") as file:
@@ -125,7 +126,7 @@ CONTRADICTIONS = {
     "odometry and a speed": (["--speed", "1", "--follow", "odometry"], "follow: found odometry"),
     "an imm and a speed": (["--imm", "imm", "--speed", "1"], "speed: found 1 with --imm, expected"),
     "an imm and modes": (["--imm", "imm", "--modes", "m.json"], "modes: found m.json with --imm"),
-    "an imm and abort": (["--imm", "imm", "--outside", "abort"], "outside: found abort with --imm"),
+    "an imm and abort": (["--imm", "imm", "--outside", "abort"], "outside: found abort"),
     "a track of a diagnosis": (["--diagnose", "--out", "t.tum"], "diagnose: found with --out or"),
     "imm": (["--imm", "imm-bets"], "imm: found 'imm-bets', did you mean imm-best"),
     "no imm": (["--imm", "guided"], "imm: found 'guided', expected one of imm, imm-best"),

@@ -4,12 +4,15 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.localization.localizer import segments
+from mmwave_env.localization.segments import segments
 from mmwave_env.logs.log import LogBlock
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.prior import GAP_S
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
 from tests.refusals import refuses
 
+STREET, HANDSET = SCENES["street"], RADIOS["handset"]
 LINK_1, LINK_2, DOPPLER, ODOMETRY = range(4)
 
 
@@ -32,7 +35,7 @@ def pieces_of(*blocks):
     """(times, segment, begins, skipped, dropped) of every piece."""
     return [
         (p.time_s.tolist(), p.segment, p.begins, p.skipped, p.dropped)
-        for p in segments(blocks, SCENES["street"], RADIOS["handset"])
+        for p in segments(blocks, STREET, HANDSET)
     ]
 
 

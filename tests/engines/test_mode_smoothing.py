@@ -1,0 +1,69 @@
+"""Smoothing of interacting modes: against the smoother of one mode, and against the truth."""
+
+import numpy as np
+import pytest
+
+from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.mode_smoothing import smooth_modes
+from mmwave_env.engines.replay import smooth
+from mmwave_env.filters.bank import Bank, default_modes
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.reward import TrackingReward
+from mmwave_env.metrics import BURN_IN, nees_interval
+from mmwave_env.task import task_from
+from mmwave_env.world.episode import columns_of
+
+PARTS = ("x", "P", "x_predicted", "P_predicted", "mixture")
+TUNING = 5_000_000
+
+
+def filtered(task, bank, n):
+    """Return the batch of n episodes, and the filtered tracks of an IMM over the bank."""
+    batch = task.tables(np.arange(TUNING, TUNING + n).astype(np.uint64))
+    pipeline = Pipeline(bank.modes, batch.layout, task.pipeline.planar)
+    engine = ImmEngine(pipeline, TrackingReward(), bank.transition, bank.nis_quantile)
+    return batch, pipeline, engine.run(batch, *PARTS)
+
+
+def smoothed(task, bank, n):
+    batch, pipeline, track = filtered(task, bank, n)
+    at, hz_per_mps = columns_of(batch.layout), task.simulated.scene.hz_per_mps
+    dt, spread = batch.table[..., at.dt], batch.table[..., at.doppler_spread_hz]
+    return batch, track, dt, smooth_modes(bank, pipeline, track["mixture"], dt, spread, hz_per_mps)
+
+
+def nees(batch, x, P):
+    """Return the position error (n, T, 3) and its NEES (n, T), without the burn-in."""
+    error = (x[..., :3] - batch.table[..., columns_of(batch.layout).truth[:3]])[:, BURN_IN:]
+    row, column = np.tril_indices(3)
+    covariance = np.empty((*x.shape[:-1], 3, 3))
+    covariance[..., row, column] = covariance[..., column, row] = P[..., :6]
+    solved = np.linalg.solve(covariance[:, BURN_IN:], error[..., None])[..., 0]
+    return error, (error * solved).sum(axis=-1)
+
+
+@pytest.mark.parametrize("planar", [False, True])
+@pytest.mark.parametrize("dt", [1.0, 0.1])
+def test_one_mode_is_smoothed_as_rauch_tung_and_striebel_do(planar, dt):
+    task = task_from(dt=dt, planar=planar, episode_steps=40)
+    _, track, steps, (x, P) = smoothed(task, Bank(default_modes()[:1]), 4)
+    expected = smooth(*(track[name] for name in PARTS[:4]), steps[:, 1:], planar)
+    for ours, theirs in zip((x, P), expected, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("radio", ["handset", "standard"])
+def test_the_smoothed_mixture_is_consistent_where_its_moments_were_overconfident(radio):
+    task = task_from(beliefs="per-mode", radio=radio)
+    batch, track, dt, ours = smoothed(task, task.bank, 40)
+    theirs = smooth(*(track[name] for name in PARTS[:4]), dt[:, 1:])
+    low, high = nees_interval()
+    inside, errors, means = [], [], []
+    for x, P in (ours, theirs):
+        error, values = nees(batch, x, P)
+        inside.append(((values >= low) & (values <= high)).mean())
+        errors.append(np.linalg.norm(error, axis=-1).mean())
+        means.append(values.mean())
+    assert inside[0] >= 0.90 and inside[0] > inside[1]
+    assert abs(means[0] - 3.0) < abs(means[1] - 3.0)
+    assert errors[0] < 1.02 * errors[1]

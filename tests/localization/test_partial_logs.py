@@ -1,0 +1,152 @@
+"""Logs with any subset of rows, the receiver's own deviations, and Doppler shifts of any anchor."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from mmwave_env.filters.bank import best_bank
+from mmwave_env.localization.localizer import Switching, TrackBlock, localize
+from mmwave_env.localization.radio_choice import nearest_radio
+from mmwave_env.logs.log import read_log
+from mmwave_env.logs.log_tables import LogError
+from mmwave_env.logs.truth import Truth
+from mmwave_env.models.measurement import SPEED_OF_LIGHT
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import read_scene
+from tests.paths import LOGS
+from tests.refusals import refuses
+
+WALK = LOGS / "canyon28_pedestrian"
+SCENE, RADIO = read_scene(WALK / "scene.json"), RADIOS["standard"]
+LINK = ("toa_s", "aoa_azimuth_rad", "aoa_elevation_rad", "aod_azimuth_rad")
+SIGMA = {"range": ("range_sigma_m", 0.25), "aoa": ("aoa_azimuth_sigma_deg", 1.2),
+         "aod": ("aod_azimuth_sigma_rad", 0.02)}  # fmt: skip
+
+
+def rows():
+    with (WALK / "log.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def written(path, columns, change=lambda row: row, **more):
+    """Write the walk with some columns, rows changed, and more columns of constants."""
+    with path.open("w", newline="") as file:
+        table = csv.DictWriter(file, [*columns, *more], extrasaction="ignore")
+        table.writeheader()
+        for row in rows():
+            if (changed := change(dict(row))) is not None:
+                table.writerow(changed | more)
+    return path
+
+
+def read(path, **options):
+    return next(read_log(path, SCENE, partial=True, **options))
+
+
+def track_of(path, **options):
+    blocks = read_log(path, SCENE, partial=True, **options)
+    switching = Switching(best_bank("standard"))
+    track = TrackBlock.joined(list(localize(blocks, SCENE, RADIO, switching, window=None)))
+    error = track.x[:, :3] - Truth(WALK / "truth.tum").at(track.time_s).position_m
+    return track, np.linalg.norm(error[:, :2], axis=1)
+
+
+@pytest.mark.parametrize(
+    ("columns", "own", "most_m"),
+    [
+        ((*LINK, "snr_db"), (), 0.10),
+        (("toa_s", "aoa_azimuth_rad"), ("range", "aoa"), 0.35),
+        (("toa_s", "aoa_azimuth_rad", "aod_azimuth_rad"), ("range", "aoa", "aod"), 0.35),
+        ((*LINK[1:], "snr_db"), (), 0.25),
+    ],
+    ids=["no Doppler", "range and azimuth", "range and both azimuths", "angles alone"],
+)
+def test_any_subset_gives_a_track(tmp_path, columns, own, most_m):
+    path = written(
+        tmp_path / "log.csv", ("time_s", "anchor", *columns), **dict(SIGMA[key] for key in own)
+    )
+    track, error = track_of(path)
+    assert len(track) == 400 and error[50:].mean() < most_m
+
+
+def test_a_link_without_one_number_is_used_with_the_others(tmp_path):
+    def spoil(row):
+        return row | {LINK[int(row["anchor"]) % 4]: ""}
+
+    columns = ("time_s", "anchor", *LINK, "doppler_hz", "snr_db")
+    block = read(written(tmp_path / "log.csv", columns, spoil))
+    whole = read(WALK / "log.csv")
+    np.testing.assert_array_equal(block.visible, whole.visible)
+    measured, before = np.isfinite(block.measurement), np.isfinite(whole.measurement)
+    assert (measured.sum(axis=0) == before.sum(axis=0) * (measured.any(axis=0))).all()
+    assert (~measured.any(axis=0)).sum() == 3  # one row of each link
+
+
+def test_own_deviations_are_taken_and_an_snr_is_not_needed(tmp_path):
+    names = {"toa_sigma_ns": 2.0, "aoa_azimuth_sigma_deg": 1.0, "doppler_sigma_mps": 0.5}
+    columns = ("time_s", "anchor", "toa_s", "aoa_azimuth_rad", "doppler_hz")
+    block = read(written(tmp_path / "log.csv", columns, **names))
+    expected = (2e-9 * SPEED_OF_LIGHT, np.radians(1.0), 0.5 * SCENE.hz_per_mps)
+    for row, value in zip((0, 1, block.layout.doppler), expected, strict=True):
+        sigma = block.sigma[:, row]
+        np.testing.assert_allclose(sigma[np.isfinite(sigma)], value, rtol=1e-12)
+    assert np.isnan(block.sigma[:, 2]).all() and not np.isfinite(block.snr_db).any()
+
+
+def test_a_round_trip_is_half_as_long(tmp_path):
+    def there_and_back(row):
+        return row | {"rtt_s": 2.0 * float(row["toa_s"]) if row["toa_s"] else ""}
+
+    columns = ("time_s", "anchor", "rtt_s", *LINK[1:], "doppler_hz", "snr_db")
+    ours, theirs = (
+        read(written(tmp_path / "log.csv", columns, there_and_back)),
+        read(WALK / "log.csv"),
+    )
+    np.testing.assert_allclose(ours.measurement, theirs.measurement, rtol=1e-14)
+
+
+def test_the_doppler_shift_may_be_any_anchors(tmp_path):
+    def moved(row):
+        return row | {"doppler_hz": 50.0 if row["anchor"] == "2" else ""}
+
+    block = read(
+        written(tmp_path / "log.csv", ("time_s", "anchor", *LINK, "doppler_hz", "snr_db"), moved)
+    )
+    shifted = block.visible[:, block.layout.anchors]
+    assert shifted.any() and (block.doppler_anchor[shifted] == 1).all()
+
+
+def test_without_noise_the_log_is_refused_unless_an_snr_is_stated(tmp_path):
+    path = written(tmp_path / "log.csv", ("time_s", "anchor", "toa_s", "aoa_azimuth_rad"))
+    with refuses("columns", error=LogError):
+        read(path)
+    assert read(path, snr_db=15.0).visible.any()
+
+
+def both(row):
+    return row | {"doppler_hz": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("field", "columns", "change", "more"),
+    [
+        ("columns", ("time_s", "anchor", "aoa_elevation_rad", "snr_db"), dict, {}),
+        ("columns", ("time_s", "anchor", "doppler_hz", "snr_db"), dict, {}),
+        ("range_sigma_m", ("time_s", "anchor", "toa_s"), dict, {"range_sigma_m": 0.0}),
+        ("range_sigma_m", ("time_s", "anchor", "toa_s"), dict, {"range_sigma_m": -1.0}),
+        ("doppler_hz", ("time_s", "anchor", *LINK, "doppler_hz", "snr_db"), both, {}),
+    ],
+    ids=["elevation alone", "Doppler alone", "no deviation", "negative", "two Doppler shifts"],
+)
+def test_what_no_track_can_use_is_refused(tmp_path, field, columns, change, more):
+    path = written(tmp_path / "log.csv", columns, change, **more)
+    with refuses(field, error=LogError):
+        list(read_log(path, SCENE, partial=True))
+
+
+def test_the_nearest_radio_is_that_of_the_log(tmp_path):
+    assert nearest_radio(read(WALK / "log.csv"), SCENE) == "high"  # ray-traced, as the best radio
+    coarse = {"range_sigma_m": 0.9, "aoa_azimuth_sigma_deg": 4.0}
+    path = written(tmp_path / "log.csv", ("time_s", "anchor", "toa_s", "aoa_azimuth_rad"), **coarse)
+    assert nearest_radio(read(path), SCENE) == "handset"

@@ -1,0 +1,114 @@
+"""Tracks of logs whose modes a policy chooses, whole and live, against the environment's engine."""
+
+import csv
+from dataclasses import replace
+from itertools import groupby
+
+import numpy as np
+import pytest
+
+from mmwave_env.engines.env_engine import Engine
+from mmwave_env.interface.reward import TrackingReward
+from mmwave_env.localization.localizer import (
+    Switching,
+    TrackBlock,
+    episode_from,
+    learned,
+    localize,
+)
+from mmwave_env.localization.tracker import Tracker
+from mmwave_env.logs.log import read_log
+from mmwave_env.logs.log_tables import LogError
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import read_scene
+from policies import LearnedSwitch
+from tests.paths import LOGS
+from tests.refusals import refuses
+
+WALK = LOGS / "canyon28_pedestrian"
+SCENE, RADIO = read_scene(WALK / "scene.json"), RADIOS["standard"]
+EPOCHS = 150
+
+
+def blocks(size):
+    """Return the first epochs of the walk in blocks of this size."""
+    whole = next(read_log(WALK / "log.csv", SCENE, partial=True)).part(slice(EPOCHS))
+    return [whole.part(slice(first, first + size)) for first in range(0, EPOCHS, size)]
+
+
+@pytest.fixture(scope="module")
+def rows():
+    """Return the rows of each epoch, by the names of columns."""
+    with (WALK / "log.csv").open() as file:
+        table = [
+            {k: float(v) if v else None for k, v in row.items()} for row in csv.DictReader(file)
+        ]
+    epochs = [list(group) for _, group in groupby(table, lambda row: row["time_s"])]
+    return epochs[:EPOCHS]
+
+
+@pytest.mark.parametrize("name", ["guided", "ppo-standard"])
+@pytest.mark.parametrize("size", [7, EPOCHS])
+def test_the_track_is_that_of_the_environment_to_the_last_bit(name, size):
+    switching = learned(name, "standard")
+    (whole,) = blocks(EPOCHS)
+    episode = episode_from(whole, SCENE, RADIO)
+    pipeline = switching.pipeline(whole.layout, planar=False)
+    engine = Engine(pipeline, 1, TrackingReward(), switching.observation, switching.bank)
+    engine.reset([episode])
+    policy, expected = LearnedSwitch(name, engine.observation), []
+    for _ in range(EPOCHS):
+        engine.step(policy(engine.observations()))
+        expected.append(engine.read(engine.at.x)[0])
+    track = TrackBlock.joined(list(localize(blocks(size), SCENE, RADIO, switching, window=None)))
+    np.testing.assert_array_equal(track.x, expected)
+
+
+@pytest.mark.parametrize("name", ["guided", "ekf"])
+def test_a_live_track_is_that_of_the_whole_log_to_the_last_bit(rows, name):
+    modes = LearnedSwitch("ppo-standard").modes[:1]
+    switching = learned(name, "standard") if name == "guided" else Switching(modes)
+    track = TrackBlock.joined(list(localize(blocks(50), SCENE, RADIO, switching, window=None)))
+    tracker = Tracker(SCENE, switching, "standard", lag=5)
+    positions, late = [], []
+    for epoch in rows:
+        positions.append(tracker.update(epoch))
+        late.append(tracker.smoothed())
+    np.testing.assert_array_equal([p.position_m for p in positions], track.x[:, :3])
+    np.testing.assert_array_equal([p.velocity_mps for p in positions], track.x[:, 3:6])
+    assert [p.begins for p in positions] == [True] + [False] * (EPOCHS - 1)
+    assert late[4] is None and late[5].time_s == positions[0].time_s
+    spread = [np.trace(p.covariance_m2) for p in positions[1:-5]]
+    assert (np.array([np.trace(p.covariance_m2) for p in late[6:]]) < spread).all()
+
+
+def test_a_live_track_begins_anew_after_a_long_gap(rows):
+    tracker = Tracker(SCENE, Switching(LearnedSwitch("ppo-standard").modes[:1]), "standard")
+    later = [[{**row, "time_s": row["time_s"] + 100.0} for row in epoch] for epoch in rows[50:60]]
+    begins = [tracker.update(epoch).begins for epoch in [*rows[:10], *later]]
+    assert begins == [True, *[False] * 9, True, *[False] * 9]
+
+
+@pytest.mark.parametrize(
+    ("field", "change"),
+    [
+        ("aoa_azimuth_rad", lambda row: {**row, "aoa_azimuth_rad": "north"}),
+        ("anchor", lambda row: {**row, "anchor": 9}),
+        ("time_s", lambda row: {**row, "time_s": -1.0}),
+        ("mood", lambda row: {**row, "mood": 1.0}),
+        ("toa_s", lambda row: {**row, "toa_s": -1e-7}),
+    ],
+)
+def test_a_damaged_row_is_named_and_the_track_goes_on(rows, field, change):
+    tracker = Tracker(SCENE, Switching(LearnedSwitch("ppo-standard").modes[:1]), "standard")
+    for epoch in rows[:3]:
+        tracker.update(epoch)
+    with refuses(field, error=LogError):
+        tracker.update([change(rows[3][0])])
+    assert tracker.update(rows[4]).begins is False
+
+
+def test_a_rule_beside_a_bank_is_refused():
+    bank = learned("guided", "standard").modes
+    with refuses("rule"):
+        replace(Switching(bank), rule=lambda x, epoch: 0.0)
