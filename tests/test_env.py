@@ -10,6 +10,7 @@ from dataclasses import fields, replace
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import InvalidAction, ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from scipy.stats import chi2
@@ -24,7 +25,7 @@ from mmwave_env.filters.textbook import rts
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.task import TaskArguments
-from mmwave_env.world.keys import keys_of
+from mmwave_env.world.keys import keys_at, keys_of, stream_of
 from mmwave_env.world.simulated import SimulatedSource
 from tests.filters.tracks import replay, unpacked
 from tests.refusals import refuses
@@ -115,6 +116,14 @@ def test_the_prefixed_id_needs_no_import():
     assert done.stdout.strip() == str(env.observation_space.shape)
 
 
+def test_the_specification_goes_through_json():
+    arguments = {"scenario": "vehicle", "radio": "high", "episode_steps": 12} | EKF
+    env = gym.make(ID, **arguments)
+    again = gym.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.spec.kwargs == arguments
+    assert again.unwrapped.source == env.unwrapped.source
+
+
 def test_the_docstring_explains_every_argument_and_every_info():
     page = inspect.cleandoc(MmWaveLocEnv.__doc__)
     arguments = page.split("## Arguments")[1].split("## Vectorized")[0]
@@ -138,6 +147,14 @@ def test_a_seed_is_a_run(configuration):
     assert not np.array_equal(other[0], roll(first, seed=3, steps=20)[-1][0])
 
 
+def test_without_a_seed_the_next_episode_is_another_of_the_same_stream():
+    env, again = gym.make(ID, **EKF), gym.make(ID, **EKF)
+    runs = [[each.reset(seed=0), each.reset(), each.reset()] for each in (env, again)]
+    assert same(*runs)
+    keys = [int(info["episode_key"]) for _, info in runs[0]]
+    assert keys == keys_at(stream_of(0), np.arange(3, dtype=np.uint64)).tolist()
+
+
 # --- steps
 
 
@@ -151,6 +168,13 @@ def test_a_bad_action_is_refused_and_changes_nothing(action):
     with refuses("action", error=InvalidAction):
         env.step(action)
     assert same(env.step(np.int64(1)), twin.step(np.int64(1)))
+
+
+@pytest.mark.parametrize("action", [0, np.int64(1), np.int32(0), np.uint8(1), np.array(1)])
+def test_any_integer_in_range_is_an_action(action):
+    env = gym.make(ID)
+    env.reset(seed=0)
+    assert env.step(action)[-1]["mode"] == int(action)
 
 
 @pytest.mark.parametrize("wrapped", [True, False])
@@ -252,6 +276,15 @@ def test_flat_terrain_pins_the_height(odometry):
         for *_, info in roll(env, seed=seed):
             np.testing.assert_allclose(info["estimate"][[2, 5]], [1.5, 0.0], atol=1e-12)
     assert info["nees"] < 1e3
+
+
+@pytest.mark.slow
+def test_odometry_helps():
+    errors = {}
+    for odometry in (False, True):
+        env = gym.make(ID, odometry=odometry, scenario="vehicle", modes=["ukf"])
+        errors[odometry] = np.mean([roll(env, seed)[-1][-1]["ate_m"] for seed in range(8)])
+    assert errors[True] < errors[False]
 
 
 # --- the end of an episode

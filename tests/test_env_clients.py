@@ -126,6 +126,24 @@ def test_a_deep_copy_compiles_nothing():
     assert twin.unwrapped.source is env.unwrapped.source
 
 
+class Noted(MmWaveLocEnv):
+    """An environment with an attribute that its class adds."""
+
+    def __init__(self, note, **arguments):
+        super().__init__(**arguments)
+        self.notes = [note]
+
+
+@pytest.mark.parametrize("way", COPIES)
+def test_attributes_of_a_subclass_and_of_a_user_are_copied(way):
+    env = Noted("mine", **EKF)
+    env.label = "added"
+    twin = COPIES[way](env)
+    twin.notes.append("twin's")
+    assert isinstance(twin, Noted) and twin.label == "added"
+    assert env.notes == ["mine"] and twin.notes == ["mine", "twin's"]
+
+
 # --- lengths
 
 

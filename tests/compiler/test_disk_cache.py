@@ -163,6 +163,29 @@ def test_a_package_that_is_read_only_works(package, tmp_path, case):
     assert not list(tmp_path.rglob("~*"))
 
 
+@pytest.mark.slow
+def test_functions_lie_beside_the_bytecode_or_where_numba_is_told_to(package, tmp_path):
+    elsewhere = tmp_path / "elsewhere"
+    for name in (None, str(elsewhere), "relative"):
+        assert run(package, NUMBA_CACHE_DIR=name) == (41, 0)
+    places = {path.parent.parent for path in kept(package)}
+    assert places == {package / "__pycache__", elsewhere, tmp_path / "relative"}
+
+
+VANISHING = """
+import shutil
+from mmwave_env.caller import function
+shutil.rmtree(function.stats.cache_path)
+print(function(20), function(2.0))
+"""
+
+
+@pytest.mark.slow
+def test_a_folder_that_vanishes_costs_no_more_than_a_compilation(package):
+    assert finished(started(package, VANISHING)) == ["41", "5.0"]
+    assert not kept(package)
+
+
 FLIPS = """
 import pickle
 from pathlib import Path
@@ -221,6 +244,21 @@ def test_processes_may_start_at_once(package):
     assert {finished(process)[0] for process in together} == {"41"}
     assert len(kept(package)) == 1
     assert run(package) == (41, 1)
+
+
+@pytest.mark.slow
+def test_versions_long_out_of_use_are_removed_but_never_the_one_in_use(package):
+    run(package)
+    (file,) = kept(package)
+    os.utime(file.parent, (0, 0))
+    for age in range(1, 31):
+        newer = file.parent.parent / f"mmwave_env-{age}"
+        newer.mkdir()
+        os.utime(newer, (age, age))
+    assert run(package) == (41, 1)
+    versions = {path.name for path in file.parent.parent.glob("mmwave_env-*")}
+    assert 1 < len(versions) < 30
+    assert "mmwave_env-30" in versions and "mmwave_env-1" not in versions
 
 
 PLANT = """

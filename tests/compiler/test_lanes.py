@@ -3,6 +3,7 @@
 import math
 import platform
 import re
+from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
 
@@ -279,6 +280,17 @@ def test_odometry_on_lanes_equals_odometry_on_floats(planar):
     episodes = simulated(3, epochs=60, odometry=True)
     pipeline = pipeline_of(episodes[0].layout, ALL, planar)
     assert_same_tracks(*lanes_and_floats(pipeline, episodes, np.arange(3)))
+
+
+@pytest.mark.slow
+def test_a_user_at_rest_with_odometry_starts_on_lanes_as_on_floats():
+    """The heading of a user at rest is not defined."""
+    episodes = [
+        replace(episode, prior_mean=episode.prior_mean * [1, 1, 1, 0, 0, 0, 1])
+        for episode in simulated(3, epochs=10, odometry=True)
+    ]
+    pipeline = pipeline_of(episodes[0].layout, ["ckf"])
+    assert_same_tracks(*lanes_and_floats(pipeline, episodes, np.zeros(3, int)))
 
 
 @pytest.mark.parametrize("n", [1, 3, 8, 13])

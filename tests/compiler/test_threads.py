@@ -11,10 +11,15 @@ import weakref
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import mmwave_env
 from mmwave_env.compiler.threads import share
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
+from mmwave_env.world.simulated import SimulatedSource
+from tests.vector_checker import same
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 50])
@@ -91,6 +96,20 @@ def test_nothing_is_held_once_the_jobs_are_done():
     assert gone() is None
 
 
+def test_draws_do_not_depend_on_the_thread():
+    """They would if they came from numba's own generators, of which every thread has one."""
+    source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=20)
+
+    def draw(seed):
+        time.sleep(0.001)  # or the first thread may do it all
+        episode = source.sample(np.random.default_rng(seed))
+        return threading.get_ident(), (episode.name, episode.table(), episode.prior_mean)
+
+    alone, many = (share(draw, [(seed,) for seed in range(40)], threads) for threads in (1, 5))
+    assert len({thread for thread, _ in many}) > 1
+    assert all(same(a, b) for (_, a), (_, b) in zip(alone, many, strict=True))
+
+
 # --- processes of their own
 
 STEPPED = """
@@ -126,6 +145,28 @@ def process(code, tmp_path):
 
 
 posix = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and signals")
+
+
+@pytest.mark.slow
+@posix
+def test_an_interrupt_waits_for_the_jobs_under_way_and_no_other_begins(tmp_path):
+    code = """
+    begun, done = threading.Event(), []
+    def job(i):
+        if threading.current_thread() is threading.main_thread():
+            begun.wait(10.0)
+            signal.raise_signal(signal.SIGINT)
+        begun.set()
+        time.sleep(0.2)
+        done.append(i)
+    try:
+        share(job, [(i,) for i in range(6)], 2)
+    except KeyboardInterrupt:
+        print("interrupted", len(done))
+        time.sleep(0.5)
+        print(len(done))
+    """
+    assert process(code, tmp_path) == ["interrupted", "1", "1"]
 
 
 @pytest.mark.slow
@@ -226,3 +267,10 @@ def test_environments_are_stepped_by_several_threads_at_once(tmp_path):
     print(*(np.array_equal(a, stepped(s, 20, **fresh)[1]) for a, s in zip(together, seeds)))
     """
     assert process(code, tmp_path) == ["True"] * 8
+
+
+@pytest.mark.slow
+def test_more_threads_than_cores_change_nothing(tmp_path):
+    """And the process ends though an environment is there and threads are idle."""
+    code = "print(np.array_equal(rewards, stepped(threads=50)[1]), threading.active_count() > 1)"
+    assert process(code, tmp_path) == ["True", "True"]

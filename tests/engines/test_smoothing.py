@@ -146,6 +146,13 @@ def test_the_last_epoch_is_smooth_already():
     assert (after <= before).all() and (after < before).mean() > 0.98  # if those know anything
 
 
+def test_a_single_epoch_is_smooth_already():
+    x, P, x_predicted, P_predicted = (part[:1, :1] for part in tracks(planar=False))
+    smoothed_x, smoothed_P = smooth(x, P, x_predicted, P_predicted, np.empty(0))
+    np.testing.assert_array_equal(smoothed_x, x)
+    np.testing.assert_array_equal(smoothed_P, P)
+
+
 def test_tracks_may_have_their_own_times():
     x, P, x_predicted, P_predicted = (part[:3] for part in tracks(planar=False))
     times = np.random.default_rng(0).uniform(0.2, 2.0, x.shape[:2]).cumsum(axis=1)

@@ -13,6 +13,7 @@ from hypothesis.extra import numpy as hnp
 from scipy.stats import multivariate_normal
 
 import mmwave_env  # noqa: F401  registers the environment
+from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.filters.belief import Belief
@@ -30,6 +31,7 @@ from mmwave_env.interface.reward import (
 from mmwave_env.numerics.numbers import maximum
 from mmwave_env.task import task_from
 from mmwave_env.world.keys import keys_at, stream_of
+from tests.filters.tracks import pipeline_of, simulated, unpacked
 from tests.refusals import refuses
 from tests.training.actors import MODES
 
@@ -174,6 +176,26 @@ def test_infos_tell_the_terms_whose_sum_is_the_reward(beliefs):
         assert "reward_terms" in info and east < 0.0 and north < 0.0
 
 
+def test_the_terms_of_many_environments_are_one_array():
+    envs = gym.make_vec("MmWaveLoc-v0", num_envs=9, modes=DEAR, reward=weighed, episode_steps=12)
+    envs.reset(seed=0)
+    for t in range(10):
+        _, rewards, _, _, infos = envs.step(np.full(9, t % 2))
+        assert infos["reward_terms"].shape == (9, 3)
+        np.testing.assert_allclose(infos["reward_terms"].sum(axis=1), rewards, atol=1e-12)
+
+
+def test_the_engine_pays_the_log_score_of_its_belief():
+    (episode,) = simulated(1, epochs=20)
+    engine = Engine(pipeline_of(episode.layout, ["ekf"]), 1, LogScore())
+    engine.reset([episode])
+    for truth in episode.truth_position_m:
+        engine.step(np.int64(0))
+        x, P = engine.read(engine.at.x)[0], unpacked(engine.read(engine.at.P)[0])
+        expected = max(multivariate_normal(x[:3], P[:3, :3]).logpdf(truth), -30.0)
+        assert engine.read(engine.at.reward)[0] == pytest.approx(expected, abs=1e-9)
+
+
 def branch(belief, truth):
     return 0.0 if belief.distance(truth) < 1.0 else -1.0
 
@@ -269,3 +291,14 @@ def test_a_paired_return_is_the_agents_minus_the_imms_where_an_episode_ends_earl
         imm = imm_rewards(seed, 1, **DIVERGING).sum(dtype=float)
         assert paired == pytest.approx(tracking - imm, rel=1e-5)
     assert 3 <= ended / 2 <= 9
+
+
+@pytest.mark.slow
+def test_any_reward_can_be_paired():
+    task = {"modes": ["ekf"], "episode_steps": 4}
+    env = gym.make("MmWaveLoc-v0", reward=PairedReward(capped), **task)
+    env.reset(seed=1)
+    (imm,) = imm_rewards(1, 1, reward=capped, **task)
+    for baseline in imm:
+        _, reward, _, _, info = env.step(0)
+        assert reward == pytest.approx(max(-info["position_error_m"], -2.0) - baseline, abs=1e-6)

@@ -115,6 +115,15 @@ def test_numbers_are_distributed_as_they_are_to_be(many, kind):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("sigma", [3.0, 3.5, 4.0, 4.5, 5.0])
+def test_tails_of_normals_are_as_heavy_as_they_are_to_be(many, sigma):
+    values = many["normal"]
+    for beyond in (values > sigma, values < -sigma):
+        low, high = stats.binom.interval(1.0 - 1e-4, values.size, stats.norm.sf(sigma))
+        assert low <= beyond.sum() <= high
+
+
+@pytest.mark.slow
 def test_neighbors_are_not_correlated(many):
     """Numbers that follow each other, keys that follow each other, and the lanes of a block.
 
