@@ -251,7 +251,9 @@ def localized(args: LogArgs) -> None:
             log = "/".join(files.log.parts[-2:])
             draw_trajectory(sampler.track, args.plot, f"{log}, {kind} track")
     finally:  # the figures are shown even if a picture fails
-        show(track_markdown(figures))
-        if error:
-            shown = "written" if args.out else "shown"
-            raise ValueError(f"{error}; {figures['epochs']} epochs are {shown}") from error
+        try:
+            show(track_markdown(figures))
+        finally:  # and the error of the log is reported even if nobody reads the figures
+            if error:
+                shown = "written" if args.out else "shown"
+                raise ValueError(f"{error}; {figures['epochs']} epochs are {shown}") from error
