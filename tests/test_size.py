@@ -16,11 +16,11 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 30_000,
-    "tokens of source": 195_000,
+    "lines of source": 31_800,
+    "tokens of source": 208_000,
     "files of source": 280,
-    "lines of tests": 24_000,
-    "tokens of tests": 215_000,
+    "lines of tests": 24_700,
+    "tokens of tests": 219_000,
     "words of docs": 38_000,
     "pages of docs": 23,
     "tracked files": 620,
@@ -35,10 +35,10 @@ ROOMS = {  # lines of source; what is in no room counts for "."
     "experiments/training": 2_350,
     "experiments/reporting/webpage": 1_100,
     "mmwave_env/datasets": 1_625,
-    "mmwave_env/engines": 1_850,
-    "mmwave_env/filters": 2_320,
-    "mmwave_env/localization": 1_750,
-    "mmwave_env/world": 2_150,
+    "mmwave_env/engines": 2_100,
+    "mmwave_env/filters": 2_360,
+    "mmwave_env/localization": 2_500,
+    "mmwave_env/world": 2_200,
 }
 SOURCE = ("mmwave_env", "experiments", "policies")
 FOR_DEVELOPERS = {"dev", "docs", "lint"}  # extras

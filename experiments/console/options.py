@@ -133,7 +133,8 @@ class TrackOutputArgs:
     """Results."""
 
     out: Path | None = None
-    """write the track in TUM format, and a .csv with standard deviations and modes beside it"""
+    """write the track: .tum (with a .csv of standard deviations and modes beside it), that .csv
+    alone, or, for a map, .geojson, .gpx or .nmea, which need an origin in the scene"""
     plot: Path | None = None
     """draw the track to this .png, .svg or .pdf file"""
     json: Path | None = None

@@ -182,7 +182,7 @@ def _run(args: LogArgs, work: Work) -> tuple[dict[str, Any], TrackSampler, Value
     track = _track(args, work, args.window if args.smoothing else None)
     error: ValueError | None = None
     with ExitStack() as stack:
-        write = stack.enter_context(track_files(args.out, names)) if args.out else None
+        write = stack.enter_context(track_files(args.out, names, work.scene)) if args.out else None
         report = stack.enter_context(progress("localizing"))
         try:
             for block in track:

@@ -151,7 +151,8 @@ def _error(mode: Mode, problem: str, line: Line | None, advice: str = "") -> Alg
 def _run(mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial) -> Any:
     """Run the algorithm on an epoch and return its result."""
     x, P, measured, force, rows = unflatten(trial, iter(flatten(trial)))  # a copy
-    measurement = Measurement(*measured, layout, *rows)
+    fields: list[Any] = [*measured, layout, *(rows or [(), ()])]
+    measurement = Measurement._make(fields)
     gate = Gate(mode.gate, 0.0 if mode.recovery is None else force, mode.robust)
     arguments = x, unpack(P, zero=known_axes), measurement
     before = [flatten(argument) for argument in arguments]

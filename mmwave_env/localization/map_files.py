@@ -6,29 +6,33 @@ pymap3d converts the frames.
 
 import json
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from datetime import UTC, datetime
 from functools import reduce
 from operator import xor
 from pathlib import Path
-from typing import TextIO
+from typing import NamedTuple, TextIO
 from xml.sax.saxutils import escape
 
 import numpy as np
 import pymap3d
 
 from mmwave_env.io.files import atomic_path, naming
-from mmwave_env.models.scene import Origin
+from mmwave_env.localization.localizer import TrackBlock
+from mmwave_env.models.scene import Origin, Scene
 from mmwave_env.numerics.numbers import Array
 
-MAP_ENDINGS = (".geojson", ".gpx", ".nmea")
 ELLIPSE_SHARE = 0.95
 _ELLIPSE_NIS = -2.0 * np.log(1.0 - ELLIPSE_SHARE)  # chi-square quantile, 2 degrees of freedom
+Write = Callable[[TrackBlock], None]
 _CORNERS = 32  # of an ellipse's polygon
 _ELLIPSES_APART_S = 1.0  # a polygon per epoch at 100 Hz would make a file that no map opens
+_GEOJSON = '{"type": "FeatureCollection", "features": ['
+_GPX = (
+    '<?xml version="1.0" encoding="UTF-8"?>\n'
+    '<gpx version="1.1" creator="mmwave-loc" xmlns="http://www.topografix.com/GPX/1/1">'
+)
 _UNIX_S = 1e8  # larger times count as Unix time (from 1973 on), others as seconds of a day
-
-WriteTrack = Callable[[Array, Array, Array, int], None]  # time_s, x, P packed, segment
 
 
 def geodetic(origin: Origin, points_m: Array) -> Array:
@@ -39,25 +43,6 @@ def geodetic(origin: Origin, points_m: Array) -> Array:
     north = x * np.cos(bearing) + y * np.sin(bearing)
     place = origin.latitude_deg, origin.longitude_deg, origin.height_m
     return np.column_stack(pymap3d.enu2geodetic(east, north, up, *place))
-
-
-@contextmanager
-def map_file(path: Path, origin: Origin, name: str) -> Iterator[WriteTrack]:
-    """Yield a function that writes the next epochs of a track; at the end, put the file in place.
-
-    Args:
-        path: file to write; its ending is one of :data:`MAP_ENDINGS`.
-        origin: place of the scene on the earth.
-        name: name of the track in the file.
-    """
-    kind = {".geojson": _geojson, ".gpx": _gpx, ".nmea": _nmea}[path.suffix]
-    with (
-        atomic_path(path) as temporary,
-        temporary.open("w", encoding="ascii", newline="\n") as file,
-        naming(path),
-        kind(file, origin, name) as write,
-    ):
-        yield write
 
 
 def _ellipses(origin: Origin, x: Array, P: Array) -> Array:
@@ -75,11 +60,11 @@ def _ellipses(origin: Origin, x: Array, P: Array) -> Array:
 
 
 @contextmanager
-def _geojson(file: TextIO, origin: Origin, name: str) -> Iterator[WriteTrack]:
+def _geojson(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
     """Write a FeatureCollection: lines of the track, and the 95 % ellipse of an epoch a second."""
     separator = ""
     last: tuple[int, float, list[float]] = -1, -np.inf, []  # segment, time of an ellipse, point
-    file.write('{"type": "FeatureCollection", "features": [')
+    file.write(_GEOJSON)
 
     def feature(kind: str, coordinates: object, **properties: object) -> None:
         nonlocal separator
@@ -88,8 +73,9 @@ def _geojson(file: TextIO, origin: Origin, name: str) -> Iterator[WriteTrack]:
         file.write(f"{separator}\n{json.dumps(content)}")
         separator = ","
 
-    def write(time_s: Array, x: Array, P: Array, segment: int) -> None:
+    def write(block: TrackBlock) -> None:
         nonlocal last
+        time_s, x, P, segment = block.time_s, block.smooth_x, block.smooth_P, block.segment
         before, ellipse_s, point = last
         ways = geodetic(origin, x[:, :3]).round(9)[:, [1, 0, 2]].tolist()
         line = [*([point] if segment == before else []), *ways]
@@ -111,20 +97,19 @@ def _geojson(file: TextIO, origin: Origin, name: str) -> Iterator[WriteTrack]:
 
 
 @contextmanager
-def _gpx(file: TextIO, origin: Origin, name: str) -> Iterator[WriteTrack]:
+def _gpx(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
     """Write a GPX 1.1 track with a segment for each segment of the track."""
-    file.write('<?xml version="1.0" encoding="UTF-8"?>\n')
-    file.write('<gpx version="1.1" creator="mmwave-loc"')
-    file.write(f' xmlns="http://www.topografix.com/GPX/1/1"><trk><name>{escape(name)}</name>')
+    file.write(f"{_GPX}<trk><name>{_escaped(name)}</name>")
     current = -1
 
-    def write(time_s: Array, x: Array, P: Array, segment: int) -> None:
+    def write(block: TrackBlock) -> None:
         nonlocal current
-        if segment != current:
+        if block.segment != current:
             file.write(f"{'</trkseg>' if current >= 0 else ''}<trkseg>\n")
-            current = segment
-        points = geodetic(origin, x[:, :3]).tolist()
-        for moment, (latitude, longitude, height) in zip(time_s.tolist(), points, strict=True):
+            current = block.segment
+        points = geodetic(origin, block.smooth_x[:, :3]).tolist()
+        moments = block.time_s.tolist()
+        for moment, (latitude, longitude, height) in zip(moments, points, strict=True):
             time = f"<time>{_iso(moment)}</time>" if moment > _UNIX_S else ""
             place = f'<trkpt lat="{latitude:.9f}" lon="{longitude:.9f}">'
             file.write(f"{place}<ele>{height:.3f}</ele>{time}</trkpt>\n")
@@ -138,12 +123,13 @@ def _iso(moment: float) -> str:
 
 
 @contextmanager
-def _nmea(file: TextIO, origin: Origin, name: str) -> Iterator[WriteTrack]:
+def _nmea(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
     """Write NMEA 0183: GGA (position) and GST (standard deviations, ellipse) of every epoch."""
 
-    def write(time_s: Array, x: Array, P: Array, segment: int) -> None:
-        places = geodetic(origin, x[:, :3])
-        for moment, place, packed in zip(time_s.tolist(), places, P, strict=True):
+    def write(block: TrackBlock) -> None:
+        places = geodetic(origin, block.smooth_x[:, :3])
+        moments = block.time_s.tolist()
+        for moment, place, packed in zip(moments, places, block.smooth_P, strict=True):
             file.write(nmea(origin, moment, place, packed))
 
     yield write
@@ -182,9 +168,53 @@ def _degrees(angle: float, digits: int, sides: str) -> str:
     """Return degrees and minutes as NMEA writes them, with the side of the earth."""
     minutes = round(abs(angle) * 60.0 * 1e7)  # 1e-7 minutes are 0.2 mm
     whole, rest = divmod(minutes, 600_000_000)
-    return f"{whole:0{digits}d}{rest / 1e7:010.7f},{sides[angle < 0.0]}"
+    return f"{whole:0{digits}d}{rest / 1e7:010.7f},{sides[int(angle < 0.0)]}"
 
 
 def _sentence(text: str) -> str:
     """Return a sentence with its checksum, the exclusive or of its letters."""
     return f"${text}*{reduce(xor, text.encode()):02X}\r\n"
+
+
+class MapFile(NamedTuple):
+    """A format of files for maps."""
+
+    header: str  # first letters of every such file
+    writer: Callable[[TextIO, Origin, str], AbstractContextManager[Write]]
+
+
+MAP_FILES = {  # by the ending of the name
+    ".geojson": MapFile(_GEOJSON, _geojson),
+    ".gpx": MapFile(_GPX, _gpx),
+    ".nmea": MapFile("$GPGGA,", _nmea),
+}
+
+
+@contextmanager
+def map_file(path: Path, scene: Scene) -> Iterator[Write]:
+    """Yield a function that writes the next block of a track; at the end, put the file in place.
+
+    Args:
+        path: file to write; its ending is one of :data:`MAP_FILES`.
+        scene: scene with an origin.
+
+    Raises:
+        ValueError: the scene has no origin.
+    """
+    if scene.origin is None:
+        raise ValueError(
+            f"out: found {path}, but no origin in scene {scene.name!r}, expected "
+            '"origin": {"latitude_deg": ..., "longitude_deg": ...} in its file (docs/data.md)'
+        )
+    with (
+        atomic_path(path) as temporary,
+        temporary.open("w", encoding="ascii", newline="") as file,
+        naming(path),
+        MAP_FILES[path.suffix].writer(file, scene.origin, scene.name) as write,
+    ):
+        yield write
+
+
+def _escaped(name: str) -> str:
+    """Return a name for XML in ASCII."""
+    return escape(name).encode("ascii", "xmlcharrefreplace").decode("ascii")

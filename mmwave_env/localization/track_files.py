@@ -11,9 +11,13 @@ import numpy as np
 from mmwave_env.io.files import atomic_path, naming
 from mmwave_env.io.lookup import as_cell
 from mmwave_env.localization.localizer import TrackBlock
+from mmwave_env.localization.map_files import MAP_FILES, map_file
 from mmwave_env.logs.tum import COLUMNS, tum_lines
+from mmwave_env.models.scene import Scene
 
 TRACK_ENDINGS = (".tum", ".txt")
+TABLE_ENDING = ".csv"
+ENDINGS = (*TRACK_ENDINGS, TABLE_ENDING, *MAP_FILES)
 _VARIANCES = [i * (i + 3) // 2 for i in range(6)]  # of positions and velocities in packed P
 _TRACK_HEADER = f"# {' '.join(COLUMNS)}; mmwave-loc localize\n"
 _TABLE_HEADER = (
@@ -22,18 +26,18 @@ _TABLE_HEADER = (
 )
 
 
-def table_beside(track: Path) -> Path:
-    """Return the path of the table of standard deviations that belongs to a TUM file.
+def table_beside(track: Path) -> Path | None:
+    """Return the path of the table of standard deviations beside a TUM file; None beside others.
 
     Raises:
-        ValueError: the name of the file is that of another format.
+        ValueError: the name of the file is that of no format of tracks.
     """
-    if track.suffix not in TRACK_ENDINGS:
+    if track.suffix not in ENDINGS:
         raise ValueError(
-            f"out: found {track}, expected a TUM file: a name that ends with "
-            f"{' or '.join(TRACK_ENDINGS)}; its standard deviations go to a .csv beside it"
+            f"out: found {track}, expected a name that ends with {', '.join(ENDINGS)}; beside a "
+            "TUM file its standard deviations go to a .csv"
         )
-    return track.with_suffix(".csv")
+    return track.with_suffix(TABLE_ENDING) if track.suffix in TRACK_ENDINGS else None
 
 
 def require_own_files(track: Path) -> None:
@@ -46,13 +50,16 @@ def require_own_files(track: Path) -> None:
         ValueError: a file with another header has one of the names.
         OSError: a file can't be read.
     """
+    headers = dict.fromkeys(TRACK_ENDINGS, _TRACK_HEADER) | {TABLE_ENDING: _TABLE_HEADER}
+    headers |= {ending: kind.header for ending, kind in MAP_FILES.items()}
     table = table_beside(track)
-    for path, header, problem in (
-        (track, _TRACK_HEADER, "no track of mmwave-loc localize and which the new one"),
-        (table, _TABLE_HEADER, f"no table of a track and which that of {track}"),
+    for path, problem in (
+        (track, "no track of mmwave-loc localize and which the new one"),
+        (table, f"no table of a track and which that of {track}"),
     ):
-        if not path.is_file():
+        if path is None or not path.is_file():
             continue
+        header = headers[path.suffix]
         with path.open("rb") as file:
             own = file.read(len(header)) == header.encode()
         if not own:
@@ -62,29 +69,61 @@ def require_own_files(track: Path) -> None:
             )
 
 
+Write = Callable[[TrackBlock], None]
+
+
 @contextmanager
-def track_files(track: Path, modes: Sequence[str]) -> Iterator[Callable[[TrackBlock], None]]:
+def track_files(track: Path, modes: Sequence[str], scene: Scene) -> Iterator[Write]:
     """Yield a function that writes the next block of a track; at the end, put the files in place.
 
     Args:
-        track: TUM file for the smoothed track; :func:`table_beside` it has the other columns.
+        track: file for the smoothed track; its ending says the format. Beside a TUM file,
+            :func:`table_beside` has the other columns.
         modes: names of the modes.
+        scene: scene, whose origin files for maps need.
+
+    Raises:
+        ValueError: a file for a map, but the scene has no origin.
     """
+    if track.suffix in MAP_FILES:
+        with map_file(track, scene) as write:
+            yield write
+    elif (table := table_beside(track)) is None:
+        with _table_file(track, modes) as write:
+            yield write
+    else:
+        with _table_file(table, modes) as write_row, _tum_file(track) as write_pose:
+
+            def write_both(block: TrackBlock) -> None:
+                write_pose(block)
+                write_row(block)
+
+            yield write_both
+
+
+@contextmanager
+def _tum_file(track: Path) -> Iterator[Write]:
+    with atomic_path(track) as path, path.open("w", encoding="utf-8", newline="\n") as tum:
+        tum.write(_TRACK_HEADER)
+
+        def write(block: TrackBlock) -> None:
+            with naming(track):
+                tum.write(tum_lines(block.time_s, block.smooth_x[:, :3]))
+
+        yield write
+        with naming(track):
+            tum.flush()
+
+
+@contextmanager
+def _table_file(path: Path, modes: Sequence[str]) -> Iterator[Write]:
     names = [_as_cell(name) for name in modes]
     row = ("%r" + ",%.6f" * 3 + ",%.6g" * 3 + ",%.6f" * 3 + ",%.6g" * 3 + ",%s\n").__mod__
-    with (
-        atomic_path(track) as track_path,
-        atomic_path(table_beside(track)) as table_path,
-        track_path.open("w", encoding="utf-8", newline="\n") as tum,
-        table_path.open("w", encoding="utf-8", newline="\n") as table,
-    ):
-        tum.write(_TRACK_HEADER)
+    with atomic_path(path) as beside, beside.open("w", encoding="utf-8", newline="\n") as table:
         table.write(_TABLE_HEADER)
 
         def write(block: TrackBlock) -> None:
             x = block.smooth_x
-            with naming(track):
-                tum.write(tum_lines(block.time_s, x[:, :3]))
             # Rounding may take a variance that is known to be 0 below 0.
             sigma = np.sqrt(np.maximum(block.smooth_P[:, _VARIANCES], 0.0))
             numbers = np.column_stack(
@@ -92,12 +131,12 @@ def track_files(track: Path, modes: Sequence[str]) -> Iterator[Callable[[TrackBl
             ).tolist()
             modes_run = block.mode.tolist()
             rows = [row((*n, names[m])) for n, m in zip(numbers, modes_run, strict=True)]
-            with naming(table_beside(track)):
+            with naming(path):
                 table.writelines(rows)
 
         yield write
-        with naming(track):
-            tum.flush()
+        with naming(path):
+            table.flush()
 
 
 def _as_cell(name: str) -> str:

@@ -137,12 +137,12 @@ class Tracker:
             self._late.clear()
         mode = self._switching.names[int(parts["memory.mode"][0])]
         self._late.append((time_s, spread_hz, mode, filtered_of(parts)))
-        seen, names = episode.visible[0], layout.group_names
+        visible, names = episode.visible[0], layout.group_names
         accepted, nis = parts["memory.accepted"][0] > 0.5, parts["memory.nis"][0]
         return self._position(
             time_s, parts["x"][0], parts["P"][0], mode,
-            {names[g]: float(nis[g]) for g in np.flatnonzero(seen)},
-            [names[g] for g in np.flatnonzero(seen & ~accepted)], begins,
+            {names[g]: float(nis[g]) for g in np.flatnonzero(visible)},
+            [names[g] for g in np.flatnonzero(visible & ~accepted)], begins,
         )  # fmt: skip
 
     def smoothed(self) -> Position | None:

@@ -11,9 +11,12 @@ from mmwave_env.localization.localizer import TrackBlock
 from mmwave_env.localization.track_files import require_own_files, table_beside, track_files
 from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.measurement import Layout
+from mmwave_env.models.scene import SCENES
 from tests.refusals import refuses
 
 NAMES = ["slow", 'fast, "wild"']
+FORMULAS = ['=HYPERLINK("http://evil","x")', "@SUM(1)"]
+SCENE = SCENES["street"]
 
 
 def some_track(epochs, seed=0):
@@ -37,7 +40,7 @@ def test_a_track_and_its_table_replace_their_like_alone(tmp_path):
     out, table = tmp_path / "trip.tum", tmp_path / "trip.csv"
     for _ in range(2):  # the second time over the first
         require_own_files(out)
-        with track_files(out, NAMES) as write:
+        with track_files(out, NAMES, SCENE) as write:
             write(some_track(2))
     for path, others in (
         (table, (b"t,x,y,z\n0,1,2,3\n", b"\xff\xfe", b"")),
@@ -53,7 +56,7 @@ def test_a_track_and_its_table_replace_their_like_alone(tmp_path):
 def test_a_track_is_written_in_blocks_as_tum_and_as_a_table(tmp_path):
     blocks = [some_track(5), replace(some_track(4, 1), time_s=1.8e9 + np.arange(4.0))]
     out = tmp_path / "new" / "walk.v2.tum"
-    with track_files(out, NAMES) as write:
+    with track_files(out, NAMES, SCENE) as write:
         for block in blocks:
             write(block)
         assert not out.exists()
@@ -82,7 +85,7 @@ def test_a_track_cut_short_leaves_everything_as_it_was(tmp_path, error):
     out.write_text("old")
 
     def write_some():
-        with track_files(out, NAMES) as write:
+        with track_files(out, NAMES, SCENE) as write:
             write(some_track(5))
             raise error
 
@@ -93,13 +96,14 @@ def test_a_track_cut_short_leaves_everything_as_it_was(tmp_path, error):
 
 def test_the_table_is_not_the_track():
     assert table_beside(Path("a/walk.tum")) == Path("a/walk.csv")
-    for name in ("walk.csv", "walk.geojson", "walk.kml", "walk", "/dev/stdout"):
+    assert table_beside(Path("walk.csv")) is table_beside(Path("walk.gpx")) is None
+    for name in ("walk.kml", "walk", "/dev/stdout"):
         with refuses("out"):
             table_beside(Path(name))
 
 
 def test_a_formula_in_a_name_is_text_in_the_table(tmp_path):
-    with track_files(tmp_path / "walk.tum", ['=HYPERLINK("http://evil","x")', "@SUM(1)"]) as write:
+    with track_files(tmp_path / "walk.tum", FORMULAS, SCENE) as write:
         write(some_track(5))
     with (tmp_path / "walk.csv").open(newline="") as file:
         modes = {row["mode"] for row in csv.DictReader(file)}

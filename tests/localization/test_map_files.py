@@ -1,0 +1,142 @@
+"""Tracks on the map of the world, read back by other programs' parsers."""
+
+import json
+from dataclasses import replace
+
+import gpxpy
+import numpy as np
+import pymap3d
+import pynmea2
+import pytest
+
+from mmwave_env.io.records import object_from
+from mmwave_env.localization.map_files import MAP_FILES, geodetic
+from mmwave_env.localization.track_files import require_own_files, track_files
+from mmwave_env.models.scene import SCENES, Origin
+from tests.localization.test_track_files import NAMES, some_track
+from tests.refusals import refuses
+
+ORIGIN = Origin(60.1867, 24.8277, 20.0, bearing_deg=37.0)
+SCENE = replace(SCENES["street"], origin=ORIGIN)
+NOON_S = 1_764_072_000.0  # 2025-11-25 12:00 UTC
+
+
+def tracks():
+    """Return two segments of a track, each 0.5 s apart."""
+    blocks = []
+    for segment, (epochs, start) in enumerate([(9, 0.0), (5, 60.0)]):
+        time_s = NOON_S + start + 0.5 * np.arange(epochs)
+        blocks.append(replace(some_track(epochs, segment), time_s=time_s, segment=segment))
+    return blocks
+
+
+def written(tmp_path, ending, blocks):
+    path = tmp_path / f"walk{ending}"
+    with track_files(path, NAMES, SCENE) as write:
+        for block in blocks:
+            write(block)
+        assert not path.exists()
+    return path
+
+
+def places(blocks):
+    """Return latitude, longitude and height (n, 3) by the library's own rotation of the frame."""
+    x, y, up = np.concatenate([block.smooth_x[:, :3] for block in blocks]).T
+    angle, length = np.arctan2(y, x), np.hypot(x, y)
+    azimuth = np.degrees(np.radians(ORIGIN.bearing_deg) - angle)
+    slant, elevation = np.hypot(length, up), np.degrees(np.arctan2(up, length))
+    where = ORIGIN.latitude_deg, ORIGIN.longitude_deg, ORIGIN.height_m
+    return np.column_stack(pymap3d.aer2geodetic(azimuth, elevation, slant, *where))
+
+
+def test_the_x_axis_points_where_the_bearing_says():
+    ahead = geodetic(replace(ORIGIN, bearing_deg=90.0), np.array([[100.0, 0.0, 0.0]]))[0]
+    assert ahead[0] == pytest.approx(ORIGIN.latitude_deg, abs=1e-7) and ahead[1] > 24.8277
+    north = geodetic(replace(ORIGIN, bearing_deg=0.0), np.array([[100.0, 0.0, 0.0]]))[0]
+    assert north[1] == pytest.approx(ORIGIN.longitude_deg, abs=1e-9) and north[0] > 60.1867
+
+
+def test_gpx_has_a_segment_for_each_and_its_times(tmp_path):
+    blocks = tracks()
+    content = gpxpy.parse(written(tmp_path, ".gpx", blocks).read_text())
+    (track,) = content.tracks
+    assert [len(segment.points) for segment in track.segments] == [9, 5]
+    points = [point for segment in track.segments for point in segment.points]
+    shown = [(p.latitude, p.longitude, p.elevation) for p in points]
+    np.testing.assert_allclose(shown, places(blocks), atol=1e-3, rtol=0.0)
+    np.testing.assert_allclose(np.array(shown)[:, :2], places(blocks)[:, :2], atol=1e-8, rtol=0.0)
+    moments = [point.time.timestamp() for point in points]
+    np.testing.assert_allclose(moments, np.concatenate([b.time_s for b in blocks]), atol=1e-3)
+
+
+def test_nmea_has_position_and_standard_deviations(tmp_path):
+    blocks = tracks()
+    lines = written(tmp_path, ".nmea", blocks).read_bytes().decode().split("\r\n")[:-1]
+    sentences = [pynmea2.parse(line, check=True) for line in lines]
+    expected, P = places(blocks), np.concatenate([block.smooth_P for block in blocks])
+    assert [s.sentence_type for s in sentences] == ["GGA", "GST"] * len(expected)
+    for position, spread, place, packed in zip(
+        sentences[::2], sentences[1::2], expected, P, strict=True
+    ):
+        shown = position.latitude, position.longitude, float(position.altitude)
+        np.testing.assert_allclose(shown, place, atol=1e-3, rtol=0.0)
+        np.testing.assert_allclose(shown[:2], place[:2], atol=1e-8, rtol=0.0)
+        horizontal = np.array([[packed[0], packed[1]], [packed[1], packed[2]]])
+        size = np.sqrt(np.linalg.eigvalsh(horizontal))
+        axes = float(spread.std_dev_minor), float(spread.std_dev_major)
+        np.testing.assert_allclose(axes, size, atol=1e-3)
+        total = float(spread.std_dev_latitude) ** 2 + float(spread.std_dev_longitude) ** 2
+        assert total == pytest.approx(np.trace(horizontal), abs=1e-2)
+        assert float(spread.std_dev_altitude) == pytest.approx(np.sqrt(packed[5]), abs=1e-3)
+    assert sentences[0].timestamp.isoformat() == "12:00:00+00:00"
+
+
+def area(ring):
+    """Return the area of a ring of longitudes and latitudes, m^2, in the plane of the origin."""
+    longitude, latitude = np.array(ring).T
+    where = ORIGIN.latitude_deg, ORIGIN.longitude_deg, ORIGIN.height_m
+    east, north, _ = pymap3d.geodetic2enu(latitude, longitude, ORIGIN.height_m, *where)
+    return 0.5 * abs(np.dot(east[:-1], north[1:]) - np.dot(east[1:], north[:-1]))
+
+
+def test_geojson_has_lines_within_segments_and_ellipses_of_95_percent(tmp_path):
+    blocks = tracks()
+    pieces = [blocks[0].part(slice(4)), blocks[0].part(slice(4, None)), blocks[1]]
+    features = json.loads(written(tmp_path, ".geojson", pieces).read_text())["features"]
+    lines = [f for f in features if f["geometry"]["type"] == "LineString"]
+    assert [len(f["geometry"]["coordinates"]) for f in lines] == [4, 6, 5]
+    first, second, other = (f["geometry"]["coordinates"] for f in lines)
+    assert first[-1] == second[0] and second[-1] != other[0]
+    np.testing.assert_allclose(
+        np.array([*first, *second[1:], *other])[:, [1, 0]], places(blocks)[:, :2], atol=1e-8
+    )
+    rings = {f["properties"]["time_s"]: f["geometry"] for f in features if f not in lines}
+    by_time = {t: P for b in blocks for t, P in zip(b.time_s, b.smooth_P, strict=True)}
+    assert list(rings) == [t for b in blocks for t in b.time_s[::2]]  # one a second
+    polygon = 16.0 * np.sin(np.pi / 16.0)  # of 32 corners in a circle, over its radius squared
+    for time_s, geometry in rings.items():
+        (ring,), P = geometry["coordinates"], by_time[time_s]
+        assert ring[0] == ring[-1]
+        size = 5.991 * np.sqrt(P[0] * P[2] - P[1] ** 2) * polygon
+        assert area(ring) == pytest.approx(size, rel=2e-3)
+
+
+@pytest.mark.parametrize("ending", MAP_FILES)
+def test_a_map_needs_an_origin_and_replaces_its_like_alone(tmp_path, ending):
+    path = tmp_path / f"walk{ending}"
+    with refuses("out"), track_files(path, NAMES, SCENES["street"]):
+        pass
+    written(tmp_path, ending, tracks())
+    require_own_files(path)
+    path.write_text("{}")
+    with refuses("out"):
+        require_own_files(path)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"latitude_deg": 90.5}, {"longitude_deg": 181.0}, {"bearing_deg": "north"}]
+)
+def test_an_origin_beyond_the_earth_is_refused(wrong):
+    (field,) = wrong
+    with refuses(field):
+        object_from(Origin, {"latitude_deg": 60.0, "longitude_deg": 24.0} | wrong)
