@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mmwave_env.datasets.tracks import Received, Track, numbers
-from mmwave_env.models.measurement import LINK, Layout, whole_groups, without_noise
+from mmwave_env.models.measurement import LINK, Layout, sigma_name, whole_groups, without_noise
 from mmwave_env.models.radio import Radio
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.world.checks import refuse
@@ -140,12 +140,7 @@ def _require_noise(
         refuse(record, ", ".join(horizontal), "none of them", "one or more")
     for name, values in measured.items():
         if values is not None and deviations[name] is None and snr_db is None:
-            refuse(record, name, "no noise", f"{_sigma_name(name)} or snr_db")
-
-
-def _sigma_name(name: str) -> str:
-    quantity, _, unit = name.rpartition("_")
-    return f"{quantity}_sigma_{unit}"
+            refuse(record, name, "no noise", f"{sigma_name(name)} or snr_db")
 
 
 def _as_partial(
@@ -166,10 +161,10 @@ def _as_partial(
         shape = heard.shape if link else heard.shape[:1]
         if values is None:
             continue
-        stated = numbers(record, _sigma_name(name), values, shape)
+        stated = numbers(record, sigma_name(name), values, shape)
         if (stated <= 0.0).any():
             expected = "above 0, or NaN where none"
-            refuse(record, _sigma_name(name), stated[stated <= 0.0][0], expected)
+            refuse(record, sigma_name(name), stated[stated <= 0.0][0], expected)
         sigma[:, slice(i, layout.doppler, 4) if link else layout.doppler] = stated
     shifted = np.zeros(len(rows), np.int64)
     kept = np.where(without_noise(rows, sigma, heard, shifted, layout), np.nan, rows)

@@ -152,6 +152,12 @@ def offered_rows(layout: Layout, measurements: Sequence[str] | None) -> list[boo
     return [*link * layout.anchors, doppler, *[True, True] * layout.odometry]
 
 
+def sigma_name(name: str) -> str:
+    """Return the name of a measurement's standard deviation: of "range_m", "range_sigma_m"."""
+    quantity, _, unit = name.rpartition("_")
+    return f"{quantity}_sigma_{unit}"
+
+
 def wrap_angles(measurement: NDArray[np.float64], layout: Layout) -> None:
     """Move the angles of measurements (T, rows) into [-pi, pi), in place.
 

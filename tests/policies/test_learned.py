@@ -9,10 +9,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
 from mmwave_env.models.measurement import Layout
 from policies import LearnedSwitch, learned, shipped_policies
+from tests.filters.tracks import replay, simulated
 from tests.paths import ROOT
 from tests.refusals import refuses
 from tests.training.actors import (
@@ -166,12 +168,52 @@ def test_a_policy_finds_its_features_among_others(tmp_path, table):
     np.testing.assert_array_equal(policy.logits(observed), expected)
 
 
+def scene_with(anchors, **options):
+    return Observation(Pipeline(MODES, Layout(anchors, **options)), "full", "per-mode")
+
+
+@pytest.mark.parametrize("anchors", [1, 2, 5])
+def test_a_scene_may_have_other_anchors_than_in_training(tmp_path, anchors):
+    """Anchors that a scene lacks are anchors that are never seen; further ones are not read."""
+    path, here = write_per_mode(tmp_path / "mine.safetensors"), scene_with(anchors)
+    names = [feature.name for feature in here.features]
+    observed = np.random.default_rng(3).normal(size=(50, len(here))).astype(np.float32)
+    expected = np.empty((50, len(PER_MODE_TABLE)), np.float32)
+    for i, column in enumerate(PER_MODE_TABLE.columns):
+        if column.name in names:
+            expected[:, i] = observed[:, names.index(column.name)]
+        else:
+            value = -20.0 if column.name.startswith("SNR anchor") else 0.0
+            expected[:, i] = (value - column.mean) / column.deviation
+    same = LearnedSwitch(path, PER_MODE_TABLE)
+    actual = LearnedSwitch(path, here).logits(observed)
+    np.testing.assert_allclose(actual, same.logits(expected), rtol=1e-5, atol=1e-5)
+
+
+def test_an_anchor_that_is_not_there_is_as_one_that_is_never_seen(tmp_path):
+    """The features of an environment in which the third link is never detected say the same."""
+    table, path = PER_MODE_TABLE, write_per_mode(tmp_path / "mine.safetensors")
+    policy = LearnedSwitch(path, scene_with(2))
+    (episode,) = simulated(1, 30)
+    episode = replace(episode, visible=episode.visible & [True, True, False, True])
+    env = MmWaveLocEnv(episodes=replay(episode), beliefs="per-mode", modes=HANDSET)
+    env.reset(seed=0)
+    observed = np.array([env.step(0)[0] for _ in range(28)])
+    for i, column in enumerate(table.columns):
+        if "anchor 3" in column.name:
+            np.testing.assert_allclose(observed[:, i], policy._unseen[i], rtol=1e-5)
+
+
 def test_a_feature_that_lacks_or_has_another_scale_is_refused_by_its_name(tmp_path):
     path = write(tmp_path / "mine.safetensors", actor(), card_of())
     with refuses("feature 'coming Doppler innovation'"):
         LearnedSwitch(path, Observation(Pipeline(MODES, Layout()), "prior"))
-    with refuses("feature 'NIS anchor 3'"):
+    with refuses("feature 'distance anchor 3'"):  # no value stands for an anchor that is not there
         LearnedSwitch(path, Observation(Pipeline(MODES, Layout(anchors=2))))
+    path = write_per_mode(tmp_path / "trust.safetensors")
+    with refuses("feature 'coming Doppler innovation'"):
+        LearnedSwitch(path, Observation(Pipeline(MODES, Layout(2)), "prior", "per-mode"))
+    path = write(tmp_path / "mine.safetensors", actor(), card_of())
     column = TABLE.columns[4]
     for change in ({"unit": "ft"}, {"mean": column.mean + 1.0}, {"deviation": 7.0}):
         features = (*TABLE.columns[:4], column._replace(**change), *TABLE.columns[5:])
