@@ -147,8 +147,13 @@ def measurements_from(names: Sequence[str] | None) -> tuple[str, ...] | None:
 
 
 def offered_rows(layout: Layout, measurements: Sequence[str] | None) -> list[bool]:
-    """Tell of each row whether it is one of the measurements; odometry always is."""
-    *link, doppler = [measurements is None or name in measurements for name in MEASUREMENTS]
+    """Tell of each row whether it is one of the measurements; odometry always is.
+
+    Raises:
+        ValueError: from :func:`measurements_from`.
+    """
+    names = measurements_from(measurements) or MEASUREMENTS
+    *link, doppler = [name in names for name in MEASUREMENTS]
     return [*link * layout.anchors, doppler, *[True, True] * layout.odometry]
 
 
