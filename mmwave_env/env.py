@@ -168,6 +168,11 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
       or any episode source, whose `radio`, if it has one, selects the default modes' tuning.
     * `planar`: flat terrain: z and vz are known.
     * `odometry`: the user also measures speed and heading.
+    * `measurements`: names of what the receiver measures, of "range", "azimuth", "elevation" (of
+      arrival), "departure" (azimuth) and "doppler", of simulated, recorded or measured episodes;
+      None (default) for all. The other rows are never measured: gates and `nis` count the rows that
+      are there. One of range and azimuths is needed. Truth and remaining values stay those of the
+      key or seed.
     * `terminate_on_divergence`: see Episode End.
     * `render_mode`: "rgb_array" or "human", a window whose title names its keys; needs the extra
       `render`.

@@ -1,6 +1,7 @@
 """Task of ``MmWaveLoc-v0`` from its arguments, for the single and the vector environment."""
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, cast
 
@@ -18,6 +19,7 @@ from mmwave_env.interface.observation import BELIEFS
 from mmwave_env.interface.reward import PairedReward, Reward, reward_from
 from mmwave_env.io.lookup import choose, did_you_mean
 from mmwave_env.io.records import require
+from mmwave_env.models.measurement import measurements_from
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.random_scene import RandomScene, scenes_from
 from mmwave_env.models.scene import Scene, Streets
@@ -124,6 +126,7 @@ class TaskArguments:
     episodes: str | os.PathLike[str] | Recording | MeasuredTrack | EpisodeSource | None = None
     planar: bool = False
     odometry: bool = False
+    measurements: Sequence[str] | None = None
     terminate_on_divergence: bool = False
 
 
@@ -192,6 +195,7 @@ def bank_and_modes(
 
 def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
     """Return the source of episodes, and the radio that they were received with."""
+    measurements = measurements_from(asked.measurements)
     if asked.episodes is None:
         simulated = SimulatedSource(
             scenes_from("street" if asked.scene is None else asked.scene),
@@ -200,6 +204,7 @@ def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
             1.0 if asked.dt is None else asked.dt,
             EPISODE_STEPS if asked.episode_steps is None else asked.episode_steps,
             asked.odometry,
+            measurements,
         )
         if asked.episode_steps is not None and simulated.epochs < asked.episode_steps:
             raise ValueError(
@@ -210,7 +215,7 @@ def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
     for name in ("scenario", "scene", "dt", "odometry"):
         if (value := getattr(asked, name)) is not None and value is not False:
             raise ValueError(f"{name}: found {value!r}, but recorded episodes bring it")
-    source = _recorded(asked.episodes, radio, asked.episode_steps)
+    source = _recorded(asked.episodes, radio, asked.episode_steps, measurements)
     return source, getattr(source, "radio", radio)
 
 
@@ -218,15 +223,17 @@ def _recorded(
     episodes: str | os.PathLike[str] | Recording | MeasuredTrack | EpisodeSource,
     radio: Radio,
     steps: int | None,
+    measurements: tuple[str, ...] | None,
 ) -> EpisodeSource:
     """Return the source for an ``episodes=`` argument."""
     if isinstance(episodes, str | os.PathLike | Recording | MeasuredTrack):
-        return source_from(episodes, radio, steps)
+        return source_from(episodes, radio, steps, measurements)
     if not hasattr(episodes, "layout") or not hasattr(episodes, "sample"):
         raise ValueError(
             f"episodes: found {episodes!r}, expected a name, a folder, a recording, a measured "
             "track, or a source with layout and sample(rng)"
         )
-    if steps is not None:
-        raise ValueError(f"episode_steps: found {steps}, but the source in episodes= has its own")
+    for name, value in (("episode_steps", steps), ("measurements", measurements)):
+        if value is not None:
+            raise ValueError(f"{name}: found {value}, but the source in episodes= has its own")
     return episodes

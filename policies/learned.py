@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.filters.bank import Bank
+from mmwave_env.interface.features import UNSEEN
 from mmwave_env.interface.observation import Observation
 from mmwave_env.io.lookup import unknown
 from mmwave_env.models.radio import radio_from
@@ -69,6 +70,7 @@ class LearnedSwitch(Policy):
         self._low, self._high = tensors["low"], tensors["high"]
         self._width = len(self._low)  # number of columns of the observations that it is given
         self._columns: NDArray[np.intp] | None = None  # those it reads; None for all, in order
+        self._unseen: Array | None = None  # values of features of anchors that lack, else NaN
         layers = sum(name.startswith("layer.") for name in tensors) // 2
         self._layers = [
             (tensors[f"layer.{i}.weight"].T, tensors[f"layer.{i}.bias"]) for i in range(layers)
@@ -101,7 +103,9 @@ class LearnedSwitch(Policy):
     def read_from(self, observation: Observation) -> None:
         """Find the policy's features, by name, in the observations of an environment.
 
-        Features that the policy does not know are not read.
+        Features that the policy does not know are not read. In a scene with more anchors than in
+        training it reads those of the first ones; with fewer, it reads the others as anchors that
+        are never seen (:data:`~mmwave_env.interface.features.UNSEEN`).
 
         Raises:
             ValueError: beliefs or modes differ, or a feature is missing or has another unit or
@@ -116,9 +120,13 @@ class LearnedSwitch(Policy):
                 f"another tuning of them; make the environment as in training: {self._made_with}"
             )
         columns = {column.name: column for column in observation.columns}
-        for feature in card.features:
+        unseen = np.full(len(card.features), np.nan, np.float32)
+        for i, feature in enumerate(card.features):
             column = columns.get(feature.name)
-            if column != feature:
+            kind, anchor, rest = feature.name.partition(" anchor ")
+            if anchor and kind in UNSEEN and f"SNR anchor {rest.split()[0]}" not in columns:
+                unseen[i] = (UNSEEN[kind] - feature.mean) / feature.deviation
+            elif column != feature:
                 values = f"{column[1:]}" if column else "none (has the environment fewer anchors?)"
                 raise ValueError(
                     f"{self._path}: feature {feature.name!r}: found {values}, expected unit, mean "
@@ -126,8 +134,10 @@ class LearnedSwitch(Policy):
                     f"{self._made_with}"
                 )
         self._width, alike = len(columns), card.features == observation.columns
-        order = [observation.columns.index(feature) for feature in card.features]
-        self._columns = None if alike else np.array(order)
+        order = {feature: i for i, feature in enumerate(observation.columns)}
+        read = [order.get(feature, 0) for feature in card.features]
+        self._columns = None if alike else np.array(read)
+        self._unseen = None if np.isnan(unseen).all() else unseen
 
     @property
     def _made_with(self) -> str:
@@ -160,6 +170,8 @@ class LearnedSwitch(Policy):
             )
         if self._columns is not None:
             observation = np.take(observation, self._columns, axis=1)
+            if self._unseen is not None:
+                observation = np.where(np.isnan(self._unseen), observation, self._unseen)
         x = np.minimum(np.maximum(observation, self._low), self._high)
         *hidden, (weight, bias) = self._layers
         for w, b in hidden:

@@ -27,7 +27,9 @@ def read_log_folder(folder: Path) -> MeasuredTrack:
     """Read the track of a folder with a log, its scene and its truth, all into memory.
 
     Positions are those of :class:`~mmwave_env.logs.truth.Truth` at the times of the epochs;
-    velocities are their differences. A truth whose clock differs from the log's causes a warning.
+    velocities are their differences. The layout is partial if a link has only some of its numbers
+    or own standard deviations, or if the Doppler shift is that of another anchor. A truth whose
+    clock differs from the log's causes a warning.
 
     Args:
         folder: contains ``log.csv`` (or ``.csv.gz``, ``.parquet``), ``scene.json``, ``truth.tum``.
@@ -40,7 +42,10 @@ def read_log_folder(folder: Path) -> MeasuredTrack:
     """
     path = log_of(folder)
     scene, truth = read_scene(folder / SCENE), Truth(folder / TRUTH)
-    log = LogBlock.joined(list(read_log(path, scene)))
+    log = LogBlock.joined(list(read_log(path, scene, partial=True)))
+    whole = log.whole()
+    if np.array_equal(whole.visible, log.visible) and not np.isfinite(log.sigma).any():
+        log = whole
     true = truth.at(log.time_s)
     ends = float(log.time_s[0]), float(log.time_s[-1])
     matched = int(np.isfinite(true.position_m[:, 0]).sum())
@@ -59,6 +64,8 @@ def read_log_folder(folder: Path) -> MeasuredTrack:
         visible=log.visible,
         snr_db=log.snr_db,
         doppler_spread_hz=log.doppler_spread_hz,
+        sigma=log.sigma if log.layout.partial else None,
+        doppler_anchor=log.doppler_anchor if log.layout.partial else None,
         position_m=true.position_m,
         velocity_mps=velocity_of(log.time_s, true.position_m, GAP_S),
     )

@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 
 from mmwave_env.logs.log_tables import SUFFIXES, LogError, require_arrow
-from mmwave_env.models.measurement import LINK, SPEED_OF_LIGHT
-from mmwave_env.numerics.numbers import PI, Array, Mask
-from mmwave_env.world.episode import Episode
+from mmwave_env.models.measurement import LINK, SPEED_OF_LIGHT, sigma_name
+from mmwave_env.numerics.numbers import PI, Array, Index, Mask
+from mmwave_env.world.episode import NEUTRAL_SNR_DB, Episode
 
 
 def log_columns(episode: Episode) -> dict[str, Array]:
     """Return the columns (n,) of an episode's log, NaN where empty; a row per epoch and anchor.
 
     Numbers of unusable groups are left out. The SNR stays where a link or the
-    Doppler shift needs it. An elevation that noise moves beyond the vertical is clipped there, as
-    receivers do.
+    Doppler shift needs it. In a partial layout there are standard deviations, too. An elevation
+    that noise moves beyond the vertical is clipped there, as receivers do.
     """
     layout, usable = episode.layout, episode.usable
     T, L = len(episode), layout.anchors
@@ -25,12 +25,17 @@ def log_columns(episode: Episode) -> dict[str, Array]:
         usable[:, :L, None], episode.measurement[:, : layout.doppler].reshape(T, L, 4), np.nan
     )
     links[..., 2] = np.clip(links[..., 2], -PI / 2, PI / 2)
+    epochs, shifted = np.arange(T), np.zeros(T, np.int64)
+    if episode.doppler_anchor is not None:
+        shifted = episode.doppler_anchor
     heard = usable[:, :L].copy()
-    heard[:, 0] |= usable[:, L]
+    heard[epochs, shifted] |= usable[:, L]
+    if layout.partial:
+        heard &= episode.snr_db != NEUTRAL_SNR_DB  # no SNR was measured
 
-    def first_row(values: Array, shown: Mask | bool = True) -> Array:
+    def first_row(values: Array, shown: Mask | bool = True, anchor: Index | int = 0) -> Array:
         out = np.full((T, L), np.nan)
-        out[:, 0] = np.where(shown, values, np.nan)
+        out[epochs, anchor] = np.where(shown, values, np.nan)
         return out.ravel()
 
     columns = {
@@ -38,10 +43,17 @@ def log_columns(episode: Episode) -> dict[str, Array]:
         "anchor": np.tile(np.arange(1, L + 1), T),
         "toa_s": links[..., 0].ravel() / SPEED_OF_LIGHT,
         **{name: links[..., i].ravel() for i, name in enumerate(LINK) if i},
-        "doppler_hz": first_row(episode.measurement[:, layout.doppler], usable[:, L]),
+        "doppler_hz": first_row(episode.measurement[:, layout.doppler], usable[:, L], shifted),
         "snr_db": np.where(heard, episode.snr_db, np.nan).ravel(),
         "doppler_spread_hz": first_row(episode.doppler_spread_hz),
     }
+    if layout.partial:
+        sigma = episode.sigma[:, : layout.doppler].reshape(T, L, 4)
+        for i, name in enumerate(LINK):
+            own = np.where(np.isnan(links[..., i]), np.nan, sigma[..., i])
+            columns[sigma_name(name)] = own.ravel()
+        own = episode.sigma[:, layout.doppler]
+        columns[sigma_name("doppler_hz")] = first_row(own, usable[:, L], shifted)
     if layout.odometry:
         odometry = episode.measurement[:, layout.doppler + 1 :].T
         for name, values in zip(("speed_mps", "heading_rad"), odometry, strict=True):

@@ -4,14 +4,17 @@ Measurements are never drawn anew: a seed draws the prior and, unless it is fixe
 the log at which an episode begins.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mmwave_env.datasets.tracks import Received, Track, numbers
+from mmwave_env.models.measurement import LINK, Layout, sigma_name, whole_groups, without_noise
 from mmwave_env.models.radio import Radio
-from mmwave_env.numerics.numbers import Array
+from mmwave_env.numerics.numbers import Array, Index, Mask
+from mmwave_env.world.checks import refuse
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -24,17 +27,23 @@ class MeasuredTrack(Track):
     Attributes:
         snr_db: (T, L); -inf where no SNR was measured.
         doppler_spread_hz: (T,) Doppler spread.
+        sigma: (T, rows) the receiver's own standard deviations, NaN where it states none; None in a
+            layout that is not partial.
+        doppler_anchor: (T,) anchor of the Doppler shift, from 0; None for the base station.
     """
 
     snr_db: Array
     doppler_spread_hz: Array
+    sigma: Array | None = None
+    doppler_anchor: Index | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self.warn_of_contradictions()
 
     def _own_shapes(self, T: int, L: int) -> dict[str, tuple[int, ...]]:
-        return {"snr_db": (T, L), "doppler_spread_hz": (T,)}
+        own = {"sigma": (T, self.layout.size), "doppler_anchor": (T,)}
+        return {"snr_db": (T, L), "doppler_spread_hz": (T,)} | own
 
     @classmethod
     def from_arrays(
@@ -42,13 +51,18 @@ class MeasuredTrack(Track):
         *,
         time_s: ArrayLike,
         anchors_m: ArrayLike,
-        range_m: ArrayLike,
-        aoa_azimuth_rad: ArrayLike,
-        aoa_elevation_rad: ArrayLike,
-        aod_azimuth_rad: ArrayLike,
-        snr_db: ArrayLike,
         position_m: ArrayLike,
+        range_m: ArrayLike | None = None,
+        aoa_azimuth_rad: ArrayLike | None = None,
+        aoa_elevation_rad: ArrayLike | None = None,
+        aod_azimuth_rad: ArrayLike | None = None,
         doppler_hz: ArrayLike | None = None,
+        snr_db: ArrayLike | None = None,
+        range_sigma_m: ArrayLike | None = None,
+        aoa_azimuth_sigma_rad: ArrayLike | None = None,
+        aoa_elevation_sigma_rad: ArrayLike | None = None,
+        aod_azimuth_sigma_rad: ArrayLike | None = None,
+        doppler_sigma_hz: ArrayLike | None = None,
         doppler_spread_hz: ArrayLike | None = None,
         velocity_mps: ArrayLike | None = None,
         carrier_hz: float = 28e9,
@@ -57,27 +71,32 @@ class MeasuredTrack(Track):
     ) -> "MeasuredTrack":
         """Return a track from a user's arrays; NaN stands for what was not measured or is unknown.
 
-        A link with only some of its numbers counts as not measured. Angles are in the frame of
-        the map: arrival is the direction anchor -> user, azimuth ``atan2(dy, dx)`` and elevation
-        ``atan2(dz, hypot(dx, dy))``; departure is the azimuth user -> anchor. Angles of a virtual
-        anchor are seen from the mirror image. docs/data.md, "Angles", converts other conventions.
+        A link may have only some of its numbers; those whose noise neither an SNR nor a standard
+        deviation tells count as not measured. Angles are in the frame of the map: arrival is the
+        direction anchor -> user, azimuth ``atan2(dy, dx)`` and elevation ``atan2(dz, hypot(dx,
+        dy))``; departure is the azimuth user -> anchor. Angles of a virtual anchor are seen from
+        the mirror image. docs/data.md, "Angles", converts other conventions.
 
         Args:
             time_s: (T,) times of the epochs, increasing, s.
             anchors_m: (L, 3) base station, then virtual anchors, m.
+            position_m: (T, 3) true positions, m.
             range_m: (T, L) ranges of links: speed of light times one-way time of flight, m.
             aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad: (T, L) angles of links, rad.
-            snr_db: (T, L) SNR of links, dB; with the radio profile it determines the noise.
-            position_m: (T, 3) true positions, m.
             doppler_hz: (T,) shift of the base station's link, positive while the range grows.
+            snr_db: (T, L) SNR of links, dB; with the radio profile it determines the noise.
+            range_sigma_m, aoa_azimuth_sigma_rad, aoa_elevation_sigma_rad, aod_azimuth_sigma_rad:
+                (T, L) the receiver's own standard deviations, which come before the profile's.
+            doppler_sigma_hz: (T,) likewise.
             doppler_spread_hz: (T,) Doppler spread; 0 where there is none.
             velocity_mps: (T, 3) true velocities, m/s; None for differences of positions.
             carrier_hz, bandwidth_hz: frequencies of the signal.
             name: name for results and messages.
 
         Raises:
-            ValueError: an array has another shape, or times do not increase; the message
-                names the array.
+            ValueError: an array has another shape, times do not increase, standard deviations are
+                not positive, nothing tells of the horizontal position, or an array has neither
+                standard deviations nor an SNR; the message names the array.
         """
         record = f"{cls.KIND} {name!r}"
         links = (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad)
@@ -85,6 +104,14 @@ class MeasuredTrack(Track):
         fields, snr = cls._fields(
             name, time_s, anchors_m, links, strength, (position_m, velocity_mps), signal, doppler_hz
         )
+        deviations = (
+            range_sigma_m, aoa_azimuth_sigma_rad, aoa_elevation_sigma_rad, aod_azimuth_sigma_rad,
+            doppler_sigma_hz,
+        )  # fmt: skip
+        measured = dict(zip((*LINK, "doppler_hz"), (*links, doppler_hz), strict=True))
+        given = dict(zip(measured, deviations, strict=True))
+        _require_noise(record, measured, given, snr_db)
+        fields |= _as_partial(record, fields, np.isfinite(snr), given)
         spread = np.zeros(len(snr)) if doppler_spread_hz is None else doppler_spread_hz
         return cls(
             **fields,
@@ -96,4 +123,53 @@ class MeasuredTrack(Track):
 
     def _received(self, radio: Radio, rng: np.random.Generator, epochs: slice) -> Received:
         snr, spread = self.snr_db[epochs], self.doppler_spread_hz[epochs]
-        return Received(self.measurement[epochs], snr, spread, bias_hz=None)
+        sigma = None if self.sigma is None else self.sigma[epochs]
+        anchor = None if self.doppler_anchor is None else self.doppler_anchor[epochs]
+        return Received(self.measurement[epochs], snr, spread, None, sigma, anchor)
+
+
+def _require_noise(
+    record: str,
+    measured: dict[str, ArrayLike | None],
+    deviations: dict[str, ArrayLike | None],
+    snr_db: ArrayLike | None,
+) -> None:
+    """Refuse arrays that give no horizontal position, or whose noise is unknown."""
+    horizontal = [name for name in LINK if "elevation" not in name]
+    if all(measured[name] is None for name in horizontal):
+        refuse(record, ", ".join(horizontal), "none of them", "one or more")
+    for name, values in measured.items():
+        if values is not None and deviations[name] is None and snr_db is None:
+            refuse(record, name, "no noise", f"{sigma_name(name)} or snr_db")
+
+
+def _as_partial(
+    record: str, fields: dict[str, Any], heard: Mask, deviations: dict[str, ArrayLike | None]
+) -> dict[str, Any]:
+    """Return what differs in a partial layout, which a track has if it needs one.
+
+    Args:
+        record: for messages.
+        fields: as in a layout that is not partial.
+        heard: (T, L) whether a link has an SNR.
+        deviations: standard deviations by names of measurements, (T, L) or (T,).
+    """
+    layout: Layout = fields["layout"]
+    rows, sigma = fields["measurement"], np.full_like(fields["measurement"], np.nan)
+    for i, (name, values) in enumerate(deviations.items()):
+        link = i < len(LINK)
+        shape = heard.shape if link else heard.shape[:1]
+        if values is None:
+            continue
+        stated = numbers(record, sigma_name(name), values, shape)
+        if (stated <= 0.0).any():
+            expected = "above 0, or NaN where none"
+            refuse(record, sigma_name(name), stated[stated <= 0.0][0], expected)
+        sigma[:, slice(i, layout.doppler, 4) if link else layout.doppler] = stated
+    shifted = np.zeros(len(rows), np.int64)
+    kept = np.where(without_noise(rows, sigma, heard, shifted, layout), np.nan, rows)
+    partial = replace(layout, partial=True)
+    visible, _ = whole_groups(kept, heard, partial)
+    if not np.isfinite(sigma).any() and np.array_equal(visible, fields["visible"]):
+        return {}
+    return {"layout": partial, "measurement": kept, "visible": visible, "sigma": sigma}

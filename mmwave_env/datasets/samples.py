@@ -1,6 +1,7 @@
 """Sources of episodes by name: samples of the package, and a user's own folders."""
 
 import os
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 
@@ -54,6 +55,7 @@ def source_from(
     episodes: str | os.PathLike[str] | Recording | MeasuredTrack,
     radio: str | Radio,
     epochs: int | None = None,
+    measurements: Sequence[str] | None = None,
 ) -> TrackSource:
     """Return the source for an ``episodes=`` argument, or for ``--data``.
 
@@ -62,15 +64,16 @@ def source_from(
             its truth, or with a DeepMIMO v4 scenario; a recording; or a measured track.
         radio: profile of the receiver.
         epochs: length of an episode, a window drawn at random; None for all epochs.
+        measurements: names of what is used of them; None for all.
 
     Raises:
         ValueError: the name is unknown, the folder is of another kind, or no window fits.
         OSError: a file can't be read.
     """
     if not isinstance(episodes, str | os.PathLike):
-        return TrackSource(episodes, radio, epochs)
+        return TrackSource(episodes, radio, epochs, measurements)
     if episodes in sample_names():
-        return TrackSource(recording_from(str(episodes)), radio, epochs)
+        return TrackSource(recording_from(str(episodes)), radio, epochs, measurements)
     folder = Path(episodes)
     if folder.is_file():
         raise ValueError(
@@ -83,4 +86,4 @@ def source_from(
             "or the folder of a measurement log with scene and truth, or of a DeepMIMO scenario"
         )
     read = read_deepmimo if is_scenario(folder) else read_log_folder
-    return TrackSource(read(folder), radio, epochs)
+    return TrackSource(read(folder), radio, epochs, measurements)

@@ -3,7 +3,7 @@
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -11,11 +11,19 @@ from numpy.typing import ArrayLike
 
 from mmwave_env.io.lookup import quoted
 from mmwave_env.logs.truth import stretches, velocity_of
-from mmwave_env.models.measurement import LINK, Layout, exact_rows, whole_groups, wrap_angles
+from mmwave_env.models.measurement import (
+    LINK,
+    Layout,
+    exact_rows,
+    measurements_from,
+    offered_rows,
+    whole_groups,
+    wrap_angles,
+)
 from mmwave_env.models.prior import GAP_S, draw_prior
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import Scene, scene_of_anchors
-from mmwave_env.numerics.numbers import Array, Mask, wrap
+from mmwave_env.numerics.numbers import Array, Index, Mask, wrap
 from mmwave_env.world.checks import refuse, require_epochs, require_increasing, require_name
 from mmwave_env.world.episode import Episode, shapes_of
 
@@ -26,12 +34,17 @@ _ENOUGH = 20  # epochs for a median
 
 
 class Received(NamedTuple):
-    """The measurements of T epochs, and the oscillator's first bias, or None where unknown."""
+    """The measurements of T epochs, and the oscillator's first bias, or None where unknown.
+
+    The last two are as :meth:`Episode.measured` takes them.
+    """
 
     measurement: Array  # (T, rows)
     snr_db: Array  # (T, L)
     doppler_spread_hz: Array  # (T,)
     bias_hz: float | None
+    sigma: Array | None = None
+    doppler_anchor: Index | None = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -112,6 +125,8 @@ class Track(ABC):
             snr_db=received.snr_db,
             doppler_spread_hz=received.doppler_spread_hz,
             prior=(mean, covariance),
+            sigma=received.sigma,
+            doppler_anchor=received.doppler_anchor,
             position_m=position,
             velocity_mps=velocity,
         )
@@ -122,8 +137,8 @@ class Track(ABC):
         name: str,
         time_s: ArrayLike,
         anchors_m: ArrayLike,
-        links: Sequence[ArrayLike],
-        strength: tuple[str, ArrayLike],
+        links: Sequence[ArrayLike | None],
+        strength: tuple[str, ArrayLike | None],
         truth: tuple[ArrayLike, ArrayLike | None],
         signal: tuple[float, float],
         doppler_hz: ArrayLike | None = None,
@@ -132,8 +147,8 @@ class Track(ABC):
 
         Args:
             name, time_s, anchors_m, doppler_hz: as the constructors ``from_arrays`` take them.
-            links: (T, L) arrays in the order of ``LINK``, NaN where not measured.
-            strength: name and values (T, L) of the strength of links.
+            links: (T, L) arrays in the order of ``LINK``, NaN where not measured; None for NaN.
+            strength: name and values (T, L) of the strength of links, or None.
             truth: positions (T, 3), and velocities (T, 3) or None.
             signal: carrier and bandwidth, Hz.
 
@@ -153,11 +168,16 @@ class Track(ABC):
         layout = Layout(len(anchors))
         rows = np.full((T, layout.size), np.nan)
         for i, (link, values) in enumerate(zip(LINK, links, strict=True)):
-            rows[:, i : layout.doppler : 4] = numbers(record, link, values, (T, layout.anchors))
+            if values is not None:
+                rows[:, i : layout.doppler : 4] = numbers(record, link, values, (T, layout.anchors))
         if doppler_hz is not None:
             rows[:, layout.doppler] = numbers(record, "doppler_hz", doppler_hz, (T,))
         wrap_angles(rows, layout)
-        strengths = numbers(record, *strength, (T, layout.anchors))
+        name_of, values = strength
+        shape = T, layout.anchors
+        strengths = np.full(shape, np.nan)
+        if values is not None:
+            strengths = numbers(record, name_of, values, shape)
         visible, _ = whole_groups(rows, np.isfinite(strengths), layout)
         fields = {
             "name": name,
@@ -196,10 +216,11 @@ class Track(ABC):
         known, far = np.isfinite(self.position_m).all(axis=1), []
         for a in range(layout.anchors):
             used = self.visible[:, a] & known
-            if used.sum() < _ENOUGH:
-                continue
             for i, name in enumerate(LINK):
                 error = (self.measurement[:, 4 * a + i] - exact[4 * a + i])[used]
+                error = error[np.isfinite(error)]
+                if len(error) < _ENOUGH:
+                    continue
                 sizes = (np.abs(wrap(e) if i else e) for e in (error, np.diff(error)))
                 median, differ = (float(np.median(size)) for size in sizes)
                 # Noise alone makes the median two thirds of its deviation.
@@ -225,14 +246,30 @@ class TrackSource:
         radio: profile of the receiver, or its name.
         epochs: length of an episode, a window drawn at random from all stretches; None for
             the longest stretch as a whole.
+        measurements: names of what is used of the track's measurements; None for all.
 
     Raises:
         ValueError: there is no stretch, or no stretch of that length.
     """
 
-    def __init__(self, track: Track, radio: str | Radio, epochs: int | None = None) -> None:
+    def __init__(
+        self,
+        track: Track,
+        radio: str | Radio,
+        epochs: int | None = None,
+        measurements: Sequence[str] | None = None,
+    ) -> None:
         self.track, self.radio = track, radio_from(radio)
         self.layout, self.name, self.scene = track.layout, track.name, track.scene
+        self._measurements = measurements_from(measurements)
+        if self._measurements:
+            self.layout = layout = replace(track.layout, partial=True)
+            rows = np.isfinite(track.measurement) & offered_rows(layout, self._measurements)
+            if not rows[:, : layout.doppler].any():
+                shown = ", ".join(self._measurements)
+                raise ValueError(
+                    f"measurements: found {shown}, expected some that {track.record} has of links"
+                )
         runs = stretches(track.time_s, track.position_m, GAP_S)
         if not runs:
             step = float(np.median(np.diff(track.time_s))) if len(track) > 1 else 0.0
@@ -266,7 +303,8 @@ class TrackSource:
     def sample(self, rng: np.random.Generator) -> Episode:
         """Draw an episode; all randomness comes from ``rng``."""
         start = int(rng.choice(self._starts))
-        return self.track.episode(self.radio, rng, slice(start, start + self.epochs))
+        episode = self.track.episode(self.radio, rng, slice(start, start + self.epochs))
+        return episode.only(self._measurements) if self._measurements else episode
 
 
 def numbers(record: str, field: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:

@@ -62,12 +62,16 @@ class _Trial(NamedTuple):
     x: list[Number]
     P: list[Number]
     measured: list[Any]  # the fields of a Measurement before its layout
+    rows: list[Any]  # those after it: measured and doppler_of; none unless the layout is partial
     force: Number
-    rows: list[list[Number]]  # ``measured`` and ``doppler_of``; empty unless the layout is partial
 
 
 def _trials(layout: Layout) -> Iterator[_Trial]:
-    """Yield an epoch that measures everything, and one with an outlier and missing groups."""
+    """Yield an epoch that measures everything, and one with an outlier and missing groups.
+
+    In a partial layout yield another one that measures some rows, and the Doppler shift of another
+    anchor.
+    """
     hz_per_mps, scale = 93.4, [2.0, 1.5, 0.5, 1.0, 0.8, 0.2, 30.0]
     x = [12.0, -7.0, 1.5, 3.0, -2.0, 0.1, 20.0]
     truth = [m + 0.5 * s for m, s in zip(x, scale, strict=True)]
@@ -80,16 +84,19 @@ def _trials(layout: Layout) -> Iterator[_Trial]:
     exact[layout.doppler] += truth[6]
     z = [h + 0.3 * s for h, s in zip(exact, sigma, strict=True)]
     variance = [s * s for s in sigma]
-    of = [float(a == layout.anchors - 1) for a in range(layout.anchors)]
-    every = [[1.0] * layout.size, of] if layout.partial else []
-    yield _Trial(x, P, [anchors, hz_per_mps, z, variance, [1.0] * len(layout.groups)], 0.0, every)
-    spoiled = [z[0] + 50.0, *z[1:]]
-    for group in layout.groups[1::2]:
-        spoiled[group] = [0.0] * (group.stop - group.start)
-    visible = [float(g % 2 == 0) for g in range(len(layout.groups))]
-    whole = [v for v, k in zip(visible, layout.widths, strict=True) for _ in range(k)]
-    some = [[v * (row % 3 != 1) for row, v in enumerate(whole)], of] if layout.partial else []
-    yield _Trial(x, P, [anchors, hz_per_mps, spoiled, variance, visible], 1.0, some)
+
+    def trial(z: list[float], measured: list[float], force: float, anchor: int) -> _Trial:
+        visible = [max(measured[group]) for group in layout.groups]
+        z = [value if m else 0.0 for m, value in zip(measured, z, strict=True)]
+        shifted = [float(a == anchor) for a in range(layout.anchors)]
+        rows = [measured, shifted] if layout.partial else []
+        return _Trial(x, P, [anchors, hz_per_mps, z, variance, visible], rows, force)
+
+    yield trial(z, [1.0] * layout.size, 0.0, 0)
+    some = [float(g % 2 == 0) for g, k in enumerate(layout.widths) for _ in range(k)]
+    yield trial([z[0] + 50.0, *z[1:]], some, 1.0, 0)
+    if layout.partial:
+        yield trial(z, [float(row % 3 > 0) for row in range(layout.size)], 0.0, layout.anchors - 1)
 
 
 def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> None:
@@ -113,9 +120,29 @@ def _check(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> None:
             _wrong_shapes(layout, on_floats),
             _wrong_shapes(layout, on_lanes),
             _unsound(trial, on_floats, on_lanes),
+            _uses_missing_rows(mode, layout, known_axes, trial, on_floats),
         )
         if problem := next(problems, None):
             raise _error(mode, f"returned {problem}", begin_of(mode.update))
+
+
+def _uses_missing_rows(
+    mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial, result: Posterior
+) -> Iterator[str]:
+    """Yield numbers of a partial epoch's result that depend on rows that were not measured."""
+    if not trial.rows:
+        return
+    anchors, hz_per_mps, z, *rest = trial.measured
+    other = [v + 0.3 * (1.0 - m) for v, m in zip(z, trial.rows[0], strict=True)]
+    changed = trial._replace(measured=[anchors, hz_per_mps, other, *rest])
+    moved = _run(mode, layout, known_axes, changed)
+    values = [pair for field in result._asdict().items() for pair in _numbers(*field)]
+    for (place, number), other in zip(values, flatten(moved), strict=True):
+        if abs(number - other) > 1e-9 * (1.0 + abs(number)):
+            yield (
+                f"{place}: {number!r}, and {other!r} with other values in rows that are missing, "
+                "expected the same (times measurement.measured)"
+            )
 
 
 def begin_of(function: Callable[..., Any]) -> Line | None:
@@ -150,8 +177,8 @@ def _error(mode: Mode, problem: str, line: Line | None, advice: str = "") -> Alg
 
 def _run(mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial) -> Any:
     """Run the algorithm on an epoch and return its result."""
-    x, P, measured, force, rows = unflatten(trial, iter(flatten(trial)))  # a copy
-    fields: list[Any] = [*measured, layout, *(rows or [(), ()])]
+    x, P, measured, rows, force = unflatten(trial, iter(flatten(trial)))  # a copy
+    fields: list[Any] = [*measured, layout, *rows] if rows else [*measured, layout, (), ()]
     measurement = Measurement._make(fields)
     gate = Gate(mode.gate, 0.0 if mode.recovery is None else force, mode.robust)
     arguments = x, unpack(P, zero=known_axes), measurement

@@ -53,7 +53,10 @@ class _Relative:
 
     def __init__(self, mean: Array, measurement: Measurement) -> None:
         layout, anchors = measurement.layout, np.array(measurement.anchors, float)
-        self._sensor = textbook.Sensor(anchors, float(measurement.hz_per_mps), layout.odometry)
+        shifted = int(np.argmax(measurement.doppler_of)) if len(measurement.doppler_of) else 0
+        self._sensor = textbook.Sensor(
+            anchors, float(measurement.hz_per_mps), layout.odometry, shifted
+        )
         self._mean, self._at_mean = mean, self._sensor.h(mean)
         self.innovation = self._difference(np.array(measurement.z, float))
 
@@ -193,31 +196,42 @@ def _update(
     layout, relative = measurement.layout, _Relative(x, measurement)
     R = np.diag(np.array(measurement.variance, float))
     visible = [g for g in range(len(layout.groups)) if measurement.visible[g] > 0.5]
+    groups = _measured_rows(measurement)
     nis, accepted = [0.0] * len(layout.groups), [0.0] * len(layout.groups)
     if not visible:
         return Posterior(x.tolist(), P.tolist(), nis, accepted, 0.0)
-    rows = np.r_[tuple(layout.groups[g] for g in visible)]
+    rows = np.concatenate([groups[g] for g in visible])
     posterior = filter_.update(P, relative, rows, R[np.ix_(rows, rows)])
     log_likelihood, first, doubted = 0.0, 0, False
     for g in visible:
-        group = layout.groups[g]
-        part = slice(first, first := first + layout.widths[g])
+        group = np.ix_(groups[g], groups[g])
+        part = slice(first, first := first + len(groups[g]))
         y, S = posterior.y[part], posterior.S[part, part]
         nis[g] = float(y @ np.linalg.solve(S, y))
         lenient = g < layout.anchors and (gate.robust or gate.force > 0.5)
-        accepted[g] = float(lenient or nis[g] <= _threshold(gate.quantile, layout.widths[g]))
+        accepted[g] = float(lenient or nis[g] <= _threshold(gate.quantile, len(groups[g])))
         log_likelihood -= 0.5 * (nis[g] + float(np.linalg.slogdet(S)[1]))
         if gate.robust and g < layout.anchors and nis[g] > ROBUST_ONSET * len(y):
             doubted = True
-            R[group, group] *= (nis[g] / (ROBUST_ONSET * len(y))) ** 2
+            R[group] *= (nis[g] / (ROBUST_ONSET * len(y))) ** 2
     kept = [g for g in visible if accepted[g]]
     if not kept:
         return Posterior(x.tolist(), P.tolist(), nis, accepted, log_likelihood)
     if doubted or kept != visible:
-        rows = np.r_[tuple(layout.groups[g] for g in kept)]
+        rows = np.concatenate([groups[g] for g in kept])
         posterior = filter_.update(P, relative, rows, R[np.ix_(rows, rows)])
     x, P = x + posterior.step, _symmetric(posterior.P)
     return Posterior(x.tolist(), P.tolist(), nis, accepted, log_likelihood)
+
+
+def _measured_rows(measurement: Measurement) -> list[Rows]:
+    """Return the numbers of the measured rows of each group."""
+    layout = measurement.layout
+    measured = measurement.measured if layout.partial else [1.0] * layout.size
+    return [
+        np.array([row for row in range(group.start, group.stop) if measured[row] > 0.5], np.int64)
+        for group in layout.groups
+    ]
 
 
 @cache

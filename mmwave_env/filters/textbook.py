@@ -195,11 +195,13 @@ class Sensor:
         anchors: (L, 3) positions, m; the first is the base station.
         hz_per_mps: f_c / c.
         odometry: whether speed and heading are measured, too.
+        shifted: number of the anchor of the Doppler shift, from 0.
     """
 
     anchors: Array
     hz_per_mps: float
     odometry: bool = False
+    shifted: int = 0
 
     def h(self, x: Array) -> Array:
         """Return the measurement (rows,) that is expected in a state."""
@@ -209,7 +211,7 @@ class Sensor:
             azimuth = np.arctan2(north, east)
             elevation = np.arctan2(up, np.hypot(east, north))
             z += [np.sqrt(east**2 + north**2 + up**2), azimuth, elevation, azimuth + np.pi]
-        d = x[:3] - self.anchors[0]
+        d = x[:3] - self.anchors[self.shifted]
         z.append(self.hz_per_mps * (d @ x[3:6]) / max(np.sqrt(d @ d), NEAREST_M) + x[6])
         if self.odometry:
             z += [np.sqrt(x[3:6] @ x[3:6]), np.arctan2(x[4], x[3])]
@@ -226,7 +228,7 @@ class Sensor:
             azimuth = [-north * j**2, east * j**2, 0, 0, 0, 0, 0]
             elevation = [-east * up * i**2 * j, -north * up * i**2 * j, rho * i**2, 0, 0, 0, 0]
             H += [[*(d * i), 0, 0, 0, 0], azimuth, elevation, azimuth]
-        d, v = x[:3] - self.anchors[0], x[3:6]
+        d, v = x[:3] - self.anchors[self.shifted], x[3:6]
         i = _inverse(np.sqrt(d @ d))
         u = d * i
         across = (np.eye(3) - np.outer(u, u)) @ v * i
@@ -272,7 +274,7 @@ class Sensor:
         at_anchor = np.sqrt((d * d).sum(axis=1)) <= NEAREST_M
         never = np.zeros(self.links, bool)
         links = np.column_stack([never, on_vertical, at_anchor, on_vertical])
-        return np.array([*links.ravel(), at_anchor[0], *[False, False] * self.odometry])
+        return np.array([*links.ravel(), at_anchor[self.shifted], *[False, False] * self.odometry])
 
 
 def _inverse(length: float) -> float:

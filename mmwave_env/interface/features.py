@@ -18,6 +18,8 @@ from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, log, maximum, sqrt, where
 
 MISSING_SNR_DB = -20.0
+# kinds of features of an anchor, and their values where the anchor is never seen
+UNSEEN = {"NIS": 0.0, "verdict": 0.0, "SNR": MISSING_SNR_DB, "SNR drop": 0.0, "coming NIS": 0.0}
 _LEAST = 1e-9  # lower limit of a probability in a logarithm
 _WAYS = {"along": "along the predicted velocity", "across": "to the left of it"}
 

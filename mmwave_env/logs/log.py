@@ -36,6 +36,7 @@ from mmwave_env.models.measurement import (
     Layout,
     seen_from_image,
     whole_groups,
+    without_noise,
     wrap_angles,
     wrapped,
 )
@@ -190,10 +191,7 @@ def block_of(
     if not layout.partial:
         visible[:, layout.anchors] &= shifted == 0
     else:
-        rows = np.repeat(np.isfinite(snr), 4, axis=1)
-        known = np.column_stack([rows, np.isfinite(snr)[np.arange(T), shifted]])
-        known = np.pad(known, ((0, 0), (0, layout.size - known.shape[1])), constant_values=True)
-        lost = np.isfinite(measurement) & ~known & ~np.isfinite(sigma)
+        lost = without_noise(measurement, sigma, np.isfinite(snr), shifted, layout)
         measurement[lost] = np.nan
         visible, _ = whole_groups(measurement, np.isfinite(snr), layout)
         starts = [group.start for group in layout.groups]

@@ -22,7 +22,7 @@ takes from it as the square. Lengths up to :data:`NEAREST_M` therefore count as 
 direction carries no information: innovation, gradient and change of its rows are 0.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -30,6 +30,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.io.lookup import choose, quoted
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import (
     PI,
@@ -48,6 +49,9 @@ SPEED_OF_LIGHT = 299_792_458.0  # m/s
 STATE = ("px", "py", "pz", "vx", "vy", "vz", "b")  # m, m/s, Hz
 STATE_SIZE = len(STATE)
 LINK = ("range_m", "aoa_azimuth_rad", "aoa_elevation_rad", "aod_azimuth_rad")
+# Names of the rows that a receiver may offer: those of every link, and the Doppler shift.
+MEASUREMENTS = ("range", "azimuth", "elevation", "departure", "doppler")
+_HORIZONTAL = {"range", "azimuth", "departure"}  # without one of these nothing fixes a position
 # An antenna's position is not known to a millimeter; rounding at 1000 km is far smaller (1e-10 m).
 NEAREST_M = 1e-3
 _SLOWEST_ODOMETRY = 1e-3  # m/s; lower limit that keeps heading and speed differentiable at rest
@@ -119,6 +123,46 @@ class Layout:
         return rows + [self.doppler + 2] * self.odometry
 
 
+def measurements_from(names: Sequence[str] | None) -> tuple[str, ...] | None:
+    """Return names of measurements in the order of :data:`MEASUREMENTS`; None stands for all.
+
+    Raises:
+        ValueError: a name is unknown, or no name tells of the horizontal position.
+    """
+    if names is None:
+        return None
+    if isinstance(names, str) or not isinstance(names, Iterable):
+        expected = f"a list of some of {', '.join(MEASUREMENTS)}"
+        raise ValueError(f"measurements: found {quoted(names)}, expected {expected}")
+    names = list(names)
+    for name in names:
+        choose(dict.fromkeys(MEASUREMENTS), name, "measurements")
+    if _HORIZONTAL.isdisjoint(names):
+        shown = ", ".join(names) or "none"
+        raise ValueError(
+            f"measurements: found {shown}, which say nothing of the horizontal position, expected "
+            "range, azimuth or departure among them"
+        )
+    return tuple(name for name in MEASUREMENTS if name in names)
+
+
+def offered_rows(layout: Layout, measurements: Sequence[str] | None) -> list[bool]:
+    """Tell of each row whether it is one of the measurements; odometry always is.
+
+    Raises:
+        ValueError: from :func:`measurements_from`.
+    """
+    names = measurements_from(measurements) or MEASUREMENTS
+    *link, doppler = [name in names for name in MEASUREMENTS]
+    return [*link * layout.anchors, doppler, *[True, True] * layout.odometry]
+
+
+def sigma_name(name: str) -> str:
+    """Return the name of a measurement's standard deviation: of "range_m", "range_sigma_m"."""
+    quantity, _, unit = name.rpartition("_")
+    return f"{quantity}_sigma_{unit}"
+
+
 def wrap_angles(measurement: NDArray[np.float64], layout: Layout) -> None:
     """Move the angles of measurements (T, rows) into [-pi, pi), in place.
 
@@ -156,6 +200,26 @@ def whole_groups(
     whole[:, : layout.anchors] &= heard
     whole[:, layout.anchors] &= heard[:, 0]
     return whole, np.logical_or.reduceat(finite, starts, axis=1) & ~whole
+
+
+def without_noise(
+    measurement: NDArray[np.float64],
+    sigma: NDArray[np.float64],
+    heard: NDArray[np.bool_],
+    doppler_anchor: NDArray[np.int64],
+    layout: Layout,
+) -> NDArray[np.bool_]:
+    """Return which rows (T, rows) were measured, but with unknown noise: they are lost.
+
+    Args:
+        measurement, heard, layout: as :func:`whole_groups` takes them.
+        sigma: (T, rows) stated standard deviations, NaN where none.
+        doppler_anchor: (T,) anchor of the Doppler shift.
+    """
+    known = np.ones(measurement.shape, np.bool_)  # odometry's
+    known[:, : layout.doppler] = np.repeat(heard, 4, axis=1)
+    known[:, layout.doppler] = heard[np.arange(len(heard)), doppler_anchor]
+    return np.isfinite(measurement) & ~known & ~np.isfinite(sigma)
 
 
 class Measurement(NamedTuple):

@@ -13,7 +13,14 @@ import numpy as np
 
 from mmwave_env.io.records import Bound
 from mmwave_env.models import envelope
-from mmwave_env.models.measurement import Epoch, Layout, Site, blank_site
+from mmwave_env.models.measurement import (
+    Epoch,
+    Layout,
+    Site,
+    blank_site,
+    offered_rows,
+    whole_groups,
+)
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index, Mask, Number, Vector, where
@@ -219,6 +226,14 @@ class Episode:
         mean = self.prior_mean.copy()
         mean[2], mean[5] = height_m, 0.0
         return replace(self, prior_mean=mean)
+
+    def only(self, measurements: Sequence[str]) -> "Episode":
+        """Return the episode in a partial layout, with only the rows of some measurements."""
+        layout = replace(self.layout, partial=True)
+        rows = self._used & offered_rows(layout, measurements)
+        measurement = np.where(rows, self.measurement, np.nan)
+        visible, _ = whole_groups(measurement, self.visible, layout)
+        return replace(self, measurement=measurement, visible=visible, layout=layout)
 
     def table(self) -> Array:
         """Return the table (T, columns) that engines load; :func:`columns_of` names its columns."""

@@ -25,7 +25,7 @@ from mmwave_env.compiler.program import (
 from mmwave_env.compiler.threads import share, spans
 from mmwave_env.models.channel import channel_of
 from mmwave_env.models.envelope import STEP_S
-from mmwave_env.models.measurement import STATE_SIZE, Layout, Site
+from mmwave_env.models.measurement import STATE_SIZE, Layout, Site, offered_rows
 from mmwave_env.models.radio import SNR_LIMITS_DB, Radio
 from mmwave_env.models.random_scene import RandomScene
 from mmwave_env.models.scene import Scene
@@ -88,6 +88,8 @@ class SimulatedSource:
         epochs: length of an episode. With given ways, an episode is a random window of that
             length, or shorter if all ways are shorter.
         odometry: whether the user also reports speed and heading.
+        measurements: names of what the receiver offers, of
+            :data:`~mmwave_env.models.measurement.MEASUREMENTS`; None for all, in whole groups.
     """
 
     scene: Scene | RandomScene
@@ -96,6 +98,7 @@ class SimulatedSource:
     dt: float = 1.0
     epochs: int = 200
     odometry: bool = False
+    measurements: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         if not STEP_S.holds(self.dt):
@@ -128,7 +131,8 @@ class SimulatedSource:
     @cached_property
     def layout(self) -> Layout:
         """Return the rows of every episode's measurements."""
-        return Layout(len(self._example.anchors_m), self.odometry)
+        partial = self.measurements is not None
+        return Layout(len(self._example.anchors_m), self.odometry, partial)
 
     @cached_property
     def _example(self) -> Scene:
@@ -167,14 +171,17 @@ class SimulatedSource:
     def episodes(self, keys: Keys) -> list[Episode]:
         """Return the episodes of keys (n,)."""
         batch, index, scene = self.sample_batch(keys), self._site[1], self._example
-        starts = [group.start for group in self.layout.groups]
+        starts, partial = [group.start for group in self.layout.groups], self.layout.partial
         episodes = []
         for name, table, site in zip(batch.names, batch.table, batch.site, strict=True):
             columns = [np.ascontiguousarray(table[:, c]) for c in columns_of(self.layout)]
             rows: Any = Incoming._make(columns)
             where = site[flatten(index.anchors)].reshape(-1, 3), scene.hz_per_mps, self.time_s
-            sigma, visible = np.abs(rows.signed_sigma), rows.signed_sigma[:, starts] > 0.0
-            received = rows.z, sigma, visible, rows.snr_db, rows.doppler_spread_hz
+            seen = rows.signed_sigma > 0.0
+            visible = np.logical_or.reduceat(seen, starts, axis=1)
+            z = np.where(seen, rows.z, np.nan) if partial else rows.z
+            sigma = np.abs(rows.signed_sigma)
+            received = z, sigma, visible, rows.snr_db, rows.doppler_spread_hz
             prior = site[index.prior_x], self.radio.prior_covariance(scene)
             truth = rows.truth[:, :3], rows.truth[:, 3:]
             episodes.append(Episode(name, *where, *received, *prior, *truth, self.layout))
@@ -326,6 +333,9 @@ class SimulatedSource:
             drift_hz=scene.hz_per_mps * (radio.drift_mps * self.dt**0.5),
             step_s=self.dt / stride,
             stride=float(stride),
+            offered=[*map(float, offered_rows(self.layout, self.measurements))]
+            if self.layout.partial
+            else (),
         )
         return np.repeat(np.array(flatten(settings), float)[:, None], WIDTH, axis=1)
 

@@ -54,6 +54,7 @@ class WorldSettings(NamedTuple):
     # step_s, stride: length of a substep, and number of substeps in an epoch
     step_s: Number
     stride: Number
+    offered: Vector = ()  # (rows,) 1 where the receiver offers the row; empty unless partial
 
 
 class ReceiverState(NamedTuple):
@@ -110,15 +111,19 @@ def measure(
     visible = [*reception.detected, reception.detected[0]]
     if layout.odometry:
         visible.append(where(speed < radio.odometry_slowest_mps, 0.0, 1.0))
+    seen = [v for v, k in zip(visible, layout.widths, strict=True) for _ in range(k)]
+    if layout.partial:
+        seen = [v * offered for v, offered in zip(seen, settings.offered, strict=True)]
     measured = Incoming(
         dt=0.0,
-        z=_where_seen(visible, z, 0.0, layout),
-        signed_sigma=_where_seen(visible, sigma, -1.0, layout),
+        z=_where_seen(seen, z, 0.0),
+        signed_sigma=_where_seen(seen, sigma, -1.0),
         snr_db=[
             where(v > 0.5, snr, 0.0) for v, snr in zip(visible, reception.snr_db, strict=False)
         ],
         doppler_spread_hz=reception.doppler_spread_hz,
         truth=truth,
+        doppler_of=blank_incoming(layout).doppler_of,
     )
     bias_hz = receiver.bias_hz + settings.drift_hz * dice.normal()
     return measured, receiver._replace(
@@ -126,10 +131,9 @@ def measure(
     )
 
 
-def _where_seen(visible: Vector, rows: Vector, otherwise: float, layout: Layout) -> list[Number]:
-    """Return the rows (rows,) with a constant in place of groups (groups,) that are missing."""
-    kept = [v > 0.5 for v, k in zip(visible, layout.widths, strict=True) for _ in range(k)]
-    return [where(keep, value, otherwise) for keep, value in zip(kept, rows, strict=True)]
+def _where_seen(seen: Vector, rows: Vector, otherwise: float) -> list[Number]:
+    """Return the rows (rows,) with a constant in place of those that are not seen (rows,)."""
+    return [where(s > 0.5, value, otherwise) for s, value in zip(seen, rows, strict=True)]
 
 
 def _observe(w: WorldState, layout: Layout) -> WorldState:
@@ -165,7 +169,9 @@ def blank_world(layout: Layout, phases: int, gaits: int) -> WorldState:
     anchors, dice = [[0.0, 0.0, 10.0 + a] for a in range(layout.anchors)], [0.0] * STATE_WORDS
     return WorldState(
         measured=blank_incoming(layout),
-        settings=WorldSettings(1.0, channel, 1.0, 1.0, 1.0),
+        settings=WorldSettings(
+            1.0, channel, 1.0, 1.0, 1.0, [1.0] * layout.size if layout.partial else ()
+        ),
         receiver=ReceiverState(dice, anchors, 1.0, initial_state(layout.anchors), 0.0),
         user=UserState(dice, Net(1.0, 1.0, 1.0, 0.0, 0.0, 1.5), [phase] * phases, still),
     )

@@ -135,7 +135,7 @@ CONTRADICTIONS = {
     "long window": (["--speed", "1", "--window", "20001"], "window: found 20001"),
     "height": (["--speed", "1", "--height", "nan"], "height: found nan"),
     "plot": (["--speed", "1", "--plot", "track.gif"], "plot: found track.gif, expected.*png"),
-    "table": (["--speed", "1", "--out", "track.csv"], "out: found track.csv, expected a TUM file"),
+    "table": (["--speed", "1", "--out", "track.xls"], "out: found track.xls, expected a name"),
     "twice": (["--speed", "1", "--out", "a.tum", "--plot", "a.tum"], "plot: found a.tum"),
 }
 

@@ -100,6 +100,42 @@ def test_a_clock_that_is_off_is_named_and_nothing_is_moved(sample):
     np.testing.assert_allclose(position[2:-1], track.position_m[1:-2], atol=1e-3)
 
 
+def test_a_log_of_some_rows_with_its_own_noise_and_its_doppler_shifts_is_played(folder):
+    """The Doppler shift is in the rows of anchor 2; what is written again reads the same."""
+    lines = (folder / "log.csv").read_text().splitlines()
+    rows = [dict(zip(lines[0].split(","), line.split(","), strict=True)) for line in lines[1:]]
+    doppler = ""
+    text = "time_s,anchor,toa_s,range_sigma_m,aod_azimuth_rad,aod_azimuth_sigma_rad,doppler_hz,"
+    text += "doppler_sigma_hz\n"
+    for row in rows:
+        doppler = row["doppler_hz"] if row["anchor"] == "1" else doppler
+        shown = [doppler, "25" if doppler else ""] if row["anchor"] == "2" else ["", ""]
+        noise = [word if row["toa_s"] else "" for word in ("0.4", "0.03")]
+        cells = row["toa_s"], noise[0], row["aod_azimuth_rad"], noise[1], *shown
+        text += ",".join([row["time_s"], row["anchor"], *cells]) + "\n"
+    whole = read_log_folder(folder)
+    (folder / "log.csv").write_text(text)
+    track = read_log_folder(folder)
+    episode = source_from(track, "handset").sample(np.random.default_rng(0))
+    assert track.layout == replace(whole.layout, partial=True)
+    seen = np.repeat(whole.visible, [4, 4, 4, 1], axis=1)
+    seen &= [True, False, False, True] * 3 + [True]
+    np.testing.assert_array_equal(np.isfinite(episode.measurement), seen)
+    np.testing.assert_array_equal(track.measurement[seen], whole.measurement[seen])
+    expected = np.tile([0.4, 1.0, 1.0, 0.03] * 3 + [25.0], (len(track), 1))
+    np.testing.assert_array_equal(episode.sigma[seen], expected[seen])
+    assert (episode.doppler_anchor[whole.visible[:, 3]] == 1).all()
+    write_log_folder(folder, episode, STREET, "made by a test")
+    again = source_from(read_log_folder(folder), "handset").sample(np.random.default_rng(0))
+    np.testing.assert_array_max_ulp(again.table(), episode.table(), maxulp=2)
+
+
+@pytest.mark.parametrize("name", log_names())
+def test_a_log_whose_links_are_whole_has_the_plain_layout(name):
+    track = read_log_folder(sample_folder(name))
+    assert not track.layout.partial and track.sigma is None and track.doppler_anchor is None
+
+
 # --- which folder is which
 
 

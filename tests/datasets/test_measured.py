@@ -82,14 +82,58 @@ def test_lists_will_do_and_doppler_need_not_be_there():
 
 
 @pytest.mark.parametrize("name", [*LINK, "snr_db"])
-def test_a_link_without_all_its_numbers_was_not_measured(name):
+def test_a_link_may_lack_some_of_its_numbers_but_not_its_noise(name):
     whole = track()
     epoch, anchor = np.argwhere(whole.visible[:, :3])[0]
     values = arrays(simulated())[name].copy()
     values[epoch, anchor] = np.nan
+    own = track(**{name: values})
+    rows, heard = slice(4 * anchor, 4 * anchor + 4), name != "snr_db"
+    assert not whole.layout.partial and own.layout.partial == heard
     expected = whole.visible.copy()
-    expected[epoch, anchor] = False
-    np.testing.assert_array_equal(track(**{name: values}).visible[:, :3], expected[:, :3])
+    expected[epoch, anchor] = heard
+    np.testing.assert_array_equal(own.visible[:, :3], expected[:, :3])
+    if heard:
+        lacks = np.isnan(own.measurement[epoch, rows])
+        np.testing.assert_array_equal(lacks, [link == name for link in LINK])
+
+
+SIGMA = {"range_sigma_m": 0.3, "aoa_azimuth_sigma_rad": 0.02}
+
+
+def test_a_receiver_that_states_its_noise_needs_no_snr():
+    own = arrays(simulated())
+    shape = own["range_m"].shape
+    some = {name: own[name] for name in ("time_s", "anchors_m", "position_m")}
+    some |= {"range_m": own["range_m"], "aoa_azimuth_rad": own["aoa_azimuth_rad"]}
+    stated = {name: np.full(shape, value) for name, value in SIGMA.items()}
+    episode = MeasuredTrack.from_arrays(**some, **stated).episode("handset", generator())
+    np.testing.assert_array_equal(episode.usable[:, :3], np.isfinite(own["range_m"]))
+    assert not episode.usable[:, 3].any() and episode.layout.partial
+    seen = np.isfinite(episode.measurement[:, :2])
+    np.testing.assert_array_equal(episode.sigma[:, :2][seen], np.tile([0.3, 0.02], (60, 1))[seen])
+    stated["range_sigma_m"][:, 0] = np.nan  # neither an SNR nor its own noise: not measured
+    lost = MeasuredTrack.from_arrays(**some, **stated)
+    np.testing.assert_array_equal(
+        np.isfinite(lost.measurement[:, [0, 4]]), np.isfinite(own["range_m"][:, :2]) & [False, True]
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"snr_db": None}, "range_m"),
+        ({"snr_db": None, "range_sigma_m": np.ones((60, 3))}, "aoa_azimuth_rad"),
+        ({"range_sigma_m": np.zeros((60, 3))}, "range_sigma_m"),
+        ({"doppler_sigma_hz": np.full(60, -1.0)}, "doppler_sigma_hz"),
+        ({"doppler_sigma_hz": np.ones((60, 3))}, "doppler_sigma_hz"),
+        (dict.fromkeys(("range_m", "aoa_azimuth_rad", "aod_azimuth_rad")), "aod_azimuth_rad"),
+    ],
+    ids=str,
+)
+def test_noise_that_is_unknown_or_not_positive_and_no_position_are_refused(changes, field):
+    with refuses(field):
+        track(**changes)
 
 
 def test_angles_of_any_turn_are_the_same_track():

@@ -1,6 +1,7 @@
 """The textbook's updates behind the gates of this package, and of a part of the state."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +32,34 @@ class Restricted:
 
     def residual(self, a, b, x):
         return self.sensor.residual(a, b, self._whole(x))
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A sensor of some rows (rows,); groups without one are left out."""
+
+    sensor: Sensor
+    kept: np.ndarray
+
+    def h(self, x):
+        return self.sensor.h(x)[self.kept]
+
+    def jacobian(self, x):
+        return self.sensor.jacobian(x)[self.kept]
+
+    def residual(self, a, b, x):
+        whole = np.zeros((2, len(self.kept)))
+        whole[:, self.kept] = a, b
+        return self.sensor.residual(*whole, x)[self.kept]
+
+    @property
+    def groups(self):
+        ends = np.cumsum([0, *(int(self.kept[group].sum()) for group in self.sensor.groups)])
+        return [slice(a, b) for a, b in pairwise(ends) if b > a]
+
+    @property
+    def links(self):
+        return sum(self.kept[group].any() for group in self.sensor.groups[: self.sensor.links])
 
 
 class Update(NamedTuple):

@@ -10,6 +10,7 @@ from hypothesis.extra import numpy as hnp
 from mmwave_env.filters import textbook
 from mmwave_env.models.measurement import Layout, Measurement
 from tests.filters import gated_textbook
+from tests.filters.gated_textbook import Rows
 
 HZ_PER_MPS = 93.4
 RTOL = 1e-9
@@ -24,23 +25,36 @@ class Problem(NamedTuple):
     z: np.ndarray
     R: np.ndarray
     visible: np.ndarray
+    measured: np.ndarray | None = None  # (rows,) in a partial layout
+
+    @property
+    def seen(self):
+        """Return the textbook's sensor, of the measured rows alone."""
+        return self.sensor if self.measured is None else Rows(self.sensor, self.measured)
 
     def ours(self, algorithm, gate, P=None):
-        layout = Layout(self.sensor.links, self.sensor.odometry)
+        partial = self.measured is not None
+        layout = Layout(self.sensor.links, self.sensor.odometry, partial)
         rows = self.z.tolist(), self.R.tolist(), self.visible.astype(float).tolist()
-        measurement = Measurement(self.sensor.anchors.tolist(), HZ_PER_MPS, *rows, layout)
+        if partial:
+            shifted = np.eye(self.sensor.links)[self.sensor.shifted].tolist()
+            more = self.measured.astype(float).tolist(), shifted
+        else:
+            more = ()
+        measurement = Measurement(self.sensor.anchors.tolist(), HZ_PER_MPS, *rows, layout, *more)
         P = self.P if P is None else P
         return algorithm(self.x.tolist(), P.tolist(), measurement, gate)
 
     @property
     def update(self):
         """Return the arguments of an update in tests.filters.gated_textbook after the sensor."""
-        s = self.sensor
-        return s.groups, s.links, self.x, self.P, self.z, self.R, self.visible
+        s, rows = self.seen, slice(None) if self.measured is None else self.measured
+        visible = self.visible if self.measured is None else self.visible[self.visible]
+        return s.groups, s.links, self.x, self.P, self.z[rows], self.R[rows], visible
 
     def textbook(self, moments, gate, force=False):
         rule = gate.quantile, force, gate.robust
-        return gated_textbook.update(moments, self.sensor, *self.update, *rule)
+        return gated_textbook.update(moments, self.seen, *self.update, *rule)
 
 
 def numbers(low, high, shape=()):
@@ -49,7 +63,7 @@ def numbers(low, high, shape=()):
 
 
 @st.composite
-def problems(draw, odometry=False, anchors=None, outliers=True):
+def problems(draw, odometry=False, anchors=None, outliers=True, partial=False):
     """Users 20 m and more off the vertical of every anchor, where nothing is singular."""
     L = draw(st.integers(1, 5)) if anchors is None else anchors
     position = draw(numbers(-200, 200, (3,)))
@@ -59,7 +73,8 @@ def problems(draw, odometry=False, anchors=None, outliers=True):
     azimuth, distance = draw(numbers(-3.14, 3.14, (L,))), draw(numbers(20, 300, (L,)))
     height = draw(numbers(-20, 40, (L,)))
     offset = np.stack([distance * np.cos(azimuth), distance * np.sin(azimuth), height], axis=1)
-    sensor = textbook.Sensor(position + offset, HZ_PER_MPS, odometry)
+    shifted = draw(st.integers(0, L - 1)) if partial else 0
+    sensor = textbook.Sensor(position + offset, HZ_PER_MPS, odometry, shifted)
 
     scale = np.array([3, 3, 1, 1, 1, 0.3, 50]) * draw(numbers(0.05, 1, (7,)))
     correlated = np.eye(7) + np.tril(draw(numbers(-0.5, 0.5, (7, 7))), -1)
@@ -80,11 +95,24 @@ def problems(draw, odometry=False, anchors=None, outliers=True):
     # Beside the cut of an angle rounding decides on which side a residual falls.
     residual = sensor.difference(z, sensor.h(x))[angles]
     assume(np.all(np.abs(residual) < np.pi - 1e-3))
-    return Problem(x, 0.5 * (P + P.T), sensor, z, sigma**2, visible)
+    measured = None
+    if partial:
+        measured = draw(hnp.arrays(bool, sigma.shape))
+        assume(measured.any())
+        visible = np.array([measured[group].any() for group in sensor.groups])
+    return Problem(x, 0.5 * (P + P.T), sensor, z, sigma**2, visible, measured)
 
 
-def assert_same(ours, expected, rtol=RTOL):
-    """Equal to a tolerance; the state in units of its standard deviations."""
+def assert_same(ours, expected, rtol=RTOL, visible=None):
+    """Equal to a tolerance; the state in units of its standard deviations.
+
+    Args:
+        visible: (groups,) groups that the expected posterior is of; the others have NIS 0.
+    """
+    if visible is not None:
+        assert not np.array([ours.nis, ours.accepted])[:, ~visible].any()
+        nis, accepted = np.array([ours.nis, ours.accepted])[:, visible].tolist()
+        ours = ours._replace(nis=nis, accepted=accepted)
     P = np.array(ours.P)
     sigma = np.sqrt(np.diag(expected.P))
     assert ours.accepted == expected.accepted.tolist()

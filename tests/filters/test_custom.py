@@ -257,6 +257,20 @@ def test_a_layout_of_which_a_filter_knows_nothing_is_refused():
     assert "returned nis: list of 4" in str(refusal(three_anchors, Layout(5)))
 
 
+def test_an_algorithm_that_uses_rows_that_are_missing_is_refused():
+    def all_rows(x, P, measurement, gate):
+        return ekf(x, P, measurement._replace(measured=[1.0] * measurement.layout.size), gate)
+
+    def mine(x, P, measurement, gate):
+        return ekf(x, P, measurement, gate)
+
+    partial = Layout(3, partial=True)
+    assert "rows that are missing" in str(refusal(all_rows, partial))
+    Pipeline((Mode("own", all_rows),), STREET)
+    for layout in (partial, Layout(1, odometry=True, partial=True)):
+        Pipeline((Mode("own", mine),), layout)
+
+
 def test_one_trial_serves_equal_pipelines():
     calls = []
 

@@ -8,7 +8,14 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.update import ekf
 from mmwave_env.models.measurement import Layout
-from tests.filters.tracks import assert_same_beliefs, pipeline_of, simulated, track, with_anchors
+from tests.filters.tracks import (
+    assert_same_beliefs,
+    pipeline_of,
+    simulated,
+    some_rows,
+    track,
+    with_anchors,
+)
 from tests.refusals import refuses
 
 EPOCHS = 120
@@ -62,6 +69,18 @@ def test_odometry_and_any_number_of_anchors_agree(algorithm, anchors):
     pipeline = pipeline_of(episodes[0].layout, [algorithm])
     ours, twin = both(pipeline, episodes, 0, ("x", "P"))
     assert_same_beliefs(twin, ours, rtol=1e-9)
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@pytest.mark.parametrize("name", ["adaptive and gated", "robust"])
+def test_episodes_with_some_rows_agree(algorithm, name):
+    rng = np.random.default_rng(1)
+    episodes = [some_rows(e, rng, 0.6) for e in simulated(1, epochs=100, odometry=True)]
+    pipeline = pipeline_of(episodes[0].layout, [algorithm], **TUNINGS[name])
+    ours, twin = both(pipeline, episodes, 0, ("x", "P", "memory", "observation"))
+    assert_same_beliefs(twin, ours, rtol=1e-9)
+    for part in ("memory", "observation"):
+        np.testing.assert_allclose(twin[part], ours[part], rtol=1e-7, atol=1e-7)
 
 
 def test_switching_between_twins_carries_the_belief():

@@ -34,6 +34,20 @@ def test_update_equals_textbook(algorithm, odometry, gate, data):
     assert_same(problem.ours(OURS[algorithm], gate), expected)
 
 
+@algorithms
+@with_odometry
+@pytest.mark.parametrize("gate", GATES, ids=str)
+@given(data=st.data())
+@settings(max_examples=15, deadline=None)
+def test_update_with_some_rows_is_the_textbooks_with_these_rows(algorithm, odometry, gate, data):
+    """Gates have the quantile of the rows that are there; any anchor has the Doppler shift."""
+    problem = data.draw(problems(odometry, partial=True))
+    expected = problem.textbook(textbook.METHODS[algorithm], gate, gate.force)
+    if gate.quantile is not None:
+        assume_clear_of(expected.nis, problem.seen, [lambda n: chi2.ppf(gate.quantile, n)])
+    assert_same(problem.ours(OURS[algorithm], gate), expected, visible=problem.visible)
+
+
 @given(problem=problems(anchors=9))
 @settings(max_examples=3, deadline=None)
 def test_determinants_of_many_links_are_those_of_the_textbook(problem):

@@ -13,7 +13,7 @@ from mmwave_env.filters import textbook
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.models.measurement import Layout, exact_rows
+from mmwave_env.models.measurement import MEASUREMENTS, Layout, exact_rows
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.episode import Episode
@@ -63,6 +63,17 @@ def spoiled(episode, seed):
     measurement[:, angles] = np.remainder(measurement[:, angles] + np.pi, 2 * np.pi) - np.pi
     visible = episode.visible & (rng.random(episode.visible.shape) < 0.9)
     return replace(episode, measurement=measurement, visible=visible)
+
+
+def some_rows(episode, rng, share):
+    """The episode with a share of its rows, and Doppler shifts that count as any anchor's."""
+    whole = episode.only(MEASUREMENTS)
+    gone = rng.random(whole.measurement.shape) >= share
+    measurement = np.where(gone, np.nan, whole.measurement)
+    starts = [group.start for group in whole.layout.groups]
+    visible = np.logical_or.reduceat(np.isfinite(measurement), starts, axis=1)
+    anchor = rng.integers(whole.layout.anchors, size=len(whole))
+    return replace(whole, measurement=measurement, visible=visible, doppler_anchor=anchor)
 
 
 def with_anchors(episode, anchors):

@@ -9,10 +9,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
 from mmwave_env.models.measurement import Layout
 from policies import LearnedSwitch, learned, shipped_policies
+from tests.filters.tracks import replay, simulated
 from tests.paths import ROOT
 from tests.refusals import refuses
 from tests.training.actors import (
@@ -156,7 +158,7 @@ def test_a_policy_finds_its_features_among_others(tmp_path, table):
     path = write_per_mode(tmp_path / "mine.safetensors")
     if table is TABLE:
         path = write(path, actor(), card_of())
-    more = Observation(Pipeline(MODES, Layout(odometry=True)), "full", table.beliefs)
+    more = Observation(Pipeline(MODES, Layout(5, odometry=True)), "full", table.beliefs)
     names = [feature.name for feature in more.features]
     columns = [names.index(feature.name) for feature in table.features]
     observed = np.random.default_rng(3).normal(size=(50, len(more))).astype(np.float32)
@@ -166,12 +168,30 @@ def test_a_policy_finds_its_features_among_others(tmp_path, table):
     np.testing.assert_array_equal(policy.logits(observed), expected)
 
 
+def test_an_anchor_that_a_scene_lacks_is_as_one_that_is_never_seen(tmp_path):
+    path = write_per_mode(tmp_path / "mine.safetensors")
+    (episode,) = simulated(1, 30)
+    episode = replace(episode, visible=episode.visible & [True, True, False, True])
+    env = MmWaveLocEnv(episodes=replay(episode), beliefs="per-mode", modes=HANDSET)
+    env.reset(seed=0)
+    observed = np.array([env.step(0)[0] for _ in range(28)])
+    two = Observation(Pipeline(MODES, Layout(2)), "full", "per-mode")
+    columns = [PER_MODE_TABLE.columns.index(column) for column in two.columns]
+    expected = LearnedSwitch(path, PER_MODE_TABLE).logits(observed)
+    actual = LearnedSwitch(path, two).logits(observed[:, columns])
+    np.testing.assert_allclose(actual, expected, rtol=1e-5, atol=1e-5)
+
+
 def test_a_feature_that_lacks_or_has_another_scale_is_refused_by_its_name(tmp_path):
     path = write(tmp_path / "mine.safetensors", actor(), card_of())
     with refuses("feature 'coming Doppler innovation'"):
         LearnedSwitch(path, Observation(Pipeline(MODES, Layout()), "prior"))
-    with refuses("feature 'NIS anchor 3'"):
+    with refuses("feature 'distance anchor 3'"):  # no value stands for an anchor that is not there
         LearnedSwitch(path, Observation(Pipeline(MODES, Layout(anchors=2))))
+    path = write_per_mode(tmp_path / "trust.safetensors")
+    with refuses("feature 'coming Doppler innovation'"):
+        LearnedSwitch(path, Observation(Pipeline(MODES, Layout(2)), "prior", "per-mode"))
+    path = write(tmp_path / "mine.safetensors", actor(), card_of())
     column = TABLE.columns[4]
     for change in ({"unit": "ft"}, {"mean": column.mean + 1.0}, {"deviation": 7.0}):
         features = (*TABLE.columns[:4], column._replace(**change), *TABLE.columns[5:])

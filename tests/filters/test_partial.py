@@ -1,0 +1,109 @@
+"""Whole tracks in partial layouts: the plain ones if every row is there, consistent if not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from mmwave_env.engines.env_engine import Engine
+from mmwave_env.filters.bank import best_bank
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.reward import TrackingReward
+from mmwave_env.models.measurement import MEASUREMENTS, Layout, exact_rows
+from tests.filters.tracks import (
+    HZ_PER_MPS,
+    assert_same_beliefs,
+    far_from_the_anchors,
+    imm_track,
+    pipeline_of,
+    process_noise,
+    simulated,
+    some_rows,
+    track,
+)
+
+RUNS, EPOCHS, LEVEL = 600, 25, 0.01
+QUIET = {"gate": None, "adaptive": False, "sigma_v": 0.3}
+
+
+@pytest.mark.parametrize("odometry", [False, True], ids=["radio", "odometry"])
+@pytest.mark.parametrize("tuning", [{}, {"robust": True, "blockage_aware": True}], ids=str)
+def test_a_partial_layout_with_all_rows_is_the_plain_one(odometry, tuning):
+    plain = simulated(2, 100, odometry)
+    partial = [episode.only(MEASUREMENTS) for episode in plain]
+    actions = np.random.default_rng(0).integers(3, size=(100, 2))
+    parts = ("x", "P", "memory", "observation", "reward")
+    ours, expected = (
+        track(pipeline_of(episodes[0].layout, **tuning), episodes, actions, 100, parts)
+        for episodes in (partial, plain)
+    )
+    assert_same_beliefs(ours, expected, rtol=1e-9)
+    for part in parts[2:]:
+        np.testing.assert_allclose(ours[part], expected[part], rtol=1e-7, atol=1e-7)
+
+
+def test_an_imm_of_a_partial_layout_with_all_rows_is_the_plain_one():
+    plain, bank = simulated(2, 100), best_bank("handset")
+    ours, expected = (
+        imm_track(Pipeline(bank.modes, e[0].layout), e, bank.transition, bank.nis_quantile)
+        for e in ([episode.only(MEASUREMENTS) for episode in plain], plain)
+    )
+    assert_same_beliefs(ours, expected, rtol=1e-9)
+    np.testing.assert_allclose(ours["probability"], expected["probability"], rtol=1e-7, atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def runs():
+    """Episodes of a model of its own with half of the rows, and by epoch NEES, NIS and rows."""
+    model = far_from_the_anchors(process_noise(Mode("ekf", "ekf", **QUIET)))
+    rng = np.random.default_rng(0)
+    drawn = [some_rows(model.draw(rng, EPOCHS), rng, 0.5) for _ in range(RUNS)]
+    episodes = [with_its_doppler(episode, model) for episode in drawn]
+    pipeline = Pipeline((Mode("ekf", "ekf", **QUIET),), episodes[0].layout)
+    engine = Engine(pipeline, RUNS, TrackingReward())
+    engine.reset(episodes)
+    nees, nis = [], []
+    for _ in range(EPOCHS):
+        nis.append(engine.read(engine.at.candidates[0].nis))
+        engine.step(np.zeros(RUNS, np.int64))
+        nees.append(engine.read(engine.at.nees))
+    rows = np.isfinite([episode.measurement for episode in episodes]).swapaxes(0, 1)
+    return np.array(nees), np.array(nis), rows
+
+
+def with_its_doppler(episode, model):
+    """The episode with Doppler shifts of the anchors that it says they are of."""
+    sensor, row = model.sensor, episode.layout.doppler
+    z = episode.measurement.copy()
+    truth = [*episode.truth_position_m.T], [*episode.truth_velocity_mps.T]
+    shifts = [
+        exact_rows(*truth, [anchor.tolist()], HZ_PER_MPS, Layout(1))[4] for anchor in sensor.anchors
+    ]
+    epochs = np.arange(len(episode))
+    z[:, row] += np.array(shifts)[episode.doppler_anchor, epochs] - shifts[0]
+    return replace(episode, measurement=z)
+
+
+def assert_mean(values, dof):
+    """The mean of RUNS sums of chi-square values is within its 99 % interval."""
+    low, high = chi2.ppf([LEVEL / 2, 1 - LEVEL / 2], dof)
+    assert low < values.sum() < high, (low, values.sum(), high)
+
+
+@pytest.mark.parametrize("epoch", [0, 5, EPOCHS - 1])
+def test_nees_with_missing_rows_and_doppler_shifts_of_any_anchor_is_chi_square(runs, epoch):
+    nees, _, _ = runs
+    assert_mean(nees[epoch], 3 * RUNS)
+
+
+def test_nis_counts_the_rows_that_are_there(runs):
+    _, nis, rows = runs
+    links = rows[..., :12].reshape(EPOCHS, RUNS, 3, 4).sum(axis=-1)
+    assert not nis[..., :3][links == 0].any()
+    for count in (1, 2, 3, 4):
+        values = nis[..., :3][links == count]
+        assert_mean(values, count * len(values))
+    doppler = nis[..., 3][rows[..., 12]]
+    assert_mean(doppler, len(doppler))

@@ -1,0 +1,128 @@
+"""The argument ``measurements=``: a receiver that measures some of the rows."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from mmwave_env.datasets.samples import recording_from, sample_folder, source_from
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.update import ekf
+from mmwave_env.models.measurement import MEASUREMENTS, Layout
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
+from mmwave_env.task import task_from
+from mmwave_env.world.simulated import SimulatedSource
+from tests.filters.tracks import around_a_block, replay
+from tests.refusals import refuses
+
+SUBSETS = [("range", "azimuth"), ("azimuth", "elevation", "departure"), ("departure", "doppler")]
+STREET, RADIO = SCENES["street"], RADIOS["handset"]
+SOURCES = {
+    "simulated": {"episode_steps": 40},
+    "odometry": {"episode_steps": 40, "odometry": True},
+    "random streets": {"episode_steps": 40, "scene": "random"},
+    "a way": {"episode_steps": 40, "scenario": around_a_block()},
+    "recorded": {"episodes": "canyon28_vehicle", "episode_steps": 40},
+    "measured": {"episodes": sample_folder("canyon28_vehicle"), "episode_steps": 40},
+}
+
+
+def rows_of(subset, layout):
+    """Which rows (rows,) a subset has."""
+    link = [name in subset for name in MEASUREMENTS[:4]]
+    return np.array([*link * layout.anchors, "doppler" in subset, *[True] * 2 * layout.odometry])
+
+
+@pytest.mark.parametrize("arguments", SOURCES.values(), ids=SOURCES)
+@pytest.mark.parametrize("subset", SUBSETS, ids=" ".join)
+def test_the_rows_that_remain_are_those_of_the_whole_episode(arguments, subset):
+    some, whole = (
+        task_from(**arguments, measurements=asked).draw(np.random.default_rng(4))
+        for asked in (subset[::-1], None)
+    )
+    layout = some.layout
+    assert layout == Layout(whole.layout.anchors, whole.layout.odometry, partial=True)
+    seen = np.repeat(whole.usable, whole.layout.widths, axis=1) & rows_of(subset, layout)
+    np.testing.assert_array_equal(np.isfinite(some.measurement), seen)
+    np.testing.assert_array_equal(some.measurement[seen], whole.measurement[seen])
+    np.testing.assert_allclose(some.sigma[seen], whole.sigma[seen], rtol=1e-12)
+    starts = [group.start for group in layout.groups]
+    np.testing.assert_array_equal(some.usable, np.logical_or.reduceat(seen, starts, axis=1))
+    for field in ("truth_position_m", "truth_velocity_mps", "prior_mean", "doppler_spread_hz"):
+        np.testing.assert_array_equal(getattr(some, field), getattr(whole, field))
+    assert some.nonfinite == 0
+
+
+def test_all_measurements_by_name_give_the_rewards_of_the_plain_layout():
+    for beliefs in ("shared", "per-mode"):
+        plain, named = (
+            played(beliefs=beliefs, episode_steps=60, measurements=asked)
+            for asked in (None, MEASUREMENTS)
+        )
+        np.testing.assert_allclose(named, plain, rtol=1e-9, atol=1e-9)
+
+
+def played(seed=3, **arguments):
+    """The rewards of an episode of the first mode, or of the IMM."""
+    env = gym.make("mmwave_env:MmWaveLoc-v0", **arguments)
+    env.reset(seed=seed)
+    over, rewards = False, []
+    while not over:
+        _, reward, _, over, _ = env.step(0)
+        rewards.append(reward)
+    return np.array(rewards)
+
+
+@pytest.mark.parametrize("name", ["simulated", "odometry", "recorded", "measured"])
+def test_vector_and_single_environments_agree(name):
+    arguments = SOURCES[name] | {"measurements": ["range", "azimuth"], "beliefs": "per-mode"}
+    envs = gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=3, **arguments)
+    envs.reset(seed=7)
+    together = np.array([envs.step(np.zeros(3, np.int64))[1] for _ in range(40)])
+    alone = [played(7 + i, **arguments) for i in range(3)]
+    np.testing.assert_array_equal(together.T, alone)
+
+
+def test_one_kernel_serves_all_subsets():
+    sources = [SimulatedSource(STREET, RADIO, epochs=40, measurements=subset) for subset in SUBSETS]
+    worlds = {id(source.world) for source in sources}
+    assert len(worlds) == 1
+    assert not np.array_equal(*[source.episode(5).visible for source in sources[1:]])
+
+
+def test_own_algorithms_filterpy_and_paired_rewards_take_subsets():
+    def mine(x, P, measurement, gate):
+        return ekf(x, P, measurement, gate)
+
+    asked = {"measurements": ["azimuth", "departure"], "episode_steps": 20}
+    lanes, twin = (played(**asked, modes=["ekf"], backend=b) for b in ("lanes", "filterpy"))
+    np.testing.assert_allclose(twin, lanes, rtol=1e-6, atol=1e-6)
+    own, ours = (played(**asked, modes=[Mode("mine", algorithm)]) for algorithm in (mine, "ekf"))
+    np.testing.assert_array_equal(own, ours)
+    assert np.isfinite(played(**asked, reward="paired")).all()
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [[], ["elevation"], ["doppler", "elevation"], ["range", "snr"], "range", 3, [None]],
+    ids=str,
+)
+def test_subsets_that_fix_no_position_and_unknown_names_are_refused(asked):
+    for arguments in ({}, {"episodes": "canyon28_vehicle"}):
+        with refuses("measurements"):
+            task_from(**arguments, measurements=asked)
+
+
+def test_a_source_of_ones_own_brings_its_measurements():
+    episode = SimulatedSource(STREET, RADIO, epochs=5).episode(1)
+    with refuses("measurements"):
+        task_from(episodes=replay(episode), measurements=["range"])
+    some = replay(episode.only(["range"]))
+    assert task_from(episodes=some).pipeline.layout.partial
+
+
+def test_measurements_that_a_track_lacks_are_refused():
+    track = recording_from("canyon28_vehicle")
+    track.measurement[:, : track.layout.doppler : 4] = np.nan
+    with refuses("measurements"):
+        source_from(track, RADIO, measurements=["range"])
