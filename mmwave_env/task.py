@@ -19,7 +19,7 @@ from mmwave_env.interface.observation import BELIEFS
 from mmwave_env.interface.reward import PairedReward, Reward, reward_from
 from mmwave_env.io.lookup import choose, did_you_mean
 from mmwave_env.io.records import require
-from mmwave_env.models.measurement import measurements_from
+from mmwave_env.models.layout import measurements_from
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.random_scene import RandomScene, scenes_from
 from mmwave_env.models.scene import Scene, Streets

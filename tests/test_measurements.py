@@ -7,7 +7,7 @@ import pytest
 from mmwave_env.datasets.samples import recording_from, sample_folder, source_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.update import ekf
-from mmwave_env.models.measurement import MEASUREMENTS, Layout
+from mmwave_env.models.layout import MEASUREMENTS, Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.task import task_from

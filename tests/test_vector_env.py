@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 
 import mmwave_env.engines.batch as batch
 from mmwave_env.filters.modes import Mode
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.vector_env import MmWaveLocVectorEnv

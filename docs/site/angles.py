@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from experiments.figures.canvas import picture
-from mmwave_env.models.measurement import Layout, exact_rows
+from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.scene import Scene, Wall
 from mmwave_env.numerics.numbers import Array
 

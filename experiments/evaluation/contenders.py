@@ -21,7 +21,7 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation, action_names
 from mmwave_env.io.lookup import unknown
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import radio_from
 from mmwave_env.task import bank_and_modes
 from policies import FixedMode, LearnedSwitch, LikelihoodRule, Policy, SpeedRule, shipped_policies

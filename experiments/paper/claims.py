@@ -21,7 +21,8 @@ from experiments.paper.bench import (
 from experiments.paper.printed import HIGH_MOBILITY, LOW_MOBILITY, untuned
 from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.metrics import nees_interval
-from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout
+from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.radio import RADIOS, Radio
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.episode import Episode

@@ -19,7 +19,7 @@ from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.track_engine import untuned
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.world.keys import Streams
 

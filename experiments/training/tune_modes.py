@@ -12,7 +12,7 @@ from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import scored
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
 

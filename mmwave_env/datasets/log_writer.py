@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from mmwave_env.logs.log_tables import SUFFIXES, LogError, require_arrow
-from mmwave_env.models.measurement import LINK, SPEED_OF_LIGHT, sigma_name
+from mmwave_env.models.layout import LINK, sigma_name
+from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.numerics.numbers import PI, Array, Index, Mask
 from mmwave_env.world.episode import NEUTRAL_SNR_DB, Episode
 

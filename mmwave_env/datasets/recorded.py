@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mmwave_env.datasets.tracks import Received, Track
-from mmwave_env.models.measurement import range_rate, wrap_angles
+from mmwave_env.models.layout import wrap_angles
+from mmwave_env.models.measurement import range_rate
 from mmwave_env.models.radio import Radio, doppler_spread, oscillator_bias
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.checks import refuse, require_finite

@@ -11,15 +11,15 @@ from numpy.typing import ArrayLike
 
 from mmwave_env.io.lookup import quoted
 from mmwave_env.logs.truth import stretches, velocity_of
-from mmwave_env.models.measurement import (
+from mmwave_env.models.layout import (
     LINK,
     Layout,
-    exact_rows,
     measurements_from,
     offered_rows,
     whole_groups,
     wrap_angles,
 )
+from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.prior import GAP_S, draw_prior
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import Scene, scene_of_anchors

@@ -23,7 +23,7 @@ from mmwave_env.compiler.program import (
     run_blocks,
 )
 from mmwave_env.compiler.threads import spans
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of

@@ -6,7 +6,8 @@ from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.memory import Memory, initial_memory
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import Reward, term_names, terms_of, total
-from mmwave_env.models.measurement import Layout, blank_site
+from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import blank_site
 from mmwave_env.numerics.numbers import Number, Vector
 from mmwave_env.numerics.pytree import select
 from mmwave_env.world.episode import blank_incoming

@@ -37,7 +37,8 @@ from mmwave_env.filters.imm import (
 from mmwave_env.filters.memory import Memory
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import Reward, TrackingReward, terms_of, total
-from mmwave_env.models.measurement import Layout, Site
+from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import Site
 from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.numbers import Array, Number
 from mmwave_env.numerics.pytree import flatten, select

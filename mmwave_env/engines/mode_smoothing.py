@@ -21,7 +21,8 @@ import numpy as np
 from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.imm import begin, over_step
 from mmwave_env.filters.pipeline import Pipeline, predict
-from mmwave_env.models.measurement import STATE_SIZE, Epoch
+from mmwave_env.models.layout import STATE_SIZE
+from mmwave_env.models.measurement import Epoch
 from mmwave_env.models.motion import transition_times
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array

@@ -30,7 +30,7 @@ from mmwave_env.filters.smoother import (
     track_end,
 )
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.models.measurement import STATE_SIZE
+from mmwave_env.models.layout import STATE_SIZE
 from mmwave_env.numerics.numbers import Array, Index, Number
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.world.episode import EpisodeBatch

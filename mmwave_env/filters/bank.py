@@ -18,7 +18,7 @@ from mmwave_env.filters.imm import ImmSettings, stay_matrix
 from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.io.lookup import choose
 from mmwave_env.io.records import Bound, Probability, Size, object_from, read_object, require_fields
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import RADIOS, Radio, radio_from
 
 MOST_MODES = 32  # every mode is compiled and runs in every epoch

@@ -20,7 +20,8 @@ from typing import Any, NamedTuple
 from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.modes import ALGORITHMS, Mode
 from mmwave_env.filters.update import Posterior
-from mmwave_env.models.measurement import STATE_SIZE, Layout, Measurement, exact_rows
+from mmwave_env.models.layout import STATE_SIZE, Layout
+from mmwave_env.models.measurement import Measurement, exact_rows
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Number
 from mmwave_env.numerics.pytree import flatten, unflatten

@@ -15,7 +15,8 @@ from mmwave_env.filters.memory import Memory, initial_memory, memory_after, memo
 from mmwave_env.filters.modes import Tuning
 from mmwave_env.filters.pipeline import Pipeline, predict_update
 from mmwave_env.filters.update import ModeResult, limited_likelihood
-from mmwave_env.models.measurement import STATE_SIZE, Epoch, Site
+from mmwave_env.models.layout import STATE_SIZE
+from mmwave_env.models.measurement import Epoch, Site
 from mmwave_env.models.motion import move
 from mmwave_env.numerics.linalg import dot, unpack
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, exp, maximum, minimum, where

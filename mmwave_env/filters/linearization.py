@@ -23,7 +23,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from mmwave_env.models.measurement import STATE_SIZE, Group, Measurement, groups_of
+from mmwave_env.models.layout import STATE_SIZE
+from mmwave_env.models.measurement import Group, Measurement, groups_of
 from mmwave_env.numerics.linalg import cholesky, dot
 from mmwave_env.numerics.numbers import Matrix, Number, Vector
 

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from mmwave_env.filters.update import ModeResult, capped_log_likelihood
-from mmwave_env.models.measurement import Epoch, Layout
+from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import Epoch
 from mmwave_env.models.motion import move
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Number, Vector, clip, sqrt, where

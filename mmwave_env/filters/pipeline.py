@@ -16,7 +16,8 @@ from mmwave_env.filters.gating import Gate, passes
 from mmwave_env.filters.memory import Memory
 from mmwave_env.filters.modes import Mode, Tuning
 from mmwave_env.filters.update import Algorithm, ModeResult
-from mmwave_env.models.measurement import Epoch, Layout, Measurement, Site
+from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import Epoch, Measurement, Site
 from mmwave_env.models.motion import (
     ProcessNoise,
     accelerate,

@@ -6,7 +6,7 @@ is :func:`mmwave_env.filters.textbook.rts`.
 
 from typing import NamedTuple
 
-from mmwave_env.models.measurement import STATE_SIZE
+from mmwave_env.models.layout import STATE_SIZE
 from mmwave_env.models.motion import transition_times
 from mmwave_env.numerics.linalg import backward, cholesky, dot, forward, pack, symmetric, unpack
 from mmwave_env.numerics.numbers import Matrix, Number, Vector

@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 from mmwave_env.filters.gating import Gate, at_degrees, chi_square_limits, gate_groups
 from mmwave_env.filters.linearization import Linearization, SigmaPoints, Tangent, linearize
-from mmwave_env.models.measurement import STATE_SIZE, Measurement
+from mmwave_env.models.layout import STATE_SIZE
+from mmwave_env.models.measurement import Measurement
 from mmwave_env.numerics.linalg import cholesky, dot, forward, symmetric
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, maximum
 

@@ -21,7 +21,7 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.features import Feature, View, coming, context
 from mmwave_env.io.lookup import choose
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.numerics.numbers import Number, clip
 

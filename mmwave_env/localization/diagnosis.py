@@ -22,7 +22,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.localization.contradictions import Contradiction, contradictions, impossible
 from mmwave_env.localization.localizer import episode_from
 from mmwave_env.logs.log import LogBlock
-from mmwave_env.models.measurement import wrap_angles
+from mmwave_env.models.layout import wrap_angles
 from mmwave_env.models.radio import RADIOS, Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI, Array, Mask

@@ -27,7 +27,7 @@ from mmwave_env.interface.observation import Observation
 from mmwave_env.localization.segments import first_fix, segments
 from mmwave_env.logs.log import LogBlock
 from mmwave_env.logs.log_tables import LogError, in_windows
-from mmwave_env.models.measurement import STATE_SIZE, Layout
+from mmwave_env.models.layout import STATE_SIZE, Layout
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Mask

@@ -3,7 +3,7 @@
 import numpy as np
 
 from mmwave_env.logs.log import LogBlock
-from mmwave_env.models.measurement import LINK
+from mmwave_env.models.layout import LINK
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, wrap

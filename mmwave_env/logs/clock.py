@@ -24,7 +24,8 @@ import numpy as np
 
 from mmwave_env.logs.log import LogBlock
 from mmwave_env.logs.truth import TrueEpochs
-from mmwave_env.models.measurement import Layout, exact_rows
+from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, wrap
 

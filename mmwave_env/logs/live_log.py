@@ -10,7 +10,7 @@ from mmwave_env.logs.log import LogBlock, block_of, require_noise
 from mmwave_env.logs.log_checks import first_damage
 from mmwave_env.logs.log_columns import columns_of
 from mmwave_env.logs.log_tables import LogError, LogFile, Table, parse_carefully
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from mmwave_env.models.scene import Scene
 
 

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import DECIBEL, Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Number, Vector, clip, exp, log, maximum, sqrt, where

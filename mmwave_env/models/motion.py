@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from mmwave_env.models.measurement import STATE_SIZE
+from mmwave_env.models.layout import STATE_SIZE
 from mmwave_env.numerics.linalg import symmetric
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, cos_sin, maximum, sqrt, where
 

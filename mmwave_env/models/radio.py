@@ -26,7 +26,8 @@ from mmwave_env.io.records import (
     require_fields,
 )
 from mmwave_env.models import envelope
-from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout
+from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Number, Vector, clip, exp, sqrt
 

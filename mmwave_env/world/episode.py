@@ -13,14 +13,8 @@ import numpy as np
 
 from mmwave_env.io.records import Bound
 from mmwave_env.models import envelope
-from mmwave_env.models.measurement import (
-    Epoch,
-    Layout,
-    Site,
-    blank_site,
-    offered_rows,
-    whole_groups,
-)
+from mmwave_env.models.layout import Layout, offered_rows, whole_groups
+from mmwave_env.models.measurement import Epoch, Site, blank_site
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index, Mask, Number, Vector, where

@@ -25,7 +25,8 @@ from mmwave_env.compiler.program import (
 from mmwave_env.compiler.threads import share, spans
 from mmwave_env.models.channel import channel_of
 from mmwave_env.models.envelope import STEP_S
-from mmwave_env.models.measurement import STATE_SIZE, Layout, Site, offered_rows
+from mmwave_env.models.layout import STATE_SIZE, Layout, offered_rows
+from mmwave_env.models.measurement import Site
 from mmwave_env.models.radio import SNR_LIMITS_DB, Radio
 from mmwave_env.models.random_scene import RandomScene
 from mmwave_env.models.scene import Scene
@@ -89,7 +90,7 @@ class SimulatedSource:
             length, or shorter if all ways are shorter.
         odometry: whether the user also reports speed and heading.
         measurements: names of what the receiver offers, of
-            :data:`~mmwave_env.models.measurement.MEASUREMENTS`; None for all, in whole groups.
+            :data:`~mmwave_env.models.layout.MEASUREMENTS`; None for all, in whole groups.
     """
 
     scene: Scene | RandomScene

@@ -24,7 +24,8 @@ from mmwave_env.models.channel import (
     draw_channel,
     initial_state,
 )
-from mmwave_env.models.measurement import STATE_SIZE, Layout, exact_rows
+from mmwave_env.models.layout import STATE_SIZE, Layout
+from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.radio import Radio, deviations
 from mmwave_env.models.random_scene import RandomScene
 from mmwave_env.models.scene import Scene, SceneNumbers

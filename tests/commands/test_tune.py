@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from experiments.training.tune_modes import likelihood, negative_mean_square, objective_of, tune
 from mmwave_env.filters.bank import bank_from, read_bank
 from mmwave_env.filters.modes import Mode
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.keys import draw_key

@@ -13,7 +13,7 @@ from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.samples import recording_from
 from mmwave_env.datasets.tracks import TrackSource
 from mmwave_env.logs.truth import stretches, velocity_of
-from mmwave_env.models.measurement import LINK, Layout
+from mmwave_env.models.layout import LINK, Layout
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.samples import recording_from, sample_names, source_from
 from mmwave_env.datasets.tracks import TrackSource
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import Scene, Wall
 from mmwave_env.world.episode import EpisodeSource

@@ -10,7 +10,8 @@ from mmwave_env.filters.bank import best_bank, default_modes
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import LogScore, TrackingReward, terms_of, total
-from mmwave_env.models.measurement import Layout, blank_site
+from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import blank_site
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.pytree import indices

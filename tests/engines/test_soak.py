@@ -13,7 +13,7 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.update import ekf
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.models.measurement import Layout, wrap_angles
+from mmwave_env.models.layout import Layout, wrap_angles
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import scene_from
 from mmwave_env.numerics.linalg import cholesky, unpack

@@ -9,7 +9,7 @@ import pytest
 from experiments.evaluation.compare import compare, evaluate
 from experiments.evaluation.contenders import contender_from
 from mmwave_env.filters.bank import Bank, bank_as_written, modes_from
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from policies import LearnedSwitch
 from tests.cli import assert_one_clear_line, command
 from tests.refusals import refuses

@@ -7,7 +7,7 @@ from experiments.console.options import EpisodeArgs
 from experiments.evaluation.compare import compare
 from experiments.reporting.comparison_results import results
 from mmwave_env.metrics import METRICS
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from tests.refusals import refuses
 from tests.training.actors import HANDSET
 

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from mmwave_env.filters import textbook
-from mmwave_env.models.measurement import Layout, Measurement
+from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import Measurement
 from tests.filters import gated_textbook
 from tests.filters.gated_textbook import Rows
 

@@ -17,7 +17,7 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.update import Posterior, ckf, ekf, ukf, update
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from tests.filters.tracks import STREET
 
 BEFORE = """import math

@@ -7,7 +7,7 @@ from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.update import ekf
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from tests.filters.tracks import (
     assert_same_beliefs,
     pipeline_of,

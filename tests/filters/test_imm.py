@@ -10,7 +10,7 @@ from mmwave_env.filters import textbook
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from tests.filters import gated_textbook
 from tests.filters.tracks import (
     assert_same_beliefs,

@@ -6,7 +6,8 @@ import pytest
 from mmwave_env.filters import textbook
 from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.update import ckf, ekf, ukf
-from mmwave_env.models.measurement import NEAREST_M, Layout, exact_rows
+from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import NEAREST_M, exact_rows
 from tests.filters.problems import HZ_PER_MPS, Problem, assert_same
 from tests.filters.test_filterpy_reference import both
 from tests.filters.tracks import OwnModel, assert_same_beliefs, pipeline_of, process_noise

@@ -16,7 +16,8 @@ from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline, measurement_of, predict_update
 from mmwave_env.filters.update import ModeResult, capped_log_likelihood
-from mmwave_env.models.measurement import Epoch, Layout, Site
+from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import Epoch, Site
 from mmwave_env.models.motion import accelerate, turn
 from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.pytree import unflatten

@@ -11,7 +11,8 @@ from mmwave_env.filters.bank import best_bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.models.measurement import MEASUREMENTS, Layout, exact_rows
+from mmwave_env.models.layout import MEASUREMENTS, Layout
+from mmwave_env.models.measurement import exact_rows
 from tests.filters.tracks import (
     HZ_PER_MPS,
     assert_same_beliefs,

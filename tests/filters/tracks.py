@@ -13,7 +13,8 @@ from mmwave_env.filters import textbook
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.models.measurement import MEASUREMENTS, Layout, exact_rows
+from mmwave_env.models.layout import MEASUREMENTS, Layout
+from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.episode import Episode

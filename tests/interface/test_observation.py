@@ -16,7 +16,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation, feature_scales
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.envelope import DOPPLER_SPREAD_HZ
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource

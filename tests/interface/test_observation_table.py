@@ -11,7 +11,7 @@ from mmwave_env.filters.bank import best_bank, modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import BELIEFS, Observation, feature_scales
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from tests.refusals import refuses
 
 PIPELINES = {

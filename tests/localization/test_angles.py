@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from mmwave_env.models.measurement import Layout, exact_rows
+from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import exact_rows
 from tests.paths import ROOT
 
 PAGE = (ROOT / "docs" / "data.md").read_text(encoding="utf-8")

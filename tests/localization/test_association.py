@@ -13,7 +13,8 @@ from mmwave_env.localization.localizer import Switching, localize
 from mmwave_env.localization.segments import segments
 from mmwave_env.logs.log import LogBlock, PathEpoch, read_log, read_paths
 from mmwave_env.logs.log_tables import LogError
-from mmwave_env.models.measurement import Layout, exact_rows, seen_from_image
+from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import exact_rows, seen_from_image
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, Scene

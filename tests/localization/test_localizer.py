@@ -17,7 +17,8 @@ from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.localization.localizer import Switching, TrackBlock, localize, smoothed
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
-from mmwave_env.models.measurement import Layout, exact_rows
+from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, Scene

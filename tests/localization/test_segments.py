@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from mmwave_env.localization.segments import segments
 from mmwave_env.logs.log import LogBlock
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES

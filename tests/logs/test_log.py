@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from mmwave_env.datasets.log_writer import log_columns, log_text, write_log
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_columns import QUANTITIES
-from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout
+from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from tests.logs.by_hand import (
     AOA,
     AOD,

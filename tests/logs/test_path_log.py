@@ -8,7 +8,8 @@ import pytest
 
 from mmwave_env.logs.log import read_log, read_paths
 from mmwave_env.logs.log_checks import MOST_PATHS
-from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout
+from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource

@@ -11,7 +11,7 @@ from mmwave_env.logs.clock import clock_offset
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.truth import BRIDGED_S, TOLERANCE_S, TrueEpochs, Truth
 from mmwave_env.logs.tum import read_tum, tum_lines
-from mmwave_env.models.measurement import LINK, Layout
+from mmwave_env.models.layout import LINK, Layout
 from mmwave_env.models.scene import SCENES, read_scene
 from tests.refusals import refuses
 

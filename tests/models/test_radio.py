@@ -15,7 +15,7 @@ from mmwave_env.models.channel import (
     channel_of,
     initial_state,
 )
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import RADIOS, Radio, radio_from
 from mmwave_env.models.scene import SCENES
 from tests.refusals import refuses

@@ -12,7 +12,7 @@ import pytest
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from policies import LearnedSwitch, learned, shipped_policies
 from tests.filters.tracks import replay, simulated
 from tests.paths import ROOT

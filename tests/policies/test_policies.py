@@ -13,7 +13,7 @@ from mmwave_env.filters.bank import modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import RADIOS, radio_from
 from mmwave_env.models.scene import scene_from
 from mmwave_env.world.episode import blank_incoming

@@ -8,7 +8,7 @@ from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from policies.policy_file import Card, to_bytes
 
 MODES = (Mode("stand", sigma_v=0.1), Mode("walk"), Mode("ride", sigma_v=2.0))  # quick to compile

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, norm
 
-from mmwave_env.models.measurement import Layout, blank_site
+from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import blank_site
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.pytree import unflatten

@@ -21,7 +21,7 @@ from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.io.lookup import printable
 from mmwave_env.metrics import nees_interval
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array

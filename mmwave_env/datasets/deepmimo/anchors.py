@@ -25,7 +25,8 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.models.measurement import LINK, SPEED_OF_LIGHT, direction
+from mmwave_env.models.layout import LINK
+from mmwave_env.models.measurement import SPEED_OF_LIGHT, direction
 from mmwave_env.numerics.numbers import PI, Array, Mask, wrap
 from mmwave_env.world.checks import refuse_in
 

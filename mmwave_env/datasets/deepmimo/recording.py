@@ -21,7 +21,7 @@ from mmwave_env.datasets.deepmimo.anchors import (
 from mmwave_env.datasets.deepmimo.v4 import Scenario, open_scenario
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.ways import COLUMNS, read_trajectory
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.layout import Layout
 from mmwave_env.models.scene import scene_of_anchors
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.checks import refuse_in

@@ -1,0 +1,192 @@
+"""The layout of the state and of a measurement vector: which number stands in which row.
+
+The measurement vector holds for each anchor l = 1..L a *link* of four rows [range, azimuth and
+elevation of arrival, azimuth of departure], then the Doppler shift, then, optionally, odometry
+[speed, heading] (paper, Sec. II-B).
+
+Each *group* (a link, the Doppler, the odometry) is gated on its own, and is present or missing as a
+whole; in a *partial* layout each row may be missing on its own, and the Doppler shift may be that
+of any anchor instead of anchor 1.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.io.lookup import choose, quoted
+from mmwave_env.numerics.numbers import PI, Number, Vector
+
+STATE = ("px", "py", "pz", "vx", "vy", "vz", "b")  # m, m/s, Hz
+STATE_SIZE = len(STATE)
+LINK = ("range_m", "aoa_azimuth_rad", "aoa_elevation_rad", "aod_azimuth_rad")
+# Names of the rows that a receiver may offer: those of every link, and the Doppler shift.
+MEASUREMENTS = ("range", "azimuth", "elevation", "departure", "doppler")
+_HORIZONTAL = {"range", "azimuth", "departure"}  # without one of these nothing fixes a position
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The layout of a measurement vector: which number stands in which row.
+
+    Attributes:
+        anchors: number of anchors L >= 1, the physical gNB first.
+        odometry: whether two rows of odometry follow the Doppler shift.
+        partial: whether each row may be missing on its own, and the Doppler shift may be that of
+            any anchor; otherwise groups are present or missing as a whole.
+    """
+
+    anchors: int = 3
+    odometry: bool = False
+    partial: bool = False
+
+    @property
+    def size(self) -> int:
+        """Return the number of rows: 4 L + 1, and 2 more with odometry."""
+        return 4 * self.anchors + 1 + 2 * self.odometry
+
+    @property
+    def doppler(self) -> int:
+        """Return the row of the Doppler shift."""
+        return 4 * self.anchors
+
+    def link(self, anchor: int) -> slice:
+        """Return the rows of the link of an anchor; anchors are counted from 0."""
+        return slice(4 * anchor, 4 * anchor + 4)
+
+    @cached_property
+    def groups(self) -> list[slice]:
+        """Return the rows of each group, in order: links, Doppler, odometry."""
+        rows = [self.link(a) for a in range(self.anchors)]
+        rows.append(slice(self.doppler, self.doppler + 1))
+        if self.odometry:
+            rows.append(slice(self.doppler + 1, self.doppler + 3))
+        return rows
+
+    @cached_property
+    def widths(self) -> list[int]:
+        """Return the number of rows of each group."""
+        return [rows.stop - rows.start for rows in self.groups]
+
+    def degrees(self, measured: Vector) -> Sequence[Number]:
+        """Return the number of measured rows of each group, its degrees of freedom.
+
+        Args:
+            measured: (rows,) 1 where a row was measured; empty unless the layout is partial.
+        """
+        if not self.partial:
+            return self.widths
+        return [sum(measured[rows][1:], measured[rows][0]) for rows in self.groups]
+
+    @property
+    def group_names(self) -> list[str]:
+        """Return a name for each group, for tables and messages."""
+        names = [f"anchor {a + 1}" for a in range(self.anchors)]
+        return names + ["Doppler"] + ["odometry"] * self.odometry
+
+    @cached_property
+    def angles(self) -> list[int]:
+        """Return the rows that are angles, whose differences wrap."""
+        rows = [4 * a + i for a in range(self.anchors) for i in (1, 2, 3)]
+        return rows + [self.doppler + 2] * self.odometry
+
+
+def measurements_from(names: Sequence[str] | None) -> tuple[str, ...] | None:
+    """Return names of measurements in the order of :data:`MEASUREMENTS`; None stands for all.
+
+    Raises:
+        ValueError: a name is unknown, or no name tells of the horizontal position.
+    """
+    if names is None:
+        return None
+    if isinstance(names, str) or not isinstance(names, Iterable):
+        expected = f"a list of some of {', '.join(MEASUREMENTS)}"
+        raise ValueError(f"measurements: found {quoted(names)}, expected {expected}")
+    names = list(names)
+    for name in names:
+        choose(dict.fromkeys(MEASUREMENTS), name, "measurements")
+    if _HORIZONTAL.isdisjoint(names):
+        shown = ", ".join(names) or "none"
+        raise ValueError(
+            f"measurements: found {shown}, which say nothing of the horizontal position, expected "
+            "range, azimuth or departure among them"
+        )
+    return tuple(name for name in MEASUREMENTS if name in names)
+
+
+def offered_rows(layout: Layout, measurements: Sequence[str] | None) -> list[bool]:
+    """Tell of each row whether it is one of the measurements; odometry always is.
+
+    Raises:
+        ValueError: from :func:`measurements_from`.
+    """
+    names = measurements_from(measurements) or MEASUREMENTS
+    *link, doppler = [name in names for name in MEASUREMENTS]
+    return [*link * layout.anchors, doppler, *[True, True] * layout.odometry]
+
+
+def sigma_name(name: str) -> str:
+    """Return the name of a measurement's standard deviation: of "range_m", "range_sigma_m"."""
+    quantity, _, unit = name.rpartition("_")
+    return f"{quantity}_sigma_{unit}"
+
+
+def wrap_angles(measurement: NDArray[np.float64], layout: Layout) -> None:
+    """Move the angles of measurements (T, rows) into [-pi, pi), in place.
+
+    Angles within the interval keep their value, to the bit.
+    """
+    rows = layout.angles
+    measurement[:, rows] = wrapped(measurement[:, rows])
+
+
+def wrapped(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return angles of any size moved into [-pi, pi); angles within it keep their value."""
+    moved = np.remainder(angles + PI, 2.0 * PI) - PI
+    return np.where((angles >= -PI) & (angles < PI), angles, moved)
+
+
+def whole_groups(
+    measurement: NDArray[np.float64], heard: NDArray[np.bool_], layout: Layout
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which groups (T, groups) count as measured, and which are lost with a part missing.
+
+    In a partial layout a part is enough, and none is lost.
+
+    Args:
+        measurement: (T, rows), NaN where not measured.
+        heard: (T, L) whether a link's strength is known, which gives the noise of its rows;
+            the first link's strength also gives the noise of the Doppler shift.
+        layout: rows and groups.
+    """
+    starts = [group.start for group in layout.groups]
+    finite = np.isfinite(measurement)
+    if layout.partial:
+        some = np.logical_or.reduceat(finite, starts, axis=1)
+        return some, np.zeros_like(some)
+    whole = np.logical_and.reduceat(finite, starts, axis=1)
+    whole[:, : layout.anchors] &= heard
+    whole[:, layout.anchors] &= heard[:, 0]
+    return whole, np.logical_or.reduceat(finite, starts, axis=1) & ~whole
+
+
+def without_noise(
+    measurement: NDArray[np.float64],
+    sigma: NDArray[np.float64],
+    heard: NDArray[np.bool_],
+    doppler_anchor: NDArray[np.int64],
+    layout: Layout,
+) -> NDArray[np.bool_]:
+    """Return which rows (T, rows) were measured, but with unknown noise: they are lost.
+
+    Args:
+        measurement, heard, layout: as :func:`whole_groups` takes them.
+        sigma: (T, rows) stated standard deviations, NaN where none.
+        doppler_anchor: (T,) anchor of the Doppler shift.
+    """
+    known = np.ones(measurement.shape, np.bool_)  # odometry's
+    known[:, : layout.doppler] = np.repeat(heard, 4, axis=1)
+    known[:, layout.doppler] = heard[np.arange(len(heard)), doppler_anchor]
+    return np.isfinite(measurement) & ~known & ~np.isfinite(sigma)
