@@ -16,8 +16,8 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 31_800,
-    "tokens of source": 208_000,
+    "lines of source": 32_100,
+    "tokens of source": 210_500,
     "files of source": 280,
     "lines of tests": 25_100,
     "tokens of tests": 223_000,

@@ -115,9 +115,9 @@ class MeasuredTrack(Track):
             doppler_sigma_hz,
         )  # fmt: skip
         measured = dict(zip((*LINK, "doppler_hz"), (*links, doppler_hz), strict=True))
-        given = dict(zip(measured, deviations, strict=True))
-        _require_noise(record, measured, given, snr_db)
-        fields |= _as_partial(record, fields, np.isfinite(snr), given)
+        sigma_of = dict(zip(measured, deviations, strict=True))
+        _require_noise(record, measured, sigma_of, snr_db)
+        fields |= _as_partial(record, fields, np.isfinite(snr), sigma_of)
         spread = np.zeros(len(snr)) if doppler_spread_hz is None else doppler_spread_hz
         return cls(
             **fields,

@@ -178,9 +178,9 @@ class SimulatedSource:
             columns = [np.ascontiguousarray(table[:, c]) for c in columns_of(self.layout)]
             rows: Any = Incoming._make(columns)
             where = site[flatten(index.anchors)].reshape(-1, 3), scene.hz_per_mps, self.time_s
-            seen = rows.signed_sigma > 0.0
-            visible = np.logical_or.reduceat(seen, starts, axis=1)
-            z = np.where(seen, rows.z, np.nan) if partial else rows.z
+            measured = rows.signed_sigma > 0.0
+            visible = np.logical_or.reduceat(measured, starts, axis=1)
+            z = np.where(measured, rows.z, np.nan) if partial else rows.z
             sigma = np.abs(rows.signed_sigma)
             received = z, sigma, visible, rows.snr_db, rows.doppler_spread_hz
             prior = site[index.prior_x], self.radio.prior_covariance(scene)

@@ -112,13 +112,13 @@ def measure(
     visible = [*reception.detected, reception.detected[0]]
     if layout.odometry:
         visible.append(where(speed < radio.odometry_slowest_mps, 0.0, 1.0))
-    seen = [v for v, k in zip(visible, layout.widths, strict=True) for _ in range(k)]
+    present = [v for v, k in zip(visible, layout.widths, strict=True) for _ in range(k)]
     if layout.partial:
-        seen = [v * offered for v, offered in zip(seen, settings.offered, strict=True)]
+        present = [v * offered for v, offered in zip(present, settings.offered, strict=True)]
     measured = Incoming(
         dt=0.0,
-        z=_where_seen(seen, z, 0.0),
-        signed_sigma=_where_seen(seen, sigma, -1.0),
+        z=_where_measured(present, z, 0.0),
+        signed_sigma=_where_measured(present, sigma, -1.0),
         snr_db=[
             where(v > 0.5, snr, 0.0) for v, snr in zip(visible, reception.snr_db, strict=False)
         ],
@@ -132,9 +132,9 @@ def measure(
     )
 
 
-def _where_seen(seen: Vector, rows: Vector, otherwise: float) -> list[Number]:
-    """Return the rows (rows,) with a constant in place of those that are not seen (rows,)."""
-    return [where(s > 0.5, value, otherwise) for s, value in zip(seen, rows, strict=True)]
+def _where_measured(measured: Vector, rows: Vector, otherwise: float) -> list[Number]:
+    """Return the rows (rows,) with a constant in place of those that are not measured (rows,)."""
+    return [where(s > 0.5, value, otherwise) for s, value in zip(measured, rows, strict=True)]
 
 
 def _observe(w: WorldState, layout: Layout) -> WorldState:
