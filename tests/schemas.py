@@ -16,6 +16,7 @@ from mmwave_env.filters.bank import MOST_MODES, NOTES, Bank
 from mmwave_env.filters.modes import ALGORITHMS, Mode
 from mmwave_env.io.lookup import LONGEST
 from mmwave_env.io.records import Bound, Printable, Size, hints_of
+from mmwave_env.logs.log_columns import HORIZONTAL, QUANTITIES
 from mmwave_env.metrics import METRICS, TERMS
 from mmwave_env.models.radio import RADIOS, Radio
 from mmwave_env.models.scene import AnchorScene, Scene
@@ -115,6 +116,35 @@ def modes():
     return bank
 
 
+def log():
+    """Return the schema of a row of a log in JSON lines: each column, its unit and its limits."""
+    properties = {}
+    for quantity in QUANTITIES.values():
+        for name, unit in quantity.columns.items():
+            needed = quantity is QUANTITIES["time"]
+            kind = "number" if needed else ["number", "null"]  # null: not measured
+            part = {"type": kind, "description": quantity.meaning}
+            if quantity.limits and not name.endswith("_mps"):  # a shift's depend on the carrier
+                bound, of = quantity.limits
+                scale = (
+                    (math.radians(1.0) if of == "degrees" else 1.0) * unit.divide / unit.multiply
+                )
+                part |= {
+                    "minimum": float(f"{scale * bound.least:.12g}"),
+                    "maximum": float(f"{scale * bound.most:.12g}"),
+                }
+            properties[name] = part
+    properties["anchor"] = {"type": "integer", "minimum": 1, "description": "number in the scene"}
+
+    def one_of(*quantities):
+        names = [name for quantity in quantities for name in QUANTITIES[quantity].columns]
+        return {"anyOf": [{"required": [name]} for name in names]}
+
+    required = [one_of("time"), one_of("anchor"), one_of(*HORIZONTAL)]
+    closed = {"allOf": required, "additionalProperties": False}
+    return {"type": "object", "properties": properties} | closed
+
+
 def results():
     """Return the shipped schema of results, with the metrics of today."""
     schema = json.loads(path_of("results").read_text(encoding="utf-8"))
@@ -137,6 +167,7 @@ def schemas():
         "scene": ("A street: a base station and the walls that mirror it", scene),
         "radio": ("A radio profile", radio()),
         "modes": ("Filter modes", modes()),
+        "log": ("A row of a measurement log: an epoch and an anchor", log()),
         "mobility": ("A kind of user", object_schema(Mobility, optional=["name"])),
     }
     dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}

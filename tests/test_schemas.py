@@ -1,5 +1,6 @@
 """The schemas of users' files say what the readers read."""
 
+import csv
 import json
 
 import pytest
@@ -8,6 +9,8 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
 from mmwave_env.filters.bank import read_bank
+from mmwave_env.logs.live_log import LiveLog
+from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.radio import read_radio
 from mmwave_env.models.scene import read_scene
 from mmwave_env.world.mobility import read_mobility
@@ -15,6 +18,7 @@ from tests.damage import places
 from tests.paths import ROOT
 from tests.schemas import path_of, schemas
 
+LOGS = ROOT / "mmwave_env" / "data" / "logs"
 READERS = {"scene": read_scene, "radio": read_radio, "modes": read_bank}
 READERS |= {"mobility": read_mobility}
 SCHEMAS = schemas()
@@ -138,3 +142,35 @@ def test_what_a_schema_refuses_is_refused(name, data, tmp_path_factory):
     content = data.draw(damaged(name))
     if not VALIDATORS[name].is_valid(content):
         assert refusal(name, content, tmp_path_factory.getbasetemp())
+
+
+LIMITED = [name for name, part in SCHEMAS["log"]["properties"].items() if "maximum" in part]
+
+
+@pytest.mark.parametrize("name", LIMITED)
+def test_a_row_beyond_the_limit_of_a_column_is_refused_by_schema_and_reader(name):
+    row = {"time_s": 0.0, "anchor": 1, "range_m": 20.0, "snr_db": 20.0}
+    stem = name.rpartition("_")[0]
+    if stem in ("toa", "rtt", "range") or name == "snr_db":
+        row = {"time_s": 0.0, "anchor": 1, "aoa_azimuth_rad": 0.1, "snr_db": 20.0}
+    elif stem in ("speed", "aod_azimuth_body"):
+        row |= {"heading_rad": 0.1, "speed_mps": 1.0}
+    if stem == "speed":
+        del row["speed_mps"]
+    limit = SCHEMAS["log"]["properties"][name]["maximum"]
+    for factor in (0.99, 1.01):
+        line = row | {name: factor * limit}
+        reads = True
+        try:
+            LiveLog(list(line), read_scene(LOGS / "canyon28_vehicle" / "scene.json")).add(line)
+        except LogError:
+            reads = False
+        assert reads == VALIDATORS["log"].is_valid(line) == (factor < 1.0)
+
+
+def test_rows_of_the_shipped_log_satisfy_the_schema():
+    with (LOGS / "canyon28_vehicle" / "log.csv").open() as file:
+        for row in csv.DictReader(file):
+            numbers = {name: float(cell) if cell else None for name, cell in row.items()}
+            VALIDATORS["log"].validate(numbers | {"anchor": int(row["anchor"])})
+    assert not VALIDATORS["log"].is_valid({"time_s": 0.0, "anchor": 1, "snr_db": 10.0})

@@ -163,8 +163,8 @@ def _limit(table: Table, quantity: str, bound: Bound, unit: str) -> _Check:
         wrong |= values < least
     stem, _, ending = table.columns[quantity].name.rpartition("_")
     likely = f"if it is in degrees, name the column {stem}_deg; " if ending == "rad" else ""
-    if quantity == "aoa_elevation" and abs(values[np.argmax(wrong)]) <= 360.0:
-        azimuth = table.columns.get("aoa_azimuth") or table.columns[STATION]
+    azimuth = table.columns.get("aoa_azimuth") or table.columns.get(STATION)
+    if quantity == "aoa_elevation" and azimuth and abs(values[np.argmax(wrong)]) <= 360.0:
         likely += f"if it is the azimuth, exchange {azimuth.name} with it; "
     return _Check(
         quantity,
