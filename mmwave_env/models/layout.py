@@ -110,8 +110,8 @@ def measurements_from(names: Sequence[str] | None) -> tuple[str, ...] | None:
     if _HORIZONTAL.isdisjoint(names):
         shown = ", ".join(names) or "none"
         raise ValueError(
-            f"measurements: found {shown}, but none of range, azimuth and departure, expected at "
-            "least one of these three, which measure the horizontal position"
+            f"measurements: found {shown}, expected at least one of range, azimuth and departure, "
+            "as the others do not measure the horizontal position"
         )
     return tuple(name for name in MEASUREMENTS if name in names)
 

@@ -62,31 +62,39 @@ class Radio:
         name: name of the profile.
         gnb_elements, ue_elements: number of antenna elements along one side of the square arrays.
         range_floor_m: range noise floor on the direct path and on reflections, m.
-        aoa_floor_rad, aod_floor_rad, elevation_floor_rad: angle noise floors.
+        aoa_floor_rad: noise floor of the azimuth of arrival.
+        aod_floor_rad: noise floor of the azimuth of departure.
+        elevation_floor_rad: noise floor of the elevation of arrival.
         doppler_floor_mps: Doppler noise floor, m/s (multiply by f_c / c to get hertz).
-        prior_position_m, prior_height_m, prior_velocity_mps, prior_vertical_mps, prior_bias_mps:
-            the prior's standard deviations, per axis; position and velocity are horizontal.
-        transmit_dbm, gnb_gain_db, ue_gain_db, implementation_loss_db: link budget.
+        prior_position_m: standard deviation of the prior's horizontal position, per axis.
+        prior_height_m: standard deviation of the prior's height.
+        prior_velocity_mps: standard deviation of the prior's horizontal velocity, per axis.
+        prior_vertical_mps: standard deviation of the prior's vertical velocity.
+        prior_bias_mps: standard deviation of the prior's oscillator bias.
+        transmit_dbm, gnb_gain_db, ue_gain_db, implementation_loss_db: part of the link budget.
         noise_figure_db: noise figure of the receiver.
         reflection_loss_db: loss on a virtual anchor's path.
         blockage_loss_db: loss while a link is blocked.
-        shadowing_db, shadowing_correlation: deviation of log-normal shadowing, AR(1) per second.
-        detection_snr_db, detection_slope_db: logistic probability of detection.
-        doppler_window_s: coherent processing interval T.
-        blockage_scale, blockage_base, blockage_per_100m, blockage_limit: stationary
-            probability scale * min(limit, base + per_100m d / 100 m).
+        shadowing_db: standard deviation of log-normal shadowing.
+        shadowing_correlation: correlation of shadowing after one second, an AR(1) process.
+        detection_snr_db: SNR at which a link is detected with probability 0.5.
+        detection_slope_db: scale of the logistic curve of the detection probability over the SNR.
+        doppler_window_s: coherent processing interval T for the Doppler shift.
+        blockage_scale, blockage_base, blockage_per_100m, blockage_limit: stationary probability of
+            blockage at distance d: scale * min(limit, base + per_100m d / 100 m).
         blockage_mean_s: mean length of a blockage.
         blockage_range_m: mean of the exponential range bias during a blockage.
         blockage_angle_rad: standard deviation of the angle biases during a blockage.
         multipath_rate_hz: rate at which spells of multipath begin, per link.
         multipath_mean_s: mean length of a spell of multipath.
-        multipath_range_m: parts of its range bias: a constant, and the mean of an exponential part.
-        multipath_angle_rad: standard deviation of its angle biases.
-        outage_rate_hz, outage_mean_s: rate and mean length of outages, which lose all links.
+        multipath_range_m: range bias during multipath: constant, and mean of an exponential part.
+        multipath_angle_rad: standard deviation of the angle biases during multipath.
+        outage_rate_hz: rate at which outages begin, in which all links are lost.
+        outage_mean_s: mean length of an outage.
         spread_gain, spread_sigma, spread_floor_mps: Doppler spread = gain * speed *
             lognormal(sigma) + |N(0, floor)|, m/s.
         drift_mps: random walk of the oscillator bias, (m/s) / sqrt(s).
-        odometry_speed_mps, odometry_heading_rad: odometry noise.
+        odometry_speed_mps, odometry_heading_rad: standard deviation of the odometry's noise.
         odometry_slowest_mps: below this speed odometry has no heading and is missing.
         base: shipped profile whose modes, banks and policies this radio uses; only the shipped
             profiles have their own.

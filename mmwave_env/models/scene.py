@@ -85,7 +85,7 @@ class Origin:
 
     Attributes:
         latitude_deg, longitude_deg: latitude and longitude of the scene's point (0, 0, 0).
-        height_m: height of that point above the ellipsoid.
+        height_m: height of this point above the ellipsoid.
         bearing_deg: direction of the x axis, clockwise from north; 90 is east.
     """
 
@@ -296,8 +296,12 @@ class AnchorScene:
     """The content of a scene file that lists its anchors.
 
     Attributes:
-        anchors: positions, the physical gNB first.
-        name, carrier_hz, bandwidth_hz, streets, origin: same as in :class:`Scene`.
+        name: name to show in results.
+        anchors: positions of the anchors, the physical gNB first.
+        carrier_hz: carrier frequency f_c.
+        bandwidth_hz: signal bandwidth B.
+        streets: streets on which simulated users move.
+        origin: location on the earth; None if it is not known.
     """
 
     name: Name
