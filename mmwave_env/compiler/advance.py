@@ -1,4 +1,4 @@
-"""The loop that runs a program for many tracks, epoch after epoch, eight tracks at a time.
+"""The loop that runs a compiled program for many tracks, epoch by epoch, eight tracks at a time.
 
 In each epoch, the incoming rows of a block of eight tracks are loaded from a table or computed by a
 feed; results are written to arrays. The loop runs as compiled code and as plain Python.

@@ -12,8 +12,8 @@ compiled again. A checksum detects a damaged file before its content is run. A p
 are edited while it runs does not use files, because it may run either version of the sources.
 
 The files are pickles, like numba's own, and reading a pickle runs code of whoever wrote it. So
-folders and files are private to this user: one that another user owns or may write to, or that is a
-link, is not read, and the next possible folder is used instead. The parent folder may be shared,
+folders and files are private to this user: the cache uses neither links nor anything that another
+user owns or may write to, and goes on to the next possible folder. The parent folder may be shared,
 like ``/tmp``: a folder that another user created there fails the check of the owner.
 """
 
@@ -45,7 +45,7 @@ from numba.misc.appdirs import user_cache_dir
 _PACKAGE = Path(__file__).parents[1]  # an edit anywhere in the package makes a new version
 _READ = time.time()  # a source edited after this may have been read before or after the edit
 _KEPT = 8  # number of versions of the sources whose compiled functions are kept
-_CHECKSUM = sha256().digest_size  # bytes at the beginning of each file
+_CHECKSUM = sha256().digest_size  # number of bytes at the beginning of each file
 
 
 def compiled(function: Callable[..., Any]) -> Any:
@@ -60,7 +60,7 @@ def compiled_callback(signature: Any, function: Callable[..., Any]) -> Any:
     """Compile a function as ``numba.cfunc`` does, with the disk cache.
 
     Code may differ between processes without a change in the sources, for example if it calls a
-    user's function. Its qualified name must then differ too, since it names files and symbols.
+    user's function. The qualified name must then differ, too, since it names files and symbols.
     """
     arguments, returned = normalize_signature(signature)
     callback = _with_cache(CFunc(function, (arguments, returned), {}, {}), function)
@@ -82,7 +82,7 @@ def is_compiled(function: Any, arguments: tuple[Any, ...]) -> bool:
 
 @cache  # the answer is for the sources as this process has read them
 def _folder() -> Path | None:
-    """Return the folder for functions of this version of the sources, None if none is writable.
+    """Return the folder for functions of this version of the sources; None if no place is writable.
 
     The folder is in numba's ``NUMBA_CACHE_DIR`` if that is set; otherwise next to Python's bytecode
     if the package is writable; otherwise in the user's folder for caches.
@@ -187,7 +187,7 @@ def _is_ours(status: os.stat_result, kind: int) -> bool:
 
 
 def _checksum(key: str, content: bytes) -> bytes:
-    """Return the checksum of a content and its key; so a file with another key is refused."""
+    """Return the checksum of a key and a content, so that a file for another key is refused."""
     return sha256(key.encode() + content).digest()
 
 

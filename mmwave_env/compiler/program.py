@@ -24,7 +24,7 @@ from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import Tree, flatten, indices, unflatten
 
 Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
-Blocks = tuple[int, int]  # first, end
+Blocks = tuple[int, int]  # first block, and the block after the last
 
 NO_ROWS = np.empty(0, np.int64)
 # Epochs of a block that run as plain Python first; compiling takes as long as 4000 of them.
@@ -63,9 +63,10 @@ class Feed(NamedTuple):
     A feed has its own workspace, with the same tracks in the same lanes as the program's.
     """
 
-    run: int  # address of a C function; its arguments: addresses of incoming rows, settings, kept
+    # address of a C function; its arguments are the addresses of incoming rows, settings and kept
+    run: int
     settings: Array  # (rows, 8) read only, the same for all blocks
-    kept: Array  # (blocks, rows, 8) changed in place
+    kept: Array  # (blocks, rows, 8) the feed's workspace, changed in place
     timed: int  # the incoming row that is set from ``times`` instead
     times: Array  # (epochs,) the value of that row in each epoch
 
@@ -127,8 +128,8 @@ def tree_kernel(
     Args:
         function: maps a tree to a tree of the same shape.
         template: a tree of that shape; its leaves in order are the rows.
-        ends: as for :func:`~mmwave_env.compiler.lanes.kernel`, which also describes the returned
-            function; None for one part.
+        ends: same as for :func:`~mmwave_env.compiler.lanes.kernel`, which also describes the
+            returned function; None for one part.
     """
     size = len(flatten(template))
 
@@ -143,7 +144,7 @@ def tree_kernel(
 
 
 class Program(Generic[Workspace]):
-    """A function of numbers with its workspace; first use compiles it or reads it from disk.
+    """A function of numbers with its workspace, compiled or read from disk at its first use.
 
     Args:
         function: maps a workspace tree to a workspace tree of the same shape.

@@ -1,4 +1,4 @@
-"""Threads that share jobs; they run in parallel because kernels release the interpreter's lock."""
+"""Threads that share jobs, in parallel because compiled code releases the interpreter's lock."""
 
 import os
 from collections.abc import Callable, Sequence

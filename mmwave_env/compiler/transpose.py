@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.numerics.numbers import Array, Index
 
-LINE = 64  # bytes of a cache line on most machines; others fetch some lines twice
+LINE = 64  # bytes of a cache line on most machines; with longer lines, some are fetched twice
 
 
 _INTEGER, _DOUBLE, _SINGLE = ir.IntType(64), ir.DoubleType(), ir.FloatType()
@@ -158,7 +158,7 @@ def _put(kind: ir.Type) -> Any:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def _turn_in(_, block, sources, first):  # type: ignore[no-untyped-def]
-    """Load numbers ``first`` to ``first`` + 7 of each source into those rows of the block."""
+    """Load numbers ``first`` to ``first`` + 7 of each source into the same rows of the block."""
 
     def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         block, sources, first = arguments
@@ -177,7 +177,7 @@ def _turn_in(_, block, sources, first):  # type: ignore[no-untyped-def]
 def _turn_out(kind: ir.Type) -> Any:
     @intrinsic  # type: ignore[untyped-decorator]
     def turn_out(_, block, rows, targets, first):  # type: ignore[no-untyped-def]
-        """Store the listed rows ``first`` to ``first`` + 7 as those numbers of each target."""
+        """Store block rows ``rows[first : first + 8]`` at ``first`` and after in each target."""
 
         def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
             block, rows, targets, first = arguments

@@ -40,13 +40,13 @@ class Batch(Generic[Workspace]):
         layout: rows of the measurements.
         n: number of environments.
         input_rows: leaves of ``program.index`` that receive an input in every epoch.
-        on_floats: run in plain Python instead of on lanes.
+        on_floats: whether to run in plain Python instead of on SIMD lanes.
         threads: number of threads that may work at once; results do not depend on it.
 
     Attributes:
         at: the workspace tree with row numbers as leaves; its fields select the rows to read.
         state: the environments' workspaces, episodes and next epochs.
-        parts: first and end of the blocks that each thread runs in an epoch.
+        parts: (first, end) numbers of the blocks that each thread runs in an epoch.
     """
 
     def __init__(

@@ -32,7 +32,7 @@ class Engine:
         observation: "full" or "prior".
         bank: bank of the pipeline's modes, if every mode keeps its own belief; None if the modes
             share a belief.
-        on_floats: run in plain Python instead of on lanes (the filterpy reference needs this).
+        on_floats: whether to run in plain Python, as filterpy needs, instead of on SIMD lanes.
         threads: number of threads that may work at once; results do not depend on it.
 
     Attributes:
@@ -155,7 +155,7 @@ class Engine:
 
         Args:
             actions: numbers of modes, from 0; with a belief per mode, from 1, or 0 for no mode.
-            output_rows: (k,) numbers of rows to return, from :func:`rows_of` of parts of ``at``.
+            output_rows: (k,) numbers of rows to return: results of :func:`rows_of` for ``at``.
 
         Returns:
             The observations (n, features) and the output rows (n, k), in new arrays.

@@ -173,7 +173,7 @@ class Environment:
     def _charge(self, rewards: Array, places: Index) -> None:
         """Add the worst reward for each remaining epoch of episodes that ended early."""
         assert self._task.worst is not None
-        tracks = self._engine.batch.state  # it also counts the epoch that waits for an action
+        tracks = self._engine.batch.state  # its epochs include one that waits for an action
         rewards[places] += self._task.worst * (tracks.length + 1 - tracks.epoch)[places]
         if self._baseline:
             rewards[places] -= self._baseline.rest(places)

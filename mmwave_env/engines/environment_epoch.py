@@ -1,6 +1,6 @@
 """An epoch of an environment whose modes share a belief, and of one with a belief per mode.
 
-A step makes the result that the action chose the new belief (mean and covariance), scores it
+A step takes the result that the action chose as the new belief (mean and covariance), scores it
 against the truth, loads the next epoch and runs every mode on it. All modes run before the action,
 because the observation shows the result of each mode. No action changes the world.
 
@@ -106,7 +106,7 @@ class PerModeState(NamedTuple):
     pending: PendingEpoch  # the epoch whose mixture waits for an action
     mixture: Mixture  # belief after that epoch
     spread_averages_hz: list[Number]  # average Doppler spread, for each of SPREAD_MEMORIES
-    # all further fields are values after the last epoch in which an action was taken:
+    # all further fields but the observation are of the last epoch in which an action was taken:
     mode_probabilities: list[Number]  # (modes,) probabilities after the action
     # x, P: (7,), (28,) the combined belief
     x: list[Number]

@@ -42,7 +42,7 @@ class Tally:
         )
 
     def begin(self, places: Index, step_s: Array, epochs: Index) -> None:
-        """Start over in some environments, given their numbers of epochs and their steps, s."""
+        """Start over in some environments, given the step (s) and number of epochs of each."""
         second = self.counts.second
         second[places] = np.clip(np.round(1.0 / step_s), 1, epochs)
         self.make_room(int(second.max()))

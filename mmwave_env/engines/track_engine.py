@@ -1,7 +1,7 @@
 """Filtering of whole tracks with one mode, with given modes, or with a rule that picks modes.
 
 Without an agent, filtering need not stop after every epoch: compiled code runs from the first epoch
-of an episode to the last. Process noise is part of its data, so it can run any tuning.
+of an episode to the last. Process noise is part of its data, so the same code runs any tuning.
 """
 
 from collections.abc import Callable, Sequence
@@ -161,7 +161,7 @@ class Tracker(EpisodeFilter[TrackState]):
         n: number of tracks.
         rule: function of the state (7,) after the previous epoch, and of the coming epoch, that
             returns the number of the mode; None for one mode, or to pass the modes to :meth:`run`.
-        on_floats: run in plain Python instead of on lanes: slow, for reference.
+        on_floats: whether to run in plain Python, slowly, for reference, not on SIMD lanes.
     """
 
     def __init__(

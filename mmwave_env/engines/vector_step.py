@@ -96,7 +96,7 @@ class Stepper:
     """An object that steps the environments of an engine and returns infos about them.
 
     Args:
-        engine: the environments, on lanes.
+        engine: the environments, which run on SIMD lanes.
         tally: sums for the metrics of current episodes.
         history: the modes of the last steps.
         infos: "all" for infos of every step, "episode" for infos on request, "none" for no infos.

@@ -173,7 +173,7 @@ def default_modes(radio: str | Radio = "handset") -> tuple[Mode, Mode]:
 
 
 def named_modes(radio: str | Radio = "handset") -> dict[str, Mode]:
-    """Return the default modes "ekf" and "ukf", "ckf" (with the UKF's tuning) and robust ones."""
+    """Return modes by name: "ekf", "ukf" (the default two), "ckf" (tuned as "ukf"), robust ones."""
     low, high = default_modes(radio)
     modes = (low, high, replace(high, name="ckf", algorithm="ckf"), robust(low), robust(high))
     return {mode.name: mode for mode in modes}
@@ -224,7 +224,7 @@ def _bank_of(mode: Mode | str, radio: str | Radio) -> Bank:
 
 
 def modes_from(modes: Modes, radio: str | Radio = "handset") -> tuple[Mode, ...]:
-    """Return the modes of a ``modes=`` argument, see :func:`bank_over`; None for the default."""
+    """Return the modes of a ``modes=`` argument (see :func:`bank_over`); the default for None."""
     return default_modes(radio) if modes is None else bank_over(modes, radio).modes
 
 

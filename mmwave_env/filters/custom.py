@@ -193,7 +193,7 @@ def _run(mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial)
         advice = f"{type(error).__name__}: {error}"
         if isinstance(force, FloatTracer) and isinstance(error, TypeError | AttributeError):
             advice = f"{advice}\n{_LANES_KNOW}"
-        line = line_of(error, mode.update) or begin_of(mode.update)  # wrong arguments
+        line = line_of(error, mode.update) or begin_of(mode.update)  # it was not entered
         raise _error(mode, "failed on trial", line, advice) from error
     for name, argument, old in zip(("x", "P", "measurement"), arguments, before, strict=True):
         new = flatten(argument)

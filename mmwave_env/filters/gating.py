@@ -1,4 +1,4 @@
-"""Gates, which decide which groups of a measurement to use and with what noise (Sec. III-D).
+"""Gates, which decide which groups of a measurement to use, and their noise (paper, Sec. III-D).
 
 The normalized innovation squared (NIS) of a group is tested against a chi-square quantile.
 """

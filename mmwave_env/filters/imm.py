@@ -23,7 +23,7 @@ from mmwave_env.numerics.numbers import Matrix, Number, Vector, exp, maximum, mi
 from mmwave_env.numerics.pytree import select, tree_at
 
 DEFAULT_STAY = 0.95  # probability that a mode stays the same over a second
-TRUST = 3.0  # log of the factor that a second of an agent's trust puts on a mode's probability
+TRUST = 3.0  # an agent's trust multiplies a mode's probability by exp(TRUST) per second
 _LEAST = 1e-12  # minimum probability of a mode; a probability of zero could not grow again
 
 
@@ -61,7 +61,7 @@ def begin(pipeline: Pipeline, x: Vector, P: Vector) -> Mixture:
 
 
 def stay_matrix(modes: int, stay: float = DEFAULT_STAY) -> tuple[tuple[float, ...], ...]:
-    """Return transition probabilities (from, to) that are equal for all changes of the mode."""
+    """Return transition probabilities (from, to), which are equal for all other modes."""
     if modes == 1:
         return ((1.0,),)
     move = (1.0 - stay) / (modes - 1)
@@ -184,7 +184,7 @@ def _normalized(weights: Sequence[Number]) -> list[Number]:
 
 
 def most_probable(mixture: Mixture) -> Number:
-    """Return the number of the most probable mode, from 0; in a tie, the first one's."""
+    """Return the number of the most probable mode, from 0; in a tie, of the first one."""
     number: Number = 0.0
     best = mixture.probability[0]
     for m, probability in enumerate(mixture.probability[1:], start=1):

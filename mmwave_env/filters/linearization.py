@@ -71,7 +71,7 @@ class SigmaPoints:
 
     @property
     def reach(self) -> float:
-        """Return the distance of the points from the mean, in columns of L."""
+        """Return the distance of the points from the mean, as a multiple of the columns of L."""
         return self.alpha * float((STATE_SIZE + self.kappa) ** 0.5)
 
     def latents(self, curved: int) -> "Latents":

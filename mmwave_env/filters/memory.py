@@ -100,7 +100,7 @@ def memory_after(
     visible: Vector,
     measured: Vector = (),
 ) -> Memory:
-    """Return the memory after a candidate has become the belief.
+    """Return the memory after a candidate, the result of a mode, has become the belief.
 
     Args:
         layout: rows of the measurement vector.

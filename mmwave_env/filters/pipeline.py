@@ -54,8 +54,8 @@ class Pipeline:
         predict, update: the filter's two steps, which the filterpy reference replaces.
 
     Raises:
-        AlgorithmError: a user's algorithm cannot run, on lanes or at all; the message names the
-            line and says what to write instead.
+        AlgorithmError: a user's algorithm cannot run, on SIMD lanes or at all; the message names
+            the line and says what to write instead.
     """
 
     modes: tuple[Mode, ...]
@@ -98,7 +98,7 @@ def process_noise(
 
 
 def _blockage(snr_db: Number, mean_db: Number) -> Number:
-    """Return the factor on the noise variance of a link whose SNR fell below its slow mean."""
+    """Return the factor for the noise variance of a link whose SNR fell below its slow mean."""
     depth = clip(
         (mean_db - snr_db - BLOCKAGE_ONSET_DB) * (1.0 / BLOCKAGE_SLOPE_DB), 0.0, BLOCKAGE_DEPTH
     )

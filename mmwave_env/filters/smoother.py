@@ -31,7 +31,7 @@ class BackwardState(NamedTuple):
     """The following epoch of the track, from which the backward pass smooths the current one."""
 
     is_last: Number  # 1 if no epoch follows, because the track ends
-    # dt, x_predicted, P_predicted: those of the following epoch, as in :class:`ForwardEpoch`
+    # dt, x_predicted, P_predicted: values of the following epoch, see :class:`ForwardEpoch`
     dt: Number
     x_predicted: list[Number]
     P_predicted: list[Number]
@@ -81,7 +81,7 @@ def smooth_epoch(
     """Smooth the belief: :func:`smooth_mean`, and P + C (P_after - P_predicted) C'."""
     P, P_predicted = unpack(now.P, zero=known_axes), unpack(after.P_predicted, zero=known_axes)
     factor, FP = cholesky(P_predicted), transition_times(P, after.dt)
-    # Row i of the gain: P_predicted^-1 times column i of F P.
+    # Row i of the gain is P_predicted^-1 times column i of F P.
     gain = [
         backward(factor, forward(factor, [FP[k][i] for k in range(STATE_SIZE)]))
         for i in range(STATE_SIZE)

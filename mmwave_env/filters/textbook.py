@@ -22,7 +22,7 @@ NEAREST_M = 1e-3  # closer to an anchor, or to the vertical through it, angles s
 
 
 def F(dt: float) -> Array:
-    """Return the constant-velocity transition (7, 7) over dt seconds: eqs. (2) and (3)."""
+    """Return the constant-velocity transition matrix over dt seconds: eqs. (2) and (3)."""
     return np.eye(7) + dt * np.eye(7, k=3) * (np.arange(7) < 3)[:, None]
 
 

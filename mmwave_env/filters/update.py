@@ -2,6 +2,7 @@
 
 This is a reduced form of the update, which is exact. :mod:`~mmwave_env.filters.textbook` has the
 usual form, K = P H' S^-1 with all rows at once; ``tests/filters/test_update.py`` compares the two.
+:mod:`~mmwave_env.filters.linearization` explains *latents*.
 """
 
 from collections.abc import Callable, Sequence

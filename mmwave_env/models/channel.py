@@ -17,7 +17,7 @@ from mmwave_env.numerics.random import Dice
 
 
 class SpellParams(NamedTuple):
-    """Parameters of a link's spells (blockage or multipath) and of the biases during a spell."""
+    """Parameters of a link's spells (periods of blockage or multipath), and of biases in them."""
 
     end: Number  # probability that a spell ends within a step
     # constant_m, mean_m: the range bias is the constant plus an exponential number with this mean
@@ -30,7 +30,7 @@ class Channel(NamedTuple):
     """The channel's parameters for steps of one length, derived from a radio and a scene."""
 
     offset_db: list[Number]  # (L,) SNR of each link at 1 m
-    # shadowing_db, correlation: deviation of log-normal shadowing, its correlation over a step
+    # shadowing_db, correlation: standard deviation of shadowing, and its correlation over a step
     shadowing_db: Number
     correlation: Number
     # blockage, multipath: parameters of their spells
@@ -96,7 +96,7 @@ class Spell(NamedTuple):
     """A spell of blockage or multipath on one link."""
 
     on: Number  # 1 while the spell lasts
-    bias: list[Number]  # (4,) biases of the link's rows during the spell, drawn as it began: m, rad
+    bias: list[Number]  # (4,) biases of the link's rows in the spell, drawn at its start: m, rad
 
 
 class ChannelState(NamedTuple):
@@ -127,7 +127,7 @@ class ChannelDraws(NamedTuple):
     """Random numbers for an epoch of the channel."""
 
     shadowing: list[Number]  # (L,) normals
-    # blockage, multipath: (L,) for the spell of each link
+    # blockage, multipath: (L,) random numbers for each link's spell
     blockage: list[SpellDraws]
     multipath: list[SpellDraws]
     outage: Number  # uniform
@@ -161,7 +161,7 @@ class Reception(NamedTuple):
     """The effects of the channel on the links in an epoch."""
 
     snr_db: list[Number]  # (L,)
-    detected: list[Number]  # (L,) 1 where the link is detected, else 0
+    detected: list[Number]  # (L,) 1 if the link is detected, else 0
     bias: list[list[Number]]  # (L, 4) biases added to the rows of each link
     doppler_spread_hz: Number
 

@@ -22,4 +22,4 @@ BIAS_SIGMA_HZ = between(1e-8, 1e6, "Hz")
 RANGE_SIGMA_M = between(1e-3, 1e5, "m")
 ANGLE_SIGMA_RAD = between(1e-5, 1e2, "rad")
 DOPPLER_SIGMA_HZ = between(0.02, 1e6, "Hz")
-PROCESS_NOISE = between(0.0, 30.0)  # of a mode: m, m/s or Hz, per root second
+PROCESS_NOISE = between(0.0, 30.0)  # process noise of a mode, in its unit per root second

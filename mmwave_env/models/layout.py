@@ -151,7 +151,7 @@ def wrapped(angles: NDArray[np.float64]) -> NDArray[np.float64]:
 def whole_groups(
     measurement: NDArray[np.float64], heard: NDArray[np.bool_], layout: Layout
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return which groups (T, groups) count as measured, and which are lost as a row is missing.
+    """Return which groups (T, groups) count as measured, and which are lost for lack of a row.
 
     In a partial layout one measured row is enough, and no group is lost.
 

@@ -75,7 +75,7 @@ class Group(NamedTuple):
         variance: (k,) noise variances.
         jacobian: (k, 7) dh/dx; structural zeros where h does not depend on the state.
         change: function that returns the exact h(x + step) - h(x) for a step of the state (7,).
-        curved: h is nonlinear in the first ``curved`` components of the state only.
+        curved: h is nonlinear only in the first ``curved`` components of the state.
         spare_nis, spare_determinant: NIS and variance of the row that :func:`link_group` drops.
     """
 
@@ -103,10 +103,10 @@ def direction(d: Vector) -> tuple[Number, Number, Number]:
 def seen_from_image(
     azimuth: Number, elevation: Number, station: Vector, image: Vector
 ) -> tuple[Number, Number]:
-    """Convert a direction (rad) at the base station (3,) to that at its image (3,) behind a wall.
+    """Convert a ray's direction (rad) at the base station (3,) to its direction at the image (3,).
 
-    A ray that leaves the station in the direction d leaves the image in the direction
-    d - 2 (d.n) n, with n along image - station. If both points are the same, there is no wall.
+    The image is the station's mirror image in a wall. Direction d becomes d - 2 (d.n) n, with n
+    along image - station. If both points are the same, there is no wall.
     """
     n = [image[i] - station[i] for i in range(3)]
     (cos_az, sin_az), (cos_el, sin_el) = cos_sin(azimuth), cos_sin(elevation)
@@ -295,10 +295,7 @@ def odometry_group(x: Vector, z: Vector, variance: Vector) -> Group:
 
 
 def doppler_anchor(anchors: Matrix, doppler_of: Vector) -> Vector:
-    """Return the anchor (3,) of the Doppler shift: the one that ``doppler_of`` marks, or the first.
-
-    ``doppler_of`` is (L,) with 1 for this anchor, else 0, or empty.
-    """
+    """Return the anchor (3,) of the Doppler shift; ``doppler_of`` is as in :class:`Measurement`."""
     if not len(doppler_of):
         return anchors[0]
     return [dot(doppler_of, list(column)) for column in zip(*anchors, strict=True)]

@@ -35,7 +35,7 @@ class RandomScene:
     Attributes:
         name: name to show in results.
         block_m: distance between parallel streets.
-        blocks: maximum number of blocks in each direction; 0 in one of them leave one street.
+        blocks: maximum number of blocks in each direction; with 0 in one, there is one street.
         beside_m: distance of the base station from its crossing, to a random side of each street.
         height_m: height of the base station.
         behind_m: distance from a wall to the last street, or to the base station if that is

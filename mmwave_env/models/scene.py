@@ -198,7 +198,10 @@ class Scene:
             )
 
     def behind_walls(self, points_m: NDArray[np.float64]) -> Iterator[tuple[int, Wall]]:
-        """Yield each wall with points (n, 3) behind or in it, after the number of the first one."""
+        """Yield (number, wall) for each wall that has one of the points (n, 3) behind or in it.
+
+        The number is that of the first such point.
+        """
         for wall in self.walls:
             side = wall.signed_distance(self.base_station_m)
             behind = wall.signed_distance(points_m.T) * side <= 0.0

@@ -1,7 +1,7 @@
 """Elementary functions of numbers, where a number is a float, an array or eight SIMD lanes.
 
 The mathematics of this package is written once, as plain functions of numbers. Called with floats,
-they are the reference for tests; with arrays, they check recorded paths and score complete tracks;
+they are the reference for tests; with arrays, they test signal paths and score complete tracks;
 with :class:`~mmwave_env.compiler.lanes.Lanes`, they become one SIMD kernel. Python's operators
 work on all three; this module contains the few functions that depend on the kind of number.
 
@@ -48,7 +48,7 @@ log = _function("log")  # for positive numbers only
 
 
 def atan2(y: Number, x: Number) -> Number:
-    """Return the angle of the vector (x, y) in radians, in (-pi, pi]: -0 counts as 0."""
+    """Return the angle of the vector (x, y) in radians, in (-pi, pi]; a -0 counts as 0."""
     if _is_float(y) and _is_float(x):
         return math.atan2(y + 0.0, x + 0.0)
     if isinstance(y, np.ndarray) or isinstance(x, np.ndarray):

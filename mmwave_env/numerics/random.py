@@ -2,7 +2,7 @@
 
 The generator is SFC64 (Chris Doty-Humphrey, PractRand), which numpy also offers: it needs only
 additions, shifts, a rotation and xor. Its four 64-bit words are stored as the bits of four floats;
-four rows of a workspace store the words of eight environments in the same way.
+four lanes store the words of eight environments in the same way.
 """
 
 import math
@@ -34,7 +34,7 @@ class Word:
     __lshift__, __rshift__ = _bitwise(lshift), _bitwise(rshift)
 
     def scaled(self, factor: float) -> float:
-        """Return the integer times a factor, as a float; rounding begins at integers of 2^53."""
+        """Convert the integer to a float, exactly if it is below 2^53, and multiply it."""
         return self.value * factor
 
     def as_number(self) -> float:
@@ -50,7 +50,7 @@ def word_of(number: Number) -> Any:
 
 
 def next_word(state: Sequence[Any]) -> tuple[Any, list[Any]]:
-    """Return the next word of SFC64 and the new state; works for Word and for WordLanes."""
+    """Return the next word of SFC64 and the new state, whose words are floats' or lanes'."""
     a, b, c, counter = state
     word = a + b + counter
     rotated = (c << 24) | (c >> 40)
@@ -73,7 +73,7 @@ def seeded(key: Number, stream: int) -> list[Number]:
 
 
 class Dice:
-    """A source of random numbers; each one depends on the state and on how many came before it.
+    """A source of random numbers, which depend on the state and on the order of the draws.
 
     Args:
         state: the generator's state (4,).
@@ -89,7 +89,7 @@ class Dice:
         return [word.as_number() for word in self._words]
 
     def uniform(self, low: Number = 0.0, high: Number = 1.0) -> Number:
-        """Draw uniformly from [low, high); in [0, 1), numpy derives the same number from a word."""
+        """Draw uniformly from [low, high); for [0, 1), numpy makes the same number from a word."""
         word, self._words = next_word(self._words)
         return low + (high - low) * (word >> 11).scaled(2.0**-53)
 
@@ -98,7 +98,7 @@ class Dice:
         return -log(1.0 - self.uniform())
 
     def normal(self) -> Number:
-        """Draw a standard normal number, at most 8.6 in size (Box and Muller 1958, in pairs)."""
+        """Draw a standard normal number, of absolute value up to 8.6 (Box and Muller 1958)."""
         if self._spare is not None:
             drawn, self._spare = self._spare, None
             return drawn

@@ -14,7 +14,7 @@ from mmwave_env.numerics import numbers
 
 
 class NoValueError(TypeError):
-    """An error in a function that asks a number for its value; it says what to write instead."""
+    """An error in a function that asks for a hidden value; the message says what to write."""
 
 
 _NUMBERS = "mmwave_env.numerics.numbers"
