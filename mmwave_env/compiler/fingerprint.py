@@ -15,7 +15,7 @@ from mmwave_env.numerics.tracer import Tracer, TracerCondition
 
 
 def fingerprint(function: Callable[[Tree], Tree], template: Tree) -> str:
-    """Return a name of 20 hexadecimal digits for a function that maps a tree to a similar tree."""
+    """Return a name (20 hexadecimal digits) for a function between trees of the same shape."""
     tape: list[tuple[Any, ...]] = []
     rows = [_Number(tape, -1 - row) for row in range(len(flatten(template)))]
     results = _references(flatten(function(unflatten(template, iter(rows)))))

@@ -106,7 +106,7 @@ class PerModeState(NamedTuple):
     pending: PendingEpoch  # the epoch whose mixture waits for an action
     mixture: Mixture  # belief after that epoch
     spread_averages_hz: list[Number]  # average Doppler spread, for each of SPREAD_MEMORIES
-    # all further fields but the observation are of the last epoch in which an action was taken:
+    # except for the observation, all further fields refer to the last epoch with an action:
     mode_probabilities: list[Number]  # (modes,) probabilities after the action
     # x, P: (7,), (28,) the combined belief
     x: list[Number]

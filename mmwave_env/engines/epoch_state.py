@@ -14,7 +14,7 @@ from mmwave_env.world.episode import blank_incoming
 
 
 class PendingEpoch(NamedTuple):
-    """The parts of an epoch that are needed after its candidates are computed."""
+    """The parts of an epoch that are needed after the modes have run on it."""
 
     # dt, visible: same as in :class:`~mmwave_env.models.measurement.Epoch`
     dt: Number

@@ -74,7 +74,7 @@ class StepResult(NamedTuple):
 
 
 class StepColumns(NamedTuple):
-    """The numbers of the output columns that a step reads; for several columns, the first one."""
+    """The numbers of the output columns that a step reads; of adjacent columns, the first one."""
 
     reward: int
     nees: int

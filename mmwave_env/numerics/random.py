@@ -50,7 +50,7 @@ def word_of(number: Number) -> Any:
 
 
 def next_word(state: Sequence[Any]) -> tuple[Any, list[Any]]:
-    """Return the next word of SFC64 and the new state, whose words are floats' or lanes'."""
+    """Return the next word of SFC64 and the new state; the words belong to floats or to lanes."""
     a, b, c, counter = state
     word = a + b + counter
     rotated = (c << 24) | (c >> 40)
@@ -89,7 +89,7 @@ class Dice:
         return [word.as_number() for word in self._words]
 
     def uniform(self, low: Number = 0.0, high: Number = 1.0) -> Number:
-        """Draw uniformly from [low, high); for [0, 1), numpy makes the same number from a word."""
+        """Draw uniformly from [low, high), or from [0, 1) the number that numpy would draw."""
         word, self._words = next_word(self._words)
         return low + (high - low) * (word >> 11).scaled(2.0**-53)
 
