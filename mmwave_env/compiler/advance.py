@@ -1,7 +1,7 @@
-"""The loop around programs: it runs many tracks epoch after epoch, eight tracks at a time.
+"""The loop that runs a compiled program for many tracks, epoch by epoch, eight tracks at a time.
 
-Incoming rows are loaded from a table or made by a feed; results are written to arrays. The loop
-runs as compiled code and as plain Python.
+In each epoch, the incoming rows of a block of eight tracks are loaded from a table or computed by a
+feed; results are written to arrays. The loop runs as compiled code and as plain Python.
 """
 
 import ctypes
@@ -15,17 +15,17 @@ from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.transpose import LINE, address, gather, prefetch, scatter, scatter_single
 from mmwave_env.numerics.numbers import Array
 
-NEAR = 2**16  # numbers of workspaces that fit into the core's own caches
-TOGETHER = 8  # blocks that a feed runs for before the program does
+NEAR = 2**16  # workspaces of up to this many numbers fit into the core's own caches
+TOGETHER = 8  # a feed runs for this many blocks before the program runs for the same blocks
 
 
 def call(run: int, block: Array) -> None:
-    """Run a program on a block (size, 8), by the address that ``Program.on_lanes`` returns."""
+    """Run a program on a block (size, 8); ``Program.on_lanes`` returned its address ``run``."""
     ctypes.CFUNCTYPE(None, ctypes.c_int64)(run)(block.ctypes.data)
 
 
 def call_feed(run: int, block: Array, kept: Array, settings: Array) -> None:
-    """Run a feed's function, by its address, on blocks as :class:`Feed` has them."""
+    """Run the function at a feed's address; ``program.Feed`` describes the arguments."""
     function = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 3)(run)
     function(block.ctypes.data, settings.ctypes.data, kept.ctypes.data)
 
@@ -67,7 +67,7 @@ def _load(block, sources, first, here, step, blank, state):  # type: ignore[no-u
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _make(block, b, here, step, blank, state):  # type: ignore[no-untyped-def]
-    """Let the feed make the incoming rows."""
+    """Let the feed compute the incoming rows; they are blank past the end of a track."""
     feed = state.feed
     call_feed(feed.run, block, feed.kept[b], feed.settings)
     for lane in range(here):
@@ -82,7 +82,7 @@ def _make(block, b, here, step, blank, state):  # type: ignore[no-untyped-def]
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _aim(targets, first, here, step, running, out, nowhere):  # type: ignore[no-untyped-def]
-    """Set the address that each lane writes to; lanes without a running track write to waste."""
+    """Set each lane's target address; lanes without a running track get that of ``nowhere``."""
     for lane in range(WIDTH):
         e = first + lane
         runs = lane < here and running[e]
@@ -158,7 +158,7 @@ def _give_out(b, step, state, io, targets, nowhere):  # type: ignore[no-untyped-
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _finish(b, state, before, kept_before, epochs):  # type: ignore[no-untyped-def]
-    """Count the epochs that a block ran, and restore the tracks that were not to run."""
+    """Count the epochs that a block ran, and restore the tracks that should not have run."""
     running = state.running
     for e in range(b * WIDTH, min(b * WIDTH + WIDTH, len(running))):
         if running[e]:
@@ -171,7 +171,7 @@ def _finish(b, state, before, kept_before, epochs):  # type: ignore[no-untyped-d
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _some_blocks(b, end, state, before, kept_before, some):  # type: ignore[no-untyped-def]
-    """Find the next blocks with a running track; save those in which another track is idle.
+    """Find the next blocks with a running track; copy those in which another track is idle.
 
     Returns:
         The number of blocks found, and the block to continue with.
@@ -197,12 +197,12 @@ def advance(begin, end, run, blank, state, io):  # type: ignore[no-untyped-def]
     Ignore the returned number: without it the compiler would drop the reads that bring rows into
     the caches.
 
-    A program reads its rows in an order that no prefetcher guesses. If the blocks of all
-    environments do not fit into the near caches, reading the rows once in order halves the time of
-    a program. The epochs that the next block will load are as far apart as episodes are long, so
-    they are prefetched. The code of a feed and the code of a program do not fit into the core's
-    first cache together, so each runs for some blocks in a row.
-    All loops are plain because slices of arrays take numba long to compile.
+    A program reads its rows in an order that hardware prefetchers cannot guess. If the blocks of
+    all environments do not fit into the core's own caches, reading the rows once in order halves
+    the time of a program. The epochs that the next block will load lie a whole episode apart in the
+    table, so they are prefetched. The code of a feed and the code of a program do not fit into the
+    core's first cache together, so each runs for some blocks in a row.
+    All loops are plain because numba takes long to compile slices of arrays.
 
     Args:
         begin, end: first block, and the block after the last.

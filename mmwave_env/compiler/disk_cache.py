@@ -3,18 +3,18 @@
 A process that steps one environment a few hundred times would spend most of its time compiling, so
 small amounts of work run as plain Python (:class:`LazyJit`).
 
-numba's ``cache=True`` checks only the file of the function, so it returns old code after a function
-that is called was edited in another file; some versions also miss edits that keep time and size.
-Processes that start at once can mix up numba's files, and a damaged file or a full disk ends the
-program. Here a folder is named after all sources, each compiled function is one file in the folder,
-and after any error with a file the function is compiled anew. A checksum detects a damaged file
-before its content is run. A process whose sources are edited while it runs neither reads nor writes
-files, because it cannot tell which version of the sources it runs.
+numba's ``cache=True`` checks only the file of the function itself. It returns stale code after an
+edit in another file, if the function calls code there; some versions also miss an edit that leaves
+the file's time and size unchanged. Processes that start at the same time can mix up numba's files,
+and a damaged file or a full disk ends the program. This cache names its folder after a hash of all
+sources and writes each compiled function to one file; after any error with a file the function is
+compiled again. A checksum detects a damaged file before its content is run. A process whose sources
+are edited while it runs does not use files, because it may run either version of the sources.
 
-The files are pickles, as numba's own are, and reading a pickle runs code of its writer. So folders
-and files are private to this user. A folder or file that another user owns, that others may write
-to, or that is a link is not read; instead of such a folder the next place is used. The place of a
-folder may be shared, as ``/tmp`` is: a folder that others put there fails the check of the owner.
+The files are pickles, like numba's own, and reading a pickle runs code of whoever wrote it. So
+folders and files are private to this user: the cache uses neither links nor anything that another
+user owns or may write to, and goes on to the next possible folder. The parent folder may be shared,
+like ``/tmp``: a folder that another user created there fails the check of the owner.
 """
 
 import os
@@ -42,16 +42,16 @@ from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
 from numba.misc.appdirs import user_cache_dir
 
-_PACKAGE = Path(__file__).parents[1]  # the whole package: an edit anywhere makes a new version
-_READ = time.time()  # a source edited later may have been read before or after the edit
+_PACKAGE = Path(__file__).parents[1]  # an edit anywhere in the package makes a new version
+_READ = time.time()  # a source edited after this may have been read before or after the edit
 _KEPT = 8  # number of versions of the sources whose compiled functions are kept
-_CHECKSUM = sha256().digest_size  # bytes at the beginning of each file
+_CHECKSUM = sha256().digest_size  # number of bytes at the beginning of each file
 
 
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile a function of a module with numba, to run without the interpreter's lock.
 
-    It is for functions that Python calls; ``register_jitable`` is enough for all others.
+    This is for functions that Python calls; ``register_jitable`` is enough for all others.
     """
     return _with_cache(numba.njit(nogil=True)(function), function)
 
@@ -60,7 +60,7 @@ def compiled_callback(signature: Any, function: Callable[..., Any]) -> Any:
     """Compile a function as ``numba.cfunc`` does, with the disk cache.
 
     Code may differ between processes without a change in the sources, for example if it calls a
-    user's function. Its qualified name must then differ too, since it names files and symbols.
+    user's function. The qualified name must then differ, too, since it names files and symbols.
     """
     arguments, returned = normalize_signature(signature)
     callback = _with_cache(CFunc(function, (arguments, returned), {}, {}), function)
@@ -75,17 +75,17 @@ def _with_cache(compiler: Any, function: Callable[..., Any]) -> Any:
 
 
 def is_compiled(function: Any, arguments: tuple[Any, ...]) -> bool:
-    """Tell whether a :func:`compiled` function is in memory or on disk for such arguments."""
+    """Return whether a :func:`compiled` function for these arguments is in memory or on disk."""
     signature, cache = tuple(map(numba.typeof, arguments)), function._cache
     return signature in function.overloads or (isinstance(cache, _Kept) and cache.has(signature))
 
 
-@cache  # for the sources as they were when this process read them
+@cache  # the answer is for the sources as this process has read them
 def _folder() -> Path | None:
-    """Return the folder for functions of this version of the sources, None if none is writable.
+    """Return the folder for functions of this version of the sources; None if no place is writable.
 
-    The folder is in numba's ``NUMBA_CACHE_DIR`` if it is set; beside Python's bytecode if the
-    package is writable; else in the user's folder for caches.
+    The folder is in numba's ``NUMBA_CACHE_DIR`` if that is set; otherwise next to Python's bytecode
+    if the package is writable; otherwise in the user's folder for caches.
     """
     version = _version()
     if version is None:
@@ -93,7 +93,7 @@ def _folder() -> Path | None:
     for place in _places():
         folder = place / f"{_PACKAGE.name}-{version}"
         with suppress(OSError):
-            if not place.is_absolute():  # the user has no home
+            if not place.is_absolute():  # the user has no home folder
                 continue
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             if not _is_ours(os.lstat(folder), stat.S_IFDIR):
@@ -106,17 +106,17 @@ def _folder() -> Path | None:
 
 
 def _places() -> list[Path]:
-    """Return the places for the cache folder, the first choice first."""
+    """Return the possible parents of the cache folder, the first choice first."""
     places = [_PACKAGE / "__pycache__", Path(user_cache_dir("mmwave-env", appauthor=False))]
     return [*([Path(numba.config.CACHE_DIR).absolute()] * bool(numba.config.CACHE_DIR)), *places]
 
 
 def kept_functions() -> dict[str, Any]:
-    """Describe the folder in which this process keeps compiled functions, made if possible.
+    """Describe the folder for this process's compiled functions; create it if possible.
 
     Returns:
-        The "place", None if no private folder can be written; the number of "functions" of this
-        version of the sources in the folder, and their "bytes".
+        The folder as "place", None if no private folder can be written; the number of "functions"
+        in it, which belong to this version of the sources; and the "bytes" of their files.
     """
     folder = _folder()
     sizes = [file.stat().st_size for file in folder.iterdir()] if folder else []
@@ -125,8 +125,8 @@ def kept_functions() -> dict[str, Any]:
 
 
 def _prune(place: Path) -> None:
-    """Remove versions that were not used for long and that this user owns."""
-    with suppress(OSError):  # another process removes them, too
+    """Remove this user's folders of all versions except the most recently used ones."""
+    with suppress(OSError):  # another process may be removing them, too
         versions = place.glob(f"{_PACKAGE.name}-*")
         ours = [path for path in versions if _is_ours(os.lstat(path), stat.S_IFDIR)]
         for old in sorted(ours, key=getmtime)[:-_KEPT]:
@@ -134,7 +134,7 @@ def _prune(place: Path) -> None:
 
 
 def _version() -> str | None:
-    """Return a name for all inputs of compiled code; None where the sources are no files."""
+    """Return a hash of everything compiled code depends on; None if the sources are not files."""
     sources = sorted(_PACKAGE.rglob("*.py"))
     if not sources:
         return None
@@ -146,7 +146,7 @@ def _version() -> str | None:
 
 
 def _edited() -> bool:
-    """Tell whether a source changed since this process read the first source."""
+    """Return whether a source has changed since this process read the first one."""
     with suppress(OSError):
         files = map(os.stat, _PACKAGE.rglob("*.py"))
         return any(max(file.st_mtime, file.st_ctime) > _READ for file in files)
@@ -154,11 +154,11 @@ def _edited() -> bool:
 
 
 def _opened(file: Path) -> BinaryIO:
-    """Open a file that only this user can have written, in such a folder; else raise OSError.
+    """Open a file if only this user can have written to it and its folder; else raise OSError.
 
-    The open file is checked, not its name, which may mean another file a moment later.
+    The open file is checked, not its name, which may refer to another file a moment later.
     """
-    if not hasattr(os, "geteuid"):  # nor can Windows open folders
+    if not hasattr(os, "geteuid"):  # Windows: it has no user ids and cannot open folders
         return file.open("rb")
     folder = _descriptor(file.parent, stat.S_IFDIR)
     try:
@@ -168,26 +168,26 @@ def _opened(file: Path) -> BinaryIO:
 
 
 def _descriptor(path: str | Path, kind: int, folder: int | None = None) -> int:
-    """Open a path, or a name in a folder, for reading; refuse what :func:`_is_ours` does."""
-    # The flags neither follow a link nor wait for the writer of a pipe.
+    """Open a path, or a name in a folder, for reading; fail unless :func:`_is_ours` is true."""
+    # With these flags, open neither follows a link nor waits for the writer of a pipe.
     descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=folder)
     if _is_ours(os.fstat(descriptor), kind):
         return descriptor
     os.close(descriptor)
-    raise PermissionError(f"{path} may be others' work")
+    raise PermissionError(f"{path} may have been written by another user")
 
 
 def _is_ours(status: os.stat_result, kind: int) -> bool:
-    """Tell whether a file has that kind, this user owns it and nobody else may write to it."""
+    """Return whether a file has this kind, this user owns it and nobody else may write to it."""
     if stat.S_IFMT(status.st_mode) != kind:
         return False
-    if not hasattr(os, "geteuid"):  # Windows, which protects a user's folders from others itself
+    if not hasattr(os, "geteuid"):  # Windows itself protects a user's folders from others
         return True
     return status.st_uid == os.geteuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def _checksum(key: str, content: bytes) -> bytes:
-    """Return the checksum of a content and its key, so that another key's file does not pass."""
+    """Return the checksum of a key and a content, so that a file for another key is refused."""
     return sha256(key.encode() + content).digest()
 
 
@@ -203,7 +203,7 @@ class _Kept(NullCache):  # type: ignore[misc]
         return str(self._folder)
 
     def has(self, signature: Any) -> bool:
-        """Tell whether a readable file with this version of the function exists."""
+        """Return whether a readable file with this version of the function exists."""
         with suppress(OSError):
             _opened(self._entry(signature, cpu_target.target_context.codegen())[1]).close()
             return True
@@ -214,14 +214,15 @@ class _Kept(NullCache):  # type: ignore[misc]
         if _edited():
             return None
         key, file = self._entry(signature, context.codegen())
-        with suppress(Exception), _opened(file) as entry:  # a missing file, or an unreliable one
+        with suppress(Exception), _opened(file) as entry:  # the file may be missing or unsafe
             checksum, content = entry.read(_CHECKSUM), entry.read()
             if checksum == _checksum(key, content):
                 return CompileResult._rebuild(context, *pickle.loads(content))
         return None
 
     def save_overload(self, signature: Any, result: Any) -> None:
-        if result.library.has_dynamic_globals or _edited():  # the first: addresses of this process
+        # Code with dynamic globals contains addresses that are valid only in this process.
+        if result.library.has_dynamic_globals or _edited():
             return
         key, file = self._entry(signature, result.codegen)
         with suppress(OSError), tempfile.TemporaryDirectory(dir=self._folder) as atomic_path:
@@ -255,7 +256,7 @@ class LazyJit:
         self._left = plain_work
 
     def choice(self, work: int, *arguments: Any) -> Any:
-        """Return the plain or the compiled function, for an amount of work with such arguments.
+        """Return the plain or the compiled function, for an amount of work with these arguments.
 
         If threads share the work, call this once for all threads.
         """
@@ -267,6 +268,6 @@ class LazyJit:
 
     def __call__(self, work: int, *arguments: Any) -> Any:
         """Do an amount of work, as plain Python or compiled."""
-        if not self._left:  # a short cut for the many steps after the first ones
+        if not self._left:  # a shortcut for the many steps after the first ones
             return self.compiled(*arguments)
         return self.choice(work, *arguments)(*arguments)

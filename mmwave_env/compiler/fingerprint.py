@@ -1,9 +1,9 @@
-"""Fingerprints: names for the computations of functions of numbers.
+"""Fingerprints: names for what functions of numbers compute.
 
-The function runs once on numbers that record every operation. Two functions share a name only if
-they use the same operations on the same rows and constants, so the compiled code of one serves the
-other: a user's code in a mode or reward needs no name, and a change in it is never missed. To run a
-function in this way takes a hundredth of the time of its compilation.
+To get its name, a function runs once on numbers that record every operation. Two functions share a
+name only if they use the same operations on the same rows and constants, so each can run the
+compiled code of the other. A user's code in a mode or reward needs no other name, and a change in
+it is never missed. Recording takes a hundredth of the time that compiling takes.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,7 +15,7 @@ from mmwave_env.numerics.tracer import Tracer, TracerCondition
 
 
 def fingerprint(function: Callable[[Tree], Tree], template: Tree) -> str:
-    """Return a name (20 hexadecimal digits) for a function from a tree to a tree of its shape."""
+    """Return a name (20 hexadecimal digits) for a function between trees of the same shape."""
     tape: list[tuple[Any, ...]] = []
     rows = [_Number(tape, -1 - row) for row in range(len(flatten(template)))]
     results = _references(flatten(function(unflatten(template, iter(rows)))))
@@ -23,7 +23,7 @@ def fingerprint(function: Callable[[Tree], Tree], template: Tree) -> str:
 
 
 class _Recorded:
-    """The result of the operation ``number`` on the tape, or a row of the template if negative."""
+    """The result of operation ``number`` on the tape; a negative ``number`` stands for a row."""
 
     __slots__ = ("number", "tape")
 
@@ -36,7 +36,7 @@ class _Recorded:
 
 
 def _references(operands: Sequence[Any]) -> list[int | float]:
-    """Return the numbers of operations as integers, and constants as floats."""
+    """Return the operands' numbers on the tape as integers, and constants as floats."""
     return [a.number if isinstance(a, _Recorded) else float(a) for a in operands]
 
 

@@ -1,4 +1,4 @@
-"""Lanes: numbers that stand for eight environments.
+"""Lanes: SIMD numbers with one value for each of eight environments.
 
 Arithmetic on :class:`Lanes` emits LLVM ``<8 x double>`` instructions, so that a plain
 scalar function called with Lanes inside a numba ``@intrinsic`` becomes straight-line SIMD
@@ -46,12 +46,12 @@ _EXP = tuple(1.0 / math.factorial(k) for k in range(14, -1, -1))
 _COS = tuple((-1) ** (k // 2) / math.factorial(k) for k in range(18, -1, -2))
 _SIN = tuple((-1) ** (k // 2) / math.factorial(k) for k in range(17, 1, -2))
 _HALF_PI_HIGH, _HALF_PI_LOW = 1.57079632673412561417, 6.07710050650619224932e-11
-_ROUND = 1.5 * 2.0**52  # adding it rounds to an integer, which is then in the lowest bits
+_ROUND = 1.5 * 2.0**52  # adding it rounds a number to an integer, held in the lowest bits
 _LN2_HIGH, _LN2_LOW = 0.693147180369123816490, 1.90821492927058770002e-10
 
 
 class _Value:
-    """A value in the function being built, with the builder that computes with it."""
+    """A value in the function being built, with the builder that emits its instructions."""
 
     __slots__ = ("builder", "value")
 
@@ -75,7 +75,7 @@ class Mask(_Value, TracerCondition):
     __and__, __or__ = _integer("and_"), _integer("or_")
 
     def select(self, a: Any, b: Any) -> "Lanes":
-        """Return ``a`` in the lanes where the mask holds, else ``b``."""
+        """Return ``a`` in the lanes where the mask is true, else ``b``."""
         return Lanes(self.builder, self.builder.select(self.value, _lift(a), _lift(b)))
 
 
@@ -90,7 +90,7 @@ class Lanes(_Value, Tracer):
         return Lanes(self.builder, instruction(_lift(a), _lift(b), flags=_FLAGS))
 
     def compare(self, op: str, other: Any) -> Mask:
-        """Return the condition ``self op other`` per lane, false with NaN."""
+        """Return the condition ``self op other`` per lane; it is false if either number is NaN."""
         return Mask(self.builder, self.builder.fcmp_ordered(op, self.value, _lift(other)))
 
     def __neg__(self) -> "Lanes":
@@ -108,7 +108,7 @@ class Lanes(_Value, Tracer):
         return self._call("sqrt")
 
     def floor(self) -> "Lanes":
-        """Return the next lower integer per lane."""
+        """Return the largest integer that is not above the number, per lane."""
         return self._call("floor")
 
     def as_word(self) -> "WordLanes":
@@ -124,7 +124,7 @@ class Lanes(_Value, Tracer):
         return Lanes(self.builder, self.builder.call(function, [self.value], fastmath=_FLAGS))
 
     def atan2(self, x: Any) -> "Lanes":
-        """Return the angle of (x, self), by a polynomial after reduction to pi / 8; error 2e-16."""
+        """Return the angle of (x, self) by a polynomial after reduction to pi / 8; error 2e-16."""
         ax, ay = abs(x), abs(self)
         steep = ay > ax
         low, high = where(steep, ax, ay), where(steep, ay, ax)
@@ -139,7 +139,7 @@ class Lanes(_Value, Tracer):
         return where(self < 0.0, -angle, angle)  # type: ignore[no-any-return]
 
     def cos_sin(self) -> "tuple[Lanes, Lanes]":
-        """Return cosine and sine of |angle| < 1e5, by polynomials after reduction to pi / 4."""
+        """Return cosine and sine for |angle| < 1e5 by polynomials after reduction to pi / 4."""
         b = self.builder
         rounded: Any = self * (2.0 / math.pi) + _ROUND
         quarters, turns = b.bitcast(rounded.value, _BITS), rounded - _ROUND
@@ -157,7 +157,7 @@ class Lanes(_Value, Tracer):
         return Lanes(b, b.bitcast(b.xor(b.bitcast(self.value, _BITS), sign), _VECTOR))
 
     def log(self) -> "Lanes":
-        """Return the natural logarithm of positive normal numbers, and NaN of NaN."""
+        """Return the natural logarithm of positive numbers that are not subnormal; keep NaN."""
         b = self.builder
         bits = b.bitcast(self.value, _BITS)
         mantissa_bits = b.or_(b.and_(bits, _bits(0xFFFFFFFFFFFFF)), _bits(0x3FF0000000000000))
@@ -169,7 +169,7 @@ class Lanes(_Value, Tracer):
         return e * math.log(2.0) + 2.0 * s * polynomial(s * s, _ATANH) + (self - self)  # type: ignore[no-any-return]
 
     def exp(self) -> "Lanes":
-        """Return the exponential of numbers, which are limited to [-708, 708]."""
+        """Return the exponential of the numbers after limiting them to [-708, 708]."""
         b = self.builder
         x: Any = where(self < -708.0, -708.0, where(self > 708.0, 708.0, self))
         shifted = x * (1.0 / math.log(2.0)) + 1023.5  # positive: truncation is floor
@@ -225,13 +225,13 @@ class _Rows:
 def _align_stack(builder: Any) -> None:
     """Align the stack, so that no vector on it crosses a cache line.
 
-    The compiler aligns the stack of functions that ask for it, but not for values that it spills.
-    With the caller's alignment a step of the environment takes 10 to 50 % longer, by process.
+    The compiler aligns the stack for variables that require it, but not for values that it spills.
+    Without this, a step of the environment takes 10 to 50 % longer, depending on the process.
     """
     vector = cgutils.alloca_once(builder, _VECTOR)  # type: ignore[no-untyped-call]
     vector.align = 8 * WIDTH
     use = ir.FunctionType(ir.VoidType(), [vector.type])
-    builder.asm(use, "", "r", [vector], side_effect=True)  # else the vector is optimized away
+    builder.asm(use, "", "r", [vector], side_effect=True)  # a vector without use is optimized away
 
 
 def kernel(function: Callable[[Any], None], ends: Sequence[int]) -> Any:
@@ -245,7 +245,7 @@ def kernel(function: Callable[[Any], None], ends: Sequence[int]) -> Any:
         ends: the row where each part ends.
 
     Returns:
-        A function of a tuple with the address of each part, (rows, 8) doubles.
+        A function whose argument is a tuple: the address of each part, (rows, 8) doubles.
     """
 
     @intrinsic  # type: ignore[untyped-decorator]

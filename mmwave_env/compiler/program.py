@@ -24,10 +24,11 @@ from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import Tree, flatten, indices, unflatten
 
 Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
-Blocks = tuple[int, int]  # first, end
+Blocks = tuple[int, int]  # first block, and the block after the last
 
 NO_ROWS = np.empty(0, np.int64)
-PLAIN_BLOCK_EPOCHS = 1000  # run as plain Python before compiling, which costs as much as 4000
+# Epochs of a block that run as plain Python first; compiling takes as long as 4000 of them.
+PLAIN_BLOCK_EPOCHS = 1000
 
 # numba's own lock guards every compilation. A child forked while another thread holds the lock
 # would wait forever, as that thread is not in the child; so a fork waits for the compilation.
@@ -45,7 +46,7 @@ def rows_of(tree: Any) -> Index:
 
 
 def blocks_of(start: Array, n: int) -> Array:
-    """Return workspaces (blocks, size, 8) for n tracks; every lane is a copy of one (size,)."""
+    """Return workspaces (blocks, size, 8) for n tracks; every lane is a copy of start (size,)."""
     return np.tile(start[None, :, None], (-(-n // WIDTH), 1, WIDTH))
 
 
@@ -57,20 +58,21 @@ def fill(blocks: Array, rows: Index, values: Array) -> Array:
 
 
 class Feed(NamedTuple):
-    """A function that makes the incoming rows of every epoch, in place of a table.
+    """A function that computes the incoming rows of every epoch, instead of a table.
 
-    A feed has its own workspace, with the same tracks in the same lanes.
+    A feed has its own workspace, with the same tracks in the same lanes as the program's.
     """
 
-    run: int  # address of a C function of the addresses of incoming rows, settings and kept rows
+    # address of a C function; its arguments are the addresses of incoming rows, settings and kept
+    run: int
     settings: Array  # (rows, 8) read only, the same for all blocks
-    kept: Array  # (blocks, rows, 8) changed in place
+    kept: Array  # (blocks, rows, 8) the feed's workspace, changed in place
     timed: int  # the incoming row that is set from ``times`` instead
     times: Array  # (epochs,) the value of that row in each epoch
 
     @classmethod
     def none(cls) -> "Feed":
-        """Return a feed that makes no rows, for a table; its address is 0."""
+        """Return an empty feed, with address 0, to use when there is a table."""
         return cls(0, np.empty((0, WIDTH)), np.empty((0, 0, WIDTH)), 0, np.empty(0))
 
 
@@ -78,9 +80,9 @@ class BatchState(NamedTuple):
     """N tracks and the epochs that they run next."""
 
     rows: Array  # (blocks, size, 8) workspace, changed in place
-    feed: Feed  # makes the epochs, if there is no table
+    feed: Feed  # computes the epochs if there is no table
     table: Array  # (n, epochs, incoming) the epochs to load
-    length: Index  # (n,) number of epochs of each track; past the last a blank epoch is loaded
+    length: Index  # (n,) number of epochs of each track; after the last, a blank epoch is loaded
     epoch: Index  # (n,) the epoch that each track runs next, changed in place
     running: NDArray[np.bool_]  # (n,) False leaves a track and its epoch number unchanged
 
@@ -121,13 +123,13 @@ class StepIO(NamedTuple):
 def tree_kernel(
     function: Callable[[Tree], Tree], template: Tree, ends: Sequence[int] | None = None
 ) -> Any:
-    """Return a numba function that changes a workspace by a function of numbers.
+    """Return a numba function that applies a function of numbers to a workspace, in place.
 
     Args:
-        function: from a tree to a tree of the same shape.
+        function: maps a tree to a tree of the same shape.
         template: a tree of that shape; its leaves in order are the rows.
-        ends: as for :func:`~mmwave_env.compiler.lanes.kernel`, which also describes the returned
-            function; None for one part.
+        ends: same as for :func:`~mmwave_env.compiler.lanes.kernel`, which also describes the
+            returned function; None for one part.
     """
     size = len(flatten(template))
 
@@ -142,10 +144,10 @@ def tree_kernel(
 
 
 class Program(Generic[Workspace]):
-    """A function of numbers with its workspace, compiled or read from disk when lanes first run.
+    """A function of numbers with its workspace, compiled or read from disk at its first use.
 
     Args:
-        function: from a workspace tree to a workspace tree of the same shape.
+        function: maps a workspace tree to a workspace tree of the same shape.
         template: a workspace of floats, the initial value; its ``incoming`` is the blank epoch.
     """
 
@@ -162,10 +164,10 @@ class Program(Generic[Workspace]):
         return [attrgetter(name)(self.index) for name in names]
 
     def by_name(self, names: Sequence[str], outputs: Array) -> dict[str, Array]:
-        """Split the outputs (n, epochs, rows) that hold the rows of :meth:`parts` by name.
+        """Split outputs (n, epochs, rows), which are the rows of :meth:`parts`, by name.
 
         Returns:
-            Per name, (n, epochs) for a single number, else (n, epochs, numbers).
+            For each name, (n, epochs) if it is a single number, else (n, epochs, numbers).
         """
         result, first = {}, 0
         for name, part in zip(names, self.parts(names), strict=True):
@@ -176,7 +178,7 @@ class Program(Generic[Workspace]):
         return result
 
     def run_on_lanes(self, state: BatchState, io: StepIO, blocks: Blocks | None = None) -> None:
-        """Run epoch after epoch, eight environments at a time, in some of the blocks or all."""
+        """Run epoch after epoch, eight environments at a time, in some or all blocks."""
         first, end = blocks or (0, len(state.rows))
         epochs = (end - first) * io.outputs.shape[1]
         run_blocks(epochs, first, end, self.on_lanes(), self.blank, state, io)
@@ -222,9 +224,9 @@ run_blocks = LazyJit(advance, PLAIN_BLOCK_EPOCHS)
 
 
 class Repeated:
-    """Calls of a lazy function with arguments of the same types in every call.
+    """A lazy function whose arguments have the same types in every call.
 
-    They do without numba's check of the types, which takes microseconds for structures.
+    Calls skip numba's check of the types, which takes microseconds for structures.
     """
 
     def __init__(self, function: LazyJit) -> None:
@@ -232,7 +234,7 @@ class Repeated:
         self._unchecked: Callable[..., Any] | None = None
 
     def __call__(self, work: int, jobs: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """Return the results of an amount of work, which a thread for each of the jobs shares."""
+        """Do an amount of work in one thread per job, and return the results of the jobs."""
         run: Any = self._unchecked or self._function.choice(work, *jobs[0])
         results = share(run, jobs, len(jobs))
         if run is self._function.compiled:

@@ -1,4 +1,4 @@
-"""Threads that share jobs; this pays because kernels run without the interpreter's lock."""
+"""Threads that share jobs, in parallel because compiled code releases the interpreter's lock."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -15,7 +15,7 @@ Result = TypeVar("Result")
 
 @lru_cache(maxsize=1)
 def _helpers() -> ThreadPoolExecutor:
-    """Return the threads of this process that work beside the calling thread."""
+    """Return the threads of this process that work together with the calling thread."""
     return ThreadPoolExecutor(os.cpu_count(), "mmwave-env")
 
 
@@ -29,7 +29,7 @@ def share(
     """Return the result of ``function(*job)`` for every job, in order.
 
     At most ``threads`` threads work at once, including the calling thread. After an error or an
-    interrupt no further job begins, and it is raised once the jobs under way have ended.
+    interrupt no further job begins; the exception is raised once the running jobs have ended.
     """
     if threads == 1 or len(jobs) == 1:
         return [function(*job) for job in jobs]
@@ -41,14 +41,14 @@ def share(
             for i in waiting:
                 results[i] = function(*jobs[i])
 
-    # Locks instead of futures: an interrupt may come before a running job's future is known.
+    # Wait for locks, not for futures: an interrupt may come before submit() returned a future.
     places = [Lock() for _ in range(min(threads, len(jobs)) - 1)]
     others: list[Future[None]] = []
     try:
         others.extend(_helpers().submit(work, place) for place in places)
         work(Lock())
     finally:
-        for _ in waiting:  # threads that have not begun find no job left
+        for _ in waiting:  # take the remaining jobs, so that no thread begins another one
             pass
         for place in places:
             with place:
@@ -60,11 +60,11 @@ def share(
 
 
 def spans(count: int, parts: int) -> list[tuple[int, int]]:
-    """Return first and end of each of ``parts`` parts of ``count`` things, as equal as can be."""
+    """Split ``count`` things into nearly equal ``parts``; return the first and end of each."""
     return list(pairwise(count * i // parts for i in range(parts + 1)))
 
 
 def portions(count: int, threads: int, most: int) -> list[slice]:
-    """Return slices of ``count`` things: whole blocks of lanes, at most ``most`` things each."""
+    """Return slices of ``count`` things: complete blocks of lanes, at most ``most`` things each."""
     size = min(most, -(-count // (threads * WIDTH)) * WIDTH)
     return [slice(first, first + size) for first in range(0, count, size)]

@@ -1,9 +1,9 @@
-"""Transposes between tables and blocks of lanes.
+"""Transposes between tables and blocks of SIMD lanes.
 
 In a table the numbers of one environment are contiguous; in a block each lane holds one
 environment. Compiled code moves eight by eight numbers at a time and transposes them in registers;
-moving single numbers would take as long as an EKF. The environments of a block may be anywhere in
-a table, so each environment is given by its address.
+moving single numbers would take as long as an EKF's epoch. The environments of a block may be
+anywhere in a table, so functions receive an address for each environment.
 """
 
 import ctypes
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.numerics.numbers import Array, Index
 
-LINE = 64  # bytes of a cache line on most machines; others fetch some lines twice
+LINE = 64  # bytes of a cache line on most machines; with longer lines, some are fetched twice
 
 
 _INTEGER, _DOUBLE, _SINGLE = ir.IntType(64), ir.DoubleType(), ir.FloatType()
@@ -54,7 +54,7 @@ def pick(block, rows, out):  # type: ignore[no-untyped-def]
 
 
 def scatter(block: Array, rows: Index, targets: Index) -> None:
-    """Write rows of a block to an address per lane.
+    """Write rows of a block to memory, each lane to its own address.
 
     Args:
         block: (size, 8) block to read.
@@ -135,7 +135,7 @@ def _prefetch(_, address):  # type: ignore[no-untyped-def]
 
 @intrinsic  # type: ignore[untyped-decorator]
 def number_at(_, address):  # type: ignore[no-untyped-def]
-    """Return the number in double precision at an address, in compiled code."""
+    """Return the number in double precision at an address; only compiled code can call this."""
 
     def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         return builder.load(_pointer(builder, arguments[0], _DOUBLE))
@@ -158,7 +158,7 @@ def _put(kind: ir.Type) -> Any:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def _turn_in(_, block, sources, first):  # type: ignore[no-untyped-def]
-    """Load eight numbers of each source, from number ``first`` on, into eight rows of the block."""
+    """Load numbers ``first`` to ``first`` + 7 of each source into the same rows of the block."""
 
     def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         block, sources, first = arguments
@@ -177,7 +177,7 @@ def _turn_in(_, block, sources, first):  # type: ignore[no-untyped-def]
 def _turn_out(kind: ir.Type) -> Any:
     @intrinsic  # type: ignore[untyped-decorator]
     def turn_out(_, block, rows, targets, first):  # type: ignore[no-untyped-def]
-        """Store eight of the rows, from the ``first`` one on, as eight numbers of each target."""
+        """Store block rows ``rows[first]`` to ``rows[first + 7]`` at these places of targets."""
 
         def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
             block, rows, targets, first = arguments
@@ -199,7 +199,7 @@ def _turn_out(kind: ir.Type) -> Any:
 
 
 def _turned(builder: Any, tile: list[Any]) -> list[Any]:
-    """Transpose eight vectors: halves, then quarters, then eighths swap across the diagonal."""
+    """Transpose eight vectors: swap halves, then quarters, then eighths across the diagonal."""
     tile, distance = list(tile), WIDTH // 2
     while distance:
         for i in (i for i in range(WIDTH) if not i & distance):
@@ -214,7 +214,7 @@ def _turned(builder: Any, tile: list[Any]) -> list[Any]:
 
 
 def _entry(builder: Any, address: Any, i: int) -> Any:
-    """Load the i-th integer from an address on."""
+    """Load the i-th integer of the array at an address."""
     return builder.load(_pointer(builder, builder.add(address, _INTEGER(8 * i)), _INTEGER))
 
 

@@ -1,1 +1,1 @@
-"""Engines that run filters over episodes: for agents, over whole tracks, as IMM, and backwards."""
+"""Engines that run filters over episodes: for agents, over whole tracks, and for smoothing."""

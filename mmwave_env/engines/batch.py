@@ -2,7 +2,7 @@
 
 The workspace of such a program begins with three fields that a :class:`Batch` fills in:
 ``incoming``, the next epoch (:class:`~mmwave_env.world.episode.Incoming`); ``site``; and
-``is_first``, 1 where an episode begins, which the program sets back to 0.
+``is_first``, 1 if an episode begins, which the program sets back to 0.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ from mmwave_env.numerics.pytree import flatten
 from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
 from mmwave_env.world.simulated import Begun, SimulatedSource
 
-BLOCKS_PER_THREAD = 64  # waking a thread costs as much as running 32 blocks
+BLOCKS_PER_THREAD = 64  # waking a thread takes as long as running 32 blocks
 
 
 class Batch(Generic[Workspace]):
@@ -39,14 +39,14 @@ class Batch(Generic[Workspace]):
         program: the program to run.
         layout: rows of the measurements.
         n: number of environments.
-        input_rows: leaves of ``program.index`` that are given a value for every epoch.
-        on_floats: run in plain Python instead of on lanes.
+        input_rows: leaves of ``program.index`` that receive an input in every epoch.
+        on_floats: whether to run in plain Python instead of on SIMD lanes.
         threads: number of threads that may work at once; results do not depend on it.
 
     Attributes:
-        at: the workspace tree with row numbers as leaves; its parts name the rows to read.
+        at: the workspace tree with row numbers as leaves; its fields select the rows to read.
         state: the environments' workspaces, episodes and next epochs.
-        parts: first and end of the blocks that each thread runs in an epoch.
+        parts: (first, end) numbers of the blocks that each thread runs in an epoch.
     """
 
     def __init__(
@@ -77,12 +77,12 @@ class Batch(Generic[Workspace]):
 
         Args:
             episodes: one episode for each of the places.
-            places: the environments to load; None for all.
+            places: numbers of the environments to load; None for all.
             gap_s: seconds since the last epoch that ran, for episodes that continue the track;
                 None to start over from the episodes' priors.
 
         Raises:
-            ValueError: the layout of an episode is not the batch's.
+            ValueError: the layout of an episode differs from the batch's.
         """
         packed = EpisodeBatch.of(episodes, self.layout)
         places = np.arange(self.n) if places is None else places
@@ -104,7 +104,7 @@ class Batch(Generic[Workspace]):
         Args:
             source: source of the episodes, the same in every call.
             begun: the beginning of the episode at each of the places.
-            places: the environments to begin.
+            places: numbers of the environments that begin.
         """
         self.attach(source)
         block, lane = np.divmod(places, WIDTH)
@@ -122,7 +122,7 @@ class Batch(Generic[Workspace]):
             self.state = self.state._replace(feed=feed)
 
     def make_room(self, epochs: int) -> None:
-        """Make room for tables with that number of epochs; loaded tables are kept."""
+        """Make room for tables with this number of epochs; loaded tables are kept."""
         table = self.state.table
         n, had, columns = table.shape
         if epochs > had:
@@ -131,7 +131,7 @@ class Batch(Generic[Workspace]):
             self.state = self.state._replace(table=longer)
 
     def restart(self, places: Index | None = None) -> None:
-        """Start over with the loaded episodes; ``places`` are as in :meth:`load`."""
+        """Start over with the loaded episodes; ``places`` is the same as in :meth:`load`."""
         places = np.arange(self.n) if places is None else places
         _, _, is_first, *_ = self.at
         self.write(is_first, 1.0, places)
@@ -179,7 +179,7 @@ class Batch(Generic[Workspace]):
         return slice(numbers[0], numbers[-1] + 1)
 
     def read(self, tree: Any, dtype: DTypeLike = np.float64) -> NDArray[Any]:
-        """Return a copy of rows of a subtree of ``at`` or a span: (n,) for a leaf, else (n, k)."""
+        """Copy the rows of a subtree of ``at``, or of a span: (n,) for a leaf, else (n, k)."""
         rows = self.state.rows
         if isinstance(tree, int):
             return rows[:, tree, :].reshape(-1)[: self.n].astype(dtype)
@@ -195,7 +195,7 @@ class Batch(Generic[Workspace]):
     def write(self, tree: Any, values: Any, places: Index | None = None) -> None:
         """Set the rows of a subtree of ``at`` to values: (n,) for a leaf, else (n, leaves).
 
-        The values have one entry for each of the places, which are as in :meth:`load`.
+        ``values`` has one entry for each of ``places``, which is the same as in :meth:`load`.
         """
         places = np.arange(self.n) if places is None else places
         block, lane = np.divmod(places, WIDTH)

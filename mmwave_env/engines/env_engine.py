@@ -23,6 +23,8 @@ from mmwave_env.world.keys import Keys
 class Engine:
     """N environments that step together: episodes and actions in, observations and scores out.
 
+    To *consider* an epoch is to run the modes on it, before an action chooses among their results.
+
     Args:
         pipeline: modes and layout.
         n: number of environments.
@@ -30,13 +32,13 @@ class Engine:
         observation: "full" or "prior".
         bank: bank of the pipeline's modes, if every mode keeps its own belief; None if the modes
             share a belief.
-        on_floats: run in plain Python instead of on lanes (the filterpy reference needs this).
+        on_floats: whether to run in plain Python, as filterpy needs, instead of on SIMD lanes.
         threads: number of threads that may work at once; results do not depend on it.
 
     Attributes:
         batch: workspaces and episodes of the environments.
-        keys: (n,) keys of the episodes, where episodes have keys.
-        at, read, column, span: as in the batch.
+        keys: (n,) keys of the episodes, if episodes have keys.
+        at, read, column, span: same as those of ``batch``.
     """
 
     def __init__(
@@ -62,7 +64,7 @@ class Engine:
             self.tune(bank)
 
     def tune(self, bank: Bank, places: Index | None = None) -> None:
-        """Load another bank of the same modes, in some environments (n,) or in all."""
+        """Load another bank with the same modes, in some environments (n,) or in all."""
         numbers = flatten(settings_of(bank, self.pipeline.layout))
         self.batch.write(self.at.settings, np.array(numbers), places)
 
@@ -72,10 +74,10 @@ class Engine:
         self.batch.advance()
 
     def begin(self, task: Task, keys: Keys, places: Index, threads: int = 1) -> list[str]:
-        """Begin the episodes of keys (n,) in some environments (n,).
+        """Begin the episodes with given keys (n,) in some environments (n,).
 
-        Episodes are simulated while the environments step, unless the way of the user is given or
-        the engine runs on floats: then whole episodes are drawn here.
+        Episodes are simulated while the environments step. If the user's trajectory is given, or if
+        the engine runs on floats, complete episodes are drawn here instead.
 
         Args:
             task: a task with simulated episodes, the same in every call.
@@ -113,7 +115,7 @@ class Engine:
         self.batch.state = tracks
 
     def episodes(self, task: Task, places: Index) -> EpisodeBatch:
-        """Return the whole current episodes of some environments (n,)."""
+        """Return the complete current episodes of some environments (n,)."""
         if self.batch.state.feed.run:
             return task.tables(self.keys[places])
         return self.batch.episodes(places)
@@ -132,7 +134,7 @@ class Engine:
         """Consider the first epoch in environments just loaded; leave the others unchanged.
 
         Returns:
-            As for :meth:`step`, but valid only for these environments.
+            Same as for :meth:`step`, but valid only for these environments.
         """
         running = np.zeros(self.batch.n, np.bool_)
         running[places] = True
@@ -152,11 +154,11 @@ class Engine:
         An environment that was just loaded starts its episode instead.
 
         Args:
-            actions: numbers of the modes; where each mode keeps its belief, from 1, and 0 for none.
-            output_rows: (k,) numbers of rows to return, from :func:`rows_of` of parts of ``at``.
+            actions: numbers of modes, from 0; with a belief per mode, from 1, or 0 for no mode.
+            output_rows: (k,) numbers of rows to return: results of :func:`rows_of` for ``at``.
 
         Returns:
-            The observations (n, features) and the output rows (n, k), in fresh arrays.
+            The observations (n, features) and the output rows (n, k), in new arrays.
         """
         io = self.io(output_rows)
         io.inputs[:, 0, 0] = actions

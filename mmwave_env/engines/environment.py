@@ -1,6 +1,6 @@
-"""The base of single and vector environments: engine, copies, and states as plain arrays.
+"""The base classes of environments: their engine, copies, and states as plain arrays.
 
-An environment that continues from a copy or a state gives the same numbers, to the last bit.
+An environment that continues from a copy or a state computes exactly the same numbers.
 """
 
 from collections.abc import Callable
@@ -31,7 +31,7 @@ from mmwave_env.task import Task
 from mmwave_env.world.episode import EpisodeBatch
 from mmwave_env.world.keys import Streams
 
-REPLAYED, FILTERED = 64, 256  # episodes at once: few enough for their memory not to matter
+REPLAYED, FILTERED = 64, 256  # number of episodes at once; more would need much memory
 
 
 class Baseline:
@@ -57,8 +57,8 @@ class Baseline:
         """Run the IMM on the episodes that begin in some environments (n,).
 
         Args:
-            places: the environments.
-            episodes: function that returns the episodes of some of the environments.
+            places: numbers of these environments.
+            episodes: function that returns the episodes of some of them, given their numbers.
         """
         missing = self._batch.state.length.max() - self._rewards.shape[1]
         self._rewards = np.pad(self._rewards, ((0, 0), (0, max(0, missing))))
@@ -73,13 +73,14 @@ class Baseline:
     def subtract(self, rewards: Array, places: Index) -> None:
         """Subtract from rewards (N,) the IMM's rewards in the epoch that was just processed.
 
-        The result has single precision, which agents learn from, so recorded trainings repeat.
+        The result is rounded to single precision, in which agents receive rewards, so that
+        trainings on record can be repeated exactly.
 
         Args:
             rewards: (N,) rewards of all environments, changed in place.
             places: (n,) environments that processed an epoch.
         """
-        epoch = self._batch.state.epoch[places] - 2  # the epoch before the one considered
+        epoch = self._batch.state.epoch[places] - 2  # the last epoch that an action completed
         rewards[places] = rewards[places].astype(np.float32) - self._rewards[places, epoch]
 
     def rest(self, places: Index) -> Array:
@@ -90,16 +91,16 @@ class Baseline:
 
 
 class Environment:
-    """Environments on an engine, which ``deepcopy`` and ``pickle`` copy.
+    """Environments on an engine, which can be copied by ``deepcopy`` and ``pickle``.
 
-    A copy makes compiled code and references to it anew and copies all else. A deep copy shares
-    the task, which no step changes, and thereby the source of episodes.
+    A copy creates compiled code and references to it again, and copies everything else. A deep
+    copy shares the task, which no step changes, and with it the source of episodes.
     """
 
     _engine: Engine
     _baseline: Baseline | None
     _replay: Replay | None
-    _set_up: Callable[[], None]  # makes attributes from the arguments, which are not copied
+    _set_up: Callable[[], None]  # creates the attributes that are not copied, from the arguments
 
     def _take_task(self, task: Task, observation: str, smoothed: bool, n: int = 1) -> None:
         """Store the task of n environments that have not begun."""
@@ -144,7 +145,7 @@ class Environment:
         self._tally.begin(places, self._engine.steps_s(places), length)
 
     def _remember(self, epochs: int) -> None:
-        """Make room for the modes of that number of steps, if a replay needs them."""
+        """Make room for the modes of this many steps, if a replay needs them."""
         if self._replay:
             self._history.make_room(epochs)
 
@@ -170,26 +171,26 @@ class Environment:
         return metrics | {SMOOTHED_KEY: smoothed}
 
     def _charge(self, rewards: Array, places: Index) -> None:
-        """Add the worst reward for every remaining epoch where an episode ends early."""
+        """Add the worst reward for each remaining epoch of episodes that ended early."""
         assert self._task.worst is not None
-        tracks = self._engine.batch.state  # an epoch ahead, as that epoch waits for the next action
+        tracks = self._engine.batch.state  # its epochs include one that waits for an action
         rewards[places] += self._task.worst * (tracks.length + 1 - tracks.epoch)[places]
         if self._baseline:
             rewards[places] -= self._baseline.rest(places)
 
     def _set_up_noting(self) -> None:
-        """Set up, and note the attributes made here, which a copy makes by itself."""
+        """Set up, and remember which attributes this creates, because copies create them, too."""
         attributes = set(vars(self))
         self._set_up()
         self._remade = frozenset(vars(self)) - attributes
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the attributes that a copy cannot make by itself."""
+        """Return the attributes that a copy cannot create itself."""
         kept = {key: value for key, value in vars(self).items() if key not in self._remade}
         return kept | {"tracks": self._engine.batch.state, "keys": self._engine.keys}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Continue as the copied environment does, to the last bit."""
+        """Continue exactly like the copied environment."""
         vars(self).update(state)
         tracks, keys = vars(self).pop("tracks"), vars(self).pop("keys")
         self._set_up_noting()
@@ -214,14 +215,14 @@ class RestorableEnvironment(Environment):
     _streams: Streams
     _over: Mask
     _ended: int
-    _begin_pictures: Callable[[Index], None]  # starts pictures over where episodes just began
+    _begin_pictures: Callable[[Index], None]  # clears the pictures of episodes that just began
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Return copies of all arrays that later steps depend on, for :meth:`restore`.
 
         Raises:
             ResetNeeded: no episode is under way.
-            ValueError: episodes come from a source that draws from generators.
+            ValueError: episodes are not simulated.
         """
         self._require_begun("state")
         self._require_simulated("state")
@@ -243,14 +244,14 @@ class RestorableEnvironment(Environment):
         return arrays | {"sums": counts.sums, "errors": counts.errors, "second": counts.second}
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        """Continue as the environment that returned this :meth:`state`, to the last bit.
+        """Continue exactly like the environment that returned this :meth:`state`.
 
         Args:
             state: state of an environment with the same arguments.
 
         Raises:
-            ValueError: the arrays of the state do not fit the arguments; or episodes come
-                from a source that draws from generators.
+            ValueError: the arrays of the state do not fit the arguments; or episodes are not
+                simulated.
         """
         self._require_simulated("restore")
         n, history, source = self.num_envs, self._history, self._task.simulated
@@ -289,5 +290,5 @@ class RestorableEnvironment(Environment):
         if not self._task.has_keys:
             raise ValueError(
                 f"{call}: found episodes of a source of your own, or recorded ones, expected "
-                "simulated ones; what such a source remembers is not known here"
+                "simulated ones, because the state of another source is not known here"
             )

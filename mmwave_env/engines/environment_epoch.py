@@ -1,13 +1,13 @@
-"""The epochs of environments whose modes share a belief, and of those with a belief per mode.
+"""An epoch of an environment whose modes share a belief, and of one with a belief per mode.
 
-A step takes the result of the action as the belief, scores it against the truth, loads the next
-epoch and runs every mode on it. All modes run before the action, because the observation shows the
-result of each mode. No action changes the world, so episodes are loaded whole.
+A step takes the result that the action chose as the new belief (mean and covariance), scores it
+against the truth, loads the next epoch and runs every mode on it. All modes run before the action,
+because the observation shows the result of each mode. No action changes the world.
 
-Where the modes share a belief, the action picks the candidate of a mode. Where every mode keeps
-its own, the modes interact as in an IMM (:mod:`mmwave_env.filters.imm`), and an action chooses the
+If the modes share a belief, the action chooses the result of a mode, its candidate. If every mode
+keeps its own, the modes interact as in an IMM (:mod:`mmwave_env.filters.imm`), and an action is the
 mode to trust in the epoch that was just filtered: the probability of that mode is raised before the
-beliefs are combined, scored and mixed again. Action 0, which trusts no mode, is the IMM itself.
+beliefs are combined, scored and mixed again. Action 0, which trusts no mode, gives the IMM itself.
 """
 
 from functools import lru_cache, partial
@@ -47,29 +47,29 @@ class EnvState(NamedTuple):
 
     incoming: Incoming  # the epoch under consideration
     site: Site  # anchors, carrier and prior
-    is_first: Number  # 1 to start over from the prior instead of committing
-    action: Number  # the mode to commit to
+    is_first: Number  # 1 to start over from the prior instead of taking the action
+    action: Number  # number of the mode whose candidate becomes the belief
     pending: PendingEpoch  # the epoch whose candidates wait for an action
-    # x, P: (7,), (28,) belief after the last committed epoch
+    # x, P: (7,), (28,) belief after the last epoch in which an action was taken
     x: list[Number]
     P: list[Number]
     memory: Memory  # memory of the track
-    # one per mode, for the pending epoch, without the predicted beliefs: the smaller environments
-    # are, the more of them fit into a cache
+    # results of the modes in the pending epoch; predicted beliefs are left out, so that more
+    # environments fit into a cache
     candidates: list[ModeResult]
     observation: list[Number]  # (features,)
-    reward: Number  # reward of the last committed epoch
+    reward: Number  # reward of the last epoch in which an action was taken
     reward_terms: list[Number]  # terms of the reward, and minus the mode's cost
-    truth: list[Number]  # (6,) truth of that epoch; if no epoch is committed yet, of the first
-    error: list[Number]  # (3,) position error of that epoch, m
+    truth: list[Number]  # (6,) truth in that epoch; before any action, in the first epoch
+    error: list[Number]  # (3,) position error in that epoch, m
     distance: Number  # length of the error, m
-    nees: Number  # NEES of that epoch
+    nees: Number  # NEES in that epoch
 
 
 def shared_epoch(
     w: EnvState, pipeline: Pipeline, observation: Observation, reward: Reward
 ) -> EnvState:
-    """Compute a step of an environment whose modes share a belief, on numbers."""
+    """Compute a step of an environment whose modes share a belief."""
     layout, modes = pipeline.layout, pipeline.modes
     chosen: ModeResult = tree_at(w.action, w.candidates)
     cost: Number = tree_at(w.action, [mode.cost for mode in modes])
@@ -106,14 +106,14 @@ class PerModeState(NamedTuple):
     pending: PendingEpoch  # the epoch whose mixture waits for an action
     mixture: Mixture  # belief after that epoch
     spread_averages_hz: list[Number]  # average Doppler spread, for each of SPREAD_MEMORIES
-    # all further fields are those of the last epoch in which an action was taken:
+    # except for the observation, all further fields refer to the last epoch with an action:
     mode_probabilities: list[Number]  # (modes,) probabilities after the action
     # x, P: (7,), (28,) the combined belief
     x: list[Number]
     P: list[Number]
     memory: Memory  # memory of the most probable mode; its preferences cover all modes
     observation: list[Number]  # (features,)
-    # reward to nees: as in :class:`EnvState`
+    # reward to nees: same as in :class:`EnvState`
     reward: Number
     reward_terms: list[Number]
     truth: list[Number]
@@ -125,7 +125,7 @@ class PerModeState(NamedTuple):
 def per_mode_epoch(
     w: PerModeState, pipeline: Pipeline, observation: Observation, reward: Reward
 ) -> PerModeState:
-    """Compute a step of an environment in which every mode keeps its belief, on numbers."""
+    """Compute a step of an environment in which every mode keeps its own belief."""
     dt, _, truth, _ = w.pending
     layout, costs = pipeline.layout, [0.0, *(mode.cost for mode in pipeline.modes)]
     mixture = trusting(w.mixture, w.action, dt)

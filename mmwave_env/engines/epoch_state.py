@@ -1,4 +1,4 @@
-"""The parts of the state that the epochs of environments, tracks and IMMs share."""
+"""The parts that the states of environments, tracks and IMMs have in common."""
 
 from typing import Any, NamedTuple
 
@@ -14,17 +14,17 @@ from mmwave_env.world.episode import blank_incoming
 
 
 class PendingEpoch(NamedTuple):
-    """The parts of an epoch that are needed after its candidates are computed."""
+    """The parts of an epoch that are needed after the modes have run on it."""
 
-    # dt, visible: as in :class:`~mmwave_env.models.measurement.Epoch`
+    # dt, visible: same as in :class:`~mmwave_env.models.measurement.Epoch`
     dt: Number
     visible: list[Number]
     truth: list[Number]  # (6,) true position (m) and velocity (m/s)
-    measured: Vector  # as in :class:`~mmwave_env.models.measurement.Epoch`
+    measured: Vector  # same as in :class:`~mmwave_env.models.measurement.Epoch`
 
 
 def blank_track(layout: Layout, modes: int) -> dict[str, Any]:
-    """Return the fields of every state, as they are before the first epoch."""
+    """Return the fields that every state has, with their values before the first epoch."""
     incoming, site = blank_incoming(layout), blank_site(layout)
     return {
         "incoming": incoming,
@@ -40,7 +40,7 @@ def blank_track(layout: Layout, modes: int) -> dict[str, Any]:
 
 
 def blank_environment(layout: Layout, modes: int, reward: Reward, features: int) -> dict[str, Any]:
-    """Return the fields of every environment's state, as they are before the first epoch."""
+    """Return the fields that every environment's state has, with values before the first epoch."""
     track = blank_track(layout, modes)
     truth = track["incoming"].truth
     measured = [0.0] * layout.size if layout.partial else ()
@@ -57,14 +57,14 @@ def blank_environment(layout: Layout, modes: int, reward: Reward, features: int)
 def begun(
     w: Any, x: list[Number], P: list[Number], memory: Memory, pipeline: Pipeline
 ) -> tuple[list[Number], list[Number], Memory]:
-    """Return belief (7,), (28,) and memory in a state, from the prior where a track starts over."""
+    """Return the belief (7,), (28,) and the memory; if a track starts over, from the prior."""
     blank, first = initial_memory(pipeline.layout, len(pipeline.modes)), w.is_first > 0.5
     x, P = select(first, w.site.prior_x, x), select(first, w.site.prior_P, P)
     return x, P, select(first, blank, memory)
 
 
 def scores(belief: Belief, truth: Vector, reward: Reward, cost: Number) -> dict[str, Any]:
-    """Return reward and errors of an environment's belief after an epoch."""
+    """Return the reward for an environment's belief after an epoch, and its errors."""
     terms = terms_of(reward, belief, truth)
     return {
         "reward": total(terms) - cost,

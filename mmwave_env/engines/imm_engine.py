@@ -1,8 +1,8 @@
-"""Interacting multiple models in place of an agent: whole episodes in one kernel call.
+"""Interacting multiple models (IMM) instead of an agent: whole episodes in one call.
 
-No action steers an IMM, so its kernel need not stop between epochs. All that may be tuned
-(transition probabilities, process noise, the weight of outliers) is part of its data, so
-one compiled program runs any tuning.
+No action steers an IMM, so its compiled code need not stop between epochs. Everything that can be
+tuned (transition probabilities, process noise, the weight of outliers) is part of its data, so one
+compiled program runs any tuning.
 """
 
 from collections.abc import Sequence
@@ -51,7 +51,7 @@ class ImmState(NamedTuple):
     incoming: Incoming  # the epoch that was just filtered
     site: Site  # anchors, carrier and prior
     is_first: Number  # 1 to start over from the prior
-    action: Number  # the mode to trust, from 1, where an agent acts; 0 for none
+    action: Number  # number of the mode to trust, from 1, if an agent acts; 0 for none
     settings: ImmSettings  # parameters of the bank
     mixture: Mixture  # belief and probability of every mode
     # x, P: (7,), (28,) the combined belief; x_predicted, P_predicted: before the epoch's update
@@ -60,7 +60,7 @@ class ImmState(NamedTuple):
     x_predicted: list[Number]
     P_predicted: list[Number]
     memory: Memory  # memory of the most probable mode
-    # reward, error, nees: as in :class:`~mmwave_env.engines.environment_epoch.EnvState`
+    # reward, error, nees: same as in :class:`~mmwave_env.engines.environment_epoch.EnvState`
     reward: Number
     error: list[Number]
     nees: Number
@@ -72,7 +72,7 @@ def imm_program(pipeline: Pipeline, reward: Reward, acted: bool = False) -> Prog
     Args:
         pipeline: modes and layout.
         reward: function of (belief, truth).
-        acted: whether the mixture takes actions.
+        acted: whether an agent's actions steer the mixture.
     """
     return _program(untuned(pipeline), reward, acted)
 
@@ -115,13 +115,13 @@ def _program(pipeline: Pipeline, reward: Reward, acted: bool) -> Program[ImmStat
 
 
 class ImmEngine:
-    """An IMM over the modes of a pipeline, which weighs the modes itself.
+    """An IMM over the modes of a pipeline, which weights the modes without an agent.
 
     Args:
         pipeline: modes and layout.
         reward: function of (belief, truth), for comparison with policies.
-        transition, nis_quantile: as in :class:`~mmwave_env.filters.bank.Bank`, which also lists
-            the values that are refused.
+        transition, nis_quantile: same as in :class:`~mmwave_env.filters.bank.Bank`, which also
+            lists the values that are refused.
     """
 
     def __init__(
@@ -147,11 +147,11 @@ class ImmEngine:
                 "mixture.probability".
 
         Returns:
-            Per name, (n, epochs) for a single number, else (n, epochs, numbers); values past the
-            end of an episode are meaningless.
+            For each name, (n, epochs) if it is a single number, else (n, epochs, numbers); values
+            past the end of an episode are meaningless.
 
         Raises:
-            ValueError: the layout of an episode is not the pipeline's.
+            ValueError: the layout of an episode differs from the pipeline's.
         """
         packed, program = EpisodeBatch.of(episodes, self.pipeline.layout), self._program
         n, epochs, _ = packed.table.shape
@@ -169,8 +169,8 @@ class ImmTracker(EpisodeFilter[ImmState]):
         bank: the modes and the parameters of their interaction.
         layout: rows of the measurements.
         n: number of tracks.
-        planar: as in :class:`~mmwave_env.filters.pipeline.Pipeline`.
-        acted: whether :meth:`run` is given the modes to trust.
+        planar: same as in :class:`~mmwave_env.filters.pipeline.Pipeline`.
+        acted: whether :meth:`run` receives actions, the modes to trust.
     """
 
     def __init__(

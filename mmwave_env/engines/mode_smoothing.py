@@ -1,15 +1,15 @@
 """Fixed-interval smoothing of interacting modes, backwards over a finished track of an IMM.
 
-The Rauch-Tung-Striebel smoother on the moments of the mixture takes its spread for one Gaussian,
-and is overconfident where a quiet mode is in the bank. Here every mode has its own smoothed belief.
-Going back by an epoch, each pair (mode j now, mode i in the following epoch) is smoothed by the
-transition of mode i, and the pairs of j are merged. The weight of a pair is the probability of i
-given all measurements times that of j given i, which depends on how well mode i, started from j,
-predicts the smoothed state.
+A Rauch-Tung-Striebel smoother that treats the mixture as one Gaussian is overconfident if the bank
+contains a mode with little process noise. Here every mode has its own smoothed belief. In each step
+back, each pair (mode j now, mode i in the following epoch) is smoothed with the motion model of
+mode i, and the pairs with the same j are merged. The weight of a pair is the probability of i given
+all measurements, times the probability of j given i. The latter depends on how well mode i,
+starting from the belief of j, predicts the smoothed state.
 
 Sources: Kim 1994, "Dynamic linear models with Markov-switching" (pairs, and their merging); Barber
 2006, "Expectation correction for smoothed inference in switching linear dynamical systems", JMLR 7
-(the weight with the smoothed state). With one mode it is the smoother of
+(the weight with the smoothed state). With one mode, the result is the same as that of
 :func:`mmwave_env.filters.textbook.rts`.
 """
 
@@ -67,9 +67,9 @@ def smooth_modes(
         pipeline: pipeline of the bank's modes.
         mixtures: (N, T, numbers) the IMM's :class:`~mmwave_env.filters.imm.Mixture` after each
             epoch, flattened.
-        dt: (N, T) seconds since the epoch before.
+        dt: (N, T) seconds since the previous epoch.
         spread_hz: (N, T) measured Doppler spread.
-        hz_per_mps: carrier frequency over the speed of light.
+        hz_per_mps: carrier frequency divided by the speed of light.
     """
     transition = settings_of(bank, pipeline.layout).transition
     filtered, gamma = _beliefs(mixtures, pipeline)
@@ -114,11 +114,11 @@ def _backwards(
         now, gamma: filtered beliefs of the epoch, and the scales (N, modes) of their noise.
         after: smoothed beliefs of the following epoch.
         coming: step and Doppler spread of the following epoch, (N, 1).
-        hz_per_mps: carrier frequency over the speed of light.
+        hz_per_mps: carrier frequency divided by the speed of light.
         transition: (N, modes, modes) probabilities (from, to) over the step.
     """
     known = list(pipeline.known_axes)
-    x_now = [now.x[..., i] for i in range(STATE_SIZE)]  # numbers are arrays (N, modes now)
+    x_now = [now.x[..., i] for i in range(STATE_SIZE)]  # each an array (N, modes now)
     packed = [now.P[..., i, j] for i in range(STATE_SIZE) for j in range(i + 1)]
     FP = _matrix(transition_times(unpack(packed), coming.dt), now.x.shape[:-1])
     x, P, weight = [], [], []
@@ -128,10 +128,10 @@ def _backwards(
         )
         x_predicted = np.stack(np.broadcast_arrays(*mean), axis=-1)
         P_predicted = _matrix(covariance, now.x.shape[:-1])
-        P_predicted[..., known, known] = 1.0  # these have no variance, and no gain
+        P_predicted[..., known, known] = 1.0  # known axes have no variance, and gain 0
         step = after.x[:, i, None] - x_predicted
         solved = np.linalg.solve(P_predicted, np.concatenate([FP, step[..., None]], axis=-1))
-        gain = np.swapaxes(solved[..., :-1], -1, -2)  # 0 for what is known
+        gain = np.swapaxes(solved[..., :-1], -1, -2)  # 0 for known axes
         change = after.P[:, i, None] - P_predicted
         x.append(now.x + (gain @ step[..., None])[..., 0])
         P.append(now.P + gain @ change @ np.swapaxes(gain, -1, -2))
@@ -147,6 +147,6 @@ def _backwards(
 
 
 def _matrix(entries: Sequence[Sequence[Array]], shape: tuple[int, ...]) -> Array:
-    """Return a matrix of arrays as an array (..., 7, 7)."""
+    """Stack a matrix of arrays into one array (..., 7, 7)."""
     rows = [np.stack([np.broadcast_to(e, shape) for e in row], axis=-1) for row in entries]
     return np.stack(rows, axis=-2)

@@ -1,7 +1,7 @@
-"""A track whose modes a policy chooses, epoch by epoch, without a truth.
+"""A track in which a policy chooses the mode in every epoch; no ground truth is needed.
 
-An environment's engine computes the observations, and one of the engines of whole tracks runs the
-actions. Both give the same numbers to the last bit, so the track is that of the environment.
+An environment's engine computes the observations, and an engine for whole tracks applies the
+actions. Both compute exactly the same numbers, so the track is the same as in an environment.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from mmwave_env.world.episode import Episode
 
 
 class Choice(Protocol):
-    """A policy, as :class:`policies.policy.Policy`, which this room does not see."""
+    """A policy like :class:`policies.policy.Policy`, which this package does not import."""
 
     def reset(self, mask: NDArray[np.bool_]) -> None: ...  # noqa: D102
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]: ...  # noqa: D102
@@ -33,7 +33,7 @@ class PolicyTracker:
     Args:
         pipeline: modes and layout.
         policy: function from observations (1, features) to actions (1,), with a method
-            ``reset(mask)`` that is called where a track starts over.
+            ``reset(mask)`` that is called when a track starts over.
         observation: "full" or "prior".
         bank: bank of the modes, if every mode keeps its own belief; None if they share a belief.
     """
@@ -56,7 +56,7 @@ class PolicyTracker:
         self._starts = True
 
     def load(self, episodes: Sequence[Episode], go_on: bool = False) -> None:
-        """Load an episode, as :meth:`EpisodeFilter.load` does."""
+        """Load one episode, in the same way as :meth:`EpisodeFilter.load`."""
         (episode,) = episodes
         self._filter.load(episodes, go_on)
         gap_s = float(episode.time_s[0]) - self._end_s if go_on else None
@@ -64,7 +64,7 @@ class PolicyTracker:
         self._epochs, self._end_s, self._starts = len(episode), float(episode.time_s[-1]), not go_on
 
     def run(self, *names: str) -> dict[str, Array]:
-        """Filter the loaded episode once, as :meth:`EpisodeFilter.run` does."""
+        """Filter the loaded episode once, in the same way as :meth:`EpisodeFilter.run`."""
         if self._starts:
             self._policy.reset(np.array([True]))
         actions = np.empty((1, self._epochs), np.int64)

@@ -1,8 +1,8 @@
 """Replays of finished episodes with the modes that were chosen, forwards and backwards.
 
-An environment holds no history: a finished episode consists of data and actions, so it is run
-again to get the whole track. The forward pass gives errors and NEES, the backward pass gives
-smoothed errors (paper, Sec. III-F). Tracks that were kept are only smoothed (:func:`smooth`).
+An environment does not store its track. To get it, a finished episode is run again with the same
+actions. The forward pass gives errors and NEES, the backward pass gives smoothed errors (paper,
+Sec. III-F). Tracks that were stored need only smoothing (:func:`smooth`).
 """
 
 from functools import lru_cache
@@ -80,7 +80,7 @@ class Replay:
 
     Args:
         pipeline: modes and layout.
-        bank: bank of the modes, if every mode keeps its own belief; None if the modes share one.
+        bank: bank of the modes, if every mode keeps its own belief; None if they share a belief.
     """
 
     def __init__(self, pipeline: Pipeline, bank: Bank | None = None) -> None:
@@ -103,11 +103,11 @@ class Replay:
     def run(self, episodes: EpisodeBatch, actions: Actions) -> tuple[Array, ...]:
         """Run finished episodes again, forwards and backwards.
 
-        The numbers of an episode do not depend on the other episodes, to the last bit.
+        The results for an episode do not depend on the other episodes, not even by rounding.
 
         Args:
             episodes: n episodes.
-            actions: (n, T) modes of the first T epochs of each episode.
+            actions: (n, T) modes chosen in the first T epochs of each episode.
 
         Returns:
             Filtered position errors (n, T, 3), m; NEES (n, T); smoothed position errors (n, T, 3).
@@ -115,7 +115,7 @@ class Replay:
         forward, backward = self._forward, self._backward
         site = rows_of(forward.index.site)
         rows = fill(blocks_of(self._start, len(actions)), site, episodes.site)
-        figures = np.empty((len(self._show), *actions.shape))  # numpy reduces contiguous numbers
+        figures = np.empty((len(self._show), *actions.shape))  # numpy then sums contiguous numbers
         _both_ways(
             ReplayCode(forward.on_lanes(), forward.index.action, self._keep),
             ReplayCode(backward.on_lanes(), 0, self._show),
@@ -130,11 +130,11 @@ class Replay:
 
 
 class ReplayCode(NamedTuple):
-    """A program of a pass over the epochs."""
+    """A compiled program for a pass over the epochs."""
 
     run: int  # address of the program
-    action: int  # the row of the action, if the program takes one
-    rows: Index  # (k,) rows to keep of each epoch
+    action: int  # number of the action's row, if the program needs an action
+    rows: Index  # (k,) numbers of the rows to keep in each epoch
 
 
 @register_jitable  # type: ignore[untyped-decorator]
@@ -156,7 +156,7 @@ def _run_backwards(backward, start, kept, out):  # type: ignore[no-untyped-def]
 
 @compiled
 def _both_ways(forward, backward, rows, start, tables, actions, out):  # type: ignore[no-untyped-def]
-    """Run eight episodes at a time both ways, so that the kept epochs stay in a cache."""
+    """Run eight episodes at a time forwards and backwards, so that kept epochs stay in a cache."""
     (n, epochs), (run, action, picked) = actions.shape, forward
     kept = np.empty((epochs, len(picked), WIDTH))
     sources = np.empty(WIDTH, np.int64)
@@ -200,7 +200,7 @@ def smooth(
         x_predicted, P_predicted: (N, T, 7), (N, T, 28) beliefs predicted for each epoch, before its
             update.
         dt: (T - 1,) seconds from each epoch to the next, or (N, T - 1) for each track.
-        planar: z and vz are known exactly.
+        planar: whether z and vz are known exactly.
     """
     program = _program(VERTICAL if planar else ())
     N, T, _ = x.shape

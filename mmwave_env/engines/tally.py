@@ -1,4 +1,4 @@
-"""Running sums for the metrics of current episodes, which are then known at an episode's end."""
+"""Running sums from which the metrics of an episode are computed when it ends."""
 
 import math
 from typing import Any, NamedTuple
@@ -9,19 +9,19 @@ from numba.extending import register_jitable
 from mmwave_env.metrics import BURN_IN, Sums, nees_interval, running_summary
 from mmwave_env.numerics.numbers import Array, Index
 
-# in the order of :class:`~mmwave_env.metrics.Sums`
+# columns of the sums, in the order of :class:`~mmwave_env.metrics.Sums`
 LENGTH, SQUARED, CHANGE, NEES, INSIDE, LARGEST = range(6)
 NONFINITE = 6  # number of epochs, burn-in included, with an error or NEES that is not finite
 SUMS = 7
 
 
 class Counts(NamedTuple):
-    """The sums of n environments; in plain Python, sequences of these shapes serve as well."""
+    """The sums of n environments; plain Python may use sequences with the shapes of the arrays."""
 
     sums: Array  # (n, 7)
     errors: Array  # (n, T, 3) ring buffer of the latest position errors, m
     second: Index  # (n,) number of epochs in a second, from 1 to the length of the episode
-    interval: Array  # (2,) interval of the NEES of a consistent filter
+    interval: Array  # (2,) interval that contains the NEES if a filter is consistent
 
 
 class Tally:
@@ -32,7 +32,7 @@ class Tally:
         axes: number of position axes that NEES covers.
 
     Attributes:
-        counts: the sums; the ring buffer holds a second or the longest episode.
+        counts: the sums; the ring buffer covers a second, or the longest episode if it is shorter.
     """
 
     def __init__(self, n: int, axes: int) -> None:
@@ -42,13 +42,13 @@ class Tally:
         )
 
     def begin(self, places: Index, step_s: Array, epochs: Index) -> None:
-        """Start over in some environments, given their numbers of epochs and their steps, s."""
+        """Start over in some environments, given the step (s) and number of epochs of each."""
         second = self.counts.second
         second[places] = np.clip(np.round(1.0 / step_s), 1, epochs)
         self.make_room(int(second.max()))
 
     def make_room(self, epochs: int) -> None:
-        """Make room for at least that number of errors."""
+        """Make room for at least this number of errors per environment."""
         errors = self.counts.errors
         missing = max(0, epochs - errors.shape[1])
         self.counts = self.counts._replace(errors=np.pad(errors, ((0, 0), (0, missing), (0, 0))))
@@ -60,7 +60,7 @@ class Tally:
         return Counts(rows[0], rows[1], second.tolist(), interval.tolist())  # type: ignore[arg-type]
 
     def nonfinite(self, places: Index) -> Index:
-        """Return the number (k,) of epochs without a finite belief in some environments (k,)."""
+        """Return how many epochs (k,) had no finite belief in some environments (k,)."""
         return self.counts.sums[places, NONFINITE].astype(np.int64)  # type: ignore[no-any-return]
 
     def metrics(self, places: Index, epochs: Index) -> dict[str, Array]:
@@ -79,7 +79,8 @@ class Tally:
 def count(counts, e, k, x, y, z, nees):  # type: ignore[no-untyped-def]
     """Count epoch ``k`` of an episode, from 0, with its position error (m) and NEES.
 
-    Up to the burn-in, an epoch replaces earlier epochs: of a shorter episode the last one counts.
+    Up to the burn-in, each epoch replaces the earlier ones, so that the last epoch of an episode
+    counts even if the episode is shorter than the burn-in.
 
     Args:
         counts: a :class:`Counts`, changed in place.

@@ -1,8 +1,7 @@
 """Filtering of whole tracks with one mode, with given modes, or with a rule that picks modes.
 
-Without an agent no stop is needed after every epoch: a kernel runs from the first epoch of
-an episode to the last. Process noise is part of the kernel's data, so one compiled filter
-runs any tuning.
+Without an agent, filtering need not stop after every epoch: compiled code runs from the first epoch
+of an episode to the last. Process noise is part of its data, so the same code runs any tuning.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,22 +36,22 @@ class TrackState(NamedTuple):
     incoming: Incoming  # the epoch to run, or the epoch that just ran
     site: Site  # anchors, carrier and prior
     is_first: Number  # 1 to start over from the prior
-    action: Number  # the mode to run where no rule picks one
-    tunings: list[Tuning]  # process noise of every mode
+    action: Number  # number of the mode to run if no rule picks one
+    tunings: list[Tuning]  # motion model of every mode
     # x, P: (7,), (28,) belief after the epoch
     x: list[Number]
     P: list[Number]
     # x_predicted, P_predicted: (7,), (28,) belief predicted for the epoch
     x_predicted: list[Number]
     P_predicted: list[Number]
-    memory: Memory  # memory of the track; ``memory.mode`` ran
-    log_likelihood: Number  # as in :class:`~mmwave_env.filters.update.Posterior`
-    error: list[Number]  # (3,) position error, m; NaN where the truth is unknown
+    memory: Memory  # memory of the track; ``memory.mode`` is the mode that ran
+    log_likelihood: Number  # same as in :class:`~mmwave_env.filters.update.Posterior`
+    error: list[Number]  # (3,) position error, m; NaN if the truth is unknown
     nees: Number  # NEES of the position
 
 
 def track_epoch(w: TrackState, pipeline: Pipeline, rule: Rule | None) -> TrackState:
-    """Compute one epoch of a track, on numbers."""
+    """Compute one epoch of a track."""
     layout, epoch = pipeline.layout, w.incoming.epoch(pipeline.layout)
     x, P, memory = begun(w, w.x, w.P, w.memory, pipeline)
     number = w.action if rule is None else rule(x, epoch)
@@ -99,7 +98,7 @@ def _program(pipeline: Pipeline, rule: Rule | None) -> Program[TrackState]:
 
 
 def untuned(pipeline: Pipeline) -> Pipeline:
-    """Return the pipeline without tunings: modes that differ only in tuning become equal."""
+    """Return the pipeline without tunings, so that modes that differ only in tuning are equal."""
     zeros: dict[str, Any] = dict.fromkeys(NOISES, 0.0) | {"coupling": False}
     modes = []
     for i, mode in enumerate(pipeline.modes):
@@ -113,7 +112,7 @@ class EpisodeFilter(Generic[Workspace]):
     """N tracks of a program, each filtered from the first epoch of an episode to the last.
 
     Args:
-        batch: batch of n environments, with all values set that episodes do not contain.
+        batch: batch of N environments; all values that episodes do not contain must be set.
 
     Attributes:
         program: the program of an epoch.
@@ -131,7 +130,7 @@ class EpisodeFilter(Generic[Workspace]):
             go_on: whether the episodes continue the tracks just filtered; priors are then ignored.
 
         Raises:
-            ValueError: the number of episodes is not N, or a layout is not the pipeline's.
+            ValueError: the number of episodes is not N, or a layout differs from the pipeline's.
         """
         gap_s = float(episodes[0].time_s[0]) - self._end_s if go_on else None
         self._batch.load(episodes, gap_s=gap_s)
@@ -143,10 +142,10 @@ class EpisodeFilter(Generic[Workspace]):
 
         Args:
             names: parts of the program's state to return, such as "x" or "memory.nis".
-            actions: (n, epochs) values for ``action`` of the state; None for 0.
+            actions: (n, epochs) values for ``action`` in the state; None for zeros.
 
         Returns:
-            Per name, (n, epochs) for a single number, else (n, epochs, numbers).
+            For each name, (n, epochs) if it is a single number, else (n, epochs, numbers).
         """
         io = self._batch.io(self._epochs, rows_of(self.program.parts(names)))
         io.inputs[..., 0] = 0 if actions is None else actions
@@ -155,14 +154,14 @@ class EpisodeFilter(Generic[Workspace]):
 
 
 class Tracker(EpisodeFilter[TrackState]):
-    """N tracks of a pipeline, in which one mode runs in every epoch.
+    """N tracks of a pipeline, in which one mode is used in every epoch.
 
     Args:
         pipeline: the mode, or the modes to choose from.
         n: number of tracks.
-        rule: function from the state (7,) after the epoch before and the coming epoch to the number
-            of the mode to run; None for one mode, or if :meth:`run` is given the modes.
-        on_floats: run in plain Python instead of on lanes: slow, for reference.
+        rule: function of the state (7,) after the previous epoch, and of the coming epoch, that
+            returns the number of the mode; None for one mode, or to pass the modes to :meth:`run`.
+        on_floats: whether to run in plain Python, slowly, for reference, not on SIMD lanes.
     """
 
     def __init__(
@@ -174,7 +173,7 @@ class Tracker(EpisodeFilter[TrackState]):
         self.tune([mode.tuning for mode in pipeline.modes])
 
     def tune(self, tunings: Sequence[Tuning]) -> None:
-        """Set the process noise, one :class:`Tuning` per mode, and start over."""
+        """Set the motion models, one :class:`Tuning` per mode, and start over."""
         row = np.array(flatten(list(tunings)), float)
         self._batch.write(self._batch.at.tunings, row)
         self._batch.restart()

@@ -1,7 +1,7 @@
 """The step of many environments, from actions to infos, in one call of compiled code.
 
-With few environments, Python's work around that call takes a third of a step or more, so the code
-around it does not assemble or split arrays.
+With few environments, the Python code around that call takes a third of a step or more, so it
+avoids assembling and splitting arrays.
 """
 
 from typing import Any, NamedTuple
@@ -27,10 +27,10 @@ Infos = dict[str, NDArray[Any]]
 class ActionHistory:
     """A ring buffer of the modes of the last T steps of n environments, one row per step.
 
-    All environments step together, so an episode of k steps so far used the last k rows.
+    All environments step together, so an episode that has run for k steps used the last k rows.
 
     Attributes:
-        rows: (T, n) modes, in the smallest type that holds their number.
+        rows: (T, n) modes, in the smallest integer type that can hold them.
         turn: the row for the modes of the next step.
     """
 
@@ -45,11 +45,11 @@ class ActionHistory:
             self.set_all(np.pad(self.all(), ((missing, 0), (0, 0))))
 
     def next(self) -> None:
-        """Go on to the next row, once the modes of a step are written."""
+        """Go on to the next row after the modes of a step."""
         self.turn = (self.turn + 1) % len(self.rows)
 
     def of(self, places: Index, steps: int) -> Modes:
-        """Return the modes (places, steps) of the last steps, at most T, of some environments."""
+        """Return the modes (places, steps) of some environments in the last steps, at most T."""
         return np.ascontiguousarray(self.all()[-steps:, places].T)
 
     def all(self) -> Modes:
@@ -65,8 +65,8 @@ class StepResult(NamedTuple):
     """The arrays that a step of n environments fills."""
 
     observations: NDArray[np.float32]  # (n, features)
-    rewards: Array  # (n,) those of the reward function
-    terminated: Mask  # (n,) False: a step does not know how episodes end
+    rewards: Array  # (n,) results of the reward function
+    terminated: Mask  # (n,) False, because a step does not know how episodes end
     truncated: Mask  # (n,) whether the episode has no epoch left
     # accepted, rejected: (n, groups); (n, 0) if steps return no infos
     accepted: Mask
@@ -74,7 +74,7 @@ class StepResult(NamedTuple):
 
 
 class StepColumns(NamedTuple):
-    """The numbers of the output columns that a step reads; of a part, its first column."""
+    """The numbers of the output columns that a step reads; of adjacent columns, the first one."""
 
     reward: int
     nees: int
@@ -93,10 +93,10 @@ class StepMemory(NamedTuple):
 
 
 class Stepper:
-    """A stepper, which steps the environments of an engine and returns infos about them.
+    """An object that steps the environments of an engine and returns infos about them.
 
     Args:
-        engine: the environments, on lanes.
+        engine: the environments, which run on SIMD lanes.
         tally: sums for the metrics of current episodes.
         history: the modes of the last steps.
         infos: "all" for infos of every step, "episode" for infos on request, "none" for no infos.
@@ -128,21 +128,21 @@ class Stepper:
         history.make_room(1)
 
     def step(self, actions: Index) -> tuple[StepResult, int, Infos]:
-        """Commit every environment to its mode and consider the next epoch; see `Engine.step`.
+        """Apply every environment's action and consider the next epoch; see `Engine.step`.
 
         Args:
             actions: (n,) numbers of the modes; infos keep this array.
 
         Returns:
-            Fresh results; the number of environments without epochs left; and fresh infos of all
-            environments with their masks, if infos are wanted for every step.
+            New results; the number of environments without epochs left; and new infos about all
+            environments, with their masks, if every step returns infos.
         """
         batch, history, io = self._engine.batch, self._history, self._io
         n, features = len(actions), len(io.obs_rows)
         ends, flags = np.zeros((2, n), np.bool_), np.empty((2, n, self._groups), np.bool_)
         observations = np.empty((n, 1, features), np.float32)
         result = StepResult(observations[:, 0], np.empty(n), ends[0], ends[1], flags[0], flags[1])
-        # infos hold the previous outputs
+        # earlier infos still use the previous outputs
         outputs = np.empty_like(io.outputs) if self._told else io.outputs
         io = StepIO(io.input_rows, io.inputs, self._rows, outputs, io.obs_rows, observations)
         self._io, memory = io, StepMemory(self._tally.counts, history.rows, history.turn)
@@ -159,14 +159,14 @@ class Stepper:
         return result, ended, infos
 
     def look(self, actions: Index) -> Infos:
-        """Return the infos of the last step, where infos are not returned by every step."""
+        """Return the infos about the last step, for steppers whose steps do not return them."""
         infos = {key: self._engine.read(part) for key, part in self._known.items()}
         infos |= {key: infos[key] > 0.5 for key in FLAGS if infos}
         return infos and infos | {"mode": actions}
 
     @property
     def distances_m(self) -> Array:
-        """Return the position errors (n,) in the epoch stepped last."""
+        """Return the lengths (n,) of the position errors in the last step."""
         error = self._io.outputs[self._columns["error"]]
         return np.sqrt((error * error).sum(axis=1))  # type: ignore[no-any-return]
 
@@ -200,7 +200,7 @@ def _step_blocks(  # type: ignore[no-untyped-def]
     ended = 0
     for e in range(first, last):
         rewards[e] = outputs[e, 0, columns.reward]
-        k = epoch[e] - 2  # the epoch before the one considered
+        k = epoch[e] - 2  # the epoch that the action completed
         if k >= 0:
             i = columns.error
             x, y, z = outputs[e, 0, i], outputs[e, 0, i + 1], outputs[e, 0, i + 2]

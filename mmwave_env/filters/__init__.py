@@ -2,8 +2,8 @@
 
 :class:`Mode` describes a filter. :func:`predict_update` runs a mode for one epoch, and
 :func:`~mmwave_env.filters.memory.memory_after` updates the track's memory with the result. ``imm``
-weighs several modes, ``smoother`` smooths a finished track. A filter of your own
-(docs/own-filters.md) is a function like :func:`ekf`; all that it needs is imported here.
+mixes the results of several modes, and ``smoother`` smooths a finished track. A filter of your own
+(docs/own-filters.md) is a function like :func:`ekf`; import everything that it needs from here.
 """
 
 from mmwave_env.filters.gating import Gate, gate_groups

@@ -1,7 +1,8 @@
-"""Modes and banks of modes: by name, as shipped, and from a user's files.
+"""Modes and banks of modes: named ones, shipped ones, and those in a user's files.
 
-A bank is a set of modes with the parameters of the IMM over them. A mode file holds a bank; where
-the modes share a belief, only its modes are used.
+A mode is a filter with its tuning. A bank is a set of modes with the parameters of an IMM
+(interacting multiple models) over them. A mode file contains a bank; if the modes share a belief
+(mean and covariance), only its modes are used.
 """
 
 import os
@@ -27,10 +28,10 @@ _ROUNDING = 1e-6  # tolerance of the sum of a row of probabilities
 # Further keys of a mode file, which record how the file was made and are not read.
 NOTES = {
     "about": "what the modes are for",
-    "command": "that made the file",
-    "numbers": "how many were tuned",
-    "seconds": "that this took on one core",
-    "held_out": "figures on episodes that were not tuned on",
+    "command": "the command that made the file",
+    "numbers": "how many numbers were tuned",
+    "seconds": "the time that tuning took on one core",
+    "held_out": "figures on episodes that were not used for tuning",
 }
 
 
@@ -39,15 +40,15 @@ class Bank:
     """Modes that each keep their own belief, and the parameters of their interaction.
 
     Attributes:
-        modes: one or more; no name twice.
-        transition: (modes, modes) probabilities (from, to) over a second; None to stay with
-            probability 0.95.
-        nis_quantile: chi-square quantile up to which the NIS of a link counts in a likelihood; 1
-            for all of it, as in the textbook.
+        modes: one or more modes with different names.
+        transition: (modes, modes) probabilities (from, to) over a second; None for modes that
+            stay with probability 0.95.
+        nis_quantile: chi-square quantile that caps the NIS of each group of measurements in a
+            mode's likelihood; 1 for no cap, as in the textbook.
 
     Raises:
-        ValueError: no modes, a name twice, a quantile outside (0, 1], another shape of the
-            transition, rows that are no probabilities, or a mode that none leads to.
+        ValueError: there are no modes, names are equal, the quantile is outside (0, 1], the
+            transition has a wrong shape, rows are not probabilities, or a mode is unreachable.
     """
 
     modes: Annotated[tuple[Mode, ...], Size(1, MOST_MODES)]
@@ -58,7 +59,7 @@ class Bank:
         require_fields(self)
         names = [mode.name for mode in self.modes]
         if len(set(names)) < len(names):
-            raise ValueError(f"modes: found {names}, expected no name twice")
+            raise ValueError(f"modes: found {names}, expected different names")
         if self.transition is None:
             return
         rows, n = self.transition, len(names)
@@ -66,7 +67,7 @@ class Bank:
         if len(rows) != n or not sound or not all(map(any, zip(*rows, strict=True))):
             raise ValueError(
                 f"transition: found {[list(row) for row in rows]}, expected {n} rows of {n} "
-                "probabilities that sum to 1, and none of the modes out of reach"
+                "probabilities that sum to 1, and a way into every mode"
             )
 
 
@@ -75,7 +76,7 @@ Modes = Bank | Sequence[Mode | str] | Mapping[str, Any] | str | os.PathLike[str]
 
 
 def settings_of(bank: Bank, layout: Layout) -> ImmSettings:
-    """Return the parameters of a bank as numbers, for measurements of a layout."""
+    """Return the parameters of a bank as numbers, for measurements with this layout."""
     limits = chi_square_limits(bank.nis_quantile)
 
     return ImmSettings(
@@ -89,9 +90,9 @@ def settings_of(bank: Bank, layout: Layout) -> ImmSettings:
 
 
 def bank_in(content: Mapping[str, Any]) -> Bank:
-    """Return the bank of a mode file's content, or of a mapping of the same form.
+    """Return the bank in a mode file's content, or in a mapping of the same form.
 
-    The key "modes" holds a list of modes, each with the attributes of :class:`Mode` that differ
+    The key "modes" contains a list of modes, each with the attributes of :class:`Mode` that differ
     from the defaults; the other keys are the attributes of :class:`Bank` and :data:`NOTES`.
 
     Raises:
@@ -103,7 +104,7 @@ def bank_in(content: Mapping[str, Any]) -> Bank:
 
 
 def read_bank(path: str | os.PathLike[str]) -> Bank:
-    """Read the bank of a mode file, which is JSON as ``mmwave-loc tune`` writes it.
+    """Read the bank from a mode file, a JSON file like those that ``mmwave-loc tune`` writes.
 
     Raises:
         ValueError: the file is wrong; the message names the file and the error.
@@ -113,10 +114,10 @@ def read_bank(path: str | os.PathLike[str]) -> Bank:
 
 
 def as_written(mode: Mode) -> dict[str, Any]:
-    """Return a mode as a mode file holds it.
+    """Return a mode in the form that mode files contain.
 
     Raises:
-        ValueError: the mode's algorithm is a function, which no file can hold.
+        ValueError: the mode's algorithm is a function, which cannot be written to a file.
     """
     if not isinstance(mode.algorithm, str):
         raise ValueError(f"algorithm of mode {mode.name!r}: found a function, expected a name")
@@ -126,10 +127,10 @@ def as_written(mode: Mode) -> dict[str, Any]:
 
 
 def bank_as_written(bank: Bank) -> dict[str, Any]:
-    """Return the whole bank as JSON files hold it; :func:`bank_in` reads the result.
+    """Return the complete bank in the form that JSON files contain and :func:`bank_in` reads.
 
     Raises:
-        ValueError: as for :func:`as_written`.
+        ValueError: same as for :func:`as_written`.
     """
     return {**asdict(bank), "modes": [as_written(mode) for mode in bank.modes]}
 
@@ -137,14 +138,14 @@ def bank_as_written(bank: Bank) -> dict[str, Any]:
 # --- shipped
 
 
-@cache  # so that it warns once
+@cache  # so that it warns only once for each radio
 def _tuned_profile(radio: Radio) -> str:
     """Return the radio's base, the shipped profile whose modes and banks are used for it."""
     if radio.name not in RADIOS:
         warnings.warn(
-            f"radio {radio.name!r}: found no modes tuned for it, took those of {radio.base!r}; "
-            f"mmwave-loc tune --radio {radio.name}.json --out modes.json tunes modes= and --modes, "
-            "with --bank a bank",
+            f"radio {radio.name!r}: found no modes tuned for it, using those of {radio.base!r}; "
+            f"mmwave-loc tune --radio {radio.name}.json --out modes.json tunes modes= and --modes; "
+            "add --bank to tune a bank",
             stacklevel=3,
         )
     return radio.base
@@ -160,7 +161,7 @@ def shipped_modes(radio: str, coupling: bool = True) -> tuple[Mode, ...]:
 
     Args:
         radio: name of the profile.
-        coupling: False for the modes with the paper's plain diagonal process noise.
+        coupling: False for the modes with the paper's diagonal process noise covariance.
     """
     return _shipped(f"modes/{radio}{'' if coupling else '-diagonal'}").modes
 
@@ -172,7 +173,7 @@ def default_modes(radio: str | Radio = "handset") -> tuple[Mode, Mode]:
 
 
 def named_modes(radio: str | Radio = "handset") -> dict[str, Mode]:
-    """Return "ekf", "ukf" (the default two), "ckf" (the UKF's tuning) and the two robust modes."""
+    """Return modes by name: "ekf", "ukf" (the default two), "ckf" (tuned as "ukf"), robust ones."""
     low, high = default_modes(radio)
     modes = (low, high, replace(high, name="ckf", algorithm="ckf"), robust(low), robust(high))
     return {mode.name: mode for mode in modes}
@@ -182,7 +183,7 @@ def best_bank(radio: str | Radio = "handset") -> Bank:
     """Return the bank of the best IMM that ``mmwave-loc tune --bank`` found for a radio profile.
 
     Args:
-        radio: profile; one without a tuned bank gets the bank of its base, with one warning.
+        radio: profile; without a tuned bank of its own, it gets its base's bank, with a warning.
     """
     return _shipped(f"banks/{_tuned_profile(radio_from(radio))}")
 
@@ -195,11 +196,11 @@ def bank_over(modes: Modes, radio: str | Radio = "handset") -> Bank:
 
     Args:
         modes: a list of names, mode files and Mode objects; a bank; one mode file, or its
-            content. A single file also gives the interaction of its modes.
+            content. A single file also defines how its modes interact.
         radio: profile that named modes are tuned for.
 
     Raises:
-        ValueError: as for :class:`Bank`, or an entry is no mode.
+        ValueError: same as for :class:`Bank`, or an entry is not a mode.
     """
     if isinstance(modes, Bank):
         return modes
@@ -223,7 +224,7 @@ def _bank_of(mode: Mode | str, radio: str | Radio) -> Bank:
 
 
 def modes_from(modes: Modes, radio: str | Radio = "handset") -> tuple[Mode, ...]:
-    """Return the modes of a ``modes=`` argument, as for :func:`bank_over`; by default two."""
+    """Return the modes of a ``modes=`` argument (see :func:`bank_over`); the default for None."""
     return default_modes(radio) if modes is None else bank_over(modes, radio).modes
 
 
@@ -231,16 +232,16 @@ def bank_from(modes: Modes, radio: str | Radio = "handset") -> Bank:
     """Return the bank of a ``modes=`` argument for modes that each keep their own belief.
 
     Args:
-        modes: as for :func:`bank_over`; None for :func:`best_bank`.
+        modes: same as for :func:`bank_over`; None for :func:`best_bank`.
         radio: profile that named modes are tuned for.
 
     Raises:
-        ValueError: as for :func:`bank_over`, or there are fewer than two modes.
+        ValueError: same as for :func:`bank_over`, or there are fewer than two modes.
     """
     bank = best_bank(radio) if modes is None else bank_over(modes, radio)
     if len(bank.modes) < 2:
         raise ValueError(
-            f"modes: found {bank.modes[0].name!r} alone, expected two or more where every mode "
+            f"modes: found only {bank.modes[0].name!r}, expected two or more, as every mode "
             "keeps its own belief"
         )
     return bank

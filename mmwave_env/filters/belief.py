@@ -8,7 +8,7 @@ from mmwave_env.numerics.numbers import Matrix, Number, Vector, log, sqrt
 
 
 class Belief(NamedTuple):
-    """The belief of an estimator, as a reward sees it.
+    """The belief of an estimator, which reward functions receive.
 
     Attributes:
         x: (7,) mean: position (m), velocity (m/s), oscillator bias (Hz).
@@ -30,7 +30,7 @@ class Belief(NamedTuple):
         return sqrt(dot(e, e))
 
     def nees(self, truth: Vector) -> Number:
-        """Return the position's normalized estimation error squared, expected ``len(axes)``."""
+        """Return the position's normalized estimation error squared; its mean is ``len(axes)``."""
         return self._whiten(truth)[0]
 
     def log_density(self, truth: Vector) -> Number:

@@ -1,9 +1,9 @@
-"""Trial runs of a user's algorithm before it is compiled: on floats, and as lanes would call it.
+"""Trial runs of a user's algorithm before it is compiled: on floats, and on imitated SIMD lanes.
 
-The compiler calls a function once, with numbers that stand for eight environments. A trial run
-does the same with probes, which refuse the operations that lanes refuse, but remember the value
-that they hide. So a trial takes milliseconds, knows the line that asked for a value, and detects
-a function that returns other values on lanes than on floats.
+The compiler calls a function once, with lanes, numbers that stand for eight environments. A trial
+run uses probes instead. They refuse the same operations as lanes, but each carries an actual value,
+hidden from the function. So a trial takes milliseconds, can name the line that asked for a value,
+and detects a function that returns different values on lanes than on floats.
 """
 
 import linecache
@@ -28,7 +28,7 @@ from mmwave_env.numerics.pytree import flatten, unflatten
 from mmwave_env.numerics.tracer import FloatTracer, NoValueError, Tracer, value_of
 
 _LANES_KNOW = (
-    "a number on lanes knows +, -, *, /, <, <=, >, >=, abs and the functions of "
+    "a number on lanes supports only +, -, *, /, <, <=, >, >=, abs and the functions of "
     "mmwave_env.numerics.numbers"
 )
 
@@ -41,7 +41,7 @@ _LIBRARIES = (
 
 
 class AlgorithmError(TypeError):
-    """An error for a user's algorithm that cannot run: where, why, and what to write instead."""
+    """An error in a user's algorithm; it says where, why, and what to write instead."""
 
 
 class Line(NamedTuple):
@@ -63,15 +63,15 @@ class _Trial(NamedTuple):
     x: list[Number]
     P: list[Number]
     measured: list[Any]  # the fields of a Measurement before its layout
-    rows: list[Any]  # those after it: measured and doppler_of; none unless the layout is partial
+    rows: list[Any]  # the fields after its layout; empty unless the layout is partial
     force: Number
 
 
 def _trials(layout: Layout) -> Iterator[_Trial]:
     """Yield an epoch that measures everything, and one with an outlier and missing groups.
 
-    In a partial layout yield another one that measures some rows, and the Doppler shift of another
-    anchor.
+    In a partial layout, also yield an epoch that measures only some rows, and the Doppler shift at
+    another anchor.
     """
     hz_per_mps, scale = 93.4, [2.0, 1.5, 0.5, 1.0, 0.8, 0.2, 30.0]
     x = [12.0, -7.0, 1.5, 3.0, -2.0, 0.1, 20.0]
@@ -104,8 +104,8 @@ def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> 
     """Try the algorithm of a mode, unless it is built in.
 
     Raises:
-        AlgorithmError: the algorithm takes other arguments or changes them, returns no
-            posterior, cannot run on lanes, or returns other values on lanes than on floats.
+        AlgorithmError: the algorithm has the wrong arguments, modifies them, does not return a
+            posterior, cannot run on lanes, or returns different values on lanes than on floats.
     """
     if mode.update not in ALGORITHMS.values():
         _check(mode, layout, known_axes)
@@ -142,7 +142,7 @@ def _uses_missing_rows(
         if abs(number - other) > 1e-9 * (1.0 + abs(number)):
             yield (
                 f"{place}: {number!r}, and {other!r} with other values in rows that are missing, "
-                "expected the same (times measurement.measured)"
+                "expected the same: multiply by measurement.measured"
             )
 
 
@@ -193,12 +193,12 @@ def _run(mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial)
         advice = f"{type(error).__name__}: {error}"
         if isinstance(force, FloatTracer) and isinstance(error, TypeError | AttributeError):
             advice = f"{advice}\n{_LANES_KNOW}"
-        line = line_of(error, mode.update) or begin_of(mode.update)  # another signature
+        line = line_of(error, mode.update) or begin_of(mode.update)  # it was not entered
         raise _error(mode, "failed on trial", line, advice) from error
     for name, argument, old in zip(("x", "P", "measurement"), arguments, before, strict=True):
         new = flatten(argument)
         if len(new) != len(old) or any(a is not b for a, b in zip(new, old, strict=True)):
-            problem = f"changed its argument {name}, expected it to be left as it is"
+            problem = f"changed its argument {name}, expected it to remain unchanged"
             raise _error(mode, problem, begin_of(mode.update))
     return result
 
@@ -206,7 +206,7 @@ def _run(mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial)
 def _wrong_shapes(layout: Layout, result: Any) -> Iterator[str]:
     """Yield the parts of a posterior that are missing, or have a wrong type or shape."""
     if not isinstance(result, Posterior):
-        yield f"{_kind(result)}, expected a Posterior of mmwave_env.filters.update"
+        yield f"{_kind(result)}, expected a Posterior from mmwave_env.filters.update"
         return
     state, groups = [0.0] * STATE_SIZE, [0.0] * len(layout.groups)
     expected = Posterior(state, [state] * STATE_SIZE, groups, groups, 0.0)
@@ -229,7 +229,7 @@ def _wrong_parts(name: str, value: Any, like: Any) -> Iterator[str]:
 
 
 def _numbers(name: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the name and the value of every number of a part of a posterior."""
+    """Yield the name and the value of every number in a part of a posterior."""
     if isinstance(value, list):
         for i, part in enumerate(value):
             yield from _numbers(f"{name}[{i}]", part)
@@ -243,10 +243,7 @@ def _kind(value: Any) -> str:
 
 
 def _unsound(trial: _Trial, result: Posterior, on_lanes: Posterior) -> Iterator[str]:
-    """Yield numbers that are not finite, asymmetric entries of P, and uses of missing groups.
-
-    Yield numbers that differ on lanes, too.
-    """
+    """Yield what is wrong: not finite, asymmetric, different on lanes, or using missing groups."""
     values = [pair for field in result._asdict().items() for pair in _numbers(*field)]
     for place, number in values:
         if not math.isfinite(number):
@@ -263,11 +260,11 @@ def _unsound(trial: _Trial, result: Posterior, on_lanes: Posterior) -> Iterator[
         if not visible and (result.nis[g] or result.accepted[g]):
             yield (
                 f"nis[{g}]: {result.nis[g]:g} and accepted[{g}]: {result.accepted[g]:g} of a "
-                "missing group, expected 0 (times measurement.visible)"
+                "missing group, expected 0: multiply by measurement.visible"
             )
     for (place, number), other in zip(values, flatten(on_lanes), strict=True):
         if number != value_of(other):
             yield (
                 f"{place}: {number!r} on floats and {value_of(other)!r} on lanes, expected the "
-                "same: it may ask for the type of a number, draw at random or remember calls"
+                "same: it must not depend on a number's type, random numbers or earlier calls"
             )

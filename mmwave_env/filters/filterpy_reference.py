@@ -1,8 +1,8 @@
 """Modes that run on filterpy's filters: slow, and independent of the filters of this package.
 
-Prediction, sigma points, innovation, gain and covariance are filterpy's; the measurement
-function and its Jacobian are those of :class:`~mmwave_env.filters.textbook.Sensor`, row by row (no
-fused azimuths, no latents). Tests, the benchmark and doubting users compare the two
+Prediction, sigma points, innovation, gain and covariance come from filterpy; the measurement
+function and its Jacobian come from :class:`~mmwave_env.filters.textbook.Sensor`, row by row,
+without fused azimuths or latents. Tests, the benchmark and users in doubt compare the two
 implementations. Run it on floats: ``Engine(filterpy_pipeline(pipeline), ..., on_floats=True)``.
 
 An update works in coordinates relative to the prior mean, dx = x - m and dz = z - h(m): angle
@@ -74,7 +74,7 @@ class _Relative:
 
 
 class _Filtered(NamedTuple):
-    """The result of a filterpy filter's update: step of the mean, covariance, y and S."""
+    """The result of a filterpy update: step of the mean, P, innovation y and its covariance S."""
 
     step: Array
     P: Array
@@ -135,7 +135,7 @@ class _Ukf(_PointFilter):
 
 
 class _Ckf(_PointFilter):
-    """The CKF of filterpy, which needs columns, a fixed number of rows and points of its caller."""
+    """The CKF of filterpy; its caller must set its points and arrays, and pass column vectors."""
 
     def __init__(self) -> None:
         self._filter = CubatureKalmanFilter(_STATES, 1, 1.0, None, None)
@@ -155,18 +155,18 @@ _FILTERS: dict[str, Callable[[], _Filter]] = {"ekf": _Ekf, "ukf": _Ukf, "ckf": _
 
 
 def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
-    """Return the pipeline with filterpy's filters in place of this package's.
+    """Return the pipeline with filterpy's filters instead of this package's.
 
     Raises:
         ValueError: filterpy's filters cannot run the pipeline: it has flat terrain (the filters
-            need a covariance of full rank), or algorithms of the user.
+            need a covariance of full rank), or a user's algorithms.
     """
     if pipeline.planar:
         raise ValueError(
             "planar: found True, but filterpy's filters need a covariance of full rank; use "
             "planar=False or this package's own filters"
         )
-    # One filter per algorithm; its state is set anew for every step.
+    # There is one filter per algorithm; every step sets its state.
     filters = {mode.algorithm: _filter_of(mode) for mode in pipeline.modes}
 
     def predict(
@@ -191,7 +191,7 @@ def _filter_of(mode: Mode) -> _Filter:
 def _update(
     filter_: _Filter, mean: Vector, covariance: Matrix, measurement: Measurement, gate: Gate
 ) -> Posterior:
-    """Update with every visible group; if a gate rejects a group, again with the accepted ones."""
+    """Update with all visible groups; if the gates change them, update again with the result."""
     x, P = np.array(mean, float), np.array(covariance, float)
     layout, relative = measurement.layout, _Relative(x, measurement)
     R = np.diag(np.array(measurement.variance, float))

@@ -1,4 +1,4 @@
-"""Gates, which choose the groups of a measurement to use, and their noise (paper, Sec. III-D).
+"""Gates, which decide which groups of a measurement to use, and their noise (paper, Sec. III-D).
 
 The normalized innovation squared (NIS) of a group is tested against a chi-square quantile.
 """
@@ -11,17 +11,17 @@ from mmwave_env.models.measurement import Group, Measurement
 from mmwave_env.numerics.linalg import cholesky, dot, forward, symmetric
 from mmwave_env.numerics.numbers import Matrix, Number, log, maximum, where
 
-_GROUPS_PER_LOG = 8  # determinants whose product a double can hold before its log is taken
-ROBUST_ONSET = 1.5  # ratio of a group's NIS to its dimension above which it is doubtful
+_GROUPS_PER_LOG = 8  # a double can hold the product of this many determinants
+ROBUST_ONSET = 1.5  # a link is doubtful if the ratio of its NIS to its dimension exceeds this
 
 
 class Gate(NamedTuple):
     """The rule for measurements that look wrong.
 
     Attributes:
-        quantile: chi-square quantile up to which a group is accepted; None accepts all.
+        quantile: chi-square quantile up to which a group is accepted; None to accept all.
         force: 1 to accept the links whatever their NIS (lock-out recovery), else 0.
-        robust: inflate the noise of a doubtful link instead of rejecting it.
+        robust: whether to inflate the noise of a doubtful link instead of rejecting it.
     """
 
     quantile: float | None
@@ -32,7 +32,7 @@ class Gate(NamedTuple):
 def innovation_statistics(group: Group, V: Matrix, latents: Latents) -> tuple[Number, Number]:
     """Return NIS y' S^-1 y and determinant of S, a group's innovation covariance, at the prior.
 
-    S is V cov(eta) V' + R in latents; :mod:`~mmwave_env.filters.textbook` has the form H P H' + R.
+    In latents, S is V cov(eta) V' + R; in :mod:`~mmwave_env.filters.textbook`, it is H P H' + R.
     """
     shift = [latents.shift(row) for row in V]
     variance = latents.variance
@@ -51,14 +51,14 @@ def innovation_statistics(group: Group, V: Matrix, latents: Latents) -> tuple[Nu
 
 
 def chi_square_limits(quantile: float) -> list[float]:
-    """Return the chi-square quantiles of 1 to 4 degrees of freedom, the most that a group has."""
+    """Return the chi-square quantiles for 1 to 4 degrees of freedom; a group has at most 4."""
     from scipy.special import chdtri  # imported here: describing a mode does not need it
 
     return [float(chdtri(rows, 1.0 - quantile)) for rows in range(1, 5)]
 
 
 def at_degrees(limits: Sequence[Number], rows: Number) -> Number:
-    """Return the limit at a number of degrees of freedom, from the limits of 1, 2, ... of them."""
+    """Return the limit for a number of degrees of freedom, given the limits for 1, 2, ... ."""
     if isinstance(rows, int):
         return limits[rows - 1]
     limit = limits[0]
@@ -68,7 +68,7 @@ def at_degrees(limits: Sequence[Number], rows: Number) -> Number:
 
 
 def passes(nis: Number, rows: Number, quantile: float | None) -> Number:
-    """Return 1 where the NIS of a group with that number of rows is within its gate, else 0."""
+    """Return 1 if the NIS of a group with this number of rows is within its gate, else 0."""
     if quantile is None:
         return 1.0
     return where(nis <= at_degrees(chi_square_limits(quantile), rows), 1.0, 0.0)
@@ -77,10 +77,10 @@ def passes(nis: Number, rows: Number, quantile: float | None) -> Number:
 class GateResult(NamedTuple):
     """The decisions of the gates about each group, at the prior."""
 
-    # nis, accepted, log_likelihood: as in :class:`~mmwave_env.filters.update.Posterior`
+    # nis, accepted, log_likelihood: same as in :class:`~mmwave_env.filters.update.Posterior`
     nis: list[Number]
     accepted: list[Number]
-    noise: list[list[Number]]  # per group, (k,) noise variances, inflated where doubtful
+    noise: list[list[Number]]  # per group, (k,) noise variances, inflated if doubtful
     log_likelihood: Number
 
 
@@ -99,7 +99,7 @@ def gate_groups(prior: Prior, measurement: Measurement, gate: Gate) -> GateResul
         likelihood = likelihood - 0.5 * nis[-1]
         if g % _GROUPS_PER_LOG == _GROUPS_PER_LOG - 1 or g == len(groups) - 1:
             likelihood, density = likelihood - 0.5 * log(density), 1.0
-        if gate.robust and is_link:  # inflate the noise of a NIS too large for its dimension
+        if gate.robust and is_link:  # inflate the noise if the NIS is too large
             ratio = value * (1.0 / (ROBUST_ONSET * maximum(rows, 1)))
             doubt = where(ratio > 1.0, ratio * ratio, 1.0)
             accepted.append(visible)

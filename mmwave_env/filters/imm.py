@@ -1,4 +1,4 @@
-"""Interacting multiple models: all modes run, weighed by how well they explain the data.
+"""Interacting multiple models: all modes run, weighted by how well they explain the data.
 
 Sources: Blom and Bar-Shalom 1988; Bar-Shalom, Li and Kirubarajan 2001, Sec. 11.6.6. The modes
 are the pipelines that an agent switches between, each with its own gates and scaling. The book's
@@ -23,8 +23,8 @@ from mmwave_env.numerics.numbers import Matrix, Number, Vector, exp, maximum, mi
 from mmwave_env.numerics.pytree import select, tree_at
 
 DEFAULT_STAY = 0.95  # probability that a mode stays the same over a second
-TRUST = 3.0  # log of the factor on the probability of a mode that an agent trusts for a second
-_LEAST = 1e-12  # least probability of a mode, since a probability of zero could not grow again
+TRUST = 3.0  # an agent's trust multiplies a mode's probability by exp(TRUST) per second
+_LEAST = 1e-12  # minimum probability of a mode; a probability of zero could not grow again
 
 
 class ImmSettings(NamedTuple):
@@ -32,8 +32,8 @@ class ImmSettings(NamedTuple):
 
     transition: list[list[Number]]  # (modes, modes) probabilities (from, to) over a second
     tunings: list[Tuning]  # motion model of every mode
-    # (groups,) as in :func:`~mmwave_env.filters.update.limited_likelihood`; infinite in the
-    # textbook. In a partial layout (4,), of groups with 1 to 4 measured rows
+    # (groups,) limits for :func:`~mmwave_env.filters.update.limited_likelihood`; infinite in the
+    # textbook. In a partial layout (4,), limits for groups with 1 to 4 measured rows
     limits: list[Number]
 
 
@@ -50,7 +50,7 @@ class Mixture(NamedTuple):
     """The belief of an IMM."""
 
     tracks: list[ModeTrack]  # one per mode
-    probability: list[Number]  # (modes,) of each mode
+    probability: list[Number]  # (modes,) probability of each mode
 
 
 def begin(pipeline: Pipeline, x: Vector, P: Vector) -> Mixture:
@@ -61,7 +61,7 @@ def begin(pipeline: Pipeline, x: Vector, P: Vector) -> Mixture:
 
 
 def stay_matrix(modes: int, stay: float = DEFAULT_STAY) -> tuple[tuple[float, ...], ...]:
-    """Return transition probabilities (from, to): all other modes are equally probable."""
+    """Return transition probabilities (from, to), which are equal for all other modes."""
     if modes == 1:
         return ((1.0,),)
     move = (1.0 - stay) / (modes - 1)
@@ -100,8 +100,8 @@ def mix(mixture: Mixture, transition: Matrix) -> tuple[list[Number], list[tuple[
 def over_step(transition: Matrix, dt: Number) -> list[list[Number]]:
     """Return transition probabilities (from, to) over a step, given the probabilities per second.
 
-    A mode is left at a rate of 1 - p_ii per second. The first epoch of an episode, whose step is 0,
-    and steps above a second count as one second, so that rows stay probabilities.
+    Mode i is left at a rate of 1 - p_ii per second. A step above a second counts as one second, so
+    that rows stay probabilities. So does the first epoch of an episode, whose step is 0.
     """
     step = step_weight(dt)
     return [
@@ -111,7 +111,7 @@ def over_step(transition: Matrix, dt: Number) -> list[list[Number]]:
 
 
 def step_weight(dt: Number) -> Number:
-    """Return the share of a change per second that a step of dt seconds brings."""
+    """Return the fraction of a change per second that occurs in a step of dt seconds."""
     return where(dt > 0.0, minimum(dt, 1.0), 1.0)
 
 
@@ -120,19 +120,19 @@ class ImmEpoch(NamedTuple):
 
     mixture: Mixture  # belief after the epoch
     predicted: list[Number]  # (modes,) probabilities before the epoch's measurement
-    mixed: list[Vector]  # (modes,) means (7,) of the mixed beliefs, unpredicted
+    mixed: list[Vector]  # (modes,) means (7,) of the mixed beliefs, before prediction
     results: list[ModeResult]  # result of every mode, from its mixed belief
 
 
 def imm_epoch(
     pipeline: Pipeline, settings: ImmSettings, mixture: Mixture, epoch: Epoch, site: Site
 ) -> ImmEpoch:
-    """Run an epoch: mix the beliefs, run every mode, weigh the modes by their likelihood.
+    """Run an epoch: mix the beliefs, run every mode, weight the modes by their likelihood.
 
     Args:
-        pipeline, epoch, site: as for :func:`~mmwave_env.filters.pipeline.predict_update`.
-        settings: transition, limits and the tunings that replace the modes' own.
-        mixture: belief after the epoch before.
+        pipeline, epoch, site: same as for :func:`~mmwave_env.filters.pipeline.predict_update`.
+        settings: transition, limits, and tunings that replace the modes' own.
+        mixture: belief after the previous epoch.
     """
     predicted, mixed = mix(mixture, over_step(settings.transition, epoch.dt))
     tracks, results = [], []
@@ -184,7 +184,7 @@ def _normalized(weights: Sequence[Number]) -> list[Number]:
 
 
 def most_probable(mixture: Mixture) -> Number:
-    """Return the number of the most probable mode, the first among equals."""
+    """Return the number of the most probable mode, from 0; in a tie, of the first one."""
     number: Number = 0.0
     best = mixture.probability[0]
     for m, probability in enumerate(mixture.probability[1:], start=1):
@@ -201,18 +201,18 @@ def most_probable_memory(mixture: Mixture) -> Memory:
 
 
 def estimate(mixture: Mixture) -> tuple[list[Number], list[list[Number]]]:
-    """Return the mean (7,) and the covariance (7, 7) of the whole mixture."""
+    """Return the mean (7,) and the covariance (7, 7) of a mixture."""
     means, covariances, _ = zip(*mixture.tracks, strict=True)
     x, P = moments(mixture.probability, means, covariances)
     return x, unpack(P)
 
 
 def prediction(now: ImmEpoch, dt: Number) -> tuple[list[Number], list[Number]]:
-    """Return the whole mixture's mean (7,) and packed covariance (28,) before an epoch's update.
+    """Return the mixture's mean (7,) and packed covariance (28,) before an epoch's update.
 
     The Rauch-Tung-Striebel smoother assumes x_predicted = F x + noise, where the noise does not
-    depend on x. So the accelerations of modes count as such noise, without their correlation with
-    the modes' means: with the correlation, smoothed variances could fall below zero.
+    depend on x. So the accelerations of modes are treated as noise, and their correlation with the
+    modes' means is left out; with it, smoothed variances could fall below zero.
 
     Args:
         now: the epoch.

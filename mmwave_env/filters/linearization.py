@@ -1,7 +1,7 @@
 """Two linearizations of a measurement at a Gaussian prior: tangent and sigma points.
 
-The prior is x = m + L xi with xi ~ N(0, I) and L the lower Cholesky factor. Both make a
-group of measurements linear in *latents*:
+The prior is x = m + L xi with xi ~ N(0, I) and L the lower Cholesky factor. Both linearizations
+express a group of measurements as linear in *latents* eta:
 
     h(x) = h(m) + mean shift + V eta + noise,   eta = (xi, kappa)
 
@@ -11,7 +11,7 @@ V_kappa_j = up + down, because the 2n + 1 points' covariance is exactly V cov(et
 cov(kappa) = (w / 2) I + bend w^2 1 1'. So one computation serves both filters.
 
 Only columns 0 to 2 of L move the position, so latents are kept in the order
-[xi_0..2, kappa, xi_3..6]: the links depend on the first 3 + len(kappa) latents alone.
+[xi_0..2, kappa, xi_3..6]: the links depend only on the first 3 + len(kappa) latents.
 
 Source: Julier and Uhlmann 2004, Sec. IV (scaled sigma points as in van der Merwe 2004).
 The cubature filter (Arasaratnam and Haykin 2009) is alpha = 1, beta = 0, kappa = 0. The textbook
@@ -48,7 +48,7 @@ class SigmaPoints:
     """Scaled symmetric sigma points (2 n + 1 of them, n = 7).
 
     Attributes:
-        alpha, beta, kappa: the usual parameters; positive alpha^2 (n + kappa).
+        alpha, beta, kappa: the usual parameters; alpha^2 (n + kappa) must be positive.
     """
 
     alpha: float = 1.0
@@ -66,12 +66,12 @@ class SigmaPoints:
             raise ValueError(
                 f"beta: found {self.beta}, expected at least "
                 f"{self.alpha**2 - spread / STATE_SIZE:g} for alpha {self.alpha} and kappa "
-                f"{self.kappa}, or the curvature has no covariance"
+                f"{self.kappa}, so that the curvature has a covariance"
             )
 
     @property
     def reach(self) -> float:
-        """Return the distance of the points from the mean, in columns of L."""
+        """Return the distance of the points from the mean, as a multiple of the columns of L."""
         return self.alpha * float((STATE_SIZE + self.kappa) ** 0.5)
 
     def latents(self, curved: int) -> "Latents":
@@ -98,7 +98,7 @@ Linearization = Tangent | SigmaPoints
 
 @dataclass(frozen=True)
 class Latents:
-    """The moments of eta = [xi_0..2, kappa, xi_3..6]."""
+    """The moments of the latents eta = [xi_0..2, kappa, xi_3..6]."""
 
     curvatures: int  # number of curvature latents
     weight: float  # w, the weight of an outer sigma point

@@ -1,7 +1,7 @@
-"""The memory of a track: the window of adaptive scaling, averages and the lock-out counter.
+"""The memory of a track: the window for adaptive scaling, averages and the lock-out counter.
 
-The memory is updated twice per epoch: :func:`memory_before` takes in the coming epoch before a mode
-is chosen, :func:`memory_after` takes in the result of the chosen mode.
+The memory is updated twice per epoch: :func:`memory_before` adds the coming epoch before a mode is
+chosen, and :func:`memory_after` adds the result of the chosen mode.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from mmwave_env.models.motion import move
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Number, Vector, clip, sqrt, where
 
-WINDOW = 10  # epochs of the adaptive scaling's window
+WINDOW = 10  # number of epochs in the window for adaptive scaling
 GAMMA_LIMITS = (0.5, 2.0)  # paper, Sec. III-E
 NIS_MEMORY = (0.6, 0.9)  # weights of the past in the fast and the slow NIS average
 CORRECTION_MEMORY = 0.8
@@ -22,17 +22,17 @@ PREFERENCE_MEMORY = (0.6, 0.85)  # weights of the past in averages of log-likeli
 PREFERENCE_LIMIT = 30.0
 SNR_MEMORY = 0.95
 SPREAD_MEMORY = 0.8
-SNR_UNSEEN_DB = -100.0  # slow mean SNR of a link that was never seen
+SNR_UNSEEN_DB = -100.0  # slow mean SNR of a link that has never been measured
 
 
 class Memory(NamedTuple):
     """Statistics of a track's measurements so far."""
 
     mode: Number  # number of the mode that ran last
-    lockout: Number  # epochs in a row in which every visible link failed its gate
+    lockout: Number  # number of consecutive epochs in which every visible link failed its gate
     window: list[Number]  # (WINDOW,) latest NIS / dof of the accepted groups
     gamma: Number  # adaptive scale of Q and R
-    # nis, accepted, rejected: (groups,) in the last epoch; a missing group is neither of the two
+    # nis, accepted, rejected: (groups,) in the last epoch; both flags of a missing group are 0
     nis: list[Number]
     accepted: list[Number]
     rejected: list[Number]
@@ -48,7 +48,7 @@ class Memory(NamedTuple):
 
 
 def initial_memory(layout: Layout, modes: int) -> Memory:
-    """Return the memory of a track without measurements, with that number of modes."""
+    """Return the memory of a track before its first measurement."""
     groups, anchors = len(layout.groups), layout.anchors
     return Memory(
         mode=0.0,
@@ -70,7 +70,7 @@ def initial_memory(layout: Layout, modes: int) -> Memory:
 def memory_before(
     memory: Memory, candidates: Sequence[ModeResult], epoch: Epoch, layout: Layout
 ) -> Memory:
-    """Return the memory after taking in the coming epoch, before any mode is chosen."""
+    """Return the memory with the coming epoch added, before any mode is chosen."""
     snr = []
     for visible, now, mean in zip(epoch.visible, epoch.snr_db, memory.snr_mean_db, strict=False):
         grown = SNR_MEMORY * mean + (1.0 - SNR_MEMORY) * now
@@ -100,15 +100,15 @@ def memory_after(
     visible: Vector,
     measured: Vector = (),
 ) -> Memory:
-    """Return the memory after a candidate has become the belief.
+    """Return the memory after a candidate, the result of a mode, has become the belief.
 
     Args:
         layout: rows of the measurement vector.
         mode, chosen: the candidate's number, and the candidate.
-        before: (7,) mean before the epoch, unpredicted.
-        memory: as :func:`memory_before` left it.
+        before: (7,) mean before the epoch and its prediction.
+        memory: the memory that :func:`memory_before` returned.
         dt, visible: the epoch's step, seconds, and its visible groups (groups,).
-        measured: as in :class:`~mmwave_env.models.measurement.Epoch`.
+        measured: same as in :class:`~mmwave_env.models.measurement.Epoch`.
     """
     accepted_dof = dot(chosen.accepted, [1.0 * rows for rows in layout.degrees(measured)])
     some = accepted_dof > 0.5
@@ -119,8 +119,8 @@ def memory_after(
     ]
     each_link = [1.0] * layout.anchors
     links, fixes = dot(each_link, visible), dot(each_link, chosen.accepted)
-    # A forced update does not end a lock-out: one position, reached with a wrong velocity, is
-    # no track. Links stay accepted until one of them passes its gate again.
+    # A forced update does not end a lock-out: it corrects the position, but the velocity may still
+    # be wrong. Links stay accepted until one of them passes its gate again.
     lockout = where(links > 0.5, memory.lockout + 1.0, memory.lockout)
     predicted = move(before, dt)
     step = [chosen.x[i] - predicted[i] for i in range(2)]

@@ -37,33 +37,33 @@ class Tuning(NamedTuple):
 class Mode:
     """One filter pipeline of the paper (Sec. III).
 
-    Process noise is given per square root of a second, so a tuning holds at any rate; at
+    Process noise is given per square root of a second, so a tuning is valid at any rate; at
     the paper's dt = 1 s the figures are the standard deviations per epoch.
 
     Attributes:
-        name: shown in tables and messages; up to 80 letters.
+        name: name to show in tables and messages; up to 80 letters.
         algorithm: "ekf", "ukf", "ckf", or a function with the signature of
             :data:`~mmwave_env.filters.update.Algorithm` (docs/own-filters.md).
         sigma_p: extra horizontal position noise, m / sqrt(s).
         sigma_v: horizontal velocity noise, (m/s) / sqrt(s).
         sigma_pz: extra vertical position noise, m / sqrt(s).
         sigma_vz: vertical velocity noise, (m/s) / sqrt(s).
-        sigma_b_mps: oscillator drift, (m/s) / sqrt(s); times f_c / c in hertz.
+        sigma_b_mps: oscillator drift, (m/s) / sqrt(s); multiply by f_c / c to get hertz.
         spread_gain: horizontal velocity variance per hertz of Doppler spread,
-            (m/s)^2 / s / Hz, on top of sigma_v^2 (paper, Sec. II-A).
+            (m/s)^2 / s / Hz, in addition to sigma_v^2 (paper, Sec. II-A).
         coupling: whether velocity noise also moves the position within a step (discrete
-            white-noise acceleration); False is the paper's plain diagonal.
-        acceleration_mps2: known acceleration along the predicted horizontal velocity, below zero
-            to brake, to a standstill at most; m/s^2.
-        turn_rate_radps: known turn rate of the predicted horizontal velocity, above zero to the
-            left; rad/s.
+            white-noise acceleration); False for the paper's diagonal Q.
+        acceleration_mps2: known acceleration along the predicted horizontal velocity, m/s^2; a
+            negative one brakes, at most to a standstill.
+        turn_rate_radps: known turn rate of the predicted horizontal velocity, rad/s; positive to
+            the left.
         gate: chi-square quantile of the gates; None for no gates (paper, Sec. III-D).
-        recovery: epochs in a row with every visible link rejected after which updates
-            accept the links until one passes its gate again; None for never, as in the paper.
-        adaptive: scale Q and R by the windowed mean of NIS (paper, Sec. III-E).
-        blockage_aware: inflate R of a link whose SNR has dropped below its slow mean.
-        robust: inflate R of a link with a large NIS instead of rejecting it.
-        cost: subtracted from the reward of every epoch that runs this mode.
+        recovery: number of consecutive epochs with every visible link rejected, after which links
+            are accepted until one passes its gate again; None for never, as in the paper.
+        adaptive: whether to scale Q and R by the windowed mean of NIS (paper, Sec. III-E).
+        blockage_aware: whether to inflate R of a link whose SNR fell below its slow mean.
+        robust: whether to inflate R of a link with a large NIS instead of rejecting it.
+        cost: amount to subtract from the reward of every epoch in which this mode runs.
     """
 
     name: Name
@@ -104,7 +104,7 @@ def robust(mode: Mode) -> Mode:
     """Return the mode with robust, blockage-aware updates of the links instead of gates.
 
     The returned mode has no adaptive scaling: a robust update already reacts to a large NIS, and
-    scaling Q and R by the NIS as well would count it twice.
+    scaling Q and R by the NIS, too, would count it twice.
     """
     name = f"{mode.name}-robust"
     return replace(mode, name=name, robust=True, blockage_aware=True, adaptive=False)

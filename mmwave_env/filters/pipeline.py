@@ -49,13 +49,13 @@ class Pipeline:
     Attributes:
         modes: the modes that are available.
         layout: rows of the measurement vector.
-        planar: flat terrain: z and vz stay at their prior values (paper, Sec. II-A). Sigma
-            points keep the spacing of seven state components.
+        planar: whether the terrain is flat: z and vz stay at their prior values (paper, Sec. II-A).
+            Sigma points keep the spacing for seven state components.
         predict, update: the filter's two steps, which the filterpy reference replaces.
 
     Raises:
-        AlgorithmError: a mode's own algorithm cannot run, on lanes or at all; the message
-            names the line and says what to write instead.
+        AlgorithmError: a user's algorithm cannot run, on SIMD lanes or at all; the message names
+            the line and says what to write instead.
     """
 
     modes: tuple[Mode, ...]
@@ -82,7 +82,7 @@ class Pipeline:
 def process_noise(
     tuning: Tuning, epoch: Epoch, hz_per_mps: Number, gamma: Number, planar: bool
 ) -> ProcessNoise:
-    """Return Q of an epoch: the tuning, adapted to the Doppler spread and scaled by gamma."""
+    """Return an epoch's Q: the tuning, adapted to the Doppler spread and scaled by gamma."""
     t = tuning
     velocity = t.sigma_v * t.sigma_v + t.spread_gain * epoch.doppler_spread_hz
     position = t.sigma_p * t.sigma_p
@@ -98,7 +98,7 @@ def process_noise(
 
 
 def _blockage(snr_db: Number, mean_db: Number) -> Number:
-    """Return the factor on the noise variance of a link whose SNR fell below its slow mean."""
+    """Return the factor for the noise variance of a link whose SNR fell below its slow mean."""
     depth = clip(
         (mean_db - snr_db - BLOCKAGE_ONSET_DB) * (1.0 / BLOCKAGE_SLOPE_DB), 0.0, BLOCKAGE_DEPTH
     )
@@ -135,9 +135,9 @@ def predict(
     """Predict the mean (7,) and the covariance (7, 7) of a mode for the coming epoch.
 
     Args:
-        pipeline, mode, x, P, epoch, tuning: as :func:`predict_update` takes them.
+        pipeline, mode, x, P, epoch, tuning: same as for :func:`predict_update`.
         gamma: adaptive scale of Q, which a mode that is not adaptive ignores.
-        hz_per_mps: carrier frequency over the speed of light.
+        hz_per_mps: carrier frequency divided by the speed of light.
     """
     scale, tuning = gamma if mode.adaptive else 1.0, tuning or mode.tuning
     noise = process_noise(tuning, epoch, hz_per_mps, scale, pipeline.planar)
@@ -165,13 +165,13 @@ def predict_update(
     """Run one mode on the coming epoch.
 
     Args:
-        pipeline, mode: the pipeline, and the mode of it to run.
-        x: (7,) mean after the epoch before (in the first epoch, the prior mean).
+        pipeline, mode: the pipeline, and which of its modes to run.
+        x: (7,) mean after the previous epoch (in the first epoch, the prior mean).
         P: (28,) packed covariance of the mean.
         memory: the memory of the track.
         epoch: the coming epoch.
         site: anchors and carrier.
-        tuning: process noise in place of the mode's own.
+        tuning: motion model to use instead of the mode's own.
     """
     x_predicted, P_predicted = predict(
         pipeline, mode, x, P, memory.gamma, epoch, site.hz_per_mps, tuning

@@ -1,4 +1,4 @@
-"""Rauch-Tung-Striebel smoothing, epoch by epoch, backwards (paper, Sec. III-F).
+"""Rauch-Tung-Striebel smoothing, which runs backwards, epoch by epoch (paper, Sec. III-F).
 
 Source: Särkkä, "Bayesian Filtering and Smoothing" (2013), Sec. 8.2. The book's form with matrices
 is :func:`mmwave_env.filters.textbook.rts`.
@@ -18,7 +18,7 @@ SMOOTHING_WINDOW = 200  # epochs; N_w of the paper, Sec. III-F
 class ForwardEpoch(NamedTuple):
     """An epoch of the forward pass, after the filter's update."""
 
-    dt: Number  # seconds since the epoch before
+    dt: Number  # seconds since the previous epoch
     # x, P: (7,), (28,) belief after the epoch; covariances are packed
     x: list[Number]
     P: list[Number]
@@ -28,10 +28,10 @@ class ForwardEpoch(NamedTuple):
 
 
 class BackwardState(NamedTuple):
-    """The following epoch of the track, as the backward pass hands it to the current epoch."""
+    """The following epoch of the track, from which the backward pass smooths the current one."""
 
-    is_last: Number  # 1 where no epoch follows, because the track ends
-    # dt, x_predicted, P_predicted: those of the following epoch, as in :class:`ForwardEpoch`
+    is_last: Number  # 1 if no epoch follows, because the track ends
+    # dt, x_predicted, P_predicted: values of the following epoch, see :class:`ForwardEpoch`
     dt: Number
     x_predicted: list[Number]
     P_predicted: list[Number]
@@ -41,7 +41,7 @@ class BackwardState(NamedTuple):
 
 
 def blank_epoch() -> ForwardEpoch:
-    """Return a placeholder epoch with sound numbers, to be overwritten."""
+    """Return a placeholder epoch with valid numbers, to be overwritten."""
     identity = [float(i == j) for i in range(STATE_SIZE) for j in range(i + 1)]
     nothing = [0.0] * STATE_SIZE
     return ForwardEpoch(1.0, nothing, identity, nothing, identity)
@@ -55,7 +55,7 @@ def track_end(with_covariance: bool) -> BackwardState:
 
 
 def _mean(x: Vector, P: Matrix, factor: Matrix, after: BackwardState) -> list[Number]:
-    """Return x + P F' P_predicted^-1 (x_after - x_predicted); ``factor`` is of P_predicted."""
+    """Return x + P F' P_predicted^-1 (x_after - x_predicted); P_predicted = factor factor'."""
     FP = transition_times(P, after.dt)
     step = [a - b for a, b in zip(after.x, after.x_predicted, strict=True)]
     y = backward(factor, forward(factor, step))
@@ -81,7 +81,7 @@ def smooth_epoch(
     """Smooth the belief: :func:`smooth_mean`, and P + C (P_after - P_predicted) C'."""
     P, P_predicted = unpack(now.P, zero=known_axes), unpack(after.P_predicted, zero=known_axes)
     factor, FP = cholesky(P_predicted), transition_times(P, after.dt)
-    # Row i of the gain: P_predicted^-1 times column i of F P.
+    # Row i of the gain is P_predicted^-1 times column i of F P.
     gain = [
         backward(factor, forward(factor, [FP[k][i] for k in range(STATE_SIZE)]))
         for i in range(STATE_SIZE)

@@ -1,9 +1,9 @@
-"""Kalman filters as textbooks write them, on one page: plain numpy, all rows at once.
+"""Kalman filters as textbooks write them, in one file: plain numpy, all rows at once.
 
-Read this page first. The filters that run (:mod:`~mmwave_env.filters.update`,
+Read this file first. The filters that run (:mod:`~mmwave_env.filters.update`,
 :mod:`~mmwave_env.filters.imm`, :mod:`~mmwave_env.filters.smoother`) compute the same numbers in
-forms that compile to SIMD lanes, and tests compare the two to rounding. Equation numbers are the
-paper's (Sec. III); the IMM is that of Bar-Shalom, Li and Kirubarajan 2001, Sec. 11.6.6.
+forms that compile to SIMD lanes, and tests check that both agree except for rounding. Equation
+numbers are the paper's (Sec. III); the IMM is from Bar-Shalom, Li and Kirubarajan 2001, 11.6.6.
 
 The state x (7,) is position (m), velocity (m/s) and oscillator bias (Hz). The rows of a
 measurement z are range (m), azimuth and elevation of arrival and azimuth of departure (rad) of
@@ -18,11 +18,11 @@ import numpy as np
 
 from mmwave_env.numerics.numbers import Array, Mask
 
-NEAREST_M = 1e-3  # nearer to an anchor, or to its vertical, angles tell nothing
+NEAREST_M = 1e-3  # closer to an anchor, or to the vertical through it, angles say nothing
 
 
 def F(dt: float) -> Array:
-    """Return the constant-velocity transition (7, 7) over dt seconds: eqs. (2) and (3)."""
+    """Return the constant-velocity transition matrix over dt seconds: eqs. (2) and (3)."""
     return np.eye(7) + dt * np.eye(7, k=3) * (np.arange(7) < 3)[:, None]
 
 
@@ -43,7 +43,7 @@ class Model(Protocol):
         ...
 
     def residual(self, a: Array, b: Array, x: Array) -> Array:
-        """Return a - b, with angles wrapped, and 0 where a row tells nothing of x."""
+        """Return a - b, with angles wrapped, and 0 in rows that say nothing about x."""
         ...
 
 
@@ -113,7 +113,7 @@ def update(
         model: measurement model.
         x, P: predicted belief.
         z, R: measurement (rows,) and its variances (rows,).
-        keep: (rows,) rows that are there and passed their gates.
+        keep: (rows,) mask of the rows that were measured and passed their gates.
     """
     mean, S, C = method(model, x, P)
     S = (S + np.diag(R))[np.ix_(keep, keep)]
@@ -130,7 +130,7 @@ def mix(probability: Array, transition: Array, x: Array, P: Array) -> tuple[Arra
 
     Args:
         probability: (M,) probabilities of the modes.
-        transition: (M, M) probabilities from mode to mode.
+        transition: (M, M) probabilities (from, to) of changing the mode.
         x, P: (M, 7) and (M, 7, 7) beliefs.
 
     Returns:
@@ -166,13 +166,13 @@ def rts(
     free: Sequence[int] = range(7),
     x_predicted: Iterable[Array] | None = None,
 ) -> tuple[Array, Array]:
-    """Smooth one track (T, ...) by Rauch, Tung and Striebel: eqs. (17) and (18).
+    """Smooth one track with the Rauch-Tung-Striebel smoother: eqs. (17) and (18).
 
     Args:
         x, P: (T, 7) and (T, 7, 7) filtered beliefs.
         P_predicted: (T, 7, 7) predicted covariances.
         time_s: (T,) times of the epochs.
-        free: components that are uncertain; of flat terrain five.
+        free: indices of the uncertain components of x; on flat terrain there are five.
         x_predicted: (T, 7) predicted means; None for F x.
     """
     if x_predicted is None:
@@ -195,7 +195,7 @@ class Sensor:
         anchors: (L, 3) positions, m; the first is the base station.
         hz_per_mps: f_c / c.
         odometry: whether speed and heading are measured, too.
-        shifted: number of the anchor of the Doppler shift, from 0.
+        shifted: number of the anchor whose Doppler shift is measured, from 0.
     """
 
     anchors: Array
@@ -254,7 +254,7 @@ class Sensor:
 
     @property
     def angles(self) -> Mask:
-        """Return the rows (rows,) that are angles."""
+        """Return a mask (rows,) of the rows that are angles."""
         odometry = [False, True] * self.odometry
         return np.array([False, True, True, True] * self.links + [False, *odometry])
 
@@ -264,11 +264,11 @@ class Sensor:
         return np.where(self.angles, wrapped, a - b)
 
     def residual(self, a: Array, b: Array, x: Array) -> Array:
-        """Return a - b (rows,), and 0 where a row tells nothing of x."""
+        """Return a - b (rows,), and 0 in rows that say nothing about x."""
         return np.where(self.silent(x), 0.0, self.difference(a, b))
 
     def silent(self, x: Array) -> Mask:
-        """Return the rows (rows,) that tell nothing of a state."""
+        """Return a mask (rows,) of the rows that say nothing about a state."""
         d = x[:3] - self.anchors
         on_vertical = np.hypot(d[:, 0], d[:, 1]) <= NEAREST_M
         at_anchor = np.sqrt((d * d).sum(axis=1)) <= NEAREST_M

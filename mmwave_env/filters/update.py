@@ -1,7 +1,8 @@
 """The measurement update shared by EKF, UKF and CKF (paper, Sec. III-C).
 
-The update has a reduced form that is exact. :mod:`~mmwave_env.filters.textbook` has the
-textbook's, K = P H' S^-1 with all rows at once; ``tests/filters/test_update.py`` compares the two.
+This is a reduced form of the update, which is exact. :mod:`~mmwave_env.filters.textbook` has the
+usual form, K = P H' S^-1 with all rows at once; ``tests/filters/test_update.py`` compares the two.
+:mod:`~mmwave_env.filters.linearization` explains *latents*.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,10 +22,10 @@ class Posterior(NamedTuple):
     Attributes:
         x: (7,) mean.
         P: (7, 7) covariance.
-        nis: (groups,) normalized innovation squared at the prior; 0 where missing.
-        accepted: (groups,) 1 where the group was used, else 0.
-        log_likelihood: sum over the visible groups, accepted or not, of the log density of
-            each group's innovation on its own, without the constant -(rows / 2) log(2 pi).
+        nis: (groups,) normalized innovation squared at the prior; 0 if the group is missing.
+        accepted: (groups,) 1 if the group was used, else 0.
+        log_likelihood: sum of the log densities of the innovations of each visible group, accepted
+            or not, as if groups were independent; without the constant -(rows / 2) log(2 pi).
     """
 
     x: list[Number]
@@ -45,7 +46,7 @@ class _Row(NamedTuple):
     links: list[Number]  # conditional covariances with the earlier rows
     cross: list[Number]  # conditional covariance with xi
     innovation: Number
-    gain: Number  # 1 / innovation variance; 0 where the row is not accepted
+    gain: Number  # 1 / innovation variance; 0 if the row is not accepted
 
 
 def _condition(
@@ -80,7 +81,7 @@ def _condition(
 def _inform(
     B: Matrix, V: Matrix, innovation: Vector, noise: Vector, accepted: Number, b: Vector
 ) -> tuple[list[list[Number]], list[Number]]:
-    """Return the information matrix and vector of the coupled latents with one more link."""
+    """Return the information matrix and vector of the coupled latents after adding a link."""
     n = len(b)
     precision, vector = [list(row) for row in B], list(b)
     for row, y, variance in zip(V, innovation, noise, strict=True):
@@ -98,18 +99,18 @@ def update(
 ) -> Posterior:
     """Gate every group at the prior N(x, P), then condition on the groups that passed.
 
-    The links depend only on the first three columns of the factor L of P (and their curvatures),
-    so they add up to a small information matrix B over the coupled latents, with posterior
-    covariance B^-1; the rows that depend on the velocity follow one by one. The new covariance
-    is L B^-1 L' + sum over free columns L_j L_j' - sum gain c c', a sum of squares except for
-    the scalar rows, which are subtracted.
+    The links depend only on the first three columns of the factor L of P and their curvatures, the
+    *coupled latents*. So they add up to a small information matrix B over these latents, with
+    posterior covariance B^-1; the rows that depend on the velocity follow one by one. The new
+    covariance is L B^-1 L' + sum over free columns L_j L_j' - sum gain c c', a sum of squares
+    except for the last term, which comes from the rows that follow one by one.
 
     The result equals the textbook update with all rows at once, K = P H' S^-1, x + K y,
     P - K S K' (:func:`mmwave_env.filters.textbook.update`).
 
     Args:
         x, P: (7,), (7, 7) prior; P is positive definite except for structural zeros.
-        measurement, gate: the epoch, and what to accept of it.
+        measurement, gate: the epoch's measurement, and the rule for accepting its groups.
         linearization: tangent (EKF) or sigma points (UKF, CKF).
     """
     anchors = measurement.layout.anchors
@@ -189,7 +190,7 @@ class ModeResult(NamedTuple):
     # nis, accepted: (groups,) as in :class:`Posterior`
     nis: list[Number]
     accepted: list[Number]
-    passed: Number  # number of links that passed their gates, without forced ones
+    passed: Number  # number of links that passed their gates; forced ones do not count
     log_likelihood: Number  # log-likelihood of the visible groups
 
 
@@ -204,7 +205,7 @@ def limited_likelihood(candidate: ModeResult, limits: Vector) -> Number:
 
 
 def capped_log_likelihood(candidate: ModeResult, degrees: Sequence[Number]) -> Number:
-    """Return the log-likelihood that modes are compared by, limited at :data:`CAP_QUANTILE`.
+    """Return the log-likelihood for comparing modes, with NIS limited at :data:`CAP_QUANTILE`.
 
     Args:
         candidate: result of a mode.

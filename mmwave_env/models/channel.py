@@ -1,7 +1,8 @@
 """Effects of the channel on the links: shadowing, blockage, multipath and detection.
 
-The channel is written as functions of numbers, like the filters, so that episodes are simulated
-on lanes. All randomness is passed in as draws; a :class:`ChannelState` lasts between epochs.
+Like the filters, the channel is written as functions of plain numbers, so that it can also be
+compiled to simulate eight episodes at once on SIMD lanes. Random numbers are drawn elsewhere and
+passed in; a :class:`ChannelState` carries what persists from one epoch to the next.
 """
 
 import math
@@ -16,20 +17,20 @@ from mmwave_env.numerics.random import Dice
 
 
 class SpellParams(NamedTuple):
-    """Parameters of a link's spells (blockage or multipath) and of the biases during a spell."""
+    """Parameters of a link's spells (periods of blockage or multipath), and of biases in them."""
 
     end: Number  # probability that a spell ends within a step
-    # constant_m, mean_m: the range bias is the constant plus an exponential of this mean
+    # constant_m, mean_m: the range bias is the constant plus an exponential number with this mean
     constant_m: Number
     mean_m: Number
     angle_rad: Number  # standard deviation of the angle biases
 
 
 class Channel(NamedTuple):
-    """A radio in a scene, for steps of one length: the parameters of an epoch of the channel."""
+    """The channel's parameters for steps of one length, derived from a radio and a scene."""
 
-    offset_db: list[Number]  # (L,) SNR at 1 m
-    # shadowing_db, correlation: log-normal shadowing, AR(1) over a step
+    offset_db: list[Number]  # (L,) SNR of each link at 1 m
+    # shadowing_db, correlation: standard deviation of shadowing, and its correlation over a step
     shadowing_db: Number
     correlation: Number
     # blockage, multipath: parameters of their spells
@@ -42,14 +43,14 @@ class Channel(NamedTuple):
     blockage_per_m: Number
     blockage_limit: Number
     blockage_loss_db: Number
-    # multipath_onset, outage_onset, outage_end: probabilities within a step
+    # multipath_onset, outage_onset, outage_end: probabilities of these events within a step
     multipath_onset: Number
     outage_onset: Number
     outage_end: Number
     # detection_snr_db, detection_slope_db: parameters of the logistic probability of detection
     detection_snr_db: Number
     detection_slope_db: Number
-    # floor_variance, bound_variance: (rows,) noise floor, and Cramer-Rao bound at 0 dB
+    # floor_variance, bound_variance: (rows,) noise floor, and Cramer-Rao bound at an SNR of 0 dB
     floor_variance: list[Number]
     bound_variance: list[Number]
     # spread_gain_hz, spread_sigma, spread_floor_hz: parameters of the Doppler spread
@@ -95,11 +96,11 @@ class Spell(NamedTuple):
     """A spell of blockage or multipath on one link."""
 
     on: Number  # 1 while the spell lasts
-    bias: list[Number]  # (4,) biases of the link's rows during the spell, drawn as it began: m, rad
+    bias: list[Number]  # (4,) biases of the link's rows in the spell, drawn at its start: m, rad
 
 
 class ChannelState(NamedTuple):
-    """The part of the channel that lasts from epoch to epoch."""
+    """The part of the channel that persists from one epoch to the next."""
 
     shadowing: list[Number]  # (L,) shadowing in standard deviations
     # blockage, multipath: (L,) spell of each link
@@ -118,15 +119,15 @@ class SpellDraws(NamedTuple):
     """Random numbers for a link's spell in an epoch."""
 
     uniform: Number  # in [0, 1)
-    length: Number  # exponential of mean 1
+    length: Number  # exponential with mean 1
     angles: list[Number]  # (3,) normals
 
 
 class ChannelDraws(NamedTuple):
-    """Random numbers of an epoch."""
+    """Random numbers for an epoch of the channel."""
 
     shadowing: list[Number]  # (L,) normals
-    # blockage, multipath: (L,) for the spell of each link
+    # blockage, multipath: (L,) random numbers for each link's spell
     blockage: list[SpellDraws]
     multipath: list[SpellDraws]
     outage: Number  # uniform
@@ -137,7 +138,7 @@ class ChannelDraws(NamedTuple):
 
 
 def draw_channel(dice: Dice, anchors: int) -> ChannelDraws:
-    """Draw the random numbers of an epoch for the given number of anchors."""
+    """Draw the random numbers for an epoch with the given number of anchors."""
 
     def each(draw: Callable[[], Number]) -> list[Number]:
         return [draw() for _ in range(anchors)]
@@ -157,16 +158,16 @@ def draw_channel(dice: Dice, anchors: int) -> ChannelDraws:
 
 
 class Reception(NamedTuple):
-    """The channel's effect on the reception of an epoch."""
+    """The effects of the channel on the links in an epoch."""
 
     snr_db: list[Number]  # (L,)
-    detected: list[Number]  # (L,) 1 where the link is detected, else 0
+    detected: list[Number]  # (L,) 1 if the link is detected, else 0
     bias: list[list[Number]]  # (L, 4) biases added to the rows of each link
-    doppler_spread_hz: Number  # Doppler spread
+    doppler_spread_hz: Number
 
 
 def spell_goes_on(on: Number, uniform: Number, onset: Number, end: Number) -> Number:
-    """Return 1 if a spell is on one step after its state was ``on``, else 0."""
+    """Return 1 if a spell is on after this step, else 0; ``on`` is its state before the step."""
     return where(on > 0.5, where(uniform < end, 0.0, 1.0), where(uniform < onset, 1.0, 0.0))
 
 
@@ -193,10 +194,10 @@ def channel_epoch(
     """Simulate one epoch of the channel.
 
     Args:
-        channel: radio and scene.
-        before: state of the channel in the epoch before; ignored where ``is_first``.
-        is_first: whether the episode begins: the state is then drawn from its stationary
-            distribution, without multipath and outages.
+        channel: parameters of the channel.
+        before: state of the channel in the previous epoch; ignored if ``is_first``.
+        is_first: whether this is the episode's first epoch: the state is then drawn from its
+            stationary distribution, without multipath and outages.
         draws: random numbers of the epoch.
         distance: (L,) distance of the user to every anchor, m.
         speed: speed of the user, m/s.

@@ -1,12 +1,12 @@
-"""The layout of the state and of a measurement vector: which number stands in which row.
+"""The layout of the state and of a measurement vector: which number is in which row.
 
-The measurement vector holds for each anchor l = 1..L a *link* of four rows [range, azimuth and
-elevation of arrival, azimuth of departure], then the Doppler shift, then, optionally, odometry
+The measurement vector contains, for each anchor l = 1..L, a *link* of four rows [range, azimuth and
+elevation of arrival, azimuth of departure]; then the Doppler shift; then, optionally, odometry
 [speed, heading] (paper, Sec. II-B).
 
-Each *group* (a link, the Doppler, the odometry) is gated on its own, and is present or missing as a
-whole; in a *partial* layout each row may be missing on its own, and the Doppler shift may be that
-of any anchor instead of anchor 1.
+Each *group* of rows (a link, the Doppler shift, the odometry) is gated separately. It is present or
+missing as a whole, except in a *partial* layout: there each row may be missing alone, and the
+Doppler shift may belong to any anchor instead of anchor 1.
 """
 
 from collections.abc import Iterable, Sequence
@@ -22,20 +22,20 @@ from mmwave_env.numerics.numbers import PI, Number, Vector
 STATE = ("px", "py", "pz", "vx", "vy", "vz", "b")  # m, m/s, Hz
 STATE_SIZE = len(STATE)
 LINK = ("range_m", "aoa_azimuth_rad", "aoa_elevation_rad", "aod_azimuth_rad")
-# Names of the rows that a receiver may offer: those of every link, and the Doppler shift.
+# Names of what a receiver may measure: the four rows of every link, and the Doppler shift.
 MEASUREMENTS = ("range", "azimuth", "elevation", "departure", "doppler")
-_HORIZONTAL = {"range", "azimuth", "departure"}  # without one of these nothing fixes a position
+_HORIZONTAL = {"range", "azimuth", "departure"}  # a horizontal position needs one of these
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The layout of a measurement vector: which number stands in which row.
+    """The layout of a measurement vector: which number is in which row.
 
     Attributes:
         anchors: number of anchors L >= 1, the physical gNB first.
         odometry: whether two rows of odometry follow the Doppler shift.
-        partial: whether each row may be missing on its own, and the Doppler shift may be that of
-            any anchor; otherwise groups are present or missing as a whole.
+        partial: whether each row may be missing alone, and the Doppler shift may belong to any
+            anchor; otherwise groups are present or missing as a whole.
     """
 
     anchors: int = 3
@@ -97,7 +97,7 @@ def measurements_from(names: Sequence[str] | None) -> tuple[str, ...] | None:
     """Return names of measurements in the order of :data:`MEASUREMENTS`; None stands for all.
 
     Raises:
-        ValueError: a name is unknown, or no name tells of the horizontal position.
+        ValueError: a name is unknown, or none of them measures the horizontal position.
     """
     if names is None:
         return None
@@ -110,14 +110,14 @@ def measurements_from(names: Sequence[str] | None) -> tuple[str, ...] | None:
     if _HORIZONTAL.isdisjoint(names):
         shown = ", ".join(names) or "none"
         raise ValueError(
-            f"measurements: found {shown}, which say nothing of the horizontal position, expected "
-            "range, azimuth or departure among them"
+            f"measurements: found {shown}, expected at least one of range, azimuth and departure, "
+            "as the others do not measure the horizontal position"
         )
     return tuple(name for name in MEASUREMENTS if name in names)
 
 
 def offered_rows(layout: Layout, measurements: Sequence[str] | None) -> list[bool]:
-    """Tell of each row whether it is one of the measurements; odometry always is.
+    """Return, for each row, whether it is one of the measurements; rows of odometry always are.
 
     Raises:
         ValueError: from :func:`measurements_from`.
@@ -128,7 +128,7 @@ def offered_rows(layout: Layout, measurements: Sequence[str] | None) -> list[boo
 
 
 def sigma_name(name: str) -> str:
-    """Return the name of a measurement's standard deviation: of "range_m", "range_sigma_m"."""
+    """Return the name of a measurement's standard deviation: "range_sigma_m" for "range_m"."""
     quantity, _, unit = name.rpartition("_")
     return f"{quantity}_sigma_{unit}"
 
@@ -136,7 +136,7 @@ def sigma_name(name: str) -> str:
 def wrap_angles(measurement: NDArray[np.float64], layout: Layout) -> None:
     """Move the angles of measurements (T, rows) into [-pi, pi), in place.
 
-    Angles within the interval keep their value, to the bit.
+    Angles within the interval keep their exact value.
     """
     rows = layout.angles
     measurement[:, rows] = wrapped(measurement[:, rows])
@@ -151,14 +151,14 @@ def wrapped(angles: NDArray[np.float64]) -> NDArray[np.float64]:
 def whole_groups(
     measurement: NDArray[np.float64], heard: NDArray[np.bool_], layout: Layout
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return which groups (T, groups) count as measured, and which are lost with a part missing.
+    """Return which groups (T, groups) count as measured, and which are lost for lack of a row.
 
-    In a partial layout a part is enough, and none is lost.
+    In a partial layout one measured row is enough, and no group is lost.
 
     Args:
         measurement: (T, rows), NaN where not measured.
-        heard: (T, L) whether a link's strength is known, which gives the noise of its rows;
-            the first link's strength also gives the noise of the Doppler shift.
+        heard: (T, L) whether a link's strength is known, which determines the noise of its rows;
+            the first link's strength also determines the noise of the Doppler shift.
         layout: rows and groups.
     """
     starts = [group.start for group in layout.groups]
@@ -179,14 +179,14 @@ def without_noise(
     doppler_anchor: NDArray[np.int64],
     layout: Layout,
 ) -> NDArray[np.bool_]:
-    """Return which rows (T, rows) were measured, but with unknown noise: they are lost.
+    """Return which rows (T, rows) are lost because they were measured with unknown noise.
 
     Args:
-        measurement, heard, layout: as :func:`whole_groups` takes them.
-        sigma: (T, rows) stated standard deviations, NaN where none.
+        measurement, heard, layout: same as for :func:`whole_groups`.
+        sigma: (T, rows) stated standard deviations, NaN where none is stated.
         doppler_anchor: (T,) anchor of the Doppler shift.
     """
-    known = np.ones(measurement.shape, np.bool_)  # odometry's
+    known = np.ones(measurement.shape, np.bool_)  # remains so for odometry
     known[:, : layout.doppler] = np.repeat(heard, 4, axis=1)
     known[:, layout.doppler] = heard[np.arange(len(heard)), doppler_anchor]
     return np.isfinite(measurement) & ~known & ~np.isfinite(sigma)

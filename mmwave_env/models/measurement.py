@@ -1,4 +1,4 @@
-"""The measurement of an epoch: its geometry, group by group (paper, Sec. II-B).
+"""The geometry of an epoch's measurement, for one group of rows at a time (paper, Sec. II-B).
 
 Inside the package the time of arrival is given as the range c tau in meters, angles are in radians
 and the Doppler shift is in hertz:
@@ -6,16 +6,17 @@ and the Doppler shift is in hertz:
     d = (f_c / c) v . (p - p1) / |p - p1| + b
 
 The paper prints the first term in m/s and adds b in hertz; we scale it to hertz and keep
-its sign (positive while the range grows). :mod:`mmwave_env.models.layout` says which number stands
-in which row.
+its sign (positive while the range grows). :mod:`mmwave_env.models.layout` says which number is in
+which row.
 
 A group is described by three things: its value, its Jacobian, and its exact change under a finite
-step of the state. Sigma points need the change, which never crosses the cut of an angle.
+step of the state. Filters with sigma points need the change; it does not jump where angles wrap.
 
-Straight below or above an anchor no azimuth is defined, and at the anchor no direction at all: the
-gradient of the azimuth grows as one over the horizontal distance, and the information that a filter
-takes from it as the square. Lengths up to :data:`NEAREST_M` therefore count as 0, and an undefined
-direction carries no information: innovation, gradient and change of its rows are 0.
+Straight below or above an anchor the azimuth is undefined, and at the anchor itself the elevation
+is, too. Close by, the gradient of the azimuth grows as 1 / (horizontal distance), and the
+information that a filter takes from it as the square. Lengths up to :data:`NEAREST_M` therefore
+count as 0, and an undefined angle carries no information: its rows have innovation, gradient and
+change 0.
 """
 
 from collections.abc import Callable
@@ -47,13 +48,13 @@ class Measurement(NamedTuple):
 
     Attributes:
         anchors: (L, 3) positions, meters.
-        hz_per_mps: carrier frequency over the speed of light, hertz per m/s.
+        hz_per_mps: carrier frequency divided by the speed of light, hertz per m/s.
         z: (rows,) measured values; any finite number where missing.
-        variance: (rows,) noise variances in squared units of z; positive, also where missing.
+        variance: (rows,) noise variances in squared units of z; positive even where missing.
         visible: (groups,) 1 where the group was measured, else 0.
-        layout: where each row stands.
+        layout: which number is in which row.
         measured: (rows,) 1 where the row was measured, else 0; empty unless the layout is partial.
-        doppler_of: (L,) 1 for the anchor of the Doppler shift, else 0; empty likewise.
+        doppler_of: (L,) 1 for the anchor of the Doppler shift, else 0; also empty unless partial.
     """
 
     anchors: Matrix
@@ -73,9 +74,9 @@ class Group(NamedTuple):
         innovation: (k,) z - h(x), angles wrapped.
         variance: (k,) noise variances.
         jacobian: (k, 7) dh/dx; structural zeros where h does not depend on the state.
-        change: the exact h(x + step) - h(x) for a step of the state (7,).
-        curved: h is nonlinear in the first ``curved`` components of the state only.
-        spare_nis, spare_determinant: NIS and determinant of the difference that fusing drops.
+        change: function that returns the exact h(x + step) - h(x) for a step of the state (7,).
+        curved: h is nonlinear only in the first ``curved`` components of the state.
+        spare_nis, spare_determinant: NIS and variance of the row that :func:`link_group` drops.
     """
 
     innovation: Vector
@@ -102,10 +103,10 @@ def direction(d: Vector) -> tuple[Number, Number, Number]:
 def seen_from_image(
     azimuth: Number, elevation: Number, station: Vector, image: Vector
 ) -> tuple[Number, Number]:
-    """Mirror a direction (rad) at the base station (3,) to its image (3,) behind a wall.
+    """Convert a ray's direction (rad) at the base station (3,) to its direction at the image (3,).
 
-    A ray leaves the station in the direction d and the image in the direction d - 2 (d.n) n,
-    with n along image - station; where the image is the station itself, there is no wall.
+    The image is the station's mirror image in a wall. Direction d becomes d - 2 (d.n) n, with n
+    along image - station. If both points are the same, there is no wall.
     """
     n = [image[i] - station[i] for i in range(3)]
     (cos_az, sin_az), (cos_el, sin_el) = cos_sin(azimuth), cos_sin(elevation)
@@ -135,8 +136,8 @@ def exact_rows(
     Args:
         position, velocity: (3,) m, m/s.
         anchors: (L, 3) m.
-        hz_per_mps: carrier frequency over the speed of light.
-        layout: says whether odometry follows.
+        hz_per_mps: carrier frequency divided by the speed of light.
+        layout: decides whether there are rows of odometry.
     """
     rows: list[Number] = []
     for anchor in anchors:
@@ -158,14 +159,14 @@ def link_group(
 
     The azimuths of arrival and departure (which differ by pi, paper Sec. II-B) both measure one
     bearing; fused, they are one row with variance ra rd / (ra + rd). Fusing drops their difference,
-    which has variance ra + rd and does not depend on the state. :mod:`~mmwave_env.filters.textbook`
-    (``Sensor``) has all four rows.
+    which has variance ra + rd and does not depend on the state. ``Sensor`` in
+    :mod:`mmwave_env.filters.textbook` keeps all four rows.
 
     Args:
         x: (7,) prior mean.
         anchor: (3,) m.
         z, variance: (4,) measured values and their noise variances.
-        measured: (4,) 1 where a row was measured, else 0; empty where all were.
+        measured: (4,) 1 where a row was measured, else 0; empty if all were.
     """
     d = [x[i] - anchor[i] for i in range(3)]
     distance, azimuth, elevation = direction(d)
@@ -219,9 +220,9 @@ def link_group(
 
 
 def _only(group: Group, measured: Vector) -> Group:
-    """Return a group in which rows that were not measured (k,) carry no information.
+    """Return a group whose rows (k,) carry information only if they were measured.
 
-    Their innovation, gradient and change are 0 and their variance is 1, so that they add nothing
+    The other rows have innovation, gradient and change 0 and variance 1, so that they add nothing
     to NIS, determinant and information.
     """
 
@@ -239,7 +240,7 @@ def _only(group: Group, measured: Vector) -> Group:
 def doppler_group(
     x: Vector, anchor: Vector, hz_per_mps: Number, z: Vector, variance: Vector
 ) -> Group:
-    """Return the group of the Doppler shift (Hz) of the physical anchor, linear in v and bias."""
+    """Return the group of the Doppler shift (Hz) at an anchor; it is linear in v and the bias."""
     d, v = [x[i] - anchor[i] for i in range(3)], x[3:6]
     distance = norms(d)[1]
     inverse, defined = _inverse(distance), where(distance > NEAREST_M, 1.0, 0.0)
@@ -294,14 +295,14 @@ def odometry_group(x: Vector, z: Vector, variance: Vector) -> Group:
 
 
 def doppler_anchor(anchors: Matrix, doppler_of: Vector) -> Vector:
-    """Return the anchor (3,) of the Doppler shift: the first, unless ``doppler_of`` (L,) says."""
+    """Return the anchor (3,) of the Doppler shift; ``doppler_of`` is as in :class:`Measurement`."""
     if not len(doppler_of):
         return anchors[0]
     return [dot(doppler_of, list(column)) for column in zip(*anchors, strict=True)]
 
 
 def groups_of(x: Vector, m: Measurement) -> list[Group]:
-    """Return every group of an epoch, expanded at prior mean x (7,): links, Doppler, odometry."""
+    """Return the groups of an epoch, expanded at prior mean x (7,): links, Doppler, odometry."""
     rows = m.layout.groups
     links = [
         link_group(x, anchor, m.z[r], m.variance[r], m.measured[r])
@@ -316,15 +317,15 @@ def groups_of(x: Vector, m: Measurement) -> list[Group]:
 
 
 class Epoch(NamedTuple):
-    """The input of an estimator in an epoch; missing groups hold any finite numbers."""
+    """The input of an estimator in an epoch; missing groups contain any finite numbers."""
 
-    dt: Number  # seconds since the epoch before; 0 in the first epoch, for which the prior is given
+    dt: Number  # seconds since the previous epoch; 0 in the first, for which the prior is given
     z: list[Number]  # (rows,) measured values: m, rad, Hz, m/s
     sigma: list[Number]  # (rows,) their standard deviations, positive
     visible: list[Number]  # (groups,) 1 where measured, else 0
     snr_db: list[Number]  # (L,) signal-to-noise ratio per link, dB
-    doppler_spread_hz: Number  # Doppler spread, Hz
-    # measured, doppler_of: (rows,), (L,) as in :class:`Measurement`; empty unless partial
+    doppler_spread_hz: Number
+    # measured, doppler_of: same as in :class:`Measurement`
     measured: Vector = ()
     doppler_of: Vector = ()
 
@@ -333,13 +334,13 @@ class Site(NamedTuple):
     """Constants of an episode: anchors, carrier and prior."""
 
     anchors: list[list[Number]]  # (L, 3) positions, m
-    hz_per_mps: Number  # carrier frequency over the speed of light
+    hz_per_mps: Number  # carrier frequency divided by the speed of light
     prior_x: list[Number]  # (7,) mean at the first epoch
     prior_P: list[Number]  # (28,) packed covariance at the first epoch
 
 
 def blank_site(layout: Layout) -> Site:
-    """Return a placeholder site with sound numbers, to be overwritten."""
+    """Return a placeholder site with valid numbers, to be overwritten."""
     prior = [float(i == j) for i in range(STATE_SIZE) for j in range(i + 1)]
     anchors = [[0.0, 0.0, 10.0 + a] for a in range(layout.anchors)]
     return Site(anchors, 1.0, [1.0] * STATE_SIZE, prior)

@@ -1,4 +1,4 @@
-"""Motion of a user: constant velocity with noise (paper, Sec. II-A and III-B), and a maneuver."""
+"""Motion of a user: constant velocity with noise (paper, Sec. II-A and III-B), and maneuvers."""
 
 from typing import NamedTuple
 
@@ -6,9 +6,9 @@ from mmwave_env.models.layout import STATE_SIZE
 from mmwave_env.numerics.linalg import symmetric
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, cos_sin, maximum, sqrt, where
 
-STANDING_MPS = 0.2  # a velocity much below this speed has no direction to accelerate in
+STANDING_MPS = 0.2  # much below this speed a user has no direction in which to accelerate
 _SHORTEST_S = 1e-9
-_LEAST_RAD = 1e-9  # the arc of a smaller angle is straight, to the last digit
+_LEAST_RAD = 1e-9  # the arc of a smaller angle is straight, except for rounding
 
 
 class ProcessNoise(NamedTuple):
@@ -23,18 +23,18 @@ def white_noise_acceleration(
 ) -> ProcessNoise:
     """Return the process noise covariance Q over a step, given variances per second.
 
-    With ``coupling`` 1 the velocity noise q = velocity dt moves the position as a constant
-    acceleration over the step does, [[q dt^2 / 4, q dt / 2], [q dt / 2, q]] (discrete
-    white-noise acceleration, Bar-Shalom et al. 2001, Sec. 6.3.2), on top of the position
-    noise, so Q is positive semidefinite for any variances. With 0, Q is the paper's plain
-    diagonal, which at dt = 1 s underestimates how position uncertainty grows.
+    With ``coupling`` 1, the velocity noise q = velocity dt also moves the position, like a constant
+    acceleration during the step: it adds [[q dt^2 / 4, q dt / 2], [q dt / 2, q]] (discrete
+    white-noise acceleration, Bar-Shalom et al. 2001, Sec. 6.3.2) to the position noise. So Q is
+    positive semidefinite for any variances. With 0, Q is the paper's diagonal matrix, which
+    underestimates how the position's uncertainty grows at dt = 1 s.
 
     Args:
         position: (3,) m^2 per second.
         velocity: (3,) (m/s)^2 per second.
         bias: Hz^2 per second.
         dt: step, seconds.
-        coupling: 1 where velocity noise also moves the position within the step, else 0.
+        coupling: 1 if velocity noise also moves the position within the step, else 0.
     """
     q = [v * dt for v in velocity]
     half = coupling * (0.5 * dt)
@@ -43,14 +43,14 @@ def white_noise_acceleration(
 
 
 def move(x: Vector, dt: Number) -> list[Number]:
-    """Return F x, the mean one step later."""
+    """Return F x, the mean one step later; F is the transition matrix for constant velocity."""
     return [x[i] + dt * x[i + 3] if i < 3 else x[i] for i in range(STATE_SIZE)]
 
 
 def accelerate(x: Vector, acceleration: Number, dt: Number) -> list[Number]:
     """Return the mean (7,) after a step with a known acceleration along the horizontal velocity.
 
-    The acceleration is a known input in the terms of Bar-Shalom et al. 2001, Sec. 5.2: it changes
+    In the terms of Bar-Shalom et al. 2001, Sec. 5.2, the acceleration is a known input: it changes
     the mean, but not the covariance of the constant-velocity model. Braking ends at a standstill.
 
     Args:
@@ -87,13 +87,13 @@ def turn(x: Vector, rate: Number, dt: Number) -> list[Number]:
 
 
 def transition_times(P: Matrix, dt: Number) -> list[list[Number]]:
-    """Return F P."""
+    """Return F P, with the transition matrix F for constant velocity."""
     n = STATE_SIZE
     return [[P[i][j] + dt * P[i + 3][j] if i < 3 else P[i][j] for j in range(n)] for i in range(n)]
 
 
 def predict_covariance(P: Matrix, noise: ProcessNoise, dt: Number) -> list[list[Number]]:
-    """Return F P F' + Q."""
+    """Return F P F' + Q, the covariance one step later."""
     FP = transition_times(P, dt)
 
     def entry(i: int, j: int) -> Number:

@@ -8,9 +8,9 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI, Array, wrap
 
-GAP_S = 15.0  # longest bridged gap: none of 100 vehicles is lost in 10 s, some are lost in 20 s
-STEEPEST_FIX_RAD = math.radians(85.0)  # 2.5 deviations of a handset's elevation from the vertical
-# Horizontal deviation per axis for an unknown user: twice this is the filters' limit of 20 m/s.
+GAP_S = 15.0  # longest gap to bridge: of 100 vehicles, none is lost in 10 s, but some in 20 s
+STEEPEST_FIX_RAD = math.radians(85.0)  # 2.5 standard deviations of a handset from the vertical
+# Deviation per horizontal axis of an unknown velocity: twice this is the filters' limit, 20 m/s.
 UNKNOWN_VELOCITY_MPS = 10.0
 
 
@@ -27,7 +27,7 @@ def prior_from_fix(
 ) -> tuple[Array, Array]:
     """Return mean (7,), at rest, and covariance (7, 7) from one link (4,) to an anchor (3,).
 
-    The position is a + r (cos el cos az, cos el sin az, sin el), its noise is of first order.
+    The position is a + r (cos el cos az, cos el sin az, sin el); its covariance is linearized.
     """
     distance, azimuth, elevation, departure = link
     arrival_variance, departure_variance = sigma[1] ** 2, sigma[3] ** 2

@@ -1,8 +1,8 @@
 """Radio profiles: link budget, noise, and the rates of the channel's disturbances.
 
 The noise is a floor (calibration, array errors) plus the Cramer-Rao bound at the link's SNR, in
-quadrature. Blockage lowers the SNR of a link and biases it, multipath biases it at the same SNR;
-the filters are told about neither.
+quadrature. Blockage lowers the SNR of a link and biases its measurements; multipath biases them
+without changing the SNR. The filters know about neither.
 """
 
 import math
@@ -36,19 +36,19 @@ DEGREE = math.pi / 180.0
 DECIBEL = math.log(10.0) / 10.0  # natural logarithm of 1 dB
 Elements = Annotated[int, counts(1, 1024)]
 AngleFloor = Annotated[
-    float, Bound("1e-05 to pi / 4; in degrees by _deg", least=1e-5, most=45.0 * DEGREE)
+    float, Bound("1e-05 to pi / 4 (or degrees, as ..._deg)", least=1e-5, most=45.0 * DEGREE)
 ]
 RangeFloor = Annotated[float, between(1e-9, 1e4, "m")]
 Speed = Annotated[float, between(1e-4, 100.0, "m/s")]
 PriorPosition = Annotated[float, envelope.POSITION_SIGMA_M]
 PriorVelocity = Annotated[float, envelope.VELOCITY_SIGMA_MPS]
 Decibel = Annotated[float, between(-300.0, 300.0, "dB")]
-Spell = Annotated[float, between(1e-3, 1e6, "s")]  # mean length
+Spell = Annotated[float, between(1e-3, 1e6, "s")]  # mean length of a spell
 Rate = Annotated[float, between(0.0, 1e3, "Hz")]
 RangeBias = Annotated[float, between(0.0, 1e5, "m")]
-AngleBias = Annotated[float, Bound("0 to pi; in degrees by _deg", least=0.0, most=math.pi)]
+AngleBias = Annotated[float, Bound("0 to pi (or degrees, as ..._deg)", least=0.0, most=math.pi)]
 Factor = Annotated[float, between(0.0, 100.0)]
-SNR_LIMITS_DB = (-30.0, 80.0)  # beyond them noise no longer follows the SNR
+SNR_LIMITS_DB = (-30.0, 80.0)  # beyond these limits, noise no longer depends on the SNR
 
 
 @dataclass(frozen=True)
@@ -59,36 +59,45 @@ class Radio:
     of Kay 1993, Secs. 3.11 and 15.10. All other figures are this project's model.
 
     Attributes:
-        name: of the profile.
-        gnb_elements, ue_elements: antenna elements a side of the square arrays.
+        name: name of the profile.
+        gnb_elements, ue_elements: number of antenna elements along one side of the square arrays.
         range_floor_m: range noise floor on the direct path and on reflections, m.
-        aoa_floor_rad, aod_floor_rad, elevation_floor_rad: angle noise floors.
-        doppler_floor_mps: Doppler noise floor, m/s (times f_c / c in hertz).
-        prior_position_m: standard deviation of the prior's horizontal position.
-        prior_height_m, prior_velocity_mps, prior_vertical_mps, prior_bias_mps: others, per axis.
-        transmit_dbm, gnb_gain_db, ue_gain_db, implementation_loss_db: link budget.
-        noise_figure_db: of the receiver.
-        reflection_loss_db: on a virtual anchor's path.
-        blockage_loss_db: while blocked.
-        shadowing_db, shadowing_correlation: log-normal, AR(1) per second.
-        detection_snr_db, detection_slope_db: logistic probability of detection.
-        doppler_window_s: coherent processing interval T.
-        blockage_scale, blockage_base, blockage_per_100m, blockage_limit: stationary
-            probability scale * min(limit, base + per_100m d / 100 m).
+        aoa_floor_rad: noise floor of the azimuth of arrival.
+        aod_floor_rad: noise floor of the azimuth of departure.
+        elevation_floor_rad: noise floor of the elevation of arrival.
+        doppler_floor_mps: Doppler noise floor, m/s (multiply by f_c / c to get hertz).
+        prior_position_m: standard deviation of the prior's horizontal position, per axis.
+        prior_height_m: standard deviation of the prior's height.
+        prior_velocity_mps: standard deviation of the prior's horizontal velocity, per axis.
+        prior_vertical_mps: standard deviation of the prior's vertical velocity.
+        prior_bias_mps: standard deviation of the prior's oscillator bias.
+        transmit_dbm, gnb_gain_db, ue_gain_db, implementation_loss_db: part of the link budget.
+        noise_figure_db: noise figure of the receiver.
+        reflection_loss_db: loss on a virtual anchor's path.
+        blockage_loss_db: loss while a link is blocked.
+        shadowing_db: standard deviation of log-normal shadowing.
+        shadowing_correlation: correlation of shadowing after one second, an AR(1) process.
+        detection_snr_db: SNR at which a link is detected with probability 0.5.
+        detection_slope_db: scale of the logistic curve of the detection probability over the SNR.
+        doppler_window_s: coherent processing interval T for the Doppler shift.
+        blockage_scale, blockage_base, blockage_per_100m, blockage_limit: stationary probability of
+            blockage at distance d: scale * min(limit, base + per_100m d / 100 m).
         blockage_mean_s: mean length of a blockage.
-        blockage_range_m: mean of its exponential range bias.
-        blockage_angle_rad: standard deviation of its angle biases.
-        multipath_rate_hz: onsets per second and link.
-        multipath_mean_s: mean length.
-        multipath_range_m: (constant, mean of the exponential) parts of its range bias.
-        multipath_angle_rad: standard deviation of its angle biases.
-        outage_rate_hz, outage_mean_s: loss of all links.
+        blockage_range_m: mean of the exponential range bias during a blockage.
+        blockage_angle_rad: standard deviation of the angle biases during a blockage.
+        multipath_rate_hz: rate at which spells of multipath begin, per link.
+        multipath_mean_s: mean length of a spell of multipath.
+        multipath_range_m: range bias during multipath: constant, and mean of an exponential part.
+        multipath_angle_rad: standard deviation of the angle biases during multipath.
+        outage_rate_hz: rate at which outages begin, in which all links are lost.
+        outage_mean_s: mean length of an outage.
         spread_gain, spread_sigma, spread_floor_mps: Doppler spread = gain * speed *
             lognormal(sigma) + |N(0, floor)|, m/s.
         drift_mps: random walk of the oscillator bias, (m/s) / sqrt(s).
-        odometry_speed_mps, odometry_heading_rad: odometry noise.
-        odometry_slowest_mps: below it odometry gives no heading and is missing.
-        base: shipped profile whose modes, banks and policies it gets, as nothing is tuned for it.
+        odometry_speed_mps, odometry_heading_rad: standard deviation of the odometry's noise.
+        odometry_slowest_mps: below this speed odometry has no heading and is missing.
+        base: shipped profile whose modes, banks and policies this radio uses; only the shipped
+            profiles have their own.
     """
 
     name: Name
@@ -145,7 +154,7 @@ class Radio:
 
     @property
     def link_budget_db(self) -> float:
-        """Return the received power at no path loss, in dBm."""
+        """Return the received power without path loss, in dBm."""
         return self.transmit_dbm + self.gnb_gain_db + self.ue_gain_db - self.implementation_loss_db
 
     def thermal_noise_dbm(self, bandwidth_hz: float) -> float:
@@ -162,7 +171,7 @@ class Radio:
         elements = self.ue_elements, self.gnb_elements
         arrival, departure = (6.0 / ((max(n, 2) ** 2 - 1.0) * math.pi**2) for n in elements)
         angles = (self.aoa_floor_rad, self.elevation_floor_rad, self.aod_floor_rad)
-        floor, bound = [], []  # a single element has no aperture: angles need two at least
+        floor, bound = [], []  # a single element has no aperture: angles need at least two
         for anchor in range(layout.anchors):
             floor += [self.range_floor_m[min(anchor, 1)], *angles]
             bound += [range_bound**2 / 2.0, arrival, arrival, departure]
@@ -243,7 +252,7 @@ def read_radio(path: str | os.PathLike[str]) -> Radio:
         own = {"name": as_name(Path(path).stem)} | _in_radians(content)
         if own["name"] in list(RADIOS):
             raise ValueError(
-                f"name: found {own['name']!r}, that of a shipped profile, expected another"
+                f"name: found {own['name']!r}, a shipped profile's name, expected another name"
             )
         base = choose(RADIOS, own.pop("base", "standard"), "base")
         return object_from(Radio, vars(base) | own)
@@ -259,7 +268,7 @@ def _in_radians(content: dict[str, Any]) -> dict[str, Any]:
         in_degrees = key.endswith("_deg") and angle in hints_of(Radio)
         name = angle if in_degrees else key
         if name in fields:
-            raise ValueError(f"{key}: found it beside the same angle in the other unit")
+            raise ValueError(f"{key}: found the same angle twice, in degrees and in radians")
         fields[name] = value * DEGREE if in_degrees and type(value) in (int, float) else value
     return fields
 
@@ -288,7 +297,7 @@ def deviations(
     """Return standard deviations (rows,) at SNRs (L,): floor and Cramer-Rao bound in quadrature.
 
     Args:
-        floor_variance, bound_variance: (rows,) as :meth:`Radio.variances` gives them.
+        floor_variance, bound_variance: (rows,) results of :meth:`Radio.variances`.
         snr_db: (L,) SNR per link; the Doppler shift has the SNR of the first link.
         layout: rows of the measurement vector.
     """

@@ -1,4 +1,4 @@
-"""Random scenes, with which a switcher cannot learn one street by heart."""
+"""Random scenes, so that a policy in training cannot memorize one street."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,21 +27,21 @@ Lengths = Annotated[tuple[Length, Length], "[low, high], each 0.001 to 10000 m"]
 
 @dataclass(frozen=True)
 class RandomScene:
-    """A random scene: a net of streets, a base station at one of its crossings and two walls.
+    """A random scene: a grid of streets, a base station at one of its crossings and two walls.
 
-    One wall closes the net to the north or south, the other to the east or west, so that every
-    scene has three anchors, as the named scenes have. Ranges are in meters, drawn from uniformly.
+    One wall closes the grid to the north or south, the other to the east or west, so that every
+    scene has three anchors, like the named scenes. Numbers are drawn uniformly from their ranges.
 
     Attributes:
-        name: shown in results.
-        block_m: distance of parallel streets.
-        blocks: west to east and south to north, from none, which leaves one street, up to these.
-        beside_m: of the base station from its crossing, along either street to either side.
-        height_m: of the base station.
-        behind_m: of a wall behind the last street, or behind the base station where that is
+        name: name to show in results.
+        block_m: distance between parallel streets.
+        blocks: maximum number of blocks in each direction; with 0 in one, there is one street.
+        beside_m: distance of the base station from its crossing, to a random side of each street.
+        height_m: height of the base station.
+        behind_m: distance from a wall to the last street, or to the base station if that is
             farther out.
-        user_height_m: of the user equipment.
-        carrier_hz, bandwidth_hz: as of :class:`~mmwave_env.models.scene.Scene`.
+        user_height_m: height of the user equipment.
+        carrier_hz, bandwidth_hz: same as in :class:`~mmwave_env.models.scene.Scene`.
     """
 
     name: Name = RANDOM
@@ -60,13 +60,13 @@ class RandomScene:
 
     @property
     def example(self) -> Scene:
-        """Return one scene; all have the same carrier, bandwidth and number of anchors."""
+        """Return an example; all scenes have the same carrier, bandwidth and number of anchors."""
         return self.scene_of(self.draw_numbers(Dice(seeded(0.0, 0))))
 
     def draw_numbers(self, dice: Dice) -> SceneNumbers:
-        """Draw the numbers of a scene; the scene of a key depends on the order of the draws."""
+        """Draw the numbers of a scene; a key's scene depends on the order of these draws."""
         block, each = dice.uniform(*self.block_m), float(self.blocks + 1)
-        counts = floor(1.0 + (each * each - 1.0) * dice.uniform())  # never 0 blocks both ways
+        counts = floor(1.0 + (each * each - 1.0) * dice.uniform())  # not 0 blocks in both
         east = floor((counts + 0.5) * (1.0 / each))
         extent, base, walls = [], [], []
         for count in (east, counts - each * east):
@@ -82,7 +82,7 @@ class RandomScene:
         return SceneNumbers(anchors, block, extent, [0.0, 0.0], self.user_height_m)
 
     def scene_of(self, numbers: SceneNumbers) -> Scene:
-        """Return the scene of numbers that :meth:`draw_numbers` drew as floats."""
+        """Return the scene with these numbers, which :meth:`draw_numbers` drew as floats."""
         (x, y, height), west, south = numbers.anchors
         walls = Wall((1.0, 0.0), (west[0] + x) / 2.0), Wall((0.0, 1.0), (south[1] + y) / 2.0)
         east, north = numbers.extent_m

@@ -1,7 +1,7 @@
 """Scenes: a base station, the walls that mirror it, and the streets on which users move.
 
-A flat wall turns the physical anchor into a *virtual anchor*, its mirror image: a path with one
-reflection measures range and angles as if it came from the mirror image (paper, Sec. II).
+A flat wall adds a *virtual anchor*, the mirror image of the physical anchor: a path with one
+reflection has range and angles as if it came from the mirror image (paper, Sec. II).
 """
 
 from collections.abc import Iterator
@@ -26,7 +26,7 @@ from mmwave_env.io.records import (
 from mmwave_env.models.envelope import POSITION_M
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 
-MOST_ANCHORS = 32  # so many anchors take a minute and a half to compile
+MOST_ANCHORS = 32  # with this many anchors, compiling takes a minute and a half
 
 Coordinate = Annotated[float, POSITION_M]
 _EACH = f"each {POSITION_M.expected}"
@@ -41,7 +41,7 @@ class Wall:
     """A vertical plane ``normal . (x, y) = offset_m``.
 
     Attributes:
-        normal: horizontal direction (2,), any length but zero.
+        normal: horizontal direction (2,), of any length except zero.
         offset_m: distance of the plane from the origin along the unit normal, m.
     """
 
@@ -68,7 +68,7 @@ class Wall:
         """Describe the side of the wall that a point is on, in words such as "y below 25 m"."""
         nx, ny = self.unit_normal
         along = "y" if nx == 0.0 else "x" if ny == 0.0 else f"{nx:.3g} x {ny:+.3g} y"
-        sign = nx + ny if along in ("x", "y") else 1.0  # the axis may point the other way
+        sign = nx + ny if along in ("x", "y") else 1.0  # the normal may point against the axis
         side = "below" if sign * self.signed_distance(point) < 0.0 else "above"
         return f"{along} {side} {sign * self.offset_m + 0.0:g} m"
 
@@ -81,11 +81,11 @@ class Wall:
 
 @dataclass(frozen=True)
 class Origin:
-    """The place of a scene's origin on the earth (WGS 84).
+    """The location of a scene's origin on the earth (WGS 84).
 
     Attributes:
-        latitude_deg, longitude_deg: of the point (0, 0, 0) of the scene.
-        height_m: its height above the ellipsoid.
+        latitude_deg, longitude_deg: latitude and longitude of the scene's point (0, 0, 0).
+        height_m: height of this point above the ellipsoid.
         bearing_deg: direction of the x axis, clockwise from north; 90 is east.
     """
 
@@ -100,12 +100,12 @@ class Origin:
 
 @dataclass(frozen=True)
 class Streets:
-    """A rectangular net of streets to move on.
+    """A rectangular grid of streets on which users move.
 
     Attributes:
         x_m: west-east extent (low, high), m.
         y_m: south-north extent (low, high), m.
-        block_m: distance of parallel streets, m; extents hold a whole number of blocks.
+        block_m: distance between parallel streets, m; extents are a whole number of blocks.
         height_m: height of the user equipment, m.
     """
 
@@ -128,11 +128,11 @@ class Streets:
 
 
 class SceneNumbers(NamedTuple):
-    """The numbers of a scene that a simulation needs; they may be lanes."""
+    """The numbers of a scene that a simulation needs; they may be SIMD lanes."""
 
     anchors: list[list[Any]]  # (L, 3) positions, m
-    block_m: Any  # distance of parallel streets
-    # extent_m, origin_m: (2,) size (west-east, south-north) and corner of the net of streets
+    block_m: Any  # distance between parallel streets
+    # extent_m, origin_m: (2,) size (west-east, south-north) and corner of the grid of streets
     extent_m: list[Any]
     origin_m: list[Any]
     height_m: Any  # height of the user equipment
@@ -143,14 +143,14 @@ class Scene:
     """A base station among walls.
 
     Attributes:
-        name: shown in results.
+        name: name to show in results.
         base_station_m: position of the physical gNB.
-        walls: each adds one virtual anchor.
-        streets: where simulated users move.
+        walls: walls that reflect, each of which adds one virtual anchor.
+        streets: streets on which simulated users move.
         carrier_hz: carrier frequency f_c.
         bandwidth_hz: signal bandwidth B.
-        virtual_anchors_m: positions of more virtual anchors, of a survey or a ray tracing.
-        origin: place on the earth; None where it is not known.
+        virtual_anchors_m: positions of more virtual anchors, from a survey or from ray tracing.
+        origin: location on the earth; None if it is not known.
     """
 
     name: Name
@@ -179,17 +179,17 @@ class Scene:
 
     @property
     def streets_known(self) -> bool:
-        """Tell whether the streets are given; in recordings they are unknown."""
+        """Return whether the streets are known; in recordings they are not."""
         return bool(self.walls) or self.streets != Streets()
 
     def require_streets_in_front(self) -> None:
-        """Refuse streets behind a wall, where its mirror image can't be seen.
+        """Refuse streets behind a wall, where its reflections cannot be received.
 
         Raises:
-            ValueError: streets are behind a wall, which the message names.
+            ValueError: streets are behind a wall; the message says on which side they must be.
         """
         corners = [(x, y, 0.0) for x in self.streets.x_m for y in self.streets.y_m]
-        default = " (the default: say where they are)" if self.streets == Streets() else ""
+        default = " (the default; give the real ones)" if self.streets == Streets() else ""
         for _, wall in self.behind_walls(np.array(corners)):
             side = wall.side_of(self.base_station_m)
             raise ValueError(
@@ -198,7 +198,10 @@ class Scene:
             )
 
     def behind_walls(self, points_m: NDArray[np.float64]) -> Iterator[tuple[int, Wall]]:
-        """Yield the number of the first of points (n, 3) behind or in a wall, and the wall."""
+        """Yield (number, wall) for each wall that has one of the points (n, 3) behind or in it.
+
+        The number is that of the first such point.
+        """
         for wall in self.walls:
             side = wall.signed_distance(self.base_station_m)
             behind = wall.signed_distance(points_m.T) * side <= 0.0
@@ -214,7 +217,7 @@ class Scene:
 
     @property
     def hz_per_mps(self) -> float:
-        """Return the Doppler shift of 1 m/s, f_c / c."""
+        """Return the Doppler shift at 1 m/s, f_c / c."""
         return self.carrier_hz / SPEED_OF_LIGHT
 
 
@@ -243,7 +246,7 @@ SCENES: dict[str, Scene] = {
 def scene_of_anchors(
     name: str, anchors_m: NDArray[np.float64], carrier_hz: float, bandwidth_hz: float
 ) -> Scene:
-    """Return a scene of anchors (L, 3), the physical gNB first, without walls and streets."""
+    """Return a scene with anchors (L, 3), the physical gNB first, but without walls and streets."""
     gnb, *virtual = [(float(x), float(y), float(z)) for x, y, z in anchors_m]
     return Scene(name, gnb, (), Streets(), carrier_hz, bandwidth_hz, tuple(virtual))
 
@@ -264,12 +267,12 @@ def scene_from(scene: "str | Path | Scene") -> Scene:
 def read_scene(path: Path) -> Scene:
     """Read a scene from a JSON file in one of two forms.
 
-    A scene with walls holds base_station_m [x, y, z]; and, where they differ from the defaults,
+    A scene with walls contains base_station_m [x, y, z]; and, if they differ from the defaults,
     name, walls (a list of {"normal": [x, y], "offset_m": d}), streets, carrier_hz, bandwidth_hz
     and virtual_anchors_m (a list of [x, y, z]).
 
-    A scene of anchors holds anchors (a list of [x, y, z], the physical gNB first), carrier_hz
-    and bandwidth_hz; and, where they differ from the defaults, name and streets.
+    A scene of anchors contains anchors (a list of [x, y, z], the physical gNB first), carrier_hz
+    and bandwidth_hz; and, if they differ from the defaults, name and streets.
 
     Raises:
         ValueError: the file is wrong; the message names the file and the error.
@@ -281,7 +284,7 @@ def read_scene(path: Path) -> Scene:
 
 
 def scene_json(scene: Scene) -> dict[str, Any]:
-    """Return the scene as :func:`read_scene` reads it: with its walls, else with its anchors."""
+    """Return the scene in the form with walls if it has any, else in the form with anchors."""
     origin = {"origin": asdict(scene.origin)} if scene.origin else {}
     if scene.walls:
         return {key: value for key, value in asdict(scene).items() if key != "origin"} | origin
@@ -296,8 +299,12 @@ class AnchorScene:
     """The content of a scene file that lists its anchors.
 
     Attributes:
-        anchors: positions, the physical gNB first.
-        name, carrier_hz, bandwidth_hz, streets: as of :class:`Scene`.
+        name: name to show in results.
+        anchors: positions of the anchors, the physical gNB first.
+        carrier_hz: carrier frequency f_c.
+        bandwidth_hz: signal bandwidth B.
+        streets: streets on which simulated users move.
+        origin: location on the earth; None if it is not known.
     """
 
     name: Name
@@ -312,7 +319,7 @@ class AnchorScene:
 
 
 def _scene(content: dict[str, Any]) -> Scene:
-    """Return the scene of a file's content, in one of its two forms."""
+    """Make a scene from the content of a file in one of the two forms."""
     keys = [k for k in ("base_station_m", "walls", "virtual_anchors_m", "anchors") if k in content]
     if ("base_station_m" in keys) == ("anchors" in keys) or (len(keys) > 1 and "anchors" in keys):
         raise ValueError(

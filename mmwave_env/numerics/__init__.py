@@ -1,1 +1,1 @@
-"""Vocabulary of the equations: numbers, small matrices and trees of numbers, without numba."""
+"""Building blocks of the equations: numbers, small matrices and trees of numbers."""

@@ -1,8 +1,8 @@
 """Small linear algebra on lists of numbers.
 
 Matrices are lists of rows. A symmetric matrix is stored *packed*: its lower triangle, row
-by row. An entry that is the plain constant ``0.0`` is a structural zero (for example a coordinate
-that is known exactly): it costs nothing on lanes, and nothing is divided by it.
+by row. An entry that is the plain constant ``0.0`` is a *structural zero*, for example the variance
+of a coordinate that is known exactly: it costs nothing on SIMD lanes, and nothing is divided by it.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,9 +11,9 @@ from mmwave_env.numerics.numbers import Matrix, Number, Vector, sqrt
 
 
 def dot(a: Vector, b: Vector) -> Number:
-    """Return the inner product of two vectors; surplus entries of the longer do not count."""
+    """Return the inner product of two vectors; surplus entries of the longer one are ignored."""
     total: Number = 0.0
-    for u, v in zip(a, b):  # noqa: B905 - rows of a triangle meet longer vectors on purpose
+    for u, v in zip(a, b):  # noqa: B905 - rows of a triangle may be shorter than the vector
         total = total + u * v
     return total
 
@@ -33,7 +33,7 @@ def pack(m: Matrix) -> list[Number]:
 
 
 def unpack(packed: Vector, zero: Sequence[int] = ()) -> list[list[Number]]:
-    """Return the symmetric matrix of a packed triangle, with structural zeros in rows ``zero``."""
+    """Unpack a triangle to a symmetric matrix; rows and columns ``zero`` are structural zeros."""
     n = round((2 * len(packed) + 0.25) ** 0.5 - 0.5)
     return symmetric(
         n, lambda i, j: 0.0 if i in zero or j in zero else packed[i * (i + 1) // 2 + j]
@@ -41,7 +41,7 @@ def unpack(packed: Vector, zero: Sequence[int] = ()) -> list[list[Number]]:
 
 
 def cholesky(a: Matrix) -> list[list[Number]]:
-    """Return the lower-triangular L with L L' = a; the column of a structural zero stays zero."""
+    """Return the lower-triangular L with L L' = a; columns with a structurally zero pivot are 0."""
     n = len(a)
     factor: list[list[Number]] = [[0.0] * n for _ in range(n)]
     for j in range(n):
@@ -56,7 +56,7 @@ def cholesky(a: Matrix) -> list[list[Number]]:
 
 
 def forward(factor: Matrix, b: Vector) -> list[Number]:
-    """Solve ``factor y = b`` for a lower-triangular factor; y is 0 where a pivot is structural."""
+    """Solve ``factor y = b`` for a lower-triangular factor; y is 0 where the pivot is a plain 0."""
     y: list[Number] = []
     for i in range(len(b)):
         pivot = factor[i][i]
@@ -66,7 +66,7 @@ def forward(factor: Matrix, b: Vector) -> list[Number]:
 
 
 def backward(factor: Matrix, b: Vector) -> list[Number]:
-    """Solve ``factor' y = b`` for a lower-triangular factor; y is 0 where a pivot is structural."""
+    """Solve ``factor' y = b`` for a lower-triangular factor; y is 0 where the pivot is plain 0."""
     n = len(b)
     y: list[Number] = [0.0] * n
     for i in reversed(range(n)):

@@ -1,11 +1,11 @@
-"""Elementary functions of numbers, where a number is a float, an array or eight lanes.
+"""Elementary functions of numbers, where a number is a float, an array or eight SIMD lanes.
 
-The mathematics of this package is written once, as plain functions of numbers. On floats
-they are the reference that tests call; on arrays they check the paths of recordings and score whole
-tracks; on :class:`~mmwave_env.compiler.lanes.Lanes` they become one SIMD kernel. Python's operators
-work on all three; this module holds the few functions that depend on the kind of number.
+The mathematics of this package is written once, as plain functions of numbers. Called with floats,
+they are the reference for tests; with arrays, they test signal paths and score complete tracks;
+with :class:`~mmwave_env.compiler.lanes.Lanes`, they become one SIMD kernel. Python's operators
+work on all three; this module contains the few functions that depend on the kind of number.
 
-The shape of an array is given beside each argument and attribute. Functions of numbers follow
+The description of an array argument or attribute begins with its shape. Functions of numbers follow
 three rules: they do not branch on a value (use :func:`where`), they use lists instead of arrays,
 and they call ``math`` or ``numpy`` only through this module.
 """
@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Number: TypeAlias = Any  # float, numpy array or Lanes
-Vector: TypeAlias = Sequence[Any]  # of Number
-Matrix: TypeAlias = Sequence[Sequence[Any]]
+Vector: TypeAlias = Sequence[Any]  # a sequence of Number
+Matrix: TypeAlias = Sequence[Sequence[Any]]  # a sequence of rows
 
 PI = math.pi
 
@@ -32,7 +32,7 @@ def _is_float(a: Number) -> bool:
 
 
 def _function(name: str) -> Callable[[Number], Number]:
-    """Return a function of one number, given its name, which ``math``, numpy and lanes share."""
+    """Return a function of one number; it has the same name in ``math``, numpy and Lanes."""
     of_float, of_array = getattr(math, name), getattr(np, name)
 
     def function(a: Number) -> Number:
@@ -44,11 +44,11 @@ def _function(name: str) -> Callable[[Number], Number]:
 
 
 sqrt, exp, floor = _function("sqrt"), _function("exp"), _function("floor")
-log = _function("log")  # of a positive number
+log = _function("log")  # for positive numbers only
 
 
 def atan2(y: Number, x: Number) -> Number:
-    """Return the angle of the vector (x, y) in radians, in (-pi, pi]: -0 counts as 0."""
+    """Return the angle of the vector (x, y) in radians, in (-pi, pi]; a -0 counts as 0."""
     if _is_float(y) and _is_float(x):
         return math.atan2(y + 0.0, x + 0.0)
     if isinstance(y, np.ndarray) or isinstance(x, np.ndarray):
@@ -57,7 +57,7 @@ def atan2(y: Number, x: Number) -> Number:
 
 
 def cos_sin(angle: Number) -> tuple[Number, Number]:
-    """Return the cosine and the sine of an angle in radians; on lanes, of up to 1e5 radians."""
+    """Return cosine and sine of an angle in radians, which must be below 1e5 in size on lanes."""
     if _is_float(angle):
         return math.cos(angle), math.sin(angle)
     if isinstance(angle, np.ndarray):
@@ -67,7 +67,7 @@ def cos_sin(angle: Number) -> tuple[Number, Number]:
 
 
 def where(condition: Any, a: Number, b: Number) -> Number:
-    """Return ``a`` where the condition holds, else ``b``; there is no other branch on a value."""
+    """Return ``a`` where the condition is true, else ``b``: the only way to branch on a value."""
     if isinstance(condition, (bool, np.bool_)):
         return a if condition else b
     if isinstance(condition, np.ndarray):

@@ -1,7 +1,7 @@
-"""Nested tuples and lists of numbers: functions that flatten them and choose between two.
+"""Trees of numbers, such as the state of a track: flattening them, and choosing between two.
 
-A *tree* is a number, or a list or NamedTuple of trees. The state of a track is a tree; the
-rows of a SIMD workspace hold its leaves in order.
+A *tree* is a number, or a list or NamedTuple of trees. Its numbers are its leaves. A workspace, the
+array that SIMD code works on, has one row for each leaf, in order.
 """
 
 import itertools
@@ -31,7 +31,7 @@ def unflatten(template: Tree, numbers: Iterator[Number]) -> Tree:
 
 
 def indices(template: Tree) -> Tree:
-    """Return a tree of the template's shape with each leaf's place, 0, 1, 2, ..., as the leaf."""
+    """Return a tree of the template's shape whose leaves are 0, 1, 2, ... in order."""
     return unflatten(template, itertools.count())
 
 
@@ -43,7 +43,7 @@ def select(condition: Any, a: Tree, b: Tree) -> Tree:
 
 
 def tree_at(place: Number, trees: Sequence[Tree]) -> Tree:
-    """Return ``trees[place]``, where the place is a number that is known only at run time."""
+    """Return ``trees[place]`` for a place that is a number known only at run time."""
     chosen = trees[0]
     for number, tree in enumerate(trees[1:], start=1):
         chosen = select(place > number - 0.5, tree, chosen)

@@ -1,8 +1,8 @@
-"""Random numbers, drawn by functions of numbers, which also run on lanes.
+"""Random numbers, drawn by functions that run on floats and on SIMD lanes (eight environments).
 
-The generator is SFC64 (Chris Doty-Humphrey, PractRand), which numpy has, too: it uses additions,
-shifts and a rotation. Its four words of 64 bits are stored as the bits of four numbers; the rows of
-a workspace store the words of eight environments in the same way.
+The generator is SFC64 (Chris Doty-Humphrey, PractRand), which numpy also offers: it needs only
+additions, shifts, a rotation and xor. Its four 64-bit words are stored as the bits of four floats;
+four lanes store the words of eight environments in the same way.
 """
 
 import math
@@ -15,7 +15,7 @@ from mmwave_env.numerics.numbers import Number, Vector, cos_sin, log, sqrt
 
 STATE_WORDS = 4
 _MASK = 2**64 - 1
-_WARM_UP = 18  # words dropped after seeding
+_WARM_UP = 18  # number of words that are dropped after seeding
 
 
 def _bitwise(operation: Callable[[int, int], int]) -> Any:
@@ -34,7 +34,7 @@ class Word:
     __lshift__, __rshift__ = _bitwise(lshift), _bitwise(rshift)
 
     def scaled(self, factor: float) -> float:
-        """Return the integer times a factor, exact below 2^53."""
+        """Convert the integer to a float, exactly if it is below 2^53, and multiply it."""
         return self.value * factor
 
     def as_number(self) -> float:
@@ -43,14 +43,14 @@ class Word:
 
 
 def word_of(number: Number) -> Any:
-    """Return the bits of a number, which is a float or lanes."""
+    """Return the bits of a float or of lanes as words."""
     if isinstance(number, float):
         return Word(struct.unpack("<Q", struct.pack("<d", number))[0])
     return number.as_word()
 
 
 def next_word(state: Sequence[Any]) -> tuple[Any, list[Any]]:
-    """Return a word of SFC64 and the state after it; the words may be of any kind."""
+    """Return the next word of SFC64 and the new state; the words belong to floats or to lanes."""
     a, b, c, counter = state
     word = a + b + counter
     rotated = (c << 24) | (c >> 40)
@@ -61,8 +61,8 @@ def seeded(key: Number, stream: int) -> list[Number]:
     """Return the generator's state (4,) for a key.
 
     Args:
-        key: the bits of a number.
-        stream: which of the key's streams to draw; the streams are independent of each other.
+        key: a number, whose 64 bits are the key.
+        stream: number of the stream; different streams of one key are independent.
     """
     word = word_of(key)
     none = word ^ word
@@ -73,7 +73,7 @@ def seeded(key: Number, stream: int) -> list[Number]:
 
 
 class Dice:
-    """A source of random numbers; what a key gives depends on the order in which they are drawn.
+    """A source of random numbers, which depend on the state and on the order of the draws.
 
     Args:
         state: the generator's state (4,).
@@ -89,16 +89,16 @@ class Dice:
         return [word.as_number() for word in self._words]
 
     def uniform(self, low: Number = 0.0, high: Number = 1.0) -> Number:
-        """Draw uniformly from [low, high); in [0, 1) numpy makes the same number from the word."""
+        """Draw uniformly from [low, high), or from [0, 1) the number that numpy would draw."""
         word, self._words = next_word(self._words)
         return low + (high - low) * (word >> 11).scaled(2.0**-53)
 
     def exponential(self) -> Number:
-        """Draw from the exponential distribution of mean 1; the number is at most 36.7."""
+        """Draw from the exponential distribution with mean 1; the result is at most 36.7."""
         return -log(1.0 - self.uniform())
 
     def normal(self) -> Number:
-        """Draw a standard normal, at most 8.6 from zero (Box and Muller 1958: two at a time)."""
+        """Draw a standard normal number, of absolute value up to 8.6 (Box and Muller 1958)."""
         if self._spare is not None:
             drawn, self._spare = self._spare, None
             return drawn

@@ -1,9 +1,9 @@
 """Numbers that take part in arithmetic but hide their value.
 
-A function that runs on such numbers can run on lanes, because it never asks for the value in
-one of the eight environments. An operation that needs the value is refused, and the message says
-what to write instead. There are two kinds of these numbers: lanes, which are compiled, and probes,
-floats that hide their value as lanes do, on which a function is tried before it is compiled.
+A function that runs on such numbers can be compiled for SIMD lanes, which stand for eight
+environments at once, because it never asks for a value. An operation that needs the value is
+refused, and the message says what to write instead. There are two kinds of these numbers: lanes,
+and probes, which are floats that hide their value. A function is tried on probes before compiling.
 """
 
 import operator
@@ -14,27 +14,27 @@ from mmwave_env.numerics import numbers
 
 
 class NoValueError(TypeError):
-    """An error for a function that asked a number for its value; it says what to write instead."""
+    """An error in a function that asks for a hidden value; the message says what to write."""
 
 
 _NUMBERS = "mmwave_env.numerics.numbers"
 _REFUSALS = {  # key: (the operation in words, what to write instead)
     "truth": (
         "a branch",
-        "where(condition, a, b) for if and while, & and | for and and or, and maximum(a, b) and "
-        f"minimum(a, b) for max and min, all of {_NUMBERS}",
+        "where(condition, a, b) for 'if' and 'while', & and | for 'and' and 'or', and "
+        f"maximum(a, b) and minimum(a, b) for max and min; these functions are in {_NUMBERS}",
     ),
-    "value": ("a float", f"the functions of {_NUMBERS}, without float(...) and math"),
+    "value": ("float(...) or math", f"the functions of {_NUMBERS} instead"),
     "integer": ("an integer", "a constant that is known before the function runs"),
-    "numpy": ("numpy", f"lists, {_NUMBERS} and mmwave_env.numerics.linalg"),
+    "numpy": ("numpy", f"lists and the functions of {_NUMBERS} and mmwave_env.numerics.linalg"),
     "equality": ("a comparison by == or !=", "where(abs(a - b) < tolerance, ...)"),
     "power": ("a power", "a * a for a ** 2, sqrt(a) for a ** 0.5, exp(p * log(a)) for a ** p"),
     "remainder": ("a remainder", "wrap(a) for angles, where(a > b, a - b, a) for one period"),
     "floor": ("a division with //", "a / b"),
     "key": ("a key of a dict or set", "a list and a constant index, or where(condition, a, b)"),
     "mask as number": ("arithmetic with a condition", "where(condition, 1.0, 0.0)"),
-    "inverse": ("the inverse of a condition", "where(condition, b, a), its branches exchanged"),
-    "number as mask": ("a number as a condition", "where(a > 0.5, ...)"),
+    "inverse": ("the inverse of a condition", "where(condition, b, a) with exchanged branches"),
+    "number as mask": ("using a number as a condition", "where(a > 0.5, ...)"),
 }
 
 
@@ -50,7 +50,7 @@ def _refusing(asked: str) -> Any:
 
 
 def _combining(op: str) -> tuple[Any, Any]:
-    """Return an operator and its reflected form, which Python asks the right operand for."""
+    """Return an operator and its reflected form, which Python calls on the right operand."""
     return lambda a, b: _combined(op, a, b), lambda b, a: _combined(op, a, b)
 
 
@@ -103,7 +103,7 @@ class Tracer:
 
 
 def _settled(op: str, a: Any, b: Any) -> Any:
-    """Return the result where a constant 0 or 1 settles it without an instruction, else None."""
+    """Return the result if a constant 0 or 1 makes an instruction unnecessary, else None."""
     if op == "mul":
         for u, v in ((a, b), (b, a)):
             if not isinstance(u, Tracer) and u in (0.0, 1.0):
@@ -153,7 +153,7 @@ class FloatCondition(TracerCondition):
         return FloatCondition(self.hidden | other.hidden)
 
     def select(self, a: Any, b: Any) -> "FloatTracer":
-        """Return ``a`` where the condition holds, else ``b``."""
+        """Return ``a`` if the condition is true, else ``b``."""
         return FloatTracer(numbers.where(self.hidden, value_of(a), value_of(b)))
 
 
@@ -162,7 +162,7 @@ def _applying(function: Callable[[float], float]) -> Any:
 
 
 class FloatTracer(Tracer):
-    """A probe: a float that hides its value and computes with it as lanes do with their values."""
+    """A probe: a float that hides its value, but supports the arithmetic that lanes support."""
 
     __slots__ = ("hidden",)
 
@@ -184,7 +184,7 @@ class FloatTracer(Tracer):
         return FloatTracer(abs(self.hidden))
 
     def constant(self, value: float) -> "FloatTracer":
-        """Return a probe with a value."""
+        """Return a probe that hides a value."""
         return FloatTracer(value)
 
     sqrt, log, exp = _applying(numbers.sqrt), _applying(numbers.log), _applying(numbers.exp)

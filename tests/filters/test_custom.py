@@ -34,9 +34,9 @@ LINE = BEFORE.count("\n") + 1
 WHERE = "write where(condition, a, b)"
 REFUSED = {
     "if a > 0.0: b = a": ("a branch", WHERE),
-    "c = where(a > 0.0 and b > 0.0, 1.0, 0.0)": ("a branch", "& and | for and and or"),
+    "c = where(a > 0.0 and b > 0.0, 1.0, 0.0)": ("a branch", "& and | for 'and'"),
     "c = max(a, b)": ("a branch", "maximum(a, b)"),
-    "c = math.sqrt(b)": ("a float", "write the functions of mmwave_env.numerics.numbers"),
+    "c = math.sqrt(b)": ("float(...) or math", "the functions of mmwave_env.numerics.numbers"),
     "c = TABLE[a]": ("an integer", "a constant"),
     "c = np.linalg.inv(P)": ("numpy", "mmwave_env.numerics.linalg"),
     "c = np.float64(2.0) * a": ("numpy", "mmwave_env.numerics.linalg"),
@@ -46,7 +46,7 @@ REFUSED = {
     "c = a // 3.0": ("a division with //", "write a / b"),
     "c = {a: 1.0}": ("a key of a dict or set", "a list and a constant index"),
     "c = (a > 0.0) * 2.0": ("arithmetic with a condition", "write where(condition, 1.0, 0.0)"),
-    "c = where(b, 1.0, 0.0)": ("a number as a condition", "write where(a > 0.5, ...)"),
+    "c = where(b, 1.0, 0.0)": ("using a number as a condition", "write where(a > 0.5, ...)"),
     "c = where(~(a > 0.0), 1.0, 0.0)": ("the inverse of a condition", "where(condition, b, a)"),
 }
 
