@@ -184,7 +184,7 @@ def test_epochs_before_the_first_line_of_sight_are_counted(capsys, tmp_path):
 
 @pytest.mark.filterwarnings("ignore:Doppler")  # too large for the slowed walk
 def test_a_restart_or_an_end_at_a_long_gap_is_reported(capsys, tmp_path):
-    """Use the walk at a tenth of its rate, without 100 to 129 s, and then no anchor 1 after that."""
+    """Use the walk at a tenth of its rate, without 100 to 129 s, then without anchor 1 later on."""
     log, gap = tmp_path / "gap.csv", range(100, 130)
     header, *lines = lines_of()
     rows = [(round(10 * float(time)), rest) for time, _, rest in (l.partition(",") for l in lines)]

@@ -1,4 +1,4 @@
-"""Tests that ``mmwave-loc sweep`` keeps the results of every cell once; `make ray` runs them all."""
+"""Tests that ``mmwave-loc sweep`` keeps the result of every cell once; `make ray` runs them all."""
 
 import os
 import re
