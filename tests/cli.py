@@ -1,4 +1,4 @@
-"""Helpers that run the program's commands in the process of the tests."""
+"""Helpers that run the command line program inside the process of the tests."""
 
 import os
 import re
@@ -42,7 +42,7 @@ def command(*words, cwd=ROOT, columns=200):
 
 
 def environment():
-    """Return environment variables of a process that imports this checkout, on a wide terminal."""
+    """Return environment variables for processes that import this checkout and print wide lines."""
     path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     return os.environ | {"PYTHONPATH": path, "COLUMNS": "200"}
 

@@ -1,4 +1,4 @@
-"""Strategies that damage files as disks, editors and strangers might, for tests of readers."""
+"""Strategies that damage files as bad disks, editors or attackers might, for tests of readers."""
 
 import json
 from copy import deepcopy
@@ -28,7 +28,7 @@ def damaged(draw, content):
 
 
 def places(content, path=()):
-    """Yield the keys and indices that lead to each part of JSON content, up to item 5 of a list."""
+    """Yield the keys and indices that lead to each part of JSON content (of lists, five items)."""
     parts = content.items() if isinstance(content, dict) else enumerate(content[:5])
     for key, value in parts:
         yield (*path, key)

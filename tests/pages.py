@@ -1,4 +1,4 @@
-"""Code blocks in pages of the docs are run; ``python -m tests.pages docs/PAGE.md`` renews tables.
+"""Helpers that run code blocks of the docs. ``python -m tests.pages docs/PAGE.md`` renews tables.
 
 A comment above a block says what is done with the block:
 
@@ -8,11 +8,11 @@ A comment above a block says what is done with the block:
 - ``<!-- example: few -->``: it is run with 2 episodes and 4096 steps instead of its own numbers.
 - ``<!-- example: slow -->``: only slow tests run it; ``few`` and ``slow`` can be combined.
 - ``<!-- published -->``: it takes minutes or more, so only the renewal of tables runs it.
-- ``<!-- not run: why -->``: it is never run.
+- ``<!-- not run: why -->``: it is never run, for this reason.
 
 The output of a block is shown below it, between ``<!-- table: printed -->`` and ``<!-- end -->``.
 If text follows ``printed``, only one table is shown: the first at or below a line that begins with
-this text. If the name of a file precedes ``printed``, the file is shown, which the block wrote.
+this text. If a file name precedes ``printed``, the block wrote this file, which is shown instead.
 """
 
 import re
@@ -141,7 +141,7 @@ def made(table: re.Match[str], printed: str, folder: Path) -> str:
     """Return the lines to show between the marks of a table, from the output of its block."""
     text = (folder / table["file"].strip()).read_text() if table["file"] else printed
     if not table["begin"]:
-        return f"\n{text.partition('Written:')[0].strip()}\n\n"  # without the files written
+        return f"\n{text.partition('Written:')[0].strip()}\n\n"  # without the list of files
     lines = text.splitlines()
     begin = next((i for i, line in enumerate(lines) if line.startswith(table["begin"])), None)
     if begin is None:

@@ -1,4 +1,4 @@
-"""Helpers of tests: paths of the checkout, numbers in tables, and slow cases."""
+"""Helpers for tests: paths of the checkout, numbers in tables, and marking cases as slow."""
 
 import re
 from pathlib import Path
@@ -17,5 +17,5 @@ def numbers(text: str) -> list[float]:
 
 
 def representative(cases, *quick):
-    """Return all cases of a test; only those in ``quick`` are not marked as slow."""
+    """Return all cases of a test, marked as slow unless they are in ``quick``."""
     return [case if case in quick else pytest.param(case, marks=pytest.mark.slow) for case in cases]

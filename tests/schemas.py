@@ -73,7 +73,10 @@ def size(least, most):
 
 
 def object_schema(kind, optional=(), replaced=None):
-    """Return a dataclass's schema; more fields may be made optional, and their schemas replaced."""
+    """Return the schema of a dataclass.
+
+    Files may omit the ``optional`` fields; ``replaced`` has schemas to use in place of a field's.
+    """
     texts, properties, required = described(kind), {}, []
     for field in fields(kind):
         part = (replaced or {}).get(field.name) or schema_of(hints_of(kind)[field.name])

@@ -46,7 +46,7 @@ SLOWEST_S = 20  # longest time that reading may take
 
 
 class Reader(NamedTuple):
-    """A reader of files that come from outside, and the files to damage."""
+    """A reader of files from outside the project, and intact files to damage."""
 
     files: Callable[[], dict[str, Any]]  # by name: bytes, or content to write as JSON
     read: Callable[[Path], Any]  # gets the folder of the files
@@ -129,7 +129,7 @@ READERS = {
 
 
 def numbers_in(content):
-    """Yield the arrays that are computed with; measurements that are not visible are left out."""
+    """Yield the arrays that computations use; measurements that are not visible are left out."""
     if isinstance(content, (LogBlock, Recording)):
         rows = np.repeat(content.visible, content.layout.widths, axis=1)
         yield from (content.time_s, content.measurement[rows])
@@ -146,7 +146,7 @@ def numbers_in(content):
         yield from numbers_in(vars(content))
 
 
-# These are only shown, not computed with; in a log of paths, NaN is a missing number.
+# Most of these are only shown, not used in computations. In a log of paths, NaN means missing.
 MAY_BE_NAN = (
     "results",
     "run",

@@ -1,4 +1,4 @@
-"""Tests of the environment MmWaveLoc-v0, which run without PyTorch, and on Gymnasium 1.1."""
+"""Tests of the environment MmWaveLoc-v0; they run without PyTorch, and on Gymnasium 1.1."""
 
 import inspect
 import math
@@ -46,7 +46,7 @@ def draw(seed=0, **changes):
 
 
 def adrift(drift_mps, epochs=200):
-    """Return a source: a user at rest, never measured, with a prior velocity of ``drift_mps``."""
+    """Return a source: a user at rest, no measurements, and a prior velocity of ``drift_mps``."""
     episode = draw(epochs=epochs)
     position = np.tile(episode.truth_position_m[0], (epochs, 1))
     return replay(
@@ -102,7 +102,7 @@ def test_the_environment_passes_gymnasium_s_checker(configuration, monkeypatch):
 
 
 @pytest.mark.slow
-def test_an_id_with_the_name_of_the_package_needs_no_import():
+def test_an_id_that_names_the_package_works_without_importing_it():
     code = (
         "import gymnasium, sys; env = gymnasium.make('mmwave_env:MmWaveLoc-v0', modes=['ekf']);"
         "env.reset(seed=0); print(env.step(0)[0].shape);"
@@ -147,7 +147,7 @@ def test_the_same_seed_gives_the_same_episode(configuration):
     assert not np.array_equal(other[0], roll(first, seed=3, steps=20)[-1][0])
 
 
-def test_reset_without_a_seed_draws_the_next_episode_of_the_seed_before():
+def test_reset_without_a_seed_continues_the_episodes_of_the_last_seed():
     env, again = gym.make(ID, **EKF), gym.make(ID, **EKF)
     runs = [[each.reset(seed=0), each.reset(), each.reset()] for each in (env, again)]
     assert same(*runs)

@@ -16,7 +16,7 @@ ROWS = [row for row in CELLS[1:] if not row[0].startswith(" **")]  # equation, w
 
 
 def named(cell):
-    """Return the names in a cell, which are in backticks."""
+    """Return the names that are in backticks in a cell."""
     return re.findall("`([^`]+)`", cell)
 
 
@@ -37,7 +37,7 @@ def test_the_table_has_a_function_and_a_test_in_every_row():
 
 @pytest.mark.parametrize("name", sorted(FUNCTIONS))
 def test_every_named_function_exists(name):
-    """Import the longest part of the name that is a module, and look up the rest in it."""
+    """Import the longest beginning of the name that is a module, and look up the rest in it."""
     parts = name.split(".")
     for end in range(len(parts) - 1, 0, -1):
         try:

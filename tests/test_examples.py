@@ -65,7 +65,7 @@ def test_an_example_beats_the_best_fixed_mode(name, tmp_path):
     assert next(iter(reward.values())) > reward["fixed-ukf"], done.stdout
 
 
-def test_the_page_for_agents_lists_every_example_and_the_pinned_versions():
+def test_the_docs_list_every_example_with_pinned_versions():
     files = [ROOT / "constraints.txt", *FOLDER.glob("*.txt")]
     pins = re.findall(
         r"^([\w-]+)(?:\[.*\])?==(\S+)$", "\n".join(f.read_text() for f in files), re.M

@@ -84,7 +84,7 @@ def begun(words, folder, most):
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
-    """Return a function that runs a command here, once; it returns input, files and duration."""
+    """Return a function from a command's name to its inputs, its files and its duration."""
     known = {}
 
     def find(name):

@@ -1,4 +1,4 @@
-"""Tests of rules for imports between rooms, which are folders or modules (docs/architecture.md)."""
+"""Tests of the rules in docs/architecture.md for imports between rooms (folders or modules)."""
 
 import ast
 import re
@@ -8,7 +8,7 @@ from graphlib import TopologicalSorter
 
 from tests.paths import ROOT
 
-EVERYBODY = {"mmwave_env", "io", "metrics"}  # all may import these; mmwave_env: its __init__.py
+EVERYBODY = {"mmwave_env", "io", "metrics"}  # all may import these; mmwave_env is its __init__.py
 FILTER_SIDE = {"numerics", "models", "filters"}
 WORLDS = FILTER_SIDE | {"compiler", "world", "interface", "task"}
 ENVIRONMENT = WORLDS | {"engines", "rendering"}
@@ -108,7 +108,7 @@ def crossings(arrows):
 
 
 def circles(edges):
-    """Raise CycleError if rooms (or modules) import each other in a circle; return them all."""
+    """Return all rooms (or modules); raise CycleError if they import each other in a circle."""
     graph = {}
     for a, b in edges:
         if a != b:

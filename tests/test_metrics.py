@@ -23,7 +23,7 @@ def tracks():
 
 @pytest.fixture(scope="module")
 def evo():
-    """Return evo's trajectory modules."""
+    """Return evo's module of metrics."""
     return pytest.importorskip("evo.core.metrics")
 
 
@@ -61,7 +61,7 @@ def test_rpe_equals_the_relative_pose_error_of_evo(evo, tracks, through_evo, del
     assert rpe(tracks[1] - tracks[0], delta) == pytest.approx(mean, abs=TOLERANCE)
 
 
-def test_metrics_accept_more_leading_axes(tracks):
+def test_metrics_accept_leading_axes(tracks):
     error = tracks[1] - tracks[0]
     batch = np.stack([error, 2.0 * error])
     for metric in (ate, rmse, rpe):

@@ -23,10 +23,10 @@ STEPS, KEY = 15, "nonfinite_beliefs"
 
 
 def rotten(x, P, measurement, gate):
-    """Update as an EKF, but make the belief NaN after an unlikely, not too wild, measurement."""
+    """Update as an EKF, but return a NaN belief after an unlikely (not an extreme) measurement."""
     after = ekf(x, P, measurement, gate)
     lost = where(after.nis[0] > 20.0, math.nan, 0.0)
-    lost = where(after.nis[0] > 90.0, 0.0, lost)  # such wild ones are used to try algorithms
+    lost = where(after.nis[0] > 90.0, 0.0, lost)  # trials of algorithms use extreme ones
     return after._replace(x=[after.x[0] + lost, *after.x[1:]])
 
 

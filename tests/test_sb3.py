@@ -82,7 +82,7 @@ def test_the_adapter_gives_the_same_results_as_a_dummy_vec_env(configuration):
 
 
 def test_infos_of_any_vector_environment_are_passed_on():
-    """Use Gymnasium's own, with nested infos, and infos that only some environments have."""
+    """Use one of Gymnasium's, with nested infos and infos that only some environments have."""
 
     class Talkative(gym.Wrapper):
         def step(self, action):
@@ -125,7 +125,7 @@ def test_options_that_differ_between_environments_are_refused():
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "Disabled"])
-def test_other_autoreset_modes_than_same_step_are_refused(mode):
+def test_autoreset_modes_other_than_same_step_are_refused(mode):
     env = gym.make_vec(ID, num_envs=2, autoreset_mode=mode, modes=MODES)
     with refuses("autoreset_mode"):
         SB3VecEnv(env)

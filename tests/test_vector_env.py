@@ -1,4 +1,4 @@
-"""Tests that the vector environment follows Gymnasium's rules and equals single environments."""
+"""Tests that the vector environment follows Gymnasium's rules and gives single ones' results."""
 
 import tracemalloc
 from dataclasses import replace
@@ -277,7 +277,7 @@ def test_wrong_seeds_are_refused(seed):
 
 
 def peak_bytes(n):
-    """Return the maximum memory that numpy holds in steps over an end of all episodes at once.
+    """Return numpy's peak memory while environments are stepped over the end of all episodes.
 
     Resident memory is not used: it varies by megabytes, as the kernel hands out huge pages. With
     several threads, the maximum would depend on which jobs are done at the same time.

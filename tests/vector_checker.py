@@ -53,7 +53,7 @@ def forward(env, actions):
 
 
 def rollout(env, seed, steps=STEPS, actions=0):
-    """Return the results of ``reset`` and of steps with random actions, over ends of episodes."""
+    """Return the results of ``reset`` and of random steps, which go on after ends of episodes."""
     rng, n = np.random.default_rng(actions), env.single_action_space.n
     results = [env.reset(seed=seed)]
     for _ in range(steps):

@@ -103,7 +103,7 @@ def test_the_figures_equal_those_of_evo(tmp_path, track, known):
 
 
 def at_another_rate(folder, path, rate_hz, late_s=0.0):
-    """Write a sample's truth with poses at another rate than the epochs, and times shifted."""
+    """Write a sample's truth with poses at another rate, and with times ``late_s`` later."""
     truth = read_tum(folder / "truth.tum")
     time = np.arange(truth.time_s[0] + 0.003, truth.time_s[-1], 1.0 / rate_hz)
     position = CubicSpline(truth.time_s, truth.position_m)(time)
@@ -151,7 +151,7 @@ def test_the_printed_figures_equal_those_in_the_json_file(capsys, tmp_path):
 
 
 def test_the_json_file_records_the_command_that_makes_the_figures_again(tmp_path):
-    """Check that options for output files are left out; a sample has no log to name."""
+    """Run the recorded command, which leaves out the options for output files, again."""
     file, again = tmp_path / "figures.json", tmp_path / "again.json"
     words = ["--sample", RIDE.name, "--speed", "9", "--no-gating"]
     run("localize", [*words, "--json", str(file), "--out", str(tmp_path / "track.tum")])
@@ -184,7 +184,10 @@ def test_epochs_before_the_first_line_of_sight_are_counted(capsys, tmp_path):
 
 @pytest.mark.filterwarnings("ignore:Doppler")  # too large for the slowed walk
 def test_a_restart_or_an_end_at_a_long_gap_is_reported(capsys, tmp_path):
-    """Use the walk at a tenth of its rate, without 100 to 129 s, then without anchor 1 later on."""
+    """Use the walk at a tenth of its rate, without the epochs from 100 to 129 s.
+
+    In the second case, anchor 1 is not visible after these epochs, so that the track ends there.
+    """
     log, gap = tmp_path / "gap.csv", range(100, 130)
     header, *lines = lines_of()
     rows = [(round(10 * float(time)), rest) for time, _, rest in (l.partition(",") for l in lines)]

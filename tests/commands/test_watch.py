@@ -131,7 +131,7 @@ def test_the_documented_command_makes_the_shipped_animation(tmp_path):
     made, shipped = tmp_path / "watch.gif", ROOT / "docs" / "watch.gif"
     shown = succeed(*shlex.split(line.replace("docs/watch.gif", str(made))))
     assert frames(made) == frames(shipped)
-    # Bytes are not compared: other libm round differently, and other font engines draw differently.
+    # Bytes are not compared, because math libraries and font engines differ slightly.
     for number in (0, 20, frames(shipped)[0] - 1):
         differs = (picture(made, number) != picture(shipped, number)).any(axis=-1)
         assert differs.mean() < 0.02

@@ -142,7 +142,7 @@ def test_an_edit_in_any_folder_makes_a_new_version(whole, monkeypatch, room):
     assert disk_cache._version() == before
 
 
-READ_ONLY = {  # environment variables, files kept
+READ_ONLY = {  # environment variables, number of files kept
     "a home": ({}, 1),
     "a cache folder of one's own": ({"XDG_CACHE_HOME": "{tmp}/mine"}, 1),
     "no writable home": ({"HOME": "{tmp}/blocked"}, 0),
@@ -292,7 +292,7 @@ def planted(package, tmp_path):
 
 
 def given_away(path):
-    """Give a file to another user or, if not root, return code that makes a process see it so."""
+    """Give a path to another user or, if not root, return code that fakes this in a process."""
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         os.chown(path, 65534, 65534)
         return ""

@@ -306,7 +306,7 @@ def test_results_do_not_depend_on_other_episodes_or_on_their_order(n):
 
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="reads x86 assembly")
 def test_the_stack_of_a_kernel_is_aligned(monkeypatch):
-    monkeypatch.setattr(disk_cache, "_folder", lambda: None)  # has no assembly
+    monkeypatch.setattr(disk_cache, "_folder", lambda: None)  # kernels from disk have no assembly
     program = Program(lambda w: w._replace(x=[sum(w.x) * v for v in w.x]), Many([0.0], [1.0] * 60))
     program.on_lanes()
     code = program._compiled._library.get_asm_str()

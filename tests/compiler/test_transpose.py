@@ -1,4 +1,4 @@
-"""Tests that functions which move numbers between rows and lanes equal numpy's, compiled or not."""
+"""Tests of moving numbers between rows and lanes, compiled or not, against numpy."""
 
 import os
 import subprocess
@@ -127,7 +127,7 @@ def out_of(function, kind):
 
 @pytest.mark.slow
 def test_functions_kept_by_two_processes_work_in_a_third(tmp_path):
-    """Store both with equal numbers: numba counts anew in each process, and links by numbers."""
+    """Use functions with equal symbols: numba numbers its functions anew in each process."""
     (tmp_path / "users.py").write_text(USERS)
     site = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
     variables = os.environ | {"PYTHONPATH": site, "NUMBA_CACHE_DIR": str(tmp_path)}

@@ -1,4 +1,4 @@
-"""Tests that signals which end a command clean up, as Ctrl-C does."""
+"""Tests that a command that is ended by a signal cleans up, as after Ctrl-C."""
 
 import os
 import signal
@@ -58,7 +58,7 @@ def writing(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("sent", [signal.SIGINT, *ENDING])
 def test_a_signal_removes_half_written_files(writing, tmp_path, sent):
-    heeds = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # even in the background
+    heeds = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # background jobs ignore it
     command = writing(preexec_fn=heeds)
     assert len(list(tmp_path.iterdir())) == 1
     command.send_signal(sent)

@@ -1,4 +1,4 @@
-"""Tests that names and texts from outside are escaped in names, tables, bars and on terminals."""
+"""Tests that text from outside is escaped wherever it is shown, and of tables on terminals."""
 
 import io
 import re

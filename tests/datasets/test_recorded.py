@@ -36,7 +36,7 @@ def residuals(episode, recording, cut=slice(None)):
 
 
 def shown(recording):
-    """Return for each row whether it is visible, (T, rows)."""
+    """Return a mask (T, rows) of visible rows."""
     widths = [rows.stop - rows.start for rows in recording.layout.groups]
     return np.repeat(recording.visible, widths, axis=1)
 

@@ -181,7 +181,7 @@ def test_an_episode_beyond_the_envelope_is_refused_by_name(quantity, value, epis
 
 
 def numbers_of(record):
-    """Yield name, bound and a function from number to value of the fields that hold numbers."""
+    """Yield name, bound and a function from a number to a value, for fields that hold numbers."""
     for name, hint in hints_of(type(record)).items():
         hint = next(iter(get_args(hint)), hint) if NoneType in get_args(hint) else hint
         inside = get_args(hint)[:1] if get_origin(hint) is Annotated else ()

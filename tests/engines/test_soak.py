@@ -48,7 +48,7 @@ def damaged(episode, rng):
 
 
 def unsound(engine):
-    """Return names of parts that are not finite in some environment, and of P if not definite."""
+    """Return names of parts that are not finite, and "definite P" if a P is not definite."""
     kinds = []
     for name in PARTS:
         part = getattr(engine.at, name)

@@ -1,4 +1,4 @@
-"""Tests of users' own agents: from modules, files and objects, and refused before an episode."""
+"""Tests of users' own agents, from modules, files and objects, and of refusing invalid ones."""
 
 import json
 import sys

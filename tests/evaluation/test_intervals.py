@@ -76,7 +76,7 @@ def test_each_column_has_a_ratio_which_is_nan_if_the_denominator_is_zero():
     (once,) = bootstrap_ratio(over[:, :1], np.eye(50)[:, :1])
     assert (
         once.mean == pytest.approx(over[:, 0].sum()) and not once.known
-    )  # some draws have 0 below
+    )  # some resamples have only 0 below
 
 
 # --- over training seeds

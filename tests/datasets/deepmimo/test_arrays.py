@@ -71,7 +71,7 @@ def in_archive(content, name="delay.npy"):
 
 
 def forged_size(content, size):
-    """Return an archive whose member has a false size, in its header and in the directory."""
+    """Return an archive whose member has a false size, in its own header and in the directory."""
     archive = bytearray(in_archive(content))
     listed = archive.rindex(b"PK\x01\x02")
     struct.pack_into("<I", archive, listed + 24, size)
