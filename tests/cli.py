@@ -1,4 +1,4 @@
-"""Commands as they are typed, without a process each."""
+"""Helpers that run the command line program inside the process of the tests."""
 
 import os
 import re
@@ -14,14 +14,14 @@ from tests.paths import ROOT
 
 
 def command(*words, cwd=ROOT, columns=200):
-    """``mmwave-loc <words>`` in this process, as if it were typed.
+    """Run ``mmwave-loc <words>`` in this process as if it were typed; return its code and output.
 
     User warnings are shown as the program shows them. Any other warning is an error here, as in
-    all tests, and an exception that the program does not expect ends it with code 1.
+    all tests. An exception that the program does not expect ends the command with code 1.
     """
     out, err, before = StringIO(), StringIO(), os.getcwd()
     typed = ["mmwave-loc", *map(str, words)]
-    # catch_warnings also brings back how warnings are displayed, which the program changes.
+    # The program changes how warnings are displayed; catch_warnings restores that, too.
     with (
         patch.object(sys, "argv", typed),
         patch.dict(os.environ, COLUMNS=str(columns)),
@@ -42,20 +42,20 @@ def command(*words, cwd=ROOT, columns=200):
 
 
 def environment():
-    """Return the variables of a process that finds this checkout's packages and a wide terminal."""
+    """Return environment variables for processes that import this checkout and print wide lines."""
     path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     return os.environ | {"PYTHONPATH": path, "COLUMNS": "200"}
 
 
 def succeed(*words, cwd=ROOT):
-    """Return what a command prints that must succeed."""
+    """Run a command, check that it succeeds, and return what it prints."""
     done = command(*words, cwd=cwd)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
 def assert_one_clear_line(done, message):
-    """A command ended with code 2 and one line about its input."""
+    """Check that a command ended with code 2 and one line of output that matches the message."""
     assert done.returncode == 2
     assert done.stdout == ""
     (line,) = done.stderr.strip().splitlines()

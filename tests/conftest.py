@@ -1,19 +1,19 @@
-"""Fixtures and options of all tests."""
+"""Settings for all tests, and a process that compiles common loops while tests are collected."""
 
 import os
 import subprocess
 import sys
 from importlib.util import find_spec
 
-# Pictures need the extra ``render``; without it their tests are left out.
+# Tests of pictures need the extra ``render``; without it they are not collected.
 collect_ignore_glob = [] if find_spec("pygame") else ["rendering/test_*.py"]
 
-# Tests run side by side, one to a core; threads of torch and BLAS on top only wait for each other.
+# Tests run in parallel, one per core, so more threads of torch and BLAS would only wait.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-# The loops that draw, step and repeat episodes take half a minute to compile, where they are not
-# on disk yet; until then they run as plain Python.
+# The loops that draw, step and repeat episodes take half a minute to compile if they are not in
+# the disk cache yet; until they are compiled, they run as plain Python.
 LOOPS = """
 import gymnasium as gym
 env = gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=8192, episode_steps=3)
@@ -26,8 +26,10 @@ compiling = []
 
 
 def pytest_sessionstart(session):
-    """Compile the loops once for all processes that run tests, while these collect theirs."""
-    if getattr(session.config.option, "numprocesses", None):  # the process that starts the others
+    """Compile the loops once for all test processes, while these collect their tests."""
+    if getattr(
+        session.config.option, "numprocesses", None
+    ):  # only in the process that starts the others
         compiling.append(subprocess.Popen([sys.executable, "-c", LOOPS]))
 
 

@@ -1,4 +1,4 @@
-"""Files damaged as disks, editors and strangers damage them, for tests of readers."""
+"""Strategies that damage files as bad disks, editors or attackers might, for tests of readers."""
 
 import json
 from copy import deepcopy
@@ -18,7 +18,7 @@ VALUES = (
 
 @st.composite
 def damaged(draw, content):
-    """Bytes with some cut out, and others in their place."""
+    """Draw the bytes with some of them cut out and others put in their place."""
     for _ in range(draw(st.integers(1, 3))):
         begin = draw(st.integers(0, len(content)))
         end = begin + draw(st.sampled_from((0, 1, 2, 8, len(content))))
@@ -28,7 +28,7 @@ def damaged(draw, content):
 
 
 def places(content, path=()):
-    """The ways to every part of a JSON content, none of which is too far down a list."""
+    """Yield the keys and indices that lead to each part of JSON content (of lists, five items)."""
     parts = content.items() if isinstance(content, dict) else enumerate(content[:5])
     for key, value in parts:
         yield (*path, key)
@@ -38,7 +38,7 @@ def places(content, path=()):
 
 @st.composite
 def changed(draw, content):
-    """A JSON content with parts that are something else, or not there."""
+    """Draw the JSON content with one or two parts replaced or removed."""
     content = json.loads(json.dumps(content))
     for _ in range(draw(st.integers(1, 2))):
         ways = list(places(content))

@@ -1,18 +1,18 @@
-"""Pages of the docs: what their blocks do; ``python -m tests.pages docs/PAGE.md`` renews tables.
+"""Helpers that run code blocks of the docs. ``python -m tests.pages docs/PAGE.md`` renews tables.
 
-Comments say what is done with the block below them:
+A comment above a block says what is done with the block:
 
-- ``<!-- example -->``: it is run, Python blocks of a page in one session, lines that begin with
-  ``mmwave-loc`` as commands, all in one folder. Functions named test_... are called.
-- ``<!-- example: ride.csv -->``: it is the content of this file in that folder.
-- ``<!-- example: few -->``: run with 2 episodes and 4096 steps in place of as many as it says.
-- ``<!-- example: slow -->``: run by the slow tests alone; ``few`` and ``slow`` may be together.
-- ``<!-- published -->``: it takes minutes or more; only the renewal runs it.
-- ``<!-- not run: why -->``.
+- ``<!-- example -->``: it is run. All Python blocks of a page share one session, lines that begin
+  with ``mmwave-loc`` are run as commands, and functions named test_... are called.
+- ``<!-- example: ride.csv -->``: it is written to this file, in the folder where blocks are run.
+- ``<!-- example: few -->``: it is run with 2 episodes and 4096 steps instead of its own numbers.
+- ``<!-- example: slow -->``: only slow tests run it; ``few`` and ``slow`` can be combined.
+- ``<!-- published -->``: it takes minutes or more, so only the renewal of tables runs it.
+- ``<!-- not run: why -->``: it is never run, for this reason.
 
-Between ``<!-- table: printed -->`` and ``<!-- end -->`` is what the block above printed. Behind
-``printed`` may stand how the one table that is shown begins, or a line above it; before it the name
-of a file that the block wrote.
+The output of a block is shown below it, between ``<!-- table: printed -->`` and ``<!-- end -->``.
+If text follows ``printed``, only one table is shown: the first at or below a line that begins with
+this text. If a file name precedes ``printed``, the block wrote this file, which is shown instead.
 """
 
 import re
@@ -45,27 +45,27 @@ NUMBER = re.compile(r"-?\d[\d,]*(?:\.\d+)?")
 
 @dataclass
 class Block:
-    """A block of a page, with the tables below it that it makes."""
+    """A code block of a page, with the tables below it that show its output."""
 
     language: str
     text: str
-    line: int  # of the page, from 1
-    mark: str  # "" without one
+    line: int  # number, from 1, of the page's line that opens the block
+    mark: str  # text of the comment above the block; "" if there is none
     tables: list[re.Match[str]]
 
     @property
     def words(self) -> list[str]:
-        """Return the words of the mark."""
+        """Return the words after the colon of the mark."""
         return self.mark.partition(":")[2].split()
 
     @property
     def file(self) -> str:
-        """Return the name of the file whose content the block is; "" of an example to run."""
+        """Return the name of the file to which the block is written; "" if the block is run."""
         return next((word for word in self.words if "." in word), "")
 
     @property
     def commands(self) -> list[str]:
-        """Return the words after ``mmwave-loc`` in each of its lines."""
+        """Return the text after ``mmwave-loc`` of every line that begins with it."""
         return re.findall(r"^mmwave-loc (.*)$", self.text.replace("\\\n", " "), re.MULTILINE)
 
 
@@ -75,7 +75,7 @@ def blocks_of(page: Path) -> list[Block]:
     matches = list(BLOCK.finditer(text))
     ends = [*(match.start() for match in matches[1:]), len(text)]
     blocks = []
-    for match, end in zip(matches, ends, strict=False):  # of a page without blocks one end
+    for match, end in zip(matches, ends, strict=False):  # a page without blocks has one end
         line, tables = (
             text.count("\n", 0, match.start("text")),
             TABLE.finditer(text, match.end(), end),
@@ -85,11 +85,11 @@ def blocks_of(page: Path) -> list[Block]:
 
 
 class Session:
-    """A reader who goes through a page, in a folder of their own.
+    """A session that runs the blocks of one page, in a folder of its own.
 
     Args:
-        page: page to go through.
-        folder: empty folder; its docs/ become those of the checkout.
+        page: page whose blocks are run.
+        folder: empty folder, in which docs/ becomes a link to that folder of the checkout.
     """
 
     def __init__(self, page: Path, folder: Path) -> None:
@@ -98,7 +98,7 @@ class Session:
         (folder / "docs").symlink_to(ROOT / "docs")
 
     def printed(self, block: Block) -> str:
-        """Return the output of a block; "" of one that was run before."""
+        """Run a block and return its output; "" if the session has run it before."""
         if block.line in self._done:
             return ""
         self._done.add(block.line)
@@ -124,8 +124,8 @@ class Session:
 
     @contextmanager
     def _inside(self) -> Iterator[None]:
-        """Let modules of the folder be imported in the block, and forget them."""
-        before = list(sys.path)  # agents by name append the current folder to it
+        """Let a block import modules from the folder, and unload these modules afterwards."""
+        before = list(sys.path)  # loading agents by name appends the current folder
         sys.path.insert(0, str(self.folder))
         try:
             with chdir(self.folder):
@@ -138,20 +138,20 @@ class Session:
 
 
 def made(table: re.Match[str], printed: str, folder: Path) -> str:
-    """Return the lines between the marks of a table, made of its block's output."""
+    """Return the lines to show between the marks of a table, from the output of its block."""
     text = (folder / table["file"].strip()).read_text() if table["file"] else printed
     if not table["begin"]:
-        return f"\n{text.partition('Written:')[0].strip()}\n\n"  # names of files
+        return f"\n{text.partition('Written:')[0].strip()}\n\n"  # without the list of files
     lines = text.splitlines()
     begin = next((i for i, line in enumerate(lines) if line.startswith(table["begin"])), None)
     if begin is None:
-        raise ValueError(f"table of the page: found none that begins with {table['begin']!r}")
+        raise ValueError(f"table of the page: found no line that begins with {table['begin']!r}")
     rows = dropwhile(lambda line: not line.startswith("|"), lines[begin:])
     return "\n".join(takewhile(lambda line: line.startswith("|"), rows)) + "\n"
 
 
 def renewed(page: Path) -> str:
-    """Return the page with the tables that its blocks make today."""
+    """Return the text of the page with all tables renewed by running its blocks."""
     text, changes = page.read_text(encoding="utf-8"), []
     with TemporaryDirectory() as folder:
         session = Session(page, Path(folder))

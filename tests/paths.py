@@ -1,4 +1,4 @@
-"""Paths of the checkout, tables of its pages, and slow cases."""
+"""Helpers for tests: paths of the checkout, numbers in tables, and marking cases as slow."""
 
 import re
 from pathlib import Path
@@ -11,11 +11,11 @@ RECORDINGS = ROOT / "mmwave_env" / "data" / "deepmimo_canyon28"
 
 
 def numbers(text: str) -> list[float]:
-    """Every number of the tables in a page or a print, in order."""
+    """Return all numbers in the tables of a page or of printed text, in order."""
     rows = [line for line in text.splitlines() if line.startswith("| ")]
     return [float(n) for row in rows for n in re.findall(r"-?\d+(?:\.\d+)?", row)]
 
 
 def representative(cases, *quick):
-    """All cases, those that are not named as slow: of one kind, each takes long."""
+    """Return all cases of a test, marked as slow unless they are in ``quick``."""
     return [case if case in quick else pytest.param(case, marks=pytest.mark.slow) for case in cases]

@@ -1,6 +1,6 @@
-"""Refusals of bad input: checked by the type of the error and the field that it names.
+"""A check that bad input raises an error of the right type that names the right field.
 
-No test needs the words of a message, so that a sentence can be improved without touching tests.
+It ignores the other words of a message, so that sentences can be improved without changing tests.
 """
 
 from collections.abc import Iterator
@@ -10,21 +10,21 @@ import pytest
 
 
 def fields_named(message: str) -> str:
-    """Return the part of a message that names what is refused: all before "found"."""
+    """Return the part of a message that names the field: all before "found" or before a colon."""
     named, separator, _ = message.partition(" found ")
     return named if separator else message.partition(": ")[0]
 
 
 @contextmanager
 def refuses(*fields: object, error: type[Exception] = ValueError) -> Iterator[None]:
-    """Check that the block is refused by an error of this type whose message names the fields.
+    """Check that the block raises an error of this type whose message names the fields.
 
     Args:
-        fields: names of files, keys, columns, options or places ("line 3"), in any order.
+        fields: files, keys, columns, options or places (such as "line 3"), in any order.
         error: type of the error.
     """
     with pytest.raises(error) as caught:
         yield
     named = fields_named(str(caught.value))
     missing = [str(field) for field in fields if str(field) not in named]
-    assert not missing, f"{caught.value!s}: names none of {missing}"
+    assert not missing, f"{caught.value!s}: does not name {missing}"

@@ -1,6 +1,6 @@
-"""JSON schemas of users' files, made from the dataclasses that read them.
+"""JSON schemas of users' files, made from the dataclasses that represent these files.
 
-``make generated`` writes them to mmwave_env/data/schemas, after a change of such a dataclass.
+Run ``make generated`` after changing such a dataclass: it writes mmwave_env/data/schemas.
 """
 
 import inspect
@@ -26,12 +26,12 @@ from tests.paths import ROOT
 FOLDER = ROOT / "mmwave_env" / "data" / "schemas"
 TYPES = {str: "string", bool: "boolean", int: "integer", float: "number", NoneType: "null"}
 
-# Readers refuse more than control characters; which letters are printable no pattern says.
+# Readers refuse all unprintable characters; a pattern can exclude only control characters.
 NAME = {"minLength": 1, "maxLength": LONGEST, "pattern": r"^[^\x00-\x1f\x7f-\x9f]*$"}
 
 
 def described(kind):
-    """Return the texts of a dataclass's docstring, by attribute."""
+    """Return the descriptions of attributes in a dataclass's docstring, by attribute."""
     _, _, section = inspect.getdoc(kind).partition("Attributes:\n")
     section = section.split("\n\n")[0]
     entries = re.findall(r"^    (\w[\w, ]*): (.*(?:\n {5,}.*)*)", section, re.MULTILINE)
@@ -74,13 +74,16 @@ def size(least, most):
 
 
 def object_schema(kind, optional=(), replaced=None):
-    """Return the schema of a dataclass; some fields are optional in its file, some replaced."""
+    """Return the schema of a dataclass.
+
+    Files may omit the ``optional`` fields; ``replaced`` has schemas to use in place of a field's.
+    """
     texts, properties, required = described(kind), {}, []
     for field in fields(kind):
         part = (replaced or {}).get(field.name) or schema_of(hints_of(kind)[field.name])
         if field.name in texts:
             part = part | {"description": texts[field.name]}
-        with suppress(TypeError, ValueError):  # where JSON can hold the default
+        with suppress(TypeError, ValueError):  # JSON cannot represent every default
             part = part | {"default": json.loads(json.dumps(field.default, allow_nan=False))}
         properties[field.name] = part
         if field.default is field.default_factory is MISSING and field.name not in optional:
@@ -90,7 +93,7 @@ def object_schema(kind, optional=(), replaced=None):
 
 
 def radio():
-    """Return the schema of a radio's file: a base, and what differs from it."""
+    """Return the schema of a radio's file: a base profile, and the fields that differ from it."""
     schema = object_schema(Radio, optional=["name"])
     properties = schema["properties"]
     for name in [n for n in properties if n.endswith("_rad")]:
@@ -102,13 +105,13 @@ def radio():
         properties[name.removesuffix("_rad") + "_deg"] = degrees
     properties["name"]["not"] = {"enum": list(RADIOS)}
     base = {"enum": list(RADIOS), "default": "standard"}
-    about = "shipped profile that gives what is left out, modes and banks, too"
-    base["description"] = f"{about}; defaults are of standard"
+    about = "shipped profile for all that the file leaves out, including modes and banks"
+    base["description"] = f"{about}; the defaults shown are those of standard"
     return schema | {"properties": {"base": base} | properties | {"base": base}}
 
 
 def modes():
-    """Return the schema of a mode file: a bank, and notes, which are not read."""
+    """Return the schema of a mode file: a bank, and notes, which readers ignore."""
     mode = object_schema(Mode, replaced={"algorithm": {"enum": list(ALGORITHMS)}})
     listed = {"type": "array", "items": mode} | size(1, MOST_MODES)
     bank = object_schema(Bank, replaced={"modes": listed})
@@ -146,7 +149,7 @@ def log():
 
 
 def results():
-    """Return the shipped schema of results, with the metrics of today."""
+    """Return the shipped schema of results, with its metrics brought up to date."""
     schema = json.loads(path_of("results").read_text(encoding="utf-8"))
     texts = {name: metric.described for name, metric in METRICS.items()}
     texts |= {name: meaning for name, (_, meaning) in TERMS.items()}

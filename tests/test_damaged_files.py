@@ -1,4 +1,4 @@
-"""Whatever is in a file, its reader reads it or refuses it in words that name it."""
+"""Tests that readers either read a damaged file or refuse it with a message that names it."""
 
 import gzip
 import io
@@ -41,15 +41,15 @@ BANK = json.loads((ROOT / "mmwave_env" / "data" / "banks" / "handset.json").read
 RUN = ROOT / "docs" / "learning" / "ppo-standard"
 SUMMARY = json.loads((RUN / "summary.json").read_text())
 TENSORS, CARD = actor(3), card_of(features=TABLE.columns[:3]).as_json()
-CASES = 50  # of each kind of damage to each file
-SLOWEST_S = 20  # that a reader may take
+CASES = 50  # number, for each file and kind of damage
+SLOWEST_S = 20  # longest time that reading may take
 
 
 class Reader(NamedTuple):
-    """A reader of files that come from elsewhere, and what to damage."""
+    """A reader of files from outside the project, and intact files to damage."""
 
-    files: Callable[[], dict[str, Any]]  # by name: bytes, or what is written as JSON
-    read: Callable[[Path], Any]  # of a folder
+    files: Callable[[], dict[str, Any]]  # by name: bytes, or content to write as JSON
+    read: Callable[[Path], Any]  # gets the folder of the files
     write: Callable[[Any], bytes] = lambda content: json.dumps(content).encode()
 
 
@@ -58,7 +58,7 @@ def head(path, lines):
 
 
 def signed(card):
-    """A policy file with a right checksum over any card."""
+    """Return a policy file with this card, valid or not, and the checksum that matches it."""
     document = {"format": 2, "sha256": _checksum(TENSORS, card), "card": card}
     return save(TENSORS, {"policy": json.dumps(document)})
 
@@ -129,7 +129,7 @@ READERS = {
 
 
 def numbers_in(content):
-    """Arrays that something will compute with; what is not visible means nothing."""
+    """Yield the arrays that computations use; measurements that are not visible are left out."""
     if isinstance(content, (LogBlock, Recording)):
         rows = np.repeat(content.visible, content.layout.widths, axis=1)
         yield from (content.time_s, content.measurement[rows])
@@ -146,7 +146,7 @@ def numbers_in(content):
         yield from numbers_in(vars(content))
 
 
-# Shown, not computed with; of a path's log a number that is missing.
+# Most of these are only shown, not used in computations. In a log of paths, NaN means missing.
 MAY_BE_NAN = (
     "results",
     "run",
@@ -164,7 +164,7 @@ def read(kind, folder):
         content = READERS[kind].read(folder)
     if kind not in MAY_BE_NAN:
         numbers = [array for array in numbers_in(content) if array.dtype.kind == "f"]
-        assert not any(np.isnan(array).any() for array in numbers), "a NaN came through"
+        assert not any(np.isnan(array).any() for array in numbers), "the reader accepted a NaN"
 
 
 def needs(kind):
@@ -173,7 +173,7 @@ def needs(kind):
 
 
 @pytest.mark.parametrize("kind", READERS)
-def test_what_is_to_be_damaged_is_read(tmp_path, kind):
+def test_an_undamaged_file_is_read(tmp_path, kind):
     needs(kind)
     for name, content in READERS[kind].files().items():
         raw = isinstance(content, bytes)
@@ -189,7 +189,7 @@ def test_what_is_to_be_damaged_is_read(tmp_path, kind):
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 @given(data=st.data())
-def test_a_damaged_file_is_read_or_refused_by_name(tmp_path, kind, data):
+def test_a_damaged_file_is_read_or_refused_with_its_name(tmp_path, kind, data):
     needs(kind)
     reader, folder = READERS[kind], tmp_path / "scenario"
     shutil.rmtree(folder, ignore_errors=True)

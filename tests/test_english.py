@@ -1,4 +1,4 @@
-"""Tests of the language of docstrings and names."""
+"""Tests of the wording of docstrings and names."""
 
 import ast
 
@@ -12,11 +12,11 @@ MODULES = {
 }
 NO_SUBJECT = {"What", "How", "Where", "Who", "Of", "As", "By"}
 VAGUE = {"found", "one", "told", "seen", "what", "there", "given"}
-EXCEPTIONS = {  # "PATH: NAME" in the source: names that users type and files hold
+EXCEPTIONS = {  # "PATH: NAME" of names that users type or that files contain
     "experiments/list.py: what",
     "mmwave_env/localization/contradictions.py: found",
 }
-MOST_IN_TESTS = 10  # bindings of vague names
+MOST_IN_TESTS = 10  # maximum number of vague names
 
 
 def bound(tree):
@@ -41,7 +41,7 @@ def test_docstrings_begin_with_a_subject_or_a_verb():
     ]
 
 
-def test_names_say_what_they_stand_for():
+def test_names_are_not_vague():
     vague = [f"{path}: {n}" for path, tree in MODULES.items() for n in bound(tree) if n in VAGUE]
     in_tests = [line for line in vague if line.startswith("tests/")]
     assert sorted({*vague}.difference(in_tests) ^ EXCEPTIONS) == []

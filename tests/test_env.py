@@ -1,4 +1,4 @@
-"""MmWaveLoc-v0 as Gymnasium and its users expect it. Runs without PyTorch, and on Gymnasium 1.1."""
+"""Tests of the environment MmWaveLoc-v0; they run without PyTorch, and on Gymnasium 1.1."""
 
 import inspect
 import math
@@ -37,7 +37,7 @@ EKF = {"modes": ["ekf"]}  # one mode alone compiles fastest
 STEP_KEYS = {"position_error_m", "nees", "nis", "accepted", "rejected", "mode", "gamma"}
 STEP_KEYS |= {"truth", "estimate", "reward_terms"}
 END_KEYS = {"ate_m", "rmse_m", "rpe_m", "mean_nees", "in_bounds", "divergence"}
-SMOOTHED = "smoothed_ate_m"  # where it is asked for
+SMOOTHED = "smoothed_ate_m"  # a key of infos if smoothed=True
 
 
 def draw(seed=0, **changes):
@@ -46,7 +46,7 @@ def draw(seed=0, **changes):
 
 
 def adrift(drift_mps, epochs=200):
-    """Nothing is measured of a user at rest whose prior velocity is wrong by ``drift_mps``."""
+    """Return a source: a user at rest, no measurements, and a prior velocity of ``drift_mps``."""
     episode = draw(epochs=epochs)
     position = np.tile(episode.truth_position_m[0], (epochs, 1))
     return replay(
@@ -61,7 +61,7 @@ def adrift(drift_mps, epochs=200):
 
 
 def roll(env, seed=0, steps=200, actions=None):
-    """(observation, reward, terminated, truncated, info) of every step; modes in turn."""
+    """Return the results of each step of an episode; without actions, use the modes in turn."""
     env.reset(seed=seed)
     done = []
     for t in range(steps):
@@ -92,7 +92,7 @@ def configuration(request):
     return CONFIGURATIONS[request.param]
 
 
-def test_gymnasium_s_checker_is_content(configuration, monkeypatch):
+def test_the_environment_passes_gymnasium_s_checker(configuration, monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     env = gym.make(ID, disable_env_checker=True, **configuration)
     with warnings.catch_warnings():
@@ -102,7 +102,7 @@ def test_gymnasium_s_checker_is_content(configuration, monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_prefixed_id_needs_no_import():
+def test_an_id_that_names_the_package_works_without_importing_it():
     code = (
         "import gymnasium, sys; env = gymnasium.make('mmwave_env:MmWaveLoc-v0', modes=['ekf']);"
         "env.reset(seed=0); print(env.step(0)[0].shape);"
@@ -116,7 +116,7 @@ def test_the_prefixed_id_needs_no_import():
     assert done.stdout.strip() == str(env.observation_space.shape)
 
 
-def test_the_specification_goes_through_json():
+def test_an_environment_can_be_made_from_its_specification_in_json():
     arguments = {"scenario": "vehicle", "radio": "high", "episode_steps": 12} | EKF
     env = gym.make(ID, **arguments)
     again = gym.make(EnvSpec.from_json(env.spec.to_json()))
@@ -124,7 +124,7 @@ def test_the_specification_goes_through_json():
     assert again.unwrapped.source == env.unwrapped.source
 
 
-def test_the_docstring_explains_every_argument_and_every_info():
+def test_the_docstring_explains_every_argument_and_every_key_of_infos():
     page = inspect.cleandoc(MmWaveLocEnv.__doc__)
     arguments = page.split("## Arguments")[1].split("## Vectorized")[0]
     own = [name for name in inspect.signature(MmWaveLocEnv).parameters if name != "arguments"]
@@ -138,7 +138,7 @@ def test_the_docstring_explains_every_argument_and_every_info():
 # --- seeds
 
 
-def test_a_seed_is_a_run(configuration):
+def test_the_same_seed_gives_the_same_episode(configuration):
     first, again = gym.make(ID, **configuration), gym.make(ID, **configuration)
     assert same(first.reset(seed=3), again.reset(seed=3))
     assert same(roll(first, seed=3, steps=20), roll(again, seed=3, steps=20))
@@ -147,7 +147,7 @@ def test_a_seed_is_a_run(configuration):
     assert not np.array_equal(other[0], roll(first, seed=3, steps=20)[-1][0])
 
 
-def test_without_a_seed_the_next_episode_is_another_of_the_same_stream():
+def test_reset_without_a_seed_continues_the_episodes_of_the_last_seed():
     env, again = gym.make(ID, **EKF), gym.make(ID, **EKF)
     runs = [[each.reset(seed=0), each.reset(), each.reset()] for each in (env, again)]
     assert same(*runs)
@@ -171,7 +171,7 @@ def test_a_bad_action_is_refused_and_changes_nothing(action):
 
 
 @pytest.mark.parametrize("action", [0, np.int64(1), np.int32(0), np.uint8(1), np.array(1)])
-def test_any_integer_in_range_is_an_action(action):
+def test_any_type_of_integer_in_range_is_accepted_as_action(action):
     env = gym.make(ID)
     env.reset(seed=0)
     assert env.step(action)[-1]["mode"] == int(action)
@@ -194,7 +194,7 @@ def test_a_step_after_the_end_is_refused_until_reset():
 
 
 @pytest.mark.parametrize("episode_steps", [None, 1, 250])
-def test_an_episode_is_truncated_after_its_steps(episode_steps):
+def test_an_episode_is_truncated_after_the_given_number_of_steps(episode_steps):
     env = gym.make(ID, episode_steps=episode_steps, **EKF)
     done = roll(env, steps=1000)
     assert len(done) == (episode_steps or 200)
@@ -203,7 +203,7 @@ def test_an_episode_is_truncated_after_its_steps(episode_steps):
     assert all(math.isfinite(value) for value in (done[-1][4][key] for key in END_KEYS))
 
 
-def test_info_holds_what_is_documented():
+def test_infos_have_the_documented_keys_types_and_shapes():
     env = gym.make(ID, episode_steps=5)
     _, info = env.reset(seed=0)
     assert set(info) == {"episode_name", "episode_key", "nonfinite", "truth", "estimate"}
@@ -224,7 +224,7 @@ def test_info_holds_what_is_documented():
         assert info["position_error_m"] == pytest.approx(error, abs=1e-9)
 
 
-def test_info_tells_the_episode_s_truth_and_prior():
+def test_infos_contain_the_truth_and_the_prior_of_the_episode():
     episode = draw(9)
     env = gym.make(ID, **EKF)
     _, info = env.reset(seed=9)
@@ -245,7 +245,7 @@ def test_nonfinite_measurements_are_counted_in_info():
     assert all(np.isfinite(obs).all() and math.isfinite(r) for obs, r, *_ in roll(env))
 
 
-def test_what_a_step_returned_stays_as_it_is():
+def test_returned_arrays_share_no_memory_with_the_environment():
     env, twin = gym.make(ID), gym.make(ID)
     returned = [env.reset(seed=0), *(env.step(np.int64(t % 2)) for t in range(5))]
     for i, earlier in enumerate(returned):
@@ -261,7 +261,7 @@ def test_what_a_step_returned_stays_as_it_is():
 # --- arguments
 
 
-def test_the_action_space_follows_the_modes():
+def test_there_is_one_action_for_each_mode():
     env = gym.make(ID, **CONFIGURATIONS["own modes"])
     assert env.action_space.n == 3
     assert [mode.name for mode in env.unwrapped.modes] == ["ekf", "robust", "re-acquire"]
@@ -269,7 +269,7 @@ def test_the_action_space_follows_the_modes():
 
 
 @pytest.mark.parametrize("odometry", [False, True])
-def test_flat_terrain_pins_the_height(odometry):
+def test_the_height_is_constant_on_flat_terrain(odometry):
     env = gym.make(ID, planar=True, odometry=odometry, **EKF)
     for seed in range(5):
         env.reset(seed=seed)
@@ -279,7 +279,7 @@ def test_flat_terrain_pins_the_height(odometry):
 
 
 @pytest.mark.slow
-def test_odometry_helps():
+def test_odometry_reduces_the_error():
     errors = {}
     for odometry in (False, True):
         env = gym.make(ID, odometry=odometry, scenario="vehicle", modes=["ukf"])
@@ -290,11 +290,11 @@ def test_odometry_helps():
 # --- the end of an episode
 
 
-def test_divergence_pays_the_worst_reward_for_every_epoch_left():
+def test_divergence_gives_the_worst_reward_for_every_remaining_epoch():
     source = adrift(drift_mps=4.9)
     surviving = roll(gym.make(ID, episodes=source, **EKF))
     ended = roll(gym.make(ID, episodes=source, terminate_on_divergence=True, **EKF))
-    assert len(surviving) == 200 and len(ended) == 12  # 53.9 m, eleven seconds after the prior
+    assert len(surviving) == 200 and len(ended) == 12  # 53.9 m off, 11 s after the prior
     assert same(ended[:-1], surviving[:11])
     _, reward, terminated, truncated, info = ended[-1]
     assert terminated and not truncated
@@ -304,24 +304,24 @@ def test_divergence_pays_the_worst_reward_for_every_epoch_left():
 
 @pytest.mark.parametrize("cost", [0.0, 1.0])
 @pytest.mark.parametrize("drift_mps", [1.0, 40.0])
-def test_failing_never_beats_surviving(cost, drift_mps):
+def test_ending_on_divergence_never_returns_more_than_continuing(cost, drift_mps):
     source = adrift(drift_mps=drift_mps)
     modes = [Mode("ekf", sigma_v=0.3, cost=cost)]
     returns = [
         sum(reward for _, reward, *_ in roll(gym.make(ID, episodes=source, modes=modes, **end)))
         for end in ({"terminate_on_divergence": True}, {})
     ]
-    assert returns[0] <= returns[1] + 1e-9  # rounding of sums of 200
+    assert returns[0] <= returns[1] + 1e-9  # rounding errors of a sum of 200
 
 
-def test_divergence_in_the_last_epoch_pays_nothing_more():
+def test_divergence_in_the_last_epoch_does_not_change_the_reward():
     source = adrift(drift_mps=4.9, epochs=12)
     (*_, last) = roll(gym.make(ID, episodes=source, terminate_on_divergence=True, **EKF))
     (*_, plain) = roll(gym.make(ID, episodes=source, **EKF))
     assert last[1] == plain[1] and last[2] and not last[3]
 
 
-def test_smoothed_tracks_are_told_with_filterpy_at_work_too():
+def test_the_smoothed_error_is_the_same_with_filterpy():
     lanes, filterpy = (
         roll(gym.make(ID, backend=backend, smoothed=True, episode_steps=14))[-1][-1][SMOOTHED]
         for backend in ("lanes", "filterpy")
@@ -330,7 +330,7 @@ def test_smoothed_tracks_are_told_with_filterpy_at_work_too():
 
 
 @pytest.mark.parametrize("dt", [0.5, 1.0])
-def test_the_end_sums_up_the_steps(dt):
+def test_the_last_info_contains_the_metrics_of_the_episode(dt):
     env = gym.make(ID, dt=dt, smoothed=True)
     infos = [info for *_, info in roll(env, seed=2)]
     truth = np.array([info["truth"][:3] for info in infos])
@@ -362,7 +362,7 @@ def test_the_end_sums_up_the_steps(dt):
     assert last[SMOOTHED] < last["ate_m"]
 
 
-def test_lean_infos_tell_of_episodes_alone_or_nothing():
+def test_infos_can_be_limited_to_ends_of_episodes_or_left_empty():
     all_, lean, none = (
         roll(gym.make(ID, episode_steps=12, infos=infos, **EKF), steps=12)
         for infos in ("all", "episode", "none")
@@ -375,11 +375,11 @@ def test_lean_infos_tell_of_episodes_alone_or_nothing():
     assert "episode_key" in env.reset(seed=0)[1]
 
 
-# --- keys
+# --- truth
 
 
 @pytest.mark.parametrize("unknown", ["truth_position_m", "truth_velocity_mps"])
-def test_an_episode_without_whole_truth_is_refused(unknown):
+def test_an_episode_without_true_positions_or_velocities_is_refused(unknown):
     env = gym.make(ID, episodes=replay(replace(draw(0), **{unknown: None})), **EKF)
     with refuses("episode"):
         env.reset(seed=0)

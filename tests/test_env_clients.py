@@ -1,4 +1,4 @@
-"""Tests of what planners, wrappers and libraries need: copies, lengths, infos."""
+"""Tests of what planners, wrappers and libraries need: copies, lengths, fixed infos, refusals."""
 
 import copy
 import math
@@ -21,7 +21,7 @@ EKF = {"modes": ["ekf"]}
 
 
 class Closeness:
-    """A reward that no copy of it equals, so that one would have to be compiled anew."""
+    """A reward that does not equal its copies, so that each copy would have to be compiled anew."""
 
     compiled = 0
 
@@ -31,7 +31,7 @@ class Closeness:
 
 
 class Patchy:
-    """Episodes of 3 and 5 epochs in turn: a source that remembers, and has no one length."""
+    """A source with a memory: its episodes have 3 and 5 epochs in turn."""
 
     def __init__(self):
         self.sources = [
@@ -45,7 +45,7 @@ class Patchy:
 
 
 def go_on(env, steps, actions=0):
-    """Return the results of steps, of this episode and of those after it; each ends in a reset."""
+    """Return the results of random steps, with a reset after each end of an episode."""
     rng, results = np.random.default_rng(actions), []
     if isinstance(env, gym.vector.VectorEnv):
         return [env.step(rng.integers(env.single_action_space.n, size=3)) for _ in range(steps)]
@@ -74,7 +74,7 @@ CONFIGURATIONS = {
 
 @pytest.mark.parametrize("way", COPIES)
 @pytest.mark.parametrize("configuration", CONFIGURATIONS)
-def test_a_copy_goes_on_by_itself_to_the_last_bit(way, configuration):
+def test_a_copy_continues_independently_with_identical_results(way, configuration):
     env = gym.make(ID, **CONFIGURATIONS[configuration])
     env.reset(seed=3)
     go_on(env, 2)
@@ -95,7 +95,7 @@ VECTORS = {
 
 @pytest.mark.parametrize("way", COPIES)
 @pytest.mark.parametrize("configuration", VECTORS)
-def test_a_copy_of_a_native_vector_environment_does_so_too(way, configuration):
+def test_a_copy_of_a_native_vector_environment_continues_independently(way, configuration):
     env = gym.make_vec(ID, num_envs=3, **VECTORS[configuration])
     assert same(COPIES[way](env).reset(seed=1), env.reset(seed=1))
     go_on(env, 2)
@@ -127,7 +127,7 @@ def test_a_deep_copy_compiles_nothing():
 
 
 class Noted(MmWaveLocEnv):
-    """An environment with an attribute that its class adds."""
+    """A subclass of the environment that adds an attribute."""
 
     def __init__(self, note, **arguments):
         super().__init__(**arguments)
@@ -135,7 +135,7 @@ class Noted(MmWaveLocEnv):
 
 
 @pytest.mark.parametrize("way", COPIES)
-def test_attributes_of_a_subclass_and_of_a_user_are_copied(way):
+def test_attributes_that_a_subclass_or_a_user_added_are_copied(way):
     env = Noted("mine", **EKF)
     env.label = "added"
     twin = COPIES[way](env)
@@ -156,27 +156,27 @@ def test_attributes_of_a_subclass_and_of_a_user_are_copied(way):
         ({"episodes": Patchy()}, None),
     ],
 )
-def test_the_specification_tells_the_length_of_episodes(arguments, steps):
+def test_the_specification_contains_the_length_of_episodes(arguments, steps):
     assert gym.make(ID, **arguments, **EKF).spec.max_episode_steps == steps
     assert gym.spec(ID).max_episode_steps is None
 
 
-def test_episodes_of_any_length_end_by_themselves():
+def test_episodes_of_varying_length_are_truncated_at_their_ends():
     env = gym.make(ID, episodes=Patchy(), **EKF)
     env.reset(seed=0)
     ends = [t for t, step in enumerate(go_on(env, 16)) if len(step) == 5 and step[3]]
-    assert np.diff(ends).tolist() == [4, 6, 4]  # with the reset of each
+    assert np.diff(ends).tolist() == [4, 6, 4]  # steps, and a reset
 
 
 @pytest.mark.parametrize("episode_steps", [None, 5, 250])
-def test_an_environment_made_from_a_specification_is_truncated_alike(episode_steps):
+def test_an_environment_made_from_a_specification_gives_the_same_results(episode_steps):
     env = gym.make(ID, episode_steps=episode_steps, **EKF)
     again = gym.make(env.spec)
     assert same(again.reset(seed=2), env.reset(seed=2))
     assert same(go_on(again, 260), go_on(env, 260))
 
 
-def test_a_vector_environment_can_be_made_from_the_specification_of_a_single_one():
+def test_a_vector_environment_can_be_made_from_the_specification_of_a_single_environment():
     spec = gym.make(ID, episode_steps=5, **EKF).spec
     assert gym.make_vec(spec, num_envs=3).reset(seed=0)[0].shape[0] == 3
     with refuses("max_episode_steps"):
@@ -186,7 +186,7 @@ def test_a_vector_environment_can_be_made_from_the_specification_of_a_single_one
 # --- infos
 
 
-def test_fixed_infos_have_the_same_keys_types_and_shapes_always():
+def test_fixed_infos_always_have_the_same_keys_types_and_shapes():
     fixed, every = (
         gym.make(ID, infos=infos, episode_steps=3, smoothed=True) for infos in ("fixed", "all")
     )
@@ -201,7 +201,7 @@ def test_fixed_infos_have_the_same_keys_types_and_shapes_always():
             np.testing.assert_array_equal(value, np.broadcast_to(wanted, np.shape(value)))
 
 
-def test_single_environments_in_step_have_fixed_infos_too():
+def test_only_synchronous_vector_environments_support_fixed_infos():
     env = gym.make_vec(
         ID, num_envs=2, infos="fixed", episode_steps=2, **EKF, vectorization_mode="sync"
     )
@@ -250,7 +250,7 @@ NAMED = {"episode_steps": "", "episodes": "", "terminate_on_divergence": "", "mo
     ],
     ids=lambda arguments: ", ".join(arguments),
 )
-@pytest.mark.filterwarnings("ignore:.*render_mode")  # Gymnasium warns before we refuse
+@pytest.mark.filterwarnings("ignore:.*render_mode")  # Gymnasium warns first
 def test_wrong_arguments_are_refused_by_name(arguments):
     *_, name = arguments
     with refuses(NAMED.get(name, name)):
@@ -258,7 +258,7 @@ def test_wrong_arguments_are_refused_by_name(arguments):
 
 
 @pytest.mark.parametrize("options", [5, "episode_key", []])
-def test_options_that_are_no_dict_are_refused(options):
+def test_options_that_are_not_a_dict_are_refused(options):
     for env in (gym.make(ID), gym.make_vec(ID, num_envs=2)):
         with refuses("options"):
             env.unwrapped.reset(options=options)
@@ -266,14 +266,14 @@ def test_options_that_are_no_dict_are_refused(options):
 
 @pytest.mark.parametrize("make", [gym.make, gym.make_vec])
 @pytest.mark.parametrize("name", ["frameskip", "epsiode_steps", "data"])
-def test_an_unknown_argument_is_refused_in_pythons_words(make, name):
-    """TorchRL tries `frameskip` and goes on without it only then."""
+def test_an_unknown_argument_raises_the_usual_error_of_python(make, name):
+    """Check the exact message, after which TorchRL tries again without `frameskip`."""
     with pytest.raises(TypeError, match=f"unexpected keyword argument '{name}'"):
         make(ID, **{name: 1})
 
 
 @pytest.mark.slow
-def test_the_class_takes_all_arguments_in_one_as_rllib_hands_them():
+def test_the_class_accepts_all_arguments_in_one_dict_as_rllib_passes_them():
     config = {"scenario": "vehicle", "observation": "prior", "episode_steps": 20}
     env, other = MmWaveLocEnv(config), MmWaveLocEnv(**config)
     np.testing.assert_array_equal(env.reset(seed=1)[0], other.reset(seed=1)[0])

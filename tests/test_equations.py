@@ -1,4 +1,4 @@
-"""docs/equations.md: every function and every test that its table names is there."""
+"""Tests that every function and every test named in the table of docs/equations.md exists."""
 
 import ast
 import re
@@ -9,14 +9,14 @@ import pytest
 
 from tests.paths import ROOT
 
-PAPER = range(1, 19)  # equations with a number
+PAPER = range(1, 19)  # numbers of its equations
 PAGE = (ROOT / "docs" / "equations.md").read_text(encoding="utf-8")
 CELLS = [re.split(r"(?<!\\)\|", line)[1:-1] for line in PAGE.splitlines() if line.startswith("| ")]
 ROWS = [row for row in CELLS[1:] if not row[0].startswith(" **")]  # equation, words, function, test
 
 
 def named(cell):
-    """Return the names in backticks."""
+    """Return the names that are in backticks in a cell."""
     return re.findall("`([^`]+)`", cell)
 
 
@@ -36,8 +36,8 @@ def test_the_table_has_a_function_and_a_test_in_every_row():
 
 
 @pytest.mark.parametrize("name", sorted(FUNCTIONS))
-def test_every_function_is_there(name):
-    """A dotted name is an attribute of its longest part that is a module."""
+def test_every_named_function_exists(name):
+    """Import the longest beginning of the name that is a module, and look up the rest in it."""
     parts = name.split(".")
     for end in range(len(parts) - 1, 0, -1):
         try:
@@ -51,7 +51,7 @@ def test_every_function_is_there(name):
 
 
 @pytest.mark.parametrize("test", sorted({test for row in ROWS for test in named(row[3])}))
-def test_every_test_is_there(test):
+def test_every_named_test_exists(test):
     path, name = test.split("::")
     assert name.startswith("test_") and name in functions_in(path)
 

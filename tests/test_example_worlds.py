@@ -1,4 +1,4 @@
-"""Examples that make worlds: SUMO's traffic as ways, ray-traced streets as a DeepMIMO folder."""
+"""Tests of examples that make data: ways (tracks) with SUMO, DeepMIMO folders by ray tracing."""
 
 import gzip
 import importlib.util
@@ -37,7 +37,7 @@ def run(name, *options, cwd):
 
 
 @pytest.mark.parametrize("name", ["raytrace", "sumo"])
-def test_a_world_s_example_is_short(name):
+def test_an_example_that_makes_data_is_short(name):
     assert len((ROOT / "examples" / f"{name}.py").read_text("utf-8").splitlines()) <= 120
 
 
@@ -48,7 +48,7 @@ PERSON = '<vehicle id="walker"', '<person id="walker"'
 
 
 def write_traffic(path):
-    """Write what `sumo --fcd-output` does: a car, a pedestrian, a short trip, one behind a wall."""
+    """Write a file as `sumo --fcd-output` does: a car, a pedestrian, and trips to be left out."""
     steps = []
     for t in range(91):
         users = {"car": (60 + t, 100), "walker": (60, 30 + t), "lost": (60 + t, 100 + 2 * t)}
@@ -60,7 +60,7 @@ def write_traffic(path):
 
 
 @pytest.mark.parametrize("name", ["traffic.xml", "traffic.xml.gz"])
-def test_trips_become_ways_that_episodes_draw_from(tmp_path, name):
+def test_trips_become_ways_from_which_episodes_are_drawn(tmp_path, name):
     write_traffic(tmp_path / name)
     text = run("sumo", name, "ways.csv", "--shift", 0, -140, cwd=tmp_path)
     for part in ("4 trips", "left out: lost, row 34", "1 left out", "2 ways written to ways.csv"):
@@ -73,7 +73,7 @@ def test_trips_become_ways_that_episodes_draw_from(tmp_path, name):
     assert names == {car.name, walker.name}
 
 
-def test_the_middle_of_the_traffic_becomes_that_of_the_streets(tmp_path, capsys):
+def test_the_traffic_is_moved_to_the_middle_of_the_street(tmp_path, capsys):
     write_traffic(tmp_path / "traffic.xml")
     sumo, street = loaded("sumo"), SCENES["street"]
     sumo.ways_in(street, sumo.read_trips(tmp_path / "traffic.xml"), 60.0)
@@ -97,10 +97,10 @@ USERS = np.column_stack([np.linspace(0.0, 20.0, 21), np.full(21, -2.0), np.full(
 
 
 def sionna_paths(users_m, hidden=()):
-    """Return Sionna RT's paths in a street with one wall, as far as the example reads them.
+    """Return the parts of Sionna RT's paths that the example reads, for a street with one wall.
 
-    Arrays are [receiver, transmitter, path], those of interactions have a depth in front. The line
-    of sight is not the first path, and some receivers have none.
+    Axes are [receiver, transmitter, path]; arrays of interactions have one more before, the depth.
+    The line of sight is the second path, and hidden receivers have none.
     """
     image = STATION * [1, -1, 1] + [0, 2 * WALL_Y, 0]
     share = (WALL_Y - users_m[:, 1]) / (image[1] - users_m[:, 1])
@@ -124,8 +124,8 @@ def sionna_paths(users_m, hidden=()):
     return SimpleNamespace(interactions=kinds, **paths, **angles)
 
 
-def test_traced_paths_become_a_folder_that_is_read(tmp_path):
-    """The shapes are those of Sionna RT 2.2; the solver itself runs where that is installed."""
+def test_traced_paths_are_written_to_a_folder_and_read_back(tmp_path):
+    """Use arrays shaped as in Sionna RT 2.2; the next test runs its solver if it is installed."""
     raytrace, velocity = loaded("raytrace"), np.tile([10.0, 0.0, 0.0], (21, 1))
     traced = sionna_paths(USERS[:12], hidden=[3]), sionna_paths(USERS[12:])
     blocks = [raytrace.arrays_of(paths) for paths in traced]
@@ -146,7 +146,7 @@ def test_traced_paths_become_a_folder_that_is_read(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_shipped_recording_is_traced_again(tmp_path):
+def test_tracing_a_shipped_recording_again_gives_the_same_measurements(tmp_path):
     pytest.importorskip("sionna.rt", reason="needs examples/raytrace.txt")
     shipped = RECORDINGS / "canyon28_walk_ride_walk"
     run("raytrace", shipped / "trajectory.csv", tmp_path / "again", cwd=tmp_path)

@@ -1,4 +1,4 @@
-"""Every example runs with its library, and beats the best fixed mode; the notebook runs, too.
+"""Tests that examples run and beat the best fixed mode, and that the notebook runs.
 
 Examples whose libraries are not installed are skipped; `make examples` installs them all.
 """
@@ -16,7 +16,7 @@ import pytest
 from tests.paths import ROOT
 
 FOLDER = ROOT / "examples"
-MAKERS = {"raytrace", "sumo", "minari_collect"}  # these make data, and train no agent
+MAKERS = {"raytrace", "sumo", "minari_collect"}  # make data instead of training an agent
 EXAMPLES = {path.stem: path for path in sorted(FOLDER.glob("*.py")) if path.stem not in MAKERS}
 
 
@@ -29,14 +29,14 @@ def imported(source: str) -> set[str]:
 
 
 def rewards(printed: str) -> dict[str, float]:
-    """Return rewards by name, the agent's first, from a table of `compare` or a line each."""
+    """Return rewards by name, the agent's first, from a table of `compare` or from single lines."""
     row, line = r"\| ([\w-]+) \| (-\d+\.\d+) ±", r"([\w-]+): reward (-\d+\.\d+)"
     lines = re.findall(rf"^(?:{row}|{line})", printed.partition("Paired")[0], re.MULTILINE)
     return {a or c: float(b or d) for a, b, c, d in lines}
 
 
 def made_before(source: str) -> list[list[str]]:
-    """Return the commands that make what an example reads, which its docstring shows."""
+    """Return the commands, shown in an example's docstring, that make the files it reads."""
     lines = re.findall(r"^python (examples/.*)$", ast.get_docstring(ast.parse(source)) or "", re.M)
     return [[str(ROOT / script), *words] for script, *words in map(shlex.split, lines)]
 
@@ -65,7 +65,7 @@ def test_an_example_beats_the_best_fixed_mode(name, tmp_path):
     assert next(iter(reward.values())) > reward["fixed-ukf"], done.stdout
 
 
-def test_the_page_of_clients_has_every_example_and_the_versions_they_run_with():
+def test_the_docs_list_every_example_with_pinned_versions():
     files = [ROOT / "constraints.txt", *FOLDER.glob("*.txt")]
     pins = re.findall(
         r"^([\w-]+)(?:\[.*\])?==(\S+)$", "\n".join(f.read_text() for f in files), re.M
@@ -81,11 +81,11 @@ NOTEBOOK = json.loads(PATH.read_text("utf-8"))
 CODE = [cell for cell in NOTEBOOK["cells"] if cell["cell_type"] == "code"]
 
 
-def test_what_running_leaves_behind_is_not_stored():
+def test_the_notebook_is_stored_without_outputs():
     assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in CODE)
     assert all(cell["metadata"] == {} for cell in NOTEBOOK["cells"])
     assert set(NOTEBOOK["metadata"]) == {"kernelspec", "language_info"}
-    assert set(NOTEBOOK["metadata"]["language_info"]) == {"name"}  # and no version of Python
+    assert set(NOTEBOOK["metadata"]["language_info"]) == {"name"}  # without the version of Python
 
 
 @pytest.mark.slow
@@ -94,7 +94,7 @@ def test_the_notebook_runs_and_its_agent_beats_the_rules():
     nbclient, nbformat = map(pytest.importorskip, ("nbclient", "nbformat"))
     notebook = nbformat.read(PATH, as_version=4)
     nbformat.validate(notebook)
-    folder = {"metadata": {"path": PATH.parent}}  # where Jupyter runs it
+    folder = {"metadata": {"path": PATH.parent}}  # Jupyter runs it there
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
         nbclient.NotebookClient(notebook, resources=folder, timeout=600).execute()
@@ -109,5 +109,5 @@ def test_the_notebook_runs_and_its_agent_beats_the_rules():
         for line in tables.partition("Paired differences")[2].splitlines()
         if line.startswith(("| reward of", "| mine"))
     )
-    for other in ("speed-rule", "fixed-ukf"):  # better than both, and no luck
+    for other in ("speed-rule", "fixed-ukf"):  # significantly better than both
         assert float(re.findall(r"\[(.*?),", mine[header.index(f"minus {other}")])[0]) > 0.0

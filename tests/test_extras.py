@@ -1,4 +1,4 @@
-"""Tests of commands and functions without their extra: they name it, before any work."""
+"""Tests that commands and environments name the extra that they need, before they do any work."""
 
 import sys
 
@@ -22,7 +22,9 @@ LOG = LOGS / "canyon28_vehicle"
     ],
     ids=lambda value: value if isinstance(value, str) else " ".join(map(str, value[::-3])),
 )
-def test_a_command_names_the_extra_and_writes_nothing(package, words, tmp_path, monkeypatch):
+def test_a_command_names_the_missing_extra_and_writes_nothing(
+    package, words, tmp_path, monkeypatch
+):
     monkeypatch.setitem(sys.modules, package, None)  # as if it were not installed
     extras = {"matplotlib": ("plot", "new.png"), "pygame": ("render", "new.gif")}
     extra, file = extras.get(package, (package, "new.json"))
@@ -39,7 +41,7 @@ def test_a_command_names_the_extra_and_writes_nothing(package, words, tmp_path, 
         ("pygame", "render", {"render_mode": "rgb_array"}),
     ],
 )
-def test_an_environment_names_the_extra(package, extra, arguments, monkeypatch):
+def test_an_environment_names_the_missing_extra(package, extra, arguments, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(ImportError, match=rf"needs {package}.*mmwave-loc\[{extra}\]"):
         gym.make("MmWaveLoc-v0", **arguments)

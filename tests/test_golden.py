@@ -1,4 +1,4 @@
-"""No number has changed: golden traces are computed again and compared with what was written."""
+"""Tests that golden traces, computed again, agree with the files in which they are stored."""
 
 import pytest
 
@@ -15,13 +15,13 @@ def written(name):
 @pytest.mark.parametrize(
     "name", [pytest.param(k, marks=[pytest.mark.slow] if k in SLOW else []) for k in TRACES]
 )
-def test_no_number_has_changed(name):
+def test_a_golden_trace_is_reproduced(name):
     differing = differences(name, written(name), text_of(TRACES[name]()))
-    advice = "If this is meant: `make golden`, and say why."
+    advice = "If the change is intended, run `make golden` and say why."
     assert not differing, "\n".join([*differing[:9], advice])
 
 
-def test_every_file_is_one_of_a_trace_and_shows_what_it_is_for():
+def test_every_trace_has_a_small_file_and_some_episodes_terminate():
     assert {path.stem for path in FOLDER.glob("*.csv")} == set(TRACES)
     assert sum(len(written(name)) for name in TRACES) < 130_000
     for name in ("rollout-diverging", "rollout-vector"):
@@ -41,7 +41,7 @@ def test_every_file_is_one_of_a_trace_and_shows_what_it_is_for():
         ("truncated", "True", "False", 1),
     ],
 )
-def test_observations_are_of_single_precision_and_whole_numbers_and_words_exact(
+def test_observations_are_compared_in_single_precision_and_integers_and_words_exactly(
     column, a, b, differing
 ):
     old, new = (f"# header\nrow;{column}\n0;{cell}\n" for cell in (a, b))

@@ -1,4 +1,4 @@
-"""Commands killed at random moments or on a full disk: what they write is whole or not there."""
+"""Tests that commands killed at random moments, or on a full disk, leave complete files or none."""
 
 import os
 import random
@@ -14,15 +14,15 @@ from experiments.console.main import main
 from tests.cli import succeed
 from tests.paths import LOGS
 
-with suppress(ImportError):  # of no system that has no fork
+with suppress(ImportError):  # not on systems without fork
     import resource
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(not hasattr(os, "fork"), reason="ends what it forked"),
+    pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork"),
 ]
-HITS, TRIES = 3, 15  # of each command, in each way
-TOLD = "told.txt"  # beside its folder
+HITS, TRIES = 3, 15  # wanted interruptions, and maximum tries, of a command in each way
+TOLD = "told.txt"  # output of a command, next to the command's folder
 LOG, SCENE = (str(LOGS / "canyon28_vehicle" / name) for name in ("log.csv", "scene.json"))
 FEW = ("--episodes", "4", "--episode-steps", "30")
 COMMANDS = {
@@ -36,7 +36,7 @@ COMMANDS = {
     "tune": ("tune", "--modes", "ekf", "--scenarios", "pedestrian", "--free", "sigma_v",
              "--episodes", "2", "--out", "modes.json"),
 }  # fmt: skip
-WAYS = {  # signal, how a command may end that it hits
+WAYS = {  # signal, exit codes of a command that it interrupts
     "KILL": (signal.SIGKILL, {-signal.SIGKILL}),
     "TERM": (signal.SIGTERM, {-signal.SIGTERM, 128 + signal.SIGTERM}),
     "INT": (signal.SIGINT, {-signal.SIGINT, 128 + signal.SIGINT}),
@@ -45,7 +45,7 @@ WAYS = {  # signal, how a command may end that it hits
 
 
 def contents(folder):
-    """Read all files but those that begin with a dot, which a killed command may leave."""
+    """Read all files except hidden ones, which a killed command may leave behind."""
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in sorted(folder.rglob("*"))
@@ -54,7 +54,7 @@ def contents(folder):
 
 
 def begun(words, folder, most):
-    """A process with the command in it; no file that it writes may be larger than most bytes."""
+    """Start a process with the command, limit its files to ``most`` bytes, and return its id."""
     (folder.parent / TOLD).write_text("")
     child = os.fork()
     if child:
@@ -76,7 +76,7 @@ def begun(words, folder, most):
         code = 0
     except SystemExit as end:
         code = int(end.code or 0)
-    except KeyboardInterrupt:  # before the command has begun
+    except KeyboardInterrupt:  # before the command began
         code = 128 + signal.SIGINT
     finally:
         os._exit(code)
@@ -84,7 +84,7 @@ def begun(words, folder, most):
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
-    """Return a command's words, files and duration, measured once, in this process."""
+    """Return a function from a command's name to its inputs, its files and its duration."""
     known = {}
 
     def find(name):
@@ -99,7 +99,7 @@ def undisturbed(tmp_path_factory):
             )
             succeed(*COMMANDS[name], cwd=made)
             begin = time.monotonic()
-            succeed(*COMMANDS[name], cwd=again)  # with all compiled, as in its forks
+            succeed(*COMMANDS[name], cwd=again)  # everything is compiled now, as in its forks
             known[name] = inputs, contents(made), time.monotonic() - begin
             assert contents(again) == contents(made)
         return known[name]
@@ -109,7 +109,7 @@ def undisturbed(tmp_path_factory):
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("name", COMMANDS)
-def test_files_are_whole_or_not_there(name, way, undisturbed, tmp_path):
+def test_an_interrupted_command_leaves_complete_files_or_none(name, way, undisturbed, tmp_path):
     inputs, whole, longest_s = undisturbed(name)
     sent, codes = WAYS[way]
     rng, hits = random.Random(f"{name} {way}"), 0
@@ -133,4 +133,4 @@ def test_files_are_whole_or_not_there(name, way, undisturbed, tmp_path):
         if hits == HITS:
             return
         longest_s = min(longest_s, time.monotonic() - begin)
-    raise AssertionError(f"found {hits} of {HITS} hits in {TRIES} tries")
+    raise AssertionError(f"found {hits} interruptions in {TRIES} tries, expected {HITS}")

@@ -1,4 +1,4 @@
-"""The walls between rooms (docs/architecture.md): who may import whom, and no circle."""
+"""Tests of the rules in docs/architecture.md for imports between rooms (folders or modules)."""
 
 import ast
 import re
@@ -8,7 +8,7 @@ from graphlib import TopologicalSorter
 
 from tests.paths import ROOT
 
-EVERYBODY = {"mmwave_env", "io", "metrics"}  # the first: its __init__.py
+EVERYBODY = {"mmwave_env", "io", "metrics"}  # all may import these; mmwave_env is its __init__.py
 FILTER_SIDE = {"numerics", "models", "filters"}
 WORLDS = FILTER_SIDE | {"compiler", "world", "interface", "task"}
 ENVIRONMENT = WORLDS | {"engines", "rendering"}
@@ -18,9 +18,9 @@ SEES = {
     "numerics": set(),
     "compiler": {"numerics"},
     "models": {"numerics"},
-    "filters": {"numerics", "models"},  # and never the world:
+    "filters": {"numerics", "models"},  # but never the world
     "logs": {"numerics", "models"},
-    "world": {"numerics", "models", "compiler"},  # no agent changes it, and it knows no data set
+    "world": {"numerics", "models", "compiler"},  # independent of agents and data sets
     "datasets": {"numerics", "models", "world", "logs"},
     "interface": FILTER_SIDE,
     "task": WORLDS | {"datasets"},  # chooses where episodes come from
@@ -30,8 +30,8 @@ SEES = {
     "localization": ENVIRONMENT | {"logs", "policies"},
     "sb3": {"vector_env"},
     **dict.fromkeys(EVERYBODY, frozenset({"numerics"})),
-    "rendering": {"numerics", "models"},  # streets, and numbers: no filter and no episode
-    # experiments, which all see the library; everybody there sees the first:
+    "rendering": {"numerics", "models"},  # draws numbers, without filters and episodes
+    # The folders of experiments may all import the library, and the console, which comes first.
     "experiments.console": LIBRARY,
     "experiments.evaluation": LIBRARY | {"experiments.console"},
     **dict.fromkeys(
@@ -43,12 +43,12 @@ SEES = {
     ),
     "experiments.sweeping": LIBRARY | {"experiments.training", *BELOW},
 }
-SEES["experiments"] = frozenset({*SEES, *LIBRARY})  # the commands, one a page
-ROOMS, ARROWS_BETWEEN_ROOMS = 28, 200  # at most
+SEES["experiments"] = frozenset({*SEES, *LIBRARY})  # the commands, a module each
+ROOMS, ARROWS_BETWEEN_ROOMS = 28, 200  # maximum numbers; an arrow is an import
 
 
 def room(module):
-    """Return the room of a module: a folder or a file at the front of a package, or a package."""
+    """Return a module's room: a folder or file directly in the package, or the package itself."""
     package, *rest = module.split(".")
     if package == "experiments":
         shelf = f"experiments.{rest[0]}" if rest else package
@@ -57,7 +57,7 @@ def room(module):
 
 
 def runs(node):
-    """Yield a node and all in it, without what is for type checkers alone."""
+    """Yield a node and all nodes in it, except code that only type checkers read."""
     yield node
     for child in ast.iter_child_nodes(node):
         if not (isinstance(child, ast.If) and ast.unparse(child.test) == "TYPE_CHECKING"):
@@ -65,9 +65,9 @@ def runs(node):
 
 
 def imports(path):
-    """Yield the modules that a file imports, and names that it takes from them, but for types.
+    """Yield the modules and names that a file imports, except imports for type checkers only.
 
-    An import by name, whatever the name, is one of :data:`ANY`.
+    A call such as import_module(name) counts as an import of :data:`ANY`.
     """
     for node in runs(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
@@ -91,14 +91,14 @@ ARROWS = [arrow for arrow in IMPORTS if arrow[1].split(".")[0] in PACKAGES]
 
 
 def ends(arrow):
-    """Return the rooms at both ends of an arrow."""
+    """Return the rooms of the importing and of the imported module."""
     module, target, name = arrow
     inside = f"{target}.{name}"
     return room(module), room(inside if target in PACKAGES and room(inside) in SEES else target)
 
 
 def crossings(arrows):
-    """Return arrows through a wall, in words."""
+    """Return a description of each import that the rules forbid."""
     return [
         f"{arrow[0]} imports {arrow[1]}: {begin} may not see {end}"
         for arrow in arrows
@@ -108,7 +108,7 @@ def crossings(arrows):
 
 
 def circles(edges):
-    """Raise CycleError where rooms (or modules) import each other in a circle."""
+    """Return all rooms (or modules); raise CycleError if they import each other in a circle."""
     graph = {}
     for a, b in edges:
         if a != b:
@@ -116,11 +116,11 @@ def circles(edges):
     return list(TopologicalSorter(graph).static_order())
 
 
-def test_no_import_goes_through_a_wall():
+def test_no_import_breaks_the_rules():
     assert not crossings(ARROWS)
 
 
-def test_a_broken_wall_is_named():
+def test_an_import_that_breaks_the_rules_is_described():
     assert crossings([("policies.scripted", "experiments.demo", "")]) == [
         "policies.scripted imports experiments.demo: policies may not see experiments"
     ]
@@ -128,25 +128,25 @@ def test_a_broken_wall_is_named():
 
 def test_only_the_entry_point_imports_commands_by_name():
     by_name = {module for module, target, _ in IMPORTS if target == ANY}
-    agents = "experiments.evaluation.agents"  # modules of users, that the command line names
+    agents = "experiments.evaluation.agents"  # imports modules of users that the command line names
     assert by_name == {"experiments.console.main", agents}
     callers = {module for module, target, _ in ARROWS if target == "experiments.console.main"}
     assert callers == {"experiments.console.__main__"}
 
 
-def test_no_command_imports_another():
+def test_no_command_imports_another_command():
     commands = {module for module, _, _ in ARROWS if room(module) == "experiments"}
     taken = [(a, f"{b}.{name}" if b == "experiments" else b) for a, b, name in ARROWS]
     assert not [(a, b) for a, b in taken if {a, b} <= commands]
 
 
-def test_rooms_are_few_see_little_of_each_other_and_form_no_circle():
+def test_rooms_and_imports_between_rooms_are_few_and_form_no_circle():
     between = {pair for pair in map(ends, ARROWS) if pair[0] != pair[1]}
     assert len(set(circles(between)) - {"mmwave_env"}) <= ROOMS
     assert len(between) <= ARROWS_BETWEEN_ROOMS
 
 
-def test_modules_form_no_circle():
+def test_imports_between_modules_form_no_circle():
     names = {module for arrow in ARROWS for module in arrow[:2]}
     circles(
         (module, f"{target}.{name}" if f"{target}.{name}" in names else target)
@@ -154,11 +154,11 @@ def test_modules_form_no_circle():
     )
 
 
-def test_nothing_private_crosses_modules():
+def test_no_module_imports_a_private_name_of_another():
     assert not [arrow for arrow in ARROWS if re.match("_(?!_version__)", arrow[2])]
 
 
-def test_importing_the_package_loads_nothing_heavy():
+def test_importing_the_package_loads_no_heavy_package():
     code = (
         "import sys, mmwave_env\n"
         "print(*{'numba', 'scipy', 'matplotlib', 'torch'} & {m.split('.')[0] for m in sys.modules})"

@@ -1,4 +1,4 @@
-"""The argument ``measurements=``: a receiver that measures some of the rows."""
+"""Tests of the argument ``measurements=``, for receivers that measure only some kinds of rows."""
 
 import gymnasium as gym
 import numpy as np
@@ -28,14 +28,14 @@ SOURCES = {
 
 
 def rows_of(subset, layout):
-    """Which rows (rows,) a subset has."""
+    """Return a mask (rows,) of the rows that belong to a subset of measurements."""
     link = [name in subset for name in MEASUREMENTS[:4]]
     return np.array([*link * layout.anchors, "doppler" in subset, *[True] * 2 * layout.odometry])
 
 
 @pytest.mark.parametrize("arguments", SOURCES.values(), ids=SOURCES)
 @pytest.mark.parametrize("subset", SUBSETS, ids=" ".join)
-def test_the_rows_that_remain_are_those_of_the_whole_episode(arguments, subset):
+def test_the_remaining_rows_equal_those_of_the_complete_episode(arguments, subset):
     some, whole = (
         task_from(**arguments, measurements=asked).draw(np.random.default_rng(4))
         for asked in (subset[::-1], None)
@@ -53,7 +53,7 @@ def test_the_rows_that_remain_are_those_of_the_whole_episode(arguments, subset):
     assert some.nonfinite == 0
 
 
-def test_all_measurements_by_name_give_the_rewards_of_the_plain_layout():
+def test_naming_all_measurements_gives_the_same_rewards_as_naming_none():
     for beliefs in ("shared", "per-mode"):
         plain, named = (
             played(beliefs=beliefs, episode_steps=60, measurements=asked)
@@ -63,7 +63,7 @@ def test_all_measurements_by_name_give_the_rewards_of_the_plain_layout():
 
 
 def played(seed=3, **arguments):
-    """The rewards of an episode of the first mode, or of the IMM."""
+    """Return the rewards of an episode in which every action is 0."""
     env = gym.make("mmwave_env:MmWaveLoc-v0", **arguments)
     env.reset(seed=seed)
     over, rewards = False, []
@@ -83,14 +83,14 @@ def test_vector_and_single_environments_agree(name):
     np.testing.assert_array_equal(together.T, alone)
 
 
-def test_one_kernel_serves_all_subsets():
+def test_all_subsets_share_one_compiled_world():
     sources = [SimulatedSource(STREET, RADIO, epochs=40, measurements=subset) for subset in SUBSETS]
     worlds = {id(source.world) for source in sources}
     assert len(worlds) == 1
     assert not np.array_equal(*[source.episode(5).visible for source in sources[1:]])
 
 
-def test_own_algorithms_filterpy_and_paired_rewards_take_subsets():
+def test_own_algorithms_filterpy_and_paired_rewards_support_subsets():
     def mine(x, P, measurement, gate):
         return ekf(x, P, measurement, gate)
 
@@ -107,13 +107,13 @@ def test_own_algorithms_filterpy_and_paired_rewards_take_subsets():
     [[], ["elevation"], ["doppler", "elevation"], ["range", "snr"], "range", 3, [None]],
     ids=str,
 )
-def test_subsets_that_fix_no_position_and_unknown_names_are_refused(asked):
+def test_subsets_that_do_not_determine_a_position_and_unknown_names_are_refused(asked):
     for arguments in ({}, {"episodes": "canyon28_vehicle"}):
         with refuses("measurements"):
             task_from(**arguments, measurements=asked)
 
 
-def test_a_source_of_ones_own_brings_its_measurements():
+def test_a_custom_source_decides_what_is_measured():
     episode = SimulatedSource(STREET, RADIO, epochs=5).episode(1)
     with refuses("measurements"):
         task_from(episodes=replay(episode), measurements=["range"])

@@ -1,4 +1,4 @@
-"""Metrics against evo's and scipy's."""
+"""Tests of metrics, which must agree with the packages evo and scipy."""
 
 import numpy as np
 import pytest
@@ -16,20 +16,20 @@ def random_walk(seed, scale):
 
 @pytest.fixture(scope="module")
 def tracks():
-    """True and estimated positions (EPOCHS, 3), m."""
+    """Return true and estimated positions (EPOCHS, 3), m."""
     truth = random_walk(0, 5.0) + [1000.0, -2000.0, 1.5]
     return truth, truth + random_walk(1, 0.3)
 
 
 @pytest.fixture(scope="module")
 def evo():
-    """Return evo's trajectory modules."""
+    """Return evo's module of metrics."""
     return pytest.importorskip("evo.core.metrics")
 
 
 @pytest.fixture(scope="module")
 def through_evo(evo, tracks, tmp_path_factory):
-    """The same, as evo reads them from TUM files: time, position, quaternion of no rotation."""
+    """Return the tracks as evo reads them from TUM files (time, position, identity quaternion)."""
     from evo.tools import file_interface
 
     folder = tmp_path_factory.mktemp("tum")
@@ -42,7 +42,7 @@ def through_evo(evo, tracks, tmp_path_factory):
     return tuple(read)
 
 
-def test_ate_and_rmse_are_evo_s_absolute_pose_error(evo, tracks, through_evo):
+def test_ate_and_rmse_equal_the_absolute_pose_error_of_evo(evo, tracks, through_evo):
     metric = evo.APE(evo.PoseRelation.translation_part)
     metric.process_data(through_evo)
     error = tracks[1] - tracks[0]
@@ -53,7 +53,7 @@ def test_ate_and_rmse_are_evo_s_absolute_pose_error(evo, tracks, through_evo):
 
 
 @pytest.mark.parametrize("delta", [1, 10])
-def test_rpe_is_evo_s_relative_pose_error(evo, tracks, through_evo, delta):
+def test_rpe_equals_the_relative_pose_error_of_evo(evo, tracks, through_evo, delta):
     metric = evo.RPE(evo.PoseRelation.translation_part, delta, evo.Unit.frames, all_pairs=delta > 1)
     metric.process_data(through_evo)
     assert len(metric.error) == EPOCHS - delta
@@ -61,20 +61,20 @@ def test_rpe_is_evo_s_relative_pose_error(evo, tracks, through_evo, delta):
     assert rpe(tracks[1] - tracks[0], delta) == pytest.approx(mean, abs=TOLERANCE)
 
 
-def test_metrics_take_leading_axes(tracks):
+def test_metrics_accept_leading_axes(tracks):
     error = tracks[1] - tracks[0]
     batch = np.stack([error, 2.0 * error])
     for metric in (ate, rmse, rpe):
         np.testing.assert_allclose(metric(batch), [metric(error), 2.0 * metric(error)])
 
 
-def test_rpe_of_a_track_no_longer_than_its_step_is_zero():
+def test_the_rpe_of_a_track_no_longer_than_its_interval_is_zero():
     np.testing.assert_array_equal(rpe(np.ones((2, 5, 3)), 5), [0.0, 0.0])
 
 
 @pytest.mark.parametrize("axes", [2, 3])
 @pytest.mark.parametrize("share", [0.95, 0.5])
-def test_nees_interval_is_chi_square_s(axes, share):
+def test_the_nees_interval_is_a_chi_square_interval(axes, share):
     tail = (1.0 - share) / 2.0
     expected = chi2.ppf([tail, 1.0 - tail], axes)
     np.testing.assert_allclose(nees_interval(axes, share), expected, rtol=1e-12)
@@ -90,7 +90,7 @@ def test_the_first_ten_epochs_do_not_count(epochs, counted):
 
 
 def columns(seed=0, episodes=3):
-    """Reward, error and NEES of a few episodes."""
+    """Return random rewards, errors and NEES of a few episodes."""
     rng = np.random.default_rng(seed)
     return (
         rng.normal(size=(episodes, EPOCHS)),
@@ -99,7 +99,7 @@ def columns(seed=0, episodes=3):
     )
 
 
-def test_summary_averages_what_counts():
+def test_the_summary_averages_over_all_but_the_first_ten_epochs():
     reward, error, nees = columns()
     metrics = summary(error, nees, reward=reward)
     assert set(metrics) == set(METRICS)
@@ -113,7 +113,7 @@ def test_summary_averages_what_counts():
     np.testing.assert_allclose(metrics["in_bounds"], inside.mean(axis=1))
 
 
-def test_bounds_of_flat_terrain_have_two_axes():
+def test_the_bounds_of_the_nees_depend_on_the_number_of_axes():
     reward, error, _ = columns()
     nees = np.full(reward.shape, 8.0)  # within the bounds of 3 axes, beyond those of 2
     assert (summary(error, nees)["in_bounds"] == 1.0).all()
@@ -121,7 +121,7 @@ def test_bounds_of_flat_terrain_have_two_axes():
 
 
 @pytest.mark.parametrize(("rate", "delta"), [(0.5, 1), (1.0, 1), (2.0, 2), (10.0, 10)])
-def test_rpe_looks_over_a_second(rate, delta):
+def test_the_rpe_of_the_summary_spans_one_second(rate, delta):
     _, error, nees = columns()
     metrics = summary(error, nees, epochs_per_s=rate)["rpe_m"]
     np.testing.assert_allclose(metrics, rpe(error[:, 10:], delta))
@@ -134,7 +134,7 @@ def test_one_epoch_beyond_50_m_is_divergence(error_m, diverged):
     assert summary(error, nees)["divergence_rate"] == [diverged]
 
 
-def test_an_error_that_is_no_number_has_diverged():
+def test_an_episode_with_a_nan_error_has_diverged():
     error = np.zeros((1, 20, 3))
     error[0, 15] = np.nan
     assert summary(error, np.ones((1, 20)))["divergence_rate"] == 1.0

@@ -1,4 +1,4 @@
-"""Beliefs that are no numbers are told, counted and warned of, never averaged away."""
+"""Tests that NaN beliefs are counted and cause a warning, and that averages do not hide them."""
 
 import math
 
@@ -23,10 +23,10 @@ STEPS, KEY = 15, "nonfinite_beliefs"
 
 
 def rotten(x, P, measurement, gate):
-    """An EKF whose belief is lost after a measurement that surprises it, but for a wild one."""
+    """Update as an EKF, but return a NaN belief after an unlikely (not an extreme) measurement."""
     after = ekf(x, P, measurement, gate)
     lost = where(after.nis[0] > 20.0, math.nan, 0.0)
-    lost = where(after.nis[0] > 90.0, 0.0, lost)  # which is how algorithms are tried
+    lost = where(after.nis[0] > 90.0, 0.0, lost)  # trials of algorithms use extreme ones
     return after._replace(x=[after.x[0] + lost, *after.x[1:]])
 
 
@@ -34,14 +34,14 @@ TASK = {"modes": [Mode("rotten", rotten)], "episode_steps": STEPS, "radio": "sta
 
 
 def rolled(env, seed):
-    """Rewards, infos of the steps, and the last info of an episode."""
+    """Return the rewards and the infos of the steps of an episode."""
     env.reset(seed=seed)
     _, rewards, *_, infos = zip(*(env.step(0) for _ in range(STEPS)), strict=True)
     return rewards, infos
 
 
 @pytest.mark.filterwarnings("ignore:an episode ended:RuntimeWarning")
-def test_an_episode_counts_the_epochs_after_which_it_had_no_belief():
+def test_the_last_info_counts_the_epochs_with_a_nan_belief():
     env, counts = gym.make(ID, **TASK), []
     for seed in range(6):
         rewards, infos = rolled(env, seed)
@@ -51,10 +51,10 @@ def test_an_episode_counts_the_epochs_after_which_it_had_no_belief():
         worst = env.unwrapped.reward.worst
         assert all(r == worst for r, gone in zip(rewards, lost, strict=True) if gone)
         counts.append(sum(lost))
-    assert min(counts) == 0 and max(counts) > 0  # some are lost
+    assert min(counts) == 0 and max(counts) > 0  # in some episodes only
 
 
-def test_the_episode_says_so():
+def test_an_episode_with_nan_beliefs_ends_with_a_warning():
     env = gym.make(ID, **TASK)
     with pytest.warns(RuntimeWarning, match=KEY):
         rolls = [rolled(env, seed) for seed in range(6)]
@@ -63,7 +63,7 @@ def test_the_episode_says_so():
 
 @pytest.mark.filterwarnings("ignore:an episode ended:RuntimeWarning")
 @pytest.mark.parametrize("autoreset", ["NextStep", "SameStep", "Disabled"])
-def test_the_vector_environment_tells_what_single_ones_tell(autoreset):
+def test_the_vector_environment_counts_nan_beliefs_as_single_environments_do(autoreset):
     n, single = 6, gym.make(ID, **TASK)
     env = gym.make_vec(ID, num_envs=n, autoreset_mode=autoreset, **TASK)
     env.reset(seed=0)
@@ -75,7 +75,7 @@ def test_the_vector_environment_tells_what_single_ones_tell(autoreset):
     assert infos[f"_{KEY}"].tolist() == [count > 0 for count in expected]
 
 
-def test_a_vector_environment_warns_also_where_nobody_wants_infos():
+def test_a_vector_environment_without_infos_warns_too():
     env = gym.make_vec(ID, num_envs=6, infos="none", **TASK)
     env.reset(seed=0)
     with pytest.warns(RuntimeWarning, match=KEY):
@@ -84,7 +84,7 @@ def test_a_vector_environment_warns_also_where_nobody_wants_infos():
 
 
 @pytest.mark.slow
-def test_a_comparison_leaves_no_such_episode_out_and_says_which_contender_had_some():
+def test_a_comparison_includes_episodes_with_nan_beliefs_and_names_the_contender():
     source = SimulatedSource(SCENES["street"], RADIOS["standard"], epochs=STEPS)
     chosen = Contender("mine", tuple(TASK["modes"]), lambda observation: FixedMode(0))
     selection = Selection(range(6))

@@ -1,4 +1,4 @@
-"""Tests that links, blocks, commands and tables of README and docs hold and run."""
+"""Tests that the links, code blocks, commands and tables of the README and the docs are right."""
 
 import re
 import shlex
@@ -15,17 +15,17 @@ from tests.paths import ROOT
 
 TEXT = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
 BLOCKS = {page: blocks_of(page) for page in PAGES}
-EXTRAS = {"torch", "stable_baselines3", "minari", "matplotlib", "pyarrow"}  # not everywhere
+EXTRAS = {"torch", "stable_baselines3", "minari", "matplotlib", "pyarrow"}  # may be missing
 
 
 def anchors(page):
-    """Return the anchors of a page, as GitHub makes them of the headings."""
+    """Return the anchors that GitHub makes from the headings of a page."""
     headings = re.findall(r"^#+ (.*)$", BLOCK.sub("", TEXT[page.name]), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in headings}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=TEXT)
-def test_links_lead_somewhere(page):
+def test_links_lead_to_existing_files_and_headings(page):
     for target in re.findall(r"\]\(([^)\s]+)\)", BLOCK.sub("", TEXT[page.name])):
         if "://" not in target:
             path, _, anchor = target.partition("#")
@@ -43,7 +43,7 @@ LINES = {
 
 
 @pytest.mark.parametrize("line", sorted(LINES))
-def test_command_lines_are_understood(line):
+def test_command_lines_are_valid(line):
     _, name, *options = shlex.split(line)
     if name.startswith("-"):
         assert succeed(name)
@@ -53,7 +53,7 @@ def test_command_lines_are_understood(line):
             read_arguments(name, options)
 
 
-def test_every_block_of_python_says_whether_it_is_run():
+def test_every_python_block_is_marked_as_run_or_not_run():
     silent = [
         f"{page.name}:{block.line}"
         for page, blocks in BLOCKS.items()
@@ -80,7 +80,7 @@ def session_of(tmp_path_factory):
 
 @pytest.mark.filterwarnings("ignore:speed .* is outside the design window")
 @pytest.mark.parametrize(("page", "block"), EXAMPLES)
-def test_examples_run_and_print_what_is_shown(page, block, session_of):
+def test_examples_run_and_print_the_tables_of_the_page(page, block, session_of):
     session = session_of(page)
     try:
         for earlier in BLOCKS[page]:
@@ -91,13 +91,13 @@ def test_examples_run_and_print_what_is_shown(page, block, session_of):
     except ModuleNotFoundError as error:
         if error.name not in EXTRAS:
             raise
-        pytest.skip(f"no {error.name}")
+        pytest.skip(f"needs {error.name}")
     for table in block.tables:
         assert_alike(table["shown"], made(table, printed, session.folder))
 
 
 def assert_alike(shown, now):
-    """Check that two texts are the same but for rounding, which may differ by processor."""
+    """Check that two texts are equal except for rounding, which may depend on the processor."""
     assert NUMBER.sub("", shown).split() == NUMBER.sub("", now).split()
     a, b = ([float(n.replace(",", "")) for n in NUMBER.findall(text)] for text in (shown, now))
     assert a == pytest.approx(b, rel=0.02, abs=0.02)
@@ -106,8 +106,8 @@ def assert_alike(shown, now):
 @pytest.mark.slow
 @pytest.mark.torch
 @pytest.mark.filterwarnings("default:speed above 20 m/s")  # some cars are too fast for the rule
-def test_the_readme_s_training_learns_something(tmp_path):
-    """Three seeds gained 0.046 to 0.061 on fixed-ukf: 0.02 is no matter of luck."""
+def test_the_training_of_the_readme_beats_the_fixed_mode_and_the_rule(tmp_path):
+    """Expect a gain of 0.02, which is not luck: three seeds gained 0.046 to 0.061 on fixed-ukf."""
     pytest.importorskip("stable_baselines3")
     page = ROOT / "README.md"
     (block,) = (block for block in BLOCKS[page] if block.language == "python")

@@ -1,4 +1,4 @@
-"""Stable-Baselines3: its checker on single environments, and the adapter for vector ones."""
+"""Tests of the adapter to Stable-Baselines3, and of its checker on single environments."""
 
 import warnings
 
@@ -43,7 +43,7 @@ CONFIGURATIONS = {
 
 
 def assert_same(info, expected):
-    """Two infos tell the same; of an ``episode`` all but the wall time, to single precision."""
+    """Check that infos are equal; in ``episode``, allow for single precision, ignore wall times."""
     info, expected = dict(info), dict(expected)
     ours, theirs = info.pop("episode", None), expected.pop("episode", None)
     assert info.keys() == expected.keys()
@@ -56,7 +56,7 @@ def assert_same(info, expected):
 
 
 @pytest.mark.parametrize("configuration", representative(CONFIGURATIONS, "ends early"))
-def test_it_is_what_stable_baselines3_makes_of_single_environments(configuration):
+def test_the_adapter_gives_the_same_results_as_a_dummy_vec_env(configuration):
     arguments = {"modes": MODES, "episode_steps": 6} | CONFIGURATIONS[configuration]
     ours = SB3VecEnv(native(4, **arguments))
     theirs = DummyVecEnv([lambda: Monitor(gym.make(ID, **arguments))] * 4)
@@ -81,8 +81,8 @@ def test_it_is_what_stable_baselines3_makes_of_single_environments(configuration
     assert ways == ({True, False} if configuration == "ends early" else {True})
 
 
-def test_infos_of_any_vector_environment_are_told():
-    """Gymnasium's own one batches nested infos, and some that not every environment tells."""
+def test_infos_of_any_vector_environment_are_passed_on():
+    """Use one of Gymnasium's, with nested infos and infos that only some environments have."""
 
     class Talkative(gym.Wrapper):
         def step(self, action):
@@ -107,7 +107,7 @@ def test_infos_of_any_vector_environment_are_told():
 # --- seeds, options, attributes
 
 
-def test_seeds_and_options_count_once():
+def test_seeds_and_options_are_used_for_one_reset():
     venv, env = SB3VecEnv(native()), native()
     venv.seed(3)
     venv.set_options({"reset_mask": np.ones(4, bool)})
@@ -117,7 +117,7 @@ def test_seeds_and_options_count_once():
     np.testing.assert_array_equal(venv.reset(), env.reset(seed=[3, 4, 5, 6])[0])
 
 
-def test_different_options_are_refused():
+def test_options_that_differ_between_environments_are_refused():
     venv = SB3VecEnv(native())
     venv.set_options([{"a": 1}, {}, {}, {}])
     with refuses("options"):
@@ -125,19 +125,19 @@ def test_different_options_are_refused():
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "Disabled"])
-def test_other_autoreset_modes_are_refused(mode):
+def test_autoreset_modes_other_than_same_step_are_refused(mode):
     env = gym.make_vec(ID, num_envs=2, autoreset_mode=mode, modes=MODES)
     with refuses("autoreset_mode"):
         SB3VecEnv(env)
 
 
-def test_an_environment_that_tells_no_autoreset_mode_is_refused():
+def test_an_environment_without_an_autoreset_mode_is_refused():
     env = gym.vector.VectorEnv()
     with refuses("autoreset_mode"):
         SB3VecEnv(env)
 
 
-def test_attributes_and_methods_are_those_of_all():
+def test_attributes_and_methods_apply_to_all_environments():
     venv = SB3VecEnv(native())
     env = venv.env
     assert venv.get_attr("modes") == [MODES] * 4 and venv.get_attr("modes", [1, 2]) == [MODES] * 2
@@ -156,10 +156,10 @@ def test_attributes_and_methods_are_those_of_all():
     assert venv.env_is_wrapped(gym.wrappers.TimeLimit, [2]) == [False]
 
 
-# --- what Stable-Baselines3 has to wrap around it
+# --- wrappers of Stable-Baselines3
 
 
-def test_its_wrappers_and_its_evaluation_work():
+def test_wrappers_and_the_evaluation_of_stable_baselines3_work():
     with pytest.warns(UserWarning, match="already wrapped with a `Monitor`"):
         venv = VecMonitor(VecCheckNan(SB3VecEnv(native()), raise_exception=True))
     normal = VecNormalize(venv, norm_reward=False, clip_obs=6.0)
@@ -186,10 +186,10 @@ def test_its_wrappers_and_its_evaluation_work():
     assert rewards == pytest.approx(expected, rel=1e-5)
 
 
-# --- stop and go on
+# --- saving and restoring
 
 
-def test_returns_and_lengths_go_on():
+def test_returns_and_lengths_of_episodes_continue_after_a_restore():
     first, second = SB3VecEnv(native()), SB3VecEnv(native())
     first.seed(0)
     first.reset()
@@ -209,7 +209,7 @@ def test_returns_and_lengths_go_on():
 
 
 @pytest.mark.parametrize("arguments", [{}, {"terminate_on_divergence": True, "episode_steps": 20}])
-def test_stable_baselines3_s_checker_is_content(arguments):
+def test_single_environments_pass_the_checker_of_stable_baselines3(arguments):
     env = gym.make(ID, **arguments)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -1,4 +1,4 @@
-"""The schemas of users' files say what the readers read."""
+"""Tests that the JSON schemas of users' files agree with the readers of these files."""
 
 import csv
 import json
@@ -28,13 +28,13 @@ every_file = pytest.mark.parametrize("name", READERS)
 
 
 def values(schema):
-    """Return values that a schema accepts."""
+    """Return a strategy for values that a schema accepts."""
     if "enum" in schema:
         return st.sampled_from(schema["enum"])
     for key in ("anyOf", "oneOf"):
         if key in schema:
             return st.one_of(*map(values, schema[key]))
-    if "type" not in schema:  # a note, which nobody looks at
+    if "type" not in schema:  # a note, which readers ignore
         return st.none() | st.text()
     kind = schema["type"]
     if kind == "object":
@@ -87,13 +87,13 @@ def consistent(content):
 
 
 def files(name):
-    """Return contents of files that the schema accepts."""
+    """Return a strategy for contents of files that the schema accepts."""
     return values(SCHEMAS[name]).map(consistent)
 
 
 @st.composite
 def damaged(draw, name):
-    """Draw a content with a part dropped or replaced, or with a key too many."""
+    """Draw a content with a part dropped or replaced, or with an unknown key."""
     content = draw(files(name))
     *path, last = draw(st.sampled_from([*places(content), ("color",)]))
     inner = content
@@ -108,7 +108,7 @@ def damaged(draw, name):
 
 
 def refusal(name, content, folder):
-    """Return the reader's refusal of a content, which names file and schema; or None."""
+    """Return the reader's error, "" if it does not name file and schema, None if there is none."""
     path = folder / f"{name}.json"
     path.write_text(json.dumps(content), encoding="utf-8")
     try:
@@ -120,16 +120,16 @@ def refusal(name, content, folder):
 
 
 @every_file
-def test_the_shipped_schema_is_that_of_the_dataclass(name):
+def test_the_shipped_schema_agrees_with_the_dataclass(name):
     shipped = json.loads(path_of(name).read_text(encoding="utf-8"))
-    assert shipped == SCHEMAS[name], "after a change of a dataclass: make generated"
+    assert shipped == SCHEMAS[name], "run make generated after changing a dataclass"
     Draft202012Validator.check_schema(shipped)
 
 
 @every_file
 @settings(max_examples=15, deadline=None)
 @given(data=st.data())
-def test_what_a_schema_accepts_is_read(name, data, tmp_path_factory):
+def test_readers_accept_what_the_schema_accepts(name, data, tmp_path_factory):
     content = data.draw(files(name))
     assert not list(VALIDATORS[name].iter_errors(content))
     assert refusal(name, content, tmp_path_factory.getbasetemp()) is None
@@ -138,7 +138,7 @@ def test_what_a_schema_accepts_is_read(name, data, tmp_path_factory):
 @every_file
 @settings(max_examples=40, deadline=None)
 @given(data=st.data())
-def test_what_a_schema_refuses_is_refused(name, data, tmp_path_factory):
+def test_readers_refuse_what_the_schema_refuses(name, data, tmp_path_factory):
     content = data.draw(damaged(name))
     if not VALIDATORS[name].is_valid(content):
         assert refusal(name, content, tmp_path_factory.getbasetemp())

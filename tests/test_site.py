@@ -15,7 +15,7 @@ NAVIGATION = set(re.findall(r"^ +- .*?([\w/-]+\.md)$", (ROOT / "mkdocs.yml").rea
 
 
 def loaded(path):
-    """Return the module of a Python file that is in no package."""
+    """Load a Python file that is not in a package, and return its module."""
     spec = importlib.util.spec_from_file_location(path.replace("/", "_"), ROOT / path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -27,7 +27,7 @@ def hooks():
     return loaded("docs/site/hooks.py")
 
 
-def test_the_navigation_has_every_page_and_no_other(hooks):
+def test_the_navigation_lists_exactly_the_existing_pages(hooks):
     pages = {page.name for page in (ROOT / "docs").glob("*.md")}
     assert pages | set(hooks.made()) == NAVIGATION
 
@@ -67,21 +67,21 @@ def test_the_page_of_the_environment_is_its_docstring():
     assert module.PAGE.read_text("utf-8") == module.page(), "run: make generated"
 
 
-def test_a_notebook_is_a_page_of_its_cells(hooks):
+def test_the_page_of_a_notebook_shows_its_cells(hooks):
     ((uri, name),) = hooks.NOTEBOOKS.items()
     page, cells = hooks.made()[uri](), json.loads((ROOT / name).read_text("utf-8"))["cells"]
     code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
     assert re.findall(r"^```python\n(.*?)\n```$", page, re.DOTALL | re.MULTILINE) == code
 
 
-def test_every_command_shows_its_help(hooks):
+def test_the_page_of_help_texts_has_every_command(hooks):
     names = re.findall(
         r"^## (\S+)\n+```text\n(?:.*\n)*?usage: mmwave-loc \1 ", hooks.help_page(), re.M
     )
     assert names == list(COMMANDS)
 
 
-def test_roles_of_docstrings_become_links_and_figures_stay_on_one_line(hooks):
+def test_roles_in_docstrings_become_links_and_names_and_numbers_stay_on_one_line(hooks):
     html = "<p>:func:<code>~mmwave_env.metrics.ate</code> :func:<code>draw</code></p>"
     links = re.findall('identifier="(.*?)"><code>(.*?)<', hooks.on_page_content(html))
     assert links == [("mmwave_env.metrics.ate", "ate")]
@@ -89,14 +89,14 @@ def test_roles_of_docstrings_become_links_and_figures_stay_on_one_line(hooks):
     assert hooks.on_page_content(cells).count('<td class="whole">') == 3
 
 
-def test_a_paragraph_that_is_but_a_link_to_a_report_gets_it_in_a_frame(hooks):
+def test_a_paragraph_that_is_only_a_link_to_a_report_shows_it_in_a_frame(hooks):
     html = '<p><a href="../report.html#episodes">Play it</a></p>'
     html += '<p>See <a href="report.html">it</a>.</p><p><a href="data/">it</a></p>'
     frames = re.findall('<iframe .*src="([^"]*)"', hooks.on_page_content(html))
     assert frames == ["../report.html#episodes"]
 
 
-def test_the_description_on_an_index_links_into_the_repository_at_its_tag():
+def test_the_description_for_package_indexes_links_to_the_repository_at_its_tag():
     files = ("README.md", "pyproject.toml", "mmwave_env/__init__.py")
     texts = [(ROOT / name).read_text("utf-8") for name in files]
     text = loaded("setup.py").described(*texts)
@@ -108,7 +108,7 @@ def test_the_description_on_an_index_links_into_the_repository_at_its_tag():
         assert (kind == "raw") == path.endswith((".png", ".gif"))
 
 
-def test_the_figure_of_angles_shows_those_of_the_measurement_model(tmp_path):
+def test_the_figure_of_angles_shows_the_angles_of_the_measurement_model(tmp_path):
     figure = loaded("docs/site/angles.py")
     user = np.array(figure.USER_M)
     x, y, z = (user - figure.SCENE.anchors_m).T

@@ -1,6 +1,6 @@
-"""The size of the project: a stranger should be able to pick it up, so what comes in pays.
+"""Tests that the project stays small enough for a newcomer to understand.
 
-Whoever raises a number here says in the commit what users get for it.
+If you raise a limit here, say in the commit message what users get for it.
 """
 
 import io
@@ -30,7 +30,7 @@ BUDGET = {
     "virtual environments": 6,
     "lines that ruff may not format": 60,
 }
-ROOMS = {  # lines of source; what is in no room counts for "."
+ROOMS = {  # maximum lines of source in a folder
     "experiments/evaluation": 1_900,
     "experiments/training": 2_350,
     "experiments/reporting/webpage": 1_100,
@@ -41,12 +41,12 @@ ROOMS = {  # lines of source; what is in no room counts for "."
     "mmwave_env/world": 2_200,
 }
 SOURCE = ("mmwave_env", "experiments", "policies")
-FOR_DEVELOPERS = {"dev", "docs", "lint"}  # extras
+FOR_DEVELOPERS = {"dev", "docs", "lint"}  # extras that users do not need
 NO_TOKENS = {getattr(tokenize, name) for name in ["COMMENT", "NL", "NEWLINE", "INDENT", "DEDENT"]}
 
 
 def tokens(text: str) -> int:
-    """Count what Python reads, docstrings left out: it does not fall when lines get denser."""
+    """Count tokens of Python without docstrings; packing more into a line does not lower this."""
     return sum(
         token.type not in NO_TOKENS and not token.string.startswith(('"""', 'r"""'))
         for token in tokenize.generate_tokens(io.StringIO(text).readline)
@@ -55,16 +55,16 @@ def tokens(text: str) -> int:
 
 @pytest.fixture(scope="module")
 def tracked():
-    """Return the contents of the checkout's files by path."""
+    """Return the contents, by path, of the files that git tracks."""
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True)
     if listed.returncode:
-        pytest.skip("this is no checkout of git")
+        pytest.skip("needs a git checkout")
     paths = map(Path, listed.stdout.rstrip("\0").split("\0"))
     return {path: (ROOT / path).read_bytes() for path in paths if (ROOT / path).is_file()}
 
 
 def code(tracked, *folders):
-    """Return the texts of programs by path."""
+    """Return the texts, by path, of the programs in some folders."""
     return {
         path: content.decode()
         for path, content in tracked.items()
@@ -96,7 +96,7 @@ def test_the_project_is_within_its_budget(tracked):
     assert not {name: f"{n} of {BUDGET[name]}" for name, n in sizes.items() if n > BUDGET[name]}
 
 
-def test_rooms_are_within_their_budget(tracked):
+def test_folders_are_within_their_budget(tracked):
     lines = Counter()
     for path, text in code(tracked, *SOURCE).items():
         for depth in range(2, len(path.parts)):

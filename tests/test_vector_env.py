@@ -1,4 +1,4 @@
-"""Many environments at once: Gymnasium's rules, and the numbers of single ones to the last bit."""
+"""Tests that the vector environment follows Gymnasium's rules and gives single ones' results."""
 
 import tracemalloc
 from dataclasses import replace
@@ -27,7 +27,7 @@ EKF = {"modes": ["ekf"]}
 
 
 class Patchy:
-    """Episodes of 2 to 7 epochs in which links are missing and numbers are not finite."""
+    """A source of episodes of 2 to 7 epochs with missing links and NaN measurements."""
 
     layout, name = Layout(3), "patchy"
 
@@ -41,14 +41,14 @@ class Patchy:
 
 
 class Twice(SimulatedSource):
-    """Every second episode of a simulation."""
+    """A source that draws two episodes and returns the second."""
 
     def sample(self, rng):
         super().sample(rng)
         return super().sample(rng)
 
 
-# believes that nobody ever changes speed, and so loses most vehicles
+# A filter that assumes that users never change speed, and therefore loses most vehicles.
 STUBBORN = Mode("ekf", sigma_v=1e-3, sigma_p=1e-3, adaptive=False, recovery=None)
 LOSING = {"scenario": "vehicle", "modes": [STUBBORN]}
 OWN = {"modes": ["ckf", Mode("robust", robust=True, cost=0.1), "ekf"]}
@@ -91,23 +91,23 @@ def configuration(request):
 
 
 @pytest.mark.parametrize("name", representative(CONFIGURATIONS, "recorded"))
-def test_the_checker_is_content(name):
+def test_the_vector_environment_passes_the_checker(name):
     check_vector_env(lambda: native(9, **CONFIGURATIONS[name]))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CONFIGURATIONS)
 @pytest.mark.parametrize("mode", ["SameStep", "Disabled"])
-def test_the_checker_is_content_with_other_resets(mode, name):
+def test_the_vector_environment_passes_the_checker_in_other_autoreset_modes(mode, name):
     check_vector_env(lambda: native(9, mode, **CONFIGURATIONS[name]))
 
 
-def test_the_checker_holds_for_gymnasiums_own_environments():
-    """So that a rule of the checker is one of Gymnasium's."""
+def test_a_vector_environment_of_gymnasium_passes_the_checker():
+    """Check that the checker demands only what Gymnasium demands."""
     check_vector_env(lambda: sync(4, "SameStep", episode_steps=6, **EKF))
 
 
-def test_make_vec_makes_it_without_a_word_of_warning():
+def test_make_vec_makes_the_native_vector_environment_without_warnings():
     env = gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=3, **EKF)
     assert isinstance(env, MmWaveLocVectorEnv) and env.num_envs == 3
     assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
@@ -115,7 +115,7 @@ def test_make_vec_makes_it_without_a_word_of_warning():
     assert env.single_observation_space == gym.make(ID, **EKF).observation_space
 
 
-def test_the_specification_goes_through_json():
+def test_a_vector_environment_can_be_made_from_its_specification_in_json():
     env = native(5, "SameStep", scenario="vehicle", episode_steps=4)
     again = gym.make_vec(EnvSpec.from_json(env.spec.to_json()))
     assert same(rollout(env, seed=1, steps=9), rollout(again, seed=1, steps=9))
@@ -125,7 +125,7 @@ def test_the_specification_goes_through_json():
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_equals_the_synchronous_vector_environment(mode, configuration):
+def test_the_native_vector_environment_equals_the_synchronous_one(mode, configuration):
     ours, expected = (rollout(make(9, mode, **configuration), 4, 50) for make in (native, sync))
     for t, (a, b) in enumerate(zip(ours, expected, strict=True)):
         assert same(a, b), f"step {t}"
@@ -136,13 +136,13 @@ def test_equals_the_synchronous_vector_environment(mode, configuration):
 
 
 @pytest.mark.parametrize("n", [1, 7, 8, 20])
-def test_any_number_equals_as_many_single_environments(n):
+def test_any_number_of_environments_equals_as_many_single_ones(n):
     arguments = CONFIGURATIONS["patchy"]
     assert same(*(rollout(make(n, **arguments), 7, 40) for make in (native, sync)))
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_order_does_not_matter(mode):
+def test_the_order_of_the_environments_does_not_matter(mode):
     n, arguments = 13, CONFIGURATIONS["ends early"]
     order = np.random.default_rng(0).permutation(n)
     straight, shuffled = native(n, mode, **arguments), native(n, mode, **arguments)
@@ -159,7 +159,7 @@ def test_order_does_not_matter(mode):
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_threads_do_not_matter(mode, monkeypatch):
+def test_the_number_of_threads_does_not_matter(mode, monkeypatch):
     monkeypatch.setattr(batch, "BLOCKS_PER_THREAD", 1)
     arguments = CONFIGURATIONS["ends early"]
     first, *others = [
@@ -169,7 +169,7 @@ def test_threads_do_not_matter(mode, monkeypatch):
         assert same(first, other)
 
 
-def test_an_episode_goes_on_where_the_generator_was():
+def test_a_masked_reset_draws_the_next_episode_of_the_environment_s_generator():
     env, single = (
         native(2, "Disabled", episode_steps=3, **EKF),
         gym.make(ID, episode_steps=3, **EKF),
@@ -245,7 +245,7 @@ def test_a_step_before_reset_is_refused():
         env.reset(options={"reset_mask": np.array([True, False, False])})
 
 
-def test_after_a_reset_that_failed_there_is_no_episode(monkeypatch):
+def test_a_step_after_a_failed_reset_is_refused(monkeypatch):
     env = native(3, **EKF)
     env.reset(seed=0)
     with monkeypatch.context() as patch:
@@ -258,7 +258,7 @@ def test_after_a_reset_that_failed_there_is_no_episode(monkeypatch):
     env.step(np.zeros(3, int))
 
 
-def test_a_disabled_step_after_an_end_names_the_environments():
+def test_a_step_after_an_end_without_autoreset_names_the_environments():
     env = native(3, "Disabled", episode_steps=1, **EKF)
     env.reset(seed=0)
     env.step(np.zeros(3, int))
@@ -277,10 +277,10 @@ def test_wrong_seeds_are_refused(seed):
 
 
 def peak_bytes(n):
-    """Return the most that numpy holds, through an end of all episodes at once.
+    """Return numpy's peak memory while environments are stepped over the end of all episodes.
 
-    Resident pages jump by megabytes from run to run, as the kernel hands out huge ones. With
-    several threads peaks depend on which jobs are done at the same time.
+    Resident memory is not used: it varies by megabytes, as the kernel hands out huge pages. With
+    several threads, the maximum would depend on which jobs are done at the same time.
     """
     tracemalloc.start()
     try:
@@ -295,7 +295,7 @@ def peak_bytes(n):
 
 
 @pytest.mark.slow
-def test_an_environment_takes_at_most_64_kb():
+def test_each_environment_needs_at_most_64_kb():
     peak_bytes(512)  # compiles
     peaks = [peak_bytes(n) for n in (512, 1024, 2048)]
     slopes = np.diff(peaks) / (512, 1024)
@@ -303,12 +303,12 @@ def test_an_environment_takes_at_most_64_kb():
     assert slopes[1] == pytest.approx(slopes[0], rel=0.01)
 
 
-# --- lean stepping
+# --- fewer infos
 
 
 @pytest.mark.parametrize("infos", ["episode", "none"])
 @pytest.mark.parametrize("mode", MODES)
-def test_lean_infos_are_those_of_single_environments(mode, infos):
+def test_reduced_infos_equal_those_of_single_environments(mode, infos):
     arguments = CONFIGURATIONS["ends early"] | {"smoothed": True, "infos": infos}
     ours, expected = (rollout(make(9, mode, **arguments), 4, 50) for make in (native, sync))
     for t, (a, b) in enumerate(zip(ours, expected, strict=True)):
@@ -317,6 +317,6 @@ def test_lean_infos_are_those_of_single_environments(mode, infos):
 
 
 @pytest.mark.parametrize("keys", [[1, 2], 7, [[1, 2, 3]]])
-def test_there_is_a_key_for_each_environment(keys):
+def test_episode_keys_of_a_wrong_shape_are_refused(keys):
     with refuses("episode_key"):
         native(3, **EKF).reset(options={"episode_key": keys})

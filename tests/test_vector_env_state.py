@@ -1,4 +1,4 @@
-"""The state of the vector environment: what is restored goes on to the last bit."""
+"""Tests that a vector environment restored from a saved state continues with identical results."""
 
 import subprocess
 import sys
@@ -40,13 +40,13 @@ def go_on(env, steps, actions):
 
 @pytest.mark.parametrize("configuration", representative(CONFIGURATIONS, "ends early", "short"))
 @pytest.mark.parametrize("mode", AUTORESET)
-def test_a_state_taken_anywhere_goes_on(mode, configuration):
-    """In a new environment, in one that was elsewhere, and in the one that gave it."""
+def test_environments_continue_from_a_state_saved_at_any_step(mode, configuration):
+    """Restore a state in a new environment, in one with other episodes, and where it was saved."""
     env = make(mode, **CONFIGURATIONS[configuration])
     elsewhere = make(mode, **CONFIGURATIONS[configuration])
     elsewhere.reset(seed=50)
     go_on(elsewhere, 2, actions=9)
-    env.reset(seed=13)  # some of both ends
+    env.reset(seed=13)  # gives terminated and truncated episodes
     ends = np.zeros(2, int)  # terminated, truncated
     for taken in range(8):
         state = env.state()
@@ -61,17 +61,17 @@ def test_a_state_taken_anywhere_goes_on(mode, configuration):
 
 
 @pytest.mark.parametrize("mode", AUTORESET)
-def test_a_reset_after_it_goes_on_too(mode):
+def test_a_reset_after_a_restore_draws_the_same_episodes(mode):
     env, other = make(mode), make(mode)
-    env.reset(seed=[None, *range(8)])  # a stream without a seed goes on as well
+    env.reset(seed=[None, *range(8)])  # one stream without a seed
     go_on(env, 3, actions=0)
     other.restore(env.state())
     assert same(env.reset(), other.reset())
-    assert other.np_random_seed == (-1,) * 9  # as in Gymnasium: nobody knows it
+    assert other.np_random_seed == (-1,) * 9  # as in Gymnasium, if it is unknown
 
 
 @pytest.mark.slow
-def test_a_state_goes_on_in_another_process(tmp_path):
+def test_a_saved_state_continues_in_another_process(tmp_path):
     env = make()
     env.reset(seed=4)
     go_on(env, 7, actions=0)
@@ -90,7 +90,7 @@ def test_a_state_goes_on_in_another_process(tmp_path):
     np.testing.assert_array_equal(np.load(tmp_path / "then.npy"), expected)
 
 
-def test_a_state_is_a_copy():
+def test_later_steps_do_not_change_a_saved_state():
     env = make()
     env.reset(seed=0)
     state = env.state()
@@ -102,7 +102,7 @@ def test_a_state_is_a_copy():
     assert same(state, kept)
 
 
-def test_before_a_reset_there_is_no_state():
+def test_saving_a_state_before_the_first_reset_is_refused():
     with pytest.raises(ResetNeeded):
         make().state()
 
@@ -122,11 +122,11 @@ def test_the_state_of_another_environment_is_refused(name, arguments):
     env.reset(seed=0)
     with refuses(f"{name} of the state"):
         other.restore(env.state())
-    with pytest.raises(ResetNeeded):  # nothing of it was taken over
+    with pytest.raises(ResetNeeded):  # nothing was restored
         other.state()
 
 
-def test_what_is_missing_is_named():
+def test_a_missing_part_of_a_state_is_named():
     env = make()
     env.reset(seed=0)
     state = env.state()
@@ -136,7 +136,7 @@ def test_what_is_missing_is_named():
 
 
 class Own(SimulatedSource):
-    """A source that might remember something."""
+    """A source that might have a memory."""
 
 
 @pytest.mark.parametrize(
@@ -144,7 +144,7 @@ class Own(SimulatedSource):
     ["canyon28_pedestrian", Own(SCENES["street"], RADIOS["handset"], epochs=4)],
     ids=["recorded", "own"],
 )
-def test_sources_that_may_remember_something_are_refused(episodes):
+def test_sources_that_may_have_a_memory_are_refused(episodes):
     env, simulated = make(episodes=episodes, episode_steps=None), make()
     for each in (env, simulated):
         each.reset(seed=0)

@@ -1,4 +1,4 @@
-"""Checks of a vector environment; Gymnasium's own checker covers single ones only."""
+"""A checker of vector environments, because Gymnasium's checks only single environments."""
 
 import gymnasium as gym
 import numpy as np
@@ -6,11 +6,11 @@ import pytest
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-STEPS = 40  # of the longest check; episodes end before
+STEPS = 40  # number in the longest check, in which episodes must end
 
 
 def check_vector_env(make):
-    """Every rule, on new environments from ``make()`` whose episodes end within 40 steps."""
+    """Check all rules, on new environments from ``make()`` with episodes of less than 40 steps."""
     for check in (check_description, check_types, check_seeds, check_memory):
         check(make)
     for check in (check_autoreset, check_masked_resets, check_close):
@@ -18,7 +18,7 @@ def check_vector_env(make):
 
 
 def same(a, b):
-    """Whether two results are the same, to the last bit, the type and the key."""
+    """Return whether two results have the same keys, types and bits."""
     if isinstance(a, dict):
         return isinstance(b, dict) and a.keys() == b.keys() and all(same(a[k], b[k]) for k in a)
     if isinstance(a, (tuple, list)):
@@ -33,7 +33,7 @@ def same(a, b):
 
 
 def arrays(result):
-    """All arrays of numbers in a result."""
+    """Return all arrays of numbers in a result."""
     if isinstance(result, dict):
         result = list(result.values())
     if isinstance(result, (tuple, list)):
@@ -44,7 +44,7 @@ def arrays(result):
 
 
 def forward(env, actions):
-    """Return a step's results, and, where ends are left to the user, the reset after it."""
+    """Return the results of a step and, if autoreset is disabled, of the reset after ends."""
     results = [env.step(actions)]
     over = results[0][2] | results[0][3]
     if env.metadata["autoreset_mode"] == AutoresetMode.DISABLED and over.any():
@@ -53,7 +53,7 @@ def forward(env, actions):
 
 
 def rollout(env, seed, steps=STEPS, actions=0):
-    """Return the results of ``reset`` and of steps with random actions; ends are reset."""
+    """Return the results of ``reset`` and of random steps, which go on after ends of episodes."""
     rng, n = np.random.default_rng(actions), env.single_action_space.n
     results = [env.reset(seed=seed)]
     for _ in range(steps):
@@ -74,7 +74,7 @@ def check_description(make):
 
 
 def check_infos(infos, n):
-    """Every key has a mask ``_key``; where it is False the values are blank."""
+    """Check that every key has a mask ``_key``, and that values are blank where it is False."""
     for key, mask in infos.items():
         if not key.startswith("_"):
             assert f"_{key}" in infos
@@ -106,10 +106,12 @@ def check_seeds(make):
     assert same(first, rollout(make(), seed=[5 + i for i in range(n)]))
     env = make()
     assert not same(first, rollout(env, seed=6))
-    assert same(first, rollout(env, seed=5)), "a seed does not depend on what was before it"
+    assert same(first, rollout(env, seed=5)), (
+        "the first episode of a seed depends on earlier episodes"
+    )
     for other in (rollout(make(), seed=6), rollout(make(), seed=None)):
         assert not same(first[0][0], other[0][0])
-    assert not same(env.reset()[0], first[0][0]), "without a seed the next episode is another"
+    assert not same(env.reset()[0], first[0][0]), "a reset without a seed repeats the episode"
 
 
 def check_memory(make):
@@ -123,7 +125,9 @@ def check_memory(make):
     twin = make()
     rollout(twin, seed=0, steps=12)
     actions = np.zeros(env.num_envs, np.int64)
-    assert same(env.step(actions), twin.step(actions)), "what was returned is the user's"
+    assert same(env.step(actions), twin.step(actions)), (
+        "changing a returned array changes the environment"
+    )
     assert not actions.any()
 
 
@@ -157,7 +161,7 @@ def check_autoreset(make):
             with pytest.raises((AssertionError, gym.error.ResetNeeded)):
                 env.step(np.zeros(n, np.int64))
             env.reset(options={"reset_mask": over})
-    assert ends >= 2, "episodes end within the check"
+    assert ends >= 2, "episodes do not end within the check"
 
 
 def check_masked_resets(make):

@@ -1,4 +1,4 @@
-"""mmwave-loc localize on a recorded walk and a recorded ride, and logs made from the walk."""
+"""Helpers that run ``mmwave-loc localize`` on a recorded walk, a recorded ride, or changed logs."""
 
 import json
 import subprocess
@@ -21,7 +21,7 @@ def options(log, *more, folder=WALK):
 
 
 def figures(folder, *more, log=None, truth=True):
-    """Run the command on a sample; what it wrote as JSON."""
+    """Run the command on a sample, and return what it wrote as JSON."""
     with tempfile.TemporaryDirectory() as scratch:
         file = Path(scratch) / "figures.json"
         scored = ("--truth", folder / "truth.tum") if truth else ()
@@ -31,7 +31,7 @@ def figures(folder, *more, log=None, truth=True):
 
 
 def refused(capsys, arguments):
-    """Run a command that ends with exit code 2; what it printed, and the line of the error."""
+    """Run a command that ends with exit code 2; return what it printed and its error line."""
     with pytest.raises(SystemExit) as stop:
         run("localize", [str(a) for a in arguments])
     assert stop.value.code == 2
@@ -51,7 +51,7 @@ def lines_of(name="log.csv"):
 
 
 def with_line(number, change):
-    """The sample with one line (counted from 1) changed."""
+    """Return the log of the walk with one line, counted from 1, changed."""
     lines = lines_of()
     lines[number - 1] = change(lines[number - 1])
     return "\n".join(lines) + "\n"

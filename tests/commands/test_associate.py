@@ -1,4 +1,4 @@
-"""A log without anchor numbers, as it is typed: simulated, localized, and what goes wrong."""
+"""Tests of the option --associate, for logs whose paths have no anchor numbers."""
 
 import json
 
@@ -16,7 +16,7 @@ RIDE = LOGS / "canyon28_vehicle"
 
 @pytest.fixture(scope="module")
 def hidden(tmp_path_factory):
-    """The folder of a recording whose paths nobody has named, with false ones among them."""
+    """Return a folder with a log of paths without anchor numbers, some of which are false."""
     folder = tmp_path_factory.mktemp("hidden")
     for name in ("scene.json", "truth.tum"):
         (folder / name).write_bytes((RIDE / name).read_bytes())
@@ -30,7 +30,7 @@ def options(folder, *more):
     return ("localize", *localizing.options(folder / "log.csv", *truth, *more, folder=folder))
 
 
-def test_the_command_says_what_was_associated(hidden, tmp_path):
+def test_the_command_reports_how_many_paths_were_associated(hidden, tmp_path):
     shown = succeed(*options(hidden, "--associate", "--json", tmp_path / "track.json"))
     figures = json.loads((tmp_path / "track.json").read_text())
     association = figures["association"]
@@ -55,5 +55,5 @@ def test_the_command_says_what_was_associated(hidden, tmp_path):
         (("--associate", "--diagnose"), "diagnose: found with --associate, expected rows with an"),
     ],
 )
-def test_what_makes_no_sense_is_refused(hidden, words, message):
+def test_options_that_do_not_fit_the_log_are_refused(hidden, words, message):
     assert_one_clear_line(command(*options(hidden, *words)), message)

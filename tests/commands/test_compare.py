@@ -1,4 +1,4 @@
-"""mmwave-loc compare and evaluate with learned policies and runs, as they are typed."""
+"""Tests of ``mmwave-loc compare`` and ``evaluate`` with learned policies and training runs."""
 
 import json
 import subprocess
@@ -25,7 +25,7 @@ main()
 
 
 def evaluated_without_torch(*words):
-    """``mmwave-loc evaluate <words>`` where nobody can import torch."""
+    """Return the output of ``mmwave-loc evaluate`` in a process that cannot import torch."""
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT_TORCH, "evaluate", *map(str, words)],
         env=environment(),
@@ -39,7 +39,7 @@ def evaluated_without_torch(*words):
 
 @pytest.fixture
 def run(tmp_path):
-    """A folder as ``mmwave-loc train`` leaves it, of random weights."""
+    """Return a folder as ``mmwave-loc train`` writes it, with policies of random weights."""
     folder = tmp_path / "run"
     for seed in range(3):
         (folder / f"seed-{seed}").mkdir(parents=True)
@@ -50,7 +50,7 @@ def run(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_run_is_compared_over_its_training_seeds(run, tmp_path):
+def test_a_run_is_compared_with_results_for_each_training_seed(run, tmp_path):
     policies = (run, run / "seed-1" / ".." / "seed-1" / "policy.safetensors", "fixed-ukf", "imm")
     median, single, *_ = names = [str(policy) for policy in policies]
     file = tmp_path / "all.json"
@@ -77,7 +77,7 @@ def test_a_run_is_compared_over_its_training_seeds(run, tmp_path):
 
 
 @pytest.mark.slow
-def test_one_policy_is_evaluated_by_file_and_by_run(run, tmp_path):
+def test_a_policy_is_evaluated_from_its_file_or_from_its_run(run, tmp_path):
     files = [tmp_path / "file.json", tmp_path / "run.json"]
     alone = run / "seed-0" / "policy.safetensors"
     shown = succeed("evaluate", "--policy", alone, "--episodes", 2, "--json", files[0])
@@ -129,7 +129,7 @@ def test_a_mistake_ends_with_one_clear_line(run, tmp_path, mistake):
 
 
 @pytest.mark.slow
-def test_errors_and_consistency_are_drawn_of_the_same_run(tmp_path):
+def test_errors_and_consistency_are_drawn_in_one_comparison(tmp_path):
     pictures = [tmp_path / "errors.svg", tmp_path / "nees.pdf"]
     files = ("--errors", pictures[0], "--consistency", pictures[1])
     succeed("compare", "--policies", "fixed-ukf", "imm", "--episodes", 3, *files)

@@ -1,4 +1,4 @@
-"""Tests of what the demo prints and writes."""
+"""Tests of the output and the files of ``mmwave-loc demo``."""
 
 import json
 
@@ -13,7 +13,7 @@ from experiments.reporting.comparison_results import Results
 from mmwave_env.metrics import METRICS, TERMS
 
 
-def test_every_place_is_printed_and_written(tmp_path, monkeypatch, capsys):
+def test_results_for_every_data_set_are_printed_and_written(tmp_path, monkeypatch, capsys):
     def results(args, names):
         asked.append(args.percentiles)
         rng = np.random.default_rng(0)
@@ -26,7 +26,7 @@ def test_every_place_is_printed_and_written(tmp_path, monkeypatch, capsys):
     pages, asked = [], []
     monkeypatch.setattr("experiments.reporting.comparison_results.results", results)
 
-    def page_of(args):  # it has tests of its own
+    def page_of(args):  # the page has its own tests
         pages.append(args)
         return "a page"
 

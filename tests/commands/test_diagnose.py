@@ -1,4 +1,4 @@
-"""mmwave-loc localize of a log that contradicts its scene: warnings, and --diagnose."""
+"""Tests of the warnings for logs that contradict their scene, and of the option --diagnose."""
 
 import json
 import re
@@ -14,14 +14,14 @@ from tests.localization.mistakes import MISTAKES, read_columns, write_columns
 
 @pytest.fixture(scope="module")
 def downlink(tmp_path_factory):
-    """The ride as a downlink receiver reports it: the other end's angles."""
+    """Return a log of the ride in which arrival is at the user, as in a downlink."""
     log = tmp_path_factory.mktemp("downlink") / "log.csv"
     mistake = MISTAKES["arrival is at the user, as in a downlink"]
     write_columns(log, mistake(read_columns(RIDE / "log.csv")))
     return log
 
 
-def test_a_contradiction_is_a_warning_each_and_in_the_json_file(tmp_path, downlink):
+def test_each_contradiction_is_shown_as_a_warning_and_written_to_json(tmp_path, downlink):
     words = options(downlink, "--speed", "auto", "--radio", "standard", folder=RIDE)
     done = command("localize", *words, "--json", tmp_path / "found.json")
     assert done.returncode == 0 and "NIS / dof" in done.stdout
@@ -63,14 +63,14 @@ def test_a_log_that_is_refused_can_be_diagnosed(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_diagnosis_of_a_right_log_and_of_one_that_nothing_explains():
+def test_a_diagnosis_says_that_a_log_is_consistent_or_that_no_mistake_explains_it():
     words = options(RIDE / "log.csv", "--radio", "standard", "--diagnose", folder=RIDE)
     assert "\nThe log is consistent as it is." in command("localize", *words).stdout
     other = [*map(str, (RIDE / "log.csv", "--scene", "street", "--diagnose"))]
     assert "\nNone of these makes the log consistent." in command("localize", *other).stdout
 
 
-def test_a_diagnosis_tells_the_facts_of_a_log(tmp_path):
+def test_a_diagnosis_reports_facts_about_the_log(tmp_path):
     file = tmp_path / "facts.json"
     words = options(RIDE / "log.csv", "--radio", "standard", folder=RIDE)
     done = command("localize", *words, "--truth", RIDE / "truth.tum", "--diagnose", "--json", file)
@@ -80,7 +80,7 @@ def test_a_diagnosis_tells_the_facts_of_a_log(tmp_path):
     assert (facts["first_s"], facts["last_s"]) == (times[0], times[-1])
     assert facts["step_s"] == pytest.approx(np.median(np.diff(times)))
     for anchor, fact in enumerate(facts["anchors"], start=1):
-        of = columns["anchor"] == anchor  # a row without numbers was not seen
+        of = columns["anchor"] == anchor  # a row without numbers was not measured
         assert fact["seen"] == np.isfinite(columns["snr_db"][of]).sum()
     poses = read_tum(RIDE / "truth.tum")
     moved = np.linalg.norm(np.diff(poses.position_m, axis=0), axis=1) / np.diff(poses.time_s)

@@ -1,4 +1,4 @@
-"""mmwave-loc leaderboard, as it is typed."""
+"""Tests of ``mmwave-loc leaderboard``."""
 
 import json
 
@@ -13,7 +13,7 @@ GOOD, POOR = "guided", "imm-best"  # entries in docs/leaderboard
 
 @pytest.fixture(scope="module")
 def entries(tmp_path_factory):
-    """A folder with entries of two contenders, of few episodes."""
+    """Return a folder with entries of two contenders, made with few episodes."""
     folder = tmp_path_factory.mktemp("entries")
     names = ["imm-best", "speed-rule"]
     judged = [judge(names, site, 2, 0) for site in sites()]
@@ -37,7 +37,7 @@ def test_entries_are_ranked_and_a_page_is_renewed(entries, tmp_path):
 
 
 @pytest.mark.slow
-def test_what_is_no_entry_is_refused(entries, tmp_path):
+def test_a_file_that_is_not_an_entry_is_refused(entries, tmp_path):
     good = json.loads((entries / "imm-best.json").read_text())
     for damage, message in (
         ({"venues": {}}, "venues: missing street:handset, "),
@@ -56,7 +56,7 @@ def test_what_is_no_entry_is_refused(entries, tmp_path):
         ([], "mine.json: not an entry"),
     ],
 )
-def test_a_mistake_is_refused_before_any_venue(options, message, tmp_path):
+def test_a_mistake_is_refused_before_episodes_are_played(options, message, tmp_path):
     (tmp_path / "mine.json").write_text("{")
     assert_one_clear_line(command("leaderboard", *options, "--out", tmp_path), message)
 

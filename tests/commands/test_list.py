@@ -1,4 +1,4 @@
-"""Tests of the list of names."""
+"""Tests of ``mmwave-loc list``, which lists names and copies samples."""
 
 import pytest
 
@@ -31,7 +31,7 @@ def test_every_name_of_a_kind_has_a_line(kind):
     assert all(len(line.split()) > 1 for line in lines)
 
 
-def test_without_a_kind_all_are_listed():
+def test_without_a_kind_all_kinds_are_listed():
     assert succeed("list") == "".join(succeed("list", kind) for kind in NAMES)
 
 
@@ -40,7 +40,7 @@ def test_an_unknown_kind_or_radio_is_refused():
     assert_one_clear_line(command("list", "modes", "--radio", "lab"), "radio: found 'lab'")
 
 
-def test_samples_are_copied_all_or_one(tmp_path):
+def test_all_samples_or_one_can_be_copied(tmp_path):
     said = succeed("list", "samples", "--out", tmp_path / "all")
     logs, recordings = (tmp_path / "all" / kind for kind in ("logs", "recordings"))
     assert [folder.name for folder in sorted(recordings.iterdir())] == list(sample_names())
@@ -50,13 +50,13 @@ def test_samples_are_copied_all_or_one(tmp_path):
     succeed("list", "samples", "--copy", "canyon28_pedestrian", "--out", tmp_path / "walk")
     for file in (logs / "canyon28_pedestrian").iterdir():
         assert (tmp_path / "walk" / file.name).read_bytes() == file.read_bytes()
-    (tmp_path / "walk" / "log.csv").unlink()  # what is there is not replaced, and nothing is added
+    (tmp_path / "walk" / "log.csv").unlink()  # existing files are kept, and nothing is added
     done = command("list", "samples", "--copy", "canyon28_pedestrian", "--out", tmp_path / "walk")
     assert_one_clear_line(done, "scene.json: found a file, expected a folder without it")
     assert not (tmp_path / "walk" / "log.csv").exists()
 
 
-def test_what_cannot_be_copied_is_refused(tmp_path):
+def test_a_copy_of_an_unknown_sample_or_without_a_folder_is_refused(tmp_path):
     for words in (["--out", tmp_path], ["samples", "--copy", "canyon28_vehicle"]):
         assert_one_clear_line(command("list", *words), "expected: list samples --copy NAME --out")
     done = command("list", "samples", "--copy", "canyon29", "--out", tmp_path / "new")

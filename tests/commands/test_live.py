@@ -1,4 +1,4 @@
-"""mmwave-loc localize - --live: rows in, a JSON line per epoch out, as it is typed."""
+"""Tests of ``mmwave-loc localize - --live``, which reads rows and writes a JSON line per epoch."""
 
 import json
 import subprocess
@@ -26,7 +26,7 @@ def first_rows(count):
 
 
 def as_json(lines, whole):
-    """Return CSV lines as JSON lines: a row each, or an epoch each."""
+    """Return CSV lines as JSON lines, each with a row or, if ``whole``, with an epoch."""
     names, *rows = (line.split(",") for line in lines)
     objects = [
         {n: float(v) if v else None for n, v in zip(names, row, strict=True)} for row in rows
@@ -37,10 +37,10 @@ def as_json(lines, whole):
     return "\n".join(map(json.dumps, objects)).encode()
 
 
-def test_every_epoch_has_a_line_and_they_end_where_the_track_of_the_file_does(tmp_path):
+def test_every_epoch_has_a_line_and_the_last_position_is_that_of_the_track_file(tmp_path):
     content = (WALK / "log.csv").read_bytes()
     positions, errors, code = live(content, "--speed", "1")
-    assert code == 0 and len(positions) == 400 and len(errors) == 1  # who chooses
+    assert code == 0 and len(positions) == 400 and len(errors) == 1  # says what chooses modes
     figures(
         WALK, "--speed", "1", "--radio", "standard", "--no-smoothing", "--out", tmp_path / "t.tum"
     )
@@ -50,7 +50,7 @@ def test_every_epoch_has_a_line_and_they_end_where_the_track_of_the_file_does(tm
 
 
 @pytest.mark.parametrize("whole", [False, True], ids=["rows", "epochs"])
-def test_json_lines_give_the_same_as_csv(whole):
+def test_json_lines_give_the_same_positions_as_csv(whole):
     csv_lines, _, _ = live(first_rows(60), "--speed", "1")
     json_lines, _, code = live(as_json(lines_of()[:61], whole), "--speed", "1", "--lag", "3")
     late = [position.pop("smoothed", None) for position in json_lines]
@@ -71,7 +71,7 @@ def test_damaged_and_late_rows_are_named_and_left_out():
 
 
 @pytest.mark.parametrize("content", [b"", b"\n", b"time,mood\n1,2\n", b'{"rows": 5}\n', b"[1]\n"])
-def test_what_is_no_log_ends_with_one_line(content):
+def test_input_that_is_not_a_log_ends_with_one_line(content):
     positions, errors, code = live(content)
     assert not positions and code == 2 and len(errors) == 1
 
@@ -80,6 +80,6 @@ def test_what_is_no_log_ends_with_one_line(content):
     "more",
     [("--truth", "t.tum"), ("--out", "t.tum"), ("--sample", "canyon28_vehicle"), ("--lag", "-1")],
 )
-def test_options_that_make_no_sense_live_are_refused(more):
+def test_options_that_do_not_fit_live_are_refused(more):
     _, errors, code = live(first_rows(3), *more)
     assert code == 2 and more[0].strip("-") in errors[0].split(":")[1]

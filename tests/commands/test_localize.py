@@ -1,4 +1,4 @@
-"""mmwave-loc localize: the speed (Algorithm 1) and the figures."""
+"""Tests of ``mmwave-loc localize``: modes chosen by the speed (Algorithm 1), and figures."""
 
 import csv
 import json
@@ -36,7 +36,7 @@ def test_a_speed_chooses_the_pipeline(folder, speed, mode):
     assert smoothed["rmse_m"] < 0.1 and filtered["in_bounds"] > 0.85
 
 
-def test_above_the_design_window_the_command_may_stop(capsys, tmp_path):
+def test_a_speed_above_the_design_window_is_refused_with_outside_abort(capsys, tmp_path):
     out = tmp_path / "track.tum"
     _, line = refused(
         capsys,
@@ -47,7 +47,7 @@ def test_above_the_design_window_the_command_may_stop(capsys, tmp_path):
     assert figures(WALK, "--speed", "20", "--outside", "abort")["modes"] == {"ukf": 400}
 
 
-def test_auto_decides_in_every_epoch(tmp_path):
+def test_speed_auto_chooses_the_mode_in_every_epoch(tmp_path):
     results = figures(RIDE, "--speed", "auto", "--out", tmp_path / "track.tum")
     assert results["modes"] == {"ekf": 1, "ukf": 119} and results["switches"] == 1
     with (tmp_path / "track.csv").open(newline="") as file:
@@ -55,12 +55,12 @@ def test_auto_decides_in_every_epoch(tmp_path):
 
 
 @pytest.mark.parametrize("word", ["fast", "-1", "nan", "inf", "", "1,4", "1_0", "AUTO"])
-def test_what_is_no_speed_is_refused(capsys, word):
+def test_an_invalid_speed_is_refused(capsys, word):
     _, line = refused(capsys, options(WALK / "log.csv", "--speed", word))
     assert f"speed: found {word!r}, expected a number of m/s, at least 0" in line
 
 
-def test_without_a_choice_the_guided_policy_chooses_in_every_epoch():
+def test_the_guided_policy_is_the_default():
     log = WALK / "log.csv"
     choices = ((), ("--policy", "guided"), ("--speed", "auto"))
     default, guided, auto = (succeed("localize", *options(log, *choice)) for choice in choices)
@@ -71,7 +71,7 @@ def test_without_a_choice_the_guided_policy_chooses_in_every_epoch():
 
 
 def evo_figures(truth, track, delta):
-    """ATE, RMSE and RPE as evo computes them from two files."""
+    """Return ATE, RMSE and RPE as evo computes them from two files."""
     metrics = pytest.importorskip("evo.core.metrics")
     sync = pytest.importorskip("evo.core.sync")
     read = pytest.importorskip("evo.tools.file_interface").read_tum_trajectory_file
@@ -87,7 +87,7 @@ def evo_figures(truth, track, delta):
 
 @pytest.mark.parametrize("track", ["filtered", "smoothed"])
 @pytest.mark.parametrize("known", [slice(None), slice(30, 95)])
-def test_the_figures_are_evos(tmp_path, track, known):
+def test_the_figures_equal_those_of_evo(tmp_path, track, known):
     truth = read_tum(RIDE / "truth.tum")
     part, out = tmp_path / "part.tum", tmp_path / "track.tum"
     part.write_text(tum_lines(truth.time_s[known], truth.position_m[known]))
@@ -103,7 +103,7 @@ def test_the_figures_are_evos(tmp_path, track, known):
 
 
 def at_another_rate(folder, path, rate_hz, late_s=0.0):
-    """A truth of a sample with other poses than one an epoch."""
+    """Write a sample's truth with poses at another rate, and with times ``late_s`` later."""
     truth = read_tum(folder / "truth.tum")
     time = np.arange(truth.time_s[0] + 0.003, truth.time_s[-1], 1.0 / rate_hz)
     position = CubicSpline(truth.time_s, truth.position_m)(time)
@@ -112,7 +112,7 @@ def at_another_rate(folder, path, rate_hz, late_s=0.0):
 
 
 @pytest.mark.parametrize("rate_hz", [1.0, 7.0, 30.0, 100.0])
-def test_the_error_is_the_same_whatever_the_rate_of_the_truth(capsys, tmp_path, rate_hz):
+def test_the_error_does_not_depend_on_the_rate_of_the_truth(capsys, tmp_path, rate_hz):
     truth = at_another_rate(RIDE, tmp_path / "truth.tum", rate_hz)
     results = figures(RIDE, "--speed", "10", "--radio", "standard", "--truth", truth, truth=False)
     assert results["truth"]["tracks"]["smoothed"]["ate_m"] == pytest.approx(0.0625, abs=0.0025)
@@ -123,7 +123,7 @@ def test_the_error_is_the_same_whatever_the_rate_of_the_truth(capsys, tmp_path, 
     assert shown.err == ""
 
 
-def test_a_truth_with_another_clock_is_warned_of(tmp_path):
+def test_a_truth_with_another_clock_causes_a_warning(tmp_path):
     truth, file = tmp_path / "truth.tum", tmp_path / "figures.json"
     at_another_rate(RIDE, truth, 30.0, late_s=0.1)
     more = ("--speed", "10", "--radio", "standard", "--truth", truth, "--json", file)
@@ -134,10 +134,10 @@ def test_a_truth_with_another_clock_is_warned_of(tmp_path):
     assert f"The truth's clock is {1e3 * clock['ahead_s']:.0f} ± " in shown.stdout
     assert "ms ahead of the log's." in shown.stdout
     assert f"{truth}: found its clock {1e3 * clock['ahead_s']:.0f} ± " in shown.stderr
-    assert results["truth"]["tracks"]["smoothed"]["ate_m"] > 0.7  # nothing was moved
+    assert results["truth"]["tracks"]["smoothed"]["ate_m"] > 0.7  # the truth was not shifted
 
 
-def test_what_is_printed_is_what_json_holds(capsys, tmp_path):
+def test_the_printed_figures_equal_those_in_the_json_file(capsys, tmp_path):
     results = figures(WALK, "--speed", "auto", "--radio", "standard")
     shown = capsys.readouterr().out
     for row in results["truth"]["tracks"].values():
@@ -145,13 +145,13 @@ def test_what_is_printed_is_what_json_holds(capsys, tmp_path):
         assert len(numbers) == 5 and " | ".join(f"{value:.3f}" for value in numbers) in shown
     groups = results["groups"]
     assert list(groups) == ["anchor 1", "anchor 2", "anchor 3", "Doppler", "all"]
-    assert groups["anchor 1"]["seen"] == 399  # one gave the prior
+    assert groups["anchor 1"]["seen"] == 399  # one epoch gave the prior
     assert results["error"] is None
     assert all(abs(groups[f"anchor {a}"]["nis_in_bounds"] - 0.95) < 0.03 for a in (1, 2, 3))
 
 
-def test_figures_say_how_to_make_them_again(tmp_path):
-    """But for the outputs; a sample has no log to name."""
+def test_the_json_file_records_the_command_that_makes_the_figures_again(tmp_path):
+    """Run the recorded command, which leaves out the options for output files, again."""
     file, again = tmp_path / "figures.json", tmp_path / "again.json"
     words = ["--sample", RIDE.name, "--speed", "9", "--no-gating"]
     run("localize", [*words, "--json", str(file), "--out", str(tmp_path / "track.tum")])
@@ -163,7 +163,7 @@ def test_figures_say_how_to_make_them_again(tmp_path):
     assert json.loads(again.read_text()) == results | {"written": {}}
 
 
-def test_truth_is_for_scores_alone(tmp_path):
+def test_the_truth_is_used_only_for_scores(tmp_path):
     with_truth, without = tmp_path / "a.tum", tmp_path / "b.tum"
     scored = figures(RIDE, "--speed", "auto", "--out", with_truth, "--risk", "0.2")
     assert scored["truth"]["risk"] == 0.2
@@ -182,9 +182,12 @@ def test_epochs_before_the_first_line_of_sight_are_counted(capsys, tmp_path):
     assert results["skipped"] == 20 and results["epochs"] == 380 == results["truth"]["scored"]
 
 
-@pytest.mark.filterwarnings("ignore:Doppler")  # a tenth of the speed that it says
-def test_what_comes_of_a_long_gap_is_told(capsys, tmp_path):
-    """The walk at a tenth of its rate, without epochs 100 to 129 s, and without any after 100 s."""
+@pytest.mark.filterwarnings("ignore:Doppler")  # too large for the slowed walk
+def test_a_restart_or_an_end_at_a_long_gap_is_reported(capsys, tmp_path):
+    """Use the walk at a tenth of its rate, without the epochs from 100 to 129 s.
+
+    In the second case, anchor 1 is not visible after these epochs, so that the track ends there.
+    """
     log, gap = tmp_path / "gap.csv", range(100, 130)
     header, *lines = lines_of()
     rows = [(round(10 * float(time)), rest) for time, _, rest in (l.partition(",") for l in lines)]

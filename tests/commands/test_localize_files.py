@@ -1,4 +1,4 @@
-"""``mmwave-loc localize`` and files: those that are none, full disks, pictures that fail, names."""
+"""Tests of ``mmwave-loc localize`` with FIFOs, full disks, pictures that fail and odd names."""
 
 import errno
 import json
@@ -18,7 +18,7 @@ from tests.paths import ROOT
 SAMPLE = ("localize", "--sample", RIDE.name, "--speed", "9")
 
 
-def test_a_picture_is_drawn_with_a_truth_or_without(tmp_path):
+def test_a_picture_is_drawn_with_and_without_a_truth(tmp_path):
     cases = {"new/t.png": ("--truth", RIDE / "truth.tum"), "plain.png": ()}
     for name, truth in cases.items():
         path = tmp_path / name
@@ -27,7 +27,7 @@ def test_a_picture_is_drawn_with_a_truth_or_without(tmp_path):
         assert content.startswith(b"\x89PNG") and len(content) > 20_000
 
 
-def test_a_dollar_in_a_name_costs_neither_the_picture_nor_the_figures(tmp_path):
+def test_special_characters_in_a_name_do_not_prevent_the_picture(tmp_path):
     folder = tmp_path / "a$b_{^$ | \x1b[31m\n"
     shutil.copytree(RIDE, folder)
     picture = folder / "track.svg"
@@ -37,7 +37,7 @@ def test_a_dollar_in_a_name_costs_neither_the_picture_nor_the_figures(tmp_path):
     assert all(line.isprintable() for line in (done.stdout + done.stderr).splitlines())
 
 
-def test_a_picture_that_fails_costs_neither_file_nor_figures(tmp_path, monkeypatch):
+def test_files_and_figures_are_written_even_if_the_picture_fails(tmp_path, monkeypatch):
     def fails(*_):
         raise ValueError("no such font")
 
@@ -50,7 +50,7 @@ def test_a_picture_that_fails_costs_neither_file_nor_figures(tmp_path, monkeypat
     assert sorted(p.name for p in tmp_path.iterdir()) == ["t.csv", "t.json", "t.tum"]
 
 
-def test_a_picture_that_fails_costs_no_comparison_its_results(tmp_path, monkeypatch):
+def test_results_of_a_comparison_are_written_even_if_the_picture_fails(tmp_path, monkeypatch):
     def fails(*_):
         raise OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "e.png"))
 
@@ -63,8 +63,8 @@ def test_a_picture_that_fails_costs_no_comparison_its_results(tmp_path, monkeypa
     assert "| fixed-ekf |" in done.stdout
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no such device")
-def test_what_cannot_be_printed_is_said():
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_an_error_while_printing_is_reported():
     with open("/dev/full", "w") as full:
         words = [sys.executable, "-m", "experiments.console", "list"]
         pipes = {"stdout": full, "stderr": subprocess.PIPE, "text": True}
@@ -73,10 +73,10 @@ def test_what_cannot_be_printed_is_said():
     assert done.returncode == 2
 
 
-@pytest.mark.skipif(os.name != "posix", reason="no such things")
+@pytest.mark.skipif(os.name != "posix", reason="needs FIFOs")
 @pytest.mark.parametrize("option", ["log", "--scene", "--truth", "--modes", "--radio"])
-def test_what_is_no_file_is_refused_before_it_is_read(tmp_path, option):
-    """A FIFO would wait for ever; tests/io/test_files.py has everything else."""
+def test_a_fifo_is_refused_before_it_is_read(tmp_path, option):
+    """Reading a FIFO would never end; tests/io/test_files.py tests other irregular files."""
     odd = tmp_path / ("odd.csv" if option == "log" else "odd.json")
     os.mkfifo(odd)
     files = {"log": RIDE / "log.csv", "--scene": RIDE / "scene.json", option: odd}
@@ -87,7 +87,7 @@ def test_what_is_no_file_is_refused_before_it_is_read(tmp_path, option):
 
 @pytest.mark.parametrize("name", ["a\nb", "e\x1b]0;owned\x07", "\ud800", "x" * 81, "", 7])
 @pytest.mark.parametrize("kind", ["modes", "scene"])
-def test_a_name_that_is_none_is_refused_by_file_and_key(tmp_path, kind, name):
+def test_an_invalid_name_is_refused_with_its_file_and_key(tmp_path, kind, name):
     content = {
         "modes": {"modes": [{"name": name}]},
         "scene": {"name": name, "base_station_m": [0.0, 0.0, 10.0]},

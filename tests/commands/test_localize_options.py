@@ -1,4 +1,4 @@
-"""The options of mmwave-loc localize: each changes the track, none contradicts another."""
+"""Tests that options of ``mmwave-loc localize`` change the track and that conflicts are refused."""
 
 import csv
 import json
@@ -18,7 +18,7 @@ from mmwave_env.models.scene import read_scene
 from tests.commands.localizing import EPOCHS, RIDE, WALK, figures, options, refused
 
 
-def test_the_track_is_the_localizers(tmp_path):
+def test_the_track_equals_that_of_the_python_function(tmp_path):
     out = tmp_path / "track.tum"
     more = ("--no-gating", "--no-adaptive", "--window", "50", "--radio", "high")
     figures(RIDE, "--speed", "10", "--out", out, *more)
@@ -32,7 +32,7 @@ def test_the_track_is_the_localizers(tmp_path):
 
 
 @pytest.mark.slow
-def test_every_switch_changes_the_track():
+def test_every_option_changes_the_track():
     tracks = {}
     flags = ([], ["--no-gating"], ["--no-adaptive"], ["--no-smoothing"], ["--robust"])
     for switch in (*flags, ["--window", "20"], ["--height", "1.5"], ["--radio", "handset"]):
@@ -48,7 +48,7 @@ def test_every_switch_changes_the_track():
     assert len(set(tracks.values())) == len(tracks)
 
 
-def test_modes_may_come_from_a_file(capsys, tmp_path):
+def test_modes_can_be_read_from_a_file(capsys, tmp_path):
     file = tmp_path / "modes.json"
     modes = [{"name": "calm"}, {"name": "wild", "algorithm": "ckf", "sigma_v": 2.0}]
     file.write_text(json.dumps({"modes": modes}))
@@ -62,7 +62,7 @@ def test_modes_may_come_from_a_file(capsys, tmp_path):
 
 @pytest.mark.parametrize("folder", [WALK, RIDE], ids=["walk", "ride"])
 @pytest.mark.slow
-def test_an_imm_is_smoothed_to_less_than_the_filtered_error(tmp_path, folder):
+def test_smoothing_reduces_the_error_of_an_imm(tmp_path, folder):
     out = tmp_path / "track.tum"
     results = figures(folder, "--imm", "imm-best", "--radio", "standard", "--out", out)
     bank, scene = best_bank("standard"), read_scene(folder / "scene.json")
@@ -82,7 +82,7 @@ def test_an_imm_is_smoothed_to_less_than_the_filtered_error(tmp_path, folder):
 
 
 @pytest.mark.slow
-def test_an_imm_may_come_from_a_bank_s_file_or_by_any_name_of_the_project(tmp_path):
+def test_an_imm_can_be_given_by_a_bank_file_or_by_its_name(tmp_path):
     file = tmp_path / "bank.json"
     modes = [{"name": "calm"}, {"name": "wild", "algorithm": "ckf", "sigma_v": 2.0}]
     bank = {"modes": modes, "transition": [[0.9, 0.1], [0.2, 0.8]], "nis_quantile": 0.99}
@@ -98,14 +98,14 @@ def test_an_imm_may_come_from_a_bank_s_file_or_by_any_name_of_the_project(tmp_pa
 
 @pytest.fixture(scope="module")
 def driven(tmp_path_factory):
-    """A log with odometry."""
+    """Return the folder of a log with odometry."""
     folder = tmp_path_factory.mktemp("driven")
     run("simulate", ["--scenario", "walk-ride", "--odometry", "--seed", "2", "--out", str(folder)])
     return folder
 
 
 @pytest.mark.slow
-def test_odometry_is_used_where_the_log_has_it(capsys, driven):
+def test_odometry_is_used_if_the_log_has_it(capsys, driven):
     used = figures(driven, "--speed", "auto")
     ignored = figures(driven, "--speed", "auto", "--no-odometry")
     followed = figures(driven, "--speed", "auto", "--follow", "odometry")
@@ -141,7 +141,7 @@ CONTRADICTIONS = {
 
 
 @pytest.mark.parametrize("name", CONTRADICTIONS)
-def test_what_contradicts_itself_is_refused(capsys, monkeypatch, tmp_path, name):
+def test_conflicting_options_and_invalid_values_are_refused(capsys, monkeypatch, tmp_path, name):
     monkeypatch.chdir(tmp_path)
     more, message = CONTRADICTIONS[name]
     _, line = refused(capsys, options(WALK / "log.csv", *more))

@@ -1,4 +1,4 @@
-"""Files of mmwave-loc localize: which it leaves alone, and logs that are damaged or cut short."""
+"""Tests of ``mmwave-loc localize``: files that it must not replace, and damaged or long logs."""
 
 import gzip
 import json
@@ -24,19 +24,21 @@ from tests.commands.localizing import (
     with_line,
 )
 
-OLD = f"# {' '.join(COLUMNS)}; mmwave-loc localize\n"  # a track that may be replaced
+OLD = (
+    f"# {' '.join(COLUMNS)}; mmwave-loc localize\n"  # first line of a track, which may be replaced
+)
 
 
-KEPT = {  # a file of the user's -> what --out would take its place
+KEPT = {  # a user's file -> the --out that would replace it, and the refusal
     "trip.csv": ("trip.tum", "trip.csv, which is no table of a track"),
-    "path.tum": ("path.tum", "which is no track of mmwave-loc localize"),  # not told of
+    "path.tum": ("path.tum", "which is no track of mmwave-loc localize"),  # not among the inputs
     "truth.tum": ("truth.tum", "which is also"),
     "log.csv": ("log.tum", "which is also"),
 }
 
 
 @pytest.mark.parametrize("name", KEPT)
-def test_no_output_takes_the_place_of_a_file_of_the_users(capsys, tmp_path, name):
+def test_output_never_replaces_a_file_of_the_user(capsys, tmp_path, name):
     out, message = KEPT[name]
     for file in ("log.csv", "truth.tum", "scene.json"):
         (tmp_path / file).write_bytes((RIDE / file).read_bytes())
@@ -49,7 +51,7 @@ def test_no_output_takes_the_place_of_a_file_of_the_users(capsys, tmp_path, name
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
-def test_folders_are_made_and_what_cannot_be_written_is_named(capsys, tmp_path):
+def test_folders_are_made_and_files_that_cannot_be_written_are_named(capsys, tmp_path):
     figures(RIDE, "--speed", "9", "--out", tmp_path / "a" / "b" / "track.tum")
     assert sorted(p.name for p in (tmp_path / "a" / "b").iterdir()) == ["track.csv", "track.tum"]
     blocked = tmp_path / "file"
@@ -69,7 +71,7 @@ def test_folders_are_made_and_what_cannot_be_written_is_named(capsys, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 @pytest.mark.parametrize(("damaged", "code"), [(False, 141), (True, 2)])
-def test_figures_and_errors_are_told_when_nobody_reads_what_is_shown(
+def test_figures_and_errors_are_reported_if_standard_output_is_closed(
     monkeypatch, tmp_path, unbuffered, damaged, code
 ):
     monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
@@ -87,7 +89,7 @@ def test_figures_and_errors_are_told_when_nobody_reads_what_is_shown(
 
 # --- damage
 
-HALF_WAY = {  # line 602 is the first of epoch 201; 200 epochs before it are whole
+HALF_WAY = {  # line 602 is the first of epoch 201; the 200 epochs before it are complete
     "no number": (with_line(602, lambda l: cell(l, 2, "far")), "line 602, column 'toa_s'", 200),
     "at the end": (with_line(1199, lambda l: l[:20]), "line 1199: found", 399),
     "early": (with_line(6, lambda l: cell(l, 2, "far")), "line 6, column 'toa_s'", 1),
@@ -96,7 +98,7 @@ HALF_WAY = {  # line 602 is the first of epoch 201; 200 epochs before it are who
 
 @pytest.mark.parametrize("zipped", [False, True], ids=["plain", "gz"])
 @pytest.mark.parametrize("name", HALF_WAY)
-def test_a_log_damaged_half_way_gives_the_track_up_to_there(capsys, tmp_path, name, zipped):
+def test_a_damaged_log_gives_the_track_up_to_the_damage(capsys, tmp_path, name, zipped):
     content, message, epochs = HALF_WAY[name]
     log, out = tmp_path / ("log.csv.gz" if zipped else "log.csv"), tmp_path / "track.tum"
     log.write_bytes(gzip.compress(content.encode()) if zipped else content.encode())
@@ -125,7 +127,7 @@ NOTHING = {
 
 
 @pytest.mark.parametrize("name", NOTHING)
-def test_a_log_without_a_track_leaves_the_output_alone(capsys, tmp_path, name):
+def test_a_log_without_a_track_does_not_change_the_output(capsys, tmp_path, name):
     content, message = NOTHING[name]
     log, out = tmp_path / "log.csv", tmp_path / "track.tum"
     log.write_text(content)
@@ -136,7 +138,7 @@ def test_a_log_without_a_track_leaves_the_output_alone(capsys, tmp_path, name):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["log.csv", "track.tum"]
 
 
-def test_truth_of_another_time_is_an_error_that_names_both(capsys, tmp_path):
+def test_a_truth_without_common_times_is_refused_with_both_time_spans(capsys, tmp_path):
     truth, out = tmp_path / "truth.tum", tmp_path / "track.tum"
     truth.write_text(tum_lines(np.array([1000.0, 1002.5]), np.zeros((2, 3))))
     more = ("--speed", "1", "--truth", truth, "--out", out)
@@ -150,7 +152,7 @@ def test_truth_of_another_time_is_an_error_that_names_both(capsys, tmp_path):
 
 
 def long_log(path, rows):
-    """The walk, there again and again."""
+    """Write a log that repeats the walk until it has this many rows."""
     lines = lines_of()
     rest = [line.split(",", 1)[1] for line in lines[1:]]
     with path.open("w") as file:
@@ -160,7 +162,7 @@ def long_log(path, rows):
             file.write("".join(f"{t},{r}\n" for t, r in zip(times.tolist(), rest, strict=True)))
 
 
-# Not ru_maxrss: a child inherits that of its parent.
+# VmHWM is used because ru_maxrss of a child includes the memory of its parent.
 PEAK = """
 import sys
 from experiments.console.main import run
@@ -170,7 +172,7 @@ print(next(line for line in open("/proc/self/status") if line.startswith("VmHWM"
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no procfs")
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs procfs")
 def test_memory_does_not_grow_with_the_log(tmp_path):
     log, truth = tmp_path / "log.csv", tmp_path / "truth.tum"
     walk, peaks = read_tum(WALK / "truth.tum").position_m, []

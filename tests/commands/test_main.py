@@ -1,4 +1,4 @@
-"""The command line, as it is typed."""
+"""Tests of the program mmwave-loc: results, help, mistakes and output."""
 
 import importlib
 import json
@@ -68,7 +68,7 @@ def test_without_a_command_the_commands_are_listed():
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_explains_its_options(name):
     shown = command(name, "--help", columns=80).stdout
-    # tyro leaves it to terminals to fold the line of usage.
+    # tyro does not fold the line of usage; terminals do.
     lines = [line for line in shown.splitlines() if not line.startswith("usage: ")]
     assert max(map(len, lines)) <= 80
     assert f"\nusage: mmwave-loc {name} " in shown and "None" not in shown
@@ -86,14 +86,14 @@ def test_help_fits_80_columns_in_any_terminal(columns):
         assert 60 < max(map(len, shown.splitlines())) <= 80
 
 
-def test_help_shows_defaults_and_what_can_be_left_out():
+def test_help_shows_defaults_and_optional_arguments():
     shown = " ".join(command("leaderboard", "--help", columns=80).stdout.split())
     assert "test seeds start at 0 (default: 0)" in shown and "(default: False)" not in shown
     assert "[-h] [WHAT] [--radio STR]" in command("list", "--help").stdout
     assert "[OPTIONS] MODEL POLICY" in command("convert", "--help").stdout
 
 
-def test_help_loads_nothing_heavy():
+def test_help_loads_no_heavy_packages():
     code = (
         "import sys\n"
         "from experiments.console.main import COMMANDS, read_arguments\n"
@@ -136,12 +136,12 @@ MISTAKES = {
     "unknown option": (("evaluate", "--color", "red"), "--color"),
     "mistyped option": (("evaluate", "--episode=3"), "--episode=3; did you mean --episodes[?]"),
     "a word too many": (("speed", "fast"), "fast"),
-    "no number": (("evaluate", "--seed", "one"), "--seed.*one"),
-    "no choice": (("train", "--algo", "pp"), "pp.*--algo.*ppo.*rollouts"),
-    "no value": (("evaluate", "--json"), "--json"),
-    "nothing": (("simulate",), "--out PATH"),
-    "no results": (("report",), "results"),
-    "no risk": (("evaluate", "--risk", "0"), "risk: found"),
+    "a word as a number": (("evaluate", "--seed", "one"), "--seed.*one"),
+    "unknown choice": (("train", "--algo", "pp"), "pp.*--algo.*ppo.*rollouts"),
+    "an option without its value": (("evaluate", "--json"), "--json"),
+    "a required option missing": (("simulate",), "--out PATH"),
+    "a required argument missing": (("report",), "results"),
+    "a risk of zero": (("evaluate", "--risk", "0"), "risk: found"),
     "recorded steps": (("evaluate", *RECORDED, "--dt", "0.5"), "dt: found"),
     "mistyped name": (("evaluate", "--radio", "hand-set"), "'hand-set', did you mean handset[?]"),
 }
@@ -154,7 +154,7 @@ def test_a_mistake_ends_with_one_clear_line(mistake):
     assert not (ROOT / "never").exists()
 
 
-def test_an_unknown_command_lists_the_valid_ones_after_what_was_meant():
+def test_an_unknown_command_is_refused_with_the_most_similar_and_all_valid_names():
     assert_one_clear_line(command("fly"), "'fly', expected one of demo, .*compare, evaluate")
     assert_one_clear_line(command("localise"), "'localise', did you mean localize[?] Expected")
 
@@ -171,7 +171,7 @@ def test_an_unknown_command_lists_the_valid_ones_after_what_was_meant():
         "numba",
     ],
 )
-def test_an_interrupt_while_it_starts_ends_with_one_line(module):
+def test_an_interrupt_while_the_program_starts_ends_with_one_line(module):
     code = (
         "import os, signal, sys\n"
         "from experiments.console.main import main\n"
@@ -187,8 +187,8 @@ def test_an_interrupt_while_it_starts_ends_with_one_line(module):
     assert re.fullmatch("mmwave-loc( evaluate)?: interrupted\n", done.stderr)
 
 
-def test_numbers_of_the_library_that_help_shows_are_those_of_the_library():
-    """Help imports nothing that takes long, so these stand twice."""
+def test_defaults_of_options_equal_the_constants_of_the_library():
+    """Compare constants that are defined twice, because help must not import slow modules."""
     from experiments.evaluation import protocol
     from mmwave_env.filters.smoother import SMOOTHING_WINDOW
     from mmwave_env.interface.reward import TrackingReward
@@ -207,10 +207,10 @@ def test_numbers_of_the_library_that_help_shows_are_those_of_the_library():
     assert (judged.episodes, judged.draws) == (protocol.EPISODES, protocol.DRAWS)
 
 
-# --- what is shown
+# --- output
 
 
-def test_a_terminal_that_says_it_has_no_columns_is_printed_to():
+def test_a_terminal_that_reports_zero_columns_gets_the_output():
     ours, theirs = pty.openpty()
     words = [sys.executable, "-m", "experiments.console", "list", "rewards"]
     done = subprocess.run(words, env=environment() | {"COLUMNS": "0"}, stdout=theirs, cwd=ROOT)
@@ -219,7 +219,7 @@ def test_a_terminal_that_says_it_has_no_columns_is_printed_to():
     os.close(ours)
 
 
-def test_a_working_folder_that_is_gone_is_named(tmp_path):
+def test_a_deleted_working_folder_is_named(tmp_path):
     code = (
         f"import os; os.chdir({str(tmp_path)!r}); os.rmdir({str(tmp_path)!r})\n"
         "import sys; sys.argv = ['mmwave-loc', 'localize', 'log.csv', '--scene', 'scene.json']\n"
@@ -237,11 +237,11 @@ def test_quiet_shows_nothing_but_writes_the_results(tmp_path):
     done = command("compare", *options, "--quiet", "--json", tmp_path / "all.json")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     assert list(json.loads((tmp_path / "all.json").read_text())["policies"]) == ["fixed-ukf", "imm"]
-    assert "fixed-ukf" in command("compare", *options).stdout  # not for good
+    assert "fixed-ukf" in command("compare", *options).stdout  # only once
     assert_one_clear_line(command("evaluate", "--quiet", "--radio", "lab"), "'lab'.*handset")
 
 
-def test_a_traceback_is_shown_only_where_it_is_asked_for(monkeypatch):
+def test_a_traceback_is_shown_only_with_the_option_debug(monkeypatch):
     def fails(args):
         raise ZeroDivisionError("by\x1b[31m zero")
 

@@ -1,4 +1,4 @@
-"""Tests of the files that compare leaves for other programs, and of its options."""
+"""Tests of the files that compare and evaluate write for other programs, and of their options."""
 
 import csv
 import json
@@ -18,14 +18,14 @@ TWO = ("--policies", *POLICIES, "--episodes", 2, "--episode-steps", 15, "--seed"
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
-    """JSON and CSV of a comparison."""
+    """Return the JSON content and the CSV rows of a comparison."""
     folder = tmp_path_factory.mktemp("results")
     succeed("compare", *TWO, "--json", folder / "r.json", "--episodes-csv", folder / "r.csv")
     with (folder / "r.csv").open() as file:
         return json.loads((folder / "r.json").read_text()), list(csv.DictReader(file))
 
 
-def test_results_are_as_their_schema_says(results, tmp_path):
+def test_results_match_their_schema(results, tmp_path):
     validate = pytest.importorskip("jsonschema").validate
     validate(results[0], SCHEMA)
     succeed("evaluate", "--episodes", 1, "--episode-steps", 15, "--json", tmp_path / "one.json")
@@ -34,7 +34,7 @@ def test_results_are_as_their_schema_says(results, tmp_path):
     validate(alone, SCHEMA)
 
 
-def test_percentiles_are_in_a_table_and_in_the_file_where_they_are_asked_for(results, tmp_path):
+def test_the_option_percentiles_adds_percentiles_to_the_tables_and_the_file(results, tmp_path):
     assert "position_errors" not in results[0]
     shown = succeed("compare", *TWO, "--percentiles", "--json", tmp_path / "p.json")
     content = json.loads((tmp_path / "p.json").read_text())
@@ -69,14 +69,14 @@ def test_the_table_of_episodes_has_a_row_for_every_policy_and_seed(results):
             assert np.mean(values) == pytest.approx(interval["mean"])
 
 
-def test_the_key_of_a_seed_is_that_of_the_environment(results):
+def test_a_seed_has_the_same_key_as_in_the_environment(results):
     env = gymnasium.make("MmWaveLoc-v0", episode_steps=15)
     assert {row["key"] for row in results[1] if row["seed"] == "5"} == {
         str(env.reset(seed=5)[1]["episode_key"])
     }
 
 
-def test_recorded_episodes_have_seeds_and_no_keys(tmp_path):
+def test_recorded_episodes_have_seeds_but_no_keys(tmp_path):
     where = ("--data", "canyon28_vehicle", "--episode-steps", 15, "--episodes", 2)
     files = ("--json", tmp_path / "r.json", "--episodes-csv", tmp_path / "r.csv")
     succeed("evaluate", "--policy", "fixed-ukf", *where, *files)
@@ -102,7 +102,7 @@ OPTIONS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("option", OPTIONS)
-def test_an_option_of_the_environment_means_the_same(option, tmp_path):
+def test_an_option_means_the_same_as_the_argument_of_the_environment(option, tmp_path):
     words, arguments = OPTIONS[option]
     steps = ("--policy", "fixed-ukf", "--episodes", 1, "--seed", 3, "--episode-steps", 30)
     succeed("evaluate", *steps, *words, "--json", tmp_path / "one.json")

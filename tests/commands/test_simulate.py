@@ -1,4 +1,4 @@
-"""mmwave-loc simulate: episodes as files, and the sample logs that were made with it."""
+"""Tests of ``mmwave-loc simulate``, which writes episodes as files and made the sample logs."""
 
 import re
 import shlex
@@ -25,7 +25,7 @@ def simulate(folder, *options):
     run("simulate", [*map(str, options), "--out", str(folder)])
 
 
-def test_an_episode_is_written_as_evaluate_draws_it(tmp_path, capsys):
+def test_the_written_episode_is_the_one_that_evaluate_draws(tmp_path, capsys):
     out = tmp_path / "new" / "walk"
     simulate(out, "--scenario", "pedestrian", "--seed", 7)
     assert capsys.readouterr().out == f"written to {out}/: log.csv, scene.json, truth.tum\n"
@@ -43,13 +43,13 @@ def test_an_episode_is_written_as_evaluate_draws_it(tmp_path, capsys):
     np.testing.assert_array_equal(block.visible, episode.usable)
 
 
-def test_odometry_is_written_where_asked_for(tmp_path):
+def test_odometry_is_written_with_the_option_odometry(tmp_path):
     simulate(tmp_path, "--scenario", "vehicle", "--odometry", "--scene", "o1", "--radio", "high")
     block = next(read_log(tmp_path / "log.csv", read_scene(tmp_path / "scene.json")))
     assert block.layout == Layout(3, odometry=True) and block.visible[:, -1].any()
 
 
-def test_truth_says_how_it_was_made(tmp_path):
+def test_the_truth_file_records_the_options_that_made_it(tmp_path):
     options = ["--scenario", "jam", "--seed", "3", "--odometry"]
     simulate(tmp_path, *options)
     header, *poses = (tmp_path / "truth.tum").read_text().splitlines()
@@ -59,7 +59,7 @@ def test_truth_says_how_it_was_made(tmp_path):
 
 
 @pytest.mark.parametrize("name", log_names())
-def test_sample_logs_are_what_the_command_writes(tmp_path, name):
+def test_the_command_writes_the_shipped_sample_logs_again(tmp_path, name):
     simulate(tmp_path, "--data", name, "--radio", "standard")
     assert sorted(path.name for path in (LOGS / name).iterdir()) == FILES
     readme = (LOGS / "README.md").read_text()
@@ -69,7 +69,7 @@ def test_sample_logs_are_what_the_command_writes(tmp_path, name):
     np.testing.assert_allclose(again.anchors_m, scene.anchors_m, atol=1e-9)
     for a, b in zip(*(read_tum(folder / "truth.tum") for folder in (ours, theirs)), strict=True):
         np.testing.assert_array_equal(a, b)
-    # Not byte by byte: another libm may round the last digit differently.
+    # Bytes are not compared, because another libm may round the last digit differently.
     (a,), (b,) = (list(read_log(folder / "log.csv", scene)) for folder in (ours, theirs))
     np.testing.assert_array_equal(a.visible, b.visible)
     for field in ("time_s", "measurement", "snr_db", "doppler_spread_hz"):
@@ -78,7 +78,7 @@ def test_sample_logs_are_what_the_command_writes(tmp_path, name):
         )
 
 
-def test_of_a_file_of_several_ways_it_tells_which_user_it_is(tmp_path, capsys):
+def test_the_chosen_user_is_named_if_a_file_has_several_ways(tmp_path, capsys):
     ways = tmp_path / "ways.csv"
     rows = [f"{t},{i},{20 + t},{y},1.5" for t in range(40) for i, y in (("a", -80), ("b", -70))]
     ways.write_text("\n".join(["t,id,x,y,z", *rows]))
@@ -90,7 +90,7 @@ def test_of_a_file_of_several_ways_it_tells_which_user_it_is(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_an_episode_that_is_there_is_replaced_only_if_asked(tmp_path, capsys, name):
+def test_existing_files_are_replaced_only_with_the_option_overwrite(tmp_path, capsys, name):
     (tmp_path / name).write_text("mine")
     with pytest.raises(SystemExit) as stop:
         simulate(tmp_path)

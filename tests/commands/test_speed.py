@@ -1,4 +1,4 @@
-"""mmwave-loc speed, as it is typed."""
+"""Tests of ``mmwave-loc speed``, and of pages whose tables commands renew."""
 
 import json
 import re
@@ -15,7 +15,7 @@ PAGE = ROOT / "docs" / "performance.md"
 
 
 @pytest.mark.slow
-def test_a_short_run_writes_everything(tmp_path):
+def test_a_short_run_prints_and_writes_all_results(tmp_path):
     page, file = tmp_path / "page.md", tmp_path / "new" / "all.json"
     page.write_text(PAGE.read_text())
     options = ("--sizes", 8, 64, "--seconds", 0, "--repeats", 1)
@@ -52,7 +52,7 @@ def test_mistakes_end_with_one_clear_line_before_the_work(options, message):
 # --- pages with tables that commands renew
 
 
-def test_a_page_is_renewed_between_its_marks_alone():
+def test_a_page_is_renewed_only_between_its_marks():
     tables = {"T": "| a |\n|---|\n| 1 |\n\nnote"}
     page = "before\n<!-- table: T -->\nold\n<!-- end -->\nafter\n"
     expected = "before\n<!-- table: T -->\n| a |\n|---|\n| 1 |\n\nnote\n<!-- end -->\nafter\n"

@@ -1,4 +1,4 @@
-"""mmwave-loc sweep: every cell is kept once, whatever happens on the way. `make ray` runs all."""
+"""Tests that ``mmwave-loc sweep`` keeps the result of every cell once; `make ray` runs them all."""
 
 import os
 import re
@@ -75,7 +75,7 @@ def exits(values):
 
 
 def second_time(values):
-    """Fails as a full disk does, but not again."""
+    """Raise the error of a full disk for number 1, but only the first time."""
     if values["number"] == 1 and not os.path.exists(values["mark"]):
         open(values["mark"], "x").close()
         raise OSError(28, "No space left on device")
@@ -83,7 +83,7 @@ def second_time(values):
 
 
 @pytest.mark.slow
-def test_cells_that_fail_cost_no_others(tmp_path):
+def test_cells_that_fail_do_not_affect_others(tmp_path):
     mark = str(tmp_path / "mark")
     cells = {str(number): {"number": number, "mark": mark} for number in range(5)}
     fails = {"0": raises, "4": exits}
@@ -99,7 +99,7 @@ def test_cells_that_fail_cost_no_others(tmp_path):
 
 
 @pytest.mark.slow
-def test_rows_are_what_compare_tells_and_grow_with_the_file(tmp_path):
+def test_rows_equal_the_results_of_compare_and_new_cells_are_added(tmp_path):
     file, out = written(tmp_path, SMALL.replace(', "imm"]', "]")), tmp_path / "out"
     succeed("sweep", file, "--out", out, "--workers", "1")
     before = {path: path.stat().st_mtime_ns for path in out.iterdir()}
@@ -121,8 +121,8 @@ def test_rows_are_what_compare_tells_and_grow_with_the_file(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
-def test_a_sweep_that_is_killed_or_interrupted_goes_on_and_leaves_no_process(tmp_path):
+@pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
+def test_a_killed_or_interrupted_sweep_can_be_continued_and_leaves_no_process(tmp_path):
     others, out = ray_processes(), tmp_path / "out"
     file = written(tmp_path, SMALL.replace("[0, 3]", "[0, 3, 6, 9]").replace("= 3", "= 200"))
     for number, code in ((signal.SIGKILL, -9), (signal.SIGINT, 130)):
@@ -154,7 +154,7 @@ hyperparameters.learning_rate = 1e-3
 
 @pytest.mark.slow
 @pytest.mark.torch
-def test_trainings_are_kept_with_their_policies(tmp_path):
+def test_the_policies_of_trainings_are_kept(tmp_path):
     shown = succeed("sweep", written(tmp_path, TRAIN), "--out", tmp_path / "out")
     (best,) = re.findall(r"^The best of the trainings is (.*)", shown, re.MULTILINE)
     (row,) = (tmp_path / "out").glob("*.parquet")
@@ -164,7 +164,7 @@ def test_trainings_are_kept_with_their_policies(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.torch
-def test_a_search_goes_on_and_leaves_hyperparameters_to_train_with(tmp_path):
+def test_a_search_can_be_continued_and_writes_the_best_hyperparameters(tmp_path):
     from pyarrow import dataset
 
     text = TRAIN.replace("[train]", "[search]\ntrials = 2").replace(

@@ -1,4 +1,4 @@
-"""Tuning finds the noise that made the data, and what it writes is what is shipped."""
+"""Tests that tuning finds the noise that made the data, and the same modes as the shipped ones."""
 
 import json
 import shlex
@@ -27,18 +27,18 @@ PLAIN = Mode("own", "ekf", gate=None, recovery=None, adaptive=False)
 
 
 @pytest.mark.parametrize("objective", ["likelihood", "rmse"])
-def test_the_noise_that_made_the_data_is_found(objective):
+def test_tuning_finds_the_noise_that_made_the_data(objective):
     made_by = replace(PLAIN, sigma_v=0.8)
     model = far_from_the_anchors(process_noise(made_by))
     rng = np.random.default_rng(0)
     episodes = [model.draw(rng, 120) for _ in range(48)]
     best = tune(PLAIN, ["sigma_v"], objective_of(objective, PLAIN, episodes))
-    # 48 * 110 epochs pin down a likelihood; the error is flat around its best tuning.
+    # 48 * 110 epochs determine the best likelihood well; the error is flat around its minimum.
     assert best.sigma_v == pytest.approx(0.8, rel=0.05 if objective == "likelihood" else 0.3)
     assert (best.sigma_p, best.algorithm) == (PLAIN.sigma_p, "ekf")
 
 
-def test_the_likelihood_counts_outliers_up_to_a_quantile():
+def test_the_likelihood_limits_outliers_to_a_quantile():
     rng = np.random.default_rng(0)
     nis, total = rng.exponential(12.0, (3, 40, 4)), rng.normal(size=(3, 40))
     history = {"memory.nis": nis, "log_likelihood": total}
@@ -47,14 +47,14 @@ def test_the_likelihood_counts_outliers_up_to_a_quantile():
     np.testing.assert_allclose(likelihood(history, Layout(3)), expected)
 
 
-def test_the_error_is_a_mean_square():
+def test_the_error_objective_is_the_negative_mean_square():
     error = np.random.default_rng(0).normal(size=(2, 30, 3))
     expected = -(np.linalg.norm(error[:, 10:], axis=-1) ** 2).mean(axis=1)
     np.testing.assert_allclose(negative_mean_square({"error": error}, Layout(3)), expected)
 
 
 @pytest.mark.slow
-def test_the_command_writes_a_mode_file_that_is_taken_everywhere(tmp_path):
+def test_the_command_writes_a_mode_file_that_environments_and_commands_accept(tmp_path):
     modes, figures = tmp_path / "modes.json", tmp_path / "figures.json"
     options = ["--modes", "ekf", "ukf-robust", "--scenarios", "pedestrian", "jam", "--episodes", 3,
                "--free", "sigma_v", "spread_gain", "--diagonal"]  # fmt: skip
@@ -79,7 +79,7 @@ def test_the_command_writes_a_mode_file_that_is_taken_everywhere(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_bank_is_written_as_it_is_shipped(tmp_path):
+def test_a_tuned_bank_is_written_with_its_held_out_results(tmp_path):
     options = ["--bank", "--radio", "high", "--episodes", 18, "--evaluations", 30]
     done = command("tune", *options, "--out", tmp_path / "bank.json")
     assert done.returncode == 0, done.stderr
@@ -112,8 +112,8 @@ def test_a_mistake_ends_with_one_clear_line(options, message):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("file", SHIPPED, ids=lambda file: file.stem)
-def test_shipped_modes_are_what_is_found_on_the_episodes_they_were_tuned_on(file):
-    """Those that seeds meant then, when numpy's generators drew the keys."""
+def test_tuning_on_the_original_episodes_finds_the_shipped_modes(file):
+    """Use the original episodes, whose keys were drawn by numpy's generators."""
     seeds = range(5_000_000, 5_000_300)
     keys = np.array([draw_key(np.random.default_rng(seed)) for seed in seeds], np.uint64)
     radio = file.stem.removesuffix("-diagonal")
@@ -121,6 +121,6 @@ def test_shipped_modes_are_what_is_found_on_the_episodes_they_were_tuned_on(file
         source = SimulatedSource(SCENES["street"], RADIOS[radio], scenario)
         objective = objective_of("likelihood", shipped, source.episodes(keys))
         made = tune(shipped, ["sigma_v", "sigma_p"], objective)
-        # The same up to a flat optimum: equally likely, not equally digit by digit.
+        # The optimum is flat, so the modes are equally likely, but their digits differ.
         assert objective(shipped).mean() == pytest.approx(objective(made).mean(), abs=0.002)
         assert made.sigma_v == pytest.approx(shipped.sigma_v, rel=0.05)

@@ -1,4 +1,4 @@
-"""mmwave-loc watch: episodes in a window and as videos."""
+"""Tests of ``mmwave-loc watch``, which shows episodes in a window or writes them as videos."""
 
 import re
 import shlex
@@ -23,7 +23,7 @@ def frames(path):
 
 
 def picture(path, number):
-    """One of the pictures of a GIF, (height, width, 3)."""
+    """Return one picture of a GIF, (height, width, 3)."""
     image = pytest.importorskip("PIL.Image")
     with image.open(path) as file:
         file.seek(number)
@@ -32,7 +32,7 @@ def picture(path, number):
 
 @pytest.fixture
 def window(monkeypatch):
-    """Return the pictures that a window was shown, which nobody sees."""
+    """Return a list of the pictures that a window shows, which needs no display."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     from mmwave_env.rendering.window import Window
 
@@ -41,7 +41,7 @@ def window(monkeypatch):
     return shown
 
 
-def test_contenders_are_side_by_side_from_the_prior_on(tmp_path):
+def test_contenders_are_shown_side_by_side_beginning_with_the_prior(tmp_path):
     pytest.importorskip("PIL")
     out = tmp_path / "new" / "both.gif"
     shown = succeed("watch", "--policies", "fixed-ekf", "imm", *SHORT, "--seed", 3, "--out", out)
@@ -62,7 +62,7 @@ def test_a_key_plays_the_episode_of_its_seed(tmp_path):
     assert files[0].read_bytes() == files[1].read_bytes()
 
 
-def test_a_part_of_a_recording_and_of_a_log_is_played(tmp_path, window):
+def test_a_part_of_a_recording_or_of_a_log_can_be_played(tmp_path, window):
     part = ("--policies", "fixed-ukf", "--begin", 3, "--end", 8)
     succeed("watch", "--data", "canyon28_pedestrian", *part)
     succeed("simulate", *SHORT, "--out", tmp_path / "ride")
@@ -71,12 +71,12 @@ def test_a_part_of_a_recording_and_of_a_log_is_played(tmp_path, window):
     assert before > 0 and len(window) - before == 6
 
 
-def test_a_window_is_as_wide_as_what_it_shows(window):
+def test_a_window_is_as_wide_as_all_contenders_together(window):
     succeed("watch", "--policies", "fixed-ekf", "fixed-ukf", *SHORT, "--render-size", 500)
     assert [picture.shape for picture in window] == [(500, 1000, 3)] * 13
 
 
-def test_a_window_that_is_closed_ends_it(monkeypatch, window):
+def test_closing_the_window_ends_the_command(monkeypatch, window):
     from mmwave_env.rendering.window import Window
 
     def show(self, picture):
@@ -112,8 +112,10 @@ def test_a_mistake_ends_with_one_clear_line(mistake, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="others need no variable")
-def test_without_a_display_variable_and_way_out_are_named(monkeypatch):
+@pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="other systems need no display variable"
+)
+def test_without_a_display_the_variables_and_the_option_out_are_named(monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER", "SDL_VIDEO_DRIVER"):
         monkeypatch.delenv(name, raising=False)
     done = command("watch", "--policies", "fixed-ukf")
@@ -123,13 +125,13 @@ def test_without_a_display_variable_and_way_out_are_named(monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_moving_picture_of_the_readme_is_made_by_its_command(tmp_path):
+def test_the_documented_command_makes_the_shipped_animation(tmp_path):
     pages = {path.name: path.read_text("utf-8") for path in (ROOT / "docs").glob("*.md")}
     (line,) = re.findall(r"^mmwave-loc (watch .*docs/watch.gif)$", pages["commands.md"], re.M)
     made, shipped = tmp_path / "watch.gif", ROOT / "docs" / "watch.gif"
     shown = succeed(*shlex.split(line.replace("docs/watch.gif", str(made))))
     assert frames(made) == frames(shipped)
-    # Not byte by byte: another libm may round otherwise, another font engine draw otherwise.
+    # Bytes are not compared, because math libraries and font engines differ slightly.
     for number in (0, 20, frames(shipped)[0] - 1):
         differs = (picture(made, number) != picture(shipped, number)).any(axis=-1)
         assert differs.mean() < 0.02

@@ -1,4 +1,4 @@
-"""Compiled functions on disk: found again, never out of date, and never in the way."""
+"""Tests of the disk cache of compiled functions: its versions, its folders and whom it trusts."""
 
 import os
 import shutil
@@ -31,7 +31,7 @@ print(function(20), sum(function.stats.cache_hits.values()))
 
 @pytest.fixture
 def package(tmp_path):
-    """A small package with our cache, as installed somewhere."""
+    """Return the folder of a small installed package that uses our disk cache."""
     folder = tmp_path / "site" / "mmwave_env"
     room = folder / "compiler"
     room.mkdir(parents=True)
@@ -42,10 +42,10 @@ def package(tmp_path):
 
 
 def started(package, script=SCRIPT, **variables):
-    """A process that imports the package; its home is the folder beside ``site``."""
+    """Start a process that imports the package; its home is the folder that contains ``site``."""
     home = package.parent.parent
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "XDG"))}
-    # Python's own bytecode goes by time and size, which edits keep here; it is not at issue.
+    # Python checks its bytecode by time and size, which edits keep here, so it must write none.
     own = {"PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1", "HOME": str(home)}
     every = {name: value for name, value in (clean | own | variables).items() if value is not None}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -65,19 +65,19 @@ def run(package, **variables):
 
 
 def block(path):
-    """Keep a folder from being made, which holds for root, too."""
+    """Put a file where a folder would be made, so that not even root can make it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("")
 
 
 def kept(package):
-    """The files of compiled functions, wherever they are."""
+    """Return the files of compiled functions, wherever they are."""
     files = package.parent.parent.rglob("mmwave_env-*/*")
     return [path for path in files if path.is_file()]
 
 
 def edit(path, old, new):
-    """Change a source but neither its time nor its size, as unpacked archives may."""
+    """Change a source file but not its time and size, as unpacking an archive may do."""
     stat, source = path.stat(), path.read_text()
     assert source.count(old) == 1
     path.write_text(source.replace(old, new))
@@ -86,14 +86,14 @@ def edit(path, old, new):
 
 
 @pytest.mark.slow
-def test_an_edit_is_never_answered_by_old_code(package):
+def test_after_an_edit_old_code_is_never_used(package):
     assert run(package) == (41, 0)
     edit(package / "caller.py", "+ 1", "+ 2")
     assert run(package) == (42, 0)
     edit(package / "callee.py", "x * 2", "x * 3")
     assert run(package) == (62, 0)
     edit(package / "callee.py", "x * 3", "x * 2")
-    assert run(package) == (42, 1)  # a version there was before
+    assert run(package) == (42, 1)  # a version from before, read from disk
 
 
 EDITED = """
@@ -105,8 +105,8 @@ source.write_text(source.read_text().replace("x * 2", "x * 3"))
 
 
 @pytest.mark.slow
-def test_a_process_whose_sources_change_leaves_nothing_behind(package):
-    """It may have read them before or after, and run one under the name of the other."""
+def test_a_process_whose_sources_change_stores_nothing(package):
+    """Check this because such a process may store the old code under the name of the new."""
     finished(started(package, EDITED + SCRIPT))
     assert kept(package) == []
     assert run(package) == (61, 0)
@@ -118,7 +118,7 @@ ROOMS = sorted({str(path.parent.relative_to(PACKAGE)) for path in PACKAGE.rglob(
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """A copy of all sources, with one folder more, deeper than any there is."""
+    """Return a copy of all sources, with one more folder, deeper than the others."""
     folder = tmp_path_factory.mktemp("site") / "mmwave_env"
     shutil.copytree(PACKAGE, folder, ignore=shutil.ignore_patterns("__pycache__", "data"))
     (folder / "filters" / "own" / "deeper").mkdir(parents=True)
@@ -127,8 +127,8 @@ def whole(tmp_path_factory):
 
 
 @pytest.mark.parametrize("room", [*ROOMS, "filters/own/deeper"])
-def test_an_edit_in_any_room_makes_a_new_version(whole, monkeypatch, room):
-    assert disk_cache._PACKAGE == PACKAGE  # where the rooms of the real one are
+def test_an_edit_in_any_folder_makes_a_new_version(whole, monkeypatch, room):
+    assert disk_cache._PACKAGE == PACKAGE  # the package that ROOMS lists
     monkeypatch.setattr(disk_cache, "_PACKAGE", whole)
     before = disk_cache._version()
     assert before == disk_cache._version()
@@ -142,7 +142,7 @@ def test_an_edit_in_any_room_makes_a_new_version(whole, monkeypatch, room):
     assert disk_cache._version() == before
 
 
-READ_ONLY = {
+READ_ONLY = {  # environment variables, number of files kept
     "a home": ({}, 1),
     "a cache folder of one's own": ({"XDG_CACHE_HOME": "{tmp}/mine"}, 1),
     "no writable home": ({"HOME": "{tmp}/blocked"}, 0),
@@ -152,8 +152,8 @@ READ_ONLY = {
 
 
 @pytest.mark.parametrize("case", representative(READ_ONLY))
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="homes are elsewhere")
-def test_a_package_that_is_read_only_works(package, tmp_path, case):
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="uses folders of Linux")
+def test_a_read_only_package_works(package, tmp_path, case):
     variables, hits = READ_ONLY[case]
     variables = {name: value.format(tmp=tmp_path) for name, value in variables.items()}
     for path in (package / "__pycache__", tmp_path / "blocked"):
@@ -164,7 +164,9 @@ def test_a_package_that_is_read_only_works(package, tmp_path, case):
 
 
 @pytest.mark.slow
-def test_functions_lie_beside_the_bytecode_or_where_numba_is_told_to(package, tmp_path):
+def test_functions_are_stored_next_to_the_bytecode_or_in_the_folder_set_for_numba(
+    package, tmp_path
+):
     elsewhere = tmp_path / "elsewhere"
     for name in (None, str(elsewhere), "relative"):
         assert run(package, NUMBA_CACHE_DIR=name) == (41, 0)
@@ -181,7 +183,7 @@ print(function(20), function(2.0))
 
 
 @pytest.mark.slow
-def test_a_folder_that_vanishes_costs_no_more_than_a_compilation(package):
+def test_functions_are_compiled_again_if_their_folder_is_deleted(package):
     assert finished(started(package, VANISHING)) == ["41", "5.0"]
     assert not kept(package)
 
@@ -216,7 +218,7 @@ print(sum(again.stats.cache_hits.values()))
 
 
 @pytest.mark.slow
-def test_no_damaged_file_is_taken_for_the_function(package):
+def test_a_damaged_file_is_never_loaded(package):
     entries, taken, checked, *values, hits = finished(started(package, FLIPS))
     assert (entries, taken, values, hits) == ("3", "0", ["41", "5.0", "(1+4j)"], "0")
     assert int(checked) > 3000
@@ -224,7 +226,7 @@ def test_no_damaged_file_is_taken_for_the_function(package):
 
 
 @pytest.mark.slow
-def test_a_file_of_another_function_is_not_taken_for_it(package):
+def test_a_file_of_another_function_is_not_loaded(package):
     run(package)
     (whole,) = kept(package)
     source = package / "caller.py"
@@ -239,7 +241,7 @@ def test_a_file_of_another_function_is_not_taken_for_it(package):
 
 
 @pytest.mark.slow
-def test_processes_may_start_at_once(package):
+def test_several_processes_can_start_at_once(package):
     together = [started(package) for _ in range(4)]
     assert {finished(process)[0] for process in together} == {"41"}
     assert len(kept(package)) == 1
@@ -247,7 +249,7 @@ def test_processes_may_start_at_once(package):
 
 
 @pytest.mark.slow
-def test_versions_long_out_of_use_are_removed_but_never_the_one_in_use(package):
+def test_old_versions_are_removed_but_never_the_one_in_use(package):
     run(package)
     (file,) = kept(package)
     os.utime(file.parent, (0, 0))
@@ -282,7 +284,7 @@ function._cache.save_overload(function.signatures[0], SimpleNamespace(
 
 @pytest.fixture
 def planted(package, tmp_path):
-    """A kept file, in a place that is shared, which runs code when it is read."""
+    """Return a stored file, in a shared folder, that runs planted code when it is loaded."""
     shared = tmp_path / "shared"
     finished(started(package, PLANT, NUMBA_CACHE_DIR=str(shared)))
     (file,) = shared.glob("*/*")
@@ -290,7 +292,7 @@ def planted(package, tmp_path):
 
 
 def given_away(path):
-    """Make it another user's; what a process has to begin with to see it so."""
+    """Give a path to another user or, if not root, return code that fakes this in a process."""
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         os.chown(path, 65534, 65534)
         return ""
@@ -307,7 +309,7 @@ def given_away(path):
 
 
 def linked(path):
-    """Move it to a folder that is as private, and leave a link."""
+    """Move a file to another private folder, and leave a link in its place."""
     private = path.parent.parent / "private"
     private.mkdir(mode=0o700)
     path.symlink_to(path.rename(private / path.name))
@@ -327,15 +329,15 @@ posix = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no owners and mod
 
 
 @pytest.mark.slow
-def test_a_file_of_ours_is_trusted(package, tmp_path, planted):
+def test_a_file_of_the_same_user_is_loaded(package, tmp_path, planted):
     assert run(package, NUMBA_CACHE_DIR=str(planted.parent.parent)) == (41, 0)
-    assert (tmp_path / "planted code ran").exists()  # or the next test shows nothing
+    assert (tmp_path / "planted code ran").exists()  # otherwise the next test proves nothing
 
 
 @posix
 @pytest.mark.slow
 @pytest.mark.parametrize("case", UNTRUSTED)
-def test_what_others_may_have_written_is_not_read(package, tmp_path, planted, case):
+def test_a_file_that_others_may_have_written_is_not_loaded(package, tmp_path, planted, case):
     script = (UNTRUSTED[case](planted) or "") + SCRIPT
     shared = str(planted.parent.parent)
     runs = [finished(started(package, script, NUMBA_CACHE_DIR=shared)) for _ in range(2)]
@@ -345,7 +347,7 @@ def test_what_others_may_have_written_is_not_read(package, tmp_path, planted, ca
 
 @pytest.mark.slow
 @posix
-def test_a_folder_that_is_exchanged_in_a_running_process_is_not_read(package, tmp_path, planted):
+def test_a_folder_that_becomes_a_link_while_a_process_runs_is_not_used(package, tmp_path, planted):
     exchanged = (
         "from pathlib import Path\n"
         "from mmwave_env.caller import function\n"
@@ -361,7 +363,7 @@ def test_a_folder_that_is_exchanged_in_a_running_process_is_not_read(package, tm
 
 @pytest.mark.slow
 @posix
-def test_what_is_written_is_for_us_alone_and_others_may_read_it(package):
+def test_files_are_written_as_private_and_loaded_even_if_others_may_read_them(package):
     process = started(package, "import os\nos.umask(0)\n" + SCRIPT)
     assert finished(process) == ["41", "0"]
     (file,) = kept(package)
@@ -373,7 +375,7 @@ def test_what_is_written_is_for_us_alone_and_others_may_read_it(package):
 
 @pytest.mark.slow
 @posix
-def test_old_versions_of_others_and_links_stay(package, tmp_path):
+def test_old_versions_of_other_users_and_links_are_kept(package, tmp_path):
     shared, precious = tmp_path / "shared", tmp_path / "precious"
     for folder in (precious, *[shared / f"mmwave_env-{age}" for age in range(30)]):
         folder.mkdir(parents=True)

@@ -1,4 +1,4 @@
-"""Kernels on disk: named after what they compute, whoever wrote it."""
+"""Tests that kernels on disk are named after what they compute, not after their source code."""
 
 import os
 import subprocess
@@ -55,12 +55,12 @@ FUNCTIONS = {
 }
 
 
-def test_what_computes_something_else_has_another_name():
+def test_functions_that_compute_different_things_have_different_names():
     names = {name: name_of(function) for name, function in FUNCTIONS.items()}
     assert len(set(names.values())) == len(names)
 
 
-def test_what_computes_the_same_has_the_same_name():
+def test_functions_that_compute_the_same_have_the_same_name():
     def double(x, y):
         both = [x, y]
         return sum(both[1:], start=both[0])
@@ -69,7 +69,7 @@ def test_what_computes_the_same_has_the_same_name():
     assert len(name_of(double)) == 20
 
 
-def test_rows_that_are_passed_through_count():
+def test_the_name_depends_on_rows_that_are_passed_through():
     swapped = fingerprint(lambda w: Pair(w.y, w.x), Pair(0.0, 0.0))
     kept = fingerprint(lambda w: w, Pair(0.0, 0.0))
     longer = fingerprint(lambda w: w, [0.0, 0.0, 0.0])
@@ -78,7 +78,7 @@ def test_rows_that_are_passed_through_count():
 
 @pytest.fixture
 def started(tmp_path):
-    """Runs code in a process of its own, whose kernels are kept in this test's folder."""
+    """Return a function that runs code in a new process that keeps kernels in the test's folder."""
 
     def run(code):
         variables = {"NUMBA_CACHE_DIR": str(tmp_path / "kept")}
@@ -110,7 +110,7 @@ PROGRAMS = """
 
 @pytest.mark.slow
 def test_kernels_of_several_processes_are_not_mixed_up(started):
-    """Each compiles its own as its first, and so may call it by the same symbol."""
+    """Let each process compile one kernel first, so that all may have the same symbol."""
     changes = ["lambda x: x + 4.0", "lambda x: x * 3.0", "lambda x: x - 7.0"]
     for change, value in zip(changes, ["5.0", "3.0", "-6.0"], strict=True):
         assert started(PROGRAMS + f"    shown({change})") == [value, "0"]
@@ -120,8 +120,8 @@ def test_kernels_of_several_processes_are_not_mixed_up(started):
 
 
 @pytest.mark.slow
-def test_an_environment_finds_its_kernels_and_new_ones_for_a_new_reward(started):
-    """To the last bit; that of the reward before is not taken for it."""
+def test_an_environment_reuses_its_kernels_except_for_a_new_reward(started):
+    """Check that rewards are bit-identical, and that a new reward gets its own kernel."""
     code = """
         import gymnasium as gym
         def reward(belief, truth):

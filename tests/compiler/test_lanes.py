@@ -1,4 +1,4 @@
-"""Lanes are numbers: elementary functions, comparisons, whole filters, the world."""
+"""Tests that SIMD lanes compute the same as floats: functions, comparisons, filters, the world."""
 
 import math
 import platform
@@ -40,7 +40,7 @@ from tests.paths import representative
 
 
 class Many(NamedTuple):
-    """A workspace of more numbers than there are registers."""
+    """A workspace of more numbers than a processor has registers."""
 
     incoming: list
     x: list
@@ -51,7 +51,7 @@ NAN, INF = math.nan, math.inf
 
 @cache
 def compiled(function, arity):
-    """``function`` of ``arity`` numbers on lanes, as a numba function of a block."""
+    """Compile ``function`` of ``arity`` numbers for lanes, as a numba function of blocks."""
 
     def build(rows):
         rows[arity] = function(*(rows[i] for i in range(arity)))
@@ -67,7 +67,7 @@ def compiled(function, arity):
 
 
 def on_lanes(function, *columns):
-    """``function`` of columns of floats, computed eight at a time."""
+    """Return ``function`` of columns of floats, computed on lanes, eight at a time."""
     columns = np.broadcast_arrays(*[np.asarray(c, float) for c in columns])
     n = columns[0].size
     blocks = np.ones((-(-n // WIDTH), len(columns) + 1, WIDTH))
@@ -82,7 +82,7 @@ def close(actual, expected, rtol=1e-15, atol=0.0):
 
 
 def floats(low, high):
-    """64 normal numbers; no -0, on whose side of the cut lanes and floats may differ."""
+    """Return a strategy for 64 floats, none subnormal, none -0 (where atan2 may differ in sign)."""
     elements = st.floats(low, high, allow_subnormal=False).map(lambda a: a + 0.0)
     return hnp.arrays(float, 64, elements=elements)
 
@@ -98,16 +98,16 @@ class TestElementaryFunctions:
 
     @drawn
     @given(a=floats(1e-300, 1e300))
-    def test_log(self, a):
+    def test_log_agrees_with_numpy(self, a):
         close(on_lanes(log, a), np.log(a), rtol=4e-16, atol=4e-16)
 
-    def test_log_near_one_keeps_its_digits(self):
+    def test_log_is_accurate_near_one(self):
         a = 1.0 + np.concatenate([np.logspace(-15, -0.5, 500), -np.logspace(-15, -0.5, 500)])
         close(on_lanes(log, a), np.log(a), rtol=1e-15)
 
     @drawn
     @given(a=floats(-700.0, 700.0))
-    def test_exp(self, a):
+    def test_exp_agrees_with_numpy(self, a):
         close(on_lanes(exp, a), np.exp(a), rtol=1e-15)
 
     def test_exp_is_clipped_instead_of_overflowing(self):
@@ -116,34 +116,34 @@ class TestElementaryFunctions:
 
     @drawn
     @given(y=floats(-1e100, 1e100), x=floats(-1e100, 1e100))
-    def test_atan2_anywhere(self, y, x):
+    def test_atan2_agrees_with_numpy_anywhere(self, y, x):
         y = np.where((x == 0.0) & (y == 0.0), 1.0, y)
         close(on_lanes(atan2, y, x), np.arctan2(y, x), rtol=1e-15, atol=1e-300)
 
-    def test_atan2_all_around(self):
+    def test_atan2_agrees_with_numpy_all_around_a_circle(self):
         angle = np.linspace(-math.pi, math.pi, 100_001)
         y, x = np.sin(angle), np.cos(angle)
         close(on_lanes(atan2, y, x), np.arctan2(y, x), rtol=5e-16, atol=1e-16)
 
     @pytest.mark.parametrize("scale", [1e-200, 1.0, 1e200])
-    def test_atan2_on_axes_and_diagonals(self, scale):
+    def test_atan2_agrees_with_numpy_on_axes_and_diagonals(self, scale):
         y, x = scale * np.array([[0, 1, 1, 1, 0, -1, -1, -1], [1, 1, 0, -1, -1, -1, 0, 1]])
         close(on_lanes(atan2, y, x), np.arctan2(y, x))
 
-    def test_atan2_next_to_the_cut(self):
+    def test_atan2_has_the_right_sign_next_to_the_branch_cut(self):
         y = np.array([1e-300, -1e-300, 1e-17, -1e-17])
         close(on_lanes(atan2, y, -1.0), [math.pi, -math.pi, math.pi, -math.pi])
 
-    def test_atan2_of_nothing_is_zero(self):
+    def test_atan2_of_zeros_is_zero(self):
         assert on_lanes(atan2, [0.0], [0.0]) == math.atan2(0.0, 0.0)
 
     @drawn
     @given(a=floats(-1e5, 1e5))
-    def test_cos_sin(self, a):
+    def test_cos_sin_agrees_with_numpy(self, a):
         close(on_lanes(cosine, a), np.cos(a), atol=2e-16)
         close(on_lanes(sine, a), np.sin(a), atol=2e-16)
 
-    def test_cos_sin_all_around_and_at_quarter_turns(self):
+    def test_cos_sin_agrees_with_numpy_all_around_and_at_quarter_turns(self):
         quarters = (math.pi / 2) * np.arange(-8, 9)
         a = np.concatenate([np.linspace(-4 * math.pi, 4 * math.pi, 100_001), quarters])
         close(on_lanes(cosine, a), np.cos(a), rtol=3e-16, atol=1e-18)
@@ -151,14 +151,14 @@ class TestElementaryFunctions:
 
     @drawn
     @given(a=floats(-3 * math.pi, 3 * math.pi))
-    def test_wrap(self, a):
+    def test_wrap_equals_that_of_floats(self, a):
         wrapped = on_lanes(wrap, a)
         assert np.all(np.abs(wrapped) <= math.pi)
         np.testing.assert_array_equal(wrapped, [wrap(value) for value in a])
 
     @drawn
     @given(a=floats(-1e9, 1e9), b=floats(-1e9, 1e9))
-    def test_minimum_maximum_clip_and_abs(self, a, b):
+    def test_minimum_maximum_clip_and_abs_equal_those_of_numpy(self, a, b):
         np.testing.assert_array_equal(on_lanes(minimum, a, b), np.minimum(a, b))
         np.testing.assert_array_equal(on_lanes(maximum, a, b), np.maximum(a, b))
         np.testing.assert_array_equal(on_lanes(abs, a), np.abs(a))
@@ -166,7 +166,7 @@ class TestElementaryFunctions:
 
     @drawn
     @given(a=floats(-1e9, 1e9), b=floats(-1e9, 1e9))
-    def test_arithmetic_with_lanes_and_with_constants(self, a, b):
+    def test_arithmetic_with_lanes_and_constants_agrees_with_numpy(self, a, b):
         close(on_lanes(mixed_arithmetic, a, b), mixed_arithmetic(a, b), rtol=1e-12, atol=1e-6)
 
 
@@ -196,18 +196,18 @@ COMPARISONS = {
 
 class TestComparisons:
     @pytest.mark.parametrize("compare", COMPARISONS.values(), ids=COMPARISONS)
-    def test_as_on_floats_and_false_with_nan(self, compare):
+    def test_comparisons_equal_those_of_floats_and_are_false_with_nan(self, compare):
         values = [-INF, -1.0, 0.0, 1.0, INF, NAN]
         a, b = (grid.ravel() for grid in np.meshgrid(values, values))
         expected = [compare(float(u), float(v)) for u, v in zip(a, b, strict=True)]
         np.testing.assert_array_equal(on_lanes(compare, a, b), expected)
 
-    def test_where_takes_whatever_is_in_the_other_branch(self):
+    def test_where_ignores_nan_in_the_other_branch(self):
         a = [-1.0, 4.0, NAN, 0.0]
         guarded = on_lanes(root_or_minus_one, a)
         np.testing.assert_array_equal(guarded, [-1.0, 2.0, -1.0, 0.0])
 
-    def test_masks_combine(self):
+    def test_masks_can_be_combined_with_and_and_or(self):
         a = np.array([-2.0, -0.5, 0.5, 2.0, NAN])
         np.testing.assert_array_equal(on_lanes(inside, a), [0.0, 1.0, 1.0, 0.0, 0.0])
         np.testing.assert_array_equal(on_lanes(outside, a), [1.0, 0.0, 0.0, 1.0, 0.0])
@@ -225,8 +225,8 @@ def outside(a):
     return where((a < -1.0) | (a > 1.0), 1.0, 0.0)
 
 
-def test_probes_are_lanes_in_all_but_the_value():
-    """Lanes do what a trial on tracers accepts, and the other way round."""
+def test_lanes_and_tracers_have_the_same_operations():
+    """Check that lanes support exactly what a trial of a function on tracers accepts."""
     inner = {"builder", "value", "hidden", "_call", "_negated", "_with", "as_word"}
     for ours, theirs in ((Lanes, FloatTracer), (Mask, FloatCondition)):
         assert set(dir(ours)) - inner == set(dir(theirs)) - inner
@@ -254,7 +254,7 @@ def lanes_and_floats(pipeline, episodes, actions):
 
 
 def assert_same_tracks(a, b):
-    """Beliefs to 1e-12 standard deviations; all that derives from them as well as it can."""
+    """Check that beliefs agree to 1e-12 standard deviations, and derived results to 1e-9."""
     assert_same_beliefs(a, b, rtol=1e-12)
     assert_same_beliefs(*[{"x": t["x"], "P": t["P_predicted"]} for t in (a, b)], rtol=1e-12)
     for name in KEPT[3:]:
@@ -262,9 +262,9 @@ def assert_same_tracks(a, b):
     np.testing.assert_array_equal(a["memory.accepted"], b["memory.accepted"])
 
 
-@pytest.mark.parametrize("name", representative(OPTIONS, "default"))  # each compiles three filters
+@pytest.mark.parametrize("name", representative(OPTIONS, "default"))  # each case compiles three
 def test_filters_on_lanes_equal_filters_on_floats(name):
-    """Each filter alone, and switched."""
+    """Run each filter alone, and with random switching between the filters."""
     actions = np.random.default_rng(0).integers(3, size=(60, 5))
     actions[:, :3] = range(3)
     pipeline = pipeline_of(algorithms=ALL, **OPTIONS[name])
@@ -283,7 +283,7 @@ def test_odometry_on_lanes_equals_odometry_on_floats(planar):
 
 
 @pytest.mark.slow
-def test_a_user_at_rest_with_odometry_starts_on_lanes_as_on_floats():
+def test_lanes_equal_floats_for_a_user_at_rest_with_odometry():
     """The heading of a user at rest is not defined."""
     episodes = [
         replace(episode, prior_mean=episode.prior_mean * [1, 1, 1, 0, 0, 0, 1])
@@ -294,7 +294,7 @@ def test_a_user_at_rest_with_odometry_starts_on_lanes_as_on_floats():
 
 
 @pytest.mark.parametrize("n", [1, 3, 8, 13])
-def test_results_do_not_depend_on_company_or_place(n):
+def test_results_do_not_depend_on_other_episodes_or_on_their_order(n):
     pipeline, episodes = pipeline_of(), simulated(13, epochs=60)
     actions = np.random.default_rng(1).integers(3, size=(60, 13))
     order = np.random.default_rng(n).permutation(13)[:n]
@@ -306,7 +306,7 @@ def test_results_do_not_depend_on_company_or_place(n):
 
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="reads x86 assembly")
 def test_the_stack_of_a_kernel_is_aligned(monkeypatch):
-    monkeypatch.setattr(disk_cache, "_folder", lambda: None)  # whence it comes without assembly
+    monkeypatch.setattr(disk_cache, "_folder", lambda: None)  # kernels from disk have no assembly
     program = Program(lambda w: w._replace(x=[sum(w.x) * v for v in w.x]), Many([0.0], [1.0] * 60))
     program.on_lanes()
     code = program._compiled._library.get_asm_str()
@@ -314,7 +314,7 @@ def test_the_stack_of_a_kernel_is_aligned(monkeypatch):
 
 
 @pytest.mark.parametrize("scenario", representative(MOBILITIES, "walk-ride"))
-def test_a_world_on_lanes_is_the_world_on_floats(scenario):
+def test_a_world_on_lanes_equals_the_world_on_floats(scenario):
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], scenario, epochs=60)
     episodes = source.sample_batch(np.arange(3, dtype=np.uint64))
     begun, world = source.begin(np.arange(3, dtype=np.uint64)), source.world

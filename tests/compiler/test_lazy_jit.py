@@ -1,4 +1,4 @@
-"""Tests of which work is compiled, and which runs as plain Python."""
+"""Tests of the choice whether a function runs compiled or as plain Python."""
 
 import gymnasium as gym
 import numpy as np
@@ -16,39 +16,39 @@ def function(x):
 
 @pytest.fixture
 def fresh(tmp_path, monkeypatch):
-    """Return functions as other processes have them, with one folder on disk."""
+    """Return a function that makes a LazyJit as in a new process, all with one folder on disk."""
     monkeypatch.setattr(disk_cache, "_folder", lambda: tmp_path)
     return lambda: LazyJit(function, 5)
 
 
 def kinds(sparing, *works):
-    """Return what each piece of work is done with."""
+    """Return whether the function runs plain or compiled for each amount of work."""
     named = {sparing.plain: "plain", sparing.compiled: "compiled"}
     return [named[sparing.choice(work, 20)] for work in works]
 
 
-def test_little_work_is_not_worth_compiling_for(fresh):
+def test_a_function_is_compiled_only_after_enough_work(fresh):
     assert kinds(fresh(), 2, 3, 1, 1) == ["plain", "plain", "compiled", "compiled"]
 
 
-def test_much_work_is_compiled_for_at_once(fresh):
+def test_a_function_is_compiled_at_once_for_much_work(fresh):
     assert kinds(fresh(), 6, 1) == ["compiled", "compiled"]
 
 
-def test_what_is_compiled_already_runs_for_any_work(fresh):
+def test_a_compiled_function_is_used_for_any_amount_of_work(fresh):
     for ready in (fresh(), fresh()):  # the first in memory, the second on disk
         ready.compiled(20)
         assert kinds(ready, 1) == ["compiled"]
     assert kinds(fresh(), 1) == ["compiled"]
 
 
-def test_another_kind_of_argument_is_another_function(fresh):
+def test_each_type_of_argument_is_compiled_separately(fresh):
     fresh().compiled(20)
     other = fresh()
     assert other.choice(1, 2.5) is other.plain
 
 
-def test_where_nothing_can_be_kept_on_disk_the_process_knows_its_own(fresh, monkeypatch):
+def test_without_a_disk_cache_a_process_uses_what_it_has_compiled(fresh, monkeypatch):
     monkeypatch.setattr(disk_cache, "_folder", lambda: None)
     sparing = fresh()
     assert kinds(sparing, 1) == ["plain"]
@@ -56,14 +56,16 @@ def test_where_nothing_can_be_kept_on_disk_the_process_knows_its_own(fresh, monk
     assert kinds(sparing, 1) == ["compiled"]
 
 
-def test_either_way_gives_the_same(fresh):
+def test_plain_and_compiled_functions_give_the_same_result(fresh):
     sparing = fresh()
     assert [sparing(5, 20), sparing(1, 20)] == [21, 21]
 
 
 @pytest.mark.parametrize("scenario", MOBILITIES)
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-def test_environments_are_the_same_to_the_bit(scenario, mode, monkeypatch):
+def test_environments_with_plain_and_compiled_functions_are_bit_identical(
+    scenario, mode, monkeypatch
+):
     def run(way):
         monkeypatch.setattr(LazyJit, "__call__", lambda lazy, _, *arguments: way(lazy)(*arguments))
         monkeypatch.setattr(LazyJit, "choice", lambda lazy, *_: way(lazy))

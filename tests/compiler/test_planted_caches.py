@@ -1,6 +1,6 @@
-"""Real compiled functions damaged or planted: a command comes to the same and runs no plant.
+"""Tests that a command replaces damaged or planted files of compiled functions and runs no plant.
 
-What each check of a file is for is in test_disk_cache.py, on a small package.
+The single checks of such files are tested in test_disk_cache.py, with a small package.
 """
 
 import os
@@ -16,7 +16,7 @@ from tests.paths import LOGS
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no owners and modes of files"),
+    pytest.mark.skipif(not hasattr(os, "geteuid"), reason="needs owners and modes of files"),
 ]
 RAN = "planted code ran"
 RECORDED = LOGS / "canyon28_vehicle"
@@ -30,7 +30,7 @@ class Planted:
 
 
 def flipped(content):
-    """Return the content with one bit of another value."""
+    """Return the content with one bit flipped."""
     middle = len(content) // 2
     return content[:middle] + bytes([content[middle] ^ 4]) + content[middle + 1 :]
 
@@ -39,13 +39,13 @@ DAMAGE = {
     "cut short": lambda content: content[: len(content) // 2],
     "empty": lambda content: b"",
     "one bit flipped": flipped,
-    "a plant": lambda content: pickle.dumps(Planted()),
-    "a plant behind the checksum": lambda content: content[:32] + pickle.dumps(Planted()),
+    "a planted pickle": lambda content: pickle.dumps(Planted()),
+    "a planted pickle behind the checksum": lambda content: content[:32] + pickle.dumps(Planted()),
 }
 
 
 def localized(folder, cache):
-    """Return the track that a new interpreter makes with these compiled functions."""
+    """Return the track that a command in a new process makes with these compiled functions."""
     folder.mkdir()
     command = [sys.executable, "-m", "experiments.console", *map(str, LOCALIZE)]
     variables = environment() | {"NUMBA_CACHE_DIR": str(cache), "HOME": str(folder)}
@@ -56,7 +56,7 @@ def localized(folder, cache):
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
-    """Compiled functions, and the track that they make."""
+    """Return a folder of compiled functions, and the track that was made with them."""
     root = tmp_path_factory.mktemp("filled")
     return root / "cache", localized(root / "run", root / "cache")
 

@@ -1,4 +1,4 @@
-"""Jobs shared among threads, and environments that share theirs."""
+"""Tests of sharing jobs among threads, and of environments that use several threads."""
 
 import gc
 import os
@@ -24,13 +24,13 @@ from tests.vector_checker import same
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 50])
 @pytest.mark.parametrize("jobs", [0, 1, 2, 20])
-def test_results_come_in_order(threads, jobs):
+def test_results_are_in_the_order_of_the_jobs(threads, jobs):
     assert share(lambda a, b: a * b, [(i, 2) for i in range(jobs)], threads) == [
         2 * i for i in range(jobs)
     ]
 
 
-def test_no_more_threads_work_than_allowed():
+def test_no_more_threads_than_allowed_are_used():
     threads = set()
 
     def job():
@@ -45,12 +45,12 @@ def test_no_more_threads_work_than_allowed():
 
 
 @pytest.mark.parametrize("wrong", [0, 7])
-def test_errors_come_through(wrong):
+def test_an_error_in_a_job_is_raised(wrong):
     with pytest.raises(ZeroDivisionError):
         share(lambda i: 1 / (i - wrong), [(i,) for i in range(8)], 2)
 
 
-def test_an_error_of_another_thread_comes_through_and_leaves_it_fit_for_work():
+def test_an_error_in_another_thread_is_raised_and_later_jobs_run():
     me, begun = threading.get_ident(), threading.Event()
 
     def job(i):
@@ -65,8 +65,8 @@ def test_an_error_of_another_thread_comes_through_and_leaves_it_fit_for_work():
     assert share(lambda i: i, [(i,) for i in range(9)], 2) == list(range(9))
 
 
-def test_jobs_may_share_jobs():
-    """More than there are threads, each waiting for others: none may wait for one not begun."""
+def test_jobs_can_share_jobs_of_their_own():
+    """Run more jobs than threads, each of which waits for its own jobs, without a deadlock."""
 
     def job(i):
         return share(lambda j: i + j, [(j,) for j in range(4)], 4)
@@ -75,7 +75,7 @@ def test_jobs_may_share_jobs():
     assert results == [[i + j for j in range(4)] for i in range(200)]
 
 
-def test_several_threads_may_share_jobs_at_once():
+def test_several_threads_can_share_jobs_at_once():
     def many():
         return [share(lambda a: a * a, [(i,) for i in range(7)], 3) for _ in range(200)]
 
@@ -84,7 +84,7 @@ def test_several_threads_may_share_jobs_at_once():
     assert results == [[[i * i for i in range(7)]] * 200] * 6
 
 
-def test_nothing_is_held_once_the_jobs_are_done():
+def test_arguments_are_released_once_the_jobs_are_done():
     class Thing:
         pass
 
@@ -97,11 +97,11 @@ def test_nothing_is_held_once_the_jobs_are_done():
 
 
 def test_draws_do_not_depend_on_the_thread():
-    """They would if they came from numba's own generators, of which every thread has one."""
+    """Check that draws do not use numba's own generators, of which every thread has one."""
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=20)
 
     def draw(seed):
-        time.sleep(0.001)  # or the first thread may do it all
+        time.sleep(0.001)  # otherwise the first thread may do all
         episode = source.sample(np.random.default_rng(seed))
         return threading.get_ident(), (episode.name, episode.table(), episode.prior_mean)
 
@@ -110,7 +110,7 @@ def test_draws_do_not_depend_on_the_thread():
     assert all(same(a, b) for (_, a), (_, b) in zip(alone, many, strict=True))
 
 
-# --- processes of their own
+# --- environments in new processes
 
 STEPPED = """
 import os, signal, sys, threading, time
@@ -128,14 +128,14 @@ def stepped(seed=0, steps=3, **arguments):
     return env, [env.step(np.zeros(32, int))[1] for _ in range(steps)]
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have it ignored
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may ignore it
     env, rewards = stepped(threads=2)
 """
 
 
 def process(code, tmp_path):
-    """Return the output of a program that goes on after steps with two threads; it must end."""
-    program = tmp_path / "program.py"  # a file, so that processes that are spawned can read it
+    """Run a program that steps with two threads, runs this code and ends; return its output."""
+    program = tmp_path / "program.py"  # a file, which spawned processes can read
     program.write_text(STEPPED + textwrap.indent(textwrap.dedent(code), "    "))
     path = os.pathsep.join([str(Path(mmwave_env.__file__).parents[1]), *sys.path])
     run = {"capture_output": True, "text": True, "timeout": 120}
@@ -149,7 +149,7 @@ posix = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and signa
 
 @pytest.mark.slow
 @posix
-def test_an_interrupt_waits_for_the_jobs_under_way_and_no_other_begins(tmp_path):
+def test_after_an_interrupt_the_running_jobs_end_and_no_other_begins(tmp_path):
     code = """
     begun, done = threading.Event(), []
     def job(i):
@@ -171,8 +171,8 @@ def test_an_interrupt_waits_for_the_jobs_under_way_and_no_other_begins(tmp_path)
 
 @pytest.mark.slow
 @posix
-def test_an_environment_goes_on_after_an_interrupted_step(tmp_path):
-    """The metrics count the actions of that step and their results."""
+def test_an_environment_continues_after_an_interrupted_step(tmp_path):
+    """Check that the metrics include the actions and the results of that step."""
     code = """
     def interrupted(*arguments):
         stepping.share = share
@@ -214,7 +214,7 @@ def test_a_forked_child_compiles_steps_and_ends_like_any_process(tmp_path):
 
 @pytest.mark.slow
 @posix
-def test_a_child_compiles_though_it_was_forked_while_a_thread_did(tmp_path):
+def test_a_child_forked_while_a_thread_compiles_can_compile_too(tmp_path):
     code = """
     from numba.core.compiler_lock import global_compiler_lock
     begun = threading.Event()
@@ -226,7 +226,7 @@ def test_a_child_compiles_though_it_was_forked_while_a_thread_did(tmp_path):
     begun.wait()
     child = os.fork()
     if child == 0:
-        signal.alarm(60)  # or it would wait for ever
+        signal.alarm(60)  # in case it waits for ever
     _, rewards = stepped(reward="log-score")
     if child == 0:
         sys.exit(0 if np.isfinite(rewards).all() else 1)
@@ -238,10 +238,10 @@ def test_a_child_compiles_though_it_was_forked_while_a_thread_did(tmp_path):
 @posix
 @pytest.mark.slow
 @pytest.mark.parametrize("context", ["fork", "spawn", "forkserver"])
-def test_environments_run_in_processes_of_their_own(context, tmp_path):
+def test_environments_can_run_in_their_own_processes(context, tmp_path):
     code = f"""
     import warnings
-    warnings.simplefilter("ignore")  # newer versions of Python warn of any fork with threads
+    warnings.simplefilter("ignore")  # newer versions of Python warn about forks with threads
     one = lambda: gym.make("mmwave_env:MmWaveLoc-v0", modes=["ekf"])
     found = gym.vector.AsyncVectorEnv([one] * 2, context="{context}")
     expected = gym.vector.SyncVectorEnv([one] * 2)
@@ -256,7 +256,7 @@ def test_environments_run_in_processes_of_their_own(context, tmp_path):
 
 
 @pytest.mark.slow
-def test_environments_are_stepped_by_several_threads_at_once(tmp_path):
+def test_several_threads_can_step_environments_at_once(tmp_path):
     code = """
     from concurrent.futures import ThreadPoolExecutor
     fresh = {"reward": "log-score"}  # not compiled yet: all threads ask for it at once
@@ -271,6 +271,6 @@ def test_environments_are_stepped_by_several_threads_at_once(tmp_path):
 
 @pytest.mark.slow
 def test_more_threads_than_cores_change_nothing(tmp_path):
-    """And the process ends though an environment is there and threads are idle."""
+    """Check also that the process ends although an environment exists and threads are idle."""
     code = "print(np.array_equal(rewards, stepped(threads=50)[1]), threading.active_count() > 1)"
     assert process(code, tmp_path) == ["True", "True"]

@@ -1,4 +1,4 @@
-"""Tiles move numbers as numpy would, compiled and not, and touch nothing beyond."""
+"""Tests of moving numbers between rows and lanes, compiled or not, against numpy."""
 
 import os
 import subprocess
@@ -47,14 +47,14 @@ def some_block(seed):
 
 
 def addresses(table):
-    """Return the addresses of rows (8, n), in another order than in memory."""
+    """Return the addresses of the rows of a table (8, n), the last row first."""
     return table.ctypes.data + table.strides[0] * np.arange(WIDTH, dtype=np.int64)[::-1]
 
 
 @pytest.mark.parametrize("gather", [tiles.gather, compiled_gather])
 @settings(deadline=None)
 @given(count=COUNTS, seed=st.integers(0, 99))
-def test_gathers_every_lane_from_its_own_place(gather, count, seed):
+def test_gather_reads_every_lane_from_its_own_address(gather, count, seed):
     table = np.random.default_rng(seed).normal(size=(WIDTH, count + 1))
     block = some_block(seed)
     expected = block.copy()
@@ -74,7 +74,7 @@ def test_gathers_every_lane_from_its_own_place(gather, count, seed):
 )
 @settings(deadline=None)
 @given(rows=st.lists(st.integers(0, SIZE - 1), max_size=30), seed=st.integers(0, 99))
-def test_scatters_rows_and_nothing_else(scatter, dtype, rows, seed):
+def test_scatter_writes_the_rows_and_nothing_else(scatter, dtype, rows, seed):
     block, room = some_block(seed), np.full((WIDTH, len(rows) + 3), 7.0, dtype)
     expected = room.copy()
     expected[::-1, : len(rows)] = block[rows].T
@@ -85,14 +85,14 @@ def test_scatters_rows_and_nothing_else(scatter, dtype, rows, seed):
 @pytest.mark.parametrize("pick", [tiles.pick, numba.njit(tiles.pick)])
 @settings(deadline=None)
 @given(rows=st.lists(st.integers(0, SIZE - 1), max_size=30), seed=st.integers(0, 99))
-def test_picks_rows(pick, rows, seed):
+def test_pick_copies_the_chosen_rows(pick, rows, seed):
     block, out = some_block(seed), np.zeros((len(rows), WIDTH))
     pick(block, np.array(rows, np.int64), out)
     np.testing.assert_array_equal(out, block[rows])
 
 
 @pytest.mark.parametrize("address", [tiles.address, compiled_address])
-def test_an_address_is_that_of_the_numbers(address):
+def test_address_returns_where_an_element_of_a_table_is(address):
     table = np.zeros((5, 4, 3))[1::2, 1:]
     for i in range(2):
         for j in range(3):
@@ -100,7 +100,7 @@ def test_an_address_is_that_of_the_numbers(address):
 
 
 @pytest.mark.parametrize("prefetch", [tiles.prefetch, compiled_prefetch])
-def test_prefetching_what_is_not_there_does_no_harm(prefetch):
+def test_prefetching_an_invalid_address_does_no_harm(prefetch):
     prefetch(8)
 
 
@@ -127,7 +127,7 @@ def out_of(function, kind):
 
 @pytest.mark.slow
 def test_functions_kept_by_two_processes_work_in_a_third(tmp_path):
-    """numba numbers what it compiles in each process anew, and links by names and numbers."""
+    """Use functions with equal symbols: numba numbers its functions anew in each process."""
     (tmp_path / "users.py").write_text(USERS)
     site = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
     variables = os.environ | {"PYTHONPATH": site, "NUMBA_CACHE_DIR": str(tmp_path)}

@@ -1,4 +1,4 @@
-"""Tests of signals that end a command, which clean up as Ctrl-C does."""
+"""Tests that a command that is ended by a signal cleans up, as after Ctrl-C."""
 
 import os
 import signal
@@ -16,9 +16,9 @@ from tests.paths import ROOT
 
 pty = pytest.importorskip("pty")
 
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 
-# A command that stands in the middle of writing its result, and says so.
+# A command that stops in the middle of writing its result, and prints that it is writing.
 WRITING = """
 import sys, time
 from pathlib import Path
@@ -39,7 +39,7 @@ run("list", [])
 
 @pytest.fixture
 def writing(tmp_path):
-    """Starts that command for tmp_path/result.json, and waits until it stands there."""
+    """Return a function that starts that command for result.json and waits until it is writing."""
     started = []
 
     def start(**options):
@@ -57,12 +57,12 @@ def writing(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sent", [signal.SIGINT, *ENDING])
-def test_a_signal_removes_what_is_half_written(writing, tmp_path, sent):
-    heeds = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # even started in the background
+def test_a_signal_removes_half_written_files(writing, tmp_path, sent):
+    heeds = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # background jobs ignore it
     command = writing(preexec_fn=heeds)
     assert len(list(tmp_path.iterdir())) == 1
     command.send_signal(sent)
-    command.send_signal(sent if sent in ENDING else 0)  # as to a group, and to each in it
+    command.send_signal(sent if sent in ENDING else 0)  # may come twice, to a process and its group
     out, err = command.communicate(timeout=30)
     assert command.returncode == 128 + sent and out == ""
     end = "interrupted" if sent == signal.SIGINT else f"ended by {sent.name}"
@@ -71,7 +71,7 @@ def test_a_signal_removes_what_is_half_written(writing, tmp_path, sent):
 
 
 @pytest.mark.slow
-def test_a_terminal_that_is_gone_takes_no_message_but_leaves_nothing(writing, tmp_path):
+def test_a_command_cleans_up_even_if_its_terminal_is_gone(writing, tmp_path):
     command = writing()
     command.stderr.close()
     command.stdout.close()
@@ -81,14 +81,14 @@ def test_a_terminal_that_is_gone_takes_no_message_but_leaves_nothing(writing, tm
 
 
 @pytest.mark.slow
-def test_under_nohup_a_closed_terminal_ends_nothing(writing, tmp_path):
+def test_under_nohup_a_command_continues_after_its_terminal_is_closed(writing, tmp_path):
     command = writing(preexec_fn=partial(signal.signal, signal.SIGHUP, signal.SIG_IGN))
     command.send_signal(signal.SIGHUP)
     time.sleep(0.2)
     assert command.poll() is None and len(list(tmp_path.iterdir())) == 1
 
 
-def test_signals_end_the_block_and_are_as_they_were_behind_it():
+def test_signals_end_the_block_and_their_handlers_are_restored_after_it():
     before = signal.getsignal(signal.SIGTERM)
     with pytest.raises(Ended) as end, ended_by_signals():
         signal.raise_signal(signal.SIGTERM)
@@ -96,7 +96,7 @@ def test_signals_end_the_block_and_are_as_they_were_behind_it():
     assert signal.getsignal(signal.SIGTERM) is before
 
 
-def test_a_signal_that_comes_again_at_once_is_the_same_and_later_another():
+def test_a_signal_repeated_at_once_is_ignored_but_a_later_one_is_not():
     def clean_up():
         signal.raise_signal(signal.SIGTERM)
         time.sleep(1.1 * SAME_S)
@@ -113,14 +113,14 @@ def test_a_signal_that_comes_again_at_once_is_the_same_and_later_another():
 
 
 @pytest.mark.slow
-def test_a_terminal_that_is_closed_ends_a_command_as_its_signal_says():
+def test_closing_the_terminal_ends_a_command_with_the_code_of_sighup():
     child, terminal = pty.fork()
     if not child:
         words = ["-m", "experiments.console", "compare", "--episodes", "100000"]
         os.execve(sys.executable, [sys.executable, *words], environment())
     output = b""
     while b"%" not in (output := output + os.read(terminal, 1000)):
-        pass  # until there is a bar, which nobody can read any more
+        pass  # until there is a progress bar
     os.close(terminal)
     _, status = os.waitpid(child, 0)
     assert os.waitstatus_to_exitcode(status) == 128 + signal.SIGHUP

@@ -1,4 +1,4 @@
-"""Tests of names and texts of others, which reach no terminal unescaped."""
+"""Tests that text from outside is escaped wherever it is shown, and of tables on terminals."""
 
 import io
 import re
@@ -20,7 +20,7 @@ NAMES = st.text(st.characters(codec=None), max_size=200)
 
 
 @given(NAMES)
-def test_what_is_shown_holds_no_control_characters(text):
+def test_printable_text_has_no_control_characters(text):
     assert printable(text).isprintable()
     assert printable(text) == text or not text.isprintable()
 
@@ -30,7 +30,7 @@ def test_escape_sequences_line_ends_and_broken_letters_are_spelled_out():
     assert printable("прогулка 漢字 é") == "прогулка 漢字 é"
 
 
-def test_names_are_short_and_have_letters_only():
+def test_names_are_short_and_printable():
     for name in ("a", "a b|c $x$ <b>", "прогулка 漢字", "x" * LONGEST):
         assert is_name(name)
     for name in ("", "a\nb", "\x1b[31m", "\udcff", "\u202e", "x" * (LONGEST + 1), 7, None, ["a"]):
@@ -38,13 +38,13 @@ def test_names_are_short_and_have_letters_only():
 
 
 @given(NAMES)
-def test_whatever_a_file_is_called_becomes_a_name(text):
+def test_any_file_name_can_be_made_a_valid_name(text):
     assert is_name(as_name(text))
     assert as_name(text) == text or not is_name(text)
 
 
 @pytest.mark.parametrize("name", ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1"])
-def test_a_formula_is_text_in_a_table(name):
+def test_a_formula_becomes_text_in_a_cell(name):
     assert as_cell(name) == f"'{name}" and as_cell(f"a{name}") == f"a{name}"
 
 
@@ -57,12 +57,12 @@ def test_long_values_are_cut_in_messages():
 # --- text
 
 
-def test_the_ends_of_lines_stay_where_lines_are_shown():
+def test_printable_lines_keep_the_ends_of_lines():
     assert printable_lines("a\nb\r\x07") == "a\nb\\r\\x07"
 
 
 @given(NAMES)
-def test_plain_text_comes_back_from_markdown(name):
+def test_unescaping_markdown_gives_the_printable_text(name):
     assert unescaped(escaped(name)) == printable(name)
 
 
@@ -79,7 +79,7 @@ def test_markdown_shows_a_name_letter_by_letter(name):
 
 
 @given(st.lists(NAMES, min_size=1, max_size=4))
-def test_a_table_has_a_line_a_row_whatever_its_names_are(names):
+def test_a_table_has_one_line_per_row_for_any_names(names):
     lines = grid(["name", "reward"], [[name, "1"] for name in names]).split("\n")
     assert len(lines) == 2 + len(names) and all(line.isprintable() for line in lines)
     assert all(len(re.findall(r"(?<!\\)(?:\\\\)*\|", line)) == 3 for line in lines)
@@ -93,7 +93,7 @@ SPELLED = r"$x$|a\nb\x1b[31m[red]\u202e<script>"
 
 @pytest.fixture
 def screen(monkeypatch):
-    """A terminal of 100 columns that standard error goes to."""
+    """Return what is shown on standard error, as on a terminal of 100 columns."""
     shown = io.StringIO()
 
     def console(**_):
@@ -103,7 +103,7 @@ def screen(monkeypatch):
     return shown
 
 
-def test_a_line_a_name_even_if_a_line_ends_in_it(capsys):
+def test_say_prints_one_line_for_each_text(capsys):
     say(f"written to {AWKWARD}", "done")
     assert capsys.readouterr().out == f"written to {SPELLED}\ndone\n"
 
@@ -123,7 +123,7 @@ WORDS = st.from_regex(r"[a-z0-9.±-]{1,20}", fullmatch=True)
 
 @pytest.fixture
 def shown(monkeypatch, capsys):
-    """Prints Markdown as on a terminal of a width."""
+    """Return a function that returns the lines of Markdown shown on a terminal of some width."""
     monkeypatch.setenv("FORCE_COLOR", "1")
 
     def lines(text, width):
@@ -166,14 +166,14 @@ def test_a_name_wider_than_the_terminal_is_not_cut(shown):
     assert f"{name}  -1.5" in lines
 
 
-def test_what_is_around_a_table_stays(shown):
+def test_text_around_a_table_is_kept(shown):
     lines = shown(f"before\n\n{grid(['a', 'b'], [['1', '2']])}\n\n- after\n", 80)
     kept = [line.strip(" •") for line in lines if line and "─" not in line]
     assert kept == ["before", "a  b", "1  2", "after"]
 
 
 @pytest.mark.parametrize("name", ["a|b", "\x1b[31mred", "one\ntwo", "漢字", r"a\|b\\", "$x$"])
-def test_names_neither_break_a_table_nor_reach_the_terminal(shown, capsys, name):
+def test_names_with_special_characters_are_escaped_in_tables(shown, capsys, name):
     lines = shown(grid(["policy", "reward"], [[name, "-1.5"], ["imm", "-1.0"]]), 60)
     plain = name.encode("unicode_escape").decode() if not name.isprintable() else name
     rows = [line for line in lines if line.endswith(("-1.5", "-1.0"))]
@@ -181,7 +181,7 @@ def test_names_neither_break_a_table_nor_reach_the_terminal(shown, capsys, name)
     assert len({cell_len(row) for row in rows}) == 1  # columns are aligned, wide letters or not
 
 
-def test_what_is_no_table_is_shown_without_control_characters_too(monkeypatch, capsys):
+def test_text_outside_tables_is_shown_without_control_characters(monkeypatch, capsys):
     monkeypatch.delenv("FORCE_COLOR", raising=False)
     show("### \x1b]0;title\x07 street\n\nnext\n")
     assert capsys.readouterr().out == "### \\x1b]0;title\\x07 street\n\nnext\n\n"

@@ -1,4 +1,4 @@
-"""Tests of mmwave-loc --version --json."""
+"""Tests of ``mmwave-loc --version --json``."""
 
 import json
 import os
@@ -16,7 +16,7 @@ from tests.paths import ROOT
 
 
 @pytest.mark.slow  # it compiles five modes at once
-def test_versions_threads_kernels_and_a_self_test_are_told():
+def test_versions_kernels_and_a_self_test_are_reported():
     done = command("--version", "--json")
     report = json.loads(done.stdout)
     assert done.returncode == 0 and report["versions"]["mmwave-loc"] == mmwave_env.__version__
@@ -26,7 +26,7 @@ def test_versions_threads_kernels_and_a_self_test_are_told():
     assert 0.0 <= max(test["deviation"] for test in report["self_test"]) < 1e-9
 
 
-def test_a_kernel_that_computes_something_else_ends_with_code_1(monkeypatch):
+def test_a_kernel_that_fails_the_self_test_ends_with_code_1(monkeypatch):
     monkeypatch.setattr(version, "self_test", lambda: [{"kernel": "x", "passed": False}])
     done = command("--version", "--json")
     assert done.returncode == 1 and not json.loads(done.stdout)["self_test"][0]["passed"]

@@ -1,4 +1,4 @@
-"""A folder with a log, its scene and its truth: written and played."""
+"""Tests of folders with a log, its scene and its truth: written, and played as episodes."""
 
 import shutil
 from dataclasses import replace
@@ -41,14 +41,14 @@ def sample(tmp_path):
     return tmp_path
 
 
-def test_the_truth_of_another_episode_goes(folder):
+def test_the_truth_of_an_earlier_episode_is_removed(folder):
     unknown = replace(simulated(), truth_position_m=None, truth_velocity_mps=None)
     assert write_log_folder(folder, unknown, STREET, "") == ["log.csv", "scene.json"]
     assert sorted(path.name for path in folder.iterdir()) == ["log.csv", "scene.json"]
 
 
 @pytest.mark.parametrize("odometry", [False, True])
-def test_a_simulated_log_is_the_simulated_episode(tmp_path, odometry):
+def test_a_simulated_log_gives_the_simulated_episode(tmp_path, odometry):
     options = ["--odometry"] if odometry else []
     succeed("simulate", "--scenario", "vehicle", "--seed", 3, "--out", tmp_path, *options)
     true = simulated(3, odometry)
@@ -62,13 +62,13 @@ def test_a_simulated_log_is_the_simulated_episode(tmp_path, odometry):
     ranges[: true.layout.doppler : 4] = True
     z, expected = episode.measurement, true.measurement
     np.testing.assert_array_equal(z[at & ~ranges], expected[at & ~ranges])
-    # A log has times of flight: range over the speed of light and back again.
+    # Ranges are divided by the speed of light for the log, and multiplied by it again.
     np.testing.assert_array_max_ulp(z[at & ranges], expected[at & ranges])
     np.testing.assert_array_max_ulp(episode.sigma[at], true.sigma[at], maxulp=4)
 
 
 @pytest.mark.parametrize("name", ["log.csv.gz", "log.parquet"])
-def test_the_log_may_be_packed(folder, name):
+def test_the_log_can_be_gzipped_or_parquet(folder, name):
     if name.endswith(".parquet"):
         pytest.importorskip("pyarrow")
     plain = read_log_folder(folder)
@@ -89,8 +89,8 @@ def test_epochs_are_matched_to_poses_by_time(folder):
     np.testing.assert_array_equal(episode.time_s, track.time_s[early])
 
 
-def test_a_clock_that_is_off_is_named_and_nothing_is_moved(sample):
-    """The truth is written 30 times a second in place of 10."""
+def test_a_wrong_clock_of_the_truth_is_reported_but_not_corrected(sample):
+    """Write the truth with 30 poses a second instead of 10."""
     track = read_log_folder(sample)
     time = np.arange(0.004, track.time_s[-1], 1.0 / 30.0)
     way = CubicSpline(track.time_s, track.position_m)(time)
@@ -100,8 +100,8 @@ def test_a_clock_that_is_off_is_named_and_nothing_is_moved(sample):
     np.testing.assert_allclose(position[2:-1], track.position_m[1:-2], atol=1e-3)
 
 
-def test_a_log_of_some_rows_with_its_own_noise_and_its_doppler_shifts_is_played(folder):
-    """The Doppler shift is in the rows of anchor 2; what is written again reads the same."""
+def test_a_log_of_some_rows_with_its_own_noise_can_be_played_and_written_again(folder):
+    """Write a log with Doppler shifts in the rows of anchor 2; written again, it reads the same."""
     lines = (folder / "log.csv").read_text().splitlines()
     rows = [dict(zip(lines[0].split(","), line.split(","), strict=True)) for line in lines[1:]]
     doppler = ""
@@ -131,12 +131,12 @@ def test_a_log_of_some_rows_with_its_own_noise_and_its_doppler_shifts_is_played(
 
 
 @pytest.mark.parametrize("name", log_names())
-def test_a_log_whose_links_are_whole_has_the_plain_layout(name):
+def test_a_log_whose_links_are_complete_has_the_plain_layout(name):
     track = read_log_folder(sample_folder(name))
     assert not track.layout.partial and track.sigma is None and track.doppler_anchor is None
 
 
-# --- which folder is which
+# --- kinds of folders
 
 
 @pytest.mark.parametrize("name", log_names())
@@ -152,7 +152,7 @@ def test_samples_are_found_by_name_and_by_folder(name):
     np.testing.assert_array_equal(played.usable, recorded.usable)
 
 
-def test_a_recording_is_no_log():
+def test_a_recording_is_not_found_as_a_log():
     with refuses("sample"):
         sample_folder("canyon28_stop_and_go")
 
@@ -173,14 +173,14 @@ def test_two_logs_are_refused(folder):
         source_from(folder, "handset")
 
 
-def test_a_truth_of_another_time_is_refused(folder):
+def test_a_truth_without_common_times_is_refused(folder):
     track = read_log_folder(folder)
     (folder / "truth.tum").write_text(tum_lines(track.time_s + 1e9, track.position_m))
     with refuses("truth.tum"):
         source_from(folder, "handset")
 
 
-def test_commands_take_the_folder(folder):
+def test_commands_accept_a_log_folder_as_data(folder):
     text = succeed("compare", "--policies", "fixed-ukf", "imm", "--data", folder, "--episodes", 3)
     assert f"### {folder.name}, handset, 3 episodes" in text
     for words in (("evaluate", "--policy", "imm"), ("simulate", "--out", folder / "out")):

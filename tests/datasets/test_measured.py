@@ -1,4 +1,4 @@
-"""Measured tracks: a user's arrays become episodes, and what is not as it should be is named."""
+"""Tests of measured tracks: a user's arrays become episodes, and wrong arrays are named."""
 
 import warnings
 
@@ -32,13 +32,13 @@ def simulated(seed=3, epochs=60, radio=RADIO, scenario="vehicle"):
 
 
 def links(record, visible):
-    """Rows of links as a user has them: arrays (T, L) by name, NaN where not visible."""
+    """Return the rows of links as a user's arrays (T, L) by name, with NaN where not visible."""
     rows = record.measurement[:, : record.layout.doppler].reshape(len(record), -1, 4)
     return {name: np.where(visible, rows[:, :, i], np.nan) for i, name in enumerate(LINK)}
 
 
 def arrays(episode):
-    """Return the arrays that a user has of an episode."""
+    """Return an episode as a user's arrays by name."""
     visible, doppler = episode.usable[:, :3], episode.layout.doppler
     return {
         "time_s": episode.time_s,
@@ -58,7 +58,7 @@ def track(**changes):
 # --- from arrays
 
 
-def test_arrays_are_the_episode_they_came_from():
+def test_the_arrays_of_an_episode_give_the_same_episode():
     true = simulated()
     velocity = true.truth_velocity_mps
     episode = track(velocity_mps=velocity).episode("handset", generator())
@@ -73,7 +73,7 @@ def test_arrays_are_the_episode_they_came_from():
     assert episode.nonfinite == 0
 
 
-def test_lists_will_do_and_doppler_need_not_be_there():
+def test_lists_are_accepted_and_doppler_shifts_are_optional():
     lists = {name: np.asarray(value).tolist() for name, value in arrays(simulated()).items()}
     del lists["doppler_hz"], lists["doppler_spread_hz"]
     own = MeasuredTrack.from_arrays(**lists)
@@ -82,7 +82,7 @@ def test_lists_will_do_and_doppler_need_not_be_there():
 
 
 @pytest.mark.parametrize("name", [*LINK, "snr_db"])
-def test_a_link_may_lack_some_of_its_numbers_but_not_its_noise(name):
+def test_a_link_may_lack_a_measurement_but_without_snr_it_is_not_visible(name):
     whole = track()
     epoch, anchor = np.argwhere(whole.visible[:, :3])[0]
     values = arrays(simulated())[name].copy()
@@ -112,7 +112,7 @@ def test_a_receiver_that_states_its_noise_needs_no_snr():
     assert not episode.usable[:, 3].any() and episode.layout.partial
     seen = np.isfinite(episode.measurement[:, :2])
     np.testing.assert_array_equal(episode.sigma[:, :2][seen], np.tile([0.3, 0.02], (60, 1))[seen])
-    stated["range_sigma_m"][:, 0] = np.nan  # neither an SNR nor its own noise: not measured
+    stated["range_sigma_m"][:, 0] = np.nan  # without SNR or own noise, it is not measured
     lost = MeasuredTrack.from_arrays(**some, **stated)
     np.testing.assert_array_equal(
         np.isfinite(lost.measurement[:, [0, 4]]), np.isfinite(own["range_m"][:, :2]) & [False, True]
@@ -131,12 +131,12 @@ def test_a_receiver_that_states_its_noise_needs_no_snr():
     ],
     ids=str,
 )
-def test_noise_that_is_unknown_or_not_positive_and_no_position_are_refused(changes, field):
+def test_noise_that_is_unknown_or_not_positive_and_too_few_measurements_are_refused(changes, field):
     with refuses(field):
         track(**changes)
 
 
-def test_angles_of_any_turn_are_the_same_track():
+def test_angles_that_differ_by_a_full_turn_give_the_same_track():
     turned = track(aod_azimuth_rad=arrays(simulated())["aod_azimuth_rad"] + 2 * np.pi)
     at = track().visible[:, 0]
     np.testing.assert_allclose(turned.measurement[at], track().measurement[at], atol=1e-12)
@@ -155,12 +155,12 @@ def test_angles_of_any_turn_are_the_same_track():
         ("carrier_hz", 28.0),
     ],
 )
-def test_arrays_that_do_not_fit_are_refused_by_name(field, value):
+def test_arrays_of_a_wrong_shape_or_value_are_refused_by_name(field, value):
     with refuses(field):
         track(**{field: value})
 
 
-# --- a convention or a unit mistaken
+# --- wrong conventions and units
 
 
 def exchanged(a):
@@ -183,7 +183,7 @@ MISTAKES = {  # by name: the changed arrays, and the column that the warning nam
 
 
 @pytest.mark.parametrize("name", MISTAKES)
-def test_contradictions_to_the_truth_are_warned_of(name):
+def test_contradictions_to_the_truth_cause_a_warning(name):
     change, column = MISTAKES[name]
     with pytest.warns(UserWarning, match=f"track 'own': .*{column}"):
         track(**change(arrays(simulated(radio=RADIOS["standard"]))))
@@ -197,12 +197,12 @@ def quiet(seeds):
                 MeasuredTrack.from_arrays(**arrays(simulated(seed, 200, radio, "mixed")))
 
 
-def test_what_is_right_is_not_warned_of():
+def test_right_tracks_cause_no_warning():
     quiet(range(20))
 
 
 @pytest.mark.slow
-def test_a_thousand_right_tracks_are_not_warned_of():
+def test_a_thousand_right_tracks_cause_no_warning():
     quiet(range(20, 354))
 
 
@@ -218,7 +218,7 @@ def test_seeds_draw_the_prior_and_nothing_else():
     assert source.epochs == len(first) == 60 and source.layout == Layout(3)
 
 
-def test_the_prior_is_about_the_truth_and_the_oscillator_unknown():
+def test_the_prior_is_drawn_around_the_truth_with_an_oscillator_bias_of_zero():
     source = TrackSource(track(), RADIO)
     drawn = np.array([source.sample(generator(seed)).prior_mean for seed in range(300)])
     truth = np.concatenate([source.track.position_m[0], source.track.velocity_mps[0]])
@@ -241,7 +241,7 @@ def test_velocities_are_differences_of_positions():
     known=st.lists(st.booleans(), min_size=1, max_size=30),
     steps=st.lists(st.sampled_from([0.1, 1.0, GAP_S, GAP_S + 0.1]), min_size=29, max_size=29),
 )
-def test_stretches_are_all_that_is_known_without_a_gap(known, steps):
+def test_stretches_are_all_epochs_with_known_truth_and_without_a_gap(known, steps):
     time = np.concatenate([[0.0], np.cumsum(steps)])[: len(known)]
     position = np.where(np.array(known)[:, None], 1.0, np.nan) * np.ones((len(known), 3))
     runs = stretches(time, position, GAP_S)
@@ -257,7 +257,7 @@ def test_stretches_are_all_that_is_known_without_a_gap(known, steps):
 
 
 def broken():
-    """A track of 60 epochs whose truth is not known in epochs 20 and 21, with a gap before 50."""
+    """Return a track of 60 epochs: truth unknown in epochs 20 and 21, a gap before epoch 50."""
     episode = simulated()
     position, time = episode.truth_position_m.copy(), episode.time_s.copy()
     position[20:22] = np.nan
@@ -279,7 +279,7 @@ def test_without_a_length_the_longest_stretch_is_played():
 
 
 @pytest.mark.parametrize("epochs", [0, 29])
-def test_windows_that_no_stretch_holds_are_refused(epochs):
+def test_windows_that_are_empty_or_longer_than_every_stretch_are_refused(epochs):
     with refuses("epochs"):
         TrackSource(broken(), RADIO, epochs)
 
@@ -291,7 +291,7 @@ def test_a_track_without_truth_or_with_another_unit_of_time_is_refused():
         TrackSource(track(time_s=1e3 * np.arange(60)), RADIO)
 
 
-def test_the_environment_takes_a_track_or_a_recording():
+def test_the_environment_accepts_a_track_or_a_recording():
     for own in (track(), recording_from("canyon28_vehicle")):
         env = gym.make("mmwave_env:MmWaveLoc-v0", episodes=own, radio="standard", episode_steps=25)
         assert env.unwrapped.radio == RADIOS["standard"] and env.unwrapped.source.epochs == 25
@@ -301,7 +301,7 @@ def test_the_environment_takes_a_track_or_a_recording():
 # --- recordings from arrays
 
 
-def test_a_recording_is_made_of_its_paths():
+def test_a_recording_can_be_made_from_arrays():
     true = recording_from("canyon28_pedestrian")
     visible = true.visible[:, :3]
     same = {name: getattr(true, name) for name in ("name", "time_s", "anchors_m", "position_m")}

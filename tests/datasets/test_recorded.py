@@ -1,4 +1,4 @@
-"""Recordings and the episodes that are drawn from them."""
+"""Tests of recordings and of the episodes that are drawn from them."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ def generator(seed=0):
 
 
 def residuals(episode, recording, cut=slice(None)):
-    """(T, rows) measured minus exact, angles wrapped."""
+    """Return measured minus exact values (T, rows), with angles wrapped."""
     out = episode.measurement - recording.measurement[cut]
     angles = recording.layout.angles
     out[:, angles] = np.remainder(out[:, angles] + np.pi, 2.0 * np.pi) - np.pi
@@ -36,13 +36,13 @@ def residuals(episode, recording, cut=slice(None)):
 
 
 def shown(recording):
-    """(T, rows) whether a row is visible."""
+    """Return a mask (T, rows) of visible rows."""
     widths = [rows.stop - rows.start for rows in recording.layout.groups]
     return np.repeat(recording.visible, widths, axis=1)
 
 
 def track(epochs=50, dt=1.0, odometry=False):
-    """A recording made by hand: a straight walk past one wall, everything visible."""
+    """Return a recording of a straight walk past one wall, with all links visible."""
     scene = Scene("walk", (0.0, 0.0, 8.0), (Wall((0, 1), 20.0),))
     layout = Layout(2, odometry)
     time = dt * np.arange(epochs)
@@ -61,7 +61,7 @@ def track(epochs=50, dt=1.0, odometry=False):
     )
 
 
-def test_names_of_the_samples():
+def test_the_samples_have_the_expected_names_and_lengths():
     assert sample_names() == tuple(f"canyon28_{name}" for name in EPOCHS)
     for name, epochs in zip(sample_names(), EPOCHS.values(), strict=True):
         recording = recording_from(name)
@@ -74,7 +74,7 @@ def test_unknown_names_and_files_are_refused(tmp_path):
             source_from(name, RADIO)
 
 
-def test_it_is_an_episode_source():
+def test_a_track_source_gives_the_episode_of_a_recording():
     source: EpisodeSource = TrackSource(VEHICLE, RADIO)
     episode = source.sample(generator())
     assert source.layout == episode.layout == Layout(3)
@@ -89,7 +89,7 @@ def test_it_is_an_episode_source():
     assert episode.hz_per_mps == pytest.approx(28e9 / 299_792_458.0)
 
 
-def test_sigmas_are_the_profile_s_at_the_recorded_gain():
+def test_sigmas_follow_from_the_radio_profile_and_the_recorded_gain():
     episode = TrackSource(VEHICLE, RADIO).sample(generator())
     visible = VEHICLE.visible[:, :3]
     snr_db = RADIO.snr_db(VEHICLE.path_gain_db, 100e6)
@@ -114,7 +114,7 @@ def test_noise_has_the_stated_size():
         assert abs(z.var() - 1.0) < 4.0 * np.sqrt(2.0 / z.size)
 
 
-def test_oscillator_bias_is_the_random_walk_of_the_profile():
+def test_the_oscillator_bias_is_a_random_walk_as_in_the_profile():
     recording = track(epochs=200, dt=4.0)
     quiet = replace(RADIO, doppler_floor_mps=1.1e-3, doppler_window_s=1e6)
     source = TrackSource(recording, quiet)
@@ -137,7 +137,7 @@ def test_doppler_spread_follows_the_speed():
 
 @settings(max_examples=30, deadline=None)
 @given(epochs=st.integers(1, 120), seed=st.integers(0, 99))
-def test_window_is_contiguous(epochs, seed):
+def test_an_episode_is_a_contiguous_part_of_the_recording(epochs, seed):
     episode = TrackSource(VEHICLE, RADIO, epochs=epochs).sample(generator(seed))
     first = int(np.flatnonzero(VEHICLE.time_s == episode.time_s[0])[0])
     cut = slice(first, first + epochs)
@@ -149,7 +149,7 @@ def test_window_is_contiguous(epochs, seed):
     np.testing.assert_array_equal(episode.truth_position_m, VEHICLE.position_m[cut])
 
 
-def test_odometry_rows_pass_through():
+def test_odometry_is_kept_with_noise_of_the_stated_size():
     recording = track(odometry=True)
     episode = TrackSource(recording, RADIO).sample(generator())
     assert episode.visible.shape == (50, 4)
@@ -157,7 +157,7 @@ def test_odometry_rows_pass_through():
     assert scores.std() == pytest.approx(1.0, rel=0.3)
 
 
-def test_numbers_that_are_not_visible_may_be_anything():
+def test_values_of_rows_that_are_not_visible_have_no_effect():
     hidden = ~shown(VEHICLE)
     recording = replace(
         VEHICLE,
@@ -181,7 +181,7 @@ def test_numbers_that_are_not_visible_may_be_anything():
         ("path_gain_db", np.full((120, 3), np.inf)),
     ],
 )
-def test_recordings_are_checked(field, value):
+def test_recordings_with_wrong_arrays_are_refused(field, value):
     with refuses(f"{field} of recording 'canyon28_vehicle'"):
         replace(VEHICLE, **{field: value})
     with refuses("anchors of recording 'canyon28_vehicle'"):

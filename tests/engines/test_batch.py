@@ -1,4 +1,4 @@
-"""Batches of environments: some start, go on or are run again; what is kept of the steps."""
+"""Tests of batches of environments: starting some of them, their past actions and metrics."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def everything(engine):
 
 
 @ON
-def test_starting_some_leaves_the_others_as_they_are(on_floats):
+def test_starting_some_environments_does_not_change_the_others(on_floats):
     episodes, others = simulated(N, epochs=T), simulated(3, epochs=T + 5)
     engine = engine_of(episodes, on_floats)
     for _ in range(4):
@@ -46,7 +46,7 @@ def test_starting_some_leaves_the_others_as_they_are(on_floats):
 
 
 @ON
-def test_loading_alone_starts_at_the_next_step(on_floats):
+def test_loaded_episodes_start_at_the_next_step_without_a_start(on_floats):
     episodes, others = simulated(N, epochs=T), simulated(2, epochs=T)
     engine, places = engine_of(episodes, on_floats), np.array([0, 9])
     engine.step(np.int64(0))
@@ -60,7 +60,7 @@ def test_loading_alone_starts_at_the_next_step(on_floats):
 
 
 @ON
-def test_past_the_end_of_an_episode_epochs_are_blank(on_floats):
+def test_epochs_after_the_end_of_an_episode_are_blank(on_floats):
     long, short = simulated(1, epochs=T)[0], simulated(1, epochs=3)[0]
     together, alone = engine_of([long, short], on_floats), engine_of([short], on_floats)
     for _ in range(5):
@@ -71,7 +71,7 @@ def test_past_the_end_of_an_episode_epochs_are_blank(on_floats):
 
 
 @pytest.mark.parametrize("modes", [2, 300])
-def test_it_knows_the_last_steps_whenever_room_is_made(modes):
+def test_the_action_history_keeps_the_last_actions_while_it_grows(modes):
     rng, history, steps, room = np.random.default_rng(0), ActionHistory(5, modes), [], 0
     for asked in (3, 4, 2, 9, 30):
         known, room = min(room, len(steps)), max(room, asked)
@@ -92,7 +92,7 @@ def test_it_knows_the_last_steps_whenever_room_is_made(modes):
 @pytest.mark.parametrize("epochs", [1, 5, 10, 11, 12, 25, 200])
 def test_an_episode_ends_with_the_metrics_of_its_track(epochs, dt, axes):
     rng, tally, where = np.random.default_rng(epochs), Tally(3, axes), np.array([1])
-    for _ in range(2):  # the one before leaves nothing
+    for _ in range(2):  # the first does not affect the second
         tally.begin(where, np.array([dt]), np.array([epochs]))
         errors = rng.normal(0.0, 20.0, (epochs, 3))
         nees = rng.chisquare(axes, epochs)
@@ -104,10 +104,10 @@ def test_an_episode_ends_with_the_metrics_of_its_track(epochs, dt, axes):
         {key: float(value) for key, value in expected.items()}, rel=1e-12
     )
     assert not tally.counts.sums[[0, 2]].any()
-    assert tally.counts.errors.shape[1] <= epochs  # however many there are in a second
+    assert tally.counts.errors.shape[1] <= epochs  # however many epochs a second has
 
 
-def test_an_error_without_a_number_is_a_divergence_for_good():
+def test_an_episode_with_one_nan_error_has_diverged():
     tally = Tally(1, 3)
     for k, x in enumerate([0.0] * 12 + [np.nan] + [1.0] * 5):
         count(tally.counts, 0, k, x, 0.0, 0.0, 3.0)

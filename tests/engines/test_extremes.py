@@ -1,4 +1,4 @@
-"""The envelope: numbers at its ends keep beliefs sound, numbers beyond are refused by name."""
+"""Tests of the envelope of inputs: within it beliefs are sound, and values beyond are refused."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -25,22 +25,22 @@ from mmwave_env.world.mobility import MOBILITIES
 from mmwave_env.world.simulated import SimulatedSource
 from tests.refusals import refuses
 
-ASIDE = 0.01  # how far within an end or beyond it, as a share of it
-FAR = (1e30, 1e150, 1e300, np.nan)  # an infinite sigma is no error, but a row that is missing
-SEEDS = (0, 5)  # of episodes that are taken to extremes
+ASIDE = 0.01  # distance to an end of the envelope, relative to the end
+FAR = (1e30, 1e150, 1e300, np.nan)  # without inf: an infinite sigma means a missing row
+SEEDS = (0, 5)  # of the episodes that get extreme values
 NOISES = ("sigma_p", "sigma_v", "sigma_pz", "sigma_vz", "sigma_b_mps")
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """Something that the envelope bounds, and how an episode gets another value of it."""
+    """A quantity that the envelope bounds, and a function that puts a value into an episode."""
 
     name: str
     bound: Bound
     put: Callable[[Episode, float], Episode]
 
     def within(self):
-        """Just within the ends; 0 is one itself."""
+        """Return a value just within each end of the bound; for an end of 0 it is 0 itself."""
         return [end * (1.0 - out) for end, out in self._ends()]
 
     def beyond(self):
@@ -63,7 +63,7 @@ def mean(states):
 def deviation(states):
     def put(episode, value):
         P = episode.prior_covariance.copy()
-        P[states, states] = value * value if abs(value) < 1e150 else value  # diagonal as drawn
+        P[states, states] = value * value if abs(value) < 1e150 else value  # it is diagonal
         return replace(episode, prior_covariance=P)
 
     return put
@@ -83,7 +83,7 @@ def steps(episode, value):
 
 
 def place(episode, value):
-    """Everything moved, anchors and user: a survey's coordinates."""
+    """Move anchors and user to far coordinates, as in a survey."""
     prior = episode.prior_mean.copy()
     prior[:3] += value
     return replace(episode, scene_anchors_m=episode.scene_anchors_m + value, prior_mean=prior)
@@ -129,18 +129,18 @@ def episode():
 
 
 def sound(x, P):
-    """Which tracks (n,) of x (n, T, 7) and packed P (n, T, 28) are finite and positive definite."""
+    """Return a mask (n,) of finite tracks x (n, T, 7) with positive definite P (n, T, 28)."""
     finite = np.isfinite(np.concatenate([x, P], axis=2)).all(axis=(1, 2))
     full, (i, j) = np.zeros((*P.shape[:2], 7, 7)), np.tril_indices(7)
     full[..., i, j] = full[..., j, i] = np.where(finite[:, None, None], P, np.eye(7)[i, j])
     scale = np.sqrt(np.maximum(np.einsum("...ii->...i", full), 1e-300))
     least = np.linalg.eigvalsh(full / scale[..., :, None] / scale[..., None, :])[..., 0]
-    return finite & (least > -1e-9).all(axis=1)  # rounding of the eigenvalues
+    return finite & (least > -1e-9).all(axis=1)  # for rounding errors of eigenvalues
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", named_modes())
-def test_beliefs_are_sound_with_each_quantity_and_any_two_at_the_ends(name):
+def test_beliefs_are_sound_with_any_one_or_two_quantities_at_the_ends_of_the_envelope(name):
     single = [(quantity, value) for quantity in QUANTITIES for value in quantity.within()]
     pairs = [pair for pair in combinations(single, 2) if pair[0][0].put is not pair[1][0].put]
     ordinary, cases = {seed: drawn(seed, epochs=30) for seed in SEEDS}, {}
@@ -159,7 +159,7 @@ def test_beliefs_are_sound_with_each_quantity_and_any_two_at_the_ends(name):
         assert [case for case, fine in zip(cases, good, strict=True) if not fine] == [], change
 
 
-def test_what_is_unsound_is_seen():
+def test_unsound_tracks_are_detected():
     x, P = np.zeros((3, 2, 7)), np.tile(np.eye(7)[np.tril_indices(7)], (3, 2, 1))
     P[0, 1, 1] = 1.1  # a correlation above 1
     x[1, 0, 6] = np.nan
@@ -172,16 +172,16 @@ BEYOND = [(quantity, value) for quantity in QUANTITIES for value in quantity.bey
 @pytest.mark.parametrize(
     ("quantity", "value"), BEYOND, ids=[f"{quantity.name} {value:g}" for quantity, value in BEYOND]
 )
-def test_beyond_the_ends_an_episode_is_refused_by_name(quantity, value, episode):
+def test_an_episode_beyond_the_envelope_is_refused_by_name(quantity, value, episode):
     with np.errstate(all="ignore"), refuses("of episode"):
         quantity.put(episode, value)
 
 
-# --- what episodes are simulated from
+# --- settings from which episodes are simulated
 
 
 def numbers_of(record):
-    """Names and bounds of the fields of a dataclass that hold numbers."""
+    """Yield name, bound and a function from a number to a value, for fields that hold numbers."""
     for name, hint in hints_of(type(record)).items():
         hint = next(iter(get_args(hint)), hint) if NoneType in get_args(hint) else hint
         inside = get_args(hint)[:1] if get_origin(hint) is Annotated else ()
@@ -208,7 +208,7 @@ FIELDS = [
         record,
         *number,
         id=f"{record} {number[0]}",
-        marks=[pytest.mark.slow] if record == "streets drawn" else [],  # each is compiled
+        marks=[pytest.mark.slow] if record == "streets drawn" else [],  # each case is compiled
     )
     for record, (of, _) in RECORDS.items()
     for number in numbers_of(of)
@@ -221,15 +221,15 @@ def moving(**changes):
 
 
 @pytest.mark.parametrize(("record", "name", "bound", "shape"), FIELDS)
-def test_far_off_it_is_refused_by_name(record, name, bound, shape):
+def test_a_setting_far_beyond_its_bounds_is_refused_by_name(record, name, bound, shape):
     of, _ = RECORDS[record]
     for value in (-1e300, 1e300, np.nan, -(10**200), 10**200):
-        if value < 0 or bound.most != np.inf:  # a time may be without end
+        if value < 0 or bound.most != np.inf:  # durations may be infinite
             with refuses(name):
                 replace(of, **{name: shape(value)})
 
 
-def test_what_a_radio_in_a_scene_comes_to_is_held_against_the_envelope():
+def test_a_radio_and_a_scene_that_together_exceed_the_envelope_are_refused():
     far = replace(STREET, walls=(Wall((1.0, 0.0), 9e5),))
     loud = replace(RADIOS["standard"], spread_gain=90.0)
     for scene, radio, name in (
@@ -243,11 +243,11 @@ def test_what_a_radio_in_a_scene_comes_to_is_held_against_the_envelope():
 @pytest.mark.parametrize(
     ("record", "name", "bound", "shape"), [field for field in FIELDS if field.values[0] != "mode"]
 )
-def test_at_its_ends_beliefs_are_sound_or_the_episode_is_refused(record, name, bound, shape):
+def test_a_setting_at_its_bounds_gives_sound_beliefs_or_is_refused(record, name, bound, shape):
     of, arguments = RECORDS[record]
     for value in (bound.least, bound.most):
         env = None
-        with suppress(ValueError):  # beside the others as they are
+        with suppress(ValueError):  # with the other settings unchanged
             changed = arguments(replace(of, **{name: shape(value)}))
             env = MmWaveLocEnv(episode_steps=24, dt=0.5, **changed)
         if env is not None:
@@ -260,12 +260,12 @@ def test_at_its_ends_beliefs_are_sound_or_the_episode_is_refused(record, name, b
 
 @pytest.mark.parametrize("name", [*NOISES, "spread_gain"])
 @pytest.mark.parametrize("value", [-0.1, 100.1, 1e150, np.nan])
-def test_a_mode_beyond_them_is_refused_by_name(name, value):
+def test_a_mode_with_noise_beyond_its_bounds_is_refused_by_name(name, value):
     with refuses(f"{name} of mode 'loud'"):
         Mode("loud", **{name: value})
 
 
 @pytest.mark.parametrize("dt", [0.0, 1e-9, 61.0, 1e12, np.inf, np.nan])
-def test_a_step_of_minutes_is_refused_before_anything_is_drawn(dt):
+def test_a_time_step_beyond_its_bounds_is_refused_before_anything_is_drawn(dt):
     with refuses("dt"):
         SimulatedSource(SCENES["street"], RADIOS["handset"], dt=dt)

@@ -1,4 +1,4 @@
-"""The IMM over whole episodes: any transition and tuning, and episodes that others hold."""
+"""Tests of the engine that runs an IMM over complete episodes, also those of another engine."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def episodes():
 
 
 @pytest.mark.parametrize("reward", [TrackingReward(), LogScore()])
-def test_rewards_errors_and_nees_are_those_of_the_belief(reward, episodes):
+def test_rewards_errors_and_nees_follow_from_the_belief(reward, episodes):
     names = ("x", "P", "reward", "error", "nees")
     parts = ImmEngine(TWO, reward).run(episodes, *names)
     for e, t in ((0, 0), (3, 7), (N - 1, T - 1)):
@@ -43,7 +43,7 @@ def test_rewards_errors_and_nees_are_those_of_the_belief(reward, episodes):
         assert earned == pytest.approx(paid)
 
 
-def test_a_transition_says_which_mode_is_likely(episodes):
+def test_the_transition_determines_which_mode_is_likely(episodes):
     share = [
         ImmEngine(TWO, TrackingReward(), [[1.0 - to_last, to_last]] * 2)
         .run(episodes, "mixture.probability")["mixture.probability"][..., 1]
@@ -53,7 +53,7 @@ def test_a_transition_says_which_mode_is_likely(episodes):
     assert share[0] + 0.2 < share[1] < share[2] - 0.2
 
 
-def test_an_episode_gets_the_same_numbers_whatever_is_beside_it(episodes):
+def test_an_episode_gives_the_same_numbers_alone_and_in_a_batch(episodes):
     imm = ImmEngine(TWO, TrackingReward())
     lengths = [T, 25, 1, T - 1]
     packed = EpisodeBatch.of(episodes[:4])
@@ -65,7 +65,7 @@ def test_an_episode_gets_the_same_numbers_whatever_is_beside_it(episodes):
             np.testing.assert_array_equal(together[name][e, :length], values[0, :length])
 
 
-def test_episodes_in_a_batch_are_scored_and_the_batch_goes_on_as_before(episodes):
+def test_episodes_of_another_engine_are_scored_without_changing_that_engine(episodes):
     imm = ImmEngine(TWO, TrackingReward())
     engines = [Engine(TWO, N, TrackingReward()) for _ in range(2)]
     for engine in engines:
@@ -91,13 +91,13 @@ def test_episodes_in_a_batch_are_scored_and_the_batch_goes_on_as_before(episodes
         [[np.nan, 1.0], [0.1, 0.9]],
     ],
 )
-def test_a_transition_that_is_none_is_refused(transition):
+def test_an_invalid_transition_is_refused(transition):
     with refuses("transition"):
         ImmEngine(TWO, TrackingReward(), transition)
 
 
 @pytest.mark.parametrize("quantile", [0.0, 1.5, float("nan")])
-def test_a_quantile_that_is_none_is_refused(quantile):
+def test_an_invalid_quantile_is_refused(quantile):
     with refuses("nis_quantile"):
         ImmEngine(TWO, TrackingReward(), nis_quantile=quantile)
 
@@ -110,7 +110,7 @@ def test_another_layout_is_refused(episodes):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("radio", RADIOS)
-def test_a_track_that_starts_far_off_comes_back(radio):
+def test_a_track_that_starts_100_m_off_recovers(radio):
     source, bank = SimulatedSource(SCENES["street"], RADIOS[radio]), best_bank(radio)
     batch = EpisodeBatch.of(draw_episodes(source, range(5_000_000, 5_000_040)))
     site, prior = batch.site.copy(), indices(blank_site(batch.layout)).prior_x

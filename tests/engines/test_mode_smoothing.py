@@ -1,4 +1,4 @@
-"""Smoothing of interacting modes: against the smoother of one mode, and against the truth."""
+"""Tests of smoothing interacting modes, against the smoother of one mode and against the truth."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ TUNING = 5_000_000
 
 
 def filtered(task, bank, n):
-    """Return the batch of n episodes, and the filtered tracks of an IMM over the bank."""
+    """Return a batch of n episodes, the bank's pipeline, and the filtered tracks of its IMM."""
     batch = task.tables(np.arange(TUNING, TUNING + n).astype(np.uint64))
     pipeline = Pipeline(bank.modes, batch.layout, task.pipeline.planar)
     engine = ImmEngine(pipeline, TrackingReward(), bank.transition, bank.nis_quantile)
@@ -44,7 +44,7 @@ def nees(batch, x, P):
 
 @pytest.mark.parametrize("planar", [False, True])
 @pytest.mark.parametrize("dt", [1.0, 0.1])
-def test_one_mode_is_smoothed_as_rauch_tung_and_striebel_do(planar, dt):
+def test_a_single_mode_is_smoothed_as_by_the_rts_smoother(planar, dt):
     task = task_from(dt=dt, planar=planar, episode_steps=40)
     _, track, steps, (x, P) = smoothed(task, Bank(default_modes()[:1]), 4)
     expected = smooth(*(track[name] for name in PARTS[:4]), steps[:, 1:], planar)
@@ -53,7 +53,7 @@ def test_one_mode_is_smoothed_as_rauch_tung_and_striebel_do(planar, dt):
 
 
 @pytest.mark.parametrize("radio", ["handset", "standard"])
-def test_the_smoothed_mixture_is_consistent_where_its_moments_were_overconfident(radio):
+def test_smoothing_the_modes_is_more_consistent_than_smoothing_the_mixture_s_moments(radio):
     task = task_from(beliefs="per-mode", radio=radio)
     batch, track, dt, ours = smoothed(task, task.bank, 40)
     theirs = smooth(*(track[name] for name in PARTS[:4]), dt[:, 1:])

@@ -1,4 +1,4 @@
-"""A belief for every mode: trusting none is the IMM, trusting one is what the textbook says."""
+"""Tests of engines with a belief for every mode, where an action trusts one mode or none."""
 
 from dataclasses import replace
 
@@ -32,7 +32,7 @@ def in_steps_of(dt, episodes):
 
 
 def played(bank, episodes, actions, names=("x", "P", "mode_probabilities"), **options):
-    """An engine after the actions (n, T), and parts of its workspace on the way (n, T, ...)."""
+    """Return an engine after actions (n, T), and parts of its workspace by epoch (n, T, ...)."""
     pipeline = Pipeline(bank.modes, episodes[0].layout, options.pop("planar", False))
     engine = Engine(pipeline, len(episodes), TrackingReward(), bank=bank, **options)
     engine.reset(episodes)
@@ -46,7 +46,7 @@ def played(bank, episodes, actions, names=("x", "P", "mode_probabilities"), **op
 
 @pytest.mark.parametrize("dt", [1.0, 0.1])
 @pytest.mark.parametrize("radio", RADIOS)
-def test_trusting_none_is_the_imm(radio, dt):
+def test_trusting_no_mode_equals_the_imm(radio, dt):
     bank, episodes = best_bank(radio), in_steps_of(dt, simulated(9, epochs=200))
     _, ours = played(bank, episodes, np.zeros((9, 200), int), ("x", "P", "reward", "nees"))
     pipeline = Pipeline(bank.modes, STREET)
@@ -58,7 +58,7 @@ def test_trusting_none_is_the_imm(radio, dt):
 
 @pytest.mark.parametrize("dt", [1.0, 0.25])
 def test_trust_raises_the_odds_of_a_mode_as_in_the_textbook(dt):
-    """The textbook's IMM with its probabilities changed by hand after every epoch."""
+    """Compare with the textbook's IMM, whose probabilities are changed after every epoch."""
     episodes = in_steps_of(dt, simulated(4, epochs=30))
     actions = np.random.default_rng(1).integers(0, 3, (4, 30))
     _, ours = played(BANK, episodes, actions)
@@ -100,7 +100,7 @@ def test_floats_and_lanes_agree():
 
 
 @pytest.mark.parametrize("planar", [False, True])
-def test_a_replay_repeats_what_was_seen(planar):
+def test_a_replay_repeats_the_results_of_the_engine(planar):
     bank, episodes = BANK, simulated(9, epochs=T)
     if planar:
         episodes = [e.on_flat_ground(float(e.truth_position_m[0, 2])) for e in episodes]
@@ -116,8 +116,8 @@ def test_a_replay_repeats_what_was_seen(planar):
 
 
 @pytest.mark.slow
-def test_twins_are_smoothed_as_one_filter_is():
-    """However two equal modes are trusted, the mixture is the single filter, also backwards."""
+def test_two_equal_modes_are_smoothed_as_a_single_filter():
+    """Check that whichever of the equal modes is trusted, smoothing equals that of one filter."""
     mode = Mode("a", "ukf", sigma_v=1.2)
     twins, episodes = Bank((mode, replace(mode, name="b"))), simulated(5, epochs=T)
     actions = np.random.default_rng(4).integers(0, 3, (5, T)).astype(np.uint8)
@@ -133,9 +133,9 @@ def test_twins_are_smoothed_as_one_filter_is():
 
 
 def test_the_prediction_of_a_mixture_is_the_mean_over_its_modes():
-    """x_predicted, P_predicted: before the update, of the mixture that the modes were mixed from.
+    """Check x_predicted and P_predicted, the mixture's mean and covariance before the update.
 
-    Of constant velocity they are F x and F P F' plus the modes' mean Q.
+    With constant velocity, they are F x and F P F' plus the mean Q of the modes.
     """
     modes = tuple(replace(mode, spread_gain=0.0) for mode in BANK.modes)
     imm = ImmEngine(Pipeline(modes, STREET), TrackingReward(), BANK.transition, 0.99)
@@ -152,7 +152,7 @@ def test_the_prediction_of_a_mixture_is_the_mean_over_its_modes():
 
 
 @pytest.mark.slow
-def test_a_mode_that_is_trusted_costs_what_it_says():
+def test_trusting_a_mode_reduces_the_reward_by_its_cost():
     costly = tuple(replace(mode, cost=0.25) for mode in BANK.modes)
     episodes, actions = simulated(3, epochs=10), np.tile([0, 1, 2, 0, 2], (3, 2))
     free, paid = (
@@ -162,7 +162,7 @@ def test_a_mode_that_is_trusted_costs_what_it_says():
     np.testing.assert_allclose(free - paid, 0.25 * (actions > 0), atol=1e-12)
 
 
-def test_environments_take_banks_of_their_own():
+def test_environments_of_one_engine_can_have_different_banks():
     bank, other = best_bank("handset"), best_bank("high")
     episodes, actions = simulated(10, epochs=15), np.zeros((10, 15), int)
     engine = Engine(Pipeline(bank.modes, STREET), 10, TrackingReward(), bank=bank)

@@ -1,4 +1,4 @@
-"""A finished episode run again: what was seen before, and what smoothing makes of it."""
+"""Tests of replays, which run finished episodes again and smooth them."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ ACTIONS = np.random.default_rng(0).integers(0, 2, (N, T)).astype(np.uint8)
 
 
 def played(pipeline, episodes, actions, on_floats=False):
-    """An engine at the end of the episodes, and the errors and NEES it had on the way."""
+    """Return an engine at the end of the episodes, and its errors and NEES in all epochs."""
     engine = Engine(pipeline, len(episodes), TrackingReward(), on_floats=on_floats)
     engine.reset(episodes)
     errors, nees = [], []
@@ -29,7 +29,7 @@ def played(pipeline, episodes, actions, on_floats=False):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("planar", [False, True])
-def test_a_replay_repeats_what_was_seen_and_smooths_it(planar):
+def test_a_replay_repeats_the_results_of_the_engine_and_smooths_them(planar):
     episodes = simulated(N, epochs=T)
     if planar:
         episodes = [e.on_flat_ground(float(e.truth_position_m[0, 2])) for e in episodes]
@@ -51,7 +51,7 @@ def test_a_replay_repeats_what_was_seen_and_smooths_it(planar):
     assert np.abs(again[2] - again[0]).max() > 0.1
 
 
-def test_company_and_place_change_no_bit():
+def test_a_replay_does_not_depend_on_the_other_episodes_or_their_order():
     pipeline = Pipeline(default_modes(), STREET)
     engine, *_ = played(pipeline, simulated(N, epochs=T), ACTIONS)
     replay, places = Replay(pipeline), np.arange(N)
@@ -62,7 +62,7 @@ def test_company_and_place_change_no_bit():
             np.testing.assert_array_equal(a, b[some])
 
 
-def test_an_episode_cut_short_is_smoothed_from_where_it_ended():
+def test_an_episode_that_ends_early_is_smoothed_back_from_its_last_epoch():
     pipeline = Pipeline(default_modes(), STREET)
     engine, errors, _ = played(pipeline, simulated(2, epochs=T), ACTIONS[:2])
     errors_again, nees, smoothed = Replay(pipeline).run(

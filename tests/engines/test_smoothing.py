@@ -1,4 +1,4 @@
-"""The smoother against filterpy's on a linear model, and against numpy on tracks of our own."""
+"""Tests of the smoother, against filterpy on a linear model and against numpy on our tracks."""
 
 import numpy as np
 import pytest
@@ -55,7 +55,7 @@ def test_a_linear_model_is_smoothed_as_by_filterpy(dt):
 
 
 def tracks(planar, n=9, epochs=120):
-    """Filtered tracks (n, epochs, ...) of an EKF, over two blocks: x, P, both predicted."""
+    """Return filtered tracks (n, epochs, ...) of an EKF: x, P, x_predicted and P_predicted."""
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=epochs)
     episodes = [source.sample(np.random.default_rng(seed)) for seed in range(n)]
     pipeline = Pipeline(modes_from(["ekf"]), source.layout, planar)
@@ -83,7 +83,7 @@ def test_our_tracks_are_smoothed_as_by_numpy(planar):
 
 @pytest.fixture(scope="module", params=[1.0, 0.1], ids=["1 s", "0.1 s"])
 def mixture(request):
-    """dt, the error of the truth (9, T, 3) and what smoothing takes, of an IMM."""
+    """Return dt, true positions (9, T, 3), and the filtered tracks of an IMM for the smoother."""
     source, bank = (
         SimulatedSource(SCENES["street"], RADIOS["handset"], dt=request.param),
         best_bank(),
@@ -108,9 +108,9 @@ def test_a_mixture_is_smoothed_as_by_numpy(mixture):
         np.testing.assert_allclose(unpacked(found_P[e]), expected[1], rtol=1e-6, atol=1e-6)
 
 
-def test_smoothing_a_mixture_makes_it_better_and_surer(mixture):
+def test_smoothing_a_mixture_reduces_its_errors_and_its_covariances(mixture):
     dt, truth, (x, P, x_predicted, P_predicted) = mixture
-    # The predicted covariance holds that of what was known before: F P F', and noise.
+    # The predicted covariance is F P F', with P of the epoch before, plus noise.
     F = textbook.F(dt)
     noise = unpacked(P_predicted)[:, 1:] - F @ unpacked(P)[:, :-1] @ F.T
     assert np.linalg.eigvalsh(noise).min() > 0.0
@@ -118,7 +118,7 @@ def test_smoothing_a_mixture_makes_it_better_and_surer(mixture):
     assert np.linalg.eigvalsh(unpacked(found_P)).min() > 0.0
     assert np.trace(unpacked(found_P - P)[..., :3, :3], axis1=-2, axis2=-1).mean() < 0.0
     before, after = (np.linalg.norm(track[..., :3] - truth, axis=-1) for track in (x, found_x))
-    assert after.mean() < 0.8 * before.mean()  # of single tracks it is an approximation
+    assert after.mean() < 0.8 * before.mean()  # on average, as smoothing is approximate
 
 
 def test_uneven_epochs_are_smoothed_with_their_own_steps():
@@ -133,27 +133,27 @@ def test_uneven_epochs_are_smoothed_with_their_own_steps():
         x[None], packed(P)[None], x_predicted[None], packed(P_predicted)[None], steps
     )
     expected_x, _ = textbook.rts(x, P, P_predicted, time_s)
-    # Arbitrary covariances make the backward recursion grow, so compare to its size.
+    # Arbitrary covariances make the backward recursion grow, so errors are relative to its size.
     assert np.abs(found_x[0] - expected_x).max() <= TOLERANCE * np.abs(expected_x).max()
 
 
-def test_the_last_epoch_is_smooth_already():
+def test_smoothing_does_not_change_the_last_epoch():
     x, P, x_predicted, P_predicted = (part[:2] for part in tracks(planar=False))
     found_x, found_P = smooth(x, P, x_predicted, P_predicted, np.ones(x.shape[1] - 1))
     np.testing.assert_array_equal(found_x[:, -1], x[:, -1])
     np.testing.assert_array_equal(found_P[:, -1], P[:, -1])
-    before, after = P[:, :-1, 0], found_P[:, :-1, 0]  # earlier ones gain from later ones,
-    assert (after <= before).all() and (after < before).mean() > 0.98  # if those know anything
+    before, after = P[:, :-1, 0], found_P[:, :-1, 0]  # earlier epochs gain from later ones,
+    assert (after <= before).all() and (after < before).mean() > 0.98  # if those have information
 
 
-def test_a_single_epoch_is_smooth_already():
+def test_smoothing_does_not_change_a_single_epoch():
     x, P, x_predicted, P_predicted = (part[:1, :1] for part in tracks(planar=False))
     smoothed_x, smoothed_P = smooth(x, P, x_predicted, P_predicted, np.empty(0))
     np.testing.assert_array_equal(smoothed_x, x)
     np.testing.assert_array_equal(smoothed_P, P)
 
 
-def test_tracks_may_have_their_own_times():
+def test_tracks_can_have_different_times():
     x, P, x_predicted, P_predicted = (part[:3] for part in tracks(planar=False))
     times = np.random.default_rng(0).uniform(0.2, 2.0, x.shape[:2]).cumsum(axis=1)
     together = smooth(x, P, x_predicted, P_predicted, np.diff(times))

@@ -1,4 +1,4 @@
-"""Many steps of all modes, mixed, on damaged data: after each every number is sound."""
+"""Tests that all numbers stay sound over many steps with random modes and damaged measurements."""
 
 from dataclasses import replace
 from itertools import product
@@ -23,13 +23,13 @@ from mmwave_env.world.simulated import SimulatedSource
 
 pytestmark = pytest.mark.slow
 
-N = 128  # environments: 384,000 steps over all users and radios
+N = 128  # number of environments, for 384,000 steps with all users and radios
 PARTS = ("x", "P", "memory", "candidates", "observation", "reward", "nees", "distance")
-STAY = (0.0, 0.95, 1.0)  # probabilities of keeping the mode; an environment has one of them
+STAY = (0.0, 0.95, 1.0)  # probabilities of keeping the mode; each environment has one
 
 
 def damaged(episode, rng):
-    """A copy: links missing alone, together and for long, values NaN, infinite or far off."""
+    """Return a copy with links missing, briefly or long, and values NaN, infinite or far off."""
     layout, T = episode.layout, len(episode)
     missing = rng.random((T, len(layout.groups))) < 0.03
     for group in np.flatnonzero(rng.random(len(layout.groups)) < 0.4):
@@ -48,7 +48,7 @@ def damaged(episode, rng):
 
 
 def unsound(engine):
-    """Kinds of numbers that are not finite in any environment, and P where it is not definite."""
+    """Return names of parts that are not finite, and "definite P" if a P is not definite."""
     kinds = []
     for name in PARTS:
         part = getattr(engine.at, name)
@@ -63,7 +63,7 @@ def unsound(engine):
 
 
 def soaked(modes, users, n):
-    """Run damaged episodes with modes at random, until a number is not sound; these kinds."""
+    """Run damaged episodes with random modes until parts are unsound; return when, and which."""
     engine = Engine(Pipeline(tuple(modes), Layout(3)), n, TrackingReward())
     for turn, (scenario, radio) in enumerate(users):
         rng = np.random.default_rng(turn)
@@ -80,12 +80,12 @@ def soaked(modes, users, n):
     return None
 
 
-def test_every_number_stays_sound():
+def test_all_numbers_stay_finite_and_covariances_positive_definite():
     assert soaked(named_modes().values(), product(MOBILITIES, RADIOS.values()), N) is None
 
 
 def rotten(x, P, measurement, gate):
-    """An EKF whose covariance is indefinite once in a while."""
+    """Update as an EKF, but return an indefinite covariance after very unlikely measurements."""
     after = ekf(x, P, measurement, gate)
     rows = [list(row) for row in after.P]
     bad = after.nis[0] > 1e3
@@ -93,7 +93,7 @@ def rotten(x, P, measurement, gate):
     return after._replace(P=rows)
 
 
-def test_a_number_that_is_not_sound_is_found():
+def test_an_indefinite_covariance_is_found():
     modes = [named_modes()["ekf"], Mode("rotten", rotten)]
     _, kinds = soaked(modes, [("pedestrian", RADIOS["handset"])], 16)
     assert set(kinds) & {"definite P", "candidates", "x"}

@@ -1,4 +1,4 @@
-"""Whole tracks equal the epochs of the engine, whatever runs them."""
+"""Tests that tracks computed in one call equal those of the engine that steps through epochs."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def episodes():
 
 
 @pytest.mark.parametrize("mode", [*default_modes(), Mode("plain", "ekf", coupling=False)])
-def test_a_track_is_the_engines(mode, episodes):
+def test_a_track_equals_that_of_the_stepping_engine(mode, episodes):
     pipeline = Pipeline((mode,), STREET)
     tracker = Tracker(pipeline, N)
     tracker.load(episodes)
@@ -29,7 +29,7 @@ def test_a_track_is_the_engines(mode, episodes):
         np.testing.assert_allclose(ours[name], theirs[name].swapaxes(0, 1), rtol=1e-12, atol=1e-12)
 
 
-def test_a_tuning_is_data(episodes):
+def test_a_tracker_can_be_retuned_after_it_was_built(episodes):
     other = Mode("other", "ukf", sigma_v=0.7, sigma_p=0.3, spread_gain=0.01, coupling=False)
     tracker = Tracker(Pipeline((default_modes()[1],), STREET), N)
     tracker.load(episodes)
@@ -43,7 +43,7 @@ def test_a_tuning_is_data(episodes):
 
 
 @pytest.mark.parametrize("on_floats", [False, True])
-def test_actions_pick_the_mode(on_floats, episodes):
+def test_actions_choose_the_mode_of_every_epoch(on_floats, episodes):
     pipeline = Pipeline(default_modes(), STREET)
     actions = np.random.default_rng(0).integers(0, 2, (3, T))
     tracker = Tracker(pipeline, 3, on_floats=on_floats)
@@ -54,7 +54,7 @@ def test_actions_pick_the_mode(on_floats, episodes):
     np.testing.assert_allclose(ours["x"], expected.swapaxes(0, 1), rtol=1e-11, atol=1e-11)
 
 
-def test_recovery_keeps_tracks_within_reach():
+def test_recovery_halves_the_error_of_a_tight_filter():
     def mean_error(recovery):
         tight = Mode("tight", sigma_p=0.01, sigma_v=0.05, recovery=recovery)
         tracker = Tracker(Pipeline((tight,), STREET), 64)

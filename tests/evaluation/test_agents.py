@@ -1,4 +1,4 @@
-"""Agents of one's own: by name, from modules and files, and what is refused before an episode."""
+"""Tests of users' own agents, from modules, files and objects, and of refusing invalid ones."""
 
 import json
 import sys
@@ -64,7 +64,7 @@ def act(observations):
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """The current folder, with a module of the user's in it."""
+    """Return the current folder, which contains a module with a user's agents."""
     (tmp_path / "my_agents.py").write_text(OWN)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
@@ -72,7 +72,7 @@ def folder(tmp_path, monkeypatch):
     sys.modules.pop("my_agents", None)
 
 
-def test_a_function_of_a_module_is_compared_as_any_policy(folder):
+def test_an_agent_from_a_module_is_compared_like_any_policy(folder):
     names = ("fixed-ukf", "my_agents:second", "my_agents:first")
     done = command("compare", "--policies", *names, "--episodes", 2, cwd=folder)
     assert done.returncode == 0, done.stderr
@@ -97,7 +97,7 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("name", MISTAKES)
-def test_what_is_no_agent_is_refused_before_an_episode_runs(name, folder, monkeypatch):
+def test_an_invalid_agent_is_refused_before_an_episode_runs(name, folder, monkeypatch):
     (folder / "mine.zip").write_bytes(b"")
     monkeypatch.setattr("experiments.evaluation.seeds.Selection.draw", None)
     done = command("evaluate", "--policy", name, cwd=folder)
@@ -105,7 +105,7 @@ def test_what_is_no_agent_is_refused_before_an_episode_runs(name, folder, monkey
 
 
 @pytest.mark.usefixtures("folder")
-def test_an_agent_says_what_it_was_trained_with():
+def test_attributes_of_an_agent_determine_its_modes_observation_and_beliefs():
     contender = contender_from("my_agents:looking_back", "handset")
     assert len(contender.modes) == 3 and contender.observation == "prior"
     plain = contender_from("my_agents:second", "handset", observation="prior")
@@ -121,11 +121,11 @@ def test_an_agent_says_what_it_was_trained_with():
 
 
 @pytest.mark.usefixtures("folder")
-def test_python_takes_what_the_command_line_takes(tmp_path):
+def test_compare_accepts_objects_modules_files_and_loaded_policies(tmp_path):
     file = write(tmp_path / "policy.safetensors", actor(), card_of())
 
     class Begins:
-        """Remembers that it was told of the beginning of episodes."""
+        """An agent that records which episodes begin."""
 
         def __init__(self):
             self.told = []
@@ -149,9 +149,9 @@ def test_python_takes_what_the_command_line_takes(tmp_path):
     assert all(begins.all() for begins in mine.told) and len(mine.told[-1]) == 2
 
 
-def test_a_policy_over_beliefs_per_mode_is_the_same_by_file_and_loaded(tmp_path):
+def test_a_policy_for_beliefs_per_mode_plays_the_same_from_a_file_and_loaded(tmp_path):
     file = write_per_mode(tmp_path / "trust.safetensors")
-    for radio in ("handset", "standard"):  # a bank of its own each
+    for radio in ("handset", "standard"):  # each has its own bank
         agents = {"file": file, "loaded": LearnedSwitch(file)}
         rows = compare(agents, (), radio=radio, episodes=2).policies
         assert rows["file"] == rows["loaded"]
@@ -159,14 +159,14 @@ def test_a_policy_over_beliefs_per_mode_is_the_same_by_file_and_loaded(tmp_path)
 
 @pytest.fixture
 def bank_file(tmp_path):
-    """A mode file that says how its modes interact, too."""
+    """Return a mode file that also defines how its modes interact."""
     path = tmp_path / "bank.json"
     path.write_text(json.dumps(bank_as_written(HANDSET)))
     return path
 
 
 @pytest.mark.slow
-def test_the_command_line_has_beliefs_per_mode(folder, bank_file):
+def test_the_command_line_supports_beliefs_per_mode(folder, bank_file):
     words = ("--beliefs", "per-mode", "--modes", bank_file, "--episodes", 2)
     done = command("compare", "--policies", "my_agents:second", "imm", *words, cwd=folder)
     assert done.returncode == 0, done.stderr
@@ -176,7 +176,7 @@ def test_the_command_line_has_beliefs_per_mode(folder, bank_file):
     assert f"| my_agents:second |{mine}" in done.stdout
 
 
-def test_evaluate_takes_one():
+def test_evaluate_accepts_a_name_or_a_function():
     alone = evaluate("fixed-ukf", episodes=2, seed=3)
     assert list(alone.policies) == ["fixed-ukf"] and not alone.paired
 

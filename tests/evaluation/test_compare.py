@@ -1,4 +1,4 @@
-"""An agent of one's own beside known contenders."""
+"""Tests of comparing a user's own agents with known contenders."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from tests.training.actors import HANDSET
 
 
 class Own:
-    """A source of one's own: episodes of no keys."""
+    """A user's own source, whose episodes have no keys."""
 
     name, layout = "own", Layout(3)
 
@@ -21,7 +21,7 @@ class Own:
         raise AssertionError("nobody plays it")
 
 
-def test_always_the_second_mode_scores_exactly_what_fixed_ukf_does():
+def test_an_agent_that_always_chooses_the_second_mode_scores_as_fixed_ukf_does():
     observed = []
 
     def act(observations):
@@ -36,11 +36,11 @@ def test_always_the_second_mode_scores_exactly_what_fixed_ukf_does():
         nothing = comparison.paired["mine - fixed-ukf"][metric]
         assert (nothing.mean, nothing.low, nothing.high) == (0.0, 0.0, 0.0)
     assert all(o.shape == observed[0].shape and o.dtype == np.float32 for o in observed)
-    assert len(observed) == 201 and len(observed[0]) == 3  # it is tried once before
+    assert len(observed) == 201 and len(observed[0]) == 3  # 200 steps and a trial
     assert "| mine | -" in str(comparison) and "minus fixed-ukf" in str(comparison)
 
 
-def test_what_is_beside_is_compared_as_by_the_command():
+def test_known_contenders_are_paired_as_by_the_command():
     def act(observations):
         return np.ones(len(observations), int)
 
@@ -55,7 +55,7 @@ def test_what_is_beside_is_compared_as_by_the_command():
     "act",
     [lambda o: np.ones((len(o), 1), int), lambda o: (np.ones(len(o), int), None), np.ones(3)],
 )
-def test_actions_that_are_none_are_refused(act):
+def test_invalid_actions_are_refused(act):
     with pytest.raises(ValueError, match="mine.*model.predict"):
         compare({"mine": act}, beside=(), episodes=2)
 
@@ -75,7 +75,7 @@ def test_other_mistakes_are_named():
         compare({}, episodes="ride")
 
 
-def test_the_imm_by_name_is_over_the_bank_with_its_transition():
+def test_the_imm_by_name_uses_the_bank_and_its_transition():
     def none(observations):
         return np.zeros(len(observations), int)
 
@@ -86,7 +86,7 @@ def test_the_imm_by_name_is_over_the_bank_with_its_transition():
 
 
 @pytest.mark.slow
-def test_other_places_are_arguments_of_the_environment():
+def test_compare_accepts_the_arguments_of_the_environment():
     def act(observations):
         return np.ones(len(observations), int)
 

@@ -1,4 +1,4 @@
-"""Comparisons: paired differences, and with whom."""
+"""Tests of comparisons: which contenders are paired, their differences, and tables of errors."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from mmwave_env.metrics import HEADERS, METRICS, TERMS
 
 
 def scores(**rewards):
-    """Scores of contenders with the given rewards; the other metrics follow from them."""
+    """Return scores with these rewards by contender; the other metrics are multiples of them."""
     return {
         name.replace("_", "-"): {
             metric: (i + 1.0) * np.asarray(reward, float)
@@ -33,7 +33,7 @@ def test_references_are_the_best_fixed_mode_the_paper_s_rule_and_the_imms():
     assert references(scores(ppo=[0.0], speed_rule_tuned=[1.0])) == []
 
 
-def test_everyone_is_compared_with_every_reference():
+def test_every_contender_is_compared_with_every_reference():
     names = ("fixed-ekf", "fixed-ukf", "speed-rule", "ppo", "imm")
     table = scores(**{name.replace("-", "_"): np.arange(3.0) for name in names})
     table["fixed-ukf"]["reward"] += 100.0
@@ -46,7 +46,7 @@ def test_everyone_is_compared_with_every_reference():
     assert list(compare_scores(table, **WHAT).paired) == expected
 
 
-def test_ones_own_are_compared_with_everybody_each_other_too():
+def test_own_agents_are_compared_with_all_contenders_and_with_each_other():
     table = scores(mine=[0, 1], yours=[3, 3], guided=[1, 3], imm_best=[2, 2], speed_rule=[1, 1])
     comparison = compare_scores(table, ["mine", "yours"], **WHAT)
     references = [(a, b) for b in ("speed-rule", "imm-best") for a in table if a != b]
@@ -54,7 +54,7 @@ def test_ones_own_are_compared_with_everybody_each_other_too():
     assert list(comparison.paired) == [f"{a} - {b}" for a, b in references + own]
 
 
-def test_where_no_reference_is_everybody_is_compared_with_everybody():
+def test_without_a_reference_all_contenders_are_compared_with_each_other():
     table = scores(mine=[0, 1], yours=[1, 3], guided=[2, 2])
     table["runs/a - b"] = table.pop("yours")
     comparison = compare_scores(table, ["mine"], **WHAT)
@@ -67,7 +67,7 @@ def test_where_no_reference_is_everybody_is_compared_with_everybody():
 
 def test_paired_differences_are_taken_episode_by_episode():
     rng = np.random.default_rng(0)
-    hardness = rng.normal(0.0, 10.0, 40)  # shared, so that it cancels
+    hardness = rng.normal(0.0, 10.0, 40)  # shared by both, so it cancels
     table = scores(speed_rule=hardness, ppo=hardness - 1.0 + 0.01 * rng.normal(size=40))
     result = compare_scores(table, **WHAT)
     assert list(result.paired) == ["ppo - speed-rule"]
@@ -89,13 +89,13 @@ def test_rare_shares_keep_two_digits(share, shown):
     assert percent(share) == shown
 
 
-def test_distances_have_three_digits_and_a_share_stands_before_its_interval():
+def test_distances_have_three_digits_and_a_share_is_followed_by_its_interval():
     for value, shown in {None: "-", 0.0: "0.00", 0.01234: "0.0123", 99.96: "100"}.items():
         assert meters(value) == shown
     assert exceeded({"share": 0.0027, "ci95": [0.0021, 0.0035]}) == "0.27 % [0.21, 0.35]"
 
 
-def test_a_table_of_errors_has_a_row_for_each_kind_also_where_there_are_none():
+def test_a_table_of_errors_has_a_row_for_each_kind_even_without_errors():
     table = positions_markdown("policy", {"a|b": PositionErrors().figures()}, 1e-3)
     header, _, *rows = table.splitlines()[:4]
     assert header == f"| policy | {' | '.join(HEADER)} |" and not set(HEADER) & {*HEADERS.values()}
@@ -103,7 +103,7 @@ def test_a_table_of_errors_has_a_row_for_each_kind_also_where_there_are_none():
     assert rows == [rf"| a\|b, horizontal{cells} |", rf"| a\|b, vertical{cells} |"]
 
 
-def test_results_as_json():
+def test_results_are_written_as_json():
     result = compare_scores(scores(speed_rule=[1.0, 2.0, 3.0], imm=[2.0, 2.0, 2.0]), **WHAT).json
     said = {"scenario": "mixed", "radio": "handset", "episodes": 3, "seed": 0}
     assert {key: result[key] for key in said} == said

@@ -1,4 +1,4 @@
-"""Tests of histories: pictures show what environments record and comparisons score."""
+"""Tests that histories for pictures equal what environments record and comparisons score."""
 
 import gymnasium as gym
 import numpy as np
@@ -26,12 +26,12 @@ SCORES = {"rtol": 1e-9, "atol": 1e-9}
     ("name", "arguments"),
     [
         ("speed-rule", {}),
-        # these compile kernels of their own:
+        # These compile their own kernels.
         pytest.param("fixed-ukf", {"planar": True}, marks=pytest.mark.slow),
         pytest.param("guided", {"beliefs": "per-mode"}, marks=pytest.mark.slow),
     ],
 )
-def test_a_history_is_what_an_environment_records(name, arguments):
+def test_a_history_equals_what_an_environment_records(name, arguments):
     pytest.importorskip("pygame")
     scoring = Scoring(TrackingReward(), arguments.get("planar", False))
     contender = contender_from(name, "handset")
@@ -53,7 +53,7 @@ def test_a_history_is_what_an_environment_records(name, arguments):
 
 
 @pytest.mark.parametrize("name", ["fixed-ekf", "speed-rule", "ppo", "imm"])
-def test_errors_are_those_that_comparisons_score(name):
+def test_errors_of_a_history_equal_those_that_comparisons_score(name):
     scores = score_contenders([name], TASK.source, "handset", Selection([SEED]))[name]
     history = history_of(contender_from(name, "handset"), EPISODE)
     counted = slice(1 + BURN_IN, None)
@@ -61,7 +61,7 @@ def test_errors_are_those_that_comparisons_score(name):
     assert history.nees[counted].mean() == pytest.approx(scores["nees"][0], rel=1e-9)
 
 
-def test_an_imm_s_modes_are_the_most_probable_ones():
+def test_the_history_of_an_imm_shows_the_most_probable_modes():
     contender = contender_from("imm", "handset")
     history = history_of(contender, EPISODE)
     assert history.modes[0] == NO_MODE
@@ -69,7 +69,7 @@ def test_an_imm_s_modes_are_the_most_probable_ones():
     assert (history.accepted[1:] | history.rejected[1:]).any()
 
 
-def test_a_recording_begins_at_its_prior():
+def test_the_history_of_a_recording_begins_at_its_prior():
     (episode,) = draw_episodes(source_from("canyon28_pedestrian", "handset"), [0])
     history = history_of(contender_from("fixed-ukf", "handset"), episode)
     np.testing.assert_array_equal(history.estimate[0], episode.prior_mean)

@@ -1,4 +1,4 @@
-"""Bootstrap intervals, beside scipy's, plain resampling, closed forms and simulated truths."""
+"""Tests of bootstrap intervals, against scipy, plain resampling, formulas and simulations."""
 
 from dataclasses import astuple
 
@@ -33,7 +33,7 @@ def test_intervals_agree_with_scipy_s_bootstrap(n):
     values = np.random.default_rng(0).exponential(2.0, (n, 2))
     ours = bootstrap(values)
     # Monte-Carlo error of a 2.5 % quantile from R resamples of a nearly normal mean, in
-    # standard errors of the mean; 4.5 of those for the difference of two is 1 in 10^5.
+    # standard errors of the mean. The difference of two exceeds 4.5 of those once in 10^5.
     quantile_error = np.sqrt(0.025 * 0.975 / RESAMPLES) / norm.pdf(norm.ppf(0.025))
     for column, interval in zip(values.T, ours, strict=True):
         same = {"n_resamples": RESAMPLES, "method": "percentile", "rng": np.random.default_rng(0)}
@@ -51,7 +51,7 @@ def test_columns_share_their_resamples():
     assert doubled.high == pytest.approx(2.0 * plain.high)
 
 
-def test_intervals_of_very_many_episodes_are_the_same_in_parts(monkeypatch):
+def test_intervals_of_many_episodes_are_the_same_if_computed_in_parts(monkeypatch):
     values = np.random.default_rng(0).normal(size=(60, 2))
     expected = bootstrap(values)
     monkeypatch.setattr(intervals, "KEPT", 7)
@@ -67,21 +67,23 @@ def test_a_ratio_of_means_has_an_interval():
     assert bootstrap_ratio(3.0 * under, under)[0].low == pytest.approx(3.0)
 
 
-def test_columns_have_a_ratio_each_and_none_where_there_is_nothing_below():
+def test_each_column_has_a_ratio_which_is_nan_if_the_denominator_is_zero():
     over = np.random.default_rng(0).uniform(1.0, 2.0, (50, 3))
     under = np.stack([over[:, 0], np.zeros(50), 2.0 * over[:, 2]], axis=1)
     equal, nothing, half = bootstrap_ratio(over, under)
     assert (equal.mean, half.mean) == pytest.approx((1.0, 0.5))
     assert np.isnan([nothing.mean, nothing.low, nothing.high]).all()
     (once,) = bootstrap_ratio(over[:, :1], np.eye(50)[:, :1])
-    assert once.mean == pytest.approx(over[:, 0].sum()) and not once.known  # some draw no such
+    assert (
+        once.mean == pytest.approx(over[:, 0].sum()) and not once.known
+    )  # some resamples have only 0 below
 
 
 # --- over training seeds
 
 
 def plain_work(scores, rng, resamples):
-    """The same intervals, each resample written out."""
+    """Return deviations of the mean, with each resample drawn and averaged explicitly."""
     K, n = scores.shape
     apart = scores.mean(axis=1) - scores.mean()
     moved = scores + ((few_seeds_factor(K) - 1.0) * apart)[:, None]
@@ -104,18 +106,18 @@ def test_seeds_and_episodes_are_resampled_independently():
 
 
 def alike(interval):
-    """The same but for rounding."""
+    """Return an interval that equals this one up to rounding."""
     return Interval(*(pytest.approx(part) for part in astuple(interval)))
 
 
 @pytest.mark.parametrize("seeds", [1, 5])
-def test_one_seed_or_equal_ones_have_the_interval_of_their_episodes(seeds):
+def test_one_seed_or_equal_seeds_have_the_interval_of_their_episodes(seeds):
     episodes = np.random.default_rng(0).exponential(size=50)
     assert crossed_bootstrap(np.tile(episodes, (seeds, 1))) == alike(*bootstrap(episodes[:, None]))
 
 
 @pytest.mark.parametrize("K", [5, 30])
-def test_where_seeds_alone_differ_the_interval_is_student_s(K):
+def test_if_only_seeds_differ_the_interval_is_that_of_student_s_t(K):
     seeds = np.random.default_rng(1).normal(size=K)
     interval = crossed_bootstrap(np.tile(seeds[:, None], (1, 10)))
     half = t.ppf(0.975, K - 1) * seeds.std(ddof=1) / np.sqrt(K)
@@ -134,7 +136,7 @@ SPREADS = {"seeds": (1.0, 0.0, 0.1), "episodes": (0.0, 1.0, 0.1), "all": (0.2, 0
 
 @pytest.fixture
 def fewer_resamples(monkeypatch):
-    """Enough for coverage, in an eighth of the time."""
+    """Use fewer resamples, enough to measure coverage in an eighth of the time."""
     intervals._resamples.cache_clear()
     monkeypatch.setattr(intervals, "RESAMPLES", 500)
     yield
@@ -142,7 +144,7 @@ def fewer_resamples(monkeypatch):
 
 
 def coverage(K, spread, trials=400, episodes=40):
-    """Share of intervals that hold the true mean, zero."""
+    """Return the share of intervals that contain the true mean, zero."""
     rng, held = np.random.default_rng(K), 0
     of_seeds, of_episodes, of_both = spread
     for _ in range(trials):
@@ -157,8 +159,8 @@ def coverage(K, spread, trials=400, episodes=40):
 @pytest.mark.parametrize("spread", SPREADS)
 @pytest.mark.parametrize("K", representative([3, 5, 10], 5))
 @pytest.mark.usefixtures("fewer_resamples")
-def test_intervals_hold_the_truth_as_often_as_they_say(K, spread):
+def test_intervals_contain_the_truth_in_about_95_percent_of_trials(K, spread):
     share = coverage(K, SPREADS[spread])
-    # Three standard errors of 400 trials are 0.033. A little under in small samples, and a
-    # little over where the interaction of seeds and episodes counts twice (Owen 2007).
+    # Three standard errors of 400 trials are 0.033. Coverage is slightly low in small samples, and
+    # slightly high where the interaction of seeds and episodes counts twice (Owen 2007).
     assert 0.91 < share < 0.99

@@ -1,4 +1,4 @@
-"""The benchmark's protocol: what is kept apart, and how an entry stands."""
+"""Tests of the leaderboard's protocol: its sites, unseen streets, and the standing of an entry."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, scene_from
 
 
-def test_what_is_unseen_is_known_to_nobody():
+def test_unseen_sites_are_not_among_the_shipped_scenes_and_radios():
     assert not set(UNSEEN) & {*SCENES, *RADIOS}
 
 
@@ -32,15 +32,15 @@ def test_unseen_streets_differ_in_carrier_and_geometry():
     assert len({scene.streets for scene in scenes}) == len(scenes)
 
 
-def test_the_sites_are_those_of_the_page():
+def test_the_protocol_has_the_documented_numbers_of_sites():
     kinds = [site.kind for site in sites()]
     assert [kinds.count(kind) for kind in KINDS] == [9, 7, 4]
     assert len({site.name for site in sites()}) == 20
     assert all(site.source.layout.anchors == 3 for site in sites())
 
 
-@pytest.mark.slow  # compiles every IMM there is
-def test_a_contender_meets_every_imm_on_the_same_episodes():
+@pytest.mark.slow  # compiles every IMM
+def test_a_contender_is_compared_with_every_imm_on_the_same_episodes():
     (site,) = (site for site in sites() if site.name == "street:tablet")
     judged = judge(["speed-rule", "imm-best"], site, 4, seed=3)
     assert judged.imms == ("imm", "imm-best")

@@ -1,4 +1,4 @@
-"""The evaluation protocol: contenders, and the same episodes for all of them."""
+"""Tests of running contenders on the same episodes, and of their scores."""
 
 import json
 from dataclasses import replace
@@ -27,7 +27,7 @@ from policies import learned
 from tests.refusals import refuses
 from tests.training.actors import HANDSET, MODES, STANDARD, actor, card_of, write, write_per_mode
 
-# Estimates of a lost track can be fast; the rule's own test looks at the warning.
+# The estimated speed of a lost track can be large; the rule's own test checks the warning.
 pytestmark = pytest.mark.filterwarnings("ignore:speed .* outside the design window")
 
 SOURCE = SimulatedSource(SCENES["street"], RADIOS["handset"])
@@ -40,7 +40,7 @@ def assert_equal(scores, expected):
             np.testing.assert_array_equal(rows[metric], expected[name][metric])
 
 
-def test_the_batch_scores_what_stepping_one_environment_scores():
+def test_scores_equal_those_of_stepping_a_single_environment():
     seeds = range(3)
     contender = contender_from("speed-rule", "handset")
     scores = score(contender, contender.start(SOURCE.layout), draw_episodes(SOURCE, seeds))
@@ -61,19 +61,19 @@ def test_the_batch_scores_what_stepping_one_environment_scores():
         assert -terms == pytest.approx(expected["reward"], rel=1e-9)
 
 
-def test_chunks_change_nothing(monkeypatch):
+def test_running_episodes_in_chunks_does_not_change_scores(monkeypatch):
     whole = score_contenders(["speed-rule"], SOURCE, "handset", Selection(range(5)))
     monkeypatch.setattr(evaluation, "CHUNK", 2)
     assert_equal(score_contenders(["speed-rule"], SOURCE, "handset", Selection(range(5))), whole)
 
 
-def test_seeds_run_from_the_first_one():
+def test_scores_are_in_the_order_of_the_seeds():
     both = score_contenders(["fixed-ukf"], SOURCE, "handset", Selection(range(7, 9)))["fixed-ukf"]
     second = score_contenders(["fixed-ukf"], SOURCE, "handset", Selection(range(8, 9)))["fixed-ukf"]
     assert all(len(both[m]) == 2 and both[m][1] == second[m][0] for m in METRICS)
 
 
-def test_contenders_see_the_same_episodes():
+def test_all_contenders_play_the_same_episodes():
     together = score_contenders(["fixed-ekf", "fixed-ukf"], SOURCE, "handset", Selection(range(2)))
     alone = score_contenders(["fixed-ukf"], SOURCE, "handset", Selection(range(2)))
     assert_equal({"fixed-ukf": together["fixed-ukf"]}, alone)
@@ -81,7 +81,7 @@ def test_contenders_see_the_same_episodes():
 
 
 @pytest.mark.parametrize("radio", RADIOS)
-def test_every_radio_has_every_contender(radio):
+def test_every_radio_has_the_expected_contenders(radio):
     made = {name: make() for name, make in contenders(radio).items()}
     plain = ["fixed-ekf", "fixed-ukf", "fixed-ckf", "speed-rule", "likelihood-rule"]
     learned = [*(["ppo"] if radio != "high" else []), "guided", "guided-ppo"]
@@ -97,7 +97,7 @@ def test_episodes_without_truth_are_refused():
         score(contender, contender.start(SOURCE.layout), [blind])
 
 
-def test_an_imm_is_run_as_it_was_tuned():
+def test_the_best_imm_runs_with_its_tuned_transition_and_quantile():
     contender, episodes = contender_from("imm-best", "handset"), draw_episodes(SOURCE, range(3))
     tuned = best_bank("handset")
     assert contender.modes == tuned.modes
@@ -111,7 +111,7 @@ def test_an_imm_is_run_as_it_was_tuned():
 
 
 @pytest.mark.slow
-def test_own_modes_bring_their_own_contenders():
+def test_own_modes_determine_the_contenders():
     modes = modes_from(["ekf", "ckf", "ukf-robust"])
     makes = contenders("handset", modes)
     fixed = [f"fixed-{mode.name}" for mode in modes]
@@ -134,7 +134,7 @@ def file(tmp_path):
 
 @pytest.fixture
 def shipped(monkeypatch, file):
-    """One policy is shipped: handset's with two modes."""
+    """Replace the shipped policies by a single one, for the handset and two modes."""
     for module in (contenders_module, learned):
         monkeypatch.setattr(module, "shipped_policies", lambda: {"ppo-handset": Path(file)})
 
@@ -142,7 +142,7 @@ def shipped(monkeypatch, file):
 @pytest.mark.usefixtures("shipped")
 def test_shipped_policies_are_contenders_of_their_radio():
     assert list(contenders("handset"))[-1] == "ppo" and "ppo" not in contenders("standard")
-    assert "ppo" not in contenders("handset", MODES)  # it brings its own
+    assert "ppo" not in contenders("handset", MODES)  # it has its own modes
     assert contender_from("ppo", "handset").modes == MODES
     assert "guided" not in contenders("handset")
     named = contender_from("ppo-handset", "standard")
@@ -151,7 +151,7 @@ def test_shipped_policies_are_contenders_of_their_radio():
         contender_from("ppo-high", "high")
 
 
-def test_a_policy_shipped_for_all_radios_is_a_contender_of_each_with_its_bank(
+def test_a_policy_shipped_for_all_radios_is_a_contender_for_each_with_its_bank(
     file, tmp_path, monkeypatch
 ):
     trust = write_per_mode(tmp_path / "guided.safetensors")
@@ -161,9 +161,9 @@ def test_a_policy_shipped_for_all_radios_is_a_contender_of_each_with_its_bank(
     for radio, modes in {"handset": HANDSET.modes, "high": STANDARD.modes}.items():
         guided = contenders(radio)["guided"]()
         assert (guided.name, guided.modes, guided.beliefs) == ("guided", modes, "per-mode")
-    assert contenders("standard")["guided"]().beliefs == "shared"  # the radio's own goes first
+    assert contenders("standard")["guided"]().beliefs == "shared"  # the radio's own is preferred
     assert list(contenders("high"))[-2:] == ["imm-best", "guided"]
-    assert contender_from("guided", "high", MODES).bank == STANDARD  # --modes are not for it
+    assert contender_from("guided", "high", MODES).bank == STANDARD  # modes are ignored
 
 
 @pytest.mark.usefixtures("shipped")
@@ -181,7 +181,7 @@ def test_a_policy_plays_the_same_by_name_and_by_file(file):
         np.testing.assert_array_equal(watched["ppo"]["mode"], watched[name]["mode"])
 
 
-def test_what_is_watched_is_what_is_scored():
+def test_watchers_get_the_results_that_are_scored():
     watched = {}
 
     def watch(contender, episodes, results):
@@ -203,11 +203,11 @@ def none(observations):
 
 @pytest.fixture
 def trust(tmp_path):
-    """The file of a policy over modes that keep a belief each."""
+    """Return the file of a policy for modes that each keep their own belief."""
     return write_per_mode(tmp_path / "trust.safetensors")
 
 
-def test_trusting_no_mode_is_the_imm_over_the_bank():
+def test_trusting_no_mode_equals_the_imm_of_the_bank():
     own = Contender.own("none", none, "handset", HANDSET, beliefs="per-mode")
     assert own.bank == HANDSET and own.actions == ["none", "stand", "walk", "ride"]
     imm = contenders("handset", HANDSET)["imm"]()
@@ -220,7 +220,7 @@ def test_trusting_no_mode_is_the_imm_over_the_bank():
     assert (other["reward"] != expected["reward"]).all()
 
 
-def test_the_imm_over_a_file_that_says_a_transition_has_it_whatever_the_beliefs(tmp_path):
+def test_the_imm_uses_the_transition_of_a_bank_or_bank_file_with_any_beliefs(tmp_path):
     path = tmp_path / "bank.json"
     path.write_text(json.dumps(bank_as_written(HANDSET)))
     for modes in (HANDSET, path, str(path), (str(path),)):
@@ -231,7 +231,7 @@ def test_the_imm_over_a_file_that_says_a_transition_has_it_whatever_the_beliefs(
     assert contender_from("fixed-walk", "handset", path).modes == HANDSET.modes
 
 
-def test_a_policy_scores_what_it_earns_in_an_environment_of_its_bank(trust):
+def test_a_policy_with_a_bank_scores_the_rewards_of_the_environment(trust):
     contender, watched = Contender.learned(trust), {}
     watch = [lambda _, episodes, results: watched.update(results)]
     selection = Selection(range(2))

@@ -1,4 +1,4 @@
-"""Folders of runs: what is read of them, and what is said of damaged ones."""
+"""Tests of reading the folders of training runs, and of refusing damaged ones."""
 
 import json
 from pathlib import Path
@@ -26,13 +26,13 @@ def test_a_run_has_its_seeds_best_first_and_a_median(folder):
     assert run.policy == run.policies[1]
 
 
-def test_trainings_take_the_place_of_their_run(folder):
+def test_a_run_is_replaced_by_its_trainings(folder):
     run = Run.read(str(folder))
     assert trainings(["imm", run.name, "ppo"], {run.name: run}) == ["imm", *run.policies, "ppo"]
 
 
 DAMAGE = {
-    "no JSON": ("{", []),
+    "not JSON": ("{", []),
     "a list": ("[]", []),
     "no seeds": ({"median": 0}, ["seeds"]),
     "no median": ({"seeds": [{"seed": 0}]}, ["median"]),
@@ -59,7 +59,7 @@ def test_a_smoke_run_is_refused(folder):
         Run.read(str(folder))
 
 
-def test_a_run_that_is_not_over_is_refused(folder):
+def test_an_unfinished_run_is_refused(folder):
     (folder / "summary.json").unlink()
     with refuses("summary.json", error=FileNotFoundError):
         Run.read(str(folder))

@@ -1,4 +1,4 @@
-"""Runs over their training seeds: against whom, and how sure."""
+"""Tests of results over the training seeds of a run: paired differences and their intervals."""
 
 import json
 
@@ -29,7 +29,7 @@ def scores():
 
 @pytest.fixture(scope="module")
 def trained():
-    """Rewards (trainings, episodes) of two runs; the second is better."""
+    """Return rewards (trainings, episodes) of two runs, of which the second is better."""
     return {RUN: rewards(10, 3), OTHER: rewards(11, 4) + 9.0}
 
 
@@ -43,7 +43,7 @@ def compared(scores, trained):
 RIVALS = ["fixed-ukf", "speed-rule", "imm", "imm-best"]
 
 
-def test_differences_are_paired(compared, scores, trained):
+def test_differences_are_paired_by_episode(compared, scores, trained):
     for seeds in compared:
         for rival, figure in seeds.minus.items():
             differences = trained[seeds.run] - scores[rival]["reward"]
@@ -54,7 +54,7 @@ def test_differences_are_paired(compared, scores, trained):
     assert compared[0].minus["imm-best"].wins == 0 and compared[1].minus["imm-best"].wins == 4
 
 
-def test_they_are_written_as_json(compared):
+def test_results_over_seeds_are_written_as_json(compared):
     content = json.loads(json.dumps(compared[0].json, allow_nan=False))
     assert content["median"] == 0 and content["best_imm"] == "imm-best"
     assert list(content["minus"]) == RIVALS
@@ -63,7 +63,7 @@ def test_they_are_written_as_json(compared):
         assert list(row) == ["seeds", "above_zero", "mean"]
 
 
-def test_alone_a_run_still_has_its_reward(trained):
+def test_a_run_without_rivals_still_has_its_reward(trained):
     run = {RUN: [{"reward": reward} for reward in trained[RUN]]}
     (alone,) = over_training_seeds(run, {"runs/a": {"reward": trained[RUN][1]}})
     assert alone.minus == {} and alone.best_imm is None

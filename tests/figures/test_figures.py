@@ -1,4 +1,4 @@
-"""Pictures are drawn whatever names are in them, show what they are of, and hide nothing."""
+"""Tests that pictures can be drawn with any names in them, and that they are reproducible."""
 
 import warnings
 from xml.etree import ElementTree
@@ -31,7 +31,7 @@ def track(modes, position_m=None):
 
 
 def drawn(name, path):
-    """Every picture there is, with a name in it."""
+    """Draw a picture of every kind with a name in it, and return the files."""
     errors = np.random.default_rng(1).normal(size=(4, T, 3))
     files = [path / f"{kind}.svg" for kind in ("track", "cdf", "nees", "curves", "time")]
     draw_trajectory(track([name, "ukf"]), files[0], name)
@@ -50,23 +50,25 @@ def episode_of(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["$", "$x$", r"a\$b$", AWKWARD, "\udcff.csv"])
-def test_no_name_breaks_a_picture(name, tmp_path):
+def test_pictures_with_any_name_are_valid_files(name, tmp_path):
     for path in drawn(name, tmp_path):
         ElementTree.parse(path)
     assert len(list(tmp_path.iterdir())) == 5
 
 
-def test_names_are_shown_as_they_are_and_what_cannot_be_seen_is_spelled_out():
+def test_names_are_shown_unchanged_except_letters_that_cannot_be_shown():
     assert caption("a$b_{^$ | <b>") == "a$b_{^$ | <b>"
     assert caption("\x1b[31m\n") == r"\x1b[31m\n"
-    assert caption("漢") == r"\u6f22"  # the font of matplotlib has none
-    assert caption("\udcff") == r"\udcff"  # of a file name that is no UTF-8
+    assert caption("漢") == r"\u6f22"  # not in matplotlib's font
+    assert caption("\udcff") == r"\udcff"  # of a file name that is not UTF-8
 
 
 @pytest.mark.parametrize(
     ("suffix", "begin"), [(".png", b"\x89PNG"), (".pdf", b"%PDF"), (".SVG", b"<?xml")]
 )
-def test_the_ending_says_the_format_and_the_same_picture_is_the_same_file(tmp_path, suffix, begin):
+def test_the_suffix_determines_the_format_and_equal_pictures_give_equal_files(
+    tmp_path, suffix, begin
+):
     content = []
     for name in ("a", "b"):
         path = tmp_path / f"{name}{suffix}"
@@ -75,7 +77,7 @@ def test_the_ending_says_the_format_and_the_same_picture_is_the_same_file(tmp_pa
     assert content[0].startswith(begin) and content[0] == content[1]
 
 
-def test_settings_of_the_reader_change_no_picture(tmp_path):
+def test_matplotlib_settings_of_the_user_do_not_change_a_picture(tmp_path):
     draw_error_cdf({"rule": np.ones((T, 3))}, tmp_path / "a.png")
     with mpl.rc_context({"text.usetex": True, "axes.facecolor": "red"}):
         draw_error_cdf({"rule": np.ones((T, 3))}, tmp_path / "b.png")
@@ -83,7 +85,7 @@ def test_settings_of_the_reader_change_no_picture(tmp_path):
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
-def test_a_failed_picture_leaves_the_one_before(tmp_path):
+def test_a_failed_picture_does_not_replace_the_existing_file(tmp_path):
     path = tmp_path / "a.png"
     path.write_text("before")
     with pytest.raises(ZeroDivisionError), picture(path, 1.0, 1.0):
@@ -91,7 +93,7 @@ def test_a_failed_picture_leaves_the_one_before(tmp_path):
     assert path.read_text() == "before"
 
 
-def test_small_ellipses_are_enlarged_and_it_is_said(tmp_path):
+def test_small_ellipses_are_enlarged_and_the_picture_says_so(tmp_path):
     still = np.zeros((T, 3))
     way = still + np.linspace(0.0, 100.0, T)[:, None]
     for name, position in (("still", still), ("way", way)):
@@ -108,7 +110,7 @@ def test_an_error_cdf_without_vertical_errors_is_drawn(tmp_path):
     assert (imread(tmp_path / "flat.png")[..., :3] != 1.0).any(axis=2).mean() > 0.02
 
 
-def test_runs_are_told_apart_by_as_much_of_their_paths_as_that_takes():
+def test_runs_are_named_by_the_shortest_parts_of_their_paths_that_differ():
     paths = ["runs/a/ppo", "runs/b/ppo", "/tmp/c/policy.safetensors", "imm", "runs/ppo", "ppo"]
     short = ["a/ppo", "b/ppo", "policy.safetensors", "imm", "runs/ppo", "ppo"]
     assert [*contenders(paths).values()] == short

@@ -1,4 +1,4 @@
-"""Scenario folders to read: copies of those in the package, damaged, rewritten, or made up."""
+"""Scenario folders for tests: shortened or damaged copies of shipped ones, and synthetic ones."""
 
 import json
 import shutil
@@ -14,7 +14,7 @@ LINK = f"{STATION}_r001"
 KEYS = ("rx_pos", "tx_pos", "power", "delay", "aoa_az", "aoa_el", "aod_az", "aod_el", "inter",
         "inter_pos")  # fmt: skip
 TRUTH = "trajectory.csv"
-SAVE = {  # how an array becomes a file, by its suffix
+SAVE = {  # functions that write an array to a file, by suffix
     ".npz": lambda file, key, array: np.savez_compressed(file, **{key: array}),
     ".npy": lambda file, key, array: np.save(file, array),
 }
@@ -30,7 +30,7 @@ def store(folder, key, array, link=LINK, suffix=".npz"):
 
 
 def edit(folder, key, change, link=LINK):
-    """Store what ``change`` returns, or the array it changed in place."""
+    """Change a stored array; ``change`` returns the new array or changes the array in place."""
     array = load(folder, key, link)
     changed = change(array)
     store(folder, key, array if changed is None else changed, link)
@@ -52,7 +52,7 @@ def set_counts(folder, receivers, scenes=1):
 
 
 def edit_line(folder, number, line):
-    """Replace a line of the sidecar, counted from 1; None drops it."""
+    """Replace a line of trajectory.csv, counted from 1, or drop it if ``line`` is None."""
     file = folder / TRUTH
     lines = file.read_text().splitlines()
     lines[number - 1 : number] = [] if line is None else [line]
@@ -60,7 +60,7 @@ def edit_line(folder, number, line):
 
 
 def shortened(folder, epochs, suffix=".npz", source=VEHICLE):
-    """The first epochs of a recording in the package, in any format of arrays."""
+    """Write a folder with the first epochs of a shipped recording, in any format of arrays."""
     folder.mkdir(parents=True)
     shutil.copy(source / "params.json", folder)
     set_counts(folder, epochs)
@@ -73,10 +73,10 @@ def shortened(folder, epochs, suffix=".npz", source=VEHICLE):
 
 
 def dynamic_twin(static, folder, others=0):
-    """A scenario with a scene for every receiver of a static one.
+    """Write a dynamic scenario with a scene for every receiver of a static one.
 
-    Each has the paths that there are, and no more, and as many ``others``, receivers that stand
-    still where the first epoch was; the user comes after them.
+    The arrays of a scene have only as many paths as occur in it. Its receivers are ``others``,
+    which stand still at the position of the first epoch, and after them the user.
     """
     folder.mkdir()
     shutil.copy(static / TRUTH, folder)
@@ -100,7 +100,7 @@ def reflect(point, normal, offset):
 
 
 def write_hall(folder, gnb, receivers, walls, link=LINK):
-    """A scenario with the line of sight and one bounce off each endless wall (normal, offset)."""
+    """Write a scenario: line of sight, one reflection off each infinite wall (normal, offset)."""
     (folder / "params.json").write_text((VEHICLE / "params.json").read_text())
     N, P = len(receivers), 1 + len(walls)
     set_counts(folder, N)

@@ -1,4 +1,4 @@
-"""Tests of the anchors of paths: stations and walls; several stations; paths left out."""
+"""Tests of anchors found from paths: base stations and their mirror images in walls."""
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def three_stations(tmp_path):
     return tmp_path
 
 
-def test_several_stations_are_the_anchors_the_one_seen_most_first(three_stations):
+def test_several_stations_are_anchors_sorted_by_how_often_they_are_visible(three_stations):
     recording = read_deepmimo(three_stations)
     np.testing.assert_allclose(recording.anchors_m, STATIONS[[1, 2, 0]], atol=1e-6)
     assert recording.visible.sum(axis=0).tolist() == [26, 22, 17, 26]
@@ -71,7 +71,7 @@ def test_the_doppler_shift_is_that_of_the_first_anchor(three_stations):
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])
-def test_one_station_of_several_has_its_mirror_images(three_stations, number):
+def test_a_chosen_station_has_its_mirror_images_as_anchors(three_stations, number):
     recording = read_deepmimo(three_stations, base_station=number)
     station = STATIONS[number - 1]
     np.testing.assert_allclose(recording.anchors_m, [station, reflect(station, *WALL)], atol=1e-6)
@@ -84,7 +84,7 @@ def test_a_station_that_does_not_exist_is_refused(three_stations, number):
         read_deepmimo(three_stations, base_station=number)
 
 
-def test_a_station_that_nobody_sees_is_no_anchor(three_stations):
+def test_a_station_that_is_never_visible_is_not_an_anchor(three_stations):
     hide_line_of_sight(three_stations, LINK, slice(None))
     assert len(read_deepmimo(three_stations).anchors_m) == 2
     for link in OTHERS:
@@ -95,7 +95,7 @@ def test_a_station_that_nobody_sees_is_no_anchor(three_stations):
 
 @settings(max_examples=25, deadline=None)
 @given(lean=st.floats(-0.3, 0.3), turn=st.floats(0.0, 2.0 * np.pi))
-def test_ground_on_a_slope_is_ground_and_a_leaning_wall_is_a_wall(tmp_path_factory, lean, turn):
+def test_sloping_ground_counts_as_ground_and_a_leaning_wall_as_a_wall(tmp_path_factory, lean, turn):
     folder = tmp_path_factory.mktemp("slope")
     side = np.array([np.cos(turn), np.sin(turn), 0.0])
     up = np.array([0.0, 0.0, 1.0])
@@ -113,7 +113,7 @@ def test_ground_on_a_slope_is_ground_and_a_leaning_wall_is_a_wall(tmp_path_facto
     assert links.is_ground.tolist() == [False, True, False]
 
 
-def test_two_reflections_are_left_out_whatever_stands_in_them(tmp_path):
+def test_paths_with_two_reflections_are_left_out_whatever_their_values(tmp_path):
     folder = shortened(tmp_path / "walk", 20, source=PEDESTRIAN)
     expected = read_deepmimo(folder)
     paths = {key: load(folder, key) for key in KEYS}
@@ -130,7 +130,7 @@ def test_two_reflections_are_left_out_whatever_stands_in_them(tmp_path):
     np.testing.assert_array_equal(recording.visible, expected.visible)
 
 
-def test_reflections_off_whatever_moves_are_many_anchors_and_none_is_met_often(tmp_path):
+def test_reflections_off_moving_objects_give_anchors_that_are_rarely_visible(tmp_path):
     users = np.column_stack([np.linspace(5.0, 55.0, 3000), np.zeros((3000, 2)) + [-8.0, 1.5]])
     write_hall(tmp_path, STATIONS[0], users, [WALL] * 4)
     bounce, rng = load(tmp_path, "inter_pos"), np.random.default_rng(0)
@@ -149,7 +149,7 @@ def test_reflections_off_whatever_moves_are_many_anchors_and_none_is_met_often(t
 
 
 def put(degrees, radians):
-    """Other angles on all paths but the first."""
+    """Replace the angles of all paths except the first."""
     degrees[:, 1:] = np.degrees(radians[:, 1:])
 
 

@@ -1,4 +1,4 @@
-"""Arrays in files: chosen rows of them, and what is damaged or claims what is not there."""
+"""Tests of reading arrays from files: chosen rows, and damaged or forged files."""
 
 import io
 import struct
@@ -17,7 +17,7 @@ from tests.datasets.deepmimo.scenarios import SAVE
 from tests.refusals import refuses
 
 ANY = ("N", "P")
-SMALL = 2**22  # bytes: what reading a small file may take
+SMALL = 2**22  # bytes of memory that reading a small file may need
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def room(tmp_path_factory):
     order=st.sampled_from("CF"),
     data=st.data(),
 )
-def test_chosen_rows_are_numpys(room, array, suffix, order, data):
+def test_chosen_rows_equal_those_of_numpy(room, array, suffix, order, data):
     file = room / f"delay{suffix}"
     SAVE[suffix](file, "delay", np.asarray(array, order=order))
     rows = data.draw(st.lists(st.integers(0, len(array) - 1), max_size=12))
@@ -47,18 +47,18 @@ def test_chosen_rows_are_numpys(room, array, suffix, order, data):
     np.testing.assert_array_equal(read_array(file, "delay", shape), array)
 
 
-def test_the_first_format_there_is_counts(tmp_path):
+def test_an_npz_file_is_preferred_to_an_npy_file(tmp_path):
     for suffix in (".npy", ".npz"):
         SAVE[suffix](tmp_path / f"delay{suffix}", "delay", np.zeros((2, 2)))
         assert find_array(tmp_path, "delay").suffix == suffix
     for _ in range(2):
         with refuses("power.npz", error=FileNotFoundError):
             find_array(tmp_path, "power")
-        (tmp_path / "power.mat").touch()  # of a version before 4
+        (tmp_path / "power.mat").touch()  # DeepMIMO before version 4
 
 
 def npy_header(shape, descr="<f4", claimed=None):
-    """The beginning of an .npy file, of any shape; ``claimed`` is the length it says it has."""
+    """Return the header of an .npy file; ``claimed`` is the length of the header that it states."""
     text = repr({"descr": descr, "fortran_order": False, "shape": shape}).encode() + b"\n"
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", claimed or len(text)) + text
 
@@ -71,7 +71,7 @@ def in_archive(content, name="delay.npy"):
 
 
 def forged_size(content, size):
-    """An archive of one member that claims another size, both where it begins and in the list."""
+    """Return an archive whose member has a false size, in its own header and in the directory."""
     archive = bytearray(in_archive(content))
     listed = archive.rindex(b"PK\x01\x02")
     struct.pack_into("<I", archive, listed + 24, size)
@@ -83,40 +83,40 @@ BODY = bytes(4 * 12)
 FORGED = {
     "1e12 rows": (".npy", npy_header((10**12, 3)) + BODY),
     "1e300 rows": (".npy", npy_header((10**300, 3)) + BODY),
-    "fewer than no rows": (".npy", npy_header((-4, -3)) + BODY),
+    "a negative number of rows": (".npy", npy_header((-4, -3)) + BODY),
     "a row short": (".npy", npy_header((4, 3)) + BODY[1:]),
-    "rows of nothing": (".npy", npy_header((10**12, 0)) + BODY),
+    "rows without columns": (".npy", npy_header((10**12, 0)) + BODY),
     "a long header": (".npy", npy_header((4, 3), claimed=65535) + BODY),
     "another version": (".npy", b"\x93NUMPY\x07\x00\x76\x00" + BODY),
     "code": (".npy", npy_header((4, 3), "__import__('os')") + BODY),
     "pickles": (".npy", npy_header((4, 3), "|O") + BODY * 2),
     "words": (".npy", npy_header((4, 3), "<U1") + BODY),
-    "truths": (".npy", npy_header((4, 3), "|b1") + BODY),
+    "booleans": (".npy", npy_header((4, 3), "|b1") + BODY),
     "records": (".npy", npy_header((4, 3), [("a", "<f4")]) + BODY),
     "1e12 rows, packed": (".npz", in_archive(npy_header((10**12, 3)) + BODY)),
     "4 GB claimed": (".npz", forged_size(npy_header((10**9 // 3, 3)) + BODY, 2**32 - 2)),
     "another name": (".npz", in_archive(b"", "../delay.npy")),
-    "no archive": (".npz", b"PK\x03\x04"),
+    "not an archive": (".npz", b"PK\x03\x04"),
 }
 
 
 @pytest.mark.parametrize("name", FORGED)
-def test_a_forged_header_is_refused_and_takes_no_memory(tmp_path, name):
+def test_a_forged_header_is_refused_without_allocating_memory(tmp_path, name):
     suffix, content = FORGED[name]
     file = tmp_path / f"delay{suffix}"
     SAVE[suffix](file, "delay", np.zeros((4, 3)))
-    read_array(file, "delay", (4, "P"))  # imports
+    read_array(file, "delay", (4, "P"))  # imports modules
     file.write_bytes(content)
     tracemalloc.start()
     with refuses(file, "delay"):
         read_array(file, "delay", (4, "P"))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    # Of the packed one numpy asks for all the room that is claimed, and writes nothing there.
+    # For the packed one, numpy allocates all the memory that is claimed, but does not touch it.
     assert peak < SMALL or name == "1e12 rows, packed"
 
 
-def test_a_bomb_is_refused_by_what_it_would_take(tmp_path, monkeypatch):
+def test_a_small_archive_with_a_large_array_is_refused(tmp_path, monkeypatch):
     most = 2**20
     monkeypatch.setattr(arrays, "MOST_BYTES", most)
     zeros = np.zeros((most // 8 + 1, 1))
@@ -127,10 +127,10 @@ def test_a_bomb_is_refused_by_what_it_would_take(tmp_path, monkeypatch):
         read_array(file, "delay", ANY)
 
 
-def test_of_an_npy_file_only_the_rows_wanted_are_in_memory(tmp_path, monkeypatch):
+def test_only_the_chosen_rows_of_an_npy_file_are_loaded(tmp_path, monkeypatch):
     monkeypatch.setattr(arrays, "MOST_BYTES", 2**10)
     file = tmp_path / "delay.npy"
-    rows = np.lib.format.open_memmap(file, "w+", np.float32, (2**22, 25))  # 400 MB, all holes
+    rows = np.lib.format.open_memmap(file, "w+", np.float32, (2**22, 25))  # 400 MB, sparse
     rows[[7, 2**22 - 1]] = 3.0
     del rows
     tracemalloc.start()
@@ -143,7 +143,7 @@ def test_of_an_npy_file_only_the_rows_wanted_are_in_memory(tmp_path, monkeypatch
         read_array(file, "delay", ANY)
 
 
-def test_a_damaged_archive_is_found_wherever_it_is_damaged(tmp_path):
+def test_damage_outside_the_chosen_rows_of_an_archive_is_found(tmp_path):
     file = tmp_path / "delay.npz"
     np.savez(file, delay=np.ones((500, 9)))
     content = bytearray(file.read_bytes())

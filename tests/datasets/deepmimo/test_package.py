@@ -1,4 +1,4 @@
-"""Our folders in DeepMIMO's own package: `make deepmimo`, in an environment of its own."""
+"""Tests that DeepMIMO's own package reads our folders as we do; `make deepmimo` runs them."""
 
 import shutil
 
@@ -10,7 +10,7 @@ from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from tests.datasets.deepmimo.scenarios import dynamic_twin, shortened
 from tests.paths import RECORDINGS
 
-# numpy below 2.3, so none of the environment that all other tests run in
+# It needs numpy below 2.3, and therefore another virtual environment than all other tests.
 deepmimo = pytest.importorskip("deepmimo", reason="make deepmimo runs it")
 
 ANGLES = {"aoa": "arrival", "aod": "departure"}
@@ -18,19 +18,19 @@ ANGLES = {"aoa": "arrival", "aod": "departure"}
 
 @pytest.fixture
 def shelf(tmp_path, monkeypatch):
-    """The folder in which the package looks for scenarios."""
+    """Return the folder in which the package looks for scenarios."""
     monkeypatch.chdir(tmp_path)
     return tmp_path / "deepmimo_scenarios"
 
 
 def assert_read_alike(theirs, position_m, station):
-    """The package and our reader say the same of a base station's paths."""
+    """Check that the package and our reader agree about a base station's paths."""
     np.testing.assert_allclose(theirs.rx_pos, position_m, atol=1e-4)
     np.testing.assert_allclose(theirs.tx_pos.ravel(), station.position_m, atol=1e-4)
     there = np.isfinite(station.interactions)
     np.testing.assert_array_equal(theirs.num_paths, there.sum(axis=1))
     np.testing.assert_array_equal(theirs.inter[there], station.interactions[there])
-    usual = np.isin(station.interactions, (0.0, 1.0))  # of others we keep nothing
+    usual = np.isin(station.interactions, (0.0, 1.0))  # others are not kept
     np.testing.assert_array_equal(theirs.delay[usual], station.delay_s[usual].astype(np.float32))
     np.testing.assert_array_equal(theirs.power[usual], station.gain_db[usual].astype(np.float32))
     for key, name in ANGLES.items():
@@ -40,7 +40,7 @@ def assert_read_alike(theirs, position_m, station):
 
 
 def assert_loads(name, shelf):
-    """The package loads a scenario, and what it computes from it fits the geometry."""
+    """Check that the package loads a scenario, and that its results fit the geometry."""
     deepmimo.summary(name)
     scenario = open_scenario(shelf / name)
     epochs = scenario.epochs(None)
@@ -60,12 +60,12 @@ def assert_loads(name, shelf):
 
 
 @pytest.mark.parametrize("name", ["canyon28_vehicle", "canyon28_pedestrian"])
-def test_shipped_recordings(shelf, name):
+def test_the_package_loads_shipped_recordings(shelf, name):
     shutil.copytree(RECORDINGS / name, shelf / name)
     assert_loads(name, shelf)
 
 
-def test_scenes_of_a_dynamic_scenario(shelf):
+def test_the_package_loads_the_scenes_of_a_dynamic_scenario(shelf):
     folder = dynamic_twin(shortened(shelf / "static", 6), shelf / "dynamic", others=2)
     scenes = deepmimo.load("dynamic")
     ours = open_scenario(folder)

@@ -1,3 +1,5 @@
+"""Tests of reading DeepMIMO recordings: anchors, geometry, chosen paths, and damaged folders."""
+
 import shutil
 import tempfile
 from pathlib import Path
@@ -37,7 +39,7 @@ def angle_between(a, b):
 
 @pytest.fixture
 def folder(tmp_path):
-    """A copy of the vehicle scenario, to damage."""
+    """Return a copy of the vehicle scenario, which tests may damage."""
     return Path(shutil.copytree(VEHICLE, tmp_path / "scenario"))
 
 
@@ -76,19 +78,19 @@ def test_gain_is_the_power_of_the_strongest_path():
 
 
 @pytest.mark.parametrize(("wanted", "images"), [(0, 0), (1, 1), (2, 2), (9, 2)])
-def test_the_images_seen_most_are_kept(wanted, images):
+def test_the_mirror_images_that_are_visible_most_often_are_kept(wanted, images):
     recording = read_deepmimo(VEHICLE, virtual_anchors=wanted)
     np.testing.assert_allclose(recording.anchors_m, SCENE.anchors_m[: 1 + images], atol=1e-4)
     assert recording.layout.anchors == 1 + images
 
 
-def test_negative_number_of_virtual_anchors():
+def test_a_negative_number_of_virtual_anchors_is_refused():
     with refuses("virtual_anchors"):
         read_deepmimo(VEHICLE, virtual_anchors=-1)
 
 
 @pytest.mark.parametrize("kind", ["aoa", "aod"])
-def test_directions_against_propagation_mean_the_same(folder, kind):
+def test_directions_may_point_along_or_against_the_propagation(folder, kind):
     expected = read_deepmimo(folder)
     edit(folder, f"{kind}_az", lambda degrees: degrees + 180.0)
     edit(folder, f"{kind}_el", lambda degrees: 180.0 - degrees)
@@ -98,7 +100,7 @@ def test_directions_against_propagation_mean_the_same(folder, kind):
     assert difference.max() < 1e-5
 
 
-def test_of_several_paths_to_an_anchor_the_strongest_counts(folder):
+def test_the_strongest_of_several_paths_to_an_anchor_is_used(folder):
     expected = read_deepmimo(folder)
     sides = ("tx_pos", "rx_pos")
     for key in (key for key in KEYS if key not in sides):
@@ -118,7 +120,7 @@ def test_of_several_paths_to_an_anchor_the_strongest_counts(folder):
     np.testing.assert_array_equal(again.path_gain_db[:, 0], expected.path_gain_db[:, 0])
 
 
-def test_paths_without_a_fixed_image_are_left_out(folder):
+def test_scattered_paths_are_left_out(folder):
     def scatter(inter):
         inter[:40][inter[:40] == 1.0] = 3.0
 
@@ -218,8 +220,8 @@ DAMAGE = {  # by name: the damage, and the file, key or line that the refusal na
         lambda f: [edit(f, key, lambda a: a[:, :0]) for key in KEYS if key[1:] != "x_pos"],
         "inter",
     ),
-    "nowhere": (array("rx_pos", set_at((3, 1), np.nan)), "rx_pos[3, 1]"),
-    "a gNB nowhere": (array("tx_pos", set_at((0, 2), np.inf)), "tx_pos[0, 2]"),
+    "a receiver at NaN": (array("rx_pos", set_at((3, 1), np.nan)), "rx_pos[3, 1]"),
+    "a gNB at infinity": (array("tx_pos", set_at((0, 2), np.inf)), "tx_pos[0, 2]"),
     "delay missing on a path": (array("delay", set_at((5, 0), np.nan)), "delay[5, 0]"),
     "bounce missing on a path": (
         array("inter_pos", set_at((0, 1), np.nan)),
@@ -240,12 +242,12 @@ DAMAGE = {  # by name: the damage, and the file, key or line that the refusal na
     "a word": (line(2, "0,-45,-2,1.5,fast,0,0"), "line 2, column vx"),
     "a NaN": (line(2, "0,-45,-2,1.5,nan,0,0"), "line 2, column vx"),
     "time stands still": (line(3, "0,-44.00014,-2,1.5,10,0,0"), "line 3: t"),
-    "elsewhere": (line(2, "0,-45,-3,1.5,10,0,0"), "line 2, columns x, y, z"),
+    "a position elsewhere": (line(2, "0,-45,-3,1.5,10,0,0"), "line 2, columns x, y, z"),
 }
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_damage_is_named(folder, damage):
+def test_damage_is_refused_with_its_place(folder, damage):
     spoil, part = DAMAGE[damage]
     spoil(folder)
     with refuses(folder, part, error=(ValueError, FileNotFoundError)):
@@ -264,7 +266,7 @@ def test_pickled_objects_are_never_loaded(folder):
         read_deepmimo(folder)
 
 
-def test_a_path_that_is_no_folder_is_refused(tmp_path):
+def test_a_path_that_is_not_a_folder_is_refused(tmp_path):
     with refuses("nowhere", error=FileNotFoundError):
         read_deepmimo(tmp_path / "nowhere")
     with refuses("folder"):

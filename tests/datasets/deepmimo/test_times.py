@@ -1,4 +1,4 @@
-"""When a user was where: the sidecar, or a stated time between epochs."""
+"""Tests of times and velocities from the sidecar, trajectory.csv, or with a time step dt_s."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ def folder(tmp_path):
     return shortened(tmp_path / "walk", 30)
 
 
-def test_without_a_sidecar_times_are_stated_and_velocities_are_differences(folder):
+def test_without_a_sidecar_times_follow_from_dt_s_and_velocities_are_differences(folder):
     expected = read_deepmimo(folder)
     (folder / TRUTH).unlink()
     recording = read_deepmimo(folder, dt_s=0.1)
@@ -25,7 +25,7 @@ def test_without_a_sidecar_times_are_stated_and_velocities_are_differences(folde
     )  # Hz
 
 
-def test_without_either_both_are_named(folder):
+def test_a_missing_sidecar_without_dt_s_is_refused(folder):
     (folder / TRUTH).unlink()
     with refuses(TRUTH, error=FileNotFoundError):
         read_deepmimo(folder)
@@ -37,7 +37,7 @@ def test_an_impossible_time_between_epochs_is_refused(folder, dt_s):
         read_deepmimo(folder, dt_s=dt_s)
 
 
-def test_velocities_may_be_left_to_the_positions(folder):
+def test_missing_velocities_are_computed_from_positions(folder):
     expected = read_deepmimo(folder)
     lines = (folder / TRUTH).read_text().splitlines()
     (folder / TRUTH).write_text("\n".join(",".join(line.split(",")[:4]) for line in lines))
@@ -47,7 +47,7 @@ def test_velocities_may_be_left_to_the_positions(folder):
 
 
 def changed(folder, change):
-    """Store the sidecar's table (epochs, 7) after a change in place."""
+    """Change the sidecar's table (epochs, 7) in place."""
     rows = np.loadtxt(folder / TRUTH, delimiter=",", skiprows=1)
     change(rows)
     lines = [",".join(f"{value:.6f}" for value in row) for row in rows]
@@ -70,19 +70,19 @@ def nothing(folder):
     pass
 
 
-SPOILT = {  # by name: the damage, arguments, and the place that is named
+SPOILT = {  # by name: the damage, arguments, and the place that the refusal names
     "a jump": (jump, {}, "line 12: m/s"),
     "a jump of the receivers": (receivers_jump, {"dt_s": 0.1}, "row 10: m/s"),
     "a time in milliseconds": (scaled([0], 1e3), {}, "line 3: t"),
     "a time in nanoseconds": (scaled([0], 1e9), {}, "line 3: t"),
-    "a stated time in milliseconds": (nothing, {"dt_s": 100.0}, "row 2: t"),
-    "a stated time of another unit": (nothing, {"dt_s": 1e-4}, "row 2: m/s"),
-    "velocities in km/h, of a hundredth": (scaled([4, 5, 6], 3.6), {}, "vx, vy, vz"),
+    "a time step in milliseconds": (nothing, {"dt_s": 100.0}, "row 2: t"),
+    "a time step of another unit": (nothing, {"dt_s": 1e-4}, "row 2: m/s"),
+    "velocities in km/h": (scaled([4, 5, 6], 3.6), {}, "vx, vy, vz"),
 }
 
 
 @pytest.mark.parametrize("name", SPOILT)
-def test_an_impossible_way_is_refused(folder, name):
+def test_impossible_times_and_velocities_are_refused(folder, name):
     spoil, arguments, place = SPOILT[name]
     spoil(folder)
     with refuses(folder, place):

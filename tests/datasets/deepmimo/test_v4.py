@@ -1,6 +1,6 @@
-"""Folders of DeepMIMO v4: static and dynamic, formats of arrays, sets, and what is refused.
+"""Tests of reading DeepMIMO v4 folders: static and dynamic, formats of arrays, sets, refusals.
 
-Random damage is in tests/test_damaged_files.py.
+Random damage is tested in tests/test_damaged_files.py.
 """
 
 import os
@@ -44,7 +44,7 @@ def dynamic(tmp_path, static):
     return dynamic_twin(static, tmp_path / "scenes")
 
 
-def test_a_dynamic_scenario_of_50_scenes_is_the_same_episode_as_its_static_twin(tmp_path):
+def test_a_dynamic_scenario_of_50_scenes_gives_the_same_episode_as_its_static_twin(tmp_path):
     static = shortened(tmp_path / "twin", 50)
     dynamic = dynamic_twin(static, tmp_path / "dynamic")
     require_same(read_deepmimo(dynamic), read_deepmimo(static))
@@ -56,16 +56,16 @@ def test_a_dynamic_scenario_of_50_scenes_is_the_same_episode_as_its_static_twin(
         np.testing.assert_array_equal(*(getattr(episode, field) for episode in episodes), field)
 
 
-def test_scenes_come_in_the_sorted_order_of_their_names(dynamic):
+def test_scenes_are_sorted_by_their_names(dynamic):
     expected = read_deepmimo(dynamic)
     names = sorted(scene.name for scene in dynamic.iterdir() if scene.is_dir())
     for number, name in enumerate(names):
         (dynamic / name).rename(dynamic / f"{'abcdefghijkl'[number]}{99 - number}")
-    (dynamic / "pictures").mkdir()  # is no scene: nobody receives there
+    (dynamic / "pictures").mkdir()  # not a scene: it has no receivers
     require_same(read_deepmimo(dynamic), expected)
 
 
-def test_of_several_users_in_a_dynamic_scenario_one_is_followed(tmp_path, static):
+def test_one_of_several_users_in_a_dynamic_scenario_can_be_chosen(tmp_path, static):
     busy = dynamic_twin(static, tmp_path / "busy", others=2)
     expected = read_deepmimo(static)
     require_same(read_deepmimo(busy, users=2), expected)
@@ -81,11 +81,11 @@ def test_of_several_users_in_a_dynamic_scenario_one_is_followed(tmp_path, static
 
 
 @pytest.mark.parametrize("suffix", sorted(SAVE))
-def test_every_format_of_arrays_is_the_same_recording(tmp_path, static, suffix):
+def test_every_format_of_arrays_gives_the_same_recording(tmp_path, static, suffix):
     require_same(read_deepmimo(shortened(tmp_path / "other", 12, suffix)), read_deepmimo(static))
 
 
-def test_chosen_users_are_rows_of_the_whole(static):
+def test_chosen_users_are_rows_of_the_complete_recording(static):
     whole, rows = read_deepmimo(static, 1), [2, 3, 7, 11]
     part = read_deepmimo(static, 1, users=rows)
     for field in FIELDS:
@@ -94,7 +94,7 @@ def test_chosen_users_are_rows_of_the_whole(static):
 
 
 @pytest.mark.parametrize("suffix", sorted(SAVE))
-def test_users_may_come_in_any_order_and_often(tmp_path, suffix):
+def test_users_can_be_chosen_in_any_order_and_repeatedly(tmp_path, suffix):
     folder = shortened(tmp_path / "walk", 12, suffix)
     rows = [5, 5, 6, 4, 4, 11, 0]
     whole = read_deepmimo(folder, dt_s=10.0)
@@ -120,7 +120,7 @@ def test_a_set_of_receivers_is_chosen_by_its_number(static):
     require_same(read_deepmimo(static, receiver_set=2), expected)
 
 
-def test_a_grid_is_known_before_its_paths_are_read(static):
+def test_positions_of_a_grid_are_read_without_its_paths(static):
     for file in static.glob("[!r]*.npz"):
         file.unlink()
     scenario = open_scenario(static)
@@ -128,14 +128,14 @@ def test_a_grid_is_known_before_its_paths_are_read(static):
     np.testing.assert_array_equal(chosen, load(static, "rx_pos")[[3, 1]])
 
 
-def test_a_grid_without_chosen_users_is_refused_before_it_is_read(tmp_path, monkeypatch):
+def test_a_grid_that_is_too_large_is_refused_before_it_is_read(tmp_path, monkeypatch):
     static = shortened(tmp_path / "grid", 12, ".npy")
-    monkeypatch.setattr(arrays, "MOST_BYTES", 12 * 4 * 8)  # all paths of a key, not bounces
+    monkeypatch.setattr(arrays, "MOST_BYTES", 12 * 4 * 8)  # fits paths, not bounces
     with refuses("inter_pos"):
         read_deepmimo(static)
 
 
-def test_names_in_the_parameters_lead_nowhere(static):
+def test_names_in_the_parameters_are_never_used_as_paths(static):
     expected = read_deepmimo(static)
 
     def lead_astray(params):
@@ -155,7 +155,7 @@ def test_a_wrong_number_of_scenes_is_refused(dynamic, scenes):
         read_deepmimo(dynamic)
 
 
-def test_a_dynamic_scenario_that_says_it_is_static(dynamic):
+def test_a_dynamic_scenario_that_claims_to_be_static_is_refused(dynamic):
     set_counts(dynamic, 1, 1)
     with refuses(dynamic, error=FileNotFoundError):
         read_deepmimo(dynamic)
@@ -179,12 +179,12 @@ DAMAGE = {  # by name: the damage, and what the refusal names
         ["params.json", "scene.num_scenes"],
     ),
     "a delay in milliseconds": (array_in(4, "delay", lambda a: 1e3 * a), ["scene_0004", "delay"]),
-    "elsewhere": (lambda f: edit_line(f, 4, "0.2,-43,-3,1.5,10,0,0"), [TRUTH, "line 4"]),
+    "a position elsewhere": (lambda f: edit_line(f, 4, "0.2,-43,-3,1.5,10,0,0"), [TRUTH, "line 4"]),
 }
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_a_scene_that_contradicts_others_is_named(dynamic, damage):
+def test_a_scene_that_contradicts_the_others_is_named(dynamic, damage):
     spoil, parts = DAMAGE[damage]
     spoil(dynamic)
     with refuses(dynamic, *parts, error=(ValueError, FileNotFoundError)):
@@ -207,7 +207,7 @@ def test_irregular_files_are_refused(static, kind, name):
         read_deepmimo(static)
 
 
-def test_the_paths_are_those_of_the_files(static):
+def test_the_paths_equal_the_arrays_in_the_files(static):
     scenario = open_scenario(static)
     (station,) = scenario.paths(scenario.epochs(None))
     inter = load(static, "inter")
