@@ -35,7 +35,7 @@ KINDS = {"plain": {}, "linear": {"hidden": ()}, "narrow": {"hidden": (7,)}}
 
 @pytest.fixture
 def make(tmp_path):
-    """From a kind of actor to its policy and its tensors."""
+    """Return a function that makes the policy and the tensors of a kind of actor."""
 
     def policy_and_tensors(kind, **changes):
         tensors = actor(**KINDS[kind] | changes)
@@ -45,7 +45,7 @@ def make(tmp_path):
 
 
 def observations(*shape, seed=1):
-    """Random ones, many of them out of the actor's bounds."""
+    """Return random observations, many of them outside the actor's bounds."""
     rng = np.random.default_rng(seed)
     return rng.normal(0.0, 1.5, (*shape, FEATURES)).astype(np.float32)
 
@@ -56,7 +56,7 @@ def affine(weight, x, bias):
 
 
 def logits_of_an_episode(tensors, episode):
-    """(steps, modes), one number after the other in double precision."""
+    """Compute logits (steps, modes), number by number in double precision."""
     result = []
     bounds = list(zip(tensors["low"].tolist(), tensors["high"].tolist(), strict=True))
     for observation in episode.tolist():
@@ -72,7 +72,7 @@ def logits_of_an_episode(tensors, episode):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_logits_are_those_of_a_plain_loop(make, kind):
+def test_logits_equal_those_of_a_plain_loop(make, kind):
     policy, tensors = make(kind)
     episodes = observations(20, 15)
     policy.reset(np.ones(20, bool))
