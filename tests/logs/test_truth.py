@@ -220,7 +220,7 @@ def test_a_short_log_or_an_unknown_truth_gives_no_offset():
 
 
 @pytest.mark.parametrize("late_s", [-1.0, -0.5, -0.2, 0.2, 0.5, 1.0])
-def test_an_offset_is_found_even_if_the_user_turns_meanwhile(tmp_path, late_s):
+def test_an_offset_is_found_even_if_measurements_are_not_linear_over_it(tmp_path, late_s):
     folder, path = sample_folder("canyon28_vehicle"), tmp_path / "truth.tum"
     poses = read_tum(folder / "truth.tum")
     path.write_text(tum_lines(poses.time_s + late_s, poses.position_m))

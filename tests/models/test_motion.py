@@ -85,7 +85,7 @@ def test_a_fast_user_accelerates_along_the_velocity(x, heading, speed, a, dt):
     expected = x.copy()
     expected[:2] += 0.5 * a * dt**2 * ahead
     expected[3:5] += a * dt * ahead
-    # At rest a velocity has no direction: what is below 0.2 m/s counts less, which 5 m/s feel.
+    # The direction is smoothed below 0.2 m/s, which still has a small effect at 5 m/s.
     np.testing.assert_allclose(moved, expected, atol=2e-3 * (1.0 + abs(a) * dt) * (1.0 + dt))
 
 

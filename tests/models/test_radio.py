@@ -116,7 +116,7 @@ def test_blockage_reduces_the_snr_by_25_db():
     np.testing.assert_allclose(loss, np.where(blocked, 25.0, 0.0), atol=1e-9)
 
 
-PROFILES = {  # elements per side of gNB, UE; floors of range (m), AoA, elevation, AoD (deg), Doppler (m/s)
+PROFILES = {  # elements per side: gNB, UE; floors: range, m; AoA, elevation, AoD, deg; Doppler, m/s
     "handset": (4, 2, 0.5, 0.8, 3.0, 2.0, 2.0, 0.1),
     "standard": (8, 4, 0.2, 0.4, 1.0, 0.7, 0.5, 0.1),
     "high": (16, 8, 0.1, 0.2, 0.5, 0.4, 0.25, 0.05),
