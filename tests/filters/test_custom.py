@@ -1,4 +1,4 @@
-"""Tests that algorithms that cannot be compiled are refused early, with a helpful message."""
+"""Tests that algorithms that cannot run on SIMD lanes are refused early, with good advice."""
 
 import importlib.util
 import linecache

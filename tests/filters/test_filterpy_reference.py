@@ -102,6 +102,6 @@ def test_pipelines_that_filterpy_does_not_support_are_refused(pipeline, field):
         filterpy_pipeline(pipeline)
 
 
-def test_filterpys_filters_do_not_run_on_lanes():
+def test_filterpys_filters_do_not_run_on_simd_lanes():
     with pytest.raises(Exception, match="numpy needs the value"):
         track(filterpy_pipeline(pipeline_of()), simulated(1, epochs=2), 0, 1, ("x",))

@@ -76,7 +76,7 @@ def test_a_radio_file_gets_the_modes_and_the_bank_of_its_base(tmp_path, recwarn)
     assert len(recwarn) == 1
 
 
-def test_own_modes_do_not_need_a_tuned_radio(mode_file):
+def test_custom_modes_do_not_need_a_tuned_radio(mode_file):
     assert modes_from([str(mode_file)], Radio("unheard-of")) == tuple(THREE)
 
 

@@ -29,7 +29,7 @@ everywhere = pytest.mark.parametrize("where", OFFSETS)
 
 
 def near(where, odometry=False):
-    """Return an update whose prior mean has this offset; the user is about 2 m from the mean."""
+    """Return an update with the prior mean at this offset; the user is about 2 m from it."""
     sensor = textbook.Sensor(ANCHORS, HZ_PER_MPS, odometry)
     x = np.array([*(ANCHORS[0] + OFFSETS[where][0]), 3.0, -2.0, 0.1, 20.0])
     scale = np.array([3.0, 3.0, 1.0, 1.0, 1.0, 0.3, 50.0])
@@ -68,7 +68,7 @@ def test_rows_without_a_direction_have_a_zero_jacobian_and_others_the_derivative
 
 
 def starts_near(where):
-    """Return a model whose prior mean has this offset; users walk away and are measured well."""
+    """Return a model with the prior mean at this offset; users walk away, with little noise."""
     sensor = textbook.Sensor(ANCHORS, HZ_PER_MPS)
     mean = np.array([*(ANCHORS[0] + OFFSETS[where][0]), 2.0, 1.0, 0.0, 10.0])
     (mode,) = pipeline_of(algorithms=["ekf"]).modes

@@ -76,7 +76,7 @@ def test_the_iekf_equals_the_textbook(iekf, iterations, gate, odometry, data):
 
 
 @pytest.mark.slow
-def test_engine_tracker_and_imm_give_the_same_track_with_an_own_filter(mine):
+def test_engine_tracker_and_imm_give_the_same_track_with_a_custom_filter(mine):
     episodes = simulated(2, epochs=30)
     pipeline = Pipeline((mine,), STREET)
     engine = track(pipeline, episodes, 0, 30, ("x",))["x"].swapaxes(0, 1)
@@ -87,7 +87,7 @@ def test_engine_tracker_and_imm_give_the_same_track_with_an_own_filter(mine):
     np.testing.assert_allclose(imm.run(episodes, "x")["x"], engine, rtol=1e-9, atol=1e-9)
 
 
-def test_a_log_is_localized_with_an_own_filter(iekf, tmp_path):
+def test_a_log_is_localized_with_a_custom_filter(iekf, tmp_path):
     scene, radio = SCENES["street"], RADIOS["handset"]
     source = SimulatedSource(scene, radio, epochs=30)
     write_log(tmp_path / "log.csv", source.sample(np.random.default_rng(0)))
@@ -106,7 +106,7 @@ def test_a_log_is_localized_with_an_own_filter(iekf, tmp_path):
     np.testing.assert_allclose(own.smooth_x, ours.smooth_x, rtol=1e-6, atol=1e-6)
 
 
-def test_an_own_filter_is_evaluated_like_a_shipped_mode(mine):
+def test_a_custom_filter_is_evaluated_like_a_shipped_mode(mine):
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=30)
     scores = score_contenders(
         ["fixed-iekf", "imm"], source, "handset", Selection(range(2)), (mine,)

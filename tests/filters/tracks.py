@@ -139,7 +139,7 @@ class OwnModel:
 
 
 def far_from_the_anchors(Q, **options):
-    """Return an own model whose measurements are nearly linear across the filters' covariance."""
+    """Return an OwnModel whose measurements are nearly linear across the filters' covariance."""
     anchors = np.array([[-60.0, 120.0, 40.0], [160.0, 60.0, 60.0], [40.0, -150.0, 50.0]])
     return OwnModel(
         sensor=textbook.Sensor(anchors, HZ_PER_MPS),
@@ -164,7 +164,7 @@ def track(pipeline, episodes, actions, epochs, parts, on_floats=False):
         actions: (epochs, n) or (n,) modes to choose.
 
     Returns:
-        An array (epochs, n, ...) per part; "P_predicted" is from a tracker: engines lack it.
+        An array (epochs, n, ...) per part; "P_predicted" comes from a tracker, not an engine.
     """
     n = len(episodes)
     actions = np.broadcast_to(actions, (epochs, n))

@@ -45,7 +45,7 @@ DIAGONAL = [i * (i + 3) // 2 for i in range(7)]  # indices of the variances in a
 
 
 def track(log: str, mode: str) -> Iterator[Row]:
-    """Filter a log in one mode; yield the epochs shown."""
+    """Filter a log in one mode; yield rows of some epochs."""
     block = _localized(log, mode)
     for k in _shown(block.x):
         yield (
@@ -56,14 +56,14 @@ def track(log: str, mode: str) -> Iterator[Row]:
 
 
 def smoother(log: str, mode: str) -> Iterator[Row]:
-    """Smooth the track of a log in one mode; yield means and variances."""
+    """Smooth the track of a log in one mode; yield means and variances of some epochs."""
     block = _localized(log, mode, window=SMOOTHING_WINDOW)
     for k in _shown(block.smooth_x):
         yield _belief(k, block.smooth_x, block.smooth_P)
 
 
 def track_imm(log: str) -> Iterator[Row]:
-    """Filter a log with the IMM of the default modes; yield the epochs shown."""
+    """Filter a log with the IMM of the default modes; yield rows of some epochs."""
     episode, modes = _episode(log), default_modes(RADIO)
     engine = ImmEngine(Pipeline(modes, episode.layout), TrackingReward())
     parts = engine.run([episode], "x", "P", "mixture.probability")
@@ -146,7 +146,7 @@ def rollout(keys: Sequence[int | None], **arguments: Any) -> Iterator[Row]:
 def vector_rollout(keys: Sequence[int], later: Sequence[int], **arguments: Any) -> Iterator[Row]:
     """Play the episodes of keys in parallel; reset an ended episode to a key of ``later``.
 
-    The episode that the autoreset begins before that depends on a seed and is not shown.
+    Before that, the autoreset begins an episode that depends on a seed and is not shown.
     """
     n = len(keys)
     env = gym.make_vec(ID, num_envs=n, autoreset_mode="SameStep", **arguments)

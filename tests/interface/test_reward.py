@@ -255,7 +255,7 @@ def imm_rewards(seed, episodes, reward=REWARDS["tracking"], **task):
     ids=["three modes", "flat"],
 )
 def test_paired_rewards_are_rewards_minus_those_of_the_imm_on_the_same_episodes(task):
-    """They are equal to the last bit, for any modes of the agent."""
+    """Rewards are equal to the last bit, for any modes of the agent."""
     n, epochs = 5, 3 * task["episode_steps"]
     envs = {
         reward: gym.make_vec(
@@ -274,7 +274,7 @@ def test_paired_rewards_are_rewards_minus_those_of_the_imm_on_the_same_episodes(
     assert np.abs(baseline).min() > 0.0
 
 
-def test_a_paired_return_is_the_return_minus_the_imms_even_if_an_episode_ends_early():
+def test_a_paired_return_is_minus_that_of_the_imm_even_if_an_episode_ends_early():
     ended = 0
     for seed in range(12):
         returns = []

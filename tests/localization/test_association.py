@@ -118,9 +118,8 @@ def test_angles_of_arrival_may_be_measured_at_the_base_station():
     def seen_at_station():
         for epoch in walk([ALL] * 20):
             mirrored = [as_the_station_sees(epoch, anchor) for anchor in SCENE.anchors_m]
-            order = np.argsort(
-                np.argsort(epoch.measurement[:, 0])
-            )  # ranks by range are anchors here
+            # In this scene, anchors are in the order of their ranges.
+            order = np.argsort(np.argsort(epoch.measurement[:, 0]))
             z = np.stack([mirrored[rank][path] for path, rank in enumerate(order)])
             yield epoch._replace(measurement=z, at_station=True)
 
@@ -154,7 +153,7 @@ def test_a_track_waits_for_the_line_of_sight_instead_of_starting_from_a_reflecti
     assert np.flatnonzero(block.restarts).tolist() == [3]
 
 
-def test_a_track_that_started_from_a_reflection_is_replaced_after_the_line_of_sight():
+def test_a_track_that_started_from_a_reflection_gives_way_to_the_line_of_sight():
     anchors_seen, tally = [(1,)] * 30 + [ALL] * 20, Association(3)
     # The image is 14 m north of the base station, so the user seems to be 14 m further south.
     block = labelled(walk(anchors_seen, seed=4, y_m=6.0), tally=tally)

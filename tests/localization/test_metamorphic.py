@@ -24,7 +24,7 @@ pytestmark = pytest.mark.slow  # half a minute in total
 
 RADIO = RADIOS["standard"]
 PIPELINES = {name: [mode] for name, mode in named_modes("standard").items()}
-ROTATABLE = ["ekf", "ekf-robust"]  # unlike filters with sigma points, which lie along the axes
+ROTATABLE = ["ekf", "ekf-robust"]  # others have sigma points along the axes of the map
 ROUNDING = 1e-6  # in standard deviations
 UNTURNED = np.eye(3)
 

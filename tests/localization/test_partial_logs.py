@@ -1,4 +1,4 @@
-"""Tests of logs with missing quantities, own standard deviations, or any anchor's Doppler."""
+"""Tests of logs that lack quantities, state their noise, or have any anchor's Doppler shift."""
 
 import csv
 
@@ -83,7 +83,7 @@ def test_a_link_that_lacks_one_number_is_used_with_its_other_numbers(tmp_path):
     assert (~measured.any(axis=0)).sum() == 3  # one row of each link
 
 
-def test_own_standard_deviations_are_used_and_make_an_snr_unnecessary(tmp_path):
+def test_standard_deviations_in_a_log_are_used_and_make_an_snr_unnecessary(tmp_path):
     names = {"toa_sigma_ns": 2.0, "aoa_azimuth_sigma_deg": 1.0, "doppler_sigma_mps": 0.5}
     columns = ("time_s", "anchor", "toa_s", "aoa_azimuth_rad", "doppler_hz")
     block = read(written(tmp_path / "log.csv", columns, **names))

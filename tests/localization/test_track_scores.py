@@ -61,9 +61,7 @@ def test_scores_summed_by_block_equal_the_metrics_of_complete_tracks(
         low, high = chi2.ppf([0.025, 0.975], len(axes))
         assert row["in_bounds"] == pytest.approx(((nees >= low) & (nees <= high)).mean())
         if n > 3:
-            assert figures["rpe_s"] == pytest.approx(
-                1.0, abs=1e-6
-            )  # three steps of a third of a second
+            assert figures["rpe_s"] == pytest.approx(1.0, abs=1e-6)  # three steps of 1/3 s
             assert row["rpe_m"] == pytest.approx(rpe(error, 3), rel=1e-9)
         else:
             assert row["rpe_m"] is None
@@ -138,9 +136,8 @@ def test_epochs_between_poses_are_scored_and_counted_as_interpolated(tmp_path):
     scores = TruthScores(Truth(tmp_path / "truth.tum"), ["filtered"], planar=False)
     scores.add(block)
     figures = scores.figures()
-    assert (
-        figures["scored"] == 211 and figures["interpolated"] == 208
-    )  # also 10 ms after the last pose
+    # Epochs up to 10 ms after the last pose are scored, too.
+    assert figures["scored"] == 211 and figures["interpolated"] == 208
     away = np.abs(block.time_s[:211, None] - [0.0, 0.1, 0.2]).min(axis=1)
     assert figures["nearest_pose_s"] == pytest.approx(away.mean())
 

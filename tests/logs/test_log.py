@@ -192,9 +192,7 @@ def test_a_doppler_shift_needs_only_the_snr_of_its_link(tmp_path):
         lines[0][column] = ""
     block = read(store(tmp_path, text(lines)))
     assert block.visible[0].tolist() == [False, True, True, True]
-    assert (
-        not block.incomplete.any()
-    )  # a link without any measured number is missing, not incomplete
+    assert not block.incomplete.any()  # a link without any number is missing, not incomplete
 
 
 def test_the_doppler_shift_is_missing_if_the_log_has_no_such_column(tmp_path):

@@ -1,4 +1,4 @@
-"""Tests that damaged logs are refused with the place, after the epochs before the damage."""
+"""Tests of damaged logs: epochs before the damage are returned, then an error names it."""
 
 import gzip
 import sys
@@ -225,7 +225,7 @@ def test_files_with_another_ending_are_refused(tmp_path, name):
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_files_that_are_missing_or_of_another_kind_than_their_ending_are_refused(tmp_path, suffix):
+def test_missing_files_and_files_that_do_not_match_their_ending_are_refused(tmp_path, suffix):
     require_pyarrow(suffix)
     with refuses("nowhere", error=FileNotFoundError):
         read_log(tmp_path / f"nowhere{suffix}", SCENE)

@@ -1,4 +1,4 @@
-"""Tests of the true track at given times, and of the offset of its clock from a log's."""
+"""Tests of the true track at given times, and of its clock compared with a log's clock."""
 
 import numpy as np
 import pytest

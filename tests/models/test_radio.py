@@ -91,7 +91,7 @@ def assert_variance(values, variance):
 
 
 def changes(on):
-    """Return, for epochs on, whether the next one is off, and for epochs off, the converse."""
+    """Return, for epochs on, whether the next is off; for epochs off, whether the next is on."""
     before, after = on[:-1], on[1:]
     return ~after[before], after[~before]
 
@@ -101,8 +101,8 @@ def changes(on):
 
 @every_radio
 def test_the_snr_at_100_m_equals_the_value_computed_by_hand(name):
-    # Path loss 32.4 + 21 log10(100) + 20 log10(28) = 32.4 + 42 + 28.943 dB. Received are
-    # 27 + 21 + 12 - 10 dBm minus that; noise is -174 + 80 + 8 dBm. Reflections lose 8 dB more.
+    # Path loss: 32.4 + 21 log10(100) + 20 log10(28) = 32.4 + 42 + 28.943 dB. Signal: 27 + 21 + 12
+    # - 10 dBm minus this loss. Noise: -174 + 80 + 8 dBm. Virtual anchors lose 8 dB more.
     radio = replace(RADIOS[name], shadowing_db=0.0, blockage_scale=0.0)
     snr = channel(radio, 1, 1, links=3).snr_db
     np.testing.assert_allclose(snr, [[[32.657, 24.657, 24.657]]], atol=1e-3)
@@ -234,7 +234,7 @@ def test_multipath_comes_and_goes_at_its_rates(dt):
     ends, begins = changes(reflected)
     assert_share(begins, 1.0 - np.exp(-0.008 * dt))
     assert_share(ends, 1.0 - np.exp(-dt / 3.3))
-    np.testing.assert_array_equal(users.snr_db, channel(CLEAR, 2000, 200).snr_db)  # unchanged
+    np.testing.assert_array_equal(users.snr_db, channel(CLEAR, 2000, 200).snr_db)  # not changed
 
 
 def test_an_outage_affects_every_link():

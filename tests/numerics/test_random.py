@@ -55,7 +55,7 @@ DRAWER = Program(_draw, [[], [0.0] * 4, *[[0.0] * EACH] * 3])
 
 
 def drawn(keys, runs):
-    """Draw uniforms, exponentials and normals (3, keys, runs * 8) on lanes."""
+    """Draw uniforms, exponentials and normals (3, keys, runs * 8) on SIMD lanes."""
     n = len(keys)
     rows = np.tile(SEEDER.start[None, :, None], (-(-n // 8), 1, 8))
     io = StepIO.of(n, 1, output_rows=rows_of(SEEDER.index[1]))
@@ -125,7 +125,7 @@ def test_tails_of_normal_numbers_have_the_right_weight(many, sigma):
 
 @pytest.mark.slow
 def test_consecutive_numbers_and_keys_are_not_correlated(many):
-    """Neighboring keys include the lanes of a block.
+    """Compare numbers of a key, and of consecutive keys, which are the lanes of a block.
 
     Each correlation of n pairs has a standard error of 1 / sqrt(n); bounds are at 99.9 % for all
     lags together (Bonferroni).
@@ -143,7 +143,7 @@ def test_consecutive_numbers_and_keys_are_not_correlated(many):
 
 @pytest.mark.slow
 def test_keys_that_differ_in_one_bit_and_the_two_streams_are_not_correlated():
-    """The bound holds for all pairs together with 99.9 %."""
+    """The bound is at 99.9 % for all pairs together."""
     base = np.uint64(0x0123456789ABCDEF)
     keys = np.append(base, base ^ _BITS)
     first, *others = stats.norm.ppf(drawn(keys, 2500)[0])

@@ -59,7 +59,7 @@ def test_the_speed_rule_switches_above_its_threshold(table, threshold):
     np.testing.assert_array_equal(actions, [0, 0, 0, 1, 1])
 
 
-def test_the_paper_s_threshold_is_the_default(table):
+def test_the_threshold_of_the_paper_is_the_default(table):
     actions = SpeedRule(table)(observe(table, predicted_speed=[1.999, 2.001]))
     np.testing.assert_array_equal(actions, [0, 1])
 

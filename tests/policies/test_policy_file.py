@@ -68,7 +68,7 @@ def refused(path, content, *fields):
 
 
 def assembled(tensors=TENSORS, card=None, **document):
-    """Return a file with a correct checksum but no other checks, and replaced entries."""
+    """Return an unchecked file with a correct checksum; its entries can be replaced."""
     card = CARD.as_json() if card is None else card
     whole = {"format": FORMAT, "sha256": _checksum(tensors, card), "card": card} | document
     return save(tensors, {"policy": json.dumps(whole)})
@@ -90,12 +90,12 @@ def test_the_same_policy_makes_the_same_file():
     assert {to_bytes(TENSORS, CARD), to_bytes(turned, CARD), assembled()} == {WHOLE}
 
 
-def test_tensors_are_written_whatever_their_order_in_memory(path):
+def test_tensors_are_written_alike_for_any_order_in_memory(path):
     turned = {name: np.asfortranarray(tensor) for name, tensor in TENSORS.items()}
     assert same(read_policy(write(path, turned, CARD)), TENSORS, CARD)
 
 
-def test_own_modes_and_evaluations_of_any_form_are_read_back(path):
+def test_custom_modes_and_evaluations_of_any_form_are_read_back(path):
     modes = (Mode("slow", "ckf", gate=None, cost=3.0), Mode("fast", sigma_v=0.1 + 0.2))
     figures = {"mixed": {"reward": [-1.7, 0.1 + 0.2]}, "seeds": None, "10": 1, "9": 2}
     card = card_of(modes=modes, evaluation=figures, features=READ)
@@ -287,9 +287,9 @@ def test_a_card_with_a_wrong_field_is_neither_read_nor_made(path, field, value):
 @pytest.mark.parametrize(
     "row", [["a", "m", 0.0], ["a", 1, 0.0, 1.0], ["a", "m", 0.0, 0.0], ["a", "m", 1e999, 1.0]]
 )
-def test_a_feature_without_name_unit_or_scale_is_refused(path, row):
+def test_a_feature_without_a_valid_name_unit_and_scale_is_refused(path, row):
     content = CARD.as_json()
-    for features in ([*content["features"][:2], row], content["features"][:2]):  # or one less
+    for features in ([*content["features"][:2], row], content["features"][:2]):  # or too few
         refused(path, assembled(card=content | {"features": features}), "features")
 
 

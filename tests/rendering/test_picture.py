@@ -24,7 +24,7 @@ NOTHING = np.zeros(GROUPS, bool)
 
 
 def near(picture, color):
-    """Return a mask of the pixels with nearly this color: edges are smoothed."""
+    """Return a mask of the pixels with nearly this color, because edges are smoothed."""
     return (abs(picture.astype(int) - color) < 12).all(axis=-1)
 
 
@@ -247,7 +247,7 @@ FRAME = Rect(0.0, 20.0, 480.0, 260.0)
 
 
 def views(seed, action, **arguments):
-    """Yield, after every epoch, history and view, and where user and estimate are in it, px."""
+    """Yield history, view, and pixels of user and estimate, after every epoch of an episode."""
     env = gym.make(ID, render_mode="rgb_array", **arguments).unwrapped
     env.reset(seed=seed)
     over = False
@@ -263,7 +263,7 @@ def views(seed, action, **arguments):
 
 @pytest.mark.parametrize(("seed", "scenario"), [(0, "mixed"), (3, "mixed"), (0, "vehicle")])
 def test_user_and_estimate_are_always_in_the_frame(seed, scenario):
-    """The track of the vehicle is lost."""
+    """The track of the vehicle is lost, but stays in the frame."""
     worst = 0.0
     for so_far, _, pixels in views(seed, 0, scenario=scenario):
         worst = max(worst, so_far.error_m[-1])

@@ -19,7 +19,7 @@ def chromium():
 
 @pytest.fixture
 def opened(chromium, address):
-    """Return a function that opens pages; messages or foreign requests fail the test."""
+    """Return a function that opens pages; console messages and foreign requests fail tests."""
     contexts, complaints = [], []
 
     def open_page(path="", width=1280, **options):

@@ -21,7 +21,7 @@ def counted(function, n):
     [
         (lambda a, b: a + b, Operations(add=1)),
         (lambda a, b: a * b - 3.0, Operations(fused=1)),
-        (lambda a, b: a * b + b * a, Operations(add=1, multiply=1)),  # one product
+        (lambda a, b: a * b + b * a, Operations(add=1, multiply=1)),  # equal products
         (lambda a, b: a / b, Operations(divide=1)),
         (lambda a, b: a / b + 1.0 / b, Operations(add=1, divide=1, multiply=2)),  # one reciprocal
         (lambda a, b: sqrt(a) - b, Operations(add=1, root=1)),

@@ -43,14 +43,14 @@ def test_the_street_is_the_default_scene_of_environments():
 
 @pytest.fixture
 def files(tmp_path):
-    """Return the files of an own scene and an own radio."""
+    """Return the files of a custom scene and a custom radio."""
     scene, radio = tmp_path / "square.json", tmp_path / "phone.json"
     scene.write_text(json.dumps({"base_station_m": [10.0, 10.0, 8.0]}))
     radio.write_text(json.dumps({"name": "mine", "base": "handset"}))
     return scene, radio
 
 
-def test_own_scenes_and_radios_can_be_places(files):
+def test_custom_scenes_and_radios_can_be_places(files):
     place = place_from(":".join(map(str, files)))
     assert place.profile == "mine" and place.source("mixed").scene.name == "square"
 
@@ -74,7 +74,7 @@ def test_words_that_are_not_places_are_refused(words, named):
 
 
 @pytest.mark.parametrize("unseen", ["square", "mine"])
-def test_own_files_with_a_name_that_must_stay_unseen_are_refused(unseen, files, monkeypatch):
+def test_custom_files_with_a_name_that_must_stay_unseen_are_refused(unseen, files, monkeypatch):
     """The name in a file counts or, if there is none, the name of the file."""
     monkeypatch.setattr(module, "UNSEEN", ("square-2", unseen))
     with refuses("places"):
@@ -124,7 +124,7 @@ def test_modes_that_share_a_belief_are_the_same_at_all_places():
     assert at.bank is None and at.pipeline.modes == default_modes("handset")
 
 
-def test_an_own_bank_is_used_at_all_places(tmp_path):
+def test_a_custom_bank_is_used_at_all_places(tmp_path):
     own = replace(best_bank("high"), nis_quantile=0.9)
     path = tmp_path / "mine.json"
     path.write_text(json.dumps(bank_as_written(own)))

@@ -49,7 +49,7 @@ class Interrupted(Exception):
 
 
 def interrupt_after(news):
-    """Return a function that receives news of a training and then interrupts it."""
+    """Return a callback that interrupts a training after this many pieces of news."""
     left = iter(range(news))
 
     def tell(*_):
@@ -127,7 +127,7 @@ def learner(hyper=LEARNING, seed=0):
 
 
 def states(n, seed, turned=False):
-    """Return states: action 1 is best above the mean of the first feature, action 2 below it.
+    """Return states; action 1 is best if the first feature is above its mean, else action 2.
 
     In a state, all actions earn the same large random sum; the best one earns a little more.
     """

@@ -254,7 +254,7 @@ def test_a_run_with_other_options_is_not_resumed(tmp_path):
 
 
 def test_a_run_with_other_modes_banks_or_hyperparameters_is_not_resumed(tmp_path):
-    """Since then, files may have changed, or the modes that names stand for."""
+    """Mode files may have changed since then, or the modes that names stand for."""
     path = written(tmp_path / "mine.json", {})
     resume = ("--resume", "--hyperparameters", path, "--out")
     folder = folder_of(tmp_path / "modes", modes=MODES, hyperparameters=path)
@@ -299,9 +299,8 @@ def test_a_policy_trained_at_two_places_with_beliefs_per_mode_plays_at_a_third(t
     best = outcome["best"]
     for rival in ("speed-rule", "imm", "imm-best"):
         each = [best[f"{place} minus {rival}"]["mean"] for place in PLACES]
-        assert best[f"minus {rival}"]["mean"] == pytest.approx(
-            np.mean(each)
-        )  # equally many episodes
+        # The places have the same number of episodes.
+        assert best[f"minus {rival}"]["mean"] == pytest.approx(np.mean(each))
     assert abs(best["minus imm-best"]["mean"]) < 0.05  # it starts near the IMM
 
     smoke = tmp_path / "runs/smoke/policy.safetensors"

@@ -230,9 +230,8 @@ def test_an_interrupted_command_ends_at_once_and_continues_when_resumed(tmp_path
     """It is killed, one of its trainings is killed, or it receives Ctrl-C or other signals."""
     task = replace(TASK, banks={"handset": Bank(default_modes("handset"))})
     job = job_of(tmp_path / "whole", task=task)
-    job = replace(
-        job, timesteps=10 * job.timesteps, episodes=EPISODES
-    )  # takes seconds, to be interrupted meanwhile
+    # The training must take seconds, so that it can be interrupted.
+    job = replace(job, timesteps=10 * job.timesteps, episodes=EPISODES)
     hyperparameters, out = tmp_path / "mine.json", tmp_path / "run"
     hyperparameters.write_text(json.dumps(content(KINDS["ppo"])))
     length = ("--seeds", 1, "--total-timesteps", job.timesteps)

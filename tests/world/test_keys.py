@@ -74,7 +74,7 @@ def test_a_reset_to_a_given_key_does_not_advance_the_stream():
     assert env.reset()[1]["episode_key"] == keys_at(stream_of(1), numbers(1))[0]
 
 
-def test_an_own_random_generator_begins_a_stream():
+def test_a_custom_random_generator_begins_a_stream():
     env, keys = gym.make("MmWaveLoc-v0", **SHORT).unwrapped, []
     for _ in range(2):
         env.np_random = np.random.default_rng(3)

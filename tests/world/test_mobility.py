@@ -1,4 +1,4 @@
-"""Tests that simulated users move as people and cars could, and of mobility files."""
+"""Tests of simulated users, who must move as people and cars can, and of mobility files."""
 
 import json
 from collections import Counter
@@ -221,7 +221,7 @@ def test_a_mobility_file_defines_a_kind_of_user(tmp_path):
     assert scooter == Mobility("scooter", (Phase(LIMITS, (Gait(3.0, 7.0),)),), blocks=2)
 
 
-def test_an_own_kind_of_user_stays_within_its_limits(tmp_path):
+def test_a_custom_kind_of_user_stays_within_its_limits(tmp_path):
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], write(tmp_path, SCOOTER), dt=0.2)
     assert source.name == "scooter"
     for seed in range(5):

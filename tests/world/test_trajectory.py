@@ -1,4 +1,4 @@
-"""Tests of own trajectories: read, resampled, and refused if they are impossible."""
+"""Tests of custom trajectories: read, resampled, and refused if they are impossible."""
 
 import numpy as np
 import pytest
