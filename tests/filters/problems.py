@@ -65,7 +65,7 @@ def numbers(low, high, shape=()):
 
 @st.composite
 def problems(draw, odometry=False, anchors=None, outliers=True, partial=False):
-    """Draw an update of a user 20 m or more beside every anchor, where nothing is singular."""
+    """Draw an update with all anchors at least 20 m away horizontally: nothing is singular."""
     L = draw(st.integers(1, 5)) if anchors is None else anchors
     position = draw(numbers(-200, 200, (3,)))
     heading, speed = draw(numbers(-3.14, 3.14)), draw(numbers(3.0 if odometry else 0.0, 20))

@@ -232,7 +232,7 @@ def test_making_an_environment_with_an_algorithm_that_cannot_run_is_refused(writ
 @pytest.mark.parametrize("planar", [False, True], ids=["hilly", "planar"])
 @pytest.mark.parametrize("ours", [ekf, ukf, ckf])
 @pytest.mark.parametrize("options", [{}, {"robust": True}, {"gate": None, "recovery": None}])
-def test_sound_algorithms_pass_with_any_layout(layout, planar, ours, options):
+def test_valid_algorithms_are_accepted_with_any_layout(layout, planar, ours, options):
     def own(x, P, measurement, gate):
         return ours(x, P, measurement, gate)
 

@@ -68,7 +68,9 @@ def test_scores_summed_by_block_equal_the_metrics_of_complete_tracks(
     assert figures["nees_expected"] == len(axes)
 
 
-def test_a_truth_in_another_frame_causes_a_warning_and_a_correct_one_does_not(tmp_path, recwarn):
+def test_a_ground_truth_in_another_frame_causes_a_warning_and_a_correct_one_does_not(
+    tmp_path, recwarn
+):
     block = some_track(T)
     for x, y in ((0, 1), (1, 0)):
         truth = block.x[:, [x, y, 2]] + 0.01
@@ -82,7 +84,7 @@ def test_a_truth_in_another_frame_causes_a_warning_and_a_correct_one_does_not(tm
 
 
 def scored_at(tmp_path, time_s, known, sizes=(T,), segment=None):
-    """Return RPE, its time step and positions of a log whose truth is 0 in ``known`` epochs."""
+    """Return RPE, its time step and track of a log whose true position, in ``known`` epochs, is 0."""
     block = replace(some_track(len(time_s)), time_s=time_s)
     (tmp_path / "truth.tum").write_text(tum_lines(time_s[known], np.zeros((len(known), 3))))
     scores = TruthScores(Truth(tmp_path / "truth.tum"), ["filtered"], planar=False)
@@ -108,7 +110,7 @@ def test_rpe_pairs_epochs_one_second_apart_but_not_across_gaps(tmp_path, sizes):
     assert apart == pytest.approx(1.0)
 
 
-def test_a_truth_with_several_seconds_between_poses_gives_no_rpe(tmp_path):
+def test_a_ground_truth_with_several_seconds_between_poses_gives_no_rpe(tmp_path):
     rpe_m, apart, _ = scored_at(tmp_path, 0.1 * np.arange(T), np.arange(0, T, 100))
     assert rpe_m is None and apart is None
 

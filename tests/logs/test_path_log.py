@@ -114,7 +114,7 @@ def paths(folder, episode):
     return list(read_paths(path, SCENE))
 
 
-def test_every_usable_link_is_a_path(tmp_path):
+def test_every_usable_link_is_read_as_a_path(tmp_path):
     true = episode(odometry=True)
     for t, epoch in enumerate(paths(tmp_path, true)):
         links = true.measurement[t, :DOPPLER].reshape(L, 4)[true.usable[t, :L]]

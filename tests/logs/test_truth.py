@@ -74,7 +74,7 @@ def test_a_pose_at_the_time_of_an_epoch_is_returned_unchanged(tmp_path, monkeypa
     np.testing.assert_array_equal(true.away_s, 0.0)
 
 
-def test_only_the_needed_part_of_a_long_truth_is_kept_in_memory(tmp_path, monkeypatch):
+def test_only_the_needed_part_of_a_long_ground_truth_is_kept_in_memory(tmp_path, monkeypatch):
     pose_s = np.arange(0.0, 900.0, 0.01)
     truth = truth_of(tmp_path, pose_s, np.zeros((len(pose_s), 3)), monkeypatch, 20_000)
     read, held = truth._read, []
@@ -88,7 +88,7 @@ def test_only_the_needed_part_of_a_long_truth_is_kept_in_memory(tmp_path, monkey
     assert max(held) < 3000 and len(held) > 90
 
 
-def test_the_error_names_a_damaged_line_of_the_truth(tmp_path, monkeypatch):
+def test_the_error_names_a_damaged_line_of_the_ground_truth(tmp_path, monkeypatch):
     truth = truth_of(tmp_path, np.arange(90.0), np.zeros((90, 3)), monkeypatch)
     truth.path.write_text(truth.path.read_text().replace("\n50.0 ", "\nx "))
     truth = Truth(truth.path)
@@ -143,7 +143,7 @@ def compared(log, seconds, shift=(0.0, 0.0, 0.0)):
 
 
 def late(time_s, seconds, shift=(0.0, 0.0, 0.0)):
-    """Return the truth with a clock that is ahead and in a frame that is shifted."""
+    """Return the true track with a clock that is ahead and in a frame that is shifted."""
     p, v = user(time_s - seconds)
     return TrueEpochs(p + shift, v, np.zeros(len(time_s)))
 
@@ -211,7 +211,7 @@ def test_a_user_with_constant_velocity_shows_no_offset():
     assert clock is None or not clock.matters
 
 
-def test_a_short_log_or_an_unknown_truth_gives_no_offset():
+def test_a_short_log_or_an_unknown_ground_truth_gives_no_offset():
     time_s = np.arange(0.0, 8.0, 0.1)
     log = log_of(time_s, user(time_s)[0], np.random.default_rng(7))
     assert compared(log, 0.1) is None

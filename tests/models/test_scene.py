@@ -113,7 +113,7 @@ def test_a_scene_file_may_list_anchors(tmp_path):
     np.testing.assert_array_equal(scene.anchors_m, ANCHORS["anchors"])
 
 
-def test_virtual_anchors_follow_the_mirror_images():
+def test_surveyed_virtual_anchors_are_listed_after_mirror_images():
     scene = replace(SCENES["street"], virtual_anchors_m=((1.0, 2.0, 3.0), (4.0, 5.0, 6.0)))
     np.testing.assert_allclose(
         scene.anchors_m, [[10, 10, 10], [10, 40, 10], [360, 10, 10], [1, 2, 3], [4, 5, 6]]

@@ -47,7 +47,7 @@ def test_generations_are_numbered_and_the_number_of_evaluations_is_limited():
     assert 40 - size < len(asked) <= 40
 
 
-def test_softmax_rows_are_probabilities_with_the_given_log_odds_to_staying():
+def test_softmax_rows_are_probabilities_with_given_log_odds_relative_to_staying():
     for odds in np.random.default_rng(0).uniform(-14.0, 8.0, (20, 12)):
         transition = rows_as_softmax(odds)
         assert transition.shape == (4, 4) and (transition > 0.0).all()

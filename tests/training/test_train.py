@@ -109,7 +109,7 @@ def test_a_training_reports_its_periodic_evaluations(tmp_path):
 
 
 @pytest.mark.parametrize("left", [1.0, 0.5, 0.0, -0.01, -0.5, -16_000.0])
-def test_rates_fall_but_stay_positive_beyond_the_end(left):
+def test_learning_rates_fall_but_stay_positive_after_the_end_of_training(left):
     rate = falling(0.1, left)
     assert rate == pytest.approx(max(0.1 + 0.9 * left, 0.05))
 

@@ -79,7 +79,7 @@ def test_geometry_equals_an_independent_implementation(scene):
     assert np.abs(rows[:, angles]).max() <= np.pi
 
 
-def test_doppler_is_positive_hertz_while_the_range_grows():
+def test_the_doppler_shift_in_hz_is_positive_while_the_range_grows():
     start, speed = np.array([10.0, -90.0, 1.5]), 10.0
     anchor = np.array(STREET.base_station_m)
     away = (start - anchor) / np.linalg.norm(start - anchor)
@@ -97,7 +97,7 @@ def test_odometry_rows_are_speed_and_heading():
 # --- noise
 
 
-def test_noise_is_standard_normal_over_sigma():
+def test_noise_divided_by_sigma_is_standard_normal():
     drawn = [draw(seed, radio=NOISE_ONLY) for seed in range(30)]
     pooled = np.concatenate([innovations(episode) for episode in drawn])
     for row in pooled.T:
@@ -122,7 +122,7 @@ def test_the_doppler_shift_is_visible_whenever_the_base_station_is(episode):
 
 
 @pytest.mark.parametrize("scene", SCENES)
-def test_layout_follows_scene_and_odometry(scene):
+def test_the_layout_depends_on_scene_and_odometry(scene):
     assert draw(scene=SCENES[scene]).layout == Layout(3)
     assert draw(scene=replace(SCENES[scene], walls=())).measurement.shape == (200, 5)
     assert draw(scene=SCENES[scene], odometry=True).measurement.shape == (200, 15)
