@@ -68,9 +68,7 @@ def test_scores_summed_by_block_equal_the_metrics_of_complete_tracks(
     assert figures["nees_expected"] == len(axes)
 
 
-def test_a_ground_truth_in_another_frame_causes_a_warning_and_a_correct_one_does_not(
-    tmp_path, recwarn
-):
+def test_only_a_ground_truth_in_another_frame_causes_a_warning(tmp_path, recwarn):
     block = some_track(T)
     for x, y in ((0, 1), (1, 0)):
         truth = block.x[:, [x, y, 2]] + 0.01
@@ -84,7 +82,7 @@ def test_a_ground_truth_in_another_frame_causes_a_warning_and_a_correct_one_does
 
 
 def scored_at(tmp_path, time_s, known, sizes=(T,), segment=None):
-    """Return RPE, its time step and track of a log whose true position, in ``known`` epochs, is 0."""
+    """Return RPE, its time step and track of a log with a true position of 0 in some epochs."""
     block = replace(some_track(len(time_s)), time_s=time_s)
     (tmp_path / "truth.tum").write_text(tum_lines(time_s[known], np.zeros((len(known), 3))))
     scores = TruthScores(Truth(tmp_path / "truth.tum"), ["filtered"], planar=False)
