@@ -46,4 +46,4 @@ def test_observations_are_compared_in_single_precision_and_integers_and_words_ex
 ):
     old, new = (f"# header\nrow;{column}\n0;{cell}\n" for cell in (a, b))
     assert len(differences("rollout", old, new)) == differing
-    assert differences("rollout", old, "# header\nrow\n0\n") == ["rollout: other rows or columns"]
+    assert differences("rollout", old, "# header\nrow\n0\n") == ["rollout: rows or columns differ"]

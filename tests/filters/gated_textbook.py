@@ -1,4 +1,4 @@
-"""The textbook's updates behind the gates of this package, and of a part of the state."""
+"""Textbook updates with this package's gates, and sensors for part of the state or some rows."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -13,7 +13,7 @@ from mmwave_env.filters.textbook import Sensor, tangent
 
 @dataclass(frozen=True)
 class Restricted:
-    """A sensor of some components of the state, the others being known exactly."""
+    """Sensor as a function of the free components of the state; the others are known exactly."""
 
     sensor: Sensor
     known: np.ndarray
@@ -36,7 +36,7 @@ class Restricted:
 
 @dataclass(frozen=True)
 class Rows:
-    """A sensor of some rows (rows,); groups without one are left out."""
+    """Sensor of the rows where ``kept`` (rows,) is true; groups without such rows are left out."""
 
     sensor: Sensor
     kept: np.ndarray
@@ -71,7 +71,7 @@ class Update(NamedTuple):
 
 
 def statistics(moments, sensor, groups, x, P, z, R):
-    """Return the innovation covariance (rows, rows), NIS and log det S of every group."""
+    """Return the innovation covariance (rows, rows), and NIS and log det S of every group."""
     mean, S, _ = moments(sensor, x, P)
     S = S + np.diag(R)
     y = sensor.residual(z, mean, x)
@@ -89,7 +89,7 @@ class Judged(NamedTuple):
 def gate_groups(
     moments, sensor, groups, links, x, P, z, R, visible, quantile=None, force=False, robust=False
 ):
-    """Gate each group at the prior; R is inflated where a robust update doubts."""
+    """Gate each group at the prior; a robust update inflates R of links with a large NIS."""
     _, nis, log_det = statistics(moments, sensor, groups, x, P, z, R)
     sizes = np.array([g.stop - g.start for g in groups])
     is_link = np.arange(len(groups)) < links
@@ -104,7 +104,7 @@ def gate_groups(
 
 
 def update(moments, sensor, groups, links, x, P, z, R, *gate):
-    """Gate each group at the prior, then condition on all rows of those that passed."""
+    """Gate each group at the prior, then condition on all rows of the groups that passed."""
     nis, accepted, R, log_likelihood = gate_groups(
         moments, sensor, groups, links, x, P, z, R, *gate
     )
@@ -114,7 +114,7 @@ def update(moments, sensor, groups, links, x, P, z, R, *gate):
 
 
 def iterated(iterations, sensor, groups, links, x, P, z, R, *gate):
-    """Iterated extended Kalman filter (Bell and Cathey 1993, eq. for x_i+1), gated at the prior."""
+    """Run an iterated EKF update (Bell and Cathey 1993, eq. for x_i+1), gated at the prior."""
     nis, accepted, R, log_likelihood = gate_groups(
         tangent, sensor, groups, links, x, P, z, R, *gate
     )

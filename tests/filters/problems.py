@@ -1,4 +1,4 @@
-"""Updates drawn at random, for a filter of ours and the textbook's to solve."""
+"""Random update problems, to be solved by one of our filters and by its textbook version."""
 
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ RTOL = 1e-9
 
 
 class Problem(NamedTuple):
-    """One update: prior, sensor, measured values, noise variances, what is visible."""
+    """One update: prior, sensor, measured values, noise variances and which groups are visible."""
 
     x: np.ndarray
     P: np.ndarray
@@ -26,11 +26,11 @@ class Problem(NamedTuple):
     z: np.ndarray
     R: np.ndarray
     visible: np.ndarray
-    measured: np.ndarray | None = None  # (rows,) in a partial layout
+    measured: np.ndarray | None = None  # (rows,) mask, only in a partial layout
 
     @property
     def seen(self):
-        """Return the textbook's sensor, of the measured rows alone."""
+        """Return the textbook's sensor, restricted to the measured rows."""
         return self.sensor if self.measured is None else Rows(self.sensor, self.measured)
 
     def ours(self, algorithm, gate, P=None):
@@ -48,7 +48,7 @@ class Problem(NamedTuple):
 
     @property
     def update(self):
-        """Return the arguments of an update in tests.filters.gated_textbook after the sensor."""
+        """Return the arguments that follow the sensor in ``gated_textbook.update``."""
         s, rows = self.seen, slice(None) if self.measured is None else self.measured
         visible = self.visible if self.measured is None else self.visible[self.visible]
         return s.groups, s.links, self.x, self.P, self.z[rows], self.R[rows], visible
@@ -65,7 +65,7 @@ def numbers(low, high, shape=()):
 
 @st.composite
 def problems(draw, odometry=False, anchors=None, outliers=True, partial=False):
-    """Users 20 m and more off the vertical of every anchor, where nothing is singular."""
+    """Draw an update with all anchors at least 20 m away horizontally: nothing is singular."""
     L = draw(st.integers(1, 5)) if anchors is None else anchors
     position = draw(numbers(-200, 200, (3,)))
     heading, speed = draw(numbers(-3.14, 3.14)), draw(numbers(3.0 if odometry else 0.0, 20))
@@ -93,7 +93,7 @@ def problems(draw, odometry=False, anchors=None, outliers=True, partial=False):
         hnp.arrays(bool, len(sensor.groups), elements=st.sampled_from([True, True, False]))
     )
     P = factor @ factor.T
-    # Beside the cut of an angle rounding decides on which side a residual falls.
+    # Near the cut at +-pi, rounding would decide the sign of an angle's residual.
     residual = sensor.difference(z, sensor.h(x))[angles]
     assume(np.all(np.abs(residual) < np.pi - 1e-3))
     measured = None
@@ -105,10 +105,10 @@ def problems(draw, odometry=False, anchors=None, outliers=True, partial=False):
 
 
 def assert_same(ours, expected, rtol=RTOL, visible=None):
-    """Equal to a tolerance; the state in units of its standard deviations.
+    """Assert that posteriors agree; states are compared in units of standard deviations.
 
     Args:
-        visible: (groups,) groups that the expected posterior is of; the others have NIS 0.
+        visible: (groups,) mask of the groups in ``expected``; all others must have NIS 0.
     """
     if visible is not None:
         assert not np.array([ours.nis, ours.accepted])[:, ~visible].any()
@@ -125,7 +125,7 @@ def assert_same(ours, expected, rtol=RTOL, visible=None):
 
 
 def assume_clear_of(nis, sensor, thresholds):
-    """Rounding must not decide whether a group passes."""
+    """Assume that no NIS is so near a threshold that rounding decides whether its group passes."""
     sizes = [g.stop - g.start for g in sensor.groups]
     for threshold in thresholds:
         assume(np.all(np.abs(nis - [threshold(size) for size in sizes]) > 1e-6))

@@ -1,4 +1,4 @@
-"""Which path belongs to which anchor, beside the textbook's equations and all assignments."""
+"""Tests of the assignment of paths to anchors, against the textbook and all permutations."""
 
 from itertools import permutations
 
@@ -14,7 +14,7 @@ from tests.filters.problems import numbers, problems
 
 @settings(deadline=None, max_examples=30)
 @given(problem=problems(anchors=3), data=st.data())
-def test_the_nis_of_a_path_is_the_textbooks(problem, data):
+def test_the_nis_of_a_path_equals_the_textbook_value(problem, data):
     n, links = data.draw(st.integers(0, 4)), problem.sensor.links
     predicted = tangent(problem.sensor, problem.x, problem.P)
     offset = data.draw(numbers(-0.3, 0.3, (n, 4)))
@@ -49,7 +49,7 @@ def test_no_other_assignment_is_better(data):
     assert len(set(taken.tolist())) == len(taken)
 
     def cost(chosen):
-        """An anchor without a path costs the gate."""
+        """Return the cost of an assignment; an anchor without a path costs as much as the gate."""
         kept = [nis[a, p] for a, p in enumerate(chosen) if p < n and nis[a, p] < gate]
         return sum(kept) + gate * (anchors - len(kept))
 
@@ -57,14 +57,14 @@ def test_no_other_assignment_is_better(data):
     assert cost(np.where(assigned == NO_PATH, n, assigned)) == pytest.approx(best)
 
 
-def test_the_best_for_all_is_not_the_nearest_for_each():
-    nis = np.array([[1.0, 2.0], [1.1, 12.0]])  # both anchors are nearest to the first path
+def test_the_best_assignment_overall_may_not_give_each_anchor_its_nearest_path():
+    nis = np.array([[1.0, 2.0], [1.1, 12.0]])  # the first path fits both anchors best
     assert assign(nis, 13.0).tolist() == [1, 0]
     assert assign(nis, 1.5).tolist() == [0, NO_PATH]
     assert assign(np.full((2, 1), np.inf), 13.0).tolist() == [NO_PATH, NO_PATH]
 
 
-def test_arrival_and_departure_are_looks_at_one_bearing():
+def test_a_path_disagrees_if_its_departure_is_not_opposite_to_its_arrival():
     sigma = np.tile([0.2, 0.03, 0.01, 0.04], (3, 1))
     paths = np.array(
         [[9.0, 1.0, 0.1, 1.0 - np.pi], [9.0, 3.0, 0.1, 0.1 + 3.0 - np.pi], [9.0, -3.1, -1.5, 0.05]]

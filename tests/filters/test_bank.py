@@ -1,4 +1,4 @@
-"""Banks as files hold them."""
+"""Tests of writing banks (modes and how they interact) to mode files and reading them back."""
 
 import json
 
@@ -19,19 +19,19 @@ BANK = Bank((Mode("slow", "ckf", sigma_v=0.1 + 0.2), Mode("fast")), ((0.9, 0.1),
 
 
 @pytest.mark.parametrize("bank", [BANK, Bank(BANK.modes), best_bank("standard")])
-def test_a_bank_comes_back_from_json_as_it_was_written(bank):
+def test_a_bank_read_from_json_equals_the_bank_that_was_written(bank):
     assert bank_in(json.loads(json.dumps(bank_as_written(bank)))) == bank
 
 
-def test_a_mode_file_says_how_modes_interact_by_itself_and_in_a_list(tmp_path):
+def test_a_mode_file_defines_the_transition_if_given_alone_or_in_a_list_of_one(tmp_path):
     path = tmp_path / "bank.json"
     path.write_text(json.dumps(bank_as_written(BANK)))
     assert bank_from(path) == bank_from(str(path)) == bank_from([path]) == bank_from((str(path),))
     assert bank_from([path]) == BANK
-    assert bank_from([path, "ekf"]).transition is None  # of three modes nothing is said
+    assert bank_from([path, "ekf"]).transition is None  # the file says nothing about three modes
 
 
-def test_what_a_mode_file_holds_is_as_good_as_the_file():
+def test_the_parsed_content_of_a_mode_file_is_accepted_instead_of_the_file():
     content = bank_as_written(BANK)
     assert bank_from(content) == BANK and modes_from(content) == BANK.modes
     for read in (bank_from, modes_from):
@@ -54,6 +54,6 @@ def test_a_misspelt_key_is_refused(tmp_path, read, misspelt, key):
 
 
 @pytest.mark.parametrize("number", [10**400, "p", "1", True, None, [1.0]])
-def test_a_transition_that_holds_no_numbers_is_refused(number):
+def test_a_transition_with_an_entry_that_is_not_a_finite_number_is_refused(number):
     with refuses("transition"):
         bank_in(bank_as_written(BANK) | {"transition": [[number, 0.1], [0.3, 0.7]]})

@@ -1,10 +1,10 @@
-"""Filters fed by their own model are as uncertain as they say.
+"""Tests that the covariances of filters are right if users move and are measured as assumed.
 
-Users move as the modes believe (white-noise acceleration, oscillator drift), start from the
-prior and are measured with Gaussian noise, far enough from the anchors for the geometry to
-be nearly flat across the prior. Then NEES and NIS are chi-square, whatever the algorithm, and
-errors exceed protection levels as often as these promise.
-Each test makes all its checks together at the 1 % level (Bonferroni), with seed 0.
+Users move as the modes assume (white-noise acceleration, oscillator drift), start from the
+prior and are measured with Gaussian noise, far enough from the anchors for measurements to be
+nearly linear across the prior. Then NEES and NIS are chi-square for every algorithm, and
+errors exceed protection levels as often as these state.
+All checks of a test together raise a false alarm in 1 % of seeds (Bonferroni); the seed is 0.
 """
 
 import numpy as np
@@ -28,8 +28,8 @@ TUNING = {"sigma_v": 0.3, "adaptive": False}
 
 @pytest.fixture(scope="module")
 def runs():
-    """Per algorithm: NEES (T, runs), NIS (T, runs, groups), what a 99 % gate would reject, and
-    errors (T, runs, 3) with their packed covariances.
+    """Return, per algorithm, NEES (T, runs), NIS (T, runs, groups), flags of groups that a 99 %
+    gate rejects, errors (T, runs, 3) and packed covariances (T, runs, 28).
     """
     plain = [Mode(a, a, gate=None, **TUNING) for a in ALGORITHMS]
     gated = [Mode(f"{a} gated", a, gate=0.99, **TUNING) for a in ALGORITHMS]
@@ -54,7 +54,7 @@ def runs():
 
 
 def assert_chi_square_means(means, dof):
-    """Means over RUNS of chi-square values, all within their joint 99 % interval."""
+    """Assert that means of RUNS chi-square values are all within their joint 99 % interval."""
     means, dof = np.broadcast_arrays(means, dof)
     tail = LEVEL / means.size / 2
     low, high = chi2.ppf([[tail], [1 - tail]], RUNS * dof.ravel()) / RUNS
@@ -85,13 +85,13 @@ def test_gate_rejects_one_good_group_in_a_hundred(runs, algorithm):
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_protection_levels_hold_at_the_stated_risk(runs, algorithm):
+def test_errors_exceed_protection_levels_with_the_stated_probability(runs, algorithm):
     *_, errors, P = runs[algorithm]
     risks = (0.2, 0.05, 0.01)
-    tail = LEVEL / (len(risks) * len(CHECKED) * 2) / 2  # of both kinds
+    tail = LEVEL / (len(risks) * len(CHECKED) * 2) / 2  # two kinds: horizontal, vertical
     for risk in risks:
         low, high = binom.ppf([tail, 1 - tail], RUNS, risk)
-        for epoch in CHECKED:  # episodes are independent, epochs of one are not
+        for epoch in CHECKED:  # episodes are independent, but epochs of one episode are not
             levels = PositionErrors(risk)
             levels.add(errors[epoch], P[epoch])
             for kind, figures in levels.figures().items():

@@ -1,4 +1,4 @@
-"""Algorithms that cannot run are refused before they are compiled, and the message helps."""
+"""Tests that algorithms that cannot run on SIMD lanes are refused early, with good advice."""
 
 import importlib.util
 import linecache
@@ -53,7 +53,7 @@ REFUSED = {
 
 @pytest.fixture
 def written(tmp_path):
-    """Makes an algorithm of a line of code, in a file."""
+    """Return a function that writes an algorithm with a given line of code to a file."""
 
     def write(line):
         file = tmp_path / "filters.py"
@@ -105,7 +105,7 @@ class Filter:
 
 
 @pytest.mark.parametrize("algorithm", [helped, wrapped, partial(helped), Filter()])
-def test_the_line_is_the_innermost_of_the_user_s(algorithm):
+def test_the_message_shows_the_innermost_line_of_the_users_code(algorithm):
     number = 1 + next(
         i for i, line in enumerate(linecache.getlines(__file__)) if "# refused here" in line
     )
@@ -136,7 +136,7 @@ def test_other_failures_keep_their_cause_and_show_the_line(algorithm, part):
 
 
 def changed(**fields):
-    """The EKF with some fields of its posterior replaced by functions of them."""
+    """Return an EKF whose posterior has some fields replaced by functions of these fields."""
 
     def algorithm(x, P, measurement, gate):
         after = ekf(x, P, measurement, gate)
@@ -198,7 +198,7 @@ CHANGES = {"P": widens_the_prior, "measurement": doubts_the_noise}
 
 
 @pytest.mark.parametrize(("name", "algorithm"), CHANGES.items(), ids=CHANGES)
-def test_changed_arguments_are_refused(name, algorithm):
+def test_an_algorithm_that_changes_its_arguments_is_refused(name, algorithm):
     assert f"changed its argument {name}" in str(refusal(algorithm))
 
 
@@ -212,15 +212,15 @@ def draws(x, P, measurement, gate):
 
 
 @pytest.mark.parametrize("algorithm", [asks_for_the_type, draws])
-def test_other_numbers_on_lanes_than_on_floats_are_refused(algorithm):
+def test_an_algorithm_that_returns_other_numbers_on_lanes_than_on_floats_is_refused(algorithm):
     message = str(refusal(algorithm))
     assert "on floats" in message and "on lanes" in message
 
 
-# --- when
+# --- where algorithms are tried
 
 
-def test_environments_refuse_before_they_are_made(written):
+def test_making_an_environment_with_an_algorithm_that_cannot_run_is_refused(written):
     file, algorithm = written("c = max(a, b)")
     for make in (gym.make, partial(gym.make_vec, num_envs=2)):
         with pytest.raises(TypeError) as error:
@@ -232,7 +232,7 @@ def test_environments_refuse_before_they_are_made(written):
 @pytest.mark.parametrize("planar", [False, True], ids=["hilly", "planar"])
 @pytest.mark.parametrize("ours", [ekf, ukf, ckf])
 @pytest.mark.parametrize("options", [{}, {"robust": True}, {"gate": None, "recovery": None}])
-def test_sound_algorithms_pass_with_any_layout(layout, planar, ours, options):
+def test_valid_algorithms_are_accepted_with_any_layout(layout, planar, ours, options):
     def own(x, P, measurement, gate):
         return ours(x, P, measurement, gate)
 
@@ -248,7 +248,7 @@ def test_branches_on_layout_and_gate_are_allowed():
     Pipeline((Mode("own", own),), STREET)
 
 
-def test_a_layout_of_which_a_filter_knows_nothing_is_refused():
+def test_an_algorithm_that_ignores_groups_of_the_layout_is_refused():
     def three_anchors(x, P, measurement, gate):
         after = ekf(x, P, measurement, gate)
         return Posterior(after.x, after.P, after.nis[:4], after.accepted[:4], after.log_likelihood)
@@ -257,7 +257,7 @@ def test_a_layout_of_which_a_filter_knows_nothing_is_refused():
     assert "returned nis: list of 4" in str(refusal(three_anchors, Layout(5)))
 
 
-def test_an_algorithm_that_uses_rows_that_are_missing_is_refused():
+def test_an_algorithm_that_uses_missing_rows_is_refused():
     def all_rows(x, P, measurement, gate):
         return ekf(x, P, measurement._replace(measured=[1.0] * measurement.layout.size), gate)
 
@@ -271,7 +271,7 @@ def test_an_algorithm_that_uses_rows_that_are_missing_is_refused():
         Pipeline((Mode("own", mine),), layout)
 
 
-def test_one_trial_serves_equal_pipelines():
+def test_equal_pipelines_share_one_trial():
     calls = []
 
     def counting(x, P, measurement, gate):
@@ -279,7 +279,7 @@ def test_one_trial_serves_equal_pipelines():
         return ekf(x, P, measurement, gate)
 
     pipeline = Pipeline((Mode("own", counting),), STREET)
-    assert len(calls) == 4  # two epochs, on floats and as on lanes
+    assert len(calls) == 4  # two epochs, each on floats and on stand-ins for lanes
     replace(pipeline, modes=pipeline.modes)
     Engine(pipeline, 1, TrackingReward())
     assert len(calls) == 4

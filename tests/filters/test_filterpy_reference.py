@@ -1,4 +1,4 @@
-"""Whole episodes on filterpy's filters and on ours."""
+"""Tests that filterpy's filters and ours give the same tracks over complete episodes."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ ALGORITHMS = ("ekf", "ukf", "ckf")
 
 
 def both(pipeline, episodes, actions, parts):
-    """The track on our filters and on filterpy's, both on floats."""
+    """Return the tracks of our filters and of filterpy's, both run on plain floats."""
     epochs = len(episodes[0])
     return [
         track(p, episodes, actions, epochs, parts, on_floats=True)
@@ -41,7 +41,7 @@ def both(pipeline, episodes, actions, parts):
 
 
 def pairs():
-    """Yield tunings with algorithms; fast are every tuning with one algorithm."""
+    """Yield pairs of an algorithm and a tuning; per tuning, one algorithm is not marked slow."""
     for index, name in enumerate(TUNINGS):
         for a, algorithm in enumerate(ALGORITHMS):
             marks = [] if index % 3 == a else pytest.mark.slow
@@ -49,7 +49,7 @@ def pairs():
 
 
 @pytest.mark.parametrize(("algorithm", "name"), [*pairs()])
-def test_whole_episodes_agree(algorithm, name):
+def test_complete_episodes_agree_with_filterpy(algorithm, name):
     pipeline = pipeline_of(algorithms=[algorithm], **TUNINGS[name])
     kept = ("x", "P", "P_predicted", "memory", "observation", "memory.lockout")
     ours, twin = both(pipeline, simulated(1, EPOCHS), 0, kept)
@@ -64,7 +64,7 @@ def test_whole_episodes_agree(algorithm, name):
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 @pytest.mark.parametrize("anchors", [1, 3])
-def test_odometry_and_any_number_of_anchors_agree(algorithm, anchors):
+def test_episodes_with_odometry_and_one_or_three_anchors_agree_with_filterpy(algorithm, anchors):
     episodes = [with_anchors(e, anchors) for e in simulated(1, epochs=100, odometry=True)]
     pipeline = pipeline_of(episodes[0].layout, [algorithm])
     ours, twin = both(pipeline, episodes, 0, ("x", "P"))
@@ -73,7 +73,7 @@ def test_odometry_and_any_number_of_anchors_agree(algorithm, anchors):
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 @pytest.mark.parametrize("name", ["adaptive and gated", "robust"])
-def test_episodes_with_some_rows_agree(algorithm, name):
+def test_episodes_with_missing_rows_agree_with_filterpy(algorithm, name):
     rng = np.random.default_rng(1)
     episodes = [some_rows(e, rng, 0.6) for e in simulated(1, epochs=100, odometry=True)]
     pipeline = pipeline_of(episodes[0].layout, [algorithm], **TUNINGS[name])
@@ -83,7 +83,7 @@ def test_episodes_with_some_rows_agree(algorithm, name):
         np.testing.assert_allclose(twin[part], ours[part], rtol=1e-7, atol=1e-7)
 
 
-def test_switching_between_twins_carries_the_belief():
+def test_switching_between_filters_gives_the_same_beliefs_as_with_filterpy():
     actions = np.random.default_rng(0).integers(3, size=(60, 2))
     ours, twin = both(pipeline_of(), simulated(2, epochs=60), actions, ("x", "P"))
     assert_same_beliefs(twin, ours, rtol=1e-9)
@@ -97,11 +97,11 @@ def test_switching_between_twins_carries_the_belief():
     ],
     ids=["flat terrain", "own algorithm"],
 )
-def test_filterpy_refuses_other_pipelines(pipeline, field):
+def test_pipelines_that_filterpy_does_not_support_are_refused(pipeline, field):
     with refuses(field):
         filterpy_pipeline(pipeline)
 
 
-def test_twin_does_not_run_on_lanes():
+def test_filterpys_filters_do_not_run_on_simd_lanes():
     with pytest.raises(Exception, match="numpy needs the value"):
         track(filterpy_pipeline(pipeline_of()), simulated(1, epochs=2), 0, 1, ("x",))

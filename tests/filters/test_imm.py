@@ -1,4 +1,4 @@
-"""The interacting multiple model against single filters and against numpy."""
+"""Tests of the interacting multiple model (IMM) against single filters; a textbook IMM."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ EPOCHS = 60
 
 
 @pytest.mark.parametrize("algorithm", ["ekf", "ukf"])
-def test_one_mode_is_that_mode(algorithm):
+def test_an_imm_of_one_mode_equals_that_mode(algorithm):
     pipeline, episodes = pipeline_of(algorithms=[algorithm]), simulated(9, EPOCHS)
     imm = imm_track(pipeline, episodes)
     single = track(pipeline, episodes, 0, EPOCHS, ("x", "P", "nees"))
@@ -33,7 +33,7 @@ def test_one_mode_is_that_mode(algorithm):
     np.testing.assert_array_equal(imm["probability"], 1.0)
 
 
-def test_identical_modes_are_the_single_filter_and_stay_equally_probable():
+def test_an_imm_of_identical_modes_equals_one_of_them_and_keeps_equal_probabilities():
     episodes = simulated(9, EPOCHS)
     twins = Pipeline((Mode("a", "ukf"), Mode("b", "ukf")), Layout(3))
     imm = imm_track(twins, episodes)
@@ -42,14 +42,14 @@ def test_identical_modes_are_the_single_filter_and_stay_equally_probable():
     np.testing.assert_allclose(imm["probability"], 0.5, rtol=1e-9)
 
 
-def test_probabilities_sum_to_one_and_never_die():
+def test_mode_probabilities_sum_to_one_and_stay_positive():
     probability = imm_track(Pipeline(default_modes(), Layout(3)), simulated(16, 200))["probability"]
     np.testing.assert_allclose(probability.sum(axis=-1), 1.0, rtol=1e-12)
     assert probability.min() > 0.0
     assert probability.std() > 0.1
 
 
-def test_planar_mixture_keeps_height_and_climb():
+def test_a_planar_mixture_keeps_its_height_and_a_vertical_speed_of_zero():
     level = [1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 1.0]
     episodes = [replace(e, prior_mean=e.prior_mean * level) for e in simulated(8, EPOCHS)]
     imm = imm_track(Pipeline(default_modes(), Layout(3), planar=True), episodes)
@@ -60,11 +60,11 @@ def test_planar_mixture_keeps_height_and_climb():
 
 
 def textbook_imm(episode, modes, transitions, nis_quantile=1.0, change=None):
-    """Bar-Shalom, Li and Kirubarajan 2001, Sec. 11.6.6: plain modes without gates and scaling.
+    """Run the IMM of Bar-Shalom, Li and Kirubarajan 2001, Sec. 11.6.6, without gates or scaling.
 
-    ``modes`` are (method, Q of one second), ``transitions`` one matrix an epoch; returns x (T, 7),
-    P (T, 7, 7), probabilities (T, M). In a likelihood, NIS counts up to a chi-square quantile.
-    ``change(t, probabilities)`` gives those that are taken instead after epoch t.
+    ``modes`` are pairs (method, Q of one second), ``transitions`` has one matrix per epoch. In
+    likelihoods, NIS is limited to a chi-square quantile. ``change(t, probabilities)`` returns what
+    replaces the probabilities after epoch t. Returns x (T, 7), P (T, 7, 7), probabilities (T, M).
     """
     most = chi2.ppf(nis_quantile, [4, 4, 4, 1])
     sensor = textbook.Sensor(episode.scene_anchors_m, episode.hz_per_mps)

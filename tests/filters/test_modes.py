@@ -1,4 +1,4 @@
-"""Modes by name, by file and as objects."""
+"""Tests of modes given as names, files and objects, and of errors in mode files."""
 
 import json
 from dataclasses import replace
@@ -35,30 +35,30 @@ def mode_file(tmp_path):
     return path
 
 
-def test_a_mode_file_gives_back_what_was_written(mode_file):
+def test_modes_read_from_a_file_equal_the_modes_that_were_written(mode_file):
     assert read_bank(mode_file).modes == tuple(THREE)
 
 
 @pytest.mark.parametrize("as_type", [str, lambda path: path, lambda path: [str(path)]])
-def test_a_mode_file_is_a_list_of_modes(mode_file, as_type):
+def test_a_mode_file_is_accepted_as_text_as_a_path_and_in_a_list(mode_file, as_type):
     assert modes_from(as_type(mode_file)) == tuple(THREE)
 
 
-def test_names_files_and_modes_mix(mode_file):
+def test_names_files_and_mode_objects_can_be_mixed_in_a_list(mode_file):
     own = Mode("own", "ckf")
     modes = modes_from(["ukf", str(mode_file), own])
     assert [mode.name for mode in modes] == ["ukf", "slow", "fast", "plain", "own"]
 
 
 @pytest.mark.parametrize("radio", RADIOS)
-def test_every_profile_has_its_tuning(radio):
+def test_every_radio_profile_has_tuned_modes(radio):
     low, high = default_modes(radio)
     assert (low.name, low.algorithm, high.name, high.algorithm) == ("ekf", "ekf", "ukf", "ukf")
     assert low.sigma_v < high.sigma_v and low.coupling and high.coupling
     assert not any(mode.coupling for mode in shipped_modes(radio, coupling=False))
 
 
-def test_a_profile_that_was_not_tuned_says_so_once(recwarn):
+def test_modes_of_a_radio_that_was_not_tuned_come_from_its_base_with_one_warning(recwarn):
     lab = Radio("lab", base="high")
     assert default_modes(lab) == default_modes("high") == default_modes(lab)
     assert best_bank(lab) == best_bank("high")
@@ -66,7 +66,7 @@ def test_a_profile_that_was_not_tuned_says_so_once(recwarn):
     assert "'lab'" in str(warning.message) and "'high'" in str(warning.message)
 
 
-def test_a_radio_file_has_the_modes_and_the_bank_of_its_base(tmp_path, recwarn):
+def test_a_radio_file_gets_the_modes_and_the_bank_of_its_base(tmp_path, recwarn):
     file = tmp_path / "phone.json"
     file.write_text('{"base": "handset", "ue_elements": 4}')
     assert default_modes(str(file)) == default_modes("handset") != default_modes("standard")
@@ -76,11 +76,11 @@ def test_a_radio_file_has_the_modes_and_the_bank_of_its_base(tmp_path, recwarn):
     assert len(recwarn) == 1
 
 
-def test_modes_of_ones_own_need_no_tuned_profile(mode_file):
+def test_custom_modes_do_not_need_a_tuned_radio(mode_file):
     assert modes_from([str(mode_file)], Radio("unheard-of")) == tuple(THREE)
 
 
-def test_robust_modes_are_the_same_tuning_without_adaptation():
+def test_robust_modes_have_the_tuning_of_the_plain_modes_without_adaptation():
     named = named_modes("high")
     assert named["ekf-robust"] == replace(
         named["ekf"], name="ekf-robust", robust=True, blockage_aware=True, adaptive=False
@@ -89,7 +89,7 @@ def test_robust_modes_are_the_same_tuning_without_adaptation():
 
 
 @pytest.mark.parametrize("modes", [["ekf", {"name": "own"}], "ekf", 3, ["pf"]])
-def test_other_arguments_are_refused(modes):
+def test_arguments_that_do_not_name_modes_are_refused(modes):
     with refuses("mode"):
         modes_from(modes)
 
@@ -108,7 +108,7 @@ def test_other_arguments_are_refused(modes):
         ('{"modes": [{"algorithm": "ekf"}]}', "modes[0].name"),
     ],
 )
-def test_a_damaged_mode_file_is_refused_by_field(tmp_path, text, field):
+def test_a_damaged_mode_file_is_refused_with_the_name_of_the_field(tmp_path, text, field):
     path = tmp_path / "bad.json"
     path.write_text(text)
     with refuses("bad.json", field):
@@ -130,18 +130,18 @@ def test_a_damaged_mode_file_is_refused_by_field(tmp_path, text, field):
         ("recovery", 2.5),
     ],
 )
-def test_a_damaged_mode_is_refused_by_field(tmp_path, field, value):
+def test_a_mode_with_a_wrong_value_is_refused_with_the_name_of_the_field(tmp_path, field, value):
     path = tmp_path / "bad.json"
     path.write_text(json.dumps({"modes": [{"name": "a", field: value}]}))
     with refuses("bad.json", "modes[0]", field):
         modes_from(path)
 
 
-def test_no_file_can_hold_a_function():
+def test_a_mode_whose_algorithm_is_a_function_cannot_be_written_to_a_file():
     with refuses("algorithm of mode 'own'"):
         as_written(Mode("own", ekf))
 
 
-def test_a_missing_mode_file_is_named():
+def test_the_error_about_a_missing_mode_file_names_it():
     with refuses("nowhere.json", error=FileNotFoundError):
         modes_from("nowhere.json")

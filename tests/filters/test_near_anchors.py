@@ -1,4 +1,4 @@
-"""Beliefs straight below an anchor, above it and at it: the textbook, filterpy and ours agree."""
+"""Tests that our filters, filterpy and the textbook agree right below, above and at an anchor."""
 
 import numpy as np
 import pytest
@@ -14,22 +14,22 @@ from tests.filters.tracks import OwnModel, assert_same_beliefs, pipeline_of, pro
 
 OURS = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 ANCHORS = np.array([[0.0, 0.0, 10.0], [80.0, 60.0, 12.0], [-50.0, 70.0, 15.0]])
-MEANT = {"vertical": [1, 3], "anchor": [1, 2, 3, 12]}  # rows that are silent
-OFFSETS = {  # of the mean from the first anchor, m, and what has no direction there
+MEANT = {"vertical": [1, 3], "anchor": [1, 2, 3, 12]}  # rows that carry no information
+OFFSETS = {  # from the first anchor to the mean, m; key in MEANT of rows without information
     "below": ((0.0, 0.0, -8.5), "vertical"),
     "above": ((0.0, 0.0, 20.0), "vertical"),
-    "hardly beside its vertical": ((0.6 * NEAREST_M, -0.6 * NEAREST_M, -8.5), "vertical"),
+    "too close to its vertical": ((0.6 * NEAREST_M, -0.6 * NEAREST_M, -8.5), "vertical"),
     "at it": ((0.0, 0.0, 0.0), "anchor"),
-    "hardly beside it": ((0.3 * NEAREST_M, -0.4 * NEAREST_M, 0.5 * NEAREST_M), "anchor"),
-    "a little beside its vertical": ((1.2 * NEAREST_M, 0.7 * NEAREST_M, -8.5), None),
-    "a little beside it": ((-1.1 * NEAREST_M, 1.2 * NEAREST_M, 0.9 * NEAREST_M), None),
+    "too close to it": ((0.3 * NEAREST_M, -0.4 * NEAREST_M, 0.5 * NEAREST_M), "anchor"),
+    "far enough from its vertical": ((1.2 * NEAREST_M, 0.7 * NEAREST_M, -8.5), None),
+    "far enough from it": ((-1.1 * NEAREST_M, 1.2 * NEAREST_M, 0.9 * NEAREST_M), None),
 }
 algorithms = pytest.mark.parametrize("algorithm", OURS)
 everywhere = pytest.mark.parametrize("where", OFFSETS)
 
 
 def near(where, odometry=False):
-    """An update whose prior mean is that near to an anchor; the user is 2 m off."""
+    """Return an update with the prior mean at this offset; the user is about 2 m from it."""
     sensor = textbook.Sensor(ANCHORS, HZ_PER_MPS, odometry)
     x = np.array([*(ANCHORS[0] + OFFSETS[where][0]), 3.0, -2.0, 0.1, 20.0])
     scale = np.array([3.0, 3.0, 1.0, 1.0, 1.0, 0.3, 50.0])
@@ -44,17 +44,17 @@ def near(where, odometry=False):
 @everywhere
 @pytest.mark.parametrize("odometry", [False, True], ids=["radio", "odometry"])
 @pytest.mark.parametrize("gate", [Gate(None), Gate(0.99), Gate(0.99, robust=True)], ids=str)
-def test_an_update_near_an_anchor_is_the_textbooks(algorithm, where, odometry, gate):
+def test_an_update_near_an_anchor_equals_the_textbook(algorithm, where, odometry, gate):
     problem = near(where, odometry)
     assert_same(
         problem.ours(OURS[algorithm], gate),
         problem.textbook(textbook.METHODS[algorithm], gate),
-        rtol=1e-6,  # right beside an anchor angles are a thousand radians a meter
+        rtol=1e-6,  # next to an anchor, angles change by a thousand radians per meter
     )
 
 
 @everywhere
-def test_what_has_no_direction_says_nothing_and_the_rest_is_the_derivative(where):
+def test_rows_without_a_direction_have_a_zero_jacobian_and_others_the_derivative(where):
     problem, (_, lost) = near(where), OFFSETS[where]
     s, x = problem.sensor, problem.x
     silent = MEANT.get(lost, [])
@@ -68,7 +68,7 @@ def test_what_has_no_direction_says_nothing_and_the_rest_is_the_derivative(where
 
 
 def starts_near(where):
-    """Users whose filters begin right there; they walk off, and are measured well."""
+    """Return a model with the prior mean at this offset; users walk away, with little noise."""
     sensor = textbook.Sensor(ANCHORS, HZ_PER_MPS)
     mean = np.array([*(ANCHORS[0] + OFFSETS[where][0]), 2.0, 1.0, 0.0, 10.0])
     (mode,) = pipeline_of(algorithms=["ekf"]).modes
@@ -78,7 +78,7 @@ def starts_near(where):
 
 
 @everywhere
-def test_whole_tracks_from_there_are_finite_and_those_of_filterpy(where):
+def test_tracks_that_start_near_an_anchor_are_finite_and_agree_with_filterpy(where):
     episodes = [starts_near(where).draw(np.random.default_rng(seed), 12) for seed in range(3)]
     for place, algorithm in enumerate(OURS):
         pipeline = pipeline_of(algorithms=[algorithm])
@@ -87,6 +87,6 @@ def test_whole_tracks_from_there_are_finite_and_those_of_filterpy(where):
         assert_same_beliefs(twin, ours, rtol=1e-6)
 
 
-def test_a_user_at_an_anchor_is_measured_in_numbers():
+def test_the_exact_measurement_of_a_user_at_an_anchor_is_finite():
     rows = exact_rows([1.0, 2.0, 3.0], [3.0, 0.0, 0.0], [[1.0, 2.0, 3.0]], 93.4, Layout(1))
     assert rows == [0.0, 0.0, 0.0, np.pi, 0.0]

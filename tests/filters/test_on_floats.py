@@ -1,7 +1,7 @@
-"""Whole epochs on plain floats against the textbook: modes, memory, mixtures, smoothing, scores.
+"""Tests of epochs on plain floats against the textbook: modes, memory, IMMs, smoothing, scores.
 
-Engines run the same functions compiled; here no compiler is in between, so each of these tests
-takes a second at most.
+Engines run the same functions compiled; here they run as plain Python, so that each test takes
+at most a second.
 """
 
 import numpy as np
@@ -40,7 +40,7 @@ def layout_of(problem):
 
 
 def noise_of(mode, spread_hz, dt, gamma):
-    """Q (7, 7) of a step, from the documented tuning: discrete white-noise acceleration."""
+    """Return Q (7, 7) of a step by the documented tuning: discrete white-noise acceleration."""
     velocity = np.array([mode.sigma_v**2 + mode.spread_gain * spread_hz] * 2 + [mode.sigma_vz**2])
     position = np.array([mode.sigma_p**2] * 2 + [mode.sigma_pz**2])
     q, half = velocity * dt, 0.5 * dt * mode.coupling
@@ -72,7 +72,7 @@ MODES = [
 @pytest.mark.parametrize("mode", MODES, ids=lambda mode: mode.name)
 @given(data=st.data())
 @few
-def test_an_epoch_of_a_mode_is_the_textbooks(mode, lockout, data):
+def test_an_epoch_of_a_mode_equals_the_textbook(mode, lockout, data):
     problem = data.draw(problems(odometry=True, anchors=2))
     epoch, layout, gamma, drop_db = epoch_of(problem), layout_of(problem), 1.7, 9.0
     before = memory.initial_memory(layout, 1)._replace(
@@ -108,7 +108,7 @@ def test_an_epoch_of_a_mode_is_the_textbooks(mode, lockout, data):
 
 
 @pytest.mark.parametrize(("now_db", "factor"), [(19.0, 1.0), (11.0, 2.5), (-30.0, 10.0)])
-def test_a_link_below_its_mean_counts_less(now_db, factor):
+def test_a_blockage_aware_mode_inflates_the_noise_of_a_link_with_low_snr(now_db, factor):
     mode, layout = Mode("aware", blockage_aware=True), Layout(1)
     before = memory.initial_memory(layout, 1)._replace(snr_mean_db=[20.0])
     epoch = Epoch(1.0, [0.0] * 5, [2.0] * 5, [1.0, 1.0], [now_db], 0.0)
@@ -171,7 +171,7 @@ def test_memory_follows_its_definition_over_many_epochs():
             np.testing.assert_allclose(getattr(kept, name), value, rtol=1e-9, err_msg=name)
 
 
-def test_outliers_count_up_to_a_quantile_where_modes_are_compared():
+def test_the_nis_of_outliers_is_limited_to_a_quantile_when_modes_are_compared():
     cap, nis = chi2.ppf(0.999, [4, 4, 1]), np.array([3.0, 50.0, 40.0])
     capped = capped_log_likelihood(
         outcome(nis.tolist(), [], log_likelihood=-50.0), Layout(2).widths
@@ -183,7 +183,7 @@ def test_outliers_count_up_to_a_quantile_where_modes_are_compared():
 
 
 def run_imm(modes, episode, transition, limits=(np.inf,) * 4, rates=None):
-    """Moments, probabilities and what was predicted by an IMM on floats, epoch by epoch."""
+    """Run an IMM on floats; yield the result and the time step dt of every epoch."""
     pipeline, P = Pipeline(tuple(modes), Layout(3)), pack(episode.prior_covariance.tolist())
     tunings = rates or [mode.tuning for mode in modes]
     rows = imm.ImmSettings([list(row) for row in transition], tunings, list(limits))
@@ -201,8 +201,8 @@ def run_imm(modes, episode, transition, limits=(np.inf,) * 4, rates=None):
 
 
 @pytest.mark.parametrize(("nis_quantile", "off_m"), [(1.0, 0.0), (0.9, 0.0), (1.0, 90.0)])
-def test_a_mixture_is_the_textbooks(nis_quantile, off_m):
-    """Also where no mode explains a range, and likelihoods are too small to be added up."""
+def test_a_mixture_equals_the_textbook(nis_quantile, off_m):
+    """With a range off by 90 m, which no mode explains, likelihoods would underflow."""
     (episode,) = simulated(1, epochs=8)
     episode.measurement[:, 4] += off_m
     plain = {"gate": None, "adaptive": False, "coupling": False}
@@ -227,7 +227,7 @@ def test_a_mixture_is_the_textbooks(nis_quantile, off_m):
         assert chosen == now.mixture.tracks[int(best)].memory._replace(mode=best)
 
 
-def test_what_a_mixture_predicts_has_the_moments_of_its_modes_and_their_maneuvers():
+def test_the_prediction_of_a_mixture_has_the_moments_of_its_modes_and_their_maneuvers():
     (episode,) = simulated(1, epochs=5)
     modes = [Mode("a", sigma_v=0.3), Mode("b", acceleration_mps2=2.0)]
     for now, dt in run_imm(modes, episode, [[0.8, 0.2], [0.3, 0.7]]):
@@ -248,26 +248,26 @@ def spread(weights, points):
     return np.einsum("m,mi,mj->ij", weights, offset, offset)
 
 
-def test_a_mode_stays_or_moves_to_any_other_alike():
+def test_the_stay_matrix_gives_all_other_modes_the_same_probability():
     np.testing.assert_allclose(imm.stay_matrix(3, 0.9), 0.05 + 0.85 * np.eye(3))
     np.testing.assert_allclose(imm.stay_matrix(2, 0.05), [[0.05, 0.95], [0.95, 0.05]])
     assert imm.stay_matrix(1) == ((1.0,),)
 
 
 @pytest.mark.parametrize("sigmas", [(0.03, 30.0), (30.0, 0.03)])
-def test_a_mode_that_alone_explains_a_jump_has_all_probability(sigmas):
+def test_the_only_mode_that_explains_a_jump_becomes_the_most_probable(sigmas):
     (episode,) = simulated(1, epochs=6)
     episode.measurement[-1, 4] += 500.0
     modes = [Mode(str(v), sigma_v=v, gate=None, adaptive=False) for v in sigmas]
     *_, (now, _) = run_imm(modes, episode, [[0.9, 0.1], [0.1, 0.9]])
     apart = abs(now.results[0].log_likelihood - now.results[1].log_likelihood)
-    assert apart > 800.0  # beyond what exp can tell from 0, or from infinity
+    assert apart > 800.0  # exp of such a difference is 0 or infinity
     loose = float(np.argmax(sigmas))
     assert imm.most_probable(now.mixture) == loose
     assert sum(now.mixture.probability) == pytest.approx(1.0)
 
 
-def test_transitions_are_given_per_second():
+def test_transition_probabilities_per_second_are_scaled_to_shorter_steps():
     matrix = [[0.9, 0.1], [0.4, 0.6]]
     np.testing.assert_allclose(imm.over_step(matrix, 0.25), [[0.975, 0.025], [0.1, 0.9]])
     np.testing.assert_allclose(imm.over_step(matrix, 0.05), [[0.995, 0.005], [0.02, 0.98]])
@@ -275,7 +275,7 @@ def test_transitions_are_given_per_second():
         np.testing.assert_allclose(imm.over_step(matrix, dt), matrix)
 
 
-def test_trust_multiplies_the_odds_of_a_mode_and_zero_trusts_nobody():
+def test_trust_multiplies_the_odds_of_a_mode_and_zero_trust_changes_nothing():
     track = imm.ModeTrack([], [], None)
     mixture = imm.Mixture([track] * 3, [0.2, 0.5, 0.3])
     assert imm.trusting(mixture, 0.0, 0.5).probability == mixture.probability
@@ -290,7 +290,7 @@ def test_trust_multiplies_the_odds_of_a_mode_and_zero_trusts_nobody():
 # --- smoothing and scores
 
 
-def way_back(x, P, P_predicted, x_predicted, dt, known, step, with_covariance):
+def backward_pass(x, P, P_predicted, x_predicted, dt, known, step, with_covariance):
     after, found = smoother.track_end(with_covariance), []
     for t in reversed(range(len(x))):
         now = smoother.ForwardEpoch(
@@ -303,7 +303,7 @@ def way_back(x, P, P_predicted, x_predicted, dt, known, step, with_covariance):
 
 
 @pytest.mark.parametrize("known", [(), (2, 5)], ids=["spatial", "planar"])
-def test_the_way_back_is_the_textbooks(known):
+def test_the_backward_pass_equals_the_textbook_smoother(known):
     rng, T = np.random.default_rng(8), 6
     free = [i for i in range(7) if i not in known]
     time_s = rng.uniform(0.3, 1.5, T).cumsum()
@@ -320,8 +320,8 @@ def test_the_way_back_is_the_textbooks(known):
         x_predicted[t] = F @ x[t - 1] + np.isin(range(7), free)
     expected, covariance = textbook.rts(x, P, P_predicted, time_s, free, x_predicted)
     given_all = x, P, P_predicted, x_predicted, dt, known
-    both = way_back(*given_all, smoother.smooth_epoch, True)
-    alone = way_back(*given_all, smoother.smooth_mean, False)
+    both = backward_pass(*given_all, smoother.smooth_epoch, True)
+    alone = backward_pass(*given_all, smoother.smooth_mean, False)
     for t in range(T):
         np.testing.assert_allclose(both[t].x, expected[t], rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(alone[t].x, expected[t], rtol=1e-9, atol=1e-9)
@@ -331,7 +331,7 @@ def test_the_way_back_is_the_textbooks(known):
 
 
 @pytest.mark.parametrize("axes", [(0, 1, 2), (0, 1)])
-def test_scores_of_a_belief_are_those_of_its_gaussian(axes):
+def test_scores_of_a_belief_equal_those_of_its_gaussian_distribution(axes):
     rng = np.random.default_rng(2)
     factor, x, truth = rng.normal(size=(7, 7)), rng.normal(size=7), rng.normal(size=7)
     P, e = factor @ factor.T, x[:3] - truth[:3]

@@ -1,4 +1,4 @@
-"""A filter of one's own: what docs/own-filters.md shows works as shown, wherever modes go."""
+"""Tests that the filter in docs/own-filters.md works as shown, wherever modes are accepted."""
 
 import importlib
 import re
@@ -38,7 +38,7 @@ GATES = [Gate(None), Gate(0.99), Gate(0.5, force=1.0), Gate(0.99, robust=True)]
 
 @pytest.fixture(scope="module", autouse=True)
 def files(tmp_path_factory):
-    """A folder with the page's files, from which they can be imported."""
+    """Write the page's files to a folder from which they can be imported."""
     folder = tmp_path_factory.mktemp("own")
     (folder / "iekf.py").write_text(IEKF)
     (folder / "hasty.py").write_text(HASTY)
@@ -65,7 +65,7 @@ def mine(iekf):
 @pytest.mark.parametrize("iterations", [1, 3])
 @given(data=st.data())
 @settings(max_examples=15, deadline=None)
-def test_iekf_equals_the_textbook_s(iekf, iterations, gate, odometry, data):
+def test_the_iekf_equals_the_textbook(iekf, iterations, gate, odometry, data):
     problem = data.draw(problems(odometry))
     s = problem.sensor
     rule = gate.quantile, gate.force, gate.robust
@@ -76,8 +76,7 @@ def test_iekf_equals_the_textbook_s(iekf, iterations, gate, odometry, data):
 
 
 @pytest.mark.slow
-def test_wherever_modes_go(mine):
-    """The engine, the tracker, the IMM of one mode and the localizer give the same track."""
+def test_engine_tracker_and_imm_give_the_same_track_with_a_custom_filter(mine):
     episodes = simulated(2, epochs=30)
     pipeline = Pipeline((mine,), STREET)
     engine = track(pipeline, episodes, 0, 30, ("x",))["x"].swapaxes(0, 1)
@@ -88,7 +87,7 @@ def test_wherever_modes_go(mine):
     np.testing.assert_allclose(imm.run(episodes, "x")["x"], engine, rtol=1e-9, atol=1e-9)
 
 
-def test_a_log_is_localized_with_it(iekf, tmp_path):
+def test_a_log_is_localized_with_a_custom_filter(iekf, tmp_path):
     scene, radio = SCENES["street"], RADIOS["handset"]
     source = SimulatedSource(scene, radio, epochs=30)
     write_log(tmp_path / "log.csv", source.sample(np.random.default_rng(0)))
@@ -107,7 +106,7 @@ def test_a_log_is_localized_with_it(iekf, tmp_path):
     np.testing.assert_allclose(own.smooth_x, ours.smooth_x, rtol=1e-6, atol=1e-6)
 
 
-def test_it_is_evaluated_like_a_mode_of_ours(mine):
+def test_a_custom_filter_is_evaluated_like_a_shipped_mode(mine):
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=30)
     scores = score_contenders(
         ["fixed-iekf", "imm"], source, "handset", Selection(range(2)), (mine,)
@@ -116,7 +115,7 @@ def test_it_is_evaluated_like_a_mode_of_ours(mine):
     np.testing.assert_allclose(scores["imm"]["ate_m"], scores["fixed-iekf"]["ate_m"], rtol=1e-6)
 
 
-def test_a_hasty_filter_is_refused_as_the_page_shows(files):
+def test_the_hasty_filter_is_refused_with_the_message_that_the_page_shows(files):
     hasty = importlib.import_module("hasty").hasty
     (shown,) = re.findall(r"```\n(algorithm hasty.*?)```", PAGE, re.DOTALL)
     with pytest.raises(AlgorithmError) as refusal:

@@ -1,4 +1,4 @@
-"""Whole tracks in partial layouts: the plain ones if every row is there, consistent if not."""
+"""Tests of tracks in partial layouts: plain tracks if no row is missing, otherwise consistent."""
 
 from dataclasses import replace
 
@@ -31,7 +31,7 @@ QUIET = {"gate": None, "adaptive": False, "sigma_v": 0.3}
 
 @pytest.mark.parametrize("odometry", [False, True], ids=["radio", "odometry"])
 @pytest.mark.parametrize("tuning", [{}, {"robust": True, "blockage_aware": True}], ids=str)
-def test_a_partial_layout_with_all_rows_is_the_plain_one(odometry, tuning):
+def test_a_partial_layout_without_missing_rows_equals_the_plain_layout(odometry, tuning):
     plain = simulated(2, 100, odometry)
     partial = [episode.only(MEASUREMENTS) for episode in plain]
     actions = np.random.default_rng(0).integers(3, size=(100, 2))
@@ -45,7 +45,7 @@ def test_a_partial_layout_with_all_rows_is_the_plain_one(odometry, tuning):
         np.testing.assert_allclose(ours[part], expected[part], rtol=1e-7, atol=1e-7)
 
 
-def test_an_imm_of_a_partial_layout_with_all_rows_is_the_plain_one():
+def test_an_imm_in_a_partial_layout_without_missing_rows_equals_the_plain_imm():
     plain, bank = simulated(2, 100), best_bank("handset")
     ours, expected = (
         imm_track(Pipeline(bank.modes, e[0].layout), e, bank.transition, bank.nis_quantile)
@@ -57,7 +57,7 @@ def test_an_imm_of_a_partial_layout_with_all_rows_is_the_plain_one():
 
 @pytest.fixture(scope="module")
 def runs():
-    """Episodes of a model of its own with half of the rows, and by epoch NEES, NIS and rows."""
+    """Run a filter on its own model with half the rows; return NEES, NIS and rows by epoch."""
     model = far_from_the_anchors(process_noise(Mode("ekf", "ekf", **QUIET)))
     rng = np.random.default_rng(0)
     drawn = [some_rows(model.draw(rng, EPOCHS), rng, 0.5) for _ in range(RUNS)]
@@ -75,7 +75,7 @@ def runs():
 
 
 def with_its_doppler(episode, model):
-    """The episode with Doppler shifts of the anchors that it says they are of."""
+    """Return the episode with each Doppler shift changed to that of its ``doppler_anchor``."""
     sensor, row = model.sensor, episode.layout.doppler
     z = episode.measurement.copy()
     truth = [*episode.truth_position_m.T], [*episode.truth_velocity_mps.T]
@@ -88,7 +88,7 @@ def with_its_doppler(episode, model):
 
 
 def assert_mean(values, dof):
-    """The mean of RUNS sums of chi-square values is within its 99 % interval."""
+    """Assert that a sum of chi-square values, of ``dof`` in total, is within its 99 % interval."""
     low, high = chi2.ppf([LEVEL / 2, 1 - LEVEL / 2], dof)
     assert low < values.sum() < high, (low, values.sum(), high)
 
@@ -99,7 +99,7 @@ def test_nees_with_missing_rows_and_doppler_shifts_of_any_anchor_is_chi_square(r
     assert_mean(nees[epoch], 3 * RUNS)
 
 
-def test_nis_counts_the_rows_that_are_there(runs):
+def test_nis_is_chi_square_with_the_number_of_measured_rows(runs):
     _, nis, rows = runs
     links = rows[..., :12].reshape(EPOCHS, RUNS, 3, 4).sum(axis=-1)
     assert not nis[..., :3][links == 0].any()

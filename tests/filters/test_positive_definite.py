@@ -1,4 +1,4 @@
-"""The covariance stays symmetric, finite and positive definite, whatever happens."""
+"""Slow tests that covariances stay finite and positive definite under randomly switched modes."""
 
 import numpy as np
 import pytest
@@ -23,12 +23,12 @@ MODES = (
 
 @pytest.fixture(scope="module")
 def pipeline():
-    """Modes of every kind, compiled once."""
+    """Return a pipeline with modes of every kind."""
     return Pipeline(MODES, Layout(3))
 
 
 def smallest_eigenvalues(pipeline, episodes, actions):
-    """Smallest eigenvalue of every P and of its correlation matrix; all must be finite."""
+    """Return the smallest eigenvalues of all P and of all correlation matrices of a run."""
     engine = Engine(pipeline, len(episodes), TrackingReward(), "prior")
     engine.reset(episodes)
     smallest, smallest_scaled = np.inf, np.inf
@@ -54,7 +54,7 @@ def smallest_eigenvalues(pipeline, episodes, actions):
 )
 def test_covariance_stays_positive_definite_under_random_modes(pipeline, n, epochs):
     episodes = simulated(n, epochs)
-    # A mode is kept for a while, as a policy would, so that tight modes get to be tight.
+    # Each mode is kept for a while, as a policy would, so that the P of tight modes becomes small.
     rng = np.random.default_rng(0)
     actions = np.repeat(rng.integers(len(MODES), size=(-(-epochs // 20), n)), 20, axis=0)[:epochs]
     every_epoch = rng.random((epochs, n)) < 0.2

@@ -1,4 +1,4 @@
-"""The update against the textbook's: all rows at once, nothing fused, nothing reduced."""
+"""Tests of the update against the textbook, which updates with all rows at once, unfused."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ with_odometry = pytest.mark.parametrize("odometry", [False, True], ids=["radio",
 @pytest.mark.parametrize("gate", GATES, ids=str)
 @given(data=st.data())
 @settings(max_examples=15, deadline=None)
-def test_update_equals_textbook(algorithm, odometry, gate, data):
+def test_an_update_equals_the_textbook(algorithm, odometry, gate, data):
     problem = data.draw(problems(odometry))
     expected = problem.textbook(textbook.METHODS[algorithm], gate, gate.force)
     if gate.quantile is not None:
@@ -39,8 +39,8 @@ def test_update_equals_textbook(algorithm, odometry, gate, data):
 @pytest.mark.parametrize("gate", GATES, ids=str)
 @given(data=st.data())
 @settings(max_examples=15, deadline=None)
-def test_update_with_some_rows_is_the_textbooks_with_these_rows(algorithm, odometry, gate, data):
-    """Gates have the quantile of the rows that are there; any anchor has the Doppler shift."""
+def test_an_update_with_missing_rows_equals_the_textbook(algorithm, odometry, gate, data):
+    """Gates use the quantile for the measured rows; the Doppler shift may be of any anchor."""
     problem = data.draw(problems(odometry, partial=True))
     expected = problem.textbook(textbook.METHODS[algorithm], gate, gate.force)
     if gate.quantile is not None:
@@ -50,8 +50,8 @@ def test_update_with_some_rows_is_the_textbooks_with_these_rows(algorithm, odome
 
 @given(problem=problems(anchors=9))
 @settings(max_examples=3, deadline=None)
-def test_determinants_of_many_links_are_those_of_the_textbook(problem):
-    """More than are multiplied before a logarithm is taken."""
+def test_determinants_of_many_links_equal_the_textbook(problem):
+    """Nine links have so many factors that logarithms are taken before all are multiplied."""
     expected = problem.textbook(textbook.tangent, Gate(None))
     assert_same(problem.ours(ekf, Gate(None)), expected)
 
@@ -62,7 +62,7 @@ def test_determinants_of_many_links_are_those_of_the_textbook(problem):
 )
 @given(data=st.data())
 @settings(max_examples=15, deadline=None)
-def test_any_scaled_sigma_points_equal_textbook(odometry, parameters, data):
+def test_an_update_with_any_scaled_sigma_points_equals_the_textbook(odometry, parameters, data):
     problem = data.draw(problems(odometry))
 
     def ours(x, P, measurement, gate):
@@ -76,7 +76,7 @@ def test_any_scaled_sigma_points_equal_textbook(odometry, parameters, data):
 @pytest.mark.parametrize(
     ("algorithm", "moments"),
     [
-        # Columns of L that vanish leave a UKF of n = 7 with the reach of n + kappa = 7.
+        # Sigma points of 7 states reach sqrt(7) deviations; so do those of 5 with kappa = 2.
         ("ekf", textbook.tangent),
         ("ukf", textbook.unscented(1.0, 2.0, 2.0)),
         ("ckf", textbook.unscented(1.0, 0.0, 2.0)),
@@ -85,7 +85,7 @@ def test_any_scaled_sigma_points_equal_textbook(odometry, parameters, data):
 @with_odometry
 @given(data=st.data())
 @settings(max_examples=12, deadline=None)
-def test_planar_update_is_that_of_the_five_free_states(algorithm, moments, odometry, data):
+def test_a_planar_update_equals_that_of_the_five_free_states(algorithm, moments, odometry, data):
     problem, gate = data.draw(problems(odometry)), Gate(0.99)
     free, known_axes = [0, 1, 3, 4, 6], [2, 5]
     P = problem.P.copy()
@@ -111,7 +111,7 @@ def test_planar_update_is_that_of_the_five_free_states(algorithm, moments, odome
 @with_odometry
 @given(data=st.data())
 @settings(max_examples=12, deadline=None)
-def test_nothing_visible_leaves_the_prior(algorithm, odometry, data):
+def test_an_update_without_visible_groups_leaves_the_prior_unchanged(algorithm, odometry, data):
     problem = data.draw(problems(odometry))
     problem = problem._replace(visible=np.zeros_like(problem.visible))
     posterior = problem.ours(OURS[algorithm], Gate(0.99))
@@ -139,7 +139,7 @@ def test_numbers_of_a_missing_group_do_not_matter(algorithm, data):
 
 
 def link_to_the_east(azimuth_of_arrival, azimuth_of_departure):
-    """One anchor 100 m to the east, so that arrival (pi) and departure (0) lie on a cut."""
+    """Return an update with an anchor 100 m to the east, so that arrival is at the cut (pi)."""
     sensor = textbook.Sensor(np.array([[100.0, 0.0, 10.0]]), HZ_PER_MPS)
     x = np.array([0.0, 0.0, 1.5, 3.0, -2.0, 0.1, 20.0])
     P = np.diag([4.0, 2.0, 0.5, 1.0, 1.0, 0.1, 900.0])
@@ -152,7 +152,7 @@ def link_to_the_east(azimuth_of_arrival, azimuth_of_departure):
 @algorithms
 @pytest.mark.parametrize("arrival", [3.1, -3.1, np.pi, -np.pi])
 @pytest.mark.parametrize("departure", [0.05, -0.05, 0.0])
-def test_fused_azimuths_keep_the_nis_of_four_rows_across_the_cut(algorithm, arrival, departure):
+def test_fused_azimuths_keep_the_nis_of_all_rows_across_the_cut(algorithm, arrival, departure):
     problem = link_to_the_east(arrival, departure)
     ours = problem.ours(OURS[algorithm], Gate(None))
     mean, S, _ = textbook.METHODS[algorithm](problem.sensor, problem.x, problem.P)
@@ -163,7 +163,7 @@ def test_fused_azimuths_keep_the_nis_of_four_rows_across_the_cut(algorithm, arri
     assert_same(ours, problem.textbook(textbook.METHODS[algorithm], Gate(None)))
 
 
-def test_disagreeing_azimuths_are_gated_though_their_mean_fits():
+def test_a_link_with_disagreeing_azimuths_is_rejected_even_if_their_mean_fits():
     agreeing, disagreeing = link_to_the_east(np.pi, 0.0), link_to_the_east(-np.pi + 0.15, -0.1)
     assert agreeing.ours(ekf, Gate(0.99)).accepted[0] == 1.0
     assert disagreeing.ours(ekf, Gate(0.99)).accepted[0] == 0.0
@@ -171,14 +171,14 @@ def test_disagreeing_azimuths_are_gated_though_their_mean_fits():
 
 @given(problem=problems(odometry=True))
 @settings(max_examples=30, deadline=None)
-def test_textbook_jacobian_is_the_derivative(problem):
+def test_the_textbook_jacobian_equals_the_numerical_derivative(problem):
     s, x = problem.sensor, problem.x
     step = 1e-4 * np.eye(7)
     columns = [s.difference(s.h(x + e), s.h(x - e)) / 2e-4 for e in step]
     np.testing.assert_allclose(s.jacobian(x), np.array(columns).T, rtol=1e-5, atol=1e-5)
 
 
-def test_sigma_points_without_reach_or_covariance_are_refused():
+def test_sigma_points_without_reach_or_with_an_indefinite_covariance_are_refused():
     for alpha, kappa in ((0.0, 0.0), (-1.0, 0.0), (1.0, -7.0)):
         with refuses("alpha, kappa"):
             SigmaPoints(alpha, 2.0, kappa)

@@ -1,4 +1,4 @@
-"""Episodes to filter, a way to go, and whole tracks of an engine to compare."""
+"""Helpers that make episodes to filter, run engines on them and compare the tracks."""
 
 from dataclasses import dataclass, replace
 from operator import attrgetter
@@ -27,19 +27,19 @@ HZ_PER_MPS = 93.4
 
 
 def geometry(position, velocity, scene, layout):
-    """The measurement function on arrays (T, 3): (T, rows)."""
+    """Return exact measurements (T, rows) of positions and velocities (T, 3)."""
     tracks = list(position.T), list(velocity.T)
     return np.stack(exact_rows(*tracks, scene.anchors_m, scene.hz_per_mps, layout), axis=1)
 
 
 def simulated(n, epochs=200, odometry=False, seed=0):
-    """Episodes of the noisiest radio, with more missing groups and gross outliers on top."""
+    """Return episodes of the noisiest radio with additional missing groups and gross outliers."""
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=epochs, odometry=odometry)
     return [spoiled(source.sample(np.random.default_rng([seed, i])), i) for i in range(n)]
 
 
 def around_a_block(corner=(10.0, -20.0)):
-    """A minute and a half along two sides of a block, faster and slower, at uneven times."""
+    """Return 90 s along two sides of a block, at a changing speed and uneven times."""
     time_s = np.cumsum(np.tile([0.4, 1.0, 2.1, 0.8], 21)) + 1000.0
     passed = time_s - time_s[0]
     traveled = 2.0 * passed + 4.0 * np.sin(passed / 9.0)
@@ -49,14 +49,14 @@ def around_a_block(corner=(10.0, -20.0)):
 
 
 def replay(episode):
-    """An episode source that knows one episode."""
+    """Return an episode source that always gives this episode."""
     return SimpleNamespace(
         layout=episode.layout, epochs=len(episode), name=episode.name, sample=lambda rng: episode
     )
 
 
 def spoiled(episode, seed):
-    """The episode with a tenth of its groups missing and one row in a hundred far off."""
+    """Return the episode with a tenth of its groups missing and 1 % of its rows far off."""
     rng = np.random.default_rng([99, seed])
     far = rng.random(episode.measurement.shape) < 0.01
     measurement = episode.measurement + 20.0 * far * episode.sigma
@@ -67,7 +67,7 @@ def spoiled(episode, seed):
 
 
 def some_rows(episode, rng, share):
-    """The episode with a share of its rows, and Doppler shifts that count as any anchor's."""
+    """Return the episode with a random share of its rows and random ``doppler_anchor``."""
     whole = episode.only(MEASUREMENTS)
     gone = rng.random(whole.measurement.shape) >= share
     measurement = np.where(gone, np.nan, whole.measurement)
@@ -78,7 +78,7 @@ def some_rows(episode, rng, share):
 
 
 def with_anchors(episode, anchors):
-    """The episode with its first anchors alone."""
+    """Return the episode with only the first ``anchors`` anchors."""
     old = episode.layout
     rows = [*range(4 * anchors), *range(old.doppler, old.size)]
     groups = [*range(anchors), *range(old.anchors, len(old.groups))]
@@ -94,7 +94,7 @@ def with_anchors(episode, anchors):
 
 
 def process_noise(mode):
-    """Q (7, 7) over a second, from the mode's documented tuning."""
+    """Return Q (7, 7) of one second, by the mode's documented tuning."""
     velocity = np.square([mode.sigma_v, mode.sigma_v, mode.sigma_vz])
     position = np.square([mode.sigma_p, mode.sigma_p, mode.sigma_pz])
     drift = (mode.sigma_b_mps * HZ_PER_MPS) ** 2
@@ -104,11 +104,11 @@ def process_noise(mode):
 
 @dataclass(frozen=True, eq=False)
 class OwnModel:
-    """Users who move as a filter believes, start from its prior and are measured as it believes.
+    """Model of users who start, move and are measured exactly as a filter assumes.
 
     ``start`` (7,) and ``prior`` (7,) are mean and standard deviations of the first state, Q
-    (7, 7) is that of a second, ``sigma`` (rows,) the noise, scaled by one lognormal factor per
-    row and epoch of spread ``fading``; each group is detected with probability ``detection``.
+    (7, 7) is the process noise of one second, ``sigma`` (rows,) the measurement noise, times a
+    lognormal factor (spread ``fading``) per row and epoch; ``detection`` is per group.
     """
 
     sensor: textbook.Sensor
@@ -120,7 +120,7 @@ class OwnModel:
     fading: float = 0.0
 
     def draw(self, rng, epochs):
-        """An episode of 1 s steps."""
+        """Draw an episode with steps of 1 s."""
         sensor, noise = self.sensor, np.linalg.cholesky(self.Q)
         x = [self.start + self.prior * rng.standard_normal(7)]
         for _ in range(epochs - 1):
@@ -139,7 +139,7 @@ class OwnModel:
 
 
 def far_from_the_anchors(Q, **options):
-    """An own model whose geometry is nearly flat across the uncertainty of the filters."""
+    """Return an OwnModel whose measurements are nearly linear across the filters' covariance."""
     anchors = np.array([[-60.0, 120.0, 40.0], [160.0, 60.0, 60.0], [40.0, -150.0, 50.0]])
     return OwnModel(
         sensor=textbook.Sensor(anchors, HZ_PER_MPS),
@@ -152,19 +152,19 @@ def far_from_the_anchors(Q, **options):
 
 
 def pipeline_of(layout=STREET, algorithms=("ekf", "ukf", "ckf"), planar=False, **tuning):
-    """One mode per algorithm, all tuned alike."""
+    """Return a pipeline with one mode per algorithm, all tuned alike."""
     modes = [Mode(a, a, **{"sigma_v": 1.8, **tuning}) for a in algorithms]
     return Pipeline(tuple(modes), layout, planar)
 
 
 def track(pipeline, episodes, actions, epochs, parts, on_floats=False):
-    """Run an engine; ``parts`` names parts of its workspace to keep, such as "memory.gamma".
+    """Run an engine and record ``parts`` of its workspace, such as "memory.gamma", every epoch.
 
     Args:
-        actions: (epochs, n) or (n,) modes to commit to.
+        actions: (epochs, n) or (n,) modes to choose.
 
     Returns:
-        Per name an array (epochs, n, ...); "P_predicted" is of a tracker, engines have none.
+        An array (epochs, n, ...) per part; "P_predicted" comes from a tracker, not an engine.
     """
     n = len(episodes)
     actions = np.broadcast_to(actions, (epochs, n))
@@ -185,7 +185,7 @@ def track(pipeline, episodes, actions, epochs, parts, on_floats=False):
 
 
 def imm_track(pipeline, episodes, transition=None, nis_quantile=1.0):
-    """x, P, probabilities and NEES of the mixture at every epoch (epochs, n, ...)."""
+    """Return x, P, probabilities and NEES of an IMM at every epoch, each (epochs, n, ...)."""
     names = {"x": "x", "P": "P", "nees": "nees", "probability": "mixture.probability"}
     imm = ImmEngine(pipeline, TrackingReward(), transition, nis_quantile)
     results = imm.run(episodes, *names.values())
@@ -193,7 +193,7 @@ def imm_track(pipeline, episodes, transition=None, nis_quantile=1.0):
 
 
 def unpacked(P):
-    """Symmetric matrices (..., 7, 7) from packed triangles (..., 28)."""
+    """Return symmetric matrices (..., 7, 7) from packed triangles (..., 28)."""
     full = np.zeros((*P.shape[:-1], 7, 7))
     full[..., TRIANGLE[0], TRIANGLE[1]] = P
     full[..., TRIANGLE[1], TRIANGLE[0]] = P
@@ -201,7 +201,7 @@ def unpacked(P):
 
 
 def assert_same_beliefs(a, b, rtol):
-    """Tracks with x and P agree at every epoch, in units of their standard deviations."""
+    """Assert that x and P of two tracks agree at every epoch, in units of standard deviations."""
     P, Q = unpacked(a["P"]), unpacked(b["P"])
     sigma = np.sqrt(np.einsum("...ii->...i", Q))
     known = sigma == 0.0

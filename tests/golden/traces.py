@@ -1,7 +1,7 @@
-"""Golden traces of filters, smoother and environments, a row an epoch, and costs.
+"""Golden traces: outputs of filters, smoother and environments, one row per epoch, and costs.
 
-A trace is a function that returns rows, dicts by column whose first cell names the row. Episodes
-go by keys, not by seeds: what a seed draws may change, what a key means does not.
+A trace is a function that returns rows: dicts by column, whose first cell names the row. Episodes
+are given by keys, because the keys that a seed draws may change, but not the episode of a key.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -36,16 +36,16 @@ Row = dict[str, Any]
 
 ID = "mmwave_env:MmWaveLoc-v0"
 LOGS = Path(mmwave_env.__file__).parent / "data" / "logs"
-RADIO = "standard"  # of the receiver that measured the logs
+RADIO = "standard"  # profile of the receiver that measured the logs
 STATE = ("px", "py", "pz", "vx", "vy", "vz", "b")
-DIAGONAL = [i * (i + 3) // 2 for i in range(7)]  # of a packed covariance
+DIAGONAL = [i * (i + 3) // 2 for i in range(7)]  # indices of the variances in a packed covariance
 
 
 # --- tracks of the measurement logs
 
 
 def track(log: str, mode: str) -> Iterator[Row]:
-    """The filtered track of a log in a mode."""
+    """Filter a log in one mode; yield rows of some epochs."""
     block = _localized(log, mode)
     for k in _shown(block.x):
         yield (
@@ -56,14 +56,14 @@ def track(log: str, mode: str) -> Iterator[Row]:
 
 
 def smoother(log: str, mode: str) -> Iterator[Row]:
-    """Smoothed means and variances of a track."""
+    """Smooth the track of a log in one mode; yield means and variances of some epochs."""
     block = _localized(log, mode, window=SMOOTHING_WINDOW)
     for k in _shown(block.smooth_x):
         yield _belief(k, block.smooth_x, block.smooth_P)
 
 
 def track_imm(log: str) -> Iterator[Row]:
-    """The track of a log by the IMM over the default modes."""
+    """Filter a log with the IMM of the default modes; yield rows of some epochs."""
     episode, modes = _episode(log), default_modes(RADIO)
     engine = ImmEngine(Pipeline(modes, episode.layout), TrackingReward())
     parts = engine.run([episode], "x", "P", "mixture.probability")
@@ -81,55 +81,55 @@ def _localized(log: str, mode: str, window: int | None = None) -> TrackBlock:
 
 
 def _episode(log: str) -> Episode:
-    """A log as an episode, from the fix of its first epoch."""
+    """Return a log as an episode, with the fix of the first epoch as the prior."""
     scene, radio = read_scene(LOGS / log / "scene.json"), radio_from(RADIO)
     (block,) = read_log(LOGS / log / "log.csv", scene)
     sigma, visible = radio.sigma(block.snr_db, scene, block.layout), block.visible.copy()
     fix = block.measurement[0, :4], sigma[0, :4]
     mean, covariance = prior_from_fix(scene.anchors_m[0], *fix, radio, scene)
-    visible[0, 0] = False  # or the link would be used twice
+    visible[0, 0] = False  # the prior has already used this link
     measured = block.measurement, sigma, visible, block.snr_db, block.doppler_spread_hz
     received = log, scene.anchors_m, scene.hz_per_mps, block.time_s, *measured
     return Episode(*received, mean, covariance, None, None, block.layout)
 
 
 def _shown(states: Any) -> list[int]:
-    """A few epochs of a track: the first ones, then all along."""
+    """Return the epochs to show: the first eight, then sixteen spread over the track."""
     return [*range(8), *np.linspace(8, len(states) - 1, 16).astype(int).tolist()]
 
 
 def _belief(k: int, x: Any, P: Any) -> Row:
-    """State (7,) and variances of the packed covariance (28,) of an epoch."""
+    """Return the state (7,) of an epoch and the variances of its packed covariance (28,)."""
     variances = zip(STATE, P[k, DIAGONAL], strict=True)
     state = dict(zip(STATE, x[k], strict=True))
     return {"epoch": k} | state | {f"var {name}": variance for name, variance in variances}
 
 
 def _gates(visible: Any, accepted: Any) -> str:
-    """For every group a letter: accepted, rejected, or - where it is missing."""
+    """Return one letter per group: a (accepted), r (rejected) or - (missing)."""
     return "".join("-ra"[int(v) + int(v and a)] for v, a in zip(visible, accepted, strict=True))
 
 
 def _parts(name: str, values: Any) -> Row:
-    """A cell for a scalar or for flags; one an element for numbers."""
+    """Return one cell for a scalar or for flags, but one per element for an array of numbers."""
     if isinstance(values, np.ndarray) and values.dtype != np.bool_:
         return {f"{name} {i}": value for i, value in enumerate(values)}
     return {name: values}
 
 
-# --- environments: all that reset and step return
+# --- environments: everything that reset and step return
 
 
 class Recorded(TrackSource):
-    """A recording whose noise and window are always the same, whatever the seed."""
+    """Source of one episode of a recording, with the same window and noise for every seed."""
 
     def sample(self, rng: np.random.Generator) -> Episode:
-        """The episode."""
+        """Return the episode."""
         return super().sample(np.random.Generator(np.random.PCG64(7)))
 
 
 def rollout(keys: Sequence[int | None], **arguments: Any) -> Iterator[Row]:
-    """The episodes of keys, to their ends; None for an environment without keys."""
+    """Play the episodes of keys to their ends; a key is None for an environment without keys."""
     env = gym.make(ID, **arguments)
     for key in keys:
         options = None if key is None else {"episode_key": key}
@@ -144,9 +144,9 @@ def rollout(keys: Sequence[int | None], **arguments: Any) -> Iterator[Row]:
 
 
 def vector_rollout(keys: Sequence[int], later: Sequence[int], **arguments: Any) -> Iterator[Row]:
-    """Episodes side by side, each reset to a later key once it has ended.
+    """Play the episodes of keys in parallel; reset an ended episode to a key of ``later``.
 
-    What an autoreset itself begins is drawn by a seed, and not told.
+    Before that, the autoreset begins an episode that depends on a seed and is not shown.
     """
     n = len(keys)
     env = gym.make_vec(ID, num_envs=n, autoreset_mode="SameStep", **arguments)
@@ -170,7 +170,7 @@ def vector_rollout(keys: Sequence[int], later: Sequence[int], **arguments: Any) 
 
 
 def _action(step: int, env: Any) -> int:
-    """Actions that are the same everywhere, and none of which is left out."""
+    """Return an action that depends only on the step and on the number of actions."""
     space = env.single_action_space if isinstance(env, gym.vector.VectorEnv) else env.action_space
     return step * (step + 1) // 2 % int(space.n)
 
@@ -193,11 +193,11 @@ def _told(observation: Any, info: Row) -> Row:
     return cells | _parts("observation", observation)
 
 
-# --- what it costs: a gate without clocks
+# --- costs, in units that do not depend on a clock
 
 
 def operations() -> Iterator[Row]:
-    """SIMD instructions of every kernel, each on eight environments."""
+    """Count the SIMD instructions of every kernel for eight environments."""
     source = SimulatedSource(scene_from("street"), radio_from("handset"))
     modes, reward, bank = named_modes("handset"), TrackingReward(), best_bank()
     both, five = (Pipeline(some, source.layout) for some in (default_modes(), bank.modes))
@@ -216,7 +216,7 @@ def operations() -> Iterator[Row]:
 
 
 def memory() -> Iterator[Row]:
-    """Bytes that an environment keeps from step to step, one among 64."""
+    """Count the bytes that one of 64 environments keeps from step to step."""
     for beliefs in ("shared", "per-mode"):
         env = MmWaveLocVectorEnv(64, beliefs=beliefs)
         env.reset(seed=0)
@@ -224,7 +224,7 @@ def memory() -> Iterator[Row]:
             yield {"array": f"{beliefs}: {name}", "bytes": array.nbytes // 64}
 
 
-# Keys 3656569636567469460 and 9573841816382471088 diverge.
+# The episodes of keys 3656569636567469460 and 9573841816382471088 diverge.
 TRACES: dict[str, Callable[[], Iterator[Row]]] = {
     "track-ekf": partial(track, "canyon28_pedestrian", "ekf"),
     "track-ukf": partial(track, "canyon28_vehicle", "ukf"),

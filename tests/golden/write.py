@@ -1,9 +1,9 @@
-"""Write the golden traces: ``make golden``; with ``--check`` tell what would change, to the bit.
+"""Write the golden traces (``make golden``), or with ``--check`` only show what would change.
 
-Compilers and libraries choose instructions by the processor, and so the last bits. Tests therefore
-compare numbers to 1e-9, observations (single precision) to 1e-5, of the number or of 1 where that
-is more; whole numbers and words exactly. ``--check`` compares text: for whoever refactors, on one
-machine, before and after.
+The last bits of results depend on the processor, because compilers and libraries choose other
+instructions on each. Tests therefore allow differences of 1e-9, and 1e-5 in observations (single
+precision), relative to the number or to 1 if that is larger; integers and words must be equal.
+``--check`` compares text, to see on one machine whether a refactoring changes any bit.
 """
 
 import math
@@ -17,11 +17,11 @@ from tests.golden.traces import TRACES
 
 FOLDER = Path(__file__).parent
 HEADER = "# Written by `make golden` (tests/golden/write.py).\n"
-SHOWN = 5  # differences of a file
+SHOWN = 5  # maximum number of differences printed per file
 
 
 def text_of(rows: Iterable[Mapping[str, object]]) -> str:
-    """Rows as CSV: numbers in as few digits as give them back, a cell empty where there is none."""
+    """Return rows as CSV: numbers in the fewest digits that restore them, missing cells empty."""
     rows = list(rows)
     columns = list(dict.fromkeys(name for row in rows[::-1] for name in row))
     lines = [columns, *([_word(row.get(name, "")) for name in columns] for row in rows)]
@@ -29,16 +29,16 @@ def text_of(rows: Iterable[Mapping[str, object]]) -> str:
 
 
 def _word(value: object) -> str:
-    if isinstance(value, np.ndarray):  # of flags
+    if isinstance(value, np.ndarray):  # array of flags
         return "".join("FT"[int(flag)] for flag in value)
     return repr(float(value)) if isinstance(value, np.float64) else str(value)
 
 
 def differences(name: str, old: str, new: str) -> list[str]:
-    """Return the cells where two texts of a trace differ by more than rounding, one a line."""
+    """Return a line for each cell in which two texts of a trace differ by more than rounding."""
     before, after = ([line.split(";") for line in text.splitlines()[1:]] for text in (old, new))
     if before[:1] != after[:1] or [row[0] for row in before] != [row[0] for row in after]:
-        return [f"{name}: other rows or columns"]
+        return [f"{name}: rows or columns differ"]
     return [
         f"{name}: row {row[0]!r}, column {column!r}: {a} became {b}"
         for row, changed in zip(before, after, strict=True)
@@ -50,7 +50,7 @@ def differences(name: str, old: str, new: str) -> list[str]:
 def _same(a: str, b: str, tolerance: float) -> bool:
     try:
         number, other = float(a), float(b)
-    except ValueError:  # a word
+    except ValueError:  # words, not numbers
         return a == b
     whole = a.lstrip("-").isdigit()
     return a == b or (
@@ -59,7 +59,7 @@ def _same(a: str, b: str, tolerance: float) -> bool:
 
 
 def main(check: bool) -> None:
-    """Write all traces, or compare them with what is written: then exit code 1 if they differ."""
+    """Write all traces; or only compare them with the files, and exit with 1 if any differs."""
     differ = 0
     for name, trace in TRACES.items():
         path, text = FOLDER / f"{name}.csv", text_of(trace())
@@ -71,7 +71,7 @@ def main(check: bool) -> None:
         if not check:
             path.write_text(text, "utf-8", newline="\n")
     if check and differ:
-        sys.exit(f"{differ} traces differ. If this is meant, run `make golden` and say why.")
+        sys.exit(f"{differ} traces differ. If this is intended, run `make golden` and explain why.")
 
 
 if __name__ == "__main__":

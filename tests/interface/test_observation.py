@@ -1,4 +1,4 @@
-"""The observation: its values say what they promise."""
+"""Tests that every value of the observation is what its name says."""
 
 from dataclasses import replace
 from itertools import accumulate
@@ -33,7 +33,7 @@ def draw(seed, radio="handset", **changes):
 
 
 def blinded(episode, first, last):
-    """The same with nothing measured from epoch ``first`` to before ``last``."""
+    """Return the episode with nothing measured from epoch ``first`` up to ``last`` (excluded)."""
     visible = episode.visible.copy()
     visible[first:last] = False
     return replace(episode, visible=visible)
@@ -43,7 +43,7 @@ def blinded(episode, first, last):
 
 
 def absurd(episode):
-    """Measurements, SNR and spread that no radio gives, and a prior from another planet."""
+    """Return the episode with impossible measurements, SNR and spread, and a prior far away."""
     measurement = episode.measurement.copy()
     measurement[::7] *= 1e6
     return replace(
@@ -55,7 +55,7 @@ def absurd(episode):
     )
 
 
-def test_values_are_finite_and_within_their_bounds_whatever_happens():
+def test_values_are_finite_and_within_their_bounds_even_in_absurd_episodes():
     episodes = [draw(seed) for seed in range(12)]
     episodes += [blinded(draw(seed), first, 200) for seed, first in ((12, 0), (13, 0), (14, 50))]
     episodes += [blinded(draw(15), 50, 190), absurd(draw(16)), absurd(blinded(draw(17), 0, 9))]
@@ -72,9 +72,9 @@ def test_values_are_finite_and_within_their_bounds_whatever_happens():
 
 
 class Rollout(NamedTuple):
-    """An episode in the default environment, modes at random.
+    """Rollout of an episode with random actions, in the default environment.
 
-    Observations and infos have 201 entries: what ``reset`` and every step returned.
+    Observations and infos have 201 entries: one from ``reset`` and one from every step.
     """
 
     episode: object
@@ -86,7 +86,7 @@ class Rollout(NamedTuple):
         return self.table.read(self.observations, name)
 
     def limited(self, name, values):
-        """Values of a feature as it shows them: within its limits, and ten deviations."""
+        """Return values of a feature, clipped to its limits and to ten deviations."""
         i = names(self.table).index(name)
         feature, (mean, deviation) = self.table.features[i], self.table.scales[i]
         reach = 10.0 * deviation
@@ -114,11 +114,11 @@ def roll(episode, **kwargs):
 
 
 def close(values, expected, tolerance=1e-5):
-    """Equal up to the rounding of float32."""
+    """Assert equality up to the rounding of float32."""
     np.testing.assert_allclose(values, expected, rtol=tolerance, atol=tolerance)
 
 
-def test_predicted_speed_is_the_estimate_s(rollout):
+def test_predicted_speed_is_the_speed_of_the_estimate(rollout):
     speed = [np.linalg.norm(info["estimate"][3:6]) for info in rollout.infos]
     close(rollout.read("predicted speed"), rollout.limited("predicted speed", speed))
 
@@ -127,7 +127,7 @@ def test_nis_and_verdicts_are_those_of_the_last_epoch(rollout):
     for g, name in enumerate(["anchor 1", "anchor 2", "anchor 3", "Doppler"]):
         nis = [info["nis"][g] for info in rollout.infos[1:]]
         mean, deviation = feature_scales()[f"NIS {'Doppler' if name == 'Doppler' else 'link'}"]
-        most = min(10.0, mean + 10.0 * deviation)  # farther off is not shown
+        most = min(10.0, mean + 10.0 * deviation)  # values are clipped at ten deviations
         close(rollout.read(f"NIS {name}")[1:], np.minimum(np.log1p(nis), most))
         verdict = [
             int(info["accepted"][g]) - int(info["rejected"][g]) for info in rollout.infos[1:]
@@ -151,7 +151,7 @@ def test_doppler_spread_is_that_of_the_coming_epoch(rollout):
 
 
 def averages(values, keep):
-    """Exponential averages, from zero."""
+    """Return exponential averages that begin at zero."""
     return list(accumulate(values, lambda a, now: keep * a + (1.0 - keep) * now, initial=0.0))
 
 
@@ -160,7 +160,7 @@ def test_the_doppler_spread_is_averaged(rollout):
     close(rollout.read("Doppler spread average"), averages(spreads, 0.8)[1:])
 
 
-def test_an_snr_drop_is_below_the_slow_mean_of_what_was_seen(rollout):
+def test_an_snr_drop_is_how_far_the_snr_is_below_its_slow_mean(rollout):
     for a in range(3):
         mean, expected = None, []
         visible, snr = rollout.episode.usable[:, a], rollout.episode.snr_db[:, a]
@@ -172,7 +172,7 @@ def test_an_snr_drop_is_below_the_slow_mean_of_what_was_seen(rollout):
 
 
 def predictions(rollout):
-    """Epoch by epoch the state predicted for it."""
+    """Yield each epoch and the state predicted for it."""
     for t, info in enumerate(rollout.infos[:-1]):
         x = info["estimate"].copy()
         x[:3] += x[3:6] * float(t > 0)
@@ -230,7 +230,7 @@ def test_the_previous_mode_is_marked(rollout):
         )
 
 
-def test_lock_out_and_time_since_fix_count(rollout):
+def test_lock_out_and_time_since_fix_grow_until_a_link_is_accepted(rollout):
     lockout, unfixed_s = [0.0], [0.0]
     for t, info in enumerate(rollout.infos[1:]):
         links, visible = info["accepted"][:3], rollout.episode.usable[t, :3].any()
@@ -241,7 +241,7 @@ def test_lock_out_and_time_since_fix_count(rollout):
     close(rollout.read("time since fix"), rollout.limited("time since fix", unfixed_s))
 
 
-def test_what_a_mode_would_make_of_the_coming_epoch_is_what_it_makes_of_it(rollout):
+def test_features_of_the_coming_epoch_are_what_the_chosen_mode_then_computes(rollout):
     dof = np.array([4, 4, 4, 1])
     for (t, x), info in zip(predictions(rollout), rollout.infos[1:], strict=True):
         name = ("ekf", "ukf")[info["mode"]]
@@ -256,7 +256,7 @@ def test_what_a_mode_would_make_of_the_coming_epoch_is_what_it_makes_of_it(rollo
         mean_nis = info["nis"][visible].sum() / max(dof[visible].sum(), 1)
         close(coming("NIS"), limited("NIS", np.log1p(mean_nis)))
         assert coming("rejected") == info["rejected"][:3].sum()
-        if name == "ukf":  # the last mode: NIS of every group
+        if name == "ukf":  # only the last mode has features of the NIS of every group
             for g, group in enumerate(("anchor 1", "anchor 2", "anchor 3", "Doppler")):
                 part = f"NIS {group}"
                 close(coming(part), limited(part, np.log1p(info["nis"][g])))
@@ -273,7 +273,7 @@ def test_what_a_mode_would_make_of_the_coming_epoch_is_what_it_makes_of_it(rollo
                 close(coming(part), limited(part, change @ axis), 1e-4)
 
 
-def test_corrections_are_averaged(rollout):
+def test_corrections_are_exponential_averages(rollout):
     steps = {"along": [], "across": []}
     for (_, x), info in zip(predictions(rollout), rollout.infos[1:], strict=True):
         step = info["estimate"][:2] - x[:2]
@@ -285,14 +285,14 @@ def test_corrections_are_averaged(rollout):
         close(rollout.read(name), rollout.limited(name, averages(values, 0.8)), 1e-4)
 
 
-def test_preferences_average_the_log_likelihood_difference(rollout):
+def test_preferences_are_averages_of_the_log_likelihood_difference(rollout):
     difference = rollout.read("coming log-likelihood ekf")  # both are clipped at 30 nats
     for pace, keep in (("fast", 0.6), ("slow", 0.85)):
         close(rollout.read(f"preference {pace} ekf"), averages(difference, keep)[1:], 1e-4)
     assert (np.abs(difference) <= 30.0).all() and (difference != 0.0).any()
 
 
-def test_odometry_speed_is_measured_or_else_predicted():
+def test_odometry_speed_is_measured_if_visible_and_otherwise_predicted():
     done = roll(draw(0, odometry=True), modes=["ekf"])
     visible, speed = done.episode.usable[:, -1], done.episode.measurement[:, 13]
     assert visible.any() and not visible.all()

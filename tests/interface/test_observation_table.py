@@ -1,4 +1,4 @@
-"""The table of the observation: it makes the space, and its digest tells tables apart."""
+"""Tests of the observation's table of features: its space, documentation and scales."""
 
 import math
 
@@ -35,7 +35,7 @@ def names(table):
 
 @every_kind
 @every_pipeline
-def test_the_table_makes_the_space(pipeline, kind):
+def test_the_table_defines_the_observation_space(pipeline, kind):
     table = Observation(pipeline, kind)
     space = table.space
     assert isinstance(space, spaces.Box) and space.dtype == np.float32
@@ -49,7 +49,7 @@ def test_the_table_makes_the_space(pipeline, kind):
 
 
 @every_pipeline
-def test_prior_leaves_out_how_modes_see_the_coming_epoch(pipeline):
+def test_the_prior_observation_leaves_out_how_modes_explain_the_coming_epoch(pipeline):
     full, prior = names(Observation(pipeline)), names(Observation(pipeline, "prior"))
     assert prior == [name for name in full if not name.startswith(COMING)]
     assert len(prior) < len(full)
@@ -66,7 +66,7 @@ def test_the_documented_table_lists_every_feature_in_order(pipeline, kind):
 
 
 def observed(table, values):
-    """Observations (n, features) that show these values of every feature (n,)."""
+    """Return observations (n, features) in which every feature has these values (n,)."""
     mean, deviation = np.array(table.scales).T
     return ((np.asarray(values)[:, None] - mean) / deviation).astype(np.float32)
 
@@ -86,7 +86,7 @@ def test_reading_a_feature_inverts_its_standardization(pipeline, beliefs):
 
 
 @pytest.mark.parametrize("beliefs", BELIEFS)
-def test_whole_numbers_read_exactly(beliefs):
+def test_integer_values_of_features_are_read_exactly(beliefs):
     table = Observation(PIPELINES["odometry"], beliefs=beliefs)
     whole = np.arange(-30.0, 31.0)
     for feature in table.features:
@@ -106,7 +106,7 @@ def test_whole_numbers_read_exactly(beliefs):
         Pipeline((Mode("slow feet"), Mode("fast wheels")), Layout(5), True),
     ],
 )
-def test_every_feature_of_whatever_task_is_of_a_kind_in_the_table(pipeline, beliefs):
+def test_every_feature_of_any_task_is_of_a_kind_that_has_scales(pipeline, beliefs):
     table = Observation(pipeline, beliefs=beliefs)
     kinds = {feature.kind for feature in table.features}
     assert kinds <= feature_scales().keys()
@@ -114,13 +114,13 @@ def test_every_feature_of_whatever_task_is_of_a_kind_in_the_table(pipeline, beli
     assert all("1" not in kind and "feet" not in kind and "ukf" not in kind for kind in kinds)
 
 
-def test_the_table_has_no_kind_that_no_feature_is_of():
+def test_every_kind_that_has_scales_has_a_feature():
     tables = [Observation(PIPELINES["odometry"], beliefs=beliefs) for beliefs in BELIEFS]
     kinds = {feature.kind for table in tables for feature in table.features}
     assert kinds == feature_scales().keys()
 
 
-def test_an_unknown_feature_lists_the_valid_ones():
+def test_reading_an_unknown_feature_is_refused():
     table = Observation(PIPELINES["default"], "prior")
     with refuses("color", error=KeyError):
         table.read(np.zeros((1, len(table)), np.float32), "color")

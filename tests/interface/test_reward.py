@@ -1,4 +1,4 @@
-"""Rewards by hand, against scipy, and of the user's own making."""
+"""Tests of rewards: computed by hand and with SciPy, users' own, and paired with the IMM."""
 
 import math
 from dataclasses import replace
@@ -39,37 +39,37 @@ ORIGIN = [0.0] * 6
 
 
 def belief(error_m=(0.0, 0.0, 0.0), variance_m2=1.0, axes=(0, 1, 2)):
-    """About a user at the origin, equally sure along all axes."""
+    """Return a belief about a user at the origin, with the same variance along all axes."""
     P = (variance_m2 * np.eye(7)).tolist()
     return Belief([*map(float, error_m), 0.0, 0.0, 0.0, 0.0], P, axes)
 
 
 def pays(reward, belief):
-    """Return what a reward pays where the user is at the origin."""
+    """Return the value of a reward for a belief about a user at the origin."""
     return total(terms_of(reward, belief, ORIGIN))
 
 
-def test_a_reward_goes_by_its_own_name_unless_it_is_a_named_one_as_it_is():
+def test_a_shipped_reward_has_its_own_name_and_others_that_of_their_class_or_function():
     for name, reward in REWARDS.items():
         assert reward_name(reward) == name
     assert reward_name(TrackingReward(error_limit_m=5.0)) == "TrackingReward"
     assert reward_name(belief) == "belief"
 
 
-# Error 3 m with 1 m^2 per axis: NEES 9, |ln(9 / 3)| = 1.0986; and so on.
+# First case: an error of 3 m with 1 m^2 per axis gives NEES 9 and |ln(9 / 3)| = 1.0986.
 @pytest.mark.parametrize(
     ("error_m", "variance_m2", "expected"),
     [
         ((0.0, 3.0, 0.0), 1.0, -(3.0 + 0.2 * 1.0986122886681098)),
-        ((2.0, 1.0, 2.0), 3.0, -3.0),  # NEES 3, as it should be
+        ((2.0, 1.0, 2.0), 3.0, -3.0),  # NEES 3, the expected value
         ((1.0, 0.0, 0.0), 4.0, -(1.0 + 0.2 * math.log(12.0))),
         ((6.0, 8.0, 0.0), 100.0 / 3.0, -10.0),
-        ((60.0, 80.0, 0.0), 10000.0 / 3.0, -10.0),  # the error counts up to 10 m
-        ((0.0, 0.0, 0.0), 1.0, -0.6),  # and the inconsistency up to 3
+        ((60.0, 80.0, 0.0), 10000.0 / 3.0, -10.0),  # the error is limited to 10 m
+        ((0.0, 0.0, 0.0), 1.0, -0.6),  # |ln(NEES / 3)| is limited to 3
         ((1e3, 0.0, 0.0), 1e-3, -10.6),
     ],
 )
-def test_tracking_reward_by_hand(error_m, variance_m2, expected):
+def test_the_tracking_reward_equals_values_computed_by_hand(error_m, variance_m2, expected):
     assert pays(TrackingReward(), belief(error_m, variance_m2)) == pytest.approx(expected)
 
 
@@ -87,7 +87,7 @@ def test_a_reward_is_minus_the_sum_of_its_terms(reward, axes):
 @pytest.mark.parametrize(
     "reward", [TrackingReward(), TrackingReward(2.0, 5.0, 1.0, 0.5), LogScore(), LogScore(-7.0)]
 )
-def test_no_reward_is_below_the_worst(reward):
+def test_a_reward_is_never_below_its_worst_value(reward):
     for error in (0.0, 1.0, 1e3, 1e6):
         for variance in (1e-6, 1.0, 1e6):
             assert pays(reward, belief((error, error, error), variance)) >= reward.worst
@@ -109,7 +109,7 @@ def test_log_score_is_the_log_density_of_the_truth(root, error, axes):
     assert score == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
-def test_reward_by_name_or_by_itself():
+def test_a_reward_is_given_by_name_or_as_a_function():
     assert reward_from("tracking") == TrackingReward() and reward_from("log-score") == LogScore()
     assert reward_from(capped) is capped
     assert reward_from("paired") == PairedReward(TrackingReward())
@@ -127,7 +127,7 @@ def capped(belief, truth):
 
 
 def steps(epochs=20, **kwargs):
-    """(reward, info) of the first epochs, modes in turn."""
+    """Yield (reward, info) of the first epochs, with every mode in turn."""
     env = gym.make("MmWaveLoc-v0", **kwargs)
     env.reset(seed=0)
     for t in range(epochs):
@@ -146,7 +146,7 @@ def test_the_environment_pays_the_tracking_reward():
         assert reward == pytest.approx(tracking(info), abs=1e-9)
 
 
-def test_the_environment_pays_a_function_of_one_s_own():
+def test_the_environment_pays_a_users_own_reward_function():
     for reward, info in steps(reward=capped, modes=["ekf"]):
         assert reward == pytest.approx(max(-info["position_error_m"], -2.0), abs=1e-12)
 
@@ -160,7 +160,7 @@ def weighed(belief, truth):
 
 
 @pytest.mark.parametrize("beliefs", ["shared", "per-mode"])
-def test_infos_tell_the_terms_whose_sum_is_the_reward(beliefs):
+def test_infos_contain_the_terms_that_add_up_to_the_reward(beliefs):
     task = {"modes": DEAR, "reward": weighed, "beliefs": beliefs, "episode_steps": 12}
     for infos in ("all", "fixed", "episode"):
         env = gym.make("MmWaveLoc-v0", infos=infos, **task)
@@ -176,7 +176,7 @@ def test_infos_tell_the_terms_whose_sum_is_the_reward(beliefs):
         assert "reward_terms" in info and east < 0.0 and north < 0.0
 
 
-def test_the_terms_of_many_environments_are_one_array():
+def test_the_reward_terms_of_a_vector_environment_are_one_array():
     envs = gym.make_vec("MmWaveLoc-v0", num_envs=9, modes=DEAR, reward=weighed, episode_steps=12)
     envs.reset(seed=0)
     for t in range(10):
@@ -221,7 +221,7 @@ def through_numpy(belief, truth):
         lambda belief, truth: belief.speed,
     ],
 )
-def test_a_function_that_is_no_reward_is_refused_with_its_line(own):
+def test_a_function_that_is_not_a_valid_reward_is_refused_with_its_line(own):
     with pytest.raises(ValueError, match=rf"^reward {own.__name__} (?s:.)*{Path(__file__).name}"):
         gym.make("MmWaveLoc-v0", reward=own)
 
@@ -229,13 +229,13 @@ def test_a_function_that_is_no_reward_is_refused_with_its_line(own):
 # --- paired with the IMM
 
 
-SLUGGISH = Mode("sluggish", sigma_v=0.05)  # loses every second vehicle
+SLUGGISH = Mode("sluggish", sigma_v=0.05)  # its track diverges for about half of the vehicles
 DIVERGING = {"scenario": "vehicle", "episode_steps": 40, "modes": [SLUGGISH]}
 ENDING = {"reward": "paired", "terminate_on_divergence": True} | DIVERGING
 
 
 def imm_rewards(seed, episodes, reward=REWARDS["tracking"], **task):
-    """Return the IMM's rewards (episodes, epochs) in the episodes that follow a seed."""
+    """Return the IMM's rewards (episodes, epochs) in the first episodes of a seed."""
     source = task_from(**task)
     imm = ImmEngine(replace(source.pipeline, modes=default_modes("handset")), reward)
     keys = keys_at(stream_of(seed), np.arange(episodes, dtype=np.uint64))
@@ -254,8 +254,8 @@ def imm_rewards(seed, episodes, reward=REWARDS["tracking"], **task):
     ],
     ids=["three modes", "flat"],
 )
-def test_paired_rewards_are_less_those_of_the_imm_on_the_same_episodes(task):
-    """To the last bit, whatever modes the agent has."""
+def test_paired_rewards_are_rewards_minus_those_of_the_imm_on_the_same_episodes(task):
+    """Rewards are equal to the last bit, for any modes of the agent."""
     n, epochs = 5, 3 * task["episode_steps"]
     envs = {
         reward: gym.make_vec(
@@ -274,7 +274,7 @@ def test_paired_rewards_are_less_those_of_the_imm_on_the_same_episodes(task):
     assert np.abs(baseline).min() > 0.0
 
 
-def test_a_paired_return_is_the_agents_minus_the_imms_where_an_episode_ends_early_too():
+def test_a_paired_return_is_minus_that_of_the_imm_even_if_an_episode_ends_early():
     ended = 0
     for seed in range(12):
         returns = []

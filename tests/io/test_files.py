@@ -1,4 +1,4 @@
-"""Files: those read are files, and bounded; results are whole or not there; errors name them."""
+"""Tests of file access: only regular files of limited size, no partial results, clear errors."""
 
 import errno
 import json
@@ -28,14 +28,14 @@ from mmwave_env.io.files import (
 )
 from tests.refusals import refuses
 
-posix = pytest.mark.skipif(os.name != "posix", reason="modes, links and FIFOs as POSIX has them")
+posix = pytest.mark.skipif(os.name != "posix", reason="needs the modes, links and FIFOs of POSIX")
 
 
 def names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_a_file_takes_its_place_at_the_end(tmp_path):
+def test_a_file_gets_its_name_only_when_it_is_complete(tmp_path):
     path = tmp_path / "new" / "log.csv.gz"
     with atomic_path(path) as temporary:
         assert temporary.parent == path.parent and temporary.name.endswith(".log.csv.gz")
@@ -45,7 +45,7 @@ def test_a_file_takes_its_place_at_the_end(tmp_path):
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
-def test_a_block_that_fails_leaves_everything_as_it_was(tmp_path, error):
+def test_a_write_that_fails_leaves_the_old_file_unchanged(tmp_path, error):
     path = tmp_path / "log.csv"
     path.write_text("old")
 
@@ -59,7 +59,7 @@ def test_a_block_that_fails_leaves_everything_as_it_was(tmp_path, error):
     assert path.read_text() == "old" and names(tmp_path) == ["log.csv"]
 
 
-def test_text_bytes_and_json_replace_what_was_there(tmp_path):
+def test_writing_text_bytes_or_json_replaces_an_existing_file(tmp_path):
     write_text(tmp_path / "a.txt", "one\n")
     write_text(tmp_path / "a.txt", "für\n")
     assert (tmp_path / "a.txt").read_bytes() == "für\n".encode()
@@ -70,7 +70,7 @@ def test_text_bytes_and_json_replace_what_was_there(tmp_path):
     assert names(tmp_path) == ["a.bin", "a.json", "a.txt"]
 
 
-def test_what_is_no_file_is_not_written(tmp_path):
+def test_a_path_that_is_not_a_regular_file_is_not_written(tmp_path):
     require_writable(tmp_path / "new" / "a.json")
     assert names(tmp_path / "new") == []
     for path in (tmp_path, Path(os.devnull)):
@@ -78,12 +78,12 @@ def test_what_is_no_file_is_not_written(tmp_path):
             require_writable(path)
 
 
-# --- who may read a result, and where it goes
+# --- permissions of results, and links
 
 
 @pytest.fixture
 def umask():
-    """Sets the umask, and brings the old one back."""
+    """Return a function that sets the umask; restore the old one after the test."""
     before = os.umask(0o022)
     yield os.umask
     os.umask(before)
@@ -95,7 +95,7 @@ def mode_of(path):
 
 @posix
 @pytest.mark.parametrize(("mask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)])
-def test_a_new_file_is_as_the_umask_says(tmp_path, umask, mask, mode):
+def test_a_new_file_has_the_permissions_that_the_umask_allows(tmp_path, umask, mask, mode):
     umask(mask)
     write_text(tmp_path / "where.tum", "0 1 2 3 0 0 0 1")
     assert mode_of(tmp_path / "where.tum") == mode
@@ -103,19 +103,19 @@ def test_a_new_file_is_as_the_umask_says(tmp_path, umask, mask, mode):
 
 @posix
 @pytest.mark.parametrize("mode", [0o600, 0o640, 0o666, 0o444])
-def test_a_file_that_is_replaced_keeps_who_may_read_it(tmp_path, umask, mode):
+def test_a_file_that_is_replaced_keeps_its_permissions(tmp_path, umask, mode):
     path = tmp_path / "where.tum"
     path.write_text("old")
     path.chmod(mode)
     with atomic_path(path) as temporary:
-        assert mode_of(temporary) == 0o600  # nobody else, before it is whole
+        assert mode_of(temporary) == 0o600  # private until it is complete
         temporary.write_text("new")
     assert (path.read_text(), mode_of(path)) == ("new", mode)
 
 
 @posix
 @pytest.mark.parametrize("exists", [True, False])
-def test_of_a_link_the_file_behind_it_is_written(tmp_path, exists):
+def test_writing_to_a_link_writes_the_file_that_it_points_to(tmp_path, exists):
     (tmp_path / "store").mkdir()
     target, link = tmp_path / "store" / "a.json", tmp_path / "a.json"
     if exists:
@@ -128,7 +128,7 @@ def test_of_a_link_the_file_behind_it_is_written(tmp_path, exists):
 
 
 @posix
-def test_a_pipe_behind_a_device_is_named():
+def test_the_error_about_a_pipe_shows_the_path_that_was_given():
     code = (
         "from pathlib import Path; from mmwave_env.io.files import write_text\n"
         "try: write_text(Path('/dev/stdout'), 'x')\n"
@@ -138,7 +138,7 @@ def test_a_pipe_behind_a_device_is_named():
     assert done.stdout == "/dev/stdout: found a device, expected a file to write\n"
 
 
-def test_no_device_behind_a_link_is_replaced(tmp_path):
+def test_a_device_that_a_link_points_to_is_not_replaced(tmp_path):
     link = tmp_path / "a.json"
     link.symlink_to(os.devnull)
     with refuses(link, error=OSError):
@@ -153,7 +153,7 @@ def full_disk(*_, **__):
     raise OSError(errno.ENOSPC, "No space left on device")
 
 
-def test_a_full_disk_is_said_of_the_result(tmp_path, monkeypatch):
+def test_the_error_about_a_full_disk_names_the_result(tmp_path, monkeypatch):
     monkeypatch.setattr(Path, "write_text", full_disk)
     with pytest.raises(OSError, match="a.json") as error:
         write_json(tmp_path / "a.json", {})
@@ -161,7 +161,7 @@ def test_a_full_disk_is_said_of_the_result(tmp_path, monkeypatch):
     assert error.value.errno == errno.ENOSPC and names(tmp_path) == []
 
 
-def test_no_error_names_a_temporary_file(tmp_path, monkeypatch):
+def test_errors_never_name_a_temporary_file(tmp_path, monkeypatch):
     with pytest.raises(FileNotFoundError) as error, atomic_path(tmp_path / "a") as temporary:
         temporary.unlink()
     assert error.value.filename == str(tmp_path / "a")
@@ -175,7 +175,7 @@ def test_no_error_names_a_temporary_file(tmp_path, monkeypatch):
     assert error.value.filename == str(tmp_path / "a")
 
 
-def test_an_error_about_another_file_stays_as_it_is(tmp_path):
+def test_an_error_about_another_file_is_not_changed(tmp_path):
     for of_ours in (atomic_path, naming):
         with pytest.raises(FileNotFoundError) as error, of_ours(tmp_path / "a.json"):
             Path("nowhere.csv").read_text()
@@ -184,17 +184,17 @@ def test_an_error_about_another_file_stays_as_it_is(tmp_path):
             raise OSError("b.csv: found nothing")
 
 
-# --- what is read
+# --- reading
 
 
 @pytest.fixture(params=["folder", "FIFO", "device", "socket"])
 def special(request, tmp_path):
-    """Return a path that is no file."""
+    """Return a path that is not a regular file."""
     path = tmp_path / "odd.json"
     if request.param == "folder":
         path.mkdir()
     elif os.name != "posix":
-        pytest.skip("no such thing")
+        pytest.skip("needs POSIX")
     elif request.param == "FIFO":
         os.mkfifo(path)
     elif request.param == "device":
@@ -205,38 +205,38 @@ def special(request, tmp_path):
     return path
 
 
-def test_what_is_no_file_is_refused_before_it_is_opened(special):
+def test_a_path_that_is_not_a_regular_file_is_refused_before_it_is_opened(special):
     for read in (open_regular, lambda p: read_bounded(p, 10), lambda p: read_json(p, "a", dict)):
         with refuses(special, error=OSError):
             read(special)
 
 
-def test_a_missing_file_is_named_with_what_was_expected(tmp_path):
+def test_the_error_about_a_missing_file_names_it(tmp_path):
     for path in (tmp_path / "a", tmp_path / "a\0b"):
         with refuses(path, error=FileNotFoundError):
             open_regular(path, "a log")
 
 
-def test_no_more_is_read_than_is_said(tmp_path):
+def test_a_file_larger_than_the_limit_is_refused(tmp_path):
     path = tmp_path / "long"
     path.write_bytes(b"12345")
     assert read_bounded(path, 5) == b"12345"
     with refuses(path, error=OSError):
         read_bounded(path, 4, "a log")
-    with path.open("wb") as file:  # takes no room on the disk
+    with path.open("wb") as file:  # a sparse file takes no space on the disk
         file.truncate(JSON_BYTES + 1)
     with refuses(path, error=OSError):
         read_json(path, "a scene", dict)
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no procfs")
-def test_files_that_tell_no_size_are_bounded_too():
+def test_the_limit_also_applies_to_files_that_report_no_size():
     assert b"VmHWM" in read_bounded(Path("/proc/self/status"), 1 << 20)
     with refuses("status", error=OSError):
         read_bounded(Path("/proc/self/status"), 10)
 
 
-def test_text_is_utf8_with_or_without_its_mark(tmp_path):
+def test_text_is_read_as_utf8_with_or_without_a_byte_order_mark(tmp_path):
     path = tmp_path / "t.csv"
     path.write_bytes(b"\xef\xbb\xbft,x\r\n\xc3\xa9")
     assert read_text(path) == "t,x\r\né"
@@ -245,7 +245,7 @@ def test_text_is_utf8_with_or_without_its_mark(tmp_path):
         read_text(path)
 
 
-def test_nested_json_is_read_to_a_depth():
+def test_json_is_refused_if_it_is_nested_too_deeply():
     for begin, end in (("[", "]"), ('{"a":', "}")):
         assert parse_json(begin * JSON_DEPTH + "1" + end * JSON_DEPTH)
         for depth in (JSON_DEPTH + 1, 900, 100_000):
@@ -257,7 +257,7 @@ TOO_LARGE = '{"modes": [1' + "0" * 299 + "0.0e99]}"
 
 
 @pytest.mark.parametrize("content", ["{", "[]", "{}", '{"modes": 5}', TOO_LARGE])
-def test_what_code_makes_of_another_content_is_said_of_the_file(tmp_path, content):
+def test_an_error_in_converting_json_names_the_file(tmp_path, content):
     path = tmp_path / "m.json"
     path.write_text(content)
     with refuses(path):

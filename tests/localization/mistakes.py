@@ -1,4 +1,4 @@
-"""Right logs made wrong: the mistakes that a stranger's receiver, driver or script makes."""
+"""Mistakes of receivers, drivers and scripts, as functions that put them into correct logs."""
 
 import csv
 from pathlib import Path
@@ -14,14 +14,14 @@ HZ_PER_MPS = 28e9 / 299_792_458.0
 
 
 def read_columns(path: Path) -> dict[str, np.ndarray]:
-    """The columns of a log by name, NaN where empty."""
+    """Return the columns of a log by name, with NaN for empty cells."""
     with path.open(newline="") as file:
         rows = list(csv.DictReader(file))
     return {name: np.array([float(row[name] or "nan") for row in rows]) for name in rows[0]}
 
 
 def write_columns(path: Path, columns: dict[str, np.ndarray]) -> None:
-    """A log of these columns."""
+    """Write a log with these columns."""
     cells = np.column_stack(list(columns.values())).tolist()
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
@@ -30,22 +30,22 @@ def write_columns(path: Path, columns: dict[str, np.ndarray]) -> None:
 
 
 def linear(factor, *names, offset=0.0):
-    """These columns times a factor, plus an offset."""
+    """Return a mistake that multiplies columns by a factor and adds an offset."""
     return lambda c: {**c, **{name: offset + factor * c[name] for name in names}}
 
 
 def exchange(column, other):
-    """Two columns, one for the other."""
+    """Return a mistake that exchanges two columns."""
     return lambda c: {**c, column: c[other], other: c[column]}
 
 
-exchanged = exchange(*AZIMUTHS)  # arrival for departure
+exchanged = exchange(*AZIMUTHS)  # arrival and departure
 upside_down = linear(-1.0, "aoa_elevation_rad")
 FACTORS = {
     f"1e{n} times too large ({unit}?)": 10.0**n for n, unit in ((3, "ms"), (6, "us"), (9, "ns"))
 }
 FACTORS |= {f"1e{n} times too small (s?)": 10.0**-n for n in (3, 6, 9)}
-MISTAKES = {  # hypothesis that explains it -> what was done to the log
+MISTAKES = {  # hypothesis that explains a mistake -> the mistake
     "arrival and departure are exchanged": exchanged,
     "azimuth and elevation of arrival are exchanged": exchange(AZIMUTHS[0], "aoa_elevation_rad"),
     "elevation has the other sign": upside_down,
@@ -70,4 +70,4 @@ MISTAKES = {  # hypothesis that explains it -> what was done to the log
     "Doppler shift is in kHz, not in Hz": linear(1e-3, "doppler_hz"),
     "Doppler shift is in Hz, not in kHz": linear(1e3, "doppler_hz"),
 }
-ORDERS = [(2, 1, 3), (3, 2, 1), (1, 3, 2), (2, 3, 1), (3, 1, 2)]  # of a scene's anchors, mistaken
+ORDERS = [(2, 1, 3), (3, 2, 1), (1, 3, 2), (2, 3, 1), (3, 1, 2)]  # wrong orders of anchors

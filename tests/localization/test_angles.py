@@ -1,4 +1,4 @@
-"""The convention of angles: the page's table of conversions is computed."""
+"""Tests that the conversions of angles in docs/data.md lead to the convention of this project."""
 
 import numpy as np
 import pytest
@@ -17,13 +17,13 @@ ROWS = [
 
 
 def between(p, q):
-    """Azimuth and elevation of the direction from p to q, degrees."""
+    """Return azimuth and elevation of the direction from p to q in degrees."""
     d = np.subtract(q, p)
     return np.degrees(np.arctan2(d[1], d[0])), np.degrees(np.arctan2(d[2], np.hypot(d[0], d[1])))
 
 
 def reported(anchor, user):
-    """Return the angles that the receivers of the table's rows report, in their order."""
+    """Return the angles that the receiver of each row of the table reports, row by row."""
     (out, elevation), (back, at_user) = between(anchor, user), between(user, anchor)
     return [
         {"arrival": back, "elevation": at_user, "departure": out},
@@ -34,7 +34,7 @@ def reported(anchor, user):
 
 
 @pytest.mark.parametrize("user", [(30.0, 9.0, 1.5), (-20.0, -4.0, 1.5), (3.0, -40.0, 12.0)])
-def test_every_conversion_of_the_page_gives_our_angles(user):
+def test_every_conversion_on_the_page_gives_our_angles(user):
     anchor = (1.0, 2.0, 10.0)
     rows = exact_rows(user, [0.0] * 3, [anchor], 1.0, Layout(1))
     right = np.degrees(rows[1:4])

@@ -1,4 +1,4 @@
-"""Paths without anchor numbers: whose they are, where a track begins, and what is counted."""
+"""Tests of the assignment of paths to anchors, of where tracks begin, and of statistics."""
 
 from functools import lru_cache
 from itertools import islice
@@ -25,19 +25,19 @@ from tests.paths import LOGS, representative
 
 RADIO = RADIOS["standard"]
 MODES = default_modes("standard")
-# A street 20 m wide, the base station nearer to its northern wall.
+# A street 20 m wide with the base station nearer to its northern wall.
 SCENE = Scene("canyon", (0.0, 3.0, 8.0), virtual_anchors_m=((0.0, 17.0, 8.0), (0.0, -23.0, 8.0)))
 LAYOUT = Layout(3)
 
 
 def labelled(epochs, scene=SCENE, tally=None, **more):
-    """Return the epochs that association labels, as one block."""
+    """Return the epochs, with paths assigned to anchors, as one block."""
     tally = tally or Association(len(scene.anchors_m))
     return LogBlock.joined(list(associate(epochs, scene, RADIO, MODES[-1], tally, **more)))
 
 
 def walk(anchors_seen, false_paths=0, seed=0, y_m=-2.0):
-    """A user on the way east past the base station, and which anchors are seen in every epoch."""
+    """Yield epochs of a user who walks east; ``anchors_seen`` lists visible anchors by epoch."""
     rng, time = np.random.default_rng(seed), np.arange(len(anchors_seen), dtype=float)
     position = [20.0 + 1.4 * time, np.full(len(anchors_seen), y_m), np.full(len(anchors_seen), 1.5)]
     velocity = [
@@ -70,7 +70,7 @@ def seen_in(block):
 
 @lru_cache
 def shipped(name):
-    """Measured track and its log, with labels."""
+    """Return a shipped track, and an episode of it with anchor numbers."""
     track = read_log_folder(LOGS / name)
     return track, track.episode("standard", np.random.default_rng(0))
 
@@ -86,7 +86,7 @@ def ate(block, scene, truth_m, times):
 @pytest.mark.parametrize(
     "name", representative(["canyon28_vehicle", "canyon28_pedestrian"], "canyon28_vehicle")
 )
-def test_the_track_of_a_sample_stays_without_its_labels(tmp_path, name):
+def test_a_sample_without_anchor_numbers_gives_nearly_the_same_track(tmp_path, name):
     track, episode = shipped(name)
     path, tally = tmp_path / "log.csv", Association(3)
     hide_anchors(path, episode, false_paths=5, seed=1)
@@ -107,8 +107,8 @@ def test_the_track_of_a_sample_stays_without_its_labels(tmp_path, name):
     assert figures["without_track"] == {"epochs": 0, "paths": 0}
 
 
-def test_arrivals_may_be_as_the_base_station_sees_them():
-    """Nobody can say what an image sees who does not know yet which wall mirrors the path."""
+def test_angles_of_arrival_may_be_measured_at_the_base_station():
+    """The angles at an image follow only once it is known which wall reflects the path."""
 
     def as_the_station_sees(epoch, anchor):
         z = epoch.measurement.copy()
@@ -118,9 +118,8 @@ def test_arrivals_may_be_as_the_base_station_sees_them():
     def seen_at_station():
         for epoch in walk([ALL] * 20):
             mirrored = [as_the_station_sees(epoch, anchor) for anchor in SCENE.anchors_m]
-            order = np.argsort(
-                np.argsort(epoch.measurement[:, 0])
-            )  # as ranges of anchors 1 to 3 are
+            # In this scene, anchors are in the order of their ranges.
+            order = np.argsort(np.argsort(epoch.measurement[:, 0]))
             z = np.stack([mirrored[rank][path] for path, rank in enumerate(order)])
             yield epoch._replace(measurement=z, at_station=True)
 
@@ -129,7 +128,7 @@ def test_arrivals_may_be_as_the_base_station_sees_them():
     np.testing.assert_allclose(block.measurement, usual.measurement, rtol=1e-9)
 
 
-def test_blocks_make_no_difference():
+def test_the_size_of_blocks_makes_no_difference():
     whole, cut = (labelled(walk([ALL] * 25, 3), epochs_per_block=n) for n in (4096, 7))
     assert_same(cut, whole)
 
@@ -147,19 +146,19 @@ def test_a_log_is_not_read_further_than_needed():
     assert len(read) < 30
 
 
-def test_a_reflection_is_not_taken_for_the_line_of_sight_that_comes_soon():
+def test_a_track_waits_for_the_line_of_sight_instead_of_starting_from_a_reflection():
     anchors_seen = [(1,)] * 3 + [ALL] * 20
     block = labelled(walk(anchors_seen, 2, seed=4))
     assert seen_in(block) == [NONE] * 3 + [ALL] * 20
     assert np.flatnonzero(block.restarts).tolist() == [3]
 
 
-def test_a_track_of_a_reflection_gives_way_to_the_line_of_sight():
+def test_a_track_that_started_from_a_reflection_gives_way_to_the_line_of_sight():
     anchors_seen, tally = [(1,)] * 30 + [ALL] * 20, Association(3)
     # The image is 14 m north of the base station, so the user seems to be 14 m further south.
     block = labelled(walk(anchors_seen, seed=4, y_m=6.0), tally=tally)
     begins = np.flatnonzero(block.restarts).tolist()
-    assert seen_in(block)[:20] == [(0,)] * 20 and begins[0] == 0  # all that it knows fits
+    assert seen_in(block)[:20] == [(0,)] * 20 and begins[0] == 0  # nothing contradicts it yet
     assert len(begins) == 2 and 20 < begins[1] <= 30
     assert seen_in(block)[30:] == anchors_seen[30:] and tally.figures()["starts"] == 2
     pieces = list(segments([block], SCENE, RADIO))
@@ -167,7 +166,7 @@ def test_a_track_of_a_reflection_gives_way_to_the_line_of_sight():
 
 
 @pytest.mark.parametrize("false_paths", [0, 5])
-def test_a_track_is_found_again_after_a_gap(false_paths):
+def test_a_new_track_begins_after_a_gap(false_paths):
     gap = int(GAP_S) + 5
     anchors_seen, tally = [ALL] * 10 + [NONE] * gap + [(0, 2)] * 10, Association(3)
     block = labelled(walk(anchors_seen, false_paths, seed=2), tally=tally)
@@ -178,7 +177,7 @@ def test_a_track_is_found_again_after_a_gap(false_paths):
     assert {piece.segment for piece in pieces} == {0, 1} and tally.figures()["starts"] == 2
 
 
-def test_false_paths_alone_are_no_track():
+def test_false_paths_alone_do_not_make_a_track():
     tally = Association(3)
     block = labelled(walk([NONE] * 60, 5, seed=3), tally=tally)
     assert block.visible.sum() <= 5
@@ -186,7 +185,7 @@ def test_false_paths_alone_are_no_track():
     assert figures["without_track"]["epochs"] >= 55 and figures["paths"] == 300
 
 
-def test_odometry_stays_where_it_was(tmp_path):
+def test_association_does_not_change_odometry(tmp_path):
     source = SimulatedSource(SCENES["street"], RADIO, "vehicle", epochs=40, odometry=True)
     episode = source.sample(np.random.default_rng(1))
     path = tmp_path / "log.csv"
@@ -197,7 +196,7 @@ def test_odometry_stays_where_it_was(tmp_path):
     np.testing.assert_array_equal(block.measurement[shown, 13:], episode.measurement[shown, 13:])
 
 
-def test_damage_comes_after_the_epochs_before_it():
+def test_epochs_before_a_damaged_line_are_returned_before_its_error():
     def damaged():
         yield from walk([ALL] * 12)
         raise LogError("line 40")

@@ -1,4 +1,4 @@
-"""Right logs are not doubted; what contradicts scene, radio or world is."""
+"""Tests that logs cause a warning only if they contradict scene, radio or physics."""
 
 from dataclasses import replace
 from itertools import product
@@ -21,7 +21,7 @@ FINE = {"seen": 200, "rejected_share": 0.1, "nis_per_dof": 1.0}
 
 
 def blocks_of(folder, scene, radio, kind, seed):
-    """A simulated log, written and read."""
+    """Write a simulated log and read it back."""
     episode = SimulatedSource(scene, radio, kind).sample(np.random.default_rng(seed))
     write_log(folder / "log.csv", episode)
     return list(read_log(folder / "log.csv", scene))
@@ -39,13 +39,13 @@ def doubts_of(block, **group):
 
 
 @pytest.mark.parametrize("world", WORLDS[::4], ids=lambda w: f"{w[0].name}-{w[1].name}-{w[2]}")
-def test_a_right_log_is_not_doubted(tmp_path, world):
+def test_a_correct_log_causes_no_warning(tmp_path, world):
     radio, scene, kind = world
     assert not doubts(blocks_of(tmp_path, scene, radio, kind, 0), scene, radio)
 
 
 @pytest.mark.slow
-def test_of_a_thousand_right_logs_at_most_ten_are_doubted(tmp_path):
+def test_at_most_ten_of_a_thousand_correct_logs_cause_a_warning(tmp_path):
     wrong = {}
     for n in range(1000):
         radio, scene, kind = WORLDS[n % len(WORLDS)]
@@ -67,18 +67,18 @@ def test_of_a_thousand_right_logs_at_most_ten_are_doubted(tmp_path):
         ({"seen": 0, "rejected_share": None, "nis_per_dof": None}, None),
     ],
 )
-def test_a_group_that_does_not_fit_the_track_is_doubted(block, group, value):
+def test_a_group_that_does_not_fit_the_track_causes_a_warning(block, group, value):
     doubts = contradictions(block, SCENE, RADIO, {"anchor 1": FINE | group})
     assert [(d.group, d.found) for d in doubts] == ([("anchor 1", value)] if value else [])
 
 
-def test_a_doppler_shift_may_be_predicted_better_than_claimed(block):
+def test_a_doppler_shift_may_fit_better_but_not_worse_than_its_noise(block):
     for nis, doubted in ((0.01, False), (5.1, True)):
         groups = {"Doppler": FINE | {"nis_per_dof": nis}}
         assert bool(contradictions(block, SCENE, RADIO, groups)) == doubted
 
 
-def test_what_no_receiver_measures_is_doubted(block):
+def test_impossible_measurements_cause_a_warning(block):
     snr, measurement = block.snr_db.copy(), block.measurement.copy()
     snr[5, 1] = 120.0
     measurement[:, 2] *= -1.0  # a user above the base station
@@ -91,7 +91,7 @@ def test_what_no_receiver_measures_is_doubted(block):
 
 
 @pytest.mark.parametrize("factor", [-1.0, 1e-3, 1.0 / SCENE.hz_per_mps, 3.0])
-def test_a_doppler_shift_that_the_range_contradicts_is_doubted(block, factor):
+def test_a_doppler_shift_that_contradicts_the_range_causes_a_warning(block, factor):
     measurement = block.measurement.copy()
     measurement[:, block.layout.doppler] *= factor
     (line,) = doubts_of(replace(block, measurement=measurement))
@@ -100,7 +100,7 @@ def test_a_doppler_shift_that_the_range_contradicts_is_doubted(block, factor):
 
 
 @pytest.mark.parametrize("factor", [-1.0, 1e-3])
-def test_a_doppler_shift_of_a_user_at_rest_says_nothing(block, factor):
+def test_the_doppler_shift_of_a_user_at_rest_causes_no_warning(block, factor):
     rng = np.random.default_rng(0)
     measurement = block.measurement.copy()
     measurement[:, 0] = 50.0 + 0.2 * rng.standard_normal(len(block))

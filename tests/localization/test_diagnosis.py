@@ -1,4 +1,4 @@
-"""Every likely mistake in a log is refused or doubted, and the diagnosis names it."""
+"""Tests that likely mistakes in a log are refused or cause a warning, and are diagnosed."""
 
 from contextlib import suppress
 from copy import deepcopy
@@ -59,7 +59,7 @@ def wrong_log(tmp_path, folder, mistake):
 
 
 @both
-def test_a_right_log_is_consistent_as_it_is(folder):
+def test_a_correct_log_is_diagnosed_as_consistent(folder):
     scene = read_scene(folder / "scene.json")
     assert not doubts(read_log(folder / "log.csv", scene), scene)
     best, *others = findings(folder / "log.csv", scene)
@@ -73,7 +73,7 @@ def test_a_right_log_is_consistent_as_it_is(folder):
     "folder", [FOLDERS[0], pytest.param(FOLDERS[1], marks=pytest.mark.slow)], ids=IDS
 )
 @pytest.mark.parametrize("name", MISTAKES)
-def test_a_mistake_is_refused_or_doubted_and_named(tmp_path, folder, name):
+def test_a_mistake_is_refused_or_causes_a_warning_and_is_diagnosed(tmp_path, folder, name):
     scene = read_scene(folder / "scene.json")
     path = wrong_log(tmp_path, folder, MISTAKES[name])
     with suppress(ValueError):
@@ -85,18 +85,18 @@ def test_a_mistake_is_refused_or_doubted_and_named(tmp_path, folder, name):
 
 @both
 @pytest.mark.parametrize("order", ORDERS, ids=str)
-def test_a_wrong_order_of_anchors_is_doubted_and_named(folder, order):
+def test_a_wrong_order_of_anchors_causes_a_warning_and_is_diagnosed(folder, order):
     right = read_scene(folder / "scene.json")
     scene = reordered(right, order)
     assert doubts(read_log(folder / "log.csv", scene), scene)
     best = findings(folder / "log.csv", scene)[0]
-    # Where the log's anchors stand in the mistaken scene.
+    # The numbers that the log's anchors have in the wrong scene.
     names = ", ".join(str(order.index(n) + 1) for n in (1, 2, 3))
     assert best.hypothesis == f"anchors are the scene's {names}" and not best.contradictions
 
 
 @both
-def test_two_mistakes_at_once_are_named(tmp_path, folder):
+def test_two_mistakes_at_once_are_both_diagnosed(tmp_path, folder):
     scene = read_scene(folder / "scene.json")
     zenith = MISTAKES["elevation is a zenith angle"]
     path = wrong_log(tmp_path, folder, lambda c: zenith(exchanged(c)))
@@ -106,7 +106,7 @@ def test_two_mistakes_at_once_are_named(tmp_path, folder):
     assert set(best.hypothesis.split("; ")) == mistakes
 
 
-def test_a_frame_turned_by_any_angle_is_doubted_and_not_explained_away(tmp_path):
+def test_a_rotated_frame_causes_a_warning_and_no_hypothesis_explains_it(tmp_path):
     folder = FOLDERS[0]
     scene = read_scene(folder / "scene.json")
     turned = linear(1.0, "aoa_azimuth_rad", "aod_azimuth_rad", offset=0.7)
@@ -115,7 +115,7 @@ def test_a_frame_turned_by_any_angle_is_doubted_and_not_explained_away(tmp_path)
     assert all(finding.contradictions for finding in findings(path, scene))
 
 
-def test_a_log_of_another_radio_is_named_and_the_log_left_alone():
+def test_the_radio_of_a_log_is_diagnosed_and_the_log_is_not_changed():
     scene = read_scene(FOLDERS[0] / "scene.json")
     block = next(read_log(FOLDERS[0] / "log.csv", scene, limits=False))
     before = deepcopy(block)

@@ -1,4 +1,4 @@
-"""The track of a log: where it begins, what filters and smooths it, and how it is cut."""
+"""Tests of the track of a log: filters, smoothing, where it begins, and cutting into blocks."""
 
 from dataclasses import replace
 from functools import cache
@@ -38,7 +38,7 @@ BANK = best_bank()
 
 @cache
 def log(folder, odometry=False):
-    """One block of irregular steps, whose first two epochs lack the line of sight."""
+    """Return one block with uneven time steps; its first two epochs lack the line of sight."""
     source = SimulatedSource(SCENE, RADIO, "walk-ride", epochs=T, odometry=odometry)
     episode = source.sample(np.random.default_rng(3))
     time = 1.7e9 + np.random.default_rng(0).uniform(0.5, 1.5, T).cumsum()
@@ -62,7 +62,7 @@ def block(folder):
 
 
 def cut(block, sizes):
-    """Blocks of these sizes, over and over."""
+    """Cut a block into blocks of these sizes, in turn."""
     blocks, first = [], 0
     while first < len(block):
         size = sizes[len(blocks) % len(sizes)]
@@ -80,7 +80,7 @@ def localized(blocks, modes, rule=None, **options):
 
 
 def episode_of(block):
-    """The log as an episode, from the first line of sight on."""
+    """Return the log as an episode that begins at the first line of sight."""
     block = block.part(slice(2, None))
     sigma = RADIO.sigma(block.snr_db, SCENE, block.layout)
     anchor, link = SCENE.anchors_m[0], block.layout.link(0)
@@ -96,7 +96,7 @@ def episode_of(block):
 
 
 def assert_engines(result, block, modes, planar=False):
-    """The filtered track is the engine's, epoch by epoch, in the modes that ran."""
+    """Assert that the engine gives the same filtered track in the modes that ran."""
     episode = episode_of(block)
     if planar:
         episode = episode.on_flat_ground(1.5)
@@ -113,13 +113,13 @@ def assert_engines(result, block, modes, planar=False):
 
 
 @pytest.mark.parametrize("mode", [EKF, UKF, robust(UKF), replace(EKF, gate=None, adaptive=False)])
-def test_one_pipeline_is_the_engines(block, mode):
+def test_a_track_in_one_mode_equals_that_of_the_engine(block, mode):
     result = run(cut(block, [50]), [mode])
     assert_engines(result, block, [mode])
     assert (result.mode == 0).all() and result.share == 1.0
 
 
-def test_the_speed_gate_decides_in_every_epoch(block):
+def test_the_predicted_speed_chooses_the_mode_in_every_epoch(block):
     result = run(cut(block, [64]), (EKF, UKF), by_predicted_speed)
     assert_engines(result, block, (EKF, UKF))
     before = np.concatenate([np.zeros((1, 3)), result.x[:-1, 3:6]])
@@ -128,7 +128,7 @@ def test_the_speed_gate_decides_in_every_epoch(block):
 
 
 @pytest.mark.slow
-def test_the_speed_gate_may_follow_odometry(folder):
+def test_the_odometry_speed_chooses_the_mode_where_it_is_measured(folder):
     block = log(folder, odometry=True)
     modes = (EKF, replace(EKF, name="fast", sigma_v=3.0))
     result = run([block], modes, by_odometry_speed)
@@ -141,7 +141,7 @@ def test_the_speed_gate_may_follow_odometry(folder):
 
 
 @pytest.mark.parametrize("modes", [(EKF,), pytest.param(BANK, marks=pytest.mark.slow)])
-def test_flat_terrain_keeps_its_height(block, modes):
+def test_a_track_on_flat_terrain_keeps_its_height(block, modes):
     result = run([block], modes, height_m=1.5)
     if modes != BANK:
         assert_engines(result, block, modes, planar=True)
@@ -151,7 +151,7 @@ def test_flat_terrain_keeps_its_height(block, modes):
 
 
 def assert_imms(result, block, bank):
-    """The filtered track is the IMM engine's on the same epochs, in pieces or not."""
+    """Assert that the IMM engine gives the same filtered track on the same epochs."""
     names = ("x", "P", "mixture")
     imm = ImmEngine(
         Pipeline(bank.modes, block.layout), TrackingReward(), bank.transition, bank.nis_quantile
@@ -171,13 +171,13 @@ def assert_imms(result, block, bank):
 
 
 @pytest.mark.parametrize("size", [1, 50, T])
-def test_an_imm_is_the_engines(block, size):
+def test_a_track_of_an_imm_equals_that_of_the_imm_engine(block, size):
     result = run(cut(block, [size]), BANK)
     assert_imms(result, block, BANK)
     assert len(np.unique(result.mode)) > 2 and result.share == 1.0
 
 
-def test_an_imm_takes_no_rule(block):
+def test_an_imm_with_a_rule_is_refused(block):
     with refuses("rule"):
         run([block], BANK, by_predicted_speed)
 
@@ -187,7 +187,7 @@ def test_an_imm_takes_no_rule(block):
 
 @pytest.mark.parametrize("modes", [(EKF,), BANK], ids=["one", "imm"])
 @pytest.mark.parametrize("window", [2, 50, 57, T - 2, 1000])
-def test_every_window_is_smoothed_and_what_is_left_too(block, window, modes):
+def test_every_window_is_smoothed_including_a_shorter_last_one(block, window, modes):
     result = run(cut(block, [64]), modes, window=window)
     for first in range(0, T - 2, window):
         part = slice(first, first + window)
@@ -200,7 +200,7 @@ def test_every_window_is_smoothed_and_what_is_left_too(block, window, modes):
     assert not np.array_equal(result.smooth_x, result.x)
 
 
-def test_without_smoothing_the_track_is_the_filtered_one(block):
+def test_without_smoothing_the_track_is_the_filtered_track(block):
     result = run([block], window=None)
     np.testing.assert_array_equal(result.smooth_x, result.x)
     np.testing.assert_array_equal(result.x, run([block]).x)
@@ -211,7 +211,7 @@ def test_without_smoothing_the_track_is_the_filtered_one(block):
 )
 @settings(max_examples=15, deadline=None)
 @given(sizes=st.lists(st.integers(1, T), min_size=1, max_size=5), window=st.integers(2, 300))
-def test_a_track_does_not_depend_on_the_blocks(folder, modes, rule, sizes, window):
+def test_a_track_does_not_depend_on_the_sizes_of_blocks(folder, modes, rule, sizes, window):
     block = log(folder)
     first, second = with_gap(unseen(block, slice(101, 104)), 40.0)
     block = LogBlock.joined([first, *with_gap(second, 20.0, at=30)])
@@ -227,7 +227,7 @@ def test_a_track_does_not_depend_on_the_blocks(folder, modes, rule, sizes, windo
 
 
 def unseen(block, epochs):
-    """The log without the line of sight in some epochs."""
+    """Return the log without the line of sight in some epochs."""
     visible, incomplete = block.visible.copy(), block.incomplete.copy()
     visible[epochs, 0], incomplete[epochs, 0] = False, True
     return replace(block, visible=visible, incomplete=incomplete)
@@ -240,7 +240,7 @@ def damaged(blocks):
 
 @pytest.mark.parametrize("modes", [(EKF,), BANK], ids=["one", "imm"])
 @pytest.mark.parametrize("window", [None, 50, 1000])
-def test_damage_comes_after_the_epochs_before_it(block, window, modes):
+def test_the_track_before_a_damaged_line_is_returned_before_its_error(block, window, modes):
     blocks = []
     pieces = cut(block.part(slice(0, 130)), [40])
     with refuses("line 7", error=LogError):
@@ -253,14 +253,14 @@ def test_damage_comes_after_the_epochs_before_it(block, window, modes):
 UNGATED = replace(UKF, gate=None)
 
 
-@pytest.mark.parametrize(  # an IMM loses its weights at once, a filter's state overflows later
+@pytest.mark.parametrize(  # an IMM loses its weights at once, a filter overflows an epoch later
     ("modes", "finite"),
     [((UNGATED,), 1), (Bank((UNGATED, replace(UNGATED, name="twin"))), 0)],
     ids=["one", "imm"],
 )
 @pytest.mark.parametrize("first", [1, 100])
 @pytest.mark.parametrize("window", [None, 30])
-def test_a_measurement_no_filter_survives_is_damage(block, first, window, modes, finite):
+def test_a_measurement_that_makes_a_track_infinite_is_refused(block, first, window, modes, finite):
     measurement, visible = block.measurement.copy(), block.visible.copy()
     measurement[2 + first, block.layout.doppler], visible[2 + first, SHIFT] = 1e300, True
     damaged = replace(block, measurement=measurement, visible=visible)
@@ -275,7 +275,7 @@ def test_a_measurement_no_filter_survives_is_damage(block, first, window, modes,
 
 
 def with_gap(block, seconds, at=100):
-    """The log with a pause before an epoch, which is made a line of sight."""
+    """Return the log before and after a pause; the second part begins with a line of sight."""
     time = block.time_s.copy()
     time[at:] += seconds - (time[at] - time[at - 1])
     fix = at + int(block.visible[at:, 0].argmax())
@@ -284,7 +284,7 @@ def with_gap(block, seconds, at=100):
 
 @pytest.mark.parametrize("modes", [(UKF,), BANK], ids=["one", "imm"])
 @pytest.mark.parametrize("window", [None, 30, 1000])
-def test_after_a_long_gap_the_track_is_that_of_the_rest_alone(block, window, modes):
+def test_after_a_long_gap_the_track_equals_that_of_the_remaining_log_alone(block, window, modes):
     before, after = with_gap(block, 60.0)
     blocks = list(localized([LogBlock.joined([before, after])], modes, window=window))
     assert [b.segment for b in blocks] == sorted(b.segment for b in blocks)
@@ -295,7 +295,7 @@ def test_after_a_long_gap_the_track_is_that_of_the_rest_alone(block, window, mod
     assert blocks[-1].skipped == 2 and blocks[-1].dropped == 0
 
 
-@pytest.mark.parametrize("steep", [0.0, 1e-9, 0.02], ids=["exactly", "all but", "about"])
+@pytest.mark.parametrize("steep", [0.0, 1e-9, 0.02], ids=["exactly", "almost", "roughly"])
 @pytest.mark.parametrize("side", [-1.0, 1.0], ids=["below", "above"])
 def test_a_log_that_begins_straight_below_or_above_an_anchor_starts_at_the_next_usable_fix(
     steep, side

@@ -1,4 +1,4 @@
-"""Tracks on the map of the world, read back by other programs' parsers."""
+"""Tests of tracks in GPX, NMEA and GeoJSON files, read back by other libraries."""
 
 import json
 from dataclasses import replace
@@ -22,7 +22,7 @@ NOON_S = 1_764_072_000.0  # 2025-11-25 12:00 UTC
 
 
 def tracks():
-    """Return two segments of a track, each 0.5 s apart."""
+    """Return two segments of a track with epochs 0.5 s apart."""
     blocks = []
     for segment, (epochs, start) in enumerate([(9, 0.0), (5, 60.0)]):
         time_s = NOON_S + start + 0.5 * np.arange(epochs)
@@ -40,7 +40,7 @@ def written(tmp_path, ending, blocks):
 
 
 def places(blocks):
-    """Return latitude, longitude and height (n, 3) by the library's own rotation of the frame."""
+    """Return latitude, longitude and height (n, 3), by pymap3d from azimuths and distances."""
     x, y, up = np.concatenate([block.smooth_x[:, :3] for block in blocks]).T
     angle, length = np.arctan2(y, x), np.hypot(x, y)
     azimuth = np.degrees(np.radians(ORIGIN.bearing_deg) - angle)
@@ -49,14 +49,14 @@ def places(blocks):
     return np.column_stack(pymap3d.aer2geodetic(azimuth, elevation, slant, *where))
 
 
-def test_the_x_axis_points_where_the_bearing_says():
+def test_the_x_axis_points_along_the_bearing():
     ahead = geodetic(replace(ORIGIN, bearing_deg=90.0), np.array([[100.0, 0.0, 0.0]]))[0]
     assert ahead[0] == pytest.approx(ORIGIN.latitude_deg, abs=1e-7) and ahead[1] > 24.8277
     north = geodetic(replace(ORIGIN, bearing_deg=0.0), np.array([[100.0, 0.0, 0.0]]))[0]
     assert north[1] == pytest.approx(ORIGIN.longitude_deg, abs=1e-9) and north[0] > 60.1867
 
 
-def test_gpx_has_a_segment_for_each_and_its_times(tmp_path):
+def test_gpx_has_every_segment_of_the_track_with_its_times(tmp_path):
     blocks = tracks()
     content = gpxpy.parse(written(tmp_path, ".gpx", blocks).read_text())
     (track,) = content.tracks
@@ -69,7 +69,7 @@ def test_gpx_has_a_segment_for_each_and_its_times(tmp_path):
     np.testing.assert_allclose(moments, np.concatenate([b.time_s for b in blocks]), atol=1e-3)
 
 
-def test_nmea_has_position_and_standard_deviations(tmp_path):
+def test_nmea_has_positions_and_standard_deviations(tmp_path):
     blocks = tracks()
     lines = written(tmp_path, ".nmea", blocks).read_bytes().decode().split("\r\n")[:-1]
     sentences = [pynmea2.parse(line, check=True) for line in lines]
@@ -92,7 +92,7 @@ def test_nmea_has_position_and_standard_deviations(tmp_path):
 
 
 def area(ring):
-    """Return the area of a ring of longitudes and latitudes, m^2, in the plane of the origin."""
+    """Return the area in m^2 of a ring of longitudes and latitudes, near the origin."""
     longitude, latitude = np.array(ring).T
     where = ORIGIN.latitude_deg, ORIGIN.longitude_deg, ORIGIN.height_m
     east, north, _ = pymap3d.geodetic2enu(latitude, longitude, ORIGIN.height_m, *where)
@@ -112,8 +112,8 @@ def test_geojson_has_lines_within_segments_and_ellipses_of_95_percent(tmp_path):
     )
     rings = {f["properties"]["time_s"]: f["geometry"] for f in features if f not in lines}
     by_time = {t: P for b in blocks for t, P in zip(b.time_s, b.smooth_P, strict=True)}
-    assert list(rings) == [t for b in blocks for t in b.time_s[::2]]  # one a second
-    polygon = 16.0 * np.sin(np.pi / 16.0)  # of 32 corners in a circle, over its radius squared
+    assert list(rings) == [t for b in blocks for t in b.time_s[::2]]  # one ellipse per second
+    polygon = 16.0 * np.sin(np.pi / 16.0)  # area of a polygon with 32 corners on a unit circle
     for time_s, geometry in rings.items():
         (ring,), P = geometry["coordinates"], by_time[time_s]
         assert ring[0] == ring[-1]
@@ -122,7 +122,7 @@ def test_geojson_has_lines_within_segments_and_ellipses_of_95_percent(tmp_path):
 
 
 @pytest.mark.parametrize("ending", MAP_FILES)
-def test_a_map_needs_an_origin_and_replaces_its_like_alone(tmp_path, ending):
+def test_a_map_file_needs_an_origin_and_replaces_only_files_of_its_kind(tmp_path, ending):
     path = tmp_path / f"walk{ending}"
     with refuses("out"), track_files(path, NAMES, SCENES["street"]):
         pass
@@ -136,7 +136,7 @@ def test_a_map_needs_an_origin_and_replaces_its_like_alone(tmp_path, ending):
 @pytest.mark.parametrize(
     "wrong", [{"latitude_deg": 90.5}, {"longitude_deg": 181.0}, {"bearing_deg": "north"}]
 )
-def test_an_origin_beyond_the_earth_is_refused(wrong):
+def test_an_origin_with_impossible_values_is_refused(wrong):
     (field,) = wrong
     with refuses(field):
         object_from(Origin, {"latitude_deg": 60.0, "longitude_deg": 24.0} | wrong)

@@ -1,8 +1,8 @@
-"""The same street, told otherwise, gives the same track: no reference but the filters themselves.
+"""Tests that an equivalent description of a log and its scene gives an equivalent track.
 
-Nobody knows the right track of a log; but a log whose scene is moved, turned or mirrored, whose
-anchors are numbered otherwise, or whose columns are in other units has that track moved, turned or
-mirrored with it, and the same uncertainty, NIS and gates.
+The correct track of a log is unknown. But if a scene is moved, turned or mirrored, if its anchors
+are renumbered, or if the columns of a log have other units, the track must be moved, turned or
+mirrored in the same way, and have the same uncertainty, NIS and gate decisions.
 """
 
 import gzip
@@ -20,18 +20,18 @@ from mmwave_env.models.scene import read_scene, scene_of_anchors
 from tests.filters.tracks import TRIANGLE, assert_same_beliefs, unpacked
 from tests.localization.mistakes import AZIMUTHS, FOLDERS, read_columns, write_columns
 
-pytestmark = pytest.mark.slow  # all together half a minute
+pytestmark = pytest.mark.slow  # half a minute in total
 
 RADIO = RADIOS["standard"]
 PIPELINES = {name: [mode] for name, mode in named_modes("standard").items()}
-ROTATABLE = ["ekf", "ekf-robust"]  # sigma points lie along the axes of the map
+ROTATABLE = ["ekf", "ekf-robust"]  # others have sigma points along the axes of the map
 ROUNDING = 1e-6  # in standard deviations
 UNTURNED = np.eye(3)
 
 
 @pytest.fixture(scope="module", params=FOLDERS, ids=lambda folder: folder.name)
 def street(request):
-    """Columns of a recorded log, its first minute at most, and its scene."""
+    """Return the columns of a recorded log up to 15 s, and its scene."""
     columns = read_columns(request.param / "log.csv")
     first = columns["time_s"] < 15.0
     scene = read_scene(request.param / "scene.json")
@@ -43,7 +43,7 @@ def with_anchors(scene, anchors_m):
 
 
 def joined(blocks):
-    """Every value of a track by its name, epochs along the first axis."""
+    """Return every array of a track by name, with epochs along the first axis."""
     blocks = list(blocks)
     return {
         name: np.concatenate([getattr(block, name) for block in blocks])
@@ -57,7 +57,7 @@ def track_of(folder, columns, scene, modes):
 
 
 def assert_moved(moved, plain, turn=UNTURNED, shift_m=(0.0, 0.0, 0.0)):
-    """Beliefs are those of ``plain`` turned by a matrix (3, 3), then shifted; gates agree."""
+    """Assert that ``moved`` is ``plain`` turned by a matrix (3, 3), then shifted."""
     whole = np.eye(7)
     whole[:3, :3] = whole[3:6, 3:6] = turn
     for x, P in (("x", "P"), ("smooth_x", "smooth_P")):
@@ -81,7 +81,7 @@ def mirrored(signs, offset):
     return PIPELINES, np.diag(signs), (0.0, 0.0, 0.0), lambda azimuth: offset - azimuth
 
 
-MOVES = {  # pipelines, turn (3, 3), shift in m, what becomes of azimuths
+MOVES = {  # pipelines, turn (3, 3), shift in m, function of azimuths
     "elsewhere": (PIPELINES, UNTURNED, (812.5, -4_096.25, 37.0), lambda azimuth: azimuth),
     **{f"turned by {angle:.1f}": turned(angle) for angle in (0.5 * np.pi, np.pi, -2.0, 0.3)},
     "mirrored in x": mirrored([-1.0, 1.0, 1.0], np.pi),
@@ -102,7 +102,7 @@ def test_a_moved_scene_gives_the_moved_track(street, tmp_path, move, pipeline):
 
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
-def test_virtual_anchors_have_no_order(street, tmp_path, pipeline):
+def test_the_order_of_virtual_anchors_does_not_matter(street, tmp_path, pipeline):
     (columns, scene), modes = street, PIPELINES[pipeline]
     plain = track_of(tmp_path, columns, scene, modes)
     for order in permutations(range(1, len(scene.anchors_m))):
@@ -130,8 +130,8 @@ UNITS = {  # old name -> new name and factor
 }
 
 
-def test_units_orders_clock_and_parts_are_a_matter_of_writing(street, tmp_path):
-    """Several packed files in other units, of a later clock, rows and columns in another order."""
+def test_units_orders_clock_and_division_of_a_log_into_parts_do_not_matter(street, tmp_path):
+    """Compare with compressed parts in other units, with a later clock and in another order."""
     (columns, scene), modes = street, [replace(PIPELINES["ukf"][0], spread_gain=0.01)]
     plain = track_of(tmp_path, columns, scene, modes)
     order = np.lexsort((-columns["anchor"], columns["time_s"]))

@@ -1,4 +1,4 @@
-"""Logs with any subset of rows, the receiver's own deviations, and Doppler shifts of any anchor."""
+"""Tests of logs that lack quantities, state their noise, or have any anchor's Doppler shift."""
 
 import csv
 
@@ -30,7 +30,7 @@ def rows():
 
 
 def written(path, columns, change=lambda row: row, **more):
-    """Write the walk with some columns, rows changed, and more columns of constants."""
+    """Write the walk with only some columns, changed rows, and more columns of constants."""
     with path.open("w", newline="") as file:
         table = csv.DictWriter(file, [*columns, *more], extrasaction="ignore")
         table.writeheader()
@@ -62,7 +62,7 @@ def track_of(path, **options):
     ],
     ids=["no Doppler", "range and azimuth", "range and both azimuths", "angles alone"],
 )
-def test_any_subset_gives_a_track(tmp_path, columns, own, most_m):
+def test_any_subset_of_columns_gives_a_track(tmp_path, columns, own, most_m):
     path = written(
         tmp_path / "log.csv", ("time_s", "anchor", *columns), **dict(SIGMA[key] for key in own)
     )
@@ -70,7 +70,7 @@ def test_any_subset_gives_a_track(tmp_path, columns, own, most_m):
     assert len(track) == 400 and error[50:].mean() < most_m
 
 
-def test_a_link_without_one_number_is_used_with_the_others(tmp_path):
+def test_a_link_that_lacks_one_number_is_used_with_its_other_numbers(tmp_path):
     def spoil(row):
         return row | {LINK[int(row["anchor"]) % 4]: ""}
 
@@ -83,7 +83,7 @@ def test_a_link_without_one_number_is_used_with_the_others(tmp_path):
     assert (~measured.any(axis=0)).sum() == 3  # one row of each link
 
 
-def test_own_deviations_are_taken_and_an_snr_is_not_needed(tmp_path):
+def test_standard_deviations_in_a_log_are_used_and_make_an_snr_unnecessary(tmp_path):
     names = {"toa_sigma_ns": 2.0, "aoa_azimuth_sigma_deg": 1.0, "doppler_sigma_mps": 0.5}
     columns = ("time_s", "anchor", "toa_s", "aoa_azimuth_rad", "doppler_hz")
     block = read(written(tmp_path / "log.csv", columns, **names))
@@ -94,7 +94,7 @@ def test_own_deviations_are_taken_and_an_snr_is_not_needed(tmp_path):
     assert np.isnan(block.sigma[:, 2]).all() and not np.isfinite(block.snr_db).any()
 
 
-def test_a_round_trip_is_half_as_long(tmp_path):
+def test_a_round_trip_time_is_halved(tmp_path):
     def there_and_back(row):
         return row | {"rtt_s": 2.0 * float(row["toa_s"]) if row["toa_s"] else ""}
 
@@ -106,7 +106,7 @@ def test_a_round_trip_is_half_as_long(tmp_path):
     np.testing.assert_allclose(ours.measurement, theirs.measurement, rtol=1e-14)
 
 
-def test_the_doppler_shift_may_be_any_anchors(tmp_path):
+def test_the_doppler_shift_may_be_of_any_anchor(tmp_path):
     def moved(row):
         return row | {"doppler_hz": 50.0 if row["anchor"] == "2" else ""}
 
@@ -117,7 +117,7 @@ def test_the_doppler_shift_may_be_any_anchors(tmp_path):
     assert shifted.any() and (block.doppler_anchor[shifted] == 1).all()
 
 
-def test_without_noise_the_log_is_refused_unless_an_snr_is_stated(tmp_path):
+def test_a_log_without_noise_columns_is_refused_unless_an_snr_is_given(tmp_path):
     path = written(tmp_path / "log.csv", ("time_s", "anchor", "toa_s", "aoa_azimuth_rad"))
     with refuses("columns", error=LogError):
         read(path)
@@ -137,16 +137,16 @@ def both(row):
         ("range_sigma_m", ("time_s", "anchor", "toa_s"), dict, {"range_sigma_m": -1.0}),
         ("doppler_hz", ("time_s", "anchor", *LINK, "doppler_hz", "snr_db"), both, {}),
     ],
-    ids=["elevation alone", "Doppler alone", "no deviation", "negative", "two Doppler shifts"],
+    ids=["elevation alone", "Doppler alone", "zero sigma", "negative sigma", "two Doppler shifts"],
 )
-def test_what_no_track_can_use_is_refused(tmp_path, field, columns, change, more):
+def test_a_log_that_cannot_give_a_track_is_refused(tmp_path, field, columns, change, more):
     path = written(tmp_path / "log.csv", columns, change, **more)
     with refuses(field, error=LogError):
         list(read_log(path, SCENE, partial=True))
 
 
-def test_the_nearest_radio_is_that_of_the_log(tmp_path):
-    assert nearest_radio(read(WALK / "log.csv"), SCENE) == "standard"  # with which it was made
+def test_the_nearest_radio_is_the_profile_with_the_noise_of_the_log(tmp_path):
+    assert nearest_radio(read(WALK / "log.csv"), SCENE) == "standard"  # which made the log
     coarse = {"range_sigma_m": 0.9, "aoa_azimuth_sigma_deg": 4.0}
     path = written(tmp_path / "log.csv", ("time_s", "anchor", "toa_s", "aoa_azimuth_rad"), **coarse)
     assert nearest_radio(read(path), SCENE) == "handset"

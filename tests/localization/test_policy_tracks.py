@@ -1,4 +1,4 @@
-"""Tracks of logs whose modes a policy chooses, whole and live, against the environment's engine."""
+"""Tests of tracks whose modes a policy chooses, of logs and live, against the engine."""
 
 import csv
 from dataclasses import replace
@@ -38,7 +38,7 @@ def blocks(size):
 
 @pytest.fixture(scope="module")
 def rows():
-    """Return the rows of each epoch, by the names of columns."""
+    """Return the rows of each epoch as dicts by column."""
     with (WALK / "log.csv").open() as file:
         table = [
             {k: float(v) if v else None for k, v in row.items()} for row in csv.DictReader(file)
@@ -49,7 +49,7 @@ def rows():
 
 @pytest.mark.parametrize("name", ["guided", "ppo-standard"])
 @pytest.mark.parametrize("size", [7, EPOCHS])
-def test_the_track_is_that_of_the_environment_to_the_last_bit(name, size):
+def test_the_track_equals_that_of_the_environment_to_the_last_bit(name, size):
     switching = learned(name, "standard")
     (whole,) = blocks(EPOCHS)
     episode = episode_from(whole, SCENE, RADIO)
@@ -65,7 +65,7 @@ def test_the_track_is_that_of_the_environment_to_the_last_bit(name, size):
 
 
 @pytest.mark.parametrize("name", ["guided", "ekf"])
-def test_a_live_track_is_that_of_the_whole_log_to_the_last_bit(rows, name):
+def test_a_live_track_equals_that_of_the_complete_log_to_the_last_bit(rows, name):
     modes = LearnedSwitch("ppo-standard").modes[:1]
     switching = learned(name, "standard") if name == "guided" else Switching(modes)
     track = TrackBlock.joined(list(localize(blocks(50), SCENE, RADIO, switching, window=None)))
@@ -82,7 +82,7 @@ def test_a_live_track_is_that_of_the_whole_log_to_the_last_bit(rows, name):
     assert (np.array([np.trace(p.covariance_m2) for p in late[6:]]) < spread).all()
 
 
-def test_a_live_track_begins_anew_after_a_long_gap(rows):
+def test_a_live_track_begins_again_after_a_long_gap(rows):
     tracker = Tracker(SCENE, Switching(LearnedSwitch("ppo-standard").modes[:1]), "standard")
     later = [[{**row, "time_s": row["time_s"] + 100.0} for row in epoch] for epoch in rows[50:60]]
     begins = [tracker.update(epoch).begins for epoch in [*rows[:10], *later]]
@@ -99,7 +99,7 @@ def test_a_live_track_begins_anew_after_a_long_gap(rows):
         ("toa_s", lambda row: {**row, "toa_s": -1e-7}),
     ],
 )
-def test_a_damaged_row_is_named_and_the_track_goes_on(rows, field, change):
+def test_an_error_names_the_field_of_a_damaged_row_and_the_track_continues(rows, field, change):
     tracker = Tracker(SCENE, Switching(LearnedSwitch("ppo-standard").modes[:1]), "standard")
     for epoch in rows[:3]:
         tracker.update(epoch)
@@ -108,7 +108,7 @@ def test_a_damaged_row_is_named_and_the_track_goes_on(rows, field, change):
     assert tracker.update(rows[4]).begins is False
 
 
-def test_a_rule_beside_a_bank_is_refused():
+def test_a_rule_together_with_a_bank_is_refused():
     bank = learned("guided", "standard").modes
     with refuses("rule"):
         replace(Switching(bank), rule=lambda x, epoch: 0.0)

@@ -1,4 +1,4 @@
-"""Percentiles and shares against numpy's on the same errors, however they come."""
+"""Tests that statistics of position errors, added in any pieces, equal those of NumPy."""
 
 import json
 
@@ -20,7 +20,7 @@ ERRORS = hnp.arrays(float, st.tuples(st.integers(1, 60), st.just(3)), elements=s
 
 
 def covariances(n, seed=0):
-    """Packed (n, 28), of which only those of the position matter."""
+    """Return random packed covariances (n, 28)."""
     factor = np.random.default_rng(seed).normal(size=(n, 7, 7))
     return (factor @ np.swapaxes(factor, 1, 2))[(..., *np.tril_indices(7))]
 
@@ -35,7 +35,7 @@ def assert_figures(figures, size, level):
 
 @settings(max_examples=25, deadline=None)
 @given(error=ERRORS, cut=st.integers(0, 60))
-def test_figures_are_numpy_s_of_the_same_errors_in_any_pieces(error, cut):
+def test_statistics_of_errors_in_any_pieces_equal_those_of_numpy(error, cut):
     errors, P = PositionErrors(risk=0.05), covariances(len(error))
     for part in (slice(cut), slice(cut, None)):
         errors.add(error[part], P[part])
@@ -46,7 +46,7 @@ def test_figures_are_numpy_s_of_the_same_errors_in_any_pieces(error, cut):
     assert_figures(figures["vertical"], upwards, vertical_level(P, 0.05))
 
 
-def test_errors_that_wait_on_a_disk_are_the_same():
+def test_errors_that_are_kept_on_disk_give_the_same_statistics():
     error, P = np.random.default_rng(1).normal(size=(150_000, 3)), covariances(1)
     errors = PositionErrors()
     for part in np.split(error, 30):
@@ -58,7 +58,7 @@ def test_errors_that_wait_on_a_disk_are_the_same():
 
 
 @pytest.mark.parametrize("lost", [np.nan, np.inf])
-def test_lost_tracks_have_large_errors_and_figures_that_json_can_hold(lost):
+def test_errors_that_are_not_finite_count_as_large_and_give_valid_json(lost):
     error = np.ones((10, 3))
     error[6:] = lost
     errors = PositionErrors()
@@ -70,7 +70,7 @@ def test_lost_tracks_have_large_errors_and_figures_that_json_can_hold(lost):
     json.dumps(errors.figures(), allow_nan=False)
 
 
-def test_no_errors_have_no_figures():
+def test_statistics_without_errors_are_none():
     figures = PositionErrors().figures()["horizontal"]
     assert figures["epochs"] == 0 and figures["share"] is None
     assert {*figures["percentiles_m"].values(), *figures["within_m"].values()} == {None}

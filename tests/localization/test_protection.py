@@ -1,4 +1,4 @@
-"""Protection levels against integrals of scipy's, and draws from the covariances themselves."""
+"""Tests of protection levels against numerical integrals and randomly drawn errors."""
 
 import numpy as np
 import pytest
@@ -19,19 +19,19 @@ risks = st.floats(-7.0, np.log10(0.5)).map(lambda power: 10.0**power)
 
 
 def packed(P):
-    """Covariances (..., 3, 3) as filters pack them."""
+    """Pack covariances (..., 3, 3) as filters do."""
     return np.asarray(P)[(..., *np.tril_indices(3))]
 
 
 def turned(major, minor, angle):
-    """The packed covariance of an ellipse, with some variance upwards."""
+    """Return the packed covariance of a turned horizontal ellipse, with a vertical variance."""
     c, s = np.cos(angle), np.sin(angle)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return packed(turn @ np.diag([major**2, minor**2, 1.0]) @ turn.T)
 
 
 def beyond(distance, major, minor):
-    """P(|e| > distance) of e ~ N(0, diag(major^2, minor^2)), given one axis after the other."""
+    """Integrate P(|e| > distance), for e ~ N(0, diag(major^2, minor^2)), over the minor axis."""
 
     def given_minor(y):
         rest = np.sqrt(max(distance**2 - (minor * y) ** 2, 0.0)) / major
@@ -53,7 +53,7 @@ def test_errors_exceed_the_horizontal_level_with_the_stated_probability(risk, ma
 
 @settings(max_examples=25, deadline=None)
 @given(risk=risks, sigma=st.floats(0.01, 100.0))
-def test_ends_are_those_of_textbooks(risk, sigma):
+def test_levels_of_a_line_and_of_a_circle_equal_the_textbook(risk, sigma):
     line, circle = (horizontal_level(turned(sigma, minor, 1.0), risk) for minor in (0.0, sigma))
     assert line == pytest.approx(sigma * norm.isf(0.5 * risk), rel=1e-6)
     assert circle == pytest.approx(sigma * np.sqrt(-2.0 * np.log(risk)), rel=1e-6)  # Rayleigh
@@ -61,7 +61,7 @@ def test_ends_are_those_of_textbooks(risk, sigma):
     assert vertical_level(upwards, risk) == pytest.approx(sigma * norm.isf(0.5 * risk))
 
 
-def test_levels_of_many_covariances_are_those_of_each():
+def test_levels_of_many_covariances_equal_those_of_each_one():
     P = np.stack([turned(3.0, 1.0, 0.3), turned(1.0, 1.0, 0.0), turned(2.0, 0.0, 1.0)])
     many = horizontal_level(P.reshape(3, 1, 6), 1e-3)
     assert many.shape == (3, 1)
@@ -69,8 +69,8 @@ def test_levels_of_many_covariances_are_those_of_each():
 
 
 @pytest.mark.parametrize("risk", [0.3, 1e-2, 1e-3])
-def test_levels_hold_at_the_stated_risk_for_errors_drawn_from_the_covariances(risk):
-    """Counts of exceedances within their binomial 99 % intervals, both at once; seed 0."""
+def test_random_errors_exceed_levels_with_the_stated_probability(risk):
+    """Both counts must be within binomial intervals of joint level 99 %; the seed is 0."""
     rng, n = np.random.default_rng(0), 200_000
     factor = rng.normal(size=(n, 3, 3)) * rng.lognormal(size=(n, 1, 1))
     P = packed(factor @ np.swapaxes(factor, 1, 2))
@@ -84,7 +84,7 @@ def test_levels_hold_at_the_stated_risk_for_errors_drawn_from_the_covariances(ri
 
 
 @pytest.mark.parametrize(("exceeded", "epochs"), [(0, 50), (3, 200), (7, 7)])
-def test_the_interval_is_clopper_and_pearson_s(exceeded, epochs):
+def test_the_interval_of_the_share_is_that_of_clopper_and_pearson(exceeded, epochs):
     error = np.zeros(epochs)
     error[:exceeded] = 2.0
     figures = exceedance(error, np.ones(epochs))
@@ -94,7 +94,7 @@ def test_the_interval_is_clopper_and_pearson_s(exceeded, epochs):
     assert figures["ci95"] == pytest.approx([low, high])
 
 
-def test_what_is_no_number_is_no_protection_and_no_epochs_say_nothing():
+def test_nan_counts_as_exceeded_and_no_epochs_give_no_share():
     error, level = np.array([np.nan, 1.0, 1.0]), np.array([5.0, np.nan, 5.0])
     assert exceedance(error, level)["exceeded"] == 2
     nothing = exceedance(np.empty(0), np.empty(0))
@@ -102,6 +102,6 @@ def test_what_is_no_number_is_no_protection_and_no_epochs_say_nothing():
 
 
 @pytest.mark.parametrize("risk", [0.0, -1.0, 0.6, np.nan, np.inf])
-def test_what_is_no_risk_is_refused(risk):
+def test_an_impossible_risk_is_refused(risk):
     with refuses("risk"):
         require_risk(risk)

@@ -1,4 +1,4 @@
-"""Tests of the segments of a log: begins, ends and gaps."""
+"""Tests of the division of a log into segments: where they begin and end, and gaps."""
 
 import numpy as np
 from hypothesis import given, settings
@@ -17,7 +17,7 @@ LINK_1, LINK_2, DOPPLER, ODOMETRY = range(4)
 
 
 def log(time_s, groups_seen, odometry=True):
-    """A block of two anchors with these groups visible: one tuple of groups for each epoch."""
+    """Return a block of two anchors with these groups visible: one tuple of groups per epoch."""
     layout, T = Layout(2, odometry), len(time_s)
     visible = np.zeros((T, len(layout.groups)), bool)
     for epoch, groups in enumerate(groups_seen):
@@ -32,7 +32,7 @@ def log(time_s, groups_seen, odometry=True):
 
 
 def pieces_of(*blocks):
-    """(times, segment, begins, skipped, dropped) of every piece."""
+    """Return (times, segment, begins, skipped, dropped) of every piece."""
     return [
         (p.time_s.tolist(), p.segment, p.begins, p.skipped, p.dropped)
         for p in segments(blocks, STREET, HANDSET)
@@ -47,27 +47,27 @@ def test_a_gap_in_time_ends_a_segment():
     assert pieces_of(block) == [([0, 1, 16], 0, True, 0, 0), ([31.6], 1, True, 0, 0)]
 
 
-def test_epochs_without_a_link_count_until_the_gap_is_long():
+def test_epochs_without_a_link_belong_to_a_segment_until_the_gap_is_too_long():
     block = log(range(30), [NOTHING] * 2 + [FIX] + [(DOPPLER,)] * 20 + [OTHER] * 3 + [FIX] * 4)
     assert pieces_of(block) == [
-        (list(range(2, 18)), 0, True, 2, 8),  # 18 is more than 15 s after 2
+        (list(range(2, 18)), 0, True, 2, 8),  # epoch 18 is more than 15 s after epoch 2
         ([26, 27, 28, 29], 1, True, 2, 8),
     ]
 
 
-def test_any_link_and_odometry_go_on_with_a_segment():
+def test_any_link_or_odometry_continues_a_segment():
     groups = [FIX] + [NOTHING] * 9 + [OTHER] + [NOTHING] * 9 + [(ODOMETRY,)] + [NOTHING] * 9
     assert pieces_of(log(range(30), groups)) == [(list(range(30)), 0, True, 0, 0)]
 
 
-def test_a_log_may_say_that_a_track_begins_anew():
+def test_a_segment_begins_where_the_log_marks_a_restart():
     block = log(range(8), [FIX] * 4 + [OTHER] + [FIX] * 3)
-    block.restarts[[0, 3, 4]] = True  # where one begins anyway, it says nothing new
+    block.restarts[[0, 3, 4]] = True  # the first one changes nothing: a segment begins there anyway
     expected = [([0, 1, 2], 0, True, 0, 0), ([3], 1, True, 0, 1), ([5, 6, 7], 2, True, 0, 1)]
     assert pieces_of(block) == expected
 
 
-def test_slow_logs_begin_anew_in_every_epoch():
+def test_every_epoch_of_a_slow_log_begins_a_segment():
     pieces = pieces_of(log([0, 20, 40, 60], [FIX, FIX, OTHER, FIX]))
     assert pieces == [([0], 0, True, 0, 0), ([20], 1, True, 0, 1), ([60], 2, True, 0, 1)]
 
@@ -83,7 +83,7 @@ def test_a_log_without_a_line_of_sight_is_refused():
     sizes=st.lists(st.integers(1, 40), min_size=1, max_size=5),
     data=st.data(),
 )
-def test_segments_do_not_depend_on_the_blocks(steps, sizes, data):
+def test_segments_do_not_depend_on_the_sizes_of_blocks(steps, sizes, data):
     kinds = st.sampled_from([FIX, OTHER, NOTHING, (ODOMETRY,)])
     n = len(steps)
     groups = data.draw(st.lists(kinds, min_size=n, max_size=n))

@@ -1,4 +1,4 @@
-"""Tracks as files."""
+"""Tests of writing tracks as TUM files, each with a CSV table beside it."""
 
 import csv
 from dataclasses import replace
@@ -20,7 +20,7 @@ SCENE = SCENES["street"]
 
 
 def some_track(epochs, seed=0):
-    """A block of numbers that are a track's by shape alone."""
+    """Return a track of random numbers, with only the shapes of a real one."""
     rng = np.random.default_rng(seed)
     x = 100.0 * rng.standard_normal((epochs, 7))
     root = rng.standard_normal((epochs, 7, 7))
@@ -36,9 +36,9 @@ def some_track(epochs, seed=0):
     return TrackBlock(*log, zeros > 0.0, 1.0, **track)
 
 
-def test_a_track_and_its_table_replace_their_like_alone(tmp_path):
+def test_a_track_and_its_table_replace_only_files_of_their_kind(tmp_path):
     out, table = tmp_path / "trip.tum", tmp_path / "trip.csv"
-    for _ in range(2):  # the second time over the first
+    for _ in range(2):  # the second track replaces the first
         require_own_files(out)
         with track_files(out, NAMES, SCENE) as write:
             write(some_track(2))
@@ -80,7 +80,7 @@ def test_a_track_is_written_in_blocks_as_tum_and_as_a_table(tmp_path):
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
-def test_a_track_cut_short_leaves_everything_as_it_was(tmp_path, error):
+def test_a_track_that_fails_halfway_leaves_the_old_file_unchanged(tmp_path, error):
     out = tmp_path / "walk.tum"
     out.write_text("old")
 
@@ -94,7 +94,7 @@ def test_a_track_cut_short_leaves_everything_as_it_was(tmp_path, error):
     assert out.read_text() == "old" and [path.name for path in tmp_path.iterdir()] == ["walk.tum"]
 
 
-def test_the_table_is_not_the_track():
+def test_only_tum_files_have_a_table_and_unknown_endings_are_refused():
     assert table_beside(Path("a/walk.tum")) == Path("a/walk.csv")
     assert table_beside(Path("walk.csv")) is table_beside(Path("walk.gpx")) is None
     for name in ("walk.kml", "walk", "/dev/stdout"):
@@ -102,7 +102,7 @@ def test_the_table_is_not_the_track():
             table_beside(Path(name))
 
 
-def test_a_formula_in_a_name_is_text_in_the_table(tmp_path):
+def test_a_mode_name_that_looks_like_a_formula_is_text_in_the_table(tmp_path):
     with track_files(tmp_path / "walk.tum", FORMULAS, SCENE) as write:
         write(some_track(5))
     with (tmp_path / "walk.csv").open(newline="") as file:

@@ -1,4 +1,4 @@
-"""Running sums against the metrics of whole tracks, and evo's."""
+"""Tests of scores that are summed block by block, against metrics of complete tracks."""
 
 from dataclasses import replace
 
@@ -28,7 +28,9 @@ def pieces(block, sizes):
 @pytest.mark.parametrize("sizes", [[T], [1, 99, 300], [250, 150], [40] * 10])
 @pytest.mark.parametrize("planar", [False, True])
 @pytest.mark.parametrize("known", [slice(0, T), slice(70, 330), slice(10, 12), slice(10, 11)])
-def test_accuracy_is_that_of_the_metrics(tmp_path, sizes, planar, known):
+def test_scores_summed_by_block_equal_the_metrics_of_complete_tracks(
+    tmp_path, sizes, planar, known
+):
     block = replace(some_track(T), planar=planar)
     truth = block.x[:, :3] + np.random.default_rng(1).standard_normal((T, 3))
     (tmp_path / "truth.tum").write_text(tum_lines(block.time_s[known], truth[known]))
@@ -59,14 +61,14 @@ def test_accuracy_is_that_of_the_metrics(tmp_path, sizes, planar, known):
         low, high = chi2.ppf([0.025, 0.975], len(axes))
         assert row["in_bounds"] == pytest.approx(((nees >= low) & (nees <= high)).mean())
         if n > 3:
-            assert figures["rpe_s"] == pytest.approx(1.0, abs=1e-6)  # a third of a second apart
+            assert figures["rpe_s"] == pytest.approx(1.0, abs=1e-6)  # three steps of 1/3 s
             assert row["rpe_m"] == pytest.approx(rpe(error, 3), rel=1e-9)
         else:
             assert row["rpe_m"] is None
     assert figures["nees_expected"] == len(axes)
 
 
-def test_a_truth_of_another_frame_is_warned_of_and_a_right_one_is_not(tmp_path, recwarn):
+def test_only_a_ground_truth_in_another_frame_causes_a_warning(tmp_path, recwarn):
     block = some_track(T)
     for x, y in ((0, 1), (1, 0)):
         truth = block.x[:, [x, y, 2]] + 0.01
@@ -80,7 +82,7 @@ def test_a_truth_of_another_frame_is_warned_of_and_a_right_one_is_not(tmp_path, 
 
 
 def scored_at(tmp_path, time_s, known, sizes=(T,), segment=None):
-    """RPE, over how many seconds, and the errors, of a log with truth in some epochs."""
+    """Return RPE, its time step and track of a log with a true position of 0 in some epochs."""
     block = replace(some_track(len(time_s)), time_s=time_s)
     (tmp_path / "truth.tum").write_text(tum_lines(time_s[known], np.zeros((len(known), 3))))
     scores = TruthScores(Truth(tmp_path / "truth.tum"), ["filtered"], planar=False)
@@ -97,7 +99,7 @@ def mean_change(x, pairs):
 
 
 @pytest.mark.parametrize("sizes", [[T], [1, 99, 300], [40] * 10])
-def test_rpe_pairs_what_is_a_second_apart_across_gaps(tmp_path, sizes):
+def test_rpe_pairs_epochs_one_second_apart_but_not_across_gaps(tmp_path, sizes):
     time = 0.1 * np.arange(T) + np.where(np.arange(T) >= 130, 7.3, 0.0)
     known = np.array([k for k in range(T) if not 200 <= k < 255])
     rpe_m, apart, x = scored_at(tmp_path, time, known, sizes)
@@ -106,13 +108,13 @@ def test_rpe_pairs_what_is_a_second_apart_across_gaps(tmp_path, sizes):
     assert apart == pytest.approx(1.0)
 
 
-def test_truth_rarer_than_seconds_has_no_rpe(tmp_path):
+def test_a_ground_truth_with_several_seconds_between_poses_gives_no_rpe(tmp_path):
     rpe_m, apart, _ = scored_at(tmp_path, 0.1 * np.arange(T), np.arange(0, T, 100))
     assert rpe_m is None and apart is None
 
 
 @pytest.mark.parametrize("step", [1.0, 3.0])
-def test_slow_logs_pair_neighbors_alone(tmp_path, step):
+def test_rpe_of_slow_logs_pairs_only_neighboring_epochs(tmp_path, step):
     time = step * np.arange(T)
     time[50:] += 9.0 * step
     known = np.array([k for k in range(T) if k != 70])
@@ -121,26 +123,27 @@ def test_slow_logs_pair_neighbors_alone(tmp_path, step):
     assert rpe_m == pytest.approx(mean_change(x, pairs), rel=1e-9) and apart == step
 
 
-def test_rpe_does_not_cross_where_the_track_began_anew(tmp_path):
+def test_rpe_does_not_pair_epochs_of_different_segments(tmp_path):
     segment = [0] * 100 + [1] * 300
     time = 20.0 * np.arange(T)
     rpe_m, _, x = scored_at(tmp_path, time, np.arange(T), [100, 300], segment)
     assert rpe_m == pytest.approx(mean_change(x, [(k, k + 1) for k in range(T - 1) if k != 99]))
 
 
-def test_what_is_between_poses_counts(tmp_path):
+def test_epochs_between_poses_are_scored_and_counted_as_interpolated(tmp_path):
     block = replace(some_track(T), time_s=np.arange(T) * 0.001)
     (tmp_path / "truth.tum").write_text(tum_lines(np.arange(0.0, 0.3, 0.1), np.zeros((3, 3))))
     scores = TruthScores(Truth(tmp_path / "truth.tum"), ["filtered"], planar=False)
     scores.add(block)
     figures = scores.figures()
-    assert figures["scored"] == 211 and figures["interpolated"] == 208  # 10 ms after the last, too
+    # Epochs up to 10 ms after the last pose are scored, too.
+    assert figures["scored"] == 211 and figures["interpolated"] == 208
     away = np.abs(block.time_s[:211, None] - [0.0, 0.1, 0.2]).min(axis=1)
     assert figures["nearest_pose_s"] == pytest.approx(away.mean())
 
 
 @pytest.mark.parametrize("sizes", [[T], [1, 99, 300]])
-def test_groups_are_counted(sizes):
+def test_statistics_of_groups_equal_those_of_the_complete_track(sizes):
     block = some_track(T)
     rng = np.random.default_rng(2)
     accepted = block.visible & (rng.random((T, 4)) < 0.9)
@@ -172,7 +175,7 @@ def test_groups_are_counted(sizes):
 
 
 @pytest.mark.parametrize("sizes", [[T], [1, 99, 300]])
-def test_a_course_is_the_same_in_pieces(sizes):
+def test_the_course_of_a_track_does_not_depend_on_its_pieces(sizes):
     block = replace(some_track(T), skipped=5, segment=2, dropped=7)
     course = Course(["slow", "fast"])
     for piece in pieces(block, sizes):

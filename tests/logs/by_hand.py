@@ -1,4 +1,4 @@
-"""Logs written by hand, and blocks of them put together again."""
+"""Helpers that write logs by hand, read them, and compare blocks of epochs."""
 
 from functools import lru_cache
 
@@ -22,7 +22,7 @@ SUFFIXES = (".csv", ".csv.gz", ".parquet")
 
 
 def rows(epochs=4):
-    """Lines of cells, one for each epoch and anchor, all numbers different."""
+    """Return lines of cells, one per epoch and anchor, in which all numbers differ."""
     lines = (
         f"{t},{a},{t + a}e-7,0.{a}{t},-0.{a},{a - 2}.{t},{t + 0.5 if a == 1 else ''},{20 + a}"
         for t in range(epochs)
@@ -46,7 +46,7 @@ def read(path, scene=SCENE, **options):
 
 
 def delivered(path, *fields, reader=read_log, **options):
-    """Return the blocks before the error of a damaged file, which names the fields."""
+    """Return the blocks before the error about a damaged file; it must name the fields."""
     blocks = []
     with refuses(path, *fields, error=LogError):
         blocks.extend(reader(path, SCENE, **options))  # keeps what came before the error
@@ -60,7 +60,7 @@ def assert_same(block, expected):
 
 
 def shown(block):
-    """(T, rows) whether a row is visible."""
+    """Return a mask (T, rows) of the visible rows."""
     return np.repeat(block.visible, block.layout.widths, axis=1)
 
 
@@ -76,7 +76,7 @@ def require_pyarrow(suffix=".parquet"):
 
 
 def hide_anchors(path, episode, false_paths=0, seed=0):
-    """Write an episode as a log of paths in random order, false ones among them."""
+    """Write an episode as a log of paths in random order, with false paths among them."""
     columns, rng = log_columns(episode), np.random.default_rng(seed)
     del columns["anchor"]
     n = false_paths * len(episode)

@@ -1,4 +1,4 @@
-"""Measurement logs: what is read, in which units, and there and back."""
+"""Tests of measurement logs: columns, units, spellings of CSV, and writing and reading back."""
 
 import gzip
 import subprocess
@@ -40,10 +40,10 @@ from tests.logs.by_hand import (
     text,
 )
 
-# --- what is read
+# --- reading
 
 
-def test_every_number_has_its_place(tmp_path):
+def test_every_number_is_read_into_its_array(tmp_path):
     block = read(store(tmp_path, text(rows())))
     assert block.layout == Layout(L) and len(block) == 4
     np.testing.assert_array_equal(block.time_s, [0.0, 1.0, 2.0, 3.0])
@@ -57,7 +57,7 @@ def test_every_number_has_its_place(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", ["rad", "deg"])
-def test_arrivals_as_the_base_station_sees_them_are_mirrored(tmp_path, suffix):
+def test_angles_of_arrival_at_the_base_station_are_mirrored(tmp_path, suffix):
     ours = episode(epochs=5)
     columns = log_columns(ours)
     path, station = tmp_path / "station.csv", SCENE.anchors_m[0]
@@ -80,19 +80,21 @@ def test_arrivals_as_the_base_station_sees_them_are_mirrored(tmp_path, suffix):
 
 @pytest.mark.parametrize("odometry", [True, False])
 @pytest.mark.parametrize("columns", [",heading_deg", ",speed_mps,heading_deg"])
-def test_departures_in_the_frame_of_the_body_are_turned_by_the_heading(tmp_path, columns, odometry):
+def test_angles_of_departure_in_the_frame_of_the_body_are_turned_by_the_heading(
+    tmp_path, columns, odometry
+):
     lines = rows(2)
     for line, heading in zip(lines, ("", "170", "", "-40", "", "-40"), strict=True):
         line[AOD] = "20.0"
         line += ["1.5", heading] if "speed" in columns else [heading]
     block = read(store(tmp_path, text(lines, BODY + columns)), odometry=odometry)
-    departures = np.degrees(block.measurement[:, 3:12:4])  # of a row, by the heading of its epoch
+    departures = np.degrees(block.measurement[:, 3:12:4])  # turned by the heading of the epoch
     np.testing.assert_allclose(departures, [[-170.0] * 3, [-20.0] * 3])
     assert block.visible.all()
     assert block.layout == Layout(L, odometry and "speed" in columns)
 
 
-def test_a_departure_of_a_body_without_heading_is_empty(tmp_path):
+def test_a_link_is_incomplete_if_its_departure_needs_a_missing_heading(tmp_path):
     lines = [[*line, "90" if line[TIME] == "1" else ""] for line in rows(2)]
     block = read(store(tmp_path, text(lines, BODY + ",heading_deg")))
     np.testing.assert_array_equal(block.visible[:, :L], [[False] * 3, [True] * 3])
@@ -101,7 +103,7 @@ def test_a_departure_of_a_body_without_heading_is_empty(tmp_path):
 
 FLIGHTS = {"toa_s": 1e-7, "toa_ms": 1e-4, "toa_us": 0.1, "toa_ns": 100, "range_m": 29.9792458}
 AZIMUTHS = ("aoa_azimuth", "aod_azimuth")
-ANGLES = {"aoa_azimuth": 1, "aoa_elevation": 2, "aod_azimuth": 3}  # rows of a link
+ANGLES = {"aoa_azimuth": 1, "aoa_elevation": 2, "aod_azimuth": 3}  # place among the rows of a link
 
 
 @pytest.mark.parametrize(
@@ -132,14 +134,14 @@ def test_units_are_converted(tmp_path, name, value, row, expected):
     assert number == pytest.approx(expected, rel=1e-14)
 
 
-def test_milliseconds_are_the_same_times_as_seconds(tmp_path):
+def test_times_in_milliseconds_equal_times_in_seconds(tmp_path):
     lines = [[f"{100 * t}", "1", "1e-7", "0", "0", "0", "", "20"] for t in range(50)]
     times = read(store(tmp_path, text(lines, HEADER.replace("time_s", "time_ms")))).time_s
     assert times.tolist() == [float(f"{t // 10}.{t % 10}") for t in range(50)]
 
 
 @pytest.mark.parametrize("place", [slice(1), slice(2, 3), slice(3)], ids=str)
-def test_odometry_and_spread_may_stand_in_any_row_or_in_all(tmp_path, place):
+def test_odometry_and_spread_may_stand_in_any_row_of_an_epoch_or_in_all(tmp_path, place):
     header = HEADER + ",doppler_spread_mps,speed_kmh,heading_deg"
     lines = [[*line, "", "", ""] for line in rows(2)]
     for line in lines[place]:
@@ -151,8 +153,8 @@ def test_odometry_and_spread_may_stand_in_any_row_or_in_all(tmp_path, place):
     np.testing.assert_allclose(block.doppler_spread_hz, [0.5 * SCENE.hz_per_mps, 0.0])
 
 
-def test_odometry_can_be_left_alone(tmp_path):
-    lines = [[*line, "fast"] for line in rows(2)]  # not even looked at
+def test_columns_of_odometry_can_be_ignored(tmp_path):
+    lines = [[*line, "fast"] for line in rows(2)]  # not a number, but ignored
     block = read(store(tmp_path, text(lines, HEADER + ",speed_mps")), odometry=False)
     assert block.layout == Layout(L) and block.visible.all()
 
@@ -173,7 +175,7 @@ def test_anchors_may_be_missing_and_in_any_order(tmp_path):
 
 @pytest.mark.parametrize("empty", ["", "nan", "NaN", " ", "-nan"])
 @pytest.mark.parametrize("column", [TOA, AOA, ELEVATION, AOD, SNR])
-def test_a_link_without_all_its_numbers_is_incomplete(tmp_path, column, empty):
+def test_a_link_that_lacks_one_of_its_numbers_is_incomplete(tmp_path, column, empty):
     lines = rows(2)
     lines[0][column] = lines[4][column] = empty
     block = read(store(tmp_path, text(lines)))
@@ -184,16 +186,16 @@ def test_a_link_without_all_its_numbers_is_incomplete(tmp_path, column, empty):
     np.testing.assert_array_equal(block.visible, ~wrong)
 
 
-def test_doppler_needs_no_link_but_its_snr(tmp_path):
+def test_a_doppler_shift_needs_only_the_snr_of_its_link(tmp_path):
     lines = rows(2)
     for column in (TOA, AOA, ELEVATION, AOD):
         lines[0][column] = ""
     block = read(store(tmp_path, text(lines)))
     assert block.visible[0].tolist() == [False, True, True, True]
-    assert not block.incomplete.any()  # a link of which nothing was measured is just missing
+    assert not block.incomplete.any()  # a link without any number is missing, not incomplete
 
 
-def test_without_doppler_it_is_missing(tmp_path):
+def test_the_doppler_shift_is_missing_if_the_log_has_no_such_column(tmp_path):
     lines = [line[:DOPPLER] + line[SNR:] for line in rows(2)]
     block = read(store(tmp_path, text(lines, HEADER.replace("doppler_hz,", ""))))
     assert block.visible[:, :L].all() and not block.visible[:, L].any()
@@ -213,7 +215,7 @@ SPELLINGS = {
 
 
 @pytest.mark.parametrize("name", SPELLINGS)
-def test_spellings_of_csv(tmp_path, name):
+def test_all_spellings_of_a_csv_file_are_read_alike(tmp_path, name):
     plain, other = text(rows()), SPELLINGS[name](text(rows()))
     assert other != plain
     assert_same(read(store(tmp_path, other, "other.csv")), read(store(tmp_path, plain)))
@@ -227,7 +229,7 @@ def test_spellings_of_csv(tmp_path, name):
     size=st.integers(1, 30),
     hidden=st.integers(0, 2**32 - 1),
 )
-def test_an_episode_survives_a_file(suffix, seed, odometry, size, hidden):
+def test_an_episode_written_to_a_log_is_read_back(suffix, seed, odometry, size, hidden):
     require_pyarrow(suffix)
     true = episode(seed, odometry=odometry)
     mask = np.random.default_rng(hidden).random(true.visible.shape) < 0.8
@@ -248,13 +250,13 @@ def test_an_episode_survives_a_file(suffix, seed, odometry, size, hidden):
     z, expected = np.where(keep, block.measurement, 0.0), np.where(keep, true.measurement, 0.0)
     np.testing.assert_allclose(z, expected, rtol=1e-15)
     z[:, 0 : true.layout.doppler : 4] = expected[:, 0 : true.layout.doppler : 4]
-    np.testing.assert_array_equal(z, expected)  # all but ranges, which are converted
+    np.testing.assert_array_equal(z, expected)  # exact, except for ranges, which are converted
     needed = true.usable[:, :L].copy()
     needed[:, 0] |= true.usable[:, L]
     np.testing.assert_array_equal(block.snr_db, np.where(needed, true.snr_db, -np.inf))
 
 
-def test_numbers_that_cannot_be_used_are_not_written(tmp_path):
+def test_a_link_with_an_unusable_number_is_not_written(tmp_path):
     true = episode(1)
     measurement = true.measurement.copy()
     measurement[4, 1] = np.nan
@@ -265,9 +267,7 @@ def test_numbers_that_cannot_be_used_are_not_written(tmp_path):
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_an_elevation_that_noise_pushes_past_the_vertical_is_written_as_one_that_is_read(
-    tmp_path, sign
-):
+def test_an_elevation_that_noise_pushes_past_the_vertical_is_written_as_vertical(tmp_path, sign):
     true = episode(1)
     measurement, visible = true.measurement.copy(), true.visible.copy()
     measurement[1, 2], visible[1, 0] = sign * 1.6, True
@@ -276,7 +276,7 @@ def test_an_elevation_that_noise_pushes_past_the_vertical_is_written_as_one_that
     assert read(path).measurement[1, 2] == sign * np.pi / 2
 
 
-def test_a_file_is_written_alike_every_time(tmp_path):
+def test_a_log_is_written_with_the_same_bytes_every_time(tmp_path):
     for name in ("one.csv.gz", "two.csv.gz"):
         write_log(tmp_path / name, episode())
     first, second = ((tmp_path / name).read_bytes() for name in ("one.csv.gz", "two.csv.gz"))
@@ -294,9 +294,9 @@ print(epochs, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 """
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="no resource module")
+@pytest.mark.skipif(sys.platform == "win32", reason="needs the resource module")
 @pytest.mark.slow
-def test_a_long_log_takes_little_memory(tmp_path):
+def test_reading_a_long_log_needs_little_memory(tmp_path):
     path = tmp_path / "log.csv"
     lines = [
         line.split(",", 1)[1] for line in log_text(log_columns(episode(epochs=1))).splitlines()
@@ -308,4 +308,4 @@ def test_a_long_log_takes_little_memory(tmp_path):
     done = subprocess.run([sys.executable, "-c", MEMORY, path], capture_output=True, text=True)
     epochs, kilobytes = map(int, done.stdout.split())
     assert epochs == 300_000
-    assert kilobytes < 60_000  # the numbers alone would take more
+    assert kilobytes < 60_000  # all numbers of the log together would need more

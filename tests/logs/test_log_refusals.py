@@ -1,4 +1,4 @@
-"""Measurement logs: what is refused where, and what was before it is delivered."""
+"""Tests of damaged logs: epochs before the damage are returned, then an error names it."""
 
 import gzip
 import sys
@@ -40,11 +40,11 @@ from tests.logs.by_hand import (
 )
 from tests.refusals import refuses
 
-# --- what is refused
+# --- damaged rows and headers
 
 
 def edit(row, column, value):
-    """Change one cell; rows count from 0, so row r is line r + 2."""
+    """Return a change of one cell; rows count from 0, so row r is line r + 2."""
 
     def change(lines):
         lines[row][column] = value
@@ -52,7 +52,7 @@ def edit(row, column, value):
     return change
 
 
-CELLS = [  # row, column and what stands there instead
+CELLS = [  # row, column and wrong content of the cell
     (7, SNR, '"1"'),
     (7, SNR, "1_0"),
     (7, AOD, "1\udcff"),  # not UTF-8
@@ -70,7 +70,7 @@ CELLS = [  # row, column and what stands there instead
     (7, DOPPLER, "3"),
     (7, SNR, "-1e4"),
 ]
-DAMAGE = {  # change, fields of the message, epochs delivered
+DAMAGE = {  # change, fields in the message, epochs before the error
     f"line {row + 2}, {HEADER.split(',')[column]} {value!a}": (
         edit(row, column, value),
         (f"line {row + 2}", HEADER.split(",")[column]),
@@ -80,13 +80,13 @@ DAMAGE = {  # change, fields of the message, epochs delivered
 } | {
     "one cell": (lambda lines: lines.insert(7, ["xyz"]), ["line 9"], 2),
     "NULs": (lambda lines: lines.insert(9, ["\0" * 90]), ["line 11"], 3),
-    "row too many": (lambda lines: lines.append(list(lines[9])), ["line 14", "anchor"], 3),
-    "first of two": (
+    "additional row": (lambda lines: lines.append(list(lines[9])), ["line 14", "anchor"], 3),
+    "first of two errors": (
         lambda lines: (edit(7, TOA, "-1")(lines), edit(10, SNR, "x")(lines)),
         ["line 9", "toa_s"],
         2,
     ),
-    "text before": (
+    "text before a wrong number": (
         lambda lines: (edit(7, SNR, "x")(lines), edit(10, TOA, "-1")(lines)),
         ["line 9", "snr_db"],
         2,
@@ -96,7 +96,7 @@ DAMAGE = {  # change, fields of the message, epochs delivered
 
 @pytest.mark.parametrize(("size", "table_bytes"), [(1, 100), (2, 150), (2, 190), (1000, 1 << 20)])
 @pytest.mark.parametrize("name", DAMAGE)
-def test_a_damaged_row_is_named_and_what_came_before_delivered(
+def test_the_error_names_a_damaged_row_and_comes_after_the_epochs_before_it(
     tmp_path, monkeypatch, name, size, table_bytes
 ):
     monkeypatch.setattr("mmwave_env.logs.lines._BLOCK_BYTES", table_bytes)
@@ -112,13 +112,13 @@ def test_a_damaged_row_is_named_and_what_came_before_delivered(
 
 
 @pytest.mark.parametrize("angle", [np.pi / 2, -np.pi / 2, float(np.float32(np.pi / 2))])
-def test_straight_up_and_down_are_elevations(tmp_path, angle):
+def test_elevations_of_straight_up_and_down_are_accepted(tmp_path, angle):
     lines = rows()
     edit(7, ELEVATION, repr(angle))(lines)
     assert read(store(tmp_path, text(lines))).measurement[2, 6] == angle
 
 
-def test_without_limits_numbers_stay_as_they_are_found(tmp_path):
+def test_numbers_beyond_the_limits_are_kept_if_limits_are_off(tmp_path):
     lines = rows()
     for column, value in ((AOA, "57.3"), (ELEVATION, "95.7"), (AOD, "-360.5"), (TOA, "1.0")):
         edit(7, column, value)(lines)
@@ -136,7 +136,7 @@ def test_without_limits_numbers_stay_as_they_are_found(tmp_path):
         ("heading_rad", ["", "x", ""], 3),
     ],
 )
-def test_numbers_of_an_epoch_are_checked(tmp_path, column, cells, line):
+def test_wrong_numbers_of_an_epoch_are_refused(tmp_path, column, cells, line):
     columns = ["doppler_spread_hz", "speed_mps", "heading_rad"]
     lines = [
         [*row, *(cell if name == column else "" for name in columns)]
@@ -154,9 +154,7 @@ def test_numbers_of_an_epoch_are_checked(tmp_path, column, cells, line):
     size=st.integers(1, 30),
     table_bytes=st.sampled_from([400, 1000, 1 << 20]),
 )
-def test_whatever_cell_is_damaged_the_epochs_before_are_delivered(
-    row, column, cell, size, table_bytes
-):
+def test_the_epochs_before_any_damaged_cell_are_returned(row, column, cell, size, table_bytes):
     true = episode(epochs=25)
     header, *lines = [line.split(",") for line in log_text(log_columns(true)).splitlines()]
     lines[row][column : column + 1] = [] if cell is None else [cell]
@@ -175,7 +173,7 @@ def test_whatever_cell_is_damaged_the_epochs_before_are_delivered(
         )
 
 
-HEADERS = {  # header, fields of the message
+HEADERS = {  # header, fields in the message
     "empty": ("", []),
     "no columns": ("\n", ["line 1"]),
     "semicolons": (HEADER.replace(",", ";"), ["line 1"]),
@@ -184,8 +182,8 @@ HEADERS = {  # header, fields of the message
     "unknown": (HEADER + ",color", ["column 'color'"]),
     "no unit": (HEADER.replace("toa_s", "toa"), ["column 'toa'"]),
     "not UTF-8": (b"time_s,\xff\xfe", ["column"]),
-    **{  # added columns of which there are too many or too few
-        f"{columns} beside others": (f"{HEADER},{columns}", ["columns"])
+    **{  # additional columns that conflict with others or need others
+        f"{columns} added": (f"{HEADER},{columns}", ["columns"])
         for columns in (
             "range_m",
             "toa_s",
@@ -205,7 +203,7 @@ HEADERS = {  # header, fields of the message
 
 
 @pytest.mark.parametrize("name", HEADERS)
-def test_a_header_is_refused_at_once(tmp_path, name):
+def test_a_wrong_header_is_refused_before_any_row_is_read(tmp_path, name):
     content, fields = HEADERS[name]
     path = store(tmp_path, content)
     with refuses(path, *fields, error=LogError):
@@ -213,13 +211,13 @@ def test_a_header_is_refused_at_once(tmp_path, name):
 
 
 @pytest.mark.parametrize("cells", [[], [["1", *[""] * 6]], [["1", "1e-7", *[""] * 5]] * 9])
-def test_a_log_of_nothing_is_refused_at_its_end(tmp_path, cells):
+def test_a_log_without_any_measurement_is_refused_at_its_end(tmp_path, cells):
     path = store(tmp_path, text([[f"{t}", *row] for t, row in enumerate(cells)]))
     assert sum(map(len, delivered(path))) == len(cells)
 
 
 @pytest.mark.parametrize("name", ["log.txt", "log", "log.csv.zip", "log.gz"])
-def test_other_files_are_refused_by_name(tmp_path, name):
+def test_files_with_another_ending_are_refused(tmp_path, name):
     with refuses(name, error=LogError):
         read_log(store(tmp_path, text(rows()), name), SCENE)
     with refuses(name, error=LogError):
@@ -227,7 +225,7 @@ def test_other_files_are_refused_by_name(tmp_path, name):
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_files_that_are_not_there_or_not_what_their_name_says(tmp_path, suffix):
+def test_missing_files_and_files_that_do_not_match_their_ending_are_refused(tmp_path, suffix):
     require_pyarrow(suffix)
     with refuses("nowhere", error=FileNotFoundError):
         read_log(tmp_path / f"nowhere{suffix}", SCENE)
@@ -236,7 +234,7 @@ def test_files_that_are_not_there_or_not_what_their_name_says(tmp_path, suffix):
 
 
 @pytest.mark.parametrize("left", [0.2, 0.5, 0.99])
-def test_gzip_that_ends_too_early(tmp_path, left):
+def test_a_gzip_file_that_ends_early_is_refused_after_its_complete_epochs(tmp_path, left):
     true = episode(epochs=2000)
     packed = gzip.compress(log_text(log_columns(true)).encode(), mtime=0)
     path = store(tmp_path, packed[: int(left * len(packed))], "log.csv.gz")
@@ -246,13 +244,13 @@ def test_gzip_that_ends_too_early(tmp_path, left):
 
 
 @pytest.mark.parametrize("byte", [2, 3, 5000, -6])
-def test_gzip_with_a_wrong_byte(tmp_path, byte):
+def test_a_gzip_file_with_a_wrong_byte_is_refused(tmp_path, byte):
     packed = bytearray(gzip.compress(log_text(log_columns(episode(epochs=2000))).encode(), mtime=0))
     packed[byte] ^= 0xFF
     delivered(store(tmp_path, bytes(packed), "log.csv.gz"))
 
 
-def test_a_line_that_does_not_end(tmp_path):
+def test_a_line_without_an_end_is_refused_after_the_epochs_before_it(tmp_path):
     content = text(rows()).encode() + b"\0" * (3 << 20)
     blocks = delivered(store(tmp_path, content), "line 14")
     assert sum(map(len, blocks)) == 4
@@ -275,7 +273,7 @@ class TestParquet:
         return path
 
     @pytest.mark.parametrize("kind", ["int8", "int64", "float32", "decimal"])
-    def test_types_of_numbers(self, tmp_path, kind):
+    def test_columns_of_any_type_of_number_are_read(self, tmp_path, kind):
         kind = self.arrow.decimal128(30, 1) if kind == "decimal" else getattr(self.arrow, kind)()
         anchor = self.arrow.array([1, 2, 3] * 4).cast(kind)
         empty = self.arrow.nulls(12)
@@ -283,7 +281,7 @@ class TestParquet:
         assert block.visible[:, :L].all() and not block.visible[:, L].any()
 
     @pytest.mark.parametrize("values", [["1"] * 12, [True] * 12, [[1.0]] * 12])
-    def test_types_that_are_not_numbers(self, tmp_path, values):
+    def test_columns_of_other_types_than_numbers_are_refused(self, tmp_path, values):
         with refuses("column 'snr_db'", error=LogError):
             read_log(self.store(tmp_path, self.columns(snr_db=values)), SCENE)
 
@@ -300,7 +298,9 @@ class TestParquet:
         ],
     )
     @pytest.mark.parametrize("batch", [2, 5, 1000])
-    def test_damaged_rows(self, tmp_path, monkeypatch, column, row, value, batch):
+    def test_a_damaged_row_is_refused_after_the_epochs_before_it(
+        self, tmp_path, monkeypatch, column, row, value, batch
+    ):
         monkeypatch.setattr("mmwave_env.logs.log_tables._BATCH_ROWS", batch)
         columns = self.columns()
         columns[column][row] = value
@@ -308,19 +308,19 @@ class TestParquet:
         assert sum(map(len, blocks)) == row // L
 
     @pytest.mark.parametrize("left", [1, 100, -10])
-    def test_a_file_that_ends_too_early(self, tmp_path, left):
+    def test_a_file_that_ends_early_is_refused(self, tmp_path, left):
         path = self.store(tmp_path, self.columns())
         path.write_bytes(path.read_bytes()[:left])
         with refuses("log.parquet", error=LogError):
             read_log(path, SCENE)
 
-    def test_names_of_columns_that_are_no_text_are_refused(self, tmp_path):
+    def test_names_of_columns_that_are_not_text_are_refused(self, tmp_path):
         path = self.store(tmp_path, self.columns(odd_note=[1.0] * len(rows())))
         path.write_bytes(path.read_bytes().replace(b"odd_note", b"odd\xffnote"))
         with refuses("log.parquet", error=LogError):
             read_log(path, SCENE)
 
-    def test_broken_pages_after_good_ones(self, tmp_path, monkeypatch):
+    def test_a_broken_page_is_refused_after_the_epochs_before_it(self, tmp_path, monkeypatch):
         monkeypatch.setattr("mmwave_env.logs.log_tables._BATCH_ROWS", 30)
         true = episode(epochs=200)
         path = tmp_path / "log.parquet"
@@ -339,7 +339,7 @@ class TestParquet:
 
 
 @pytest.mark.parametrize("action", ["read", "write"])
-def test_parquet_without_pyarrow_says_what_to_install(tmp_path, monkeypatch, action):
+def test_the_error_about_missing_pyarrow_says_what_to_install(tmp_path, monkeypatch, action):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     path = store(tmp_path, "PAR1", "log.parquet")
     with pytest.raises(LogError, match=r'pip install "mmwave-loc\[data\]"'):

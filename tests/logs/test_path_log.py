@@ -1,4 +1,4 @@
-"""Logs of paths: written, so that nothing tells which path is whose; read, and refused where."""
+"""Tests of logs whose rows are paths without anchor numbers: reading them, and their errors."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -45,7 +45,7 @@ def test_an_epoch_may_have_any_number_of_paths(tmp_path):
     assert three.snr_db.tolist() == [20, 21, 20] and three.share == 1.0
 
 
-def test_numbers_of_anchors_are_left_alone(tmp_path):
+def test_anchor_numbers_are_ignored(tmp_path):
     lines, header = [f"0,{n},{PATH}" for n in (1, 1, 99)], HEADER.replace("time_s", "time_s,anchor")
     (epoch,) = read_paths(store(tmp_path, *lines, header=header), SCENE)
     assert len(epoch.snr_db) == 3
@@ -57,7 +57,7 @@ def test_a_path_with_only_some_of_its_numbers_is_left_out(tmp_path):
     assert len(epoch.snr_db) == 1 and epoch.incomplete == 2
 
 
-def test_what_belongs_to_the_epoch_may_stand_in_any_of_its_rows(tmp_path):
+def test_numbers_of_an_epoch_may_stand_in_any_of_its_rows(tmp_path):
     header = HEADER + ",doppler_spread_hz,speed_mps,heading_deg"
     lines = [f"0,{PATH},,,", f"0,{PATH},7,,190", f"0,{PATH},,2.5,", f"1,{PATH},,,"]
     first, second = read_paths(store(tmp_path, *lines, header=header), SCENE)
@@ -68,7 +68,7 @@ def test_what_belongs_to_the_epoch_may_stand_in_any_of_its_rows(tmp_path):
     assert without.layout == Layout(3)
 
 
-def test_epochs_before_the_damage_are_delivered_first(tmp_path):
+def test_epochs_before_a_damaged_row_are_returned_before_its_error(tmp_path):
     lines = [f"0,{PATH}", f"0,{PATH}", f"1,{PATH}", "2,1e-7,0.5,x,-2.6,12.5,20"]
     epochs = delivered(store(tmp_path, *lines), "line 5, column 'aoa_elevation_rad'")
     assert [len(e.snr_db) for e in epochs] == [2, 1]
@@ -83,11 +83,11 @@ def test_epochs_before_the_damage_are_delivered_first(tmp_path):
         (f"inf,{PATH}", "time_s"),
     ],
 )
-def test_a_damaged_row_is_named(tmp_path, line, column):
+def test_the_error_names_line_and_column_of_a_wrong_number(tmp_path, line, column):
     delivered(store(tmp_path, f"0,{PATH}", line), f"line 3, column {column!r}")
 
 
-def test_an_epoch_has_an_end(tmp_path):
+def test_an_epoch_with_too_many_paths_is_refused(tmp_path):
     lines = [f"0,{PATH}", *[f"1,{PATH}"] * (MOST_PATHS + 1)]
     path = store(tmp_path, *lines)
     assert len(delivered(path, f"line {MOST_PATHS + 3}, column 'time_s'")) == 1
@@ -95,7 +95,7 @@ def test_an_epoch_has_an_end(tmp_path):
 
 
 @pytest.mark.parametrize("lines", [[], ["0,,,,,,"], ["0,1e-7,,,,,20"] * 3])
-def test_a_log_without_a_whole_path_is_refused(tmp_path, lines):
+def test_a_log_without_a_complete_path_is_refused(tmp_path, lines):
     delivered(store(tmp_path, *lines))
 
 
@@ -114,7 +114,7 @@ def paths(folder, episode):
     return list(read_paths(path, SCENE))
 
 
-def test_every_usable_link_is_a_path(tmp_path):
+def test_every_usable_link_is_read_as_a_path(tmp_path):
     true = episode(odometry=True)
     for t, epoch in enumerate(paths(tmp_path, true)):
         links = true.measurement[t, :DOPPLER].reshape(L, 4)[true.usable[t, :L]]
@@ -128,14 +128,14 @@ def test_every_usable_link_is_a_path(tmp_path):
             np.testing.assert_array_equal(epoch.odometry, true.measurement[t, DOPPLER + 1 :])
 
 
-def test_an_epoch_without_a_path_stays(tmp_path):
+def test_an_epoch_without_paths_is_kept(tmp_path):
     visible = episode().visible.copy()
     visible[[0, 7, T - 1]] = False
     epochs = paths(tmp_path, replace(episode(), visible=visible))
     assert len(epochs) == T and [len(epochs[t].snr_db) for t in (0, 7, T - 1)] == [0, 0, 0]
 
 
-def test_a_log_of_paths_is_no_log_with_anchors(tmp_path):
+def test_a_log_of_paths_is_refused_where_anchor_numbers_are_expected(tmp_path):
     path = tmp_path / "log.csv"
     by_hand.hide_anchors(path, episode())
     with refuses("columns"):

@@ -1,4 +1,4 @@
-"""Truth by time, and its clock beside a log's."""
+"""Tests of the true track at given times, and of its clock compared with a log's clock."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from tests.refusals import refuses
 
 
 def truth_of(folder, time_s, position_m, monkeypatch, block_bytes=200):
-    """Truth that is read a few poses at a time."""
+    """Write a true track, and return a Truth that reads a few poses at a time."""
     path = folder / "truth.tum"
     path.write_text(tum_lines(time_s, position_m))
     monkeypatch.setattr("mmwave_env.logs.lines._BLOCK_BYTES", block_bytes)
@@ -25,7 +25,7 @@ def truth_of(folder, time_s, position_m, monkeypatch, block_bytes=200):
 
 
 def expected(pose_s, position, time_s):
-    """Run by run between gaps, by SciPy's cubics and NumPy's gradients."""
+    """Return position and velocity by SciPy's cubic and NumPy's gradient between gaps."""
     p, v = np.full((2, len(time_s), 3), np.nan)
     runs = np.split(np.arange(len(pose_s)), np.flatnonzero(np.diff(pose_s) > BRIDGED_S) + 1)
     for run in runs:
@@ -45,7 +45,7 @@ times = st.lists(st.integers(0, 4000), min_size=1, max_size=60, unique=True)
 
 @settings(max_examples=80, deadline=None)
 @given(poses=times, epochs=times, size=st.integers(1, 20), late=st.sampled_from([0.0, 1e-3]))
-def test_poses_are_interpolated_between_gaps_whatever_the_blocks(
+def test_poses_are_interpolated_between_gaps_for_any_sizes_of_blocks(
     tmp_path_factory, poses, epochs, size, late
 ):
     pose_s, time_s = np.sort(poses) * 1e-2, np.sort(epochs) * 1e-2 + late
@@ -65,7 +65,7 @@ def test_poses_are_interpolated_between_gaps_whatever_the_blocks(
     assert (truth.first_s, truth.last_s) == (pose_s[0], pose_s[-1])
 
 
-def test_a_pose_at_the_time_of_an_epoch_is_taken_to_the_last_bit(tmp_path, monkeypatch):
+def test_a_pose_at_the_time_of_an_epoch_is_returned_unchanged(tmp_path, monkeypatch):
     rng = np.random.default_rng(1)
     pose_s = np.cumsum(rng.uniform(0.01, 2.0, 300))
     position = 1e3 * rng.standard_normal((300, 3))
@@ -74,7 +74,7 @@ def test_a_pose_at_the_time_of_an_epoch_is_taken_to_the_last_bit(tmp_path, monke
     np.testing.assert_array_equal(true.away_s, 0.0)
 
 
-def test_no_more_of_a_long_truth_is_held_than_is_needed(tmp_path, monkeypatch):
+def test_only_the_needed_part_of_a_long_ground_truth_is_kept_in_memory(tmp_path, monkeypatch):
     pose_s = np.arange(0.0, 900.0, 0.01)
     truth = truth_of(tmp_path, pose_s, np.zeros((len(pose_s), 3)), monkeypatch, 20_000)
     read, held = truth._read, []
@@ -88,7 +88,7 @@ def test_no_more_of_a_long_truth_is_held_than_is_needed(tmp_path, monkeypatch):
     assert max(held) < 3000 and len(held) > 90
 
 
-def test_a_damaged_truth_is_named(tmp_path, monkeypatch):
+def test_the_error_names_a_damaged_line_of_the_ground_truth(tmp_path, monkeypatch):
     truth = truth_of(tmp_path, np.arange(90.0), np.zeros((90, 3)), monkeypatch)
     truth.path.write_text(truth.path.read_text().replace("\n50.0 ", "\nx "))
     truth = Truth(truth.path)
@@ -101,7 +101,7 @@ STREET = SCENES["street"]
 
 
 def user(time_s, speed=8.0, sway=4.0):
-    """Positions and velocities of who drives along a street, faster and slower."""
+    """Return positions and velocities of a user who drives at a changing speed."""
     v = np.column_stack([speed + sway * np.sin(0.7 * time_s), 0.5 * np.cos(0.3 * time_s)])
     x = 20.0 + speed * time_s - sway / 0.7 * np.cos(0.7 * time_s)
     p = np.column_stack([x, -40.0 + 0.5 / 0.3 * np.sin(0.3 * time_s)])
@@ -109,7 +109,7 @@ def user(time_s, speed=8.0, sway=4.0):
 
 
 def exact_links(position_m, anchors_m):
-    """Links (T, 4 L), in plain NumPy."""
+    """Return the exact rows of all links (T, 4 L), computed in plain NumPy."""
     d = position_m[:, None] - anchors_m
     azimuth, flat = np.arctan2(d[..., 1], d[..., 0]), np.hypot(d[..., 0], d[..., 1])
     rows = [np.linalg.norm(d, axis=2), azimuth, np.arctan2(d[..., 2], flat), azimuth + np.pi]
@@ -143,14 +143,14 @@ def compared(log, seconds, shift=(0.0, 0.0, 0.0)):
 
 
 def late(time_s, seconds, shift=(0.0, 0.0, 0.0)):
-    """The truth of a clock that is ahead, in a frame that is off."""
+    """Return the true track with a clock that is ahead and in a frame that is shifted."""
     p, v = user(time_s - seconds)
     return TrueEpochs(p + shift, v, np.zeros(len(time_s)))
 
 
 @pytest.mark.parametrize("seconds", [0.0, 0.08, -0.15])
 @pytest.mark.parametrize("shift", [(0.0, 0.0, 0.0), (1.0, -0.6, 0.3)])
-def test_an_offset_is_found_beside_biases_and_a_frame_that_is_off(seconds, shift):
+def test_an_offset_is_found_despite_biases_and_a_shifted_frame(seconds, shift):
     time_s = np.arange(0.0, 60.0, 0.1)
     log = log_of(time_s, user(time_s)[0], np.random.default_rng(2), bias=0.5)
     clock = compared(log, seconds, shift)
@@ -160,7 +160,7 @@ def test_an_offset_is_found_beside_biases_and_a_frame_that_is_off(seconds, shift
         assert clock.advice.endswith("less" if seconds > 0.0 else "more")
 
 
-def test_its_standard_error_is_that_of_many_logs():
+def test_the_standard_error_of_an_offset_is_the_spread_over_many_logs():
     time_s, rng = np.arange(0.0, 40.0, 0.1), np.random.default_rng(3)
     clocks = [compared(log_of(time_s, user(time_s)[0], rng), 0.0) for _ in range(60)]
     spread = np.std([clock.seconds for clock in clocks])
@@ -169,8 +169,8 @@ def test_its_standard_error_is_that_of_many_logs():
     assert not any(clock.matters for clock in clocks)
 
 
-def test_it_is_the_least_squares_of_all_columns_at_once():
-    """Against NumPy's, with a column for each row's bias, for the clock and for the frame."""
+def test_the_offset_equals_a_least_squares_fit_of_all_unknowns_at_once():
+    """NumPy's lstsq gets columns for the clock, for the frame and for each row's bias."""
     time_s, rng = np.arange(0.0, 30.0, 0.25), np.random.default_rng(4)
     log, truth = log_of(time_s, user(time_s)[0], rng), late(time_s, 0.05, (0.3, 0.2, 0.0))
     position, velocity, _ = truth
@@ -197,7 +197,7 @@ def test_it_is_the_least_squares_of_all_columns_at_once():
     assert compared(log, 0.05, (0.3, 0.2, 0.0)).seconds == pytest.approx(expected, rel=1e-4)
 
 
-def test_who_never_changes_speed_tells_nothing_of_a_clock():
+def test_a_user_with_constant_velocity_shows_no_offset():
     time_s = np.arange(0.0, 60.0, 0.1)
     velocity = np.tile([5.0, 0.0, 0.0], (len(time_s), 1))
     position = [20.0, -40.0, 1.5] + time_s[:, None] * velocity
@@ -211,7 +211,7 @@ def test_who_never_changes_speed_tells_nothing_of_a_clock():
     assert clock is None or not clock.matters
 
 
-def test_short_logs_and_a_truth_that_is_not_known_tell_nothing():
+def test_a_short_log_or_an_unknown_ground_truth_gives_no_offset():
     time_s = np.arange(0.0, 8.0, 0.1)
     log = log_of(time_s, user(time_s)[0], np.random.default_rng(7))
     assert compared(log, 0.1) is None
@@ -220,7 +220,7 @@ def test_short_logs_and_a_truth_that_is_not_known_tell_nothing():
 
 
 @pytest.mark.parametrize("late_s", [-1.0, -0.5, -0.2, 0.2, 0.5, 1.0])
-def test_an_offset_over_which_a_log_is_not_straight_is_found_too(tmp_path, late_s):
+def test_an_offset_is_found_even_if_measurements_are_not_linear_over_it(tmp_path, late_s):
     folder, path = sample_folder("canyon28_vehicle"), tmp_path / "truth.tum"
     poses = read_tum(folder / "truth.tum")
     path.write_text(tum_lines(poses.time_s + late_s, poses.position_m))

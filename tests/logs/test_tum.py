@@ -1,4 +1,4 @@
-"""TUM trajectories: there and back, as evo reads them, and what is refused where."""
+"""Tests of TUM trajectory files: written and read back, read by evo, refused if damaged."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def store(folder, content):
     start=coordinates,
     step=st.floats(1e-3, 1e3),
 )
-def test_a_track_survives_a_file(tmp_path_factory, track, start, step):
+def test_a_written_track_is_read_back_exactly(tmp_path_factory, track, start, step):
     time = start + step * np.arange(len(track))
     path = store(tmp_path_factory.mktemp("tum"), tum_lines(time, track))
     poses = read_tum(path)
@@ -65,13 +65,13 @@ SPELLINGS = {
 
 
 @pytest.mark.parametrize("name", SPELLINGS)
-def test_spellings(tmp_path, name):
+def test_all_spellings_of_a_file_are_read_alike(tmp_path, name):
     poses = read_tum(store(tmp_path, SPELLINGS[name](POSES)))
     assert poses.time_s.tolist() == [0.0, 0.1, 0.2]
     assert poses.position_m.tolist() == [[1.0, 2.0, 3.0], [1.5, 2.0, 3.0], [2.0, 2.0, 3.0]]
 
 
-DAMAGE = {  # line, place in it that the message names
+DAMAGE = {  # damaged line: place in it that the message names
     "0.15 1 2 3 0 0 1": "",
     "0.15,1,2,3,0,0,0,1": "",
     "0.15 1 two 3 0 0 0 1": ", y",
@@ -84,7 +84,7 @@ DAMAGE = {  # line, place in it that the message names
 
 @pytest.mark.parametrize("block_bytes", [40, 50, 1 << 20])
 @pytest.mark.parametrize("line", DAMAGE, ids=ascii)
-def test_a_damaged_line_is_named(tmp_path, monkeypatch, line, block_bytes):
+def test_the_error_names_a_damaged_line(tmp_path, monkeypatch, line, block_bytes):
     first, second, third, _ = POSES.split("\n")
     content = "\n".join([f"# {first}", first, "", second, line, third]) + "\n"
     path = store(tmp_path, content.encode("utf-8", "surrogateescape"))
@@ -94,7 +94,7 @@ def test_a_damaged_line_is_named(tmp_path, monkeypatch, line, block_bytes):
 
 
 @pytest.mark.parametrize("content", ["", "\n\n", "# t x y z qx qy qz qw\n"])
-def test_a_file_without_poses(tmp_path, content):
+def test_a_file_without_poses_is_refused(tmp_path, content):
     path = store(tmp_path, content)
     with refuses(path):
         read_tum(path)

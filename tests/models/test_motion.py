@@ -1,4 +1,4 @@
-"""Prediction and process noise against matrices written out."""
+"""Tests of prediction, process noise and maneuvers against matrices of textbooks."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ steps = st.sampled_from([0.0, 0.1, 0.5, 1.0, 2.5])
 
 
 def matrix(noise):
-    """Q (7, 7)."""
+    """Return Q (7, 7)."""
     Q = np.diag(noise.diagonal)
     for i, covariance in enumerate(noise.coupling):
         Q[i, i + 3] = Q[i + 3, i] = covariance
@@ -31,7 +31,7 @@ def matrix(noise):
 
 
 def written_out(position, velocity, bias, dt, coupled):
-    """Q as the sum of independent random walks and accelerations constant over the step."""
+    """Return Q of independent random walks and of accelerations constant over the step."""
     Q = np.diag([*(position * dt), 0.0, 0.0, 0.0, bias * dt])
     for i, q in enumerate(velocity * dt):
         effect = np.zeros(7)
@@ -42,14 +42,16 @@ def written_out(position, velocity, bias, dt, coupled):
 
 @pytest.mark.parametrize("coupled", [True, False])
 @given(position=variances, velocity=variances, bias=st.floats(0.0, 1e4), dt=steps)
-def test_process_noise_is_written_out_and_semidefinite(position, velocity, bias, dt, coupled):
+def test_process_noise_equals_the_textbook_and_is_semidefinite(
+    position, velocity, bias, dt, coupled
+):
     Q = matrix(white_noise_acceleration(position, velocity, bias, dt, coupled))
     expected = written_out(position, velocity, bias, dt, coupled)
     np.testing.assert_allclose(Q, expected, rtol=1e-13, atol=1e-13)
     assert np.linalg.eigvalsh(Q)[0] >= -1e-12 * max(1.0, Q.max())
 
 
-def test_plain_diagonal_is_the_papers_at_one_second():
+def test_uncoupled_process_noise_of_one_second_equals_the_papers_diagonal():
     Q = matrix(white_noise_acceleration([0.01, 0.01, 4e-4], [3.24, 3.24, 9e-4], 22.0, 1.0, False))
     np.testing.assert_allclose(Q, np.diag([0.01, 0.01, 4e-4, 3.24, 3.24, 9e-4, 22.0]))
 
@@ -61,7 +63,7 @@ def test_plain_diagonal_is_the_papers_at_one_second():
     coupling=hnp.arrays(float, 3, elements=st.floats(-5.0, 5.0)),
     dt=steps,
 )
-def test_prediction_is_the_kalman_prediction(x, factor, diagonal, coupling, dt):
+def test_prediction_equals_the_textbook_kalman_prediction(x, factor, diagonal, coupling, dt):
     noise, P = ProcessNoise(diagonal.tolist(), coupling.tolist()), factor @ factor.T
     expected_x, expected_P = textbook.predict(x, P, matrix(noise), dt)
     predicted = np.array(predict_covariance(P.tolist(), noise, dt))
@@ -83,7 +85,7 @@ def test_a_fast_user_accelerates_along_the_velocity(x, heading, speed, a, dt):
     expected = x.copy()
     expected[:2] += 0.5 * a * dt**2 * ahead
     expected[3:5] += a * dt * ahead
-    # At rest a velocity has no direction: what is below 0.2 m/s counts less, which 5 m/s feel.
+    # The direction is smoothed below 0.2 m/s, which still has a small effect at 5 m/s.
     np.testing.assert_allclose(moved, expected, atol=2e-3 * (1.0 + abs(a) * dt) * (1.0 + dt))
 
 
@@ -92,19 +94,19 @@ def test_braking_ends_at_a_standstill(heading, speed, dt):
     v = speed * np.array([np.cos(heading), np.sin(heading)])
     moved = np.array(accelerate([0.0, 0.0, 1.5, *v, 0.1, 7.0], -100.0, dt))
     np.testing.assert_allclose(moved[3:5], 0.0, atol=1e-12)
-    np.testing.assert_allclose(moved[:2], -0.5 * dt * v, atol=1e-12)  # half way back of move's dt v
+    np.testing.assert_allclose(moved[:2], -0.5 * dt * v, atol=1e-12)  # undoes half of the step dt v
     np.testing.assert_array_equal(moved[[2, 5, 6]], [1.5, 0.1, 7.0])
 
 
 @given(a=st.floats(-4.0, 4.0), dt=steps)
-def test_who_stands_stays(a, dt):
+def test_a_user_at_rest_is_not_accelerated(a, dt):
     still = [3.0, 4.0, 1.5, 0.0, 0.0, 0.0, 7.0]
     assert accelerate(still, a, dt) == still
 
 
 @given(x=positions, rate=st.floats(-1.5, 1.5), dt=steps)
 def test_a_turn_is_the_coordinated_turn_of_the_textbook(x, rate, dt):
-    """The transition matrix of Bar-Shalom et al. 2001, Sec. 11.7.1, and straight on at rate 0."""
+    """Compare with Bar-Shalom et al. 2001, Sec. 11.7.1, and with a straight line at rate 0."""
     s, c = np.sin(rate * dt), np.cos(rate * dt)
     along, across = (s / rate, (1.0 - c) / rate) if abs(rate) > 1e-4 else (dt, 0.5 * rate * dt**2)
     F = np.eye(7)
@@ -120,8 +122,8 @@ def test_a_turn_is_the_coordinated_turn_of_the_textbook(x, rate, dt):
     ("field", "value", "maneuver"),
     [("acceleration_mps2", 1.5, accelerate), ("turn_rate_radps", 0.4, turn)],
 )
-def test_a_driven_mode_predicts_its_maneuver_and_nothing_else_changes(field, value, maneuver):
-    """On lanes, on floats and on filterpy: one step of a mode with and without it."""
+def test_a_mode_with_a_maneuver_predicts_it_and_nothing_else_changes(field, value, maneuver):
+    """Compare one step of a mode with and without the maneuver."""
     episodes, runs = simulated(3, epochs=4), []
     for driven_by in (0.0, value):
         pipeline = pipeline_of(algorithms=["ekf"], **{field: driven_by})

@@ -1,4 +1,4 @@
-"""Priors: drawn around the truth, or from the first line-of-sight fix."""
+"""Tests of priors, drawn around the truth or computed from the first line-of-sight fix."""
 
 import numpy as np
 import pytest
@@ -17,14 +17,14 @@ SIGMA = np.array([0.3, 0.02, 0.015, 0.01])
 
 
 def link_from(position):
-    """(4,) what the physical anchor would measure of a user at rest, without noise."""
+    """Return the rows (4,) of the base station's link to a user at rest, without noise."""
     track = np.array([position], float)
     alone = Scene("alone", SCENE.base_station_m)
     return geometry(track, np.zeros((1, 3)), alone, Layout(1))[0, :4]
 
 
 @pytest.mark.parametrize("radio", RADIOS)
-def test_a_drawn_prior_is_as_uncertain_as_it_says(radio):
+def test_the_covariance_of_a_drawn_prior_is_right(radio):
     truth, rng = np.arange(7.0), np.random.default_rng(0)
     scores = []
     for _ in range(2000):
@@ -36,9 +36,9 @@ def test_a_drawn_prior_is_as_uncertain_as_it_says(radio):
 
 @settings(deadline=None)
 @given(st.tuples(st.floats(-200, 200), st.floats(-200, 200), st.floats(0, 5)))
-def test_a_fix_without_noise_is_the_position(position):
+def test_a_fix_without_noise_is_the_true_position(position):
     if np.hypot(*(np.array(position[:2]) - GNB[:2])) < 1.0:
-        return  # below the anchor azimuths mean little
+        return  # azimuths are ill-defined below the anchor
     mean, covariance = prior_from_fix(GNB, link_from(position), SIGMA, RADIOS["handset"], SCENE)
     np.testing.assert_allclose(mean[:3], position, atol=1e-9)
     np.testing.assert_array_equal(mean[3:], 0.0)
@@ -47,7 +47,7 @@ def test_a_fix_without_noise_is_the_position(position):
 
 
 @pytest.mark.parametrize("position", [(80.0, -20.0, 1.5), (-60.0, 10.2, 1.5), (10.5, -90.0, 1.5)])
-def test_a_fix_is_as_uncertain_as_it_says(position):
+def test_the_covariance_of_a_fix_is_right(position):
     exact, rng = link_from(position), np.random.default_rng(0)
     scores = []
     for _ in range(1000):
@@ -59,7 +59,7 @@ def test_a_fix_is_as_uncertain_as_it_says(position):
     assert np.mean(scores) == pytest.approx(3.0, rel=0.15)
 
 
-def test_a_fix_says_nothing_of_the_horizontal_velocity():
+def test_a_fix_leaves_the_horizontal_velocity_unknown():
     radio = RADIOS["standard"]
     _, covariance = prior_from_fix(GNB, link_from((80.0, -20.0, 1.5)), SIGMA, radio, SCENE)
     rest = radio.prior_covariance(SCENE)

@@ -1,4 +1,4 @@
-"""The radio against formulas written afresh; statistics at 99.9 % confidence each."""
+"""Tests of radios: formulas, statistics of the channel (99.9 % confidence each), and files."""
 
 import json
 from dataclasses import replace
@@ -30,9 +30,9 @@ every_radio = pytest.mark.parametrize("name", RADIOS)
 
 
 def channel(radio, epochs, users, distance_m=100.0, speed_mps=0.0, dt=1.0, seed=0, links=1):
-    """Users at constant distance and speed, each with a channel of its own.
+    """Simulate independent channels of users at constant distance and speed.
 
-    Returns snr_db, detected and range_bias_m (epochs, users, links) or, of one link, (epochs,
+    Returns snr_db, detected and range_bias_m (epochs, users, links) or, for one link, (epochs,
     users); angle_bias_rad with a last axis of 3; doppler_spread_hz (epochs, users).
     """
     rng = np.random.default_rng(seed)
@@ -75,7 +75,7 @@ def channel(radio, epochs, users, distance_m=100.0, speed_mps=0.0, dt=1.0, seed=
 
 
 def assert_share(events, chance):
-    """The number of events is within the binomial interval of their chance."""
+    """Assert that the number of events is within the binomial interval for their chance."""
     low, high = binom.interval(CONFIDENCE, events.size, chance)
     assert low <= events.sum() <= high
 
@@ -85,13 +85,13 @@ def assert_mean(values, mean, deviation):
 
 
 def assert_variance(values, variance):
-    """The variance of independent normals of mean zero."""
+    """Assert the variance of independent normal numbers with mean zero."""
     low, high = chi2.interval(CONFIDENCE, values.size)
     assert low <= np.square(values).sum() / variance <= high
 
 
 def changes(on):
-    """Return, of spells (T, L), the epochs on that end, and the epochs off that are the last."""
+    """Return, for epochs on, whether the next is off; for epochs off, whether the next is on."""
     before, after = on[:-1], on[1:]
     return ~after[before], after[~before]
 
@@ -100,15 +100,15 @@ def changes(on):
 
 
 @every_radio
-def test_snr_at_100_m_by_hand(name):
-    # Path loss 32.4 + 21 log10(100) + 20 log10(28) = 32.4 + 42 + 28.943 dB; 27 dBm + 21 + 12 - 10
-    # less that, over -174 + 80 + 8 dBm of noise. Virtual anchors lose 8 dB.
+def test_the_snr_at_100_m_equals_the_value_computed_by_hand(name):
+    # Path loss: 32.4 + 21 log10(100) + 20 log10(28) = 32.4 + 42 + 28.943 dB. Signal: 27 + 21 + 12
+    # - 10 dBm minus this loss. Noise: -174 + 80 + 8 dBm. Virtual anchors lose 8 dB more.
     radio = replace(RADIOS[name], shadowing_db=0.0, blockage_scale=0.0)
     snr = channel(radio, 1, 1, links=3).snr_db
     np.testing.assert_allclose(snr, [[[32.657, 24.657, 24.657]]], atol=1e-3)
 
 
-def test_blockage_costs_25_db():
+def test_blockage_reduces_the_snr_by_25_db():
     users = channel(replace(CLEAR, blockage_scale=0.5), 200, 3)
     blocked = users.range_bias_m > 0.0
     assert blocked.any() and not blocked.all()
@@ -116,7 +116,7 @@ def test_blockage_costs_25_db():
     np.testing.assert_allclose(loss, np.where(blocked, 25.0, 0.0), atol=1e-9)
 
 
-PROFILES = {  # elements a side gNB / UE; range floors, m; AoA, elevation, AoD, deg; Doppler, m/s
+PROFILES = {  # elements per side: gNB, UE; floors: range, m; AoA, elevation, AoD, deg; Doppler, m/s
     "handset": (4, 2, 0.5, 0.8, 3.0, 2.0, 2.0, 0.1),
     "standard": (8, 4, 0.2, 0.4, 1.0, 0.7, 0.5, 0.1),
     "high": (16, 8, 0.1, 0.2, 0.5, 0.4, 0.25, 0.05),
@@ -125,7 +125,7 @@ PROFILES = {  # elements a side gNB / UE; range floors, m; AoA, elevation, AoD, 
 
 @every_radio
 @pytest.mark.parametrize("snr_db", [-10.0, 3.0, 20.0, 45.0])
-def test_sigma_is_floor_and_cramer_rao_bound_in_quadrature(name, snr_db):
+def test_sigma_combines_floor_and_cramer_rao_bound_in_quadrature(name, snr_db):
     gnb, ue, direct, reflected, aoa, elevation, aod, doppler = PROFILES[name]
     snr = 10.0 ** (snr_db / 10.0)
     effective_bandwidth = 100e6 / np.sqrt(12.0)
@@ -152,13 +152,13 @@ def test_doppler_noise_follows_the_snr_of_the_physical_anchor():
     assert sigma[0, 0] < sigma[1, 0] and sigma[0, 4] > sigma[1, 4]
 
 
-def test_odometry_noise_is_the_profile_s():
+def test_odometry_noise_equals_that_of_the_profile():
     sigma = RADIOS["standard"].sigma(np.zeros((1, 3)), STREET, Layout(odometry=True))
     np.testing.assert_allclose(sigma[0, 13:], [0.1, np.deg2rad(3.0)])
 
 
 @every_radio
-def test_prior_covariance(name):
+def test_the_prior_covariance_is_diagonal_with_the_profiles_deviations(name):
     position = {"handset": 4.0, "standard": 3.0, "high": 2.0}[name]
     P = RADIOS[name].prior_covariance(STREET)
     np.testing.assert_allclose(np.sqrt(np.diag(P)[:2]), position)
@@ -182,7 +182,7 @@ def test_shadowing_is_a_stationary_autoregression(dt):
 
 
 @pytest.mark.parametrize("snr_db", [1.0, 4.0, 5.5, 10.0])
-def test_detection_is_logistic_in_the_snr(snr_db):
+def test_the_probability_of_detection_is_logistic_in_the_snr(snr_db):
     at_100_m = channel(CLEAR, 1, 1).snr_db.item()
     radio = replace(
         CLEAR, transmit_dbm=CLEAR.transmit_dbm + snr_db - at_100_m, reflection_loss_db=0
@@ -221,7 +221,7 @@ def test_a_blockage_lasts_4_s_on_average(dt):
     radio = replace(CLEAR, blockage_scale=0.5)
     blocked = channel(radio, 1000, 200, dt=dt).range_bias_m > 0.0
     ends, begins = changes(blocked)
-    leave = 1.0 - np.exp(-dt / 4.0)  # a memoryless length, seen every dt
+    leave = 1.0 - np.exp(-dt / 4.0)  # chance that an exponential length ends within dt
     assert_share(ends, leave)
     assert_share(begins, leave * 0.075 / (1.0 - 0.075))
 
@@ -234,10 +234,10 @@ def test_multipath_comes_and_goes_at_its_rates(dt):
     ends, begins = changes(reflected)
     assert_share(begins, 1.0 - np.exp(-0.008 * dt))
     assert_share(ends, 1.0 - np.exp(-dt / 3.3))
-    np.testing.assert_array_equal(users.snr_db, channel(CLEAR, 2000, 200).snr_db)  # silent
+    np.testing.assert_array_equal(users.snr_db, channel(CLEAR, 2000, 200).snr_db)  # not changed
 
 
-def test_an_outage_takes_every_link():
+def test_an_outage_affects_every_link():
     radio = replace(CLEAR, outage_rate_hz=0.003, transmit_dbm=100.0)
     detected = channel(radio, 1000, 200, links=3).detected
     np.testing.assert_array_equal(detected, detected[..., :1].repeat(3, axis=2))
@@ -253,7 +253,7 @@ BIASES = {
 
 
 @pytest.mark.parametrize("kind", BIASES)
-def test_biases_are_drawn_once_a_spell(kind):
+def test_biases_are_drawn_once_per_spell(kind):
     radio, least_m, mean_m, angle_deg = BIASES[kind]
     users = channel(radio, 1000, 100)
     bias, angle = users.range_bias_m, users.angle_bias_rad
@@ -293,7 +293,7 @@ def test_impossible_parameters_are_refused_by_name(field, values):
             Radio("lab", **{field: value})
 
 
-def test_radio_by_name_or_by_itself():
+def test_a_radio_is_given_by_name_or_as_an_object():
     assert radio_from("high") is RADIOS["high"] and radio_from(CLEAR) is CLEAR
 
 
@@ -303,7 +303,7 @@ def write(folder, content, name="phone.json"):
     return path
 
 
-def test_a_radio_file_says_what_is_other_than_in_its_base(tmp_path):
+def test_a_radio_file_lists_the_differences_from_its_base(tmp_path):
     own = {"base": "handset", "shadowing_db": 6, "range_floor_m": [1, 2.5], "gnb_elements": 16}
     assert radio_from(write(tmp_path, own)) == replace(
         RADIOS["handset"], name="phone", shadowing_db=6.0, range_floor_m=(1.0, 2.5), gnb_elements=16
@@ -311,7 +311,7 @@ def test_a_radio_file_says_what_is_other_than_in_its_base(tmp_path):
     assert radio_from(str(write(tmp_path, {"name": "lab"}))) == Radio("lab")
 
 
-def test_angles_of_a_radio_file_are_in_the_unit_that_their_names_say(tmp_path):
+def test_angles_in_a_radio_file_have_the_unit_in_their_names(tmp_path):
     in_degrees = radio_from(write(tmp_path, {"aoa_floor_deg": 2.0}))
     in_radians = radio_from(write(tmp_path, {"aoa_floor_rad": np.radians(2.0)}))
     assert in_degrees == in_radians == replace(Radio("phone"), aoa_floor_rad=np.radians(2.0))
@@ -330,12 +330,12 @@ def test_angles_of_a_radio_file_are_in_the_unit_that_their_names_say(tmp_path):
     ],
     ids=repr,
 )
-def test_a_damaged_radio_file_is_refused_by_field(tmp_path, content, field):
+def test_a_damaged_radio_file_is_refused_with_the_name_of_the_field(tmp_path, content, field):
     path = write(tmp_path, content)
     with refuses(path, field):
         radio_from(path)
 
 
-def test_a_missing_radio_file_is_named():
+def test_the_error_about_a_missing_radio_file_names_it():
     with refuses("nowhere.json", error=FileNotFoundError):
         radio_from("nowhere.json")

@@ -1,4 +1,4 @@
-"""Scenes: mirror images, the shipped streets, files, and scenes drawn at random."""
+"""Tests of scenes: mirror images, the shipped streets, scene files, and random scenes."""
 
 import json
 from dataclasses import replace
@@ -41,8 +41,8 @@ def test_mirroring_twice_is_the_identity(wall, point):
 @settings(derandomize=True, deadline=None)
 @given(walls, st.floats(0.1, 500.0), st.floats(0.1, 500.0), points, points)
 def test_a_reflection_is_as_long_as_the_line_from_the_mirror_image(wall, ahead, behind, a, b):
-    # Source and user at distances `ahead` and `behind` before the wall, anywhere along it; the
-    # specular point divides the way along the wall in the ratio of the distances.
+    # Source and user are `ahead` and `behind` meters in front of the wall, anywhere along it; the
+    # specular point divides the line between their projections in the ratio of these distances.
     normal = np.array([*wall.normal, 0.0]) / np.hypot(*wall.normal)
     on_wall = [p - (p @ normal - wall.offset_m) * normal for p in (np.array(a), np.array(b))]
     source, user = on_wall[0] + ahead * normal, on_wall[1] + behind * normal
@@ -78,7 +78,9 @@ def test_anchors_of_the_default_street():
         ("dynamic-doppler", (7.0, 14.0, 4.5), 430.0, 0.0, 1.5),
     ],
 )
-def test_public_reference_scenes(name, base_station, width_m, length_m, user_height_m):
+def test_public_reference_scenes_have_their_documented_geometry(
+    name, base_station, width_m, length_m, user_height_m
+):
     scene = scene_from(name)
     assert scene.base_station_m == base_station
     assert np.ptp(scene.streets.x_m) == width_m and np.ptp(scene.streets.y_m) == length_m
@@ -90,11 +92,11 @@ def test_doppler_scale_is_carrier_over_speed_of_light():
     assert Scene("a", (0, 0, 0), carrier_hz=28e9).hz_per_mps == pytest.approx(28e9 / 299_792_458)
 
 
-def test_a_scene_file_may_leave_out_all_but_the_base_station(tmp_path):
+def test_a_scene_file_may_leave_out_everything_except_the_base_station(tmp_path):
     assert scene_from(write(tmp_path, MINIMAL)) == Scene("plaza", (10.0, 10.0, 10.0))
 
 
-def test_a_missing_scene_file_is_named(tmp_path):
+def test_the_error_about_a_missing_scene_file_names_it(tmp_path):
     with refuses("plaza.json", error=FileNotFoundError):
         scene_from(tmp_path / "plaza.json")
 
@@ -111,7 +113,7 @@ def test_a_scene_file_may_list_anchors(tmp_path):
     np.testing.assert_array_equal(scene.anchors_m, ANCHORS["anchors"])
 
 
-def test_virtual_anchors_follow_the_mirror_images():
+def test_surveyed_virtual_anchors_are_listed_after_mirror_images():
     scene = replace(SCENES["street"], virtual_anchors_m=((1.0, 2.0, 3.0), (4.0, 5.0, 6.0)))
     np.testing.assert_allclose(
         scene.anchors_m, [[10, 10, 10], [10, 40, 10], [360, 10, 10], [1, 2, 3], [4, 5, 6]]
@@ -157,7 +159,7 @@ def test_a_written_scene_reads_back_equal(tmp_path, scene):
     ],
     ids=repr,
 )
-def test_a_damaged_scene_file_is_refused_by_field(tmp_path, content, field):
+def test_a_damaged_scene_file_is_refused_with_the_name_of_the_field(tmp_path, content, field):
     path = write(tmp_path, content)
     with refuses(path, field):
         scene_from(path)
@@ -183,13 +185,13 @@ SOURCE = SimulatedSource(RandomScene(), RADIOS["handset"])
 DRAWN = [SOURCE.scene_of(int(key)) for key in keys_of(range(2000))]
 
 
-def test_users_and_base_station_are_before_both_walls():
+def test_users_and_base_station_of_random_scenes_are_in_front_of_both_walls():
     for scene in DRAWN:
         scene.require_streets_in_front()
         assert len(scene.anchors_m) == 3
 
 
-def test_what_is_drawn_fills_its_ranges():
+def test_random_scenes_fill_their_ranges():
     ranges = RandomScene()
     block = np.array([scene.streets.block_m for scene in DRAWN])
     height = np.array([scene.base_station_m[2] for scene in DRAWN])
@@ -204,7 +206,7 @@ def test_what_is_drawn_fills_its_ranges():
     assert len(sides) == 4
 
 
-def test_the_base_station_is_near_a_crossing_and_the_walls_behind_what_is_farthest_out():
+def test_a_random_base_station_is_near_a_crossing_and_walls_are_behind_everything_else():
     ranges = RandomScene()
     for scene in DRAWN:
         block, base = scene.streets.block_m, np.array(scene.base_station_m[:2])
@@ -222,18 +224,18 @@ def test_the_base_station_is_near_a_crossing_and_the_walls_behind_what_is_farthe
 @pytest.mark.parametrize(
     ("field", "value"), [("block_m", (0.0, 80.0)), ("height_m", (9.0, 8.0)), ("blocks", 0)]
 )
-def test_ranges_that_hold_nothing_are_refused(field, value):
+def test_impossible_ranges_are_refused(field, value):
     with refuses(field):
         RandomScene(**{field: value})
 
 
-def test_users_whose_corners_do_not_fit_the_closest_streets_are_refused():
+def test_a_corner_radius_that_does_not_fit_the_closest_streets_is_refused():
     tight = RandomScene(block_m=(10.0, 140.0))
     with refuses("corner_radius_m of mobility 'vehicle'"):
         gym.make("mmwave_env:MmWaveLoc-v0", scene=tight, scenario=MOBILITIES["vehicle"])
 
 
-def test_a_way_needs_one_scene():
+def test_a_given_trajectory_in_random_scenes_is_refused():
     with refuses("scene"):
         gym.make("mmwave_env:MmWaveLoc-v0", scene="random", scenario=around_a_block())
 

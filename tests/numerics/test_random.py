@@ -1,4 +1,4 @@
-"""Random numbers against numpy's generator, and against what they are to be distributed as."""
+"""Tests of random numbers against NumPy's generator and against their distributions."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from mmwave_env.numerics.random import Dice, next_word, seeded, word_of
 _BITS = 2 ** np.arange(64, dtype=np.uint64)
 _FIRST = np.arange(40, dtype=np.uint64)
 KEYS = np.concatenate([_FIRST, _BITS, ~_FIRST[:24]])
-EACH = 8  # numbers that a run draws, of every kind
+EACH = 8  # numbers of each kind that a run draws
 
 
 def number(key):
@@ -18,7 +18,7 @@ def number(key):
 
 
 def theirs(key, stream):
-    """numpy's generator in the state that a key has before it is warmed up."""
+    """Return NumPy's generator in the state that a key gives it, before the warm-up."""
     bits = np.random.SFC64(0)
     state = bits.state
     state["state"]["state"] = np.array([key, key, stream, 1], np.uint64)
@@ -27,7 +27,7 @@ def theirs(key, stream):
 
 
 @pytest.mark.parametrize("stream", [0, 1])
-def test_words_are_those_of_numpy(stream):
+def test_random_words_equal_those_of_numpy(stream):
     for key in KEYS:
         state = [word_of(each) for each in seeded(number(key), stream)]
         expected = theirs(key, stream)
@@ -55,7 +55,7 @@ DRAWER = Program(_draw, [[], [0.0] * 4, *[[0.0] * EACH] * 3])
 
 
 def drawn(keys, runs):
-    """Uniforms, exponentials and normals (3, keys, runs * 8), on lanes."""
+    """Draw uniforms, exponentials and normals (3, keys, runs * 8) on SIMD lanes."""
     n = len(keys)
     rows = np.tile(SEEDER.start[None, :, None], (-(-n // 8), 1, 8))
     io = StepIO.of(n, 1, output_rows=rows_of(SEEDER.index[1]))
@@ -68,7 +68,7 @@ def drawn(keys, runs):
     return io.outputs.reshape(n, runs, 3, EACH).transpose(2, 0, 1, 3).reshape(3, n, -1)
 
 
-def test_lanes_draw_what_floats_and_numpy_draw():
+def test_lanes_draw_the_same_numbers_as_floats_and_numpy():
     numbers = drawn(KEYS, 3)
     for key, uniform, exponential, normal in zip(KEYS, *numbers, strict=True):
         dice, bits = Dice(seeded(number(key), 0)), theirs(key, 0)
@@ -97,14 +97,14 @@ KINDS = {"uniform": stats.uniform(), "exponential": stats.expon(), "normal": sta
 
 @pytest.fixture(scope="module")
 def many():
-    """Ten million of each kind, of a thousand keys that count up."""
+    """Draw ten million numbers of each kind with a thousand consecutive keys."""
     return dict(zip(KINDS, drawn(np.arange(1000, dtype=np.uint64), 1250), strict=True))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_numbers_are_distributed_as_they_are_to_be(many, kind):
-    """At 99.9 % each; moments at four of their own standard errors."""
+def test_numbers_have_their_distributions(many, kind):
+    """Distributions are tested at 99.9 % each, moments at four standard errors."""
     values, exact = many[kind].ravel(), KINDS[kind]
     n = values.size
     assert n == 10_000_000
@@ -116,7 +116,7 @@ def test_numbers_are_distributed_as_they_are_to_be(many, kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sigma", [3.0, 3.5, 4.0, 4.5, 5.0])
-def test_tails_of_normals_are_as_heavy_as_they_are_to_be(many, sigma):
+def test_tails_of_normal_numbers_have_the_right_weight(many, sigma):
     values = many["normal"]
     for beyond in (values > sigma, values < -sigma):
         low, high = stats.binom.interval(1.0 - 1e-4, values.size, stats.norm.sf(sigma))
@@ -124,8 +124,8 @@ def test_tails_of_normals_are_as_heavy_as_they_are_to_be(many, sigma):
 
 
 @pytest.mark.slow
-def test_neighbors_are_not_correlated(many):
-    """Numbers that follow each other, keys that follow each other, and the lanes of a block.
+def test_consecutive_numbers_and_keys_are_not_correlated(many):
+    """Compare numbers of a key, and of consecutive keys, which are the lanes of a block.
 
     Each correlation of n pairs has a standard error of 1 / sqrt(n); bounds are at 99.9 % for all
     lags together (Bonferroni).
@@ -142,8 +142,8 @@ def test_neighbors_are_not_correlated(many):
 
 
 @pytest.mark.slow
-def test_keys_that_differ_in_a_bit_and_both_streams_have_nothing_in_common():
-    """At 99.9 % for all pairs together."""
+def test_keys_that_differ_in_one_bit_and_the_two_streams_are_not_correlated():
+    """The bound is at 99.9 % for all pairs together."""
     base = np.uint64(0x0123456789ABCDEF)
     keys = np.append(base, base ^ _BITS)
     first, *others = stats.norm.ppf(drawn(keys, 2500)[0])

@@ -1,4 +1,4 @@
-"""The reproduction: its bench agrees with the evaluation, its page with its command."""
+"""Tests of the reproduction of the paper: its scores, its sections and its page."""
 
 import csv
 import re
@@ -30,7 +30,7 @@ def bench():
     return Bench(6, seed=3)
 
 
-def test_filtered_scores_are_the_evaluations(bench):
+def test_filtered_scores_equal_those_of_the_evaluation(bench):
     scores = bench.run(default_modes("handset")[0], PEDESTRIAN).filtered.scores
     contender = contender_from("fixed-ekf", "handset")
     episodes = bench.episodes(PEDESTRIAN)
@@ -40,7 +40,7 @@ def test_filtered_scores_are_the_evaluations(bench):
 
 
 @pytest.mark.parametrize("planar", [False, True])
-def test_smoothed_nees_is_that_of_the_smoothed_error(bench, planar):
+def test_smoothed_scores_equal_those_computed_from_the_smoothed_track(bench, planar):
     episodes, mode = bench.episodes(PEDESTRIAN), default_modes("handset")[0]
     if planar:
         episodes = [episode.on_flat_ground(1.5) for episode in episodes]
@@ -69,18 +69,18 @@ def test_a_clean_channel_has_no_biases():
     assert max(worst(replace(PEDESTRIAN, clean=True))) < 6.0 < max(worst(PEDESTRIAN))
 
 
-def test_what_needs_no_tracks(bench):
+def test_sections_without_tracks_have_the_expected_rows(bench):
     rows = {row[0]: row for row in contradictions(bench).rows}
     assert len(rows) == 6 and rows["Table II, UKF"][-1] == "RPE > 2 ATE"
     section = resolution(bench)
     bounds = [row[1] for row in section.rows]
     np.testing.assert_allclose(np.array(bounds[:-1]) / bounds[1:], 10**0.5, rtol=1e-6)
-    # c / (2 pi (B / sqrt(12)) sqrt(2)) at 0 dB
+    # The bound at 0 dB is c / (2 pi (B / sqrt(12)) sqrt(2)).
     assert bounds[0] == pytest.approx(299792458.0 / (2e8 * np.pi / 12**0.5 * 2**0.5))
     assert "c / B is 3.00 m" in section.note
 
 
-def test_records_hold_every_number():
+def test_records_contain_every_number_of_a_section():
     section = Section("T", "note", "who | a | b | c", rows=[["x", 1.5, Interval(2, 1, 3), ""]])
     assert section.records() == [["T", "x", "a", 1.5, "", ""], ["T", "x", "b", 2, 1, 3]]
 
@@ -92,7 +92,7 @@ def test_the_page_is_what_the_command_writes(tmp_path):
     printed = succeed("tables", "--out", tmp_path, "--docs", page)
     made, shown = page.read_text(), (ROOT / "docs" / "paper.md").read_text()
     assert re.sub(r"\d", "", made) == re.sub(r"\d", "", shown)
-    # Another processor rounds otherwise; a lost track, which few rows have, answers to that.
+    # Other processors round differently, which matters only in the few rows with lost tracks.
     assert np.isclose(numbers(made), numbers(shown), rtol=0.03, atol=0.005).mean() > 0.99
     with (tmp_path / "tables.csv").open() as file:
         records = list(csv.DictReader(file))

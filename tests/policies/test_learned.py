@@ -1,4 +1,4 @@
-"""Tests of learned switchers: the network as PyTorch computes it, and features by name."""
+"""Tests of learned policies: their network, their banks, and features found by name."""
 
 import math
 import subprocess
@@ -35,7 +35,7 @@ KINDS = {"plain": {}, "linear": {"hidden": ()}, "narrow": {"hidden": (7,)}}
 
 @pytest.fixture
 def make(tmp_path):
-    """From a kind of actor to its policy and its tensors."""
+    """Return a function that makes the policy and the tensors of a kind of actor."""
 
     def policy_and_tensors(kind, **changes):
         tensors = actor(**KINDS[kind] | changes)
@@ -45,7 +45,7 @@ def make(tmp_path):
 
 
 def observations(*shape, seed=1):
-    """Random ones, many of them out of the actor's bounds."""
+    """Return random observations, many of them outside the actor's bounds."""
     rng = np.random.default_rng(seed)
     return rng.normal(0.0, 1.5, (*shape, FEATURES)).astype(np.float32)
 
@@ -56,7 +56,7 @@ def affine(weight, x, bias):
 
 
 def logits_of_an_episode(tensors, episode):
-    """(steps, modes), one number after the other in double precision."""
+    """Compute logits (steps, modes), number by number in double precision."""
     result = []
     bounds = list(zip(tensors["low"].tolist(), tensors["high"].tolist(), strict=True))
     for observation in episode.tolist():
@@ -72,7 +72,7 @@ def logits_of_an_episode(tensors, episode):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_logits_are_those_of_a_plain_loop(make, kind):
+def test_logits_equal_those_of_a_plain_loop(make, kind):
     policy, tensors = make(kind)
     episodes = observations(20, 15)
     policy.reset(np.ones(20, bool))
@@ -82,13 +82,13 @@ def test_logits_are_those_of_a_plain_loop(make, kind):
 
 
 @pytest.mark.parametrize("shape", [(FEATURES,), (2, FEATURES - 1), (1, 2, FEATURES)])
-def test_observations_of_another_shape_are_refused_with_what_mends_it(make, shape):
+def test_observations_of_another_shape_are_refused(make, shape):
     policy, _ = make("plain")
     with refuses("observation"):
         policy(np.zeros(shape, np.float32))
 
 
-def test_a_newcomer_loads_a_policy_and_lets_it_act(make, tmp_path):
+def test_a_loaded_policy_plays_an_episode(make, tmp_path):
     make("narrow")
     policy = LearnedSwitch(str(tmp_path / "narrow.safetensors"))
     env = gym.make("MmWaveLoc-v0", modes=policy.modes, episode_steps=20)
@@ -108,7 +108,7 @@ RETUNED = (replace(MODES[0], sigma_v=9.0), *MODES[1:])
 
 
 @pytest.mark.parametrize("modes", [MODES[:2], MODES[::-1], RENAMED, RETUNED])
-def test_another_environment_is_refused(make, tmp_path, modes):
+def test_an_environment_with_other_modes_is_refused(make, tmp_path, modes):
     policy, _ = make("plain")
     policy.read_from(TABLE)
     other = Observation(Pipeline(modes, Layout()))
@@ -120,19 +120,19 @@ def test_another_environment_is_refused(make, tmp_path, modes):
 
 @pytest.fixture
 def per_mode(tmp_path):
-    """A policy over modes that keep a belief each, with banks for two radios."""
+    """Return a policy with one belief per mode and banks for two radios."""
     return LearnedSwitch(write_per_mode(tmp_path / "trust.safetensors"))
 
 
-def test_a_radio_has_the_bank_it_was_trained_with_and_others_that_of_standard(per_mode, tmp_path):
+def test_a_radio_gets_the_bank_trained_for_it_and_other_radios_that_of_standard(per_mode, tmp_path):
     assert per_mode.modes == MODES and per_mode.beliefs == "per-mode"
     assert per_mode.bank() == per_mode.bank("handset") == HANDSET
     assert per_mode.bank("standard") == per_mode.bank("high") == STANDARD
     (tmp_path / "radio.json").write_text('{"name": "lab", "base": "handset"}')
     banks = {"handset": HANDSET, "lab": STANDARD}
     mine = LearnedSwitch(write_per_mode(tmp_path / "mine.safetensors", banks=banks))
-    assert mine.bank(str(tmp_path / "radio.json")) == STANDARD  # a file's is the name in it
-    assert mine.bank("standard") == HANDSET  # the first
+    assert mine.bank(str(tmp_path / "radio.json")) == STANDARD  # the name in the file counts
+    assert mine.bank("standard") == HANDSET  # the first bank
 
 
 def test_a_policy_over_a_shared_belief_has_no_bank(make):
@@ -142,7 +142,7 @@ def test_a_policy_over_a_shared_belief_has_no_bank(make):
         policy.bank("handset")
 
 
-def test_any_of_its_banks_suits_a_policy_and_nothing_else(per_mode, make):
+def test_a_policy_accepts_the_modes_of_each_of_its_banks_and_no_others(per_mode, make):
     for bank in (HANDSET, STANDARD):
         per_mode.read_from(Observation(Pipeline(bank.modes, Layout()), "full", "per-mode"))
     for table in (TABLE, Observation(Pipeline(RETUNED, Layout()), "full", "per-mode")):
@@ -168,7 +168,7 @@ def test_a_policy_finds_its_features_among_others(tmp_path, table):
     np.testing.assert_array_equal(policy.logits(observed), expected)
 
 
-def test_an_anchor_that_a_scene_lacks_is_as_one_that_is_never_seen(tmp_path):
+def test_an_anchor_that_a_scene_lacks_counts_as_never_visible(tmp_path):
     path = write_per_mode(tmp_path / "mine.safetensors")
     (episode,) = simulated(1, 30)
     episode = replace(episode, visible=episode.visible & [True, True, False, True])
@@ -182,11 +182,11 @@ def test_an_anchor_that_a_scene_lacks_is_as_one_that_is_never_seen(tmp_path):
     np.testing.assert_allclose(actual, expected, rtol=1e-5, atol=1e-5)
 
 
-def test_a_feature_that_lacks_or_has_another_scale_is_refused_by_its_name(tmp_path):
+def test_a_feature_that_is_missing_or_has_another_scale_is_refused_by_name(tmp_path):
     path = write(tmp_path / "mine.safetensors", actor(), card_of())
     with refuses("feature 'coming Doppler innovation'"):
         LearnedSwitch(path, Observation(Pipeline(MODES, Layout()), "prior"))
-    with refuses("feature 'distance anchor 3'"):  # no value stands for an anchor that is not there
+    with refuses("feature 'distance anchor 3'"):  # no value can stand for a missing anchor
         LearnedSwitch(path, Observation(Pipeline(MODES, Layout(anchors=2))))
     path = write_per_mode(tmp_path / "trust.safetensors")
     with refuses("feature 'coming Doppler innovation'"):
@@ -200,7 +200,7 @@ def test_a_feature_that_lacks_or_has_another_scale_is_refused_by_its_name(tmp_pa
             LearnedSwitch(path, TABLE)
 
 
-def test_shipped_policies_go_by_name(tmp_path, monkeypatch):
+def test_shipped_policies_are_loaded_by_name(tmp_path, monkeypatch):
     monkeypatch.setattr(learned, "files", lambda package: tmp_path / package)
     folder = tmp_path / "policies" / "data"
     folder.mkdir(parents=True)
@@ -213,14 +213,14 @@ def test_shipped_policies_go_by_name(tmp_path, monkeypatch):
         LearnedSwitch("ppo")
 
 
-def test_every_shipped_policy_suits_this_version():
+def test_every_shipped_policy_works_with_this_version():
     for path in shipped_policies().values():
         policy = LearnedSwitch(path)
         pipeline = Pipeline(policy.modes, Layout())
         policy.read_from(Observation(pipeline, policy.card.observation, policy.beliefs))
 
 
-def test_it_needs_no_torch_and_no_pickle(make, tmp_path):
+def test_a_policy_runs_without_torch_and_pickle(make, tmp_path):
     make("narrow")
     code = (
         "import sys, numpy as np, pickle; from policies import LearnedSwitch\n"

@@ -1,4 +1,4 @@
-"""Policies on observations made by hand."""
+"""Tests of the speed rule, the likelihood rule and fixed modes, on handmade observations."""
 
 import warnings
 
@@ -30,7 +30,7 @@ def table():
 
 
 def observe(table, **features):
-    """Observations (n, features): averages but for features by name, in their own unit."""
+    """Return observations (n, features) of mean values, except for the features given."""
     columns = {name.replace("_", " "): np.atleast_1d(v) for name, v in features.items()}
     n = max(len(column) for column in columns.values())
     observation = np.zeros((n, len(table)))
@@ -59,7 +59,7 @@ def test_the_speed_rule_switches_above_its_threshold(table, threshold):
     np.testing.assert_array_equal(actions, [0, 0, 0, 1, 1])
 
 
-def test_the_paper_s_threshold_is_the_default(table):
+def test_the_threshold_of_the_paper_is_the_default(table):
     actions = SpeedRule(table)(observe(table, predicted_speed=[1.999, 2.001]))
     np.testing.assert_array_equal(actions, [0, 1])
 
@@ -71,7 +71,7 @@ def test_the_speed_rule_may_use_odometry(table):
     np.testing.assert_array_equal(by_odometry(observation), [1, 0])
 
 
-def test_odometry_needs_an_observation_that_shows_it():
+def test_the_speed_rule_by_odometry_needs_an_observation_with_odometry():
     plain = Observation(Pipeline(modes_from(None), Layout()))
     with pytest.raises(KeyError, match="odometry speed"):
         SpeedRule(plain, feature="odometry speed")(np.zeros((1, len(plain)), np.float32))
@@ -92,8 +92,8 @@ def test_above_the_design_window_the_rule_warns_once_and_keeps_its_mode(table):
 
 
 @pytest.mark.parametrize("pace", ["fast", "slow"])
-def test_the_likelihood_rule_takes_the_best_explanation(table, pace):
-    # Relative to the last mode (ckf), which is 0 by definition.
+def test_the_likelihood_rule_chooses_the_mode_with_the_highest_preference(table, pace):
+    # Preferences are relative to the last mode (ckf), whose own is 0.
     scores = np.random.default_rng(0).normal(0.0, 5.0, (100, 2))
     features = {f"preference_{pace}_ekf": scores[:, 0], f"preference_{pace}_ukf": scores[:, 1]}
     actions = LikelihoodRule(table, list(THREE), pace)(observe(table, **features))
@@ -112,14 +112,14 @@ def test_the_likelihood_rule_works_with_modes_of_any_name():
     np.testing.assert_array_equal(actions, [0, 1])
 
 
-def test_the_likelihood_rule_needs_the_coming_epoch():
+def test_the_likelihood_rule_needs_features_of_the_coming_epoch():
     prior = Observation(Pipeline(modes_from(None), Layout()), "prior")
     with pytest.raises(KeyError, match="preference fast ekf"):
         LikelihoodRule(prior, ["ekf", "ukf"])(np.zeros((1, len(prior)), np.float32))
 
 
 @pytest.mark.parametrize(("speed", "mode"), [(0.0, 0), (2.0, 0), (2.001, 1), (20.0, 1), (99.0, 1)])
-def test_rules_of_tracks_are_the_papers(speed, mode):
+def test_speed_rules_of_tracks_switch_at_the_threshold_of_the_paper(speed, mode):
     x = [0.0, 0.0, 0.0, 0.6 * speed, -0.8 * speed, 0.0, 7.0]
     slow = [0.0] * 7
     assert mode_at(speed) == mode
@@ -138,7 +138,7 @@ def test_rules_of_tracks_are_the_papers(speed, mode):
 @pytest.mark.filterwarnings("ignore:speed .* is outside the design window")
 @pytest.mark.parametrize("radio", RADIOS)
 def test_no_threshold_of_the_speed_rule_beats_zero(radio):
-    """On tuning seeds, so that the rule with the best threshold is fixed-ukf (docs/results.md)."""
+    """On tuning seeds, the best threshold makes the rule equal to fixed-ukf (docs/results.md)."""
     source = SimulatedSource(scene_from("street"), radio_from(radio))
     episodes = draw_episodes(source, range(TUNING_SEED, TUNING_SEED + 500))
     rule = contender_from("speed-rule", radio)

@@ -1,4 +1,4 @@
-"""Policy files: read back as written, refused when anything is wrong, never unpickled."""
+"""Tests of policy files: read back as written, refused if anything is wrong, not unpickled."""
 
 import json
 import pickle
@@ -55,7 +55,7 @@ def path(tmp_path):
 
 
 def same(policy, tensors, card):
-    """Whether a file's tensors and card are those."""
+    """Return whether a file has exactly these tensors and this card."""
     read, read_card = policy
     equal = all(np.array_equal(read[name], tensors[name]) for name in tensors)
     return read_card == card and read.keys() == tensors.keys() and equal
@@ -68,17 +68,17 @@ def refused(path, content, *fields):
 
 
 def assembled(tensors=TENSORS, card=None, **document):
-    """A file with a right checksum and no other check; entries of the document can be replaced."""
+    """Return an unchecked file with a correct checksum; its entries can be replaced."""
     card = CARD.as_json() if card is None else card
     whole = {"format": FORMAT, "sha256": _checksum(tensors, card), "card": card} | document
     return save(tensors, {"policy": json.dumps(whole)})
 
 
-# --- what is right
+# --- valid files
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_file_gives_back_what_was_written(path, kind):
+def test_a_policy_file_is_read_back_as_it_was_written(path, kind):
     tensors, card = KINDS[kind]
     policy = read_policy(write(path, tensors, card))
     assert same(policy, tensors, card)
@@ -90,12 +90,12 @@ def test_the_same_policy_makes_the_same_file():
     assert {to_bytes(TENSORS, CARD), to_bytes(turned, CARD), assembled()} == {WHOLE}
 
 
-def test_tensors_are_written_whatever_their_order_in_memory(path):
+def test_tensors_are_written_alike_for_any_order_in_memory(path):
     turned = {name: np.asfortranarray(tensor) for name, tensor in TENSORS.items()}
     assert same(read_policy(write(path, turned, CARD)), TENSORS, CARD)
 
 
-def test_own_modes_and_figures_of_any_form_come_back(path):
+def test_custom_modes_and_evaluations_of_any_form_are_read_back(path):
     modes = (Mode("slow", "ckf", gate=None, cost=3.0), Mode("fast", sigma_v=0.1 + 0.2))
     figures = {"mixed": {"reward": [-1.7, 0.1 + 0.2]}, "seeds": None, "10": 1, "9": 2}
     card = card_of(modes=modes, evaluation=figures, features=READ)
@@ -106,12 +106,12 @@ def test_own_modes_and_figures_of_any_form_come_back(path):
 
 
 @pytest.mark.parametrize("name", shipped_policies())
-def test_a_shipped_file_is_written_again_to_the_last_byte(name):
+def test_a_shipped_file_that_is_written_again_has_the_same_bytes(name):
     path = shipped_policies()[name]
     assert to_bytes(*read_policy(path)) == path.read_bytes()
 
 
-def test_of_beliefs_per_mode_there_is_one_more_action_than_modes(path):
+def test_a_policy_with_beliefs_per_mode_has_one_more_action_than_modes(path):
     assert PER_MODE_CARD.actions == ["none", "stand", "walk", "ride"]
     for actions in (3, 5):
         tensors = actor(**SMALL, actions=actions)
@@ -128,7 +128,7 @@ def test_a_file_cut_off_anywhere_is_refused(path, length):
 
 
 def read_or_refused(path, content):
-    """The policy, or None where the file is refused by name."""
+    """Return the policy, or None if the file is refused by name."""
     path.write_bytes(content)
     try:
         return read_policy(path)
@@ -140,7 +140,7 @@ def read_or_refused(path, content):
 
 @settings(in_one_folder, max_examples=200)
 @given(st.integers(0, len(WHOLE) - 1), st.integers(1, 255))
-def test_a_damaged_byte_is_noticed_or_means_nothing(path, place, change):
+def test_a_file_with_a_damaged_byte_is_refused_or_read_unchanged(path, place, change):
     content = bytearray(WHOLE)
     content[place] ^= change
     policy = read_or_refused(path, bytes(content))
@@ -159,7 +159,7 @@ def test_a_tensor_of_another_shape_is_refused(path, name, shape):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_tensor_is_needed_and_no_other(path, kind):
+def test_missing_and_additional_tensors_are_refused(path, kind):
     tensors, card = KINDS[kind]
     for name in tensors:
         others = {other: tensor for other, tensor in tensors.items() if other != name}
@@ -179,17 +179,17 @@ ANYTHING = st.recursive(
 @pytest.mark.slow
 @settings(in_one_folder, max_examples=100)
 @given(st.sampled_from(sorted(asdict(CARD))), ANYTHING)
-def test_a_card_may_hold_anything_and_is_read_as_it_stands_or_refused(path, name, value):
+def test_a_card_with_any_value_is_read_unchanged_or_refused(path, name, value):
     card = CARD.as_json() | {name: value}
     policy = read_or_refused(path, assembled(card=card))
     if policy is not None:
-        left_out = {"beliefs": "shared", "banks": {}}  # as they are where nothing is said of them
+        left_out = {"beliefs": "shared", "banks": {}}  # values of these fields if the file has none
         assert json.dumps((left_out | policy[1].as_json())[name]) == json.dumps(value)
 
 
 @settings(in_one_folder, max_examples=100)
 @given(st.dictionaries(st.sampled_from(["name", "algorithm", "sigma_p", "gate", "?"]), ANYTHING))
-def test_a_mode_may_hold_anything_and_is_read_as_it_stands_or_refused(path, mode):
+def test_a_mode_with_any_values_is_read_unchanged_or_refused(path, mode):
     card = CARD.as_json()
     card["modes"][1] = card["modes"][1] | mode
     policy = read_or_refused(path, assembled(card=card))
@@ -199,7 +199,7 @@ def test_a_mode_may_hold_anything_and_is_read_as_it_stands_or_refused(path, mode
 
 @settings(in_one_folder, max_examples=100)
 @given(st.sampled_from(["modes", "transition", "nis_quantile", "?"]), ANYTHING)
-def test_a_bank_may_hold_anything_and_is_read_as_it_stands_or_refused(path, name, value):
+def test_a_bank_with_any_value_is_read_unchanged_or_refused(path, name, value):
     card = PER_MODE_CARD.as_json()
     card["banks"]["standard"] = card["banks"]["standard"] | {name: value}
     policy = read_or_refused(path, assembled(PER_MODE_TENSORS, card))
@@ -210,15 +210,15 @@ def test_a_bank_may_hold_anything_and_is_read_as_it_stands_or_refused(path, name
 
 @in_one_folder
 @given(ANYTHING)
-def test_metadata_may_hold_anything(path, value):
+def test_metadata_with_any_other_content_is_refused(path, value):
     refused(path, save(TENSORS, {"policy": json.dumps(value)}))
 
 
-# --- what messages say
+# --- messages
 
 
 def raw(header, body=b""):
-    """A file of safetensors by hand."""
+    """Return a safetensors file with any header."""
     text = json.dumps(header).encode()
     return struct.pack("<Q", len(text)) + text + body
 
@@ -238,12 +238,12 @@ def raw(header, body=b""):
         (assembled(card={"seed": 1}), []),
     ],
 )
-def test_what_is_no_policy_file_is_refused(path, content, fields):
+def test_a_file_that_is_not_a_policy_file_is_refused(path, content, fields):
     refused(path, content, *fields)
 
 
 @pytest.mark.parametrize("dtype", ["F64", "F16", "BF16", "F8_E4M3", "I32", "BOOL"])
-def test_other_types_of_numbers_are_refused(path, dtype):
+def test_tensors_of_other_number_types_are_refused(path, dtype):
     bits = {"F64": 8, "I32": 4, "F16": 2, "BF16": 2}.get(dtype, 1)
     metadata = {"policy": json.dumps(document())}
     low = {"dtype": dtype, "shape": [3], "data_offsets": [0, 3 * bits]}
@@ -263,7 +263,7 @@ WRONG_TENSORS = [
 
 
 @pytest.mark.parametrize(("changes", "fields"), WRONG_TENSORS)
-def test_tensors_that_are_no_actor_are_neither_read_nor_written(path, changes, fields):
+def test_tensors_that_are_not_an_actor_are_neither_read_nor_written(path, changes, fields):
     refused(path, assembled(TENSORS | changes), *fields)
     with refuses(*fields):
         to_bytes(TENSORS | changes, CARD)
@@ -278,7 +278,7 @@ def test_tensors_that_are_no_actor_are_neither_read_nor_written(path, changes, f
         ("versions", {"numpy": "2.0"}),
     ],
 )
-def test_a_card_of_the_wrong_kind_is_neither_read_nor_made(path, field, value):
+def test_a_card_with_a_wrong_field_is_neither_read_nor_made(path, field, value):
     refused(path, assembled(card=CARD.as_json() | {field: value}), field)
     with refuses(field):
         Card(**vars(CARD) | {field: value})
@@ -287,9 +287,9 @@ def test_a_card_of_the_wrong_kind_is_neither_read_nor_made(path, field, value):
 @pytest.mark.parametrize(
     "row", [["a", "m", 0.0], ["a", 1, 0.0, 1.0], ["a", "m", 0.0, 0.0], ["a", "m", 1e999, 1.0]]
 )
-def test_a_feature_without_name_unit_or_scale_is_refused(path, row):
+def test_a_feature_without_a_valid_name_unit_and_scale_is_refused(path, row):
     content = CARD.as_json()
-    for features in ([*content["features"][:2], row], content["features"][:2]):  # or one too few
+    for features in ([*content["features"][:2], row], content["features"][:2]):  # or too few
         refused(path, assembled(card=content | {"features": features}), "features")
 
 
@@ -307,7 +307,7 @@ FEWER = {"banks": {"standard": STANDARD, "handset": HANDSET}, "modes": MODES[:2]
         ({"banks": {"handset": HANDSET, "lab": RENAMED}}, "bank of radio 'lab'"),
     ],
 )
-def test_banks_that_fit_nothing_are_neither_read_nor_made(path, changes, field):
+def test_banks_that_do_not_fit_the_card_are_neither_read_nor_made(path, changes, field):
     card = SimpleNamespace(**vars(PER_MODE_CARD) | changes)
     with refuses(field):
         Card(**vars(card))
@@ -344,28 +344,28 @@ def test_unknown_modes_are_refused(path, modes):
     refused(path, assembled(card=CARD.as_json() | {"modes": modes}))
 
 
-def test_no_file_can_hold_a_function():
+def test_a_mode_whose_algorithm_is_a_function_cannot_be_written():
     with refuses("algorithm of mode 'own'"):
         to_bytes(actor(3, actions=1), card_of(modes=(Mode("own", ekf),), features=READ))
 
 
-def test_what_a_file_says_of_its_size_is_looked_at_before_its_numbers(path):
+def test_a_file_that_is_too_large_is_refused_before_its_tensors_are_read(path):
     for header in (MOST_HEADER + 1, 2**63):
         refused(path, header.to_bytes(8, "little") + b"{}")
-    with path.open("wb") as file:  # takes no room on the disk
+    with path.open("wb") as file:  # a sparse file takes no space on the disk
         file.truncate(MOST_BYTES + 1)
     with refuses(path):
         read_policy(path)
 
 
-def test_a_card_of_lists_in_lists_is_refused(path):
+def test_a_card_with_deeply_nested_lists_is_refused(path):
     nested = f'"modes": {"[" * 900 + "]" * 900}'
     card = json.dumps(CARD.as_json() | {"modes": 0}).replace('"modes": 0', nested)
     document = f'{{"format": {FORMAT}, "sha256": "", "card": {card}}}'
     refused(path, save(TENSORS, {"policy": document}), "metadata 'policy'")
 
 
-def test_a_missing_file_is_named(path, tmp_path):
+def test_the_error_about_a_missing_file_names_it(path, tmp_path):
     with refuses(path, error=FileNotFoundError):
         read_policy(path)
     with refuses(tmp_path, error=IsADirectoryError):

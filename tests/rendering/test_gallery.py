@@ -1,4 +1,4 @@
-"""Pictures of vector environments, and Gymnasium's wrappers around pictures."""
+"""Tests of pictures of vector environments, and of Gymnasium's video wrapper."""
 
 import gymnasium as gym
 import numpy as np
@@ -18,7 +18,7 @@ def many(n=3, mode="NextStep", **arguments):
 
 
 def single(seed, steps, before=0, **arguments):
-    """A single environment after some episodes and some steps of the next."""
+    """Return the picture of a single environment after some episodes, and steps of the next."""
     env = gym.make(ID, render_mode="rgb_array", episode_steps=STEPS, **arguments).unwrapped
     env.reset(seed=seed)
     for _ in range(before):
@@ -29,7 +29,7 @@ def single(seed, steps, before=0, **arguments):
 
 
 @pytest.mark.parametrize("arguments", [{}, {"scene": "random"}, {"episodes": "canyon28_vehicle"}])
-def test_pictures_are_those_of_single_environments(arguments):
+def test_pictures_equal_those_of_single_environments(arguments):
     envs = many(**arguments)
     envs.reset(seed=5)
     for steps in range(3):
@@ -40,7 +40,7 @@ def test_pictures_are_those_of_single_environments(arguments):
         envs.step(np.ones(3, np.int64))
 
 
-def test_the_next_episode_has_pictures_of_its_own():
+def test_the_next_episode_is_drawn_after_an_autoreset():
     for mode, steps in (("NextStep", STEPS + 1), ("SameStep", STEPS)):
         envs = many(mode=mode)
         envs.reset(seed=5)
@@ -50,7 +50,7 @@ def test_the_next_episode_has_pictures_of_its_own():
             np.testing.assert_array_equal(picture, single(5 + i, 0, 1))
 
 
-def test_a_reset_of_some_leaves_the_pictures_of_others():
+def test_a_reset_of_one_environment_does_not_change_the_pictures_of_others():
     envs = many(mode="Disabled")
     envs.reset(seed=5)
     envs.step(np.ones(3, np.int64))
@@ -61,7 +61,7 @@ def test_a_reset_of_some_leaves_the_pictures_of_others():
     np.testing.assert_array_equal(after[1], single(6, 0, 1))
 
 
-def test_of_many_the_first_are_drawn():
+def test_only_the_first_of_many_environments_are_drawn():
     envs = many(DRAWN + 3)
     envs.reset(seed=0)
     pictures = envs.render()
@@ -69,14 +69,14 @@ def test_of_many_the_first_are_drawn():
     assert len({picture.tobytes() for picture in pictures}) == DRAWN + 1
 
 
-def test_there_is_no_picture_before_a_reset_or_without_a_mode():
+def test_there_is_no_picture_before_a_reset_or_without_a_render_mode():
     with pytest.raises(gym.error.ResetNeeded):
         many().render()
     assert many(render_mode=None).render() is None
 
 
 def frames(path):
-    """Return the number of pictures of a video, and their size."""
+    """Return the number of pictures in a video, and their size."""
     from moviepy import VideoFileClip
 
     with VideoFileClip(str(path)) as clip:
@@ -84,7 +84,7 @@ def frames(path):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore")  # moviepy's own
+@pytest.mark.filterwarnings("ignore")  # warnings of moviepy
 def test_a_video_of_an_episode_has_all_its_pictures(tmp_path):
     pytest.importorskip("moviepy")
     env = gym.make(ID, render_mode="rgb_array", episode_steps=STEPS)

@@ -1,4 +1,4 @@
-"""Pictures: what is in them, for every state of an episode, and who is in the frame."""
+"""Tests of pictures of episodes: what they show, and which part of the map is in the frame."""
 
 import copy
 import pickle
@@ -24,7 +24,7 @@ NOTHING = np.zeros(GROUPS, bool)
 
 
 def near(picture, color):
-    """Return the pixels near a color, as edges are smoothed."""
+    """Return a mask of the pixels with nearly this color, because edges are smoothed."""
     return (abs(picture.astype(int) - color) < 12).all(axis=-1)
 
 
@@ -32,7 +32,7 @@ HERE = ((0.0, 0.0),)
 
 
 def history(truth=HERE, estimate=HERE, modes=(0,), accepted=NOTHING, rejected=NOTHING, **scenery):
-    """The prior and then so many epochs, a second apart."""
+    """Return a history of the prior and one epoch per point, a second apart."""
     scenery = {"name": "test", "anchors": [(200.0, 150.0, 10.0)], "streets": None} | scenery
 
     def states(points, size):
@@ -65,7 +65,7 @@ def test_the_first_picture_shows_the_prior_and_the_user():
     env = played(0)
     first = env.render()
     assert first.shape == (480, 480, 3) and first.dtype == np.uint8
-    assert near(first, LIGHT.truth)[20:280].sum() > 20  # the user, and the prior in gray
+    assert near(first, LIGHT.truth)[20:280].sum() > 20  # the user; the prior is gray
     assert near(first, LIGHT.quiet)[20:280].sum() > 20
     env.step(1)
     assert (env.render() != first).any()
@@ -73,13 +73,13 @@ def test_the_first_picture_shows_the_prior_and_the_user():
 
 @pytest.mark.parametrize("size", [480, 1080])
 @pytest.mark.parametrize("theme", THEMES)
-def test_sizes_and_themes(size, theme):
+def test_a_picture_has_the_chosen_size_and_theme(size, theme):
     picture = played(3, render_size=size, render_theme=theme).render()
     assert picture.shape == (size, size, 3)
     assert near(picture, THEMES[theme].paper).mean() > 0.1
 
 
-def test_links_are_solid_dashed_or_faint():
+def test_accepted_links_are_solid_rejected_ones_dashed_and_missing_ones_faint():
     first = np.eye(GROUPS, dtype=bool)[0]
     contrast, kinds = {}, {"accepted": {"accepted": first}, "rejected": {"rejected": first}}
     for kind, gates in {**kinds, "missing": {}}.items():
@@ -106,7 +106,7 @@ def test_the_trail_has_the_color_of_the_mode_that_ran():
     assert left < right
 
 
-def test_the_estimate_is_drawn_where_it_is():
+def test_the_estimate_is_drawn_at_its_position():
     picture = drawn(truth=[(0.0, 0.0)], estimate=[(10.0, 10.0)], modes=[1])[80:220, 160:320]
     rows, columns = np.nonzero(near(picture, LIGHT.modes[1]))
     user = np.argwhere(near(picture, LIGHT.truth)).mean(axis=0)
@@ -120,23 +120,23 @@ def test_a_wall_is_drawn_halfway_between_the_base_station_and_its_image():
     column = int(np.argmax(wall.sum(axis=0)))
     assert wall[:, column].sum() > 200  # from top to bottom
     assert 250 < column < 400  # 10 m east of the user
-    # an image at another height is none in a vertical wall
+    # an anchor at another height is not a mirror image in a vertical wall
     lower = near(drawn(anchors=[gnb, (20.0, 10.0, 4.0)])[20:280], LIGHT.wall)
     assert lower.sum(axis=0).max() < 100
 
 
-def test_streets_are_drawn_where_they_are_known():
+def test_streets_are_drawn_if_they_are_known():
     with_streets = drawn(streets=Streets((-80.0, 80.0), (-80.0, 80.0), 80.0))[20:280]
     without = drawn()[20:280]
     assert near(with_streets, LIGHT.building).mean() > 0.3
-    assert near(without, LIGHT.building).mean() < 0.02  # but for the edges of other things
+    assert near(without, LIGHT.building).mean() < 0.02  # except for edges of other things
 
 
 OUTSIDE = {"east": (500.0, 0.0), "west": (-500.0, 3.0), "north": (0.0, 900.0), "south": (2.0, -1e7)}
 
 
 @pytest.mark.parametrize(("side", "anchor"), OUTSIDE.items())
-def test_an_anchor_outside_is_an_arrow_at_the_rim(anchor, side):
+def test_an_anchor_outside_the_frame_is_shown_by_an_arrow_at_its_edge(anchor, side):
     picture = drawn(anchors=[(*anchor, 10.0)])
     strips = {"east": picture[20:262, 455:], "west": picture[20:262, :25]}
     strips |= {"north": picture[20:45], "south": picture[262:284, :330]}
@@ -157,7 +157,7 @@ def test_the_same_history_makes_the_same_picture():
     np.testing.assert_array_equal(env.render(), first)
 
 
-def test_no_picture_knows_what_is_to_come():
+def test_a_picture_does_not_depend_on_later_epochs():
     short, long = (played(20, seed=3, episode_steps=steps) for steps in (21, 60))
     np.testing.assert_array_equal(short.render(), long.render())
 
@@ -177,7 +177,7 @@ def test_no_picture_knows_what_is_to_come():
     ],
     ids=str,
 )
-def test_every_kind_of_episode_has_its_picture(arguments):
+def test_every_kind_of_episode_can_be_drawn(arguments):
     if "backend" in arguments:
         pytest.importorskip("filterpy")
     env = gym.make(ID, render_mode="rgb_array", **arguments)
@@ -189,7 +189,7 @@ def test_every_kind_of_episode_has_its_picture(arguments):
     assert env.unwrapped._gallery.recorders[0].history.epochs == 5
 
 
-def test_an_estimate_that_is_no_number_breaks_nothing():
+def test_an_estimate_that_is_not_finite_can_be_drawn():
     lost = history(truth=[(0.0, 0.0)] * 3, estimate=[(0.0, 0.0)] * 3, modes=[0] * 3)
     for broken in (np.nan, np.inf, 1e300):
         lost.estimate[-1], lost.P[-1], lost.nees[-1] = broken, broken, broken
@@ -217,7 +217,7 @@ def test_without_a_render_mode_there_is_no_picture():
     ("name", "value"),
     [("render_mode", "ansi"), ("render_size", 479), ("render_size", 481), ("render_theme", "blue")],
 )
-def test_what_cannot_be_drawn_is_refused(name, value):
+def test_wrong_render_options_are_refused(name, value):
     with refuses(name):
         MmWaveLocEnv(**{"render_mode": "rgb_array"} | {name: value})
 
@@ -229,8 +229,8 @@ def test_there_is_no_picture_before_a_reset():
 
 
 @pytest.mark.parametrize("theme", THEMES)
-def test_words_stand_out_from_the_ground(theme):
-    """WCAG 2.2 measures contrast so."""
+def test_text_has_enough_contrast_with_its_background(theme):
+    """The contrast is defined in WCAG 2.2."""
 
     def light(color):
         shares = np.array(color) / 255.0
@@ -247,7 +247,7 @@ FRAME = Rect(0.0, 20.0, 480.0, 260.0)
 
 
 def views(seed, action, **arguments):
-    """The view after every epoch of an episode, and where user and estimate are in it, px."""
+    """Yield history, view, and pixels of user and estimate, after every epoch of an episode."""
     env = gym.make(ID, render_mode="rgb_array", **arguments).unwrapped
     env.reset(seed=seed)
     over = False
@@ -263,7 +263,7 @@ def views(seed, action, **arguments):
 
 @pytest.mark.parametrize(("seed", "scenario"), [(0, "mixed"), (3, "mixed"), (0, "vehicle")])
 def test_user_and_estimate_are_always_in_the_frame(seed, scenario):
-    """Also where the track is lost."""
+    """The track of the vehicle is lost, but stays in the frame."""
     worst = 0.0
     for so_far, _, pixels in views(seed, 0, scenario=scenario):
         worst = max(worst, so_far.error_m[-1])
@@ -271,7 +271,7 @@ def test_user_and_estimate_are_always_in_the_frame(seed, scenario):
     assert worst > 15.0 or scenario == "mixed"
 
 
-def test_the_picture_moves_smoothly():
+def test_the_view_moves_smoothly():
     shown = [(view.center_m, view.scale) for _, view, _ in views(3, 1)]
     for (before, scale), (after, later) in pairwise(shown[5:]):
         assert np.hypot(*(after - before)) * scale < 40.0

@@ -1,4 +1,4 @@
-"""Videos: read back, they are the pictures that were written."""
+"""Tests of video files, which are read back, and of their pictures side by side."""
 
 import sys
 
@@ -14,14 +14,14 @@ HEIGHT, WIDTH, COUNT = 60, 100, 7
 
 
 def square(number):
-    """A picture of a square that goes right."""
+    """Return a picture of a square that moves to the right."""
     picture = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
     picture[20:40, 10 * number : 10 * number + 20] = (0, 114, 178)
     return picture
 
 
 def gif(path):
-    """Its pictures (n, height, width, 3), and how long each lasts, ms."""
+    """Return the pictures (n, height, width, 3) of a GIF, and the duration of each, ms."""
     image = pytest.importorskip("PIL.Image")
     pictures, lasts = [], []
     with image.open(path) as file:
@@ -33,7 +33,7 @@ def gif(path):
 
 
 def mp4(path):
-    """Its pictures (n, height, width, 3), and how many go by in a second."""
+    """Return the pictures (n, height, width, 3) of an MP4 file, and their rate per second."""
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
     reader = ffmpeg.read_frames(str(path))
     about = next(reader)
@@ -67,7 +67,7 @@ def test_an_mp4_has_every_picture(tmp_path):
 
 
 @pytest.mark.parametrize("ending", ["gif", "mp4"])
-def test_a_video_that_fails_leaves_what_was_there(ending, tmp_path):
+def test_a_video_that_fails_leaves_the_old_file_unchanged(ending, tmp_path):
     pytest.importorskip({"gif": "PIL", "mp4": "imageio_ffmpeg"}[ending])
     path = tmp_path / f"square.{ending}"
     path.write_bytes(b"before")
@@ -89,14 +89,14 @@ def test_other_endings_are_refused(name, tmp_path):
 
 
 @pytest.mark.parametrize(("package", "ending"), [("PIL", "gif"), ("imageio_ffmpeg", "mp4")])
-def test_the_extra_is_named(package, ending, tmp_path, monkeypatch):
+def test_a_video_without_the_package_for_it_is_refused(package, ending, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)  # as if it were not installed
     with refuses("out", error=ImportError):
         require_video("out", tmp_path / f"square.{ending}")
 
 
 def history(error_m, rows=6):
-    """A user at rest, and an estimate that goes away from it."""
+    """Return the history of a user at rest, from whom the estimate moves away."""
     truth, estimate = np.zeros((rows, 6)), np.zeros((rows, 7))
     estimate[:, 0] = error_m * np.arange(rows)
     gates, P = np.zeros((rows, 2), bool), np.tile([1.0, 0.0, 1.0, 0.0, 0.0, 1.0], (rows, 1))
@@ -105,7 +105,7 @@ def history(error_m, rows=6):
     return History(place, 3, time, modes, truth, estimate, P, np.ones(rows), gates, gates)
 
 
-def test_side_by_side_are_the_pictures_of_each():
+def test_pictures_side_by_side_equal_the_single_pictures():
     histories, titles = [history(1.0), history(4.0), history(2.0)], ["one", "two", "three"]
     playback = Playback(histories, [["ekf"]] * 3, titles, 480, "dark")
     for epochs in (0, 3, 5):
@@ -115,12 +115,12 @@ def test_side_by_side_are_the_pictures_of_each():
         for number, title in enumerate(titles):
             part = whole[:, number * 480 : (number + 1) * 480]
             alone = Picture(["ekf"], 480, "dark", title).draw(known[number], known)
-            np.testing.assert_array_equal(part[:, 4:], alone[:, 4:])  # but for a gap
+            np.testing.assert_array_equal(part[:, 4:], alone[:, 4:])  # except for a gap
 
 
-def test_errors_side_by_side_have_one_scale():
+def test_errors_side_by_side_have_the_same_scale():
     near, far = history(0.1), history(30.0)
-    ticks = np.s_[300:380, 452:]  # beside the strips of speed and error
+    ticks = np.s_[300:380, 452:]  # labels beside the strips of speed and error
     whole = Playback([near, far], [["ekf"]] * 2, ["near", "far"], 480, "light").draw(5)
     of_near, of_far = whole[:, :480][ticks], whole[:, 480:][ticks]
     np.testing.assert_array_equal(of_near, of_far)
@@ -128,14 +128,14 @@ def test_errors_side_by_side_have_one_scale():
     assert (alone[ticks] != of_near).any()
 
 
-def test_strips_are_at_one_height_whatever_the_modes():
+def test_strips_side_by_side_are_at_the_same_height_for_any_modes():
     many = [f"mode {number}" for number in range(9)]
     whole = Playback([history(1.0)] * 2, [["ekf"], many], ["one", "two"], 480, "light").draw(5)
     few, more = whole[240:420, 20:480], whole[240:420, 500:]
     np.testing.assert_array_equal(few, more)
 
 
-def test_a_title_is_a_line_of_its_own():
+def test_a_title_changes_only_the_top_line_of_a_picture():
     rule, ppo = (Picture(["ekf"], title=title).draw(history(1.0)) for title in ("rule", "ppo"))
     differs = (rule != ppo).any(axis=(1, 2))
     assert differs[:24].any() and not differs[24:].any()

@@ -1,4 +1,4 @@
-"""The window: keys, speed, closing, and a machine without a display."""
+"""Tests of the window: keys, speed, closing, and machines without a display."""
 
 import subprocess
 import sys
@@ -31,7 +31,7 @@ def press(*keys):
 PICTURE = np.zeros((480, 480, 3), np.uint8)
 
 
-def test_single_steps_pause_and_another_space_goes_on(window):
+def test_a_single_step_pauses_and_another_press_of_space_continues(window):
     press(pygame.K_SPACE, pygame.K_n)
     window.show(PICTURE)
     assert window.paused
@@ -43,7 +43,7 @@ def test_single_steps_pause_and_another_space_goes_on(window):
     assert not window.paused
 
 
-def test_speed_keys_stop_at_the_ends(window):
+def test_the_speed_keys_stop_at_the_lowest_and_highest_speed(window):
     press(pygame.K_PLUS)
     window.show(PICTURE)
     assert window.speed == SPEEDS[-1]
@@ -55,7 +55,7 @@ def test_speed_keys_stop_at_the_ends(window):
     assert window.speed == SPEEDS[1]
 
 
-def test_a_closed_window_stays_closed_and_nothing_waits(window):
+def test_a_closed_window_stays_closed_and_does_not_wait(window):
     pygame.event.post(pygame.event.Event(pygame.QUIT))
     window.show(PICTURE)
     assert not pygame.display.get_init()
@@ -79,8 +79,8 @@ def test_an_environment_shows_every_epoch_from_the_prior_on(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="others need no variable")
-def test_without_a_display_the_variable_is_named(monkeypatch):
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux needs a variable")
+def test_the_error_without_a_display_names_the_variables(monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER", "SDL_VIDEO_DRIVER"):
         monkeypatch.delenv(name, raising=False)
     code = f"import gymnasium as gym; gym.make({ID!r}, render_mode='human')"
@@ -90,7 +90,7 @@ def test_without_a_display_the_variable_is_named(monkeypatch):
     assert "DISPLAY or WAYLAND_DISPLAY" in last and done.stdout == ""
 
 
-def test_a_picture_is_shown_as_it_is(monkeypatch):
+def test_a_picture_is_shown_unchanged(monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     wide = Window(960, 480)
     picture = np.random.default_rng(0).integers(0, 256, (480, 960, 3), np.uint8)

@@ -1,4 +1,4 @@
-"""A real browser, where playwright and a Chromium are installed."""
+"""Fixtures for a real browser, if playwright and Chromium are installed."""
 
 from shutil import which
 
@@ -19,7 +19,7 @@ def chromium():
 
 @pytest.fixture
 def opened(chromium, address):
-    """Return a function that opens pages below an address; nothing may go wrong there."""
+    """Return a function that opens pages; console messages and foreign requests fail tests."""
     contexts, complaints = [], []
 
     def open_page(path="", width=1280, **options):

@@ -1,4 +1,4 @@
-"""Results as commands write them, small, with names that others chose; a page taken apart."""
+"""Small results as commands write them, a hostile name, and a parser of report pages."""
 
 import json
 import re
@@ -13,12 +13,12 @@ HOSTILE = "</script><img src=x onerror=alert(1)>$|`\n\x1b[31m\u202eΩ日本\"'&"
 
 
 def interval(mean):
-    """Return an interval as results hold it."""
+    """Return an interval in the form of result files."""
     return {"mean": mean, "ci95": [mean - 0.1, mean + 0.1]}
 
 
 def metrics(mean):
-    """Return all metrics, from a mean on."""
+    """Return all metrics; their means count up from this one."""
     return {metric: interval(mean + i) for i, metric in enumerate(METRICS)}
 
 
@@ -37,7 +37,7 @@ def comparison(names=("imm", "speed-rule"), **more):
 
 
 def run(folder: Path, over=2):
-    """Make a folder as train leaves it: two trainings are begun, so many are over."""
+    """Make a folder like those of train, with two trainings, of which ``over`` have ended."""
     log = "timesteps,tuning/reward,tuning/minus imm\n1000,,\n2000,-1.5,0.25\n4000,-1.4,0.3\n"
     for seed in range(2):
         training = folder / f"seed-{seed}"
@@ -57,7 +57,7 @@ def write(path: Path, content):
 
 
 class Read(HTMLParser):
-    """A page taken apart: tags with their attributes, data, title, and all that is text."""
+    """Parsed page: tags with their attributes, data, title and text."""
 
     def __init__(self, page):
         super().__init__()

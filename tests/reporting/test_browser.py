@@ -1,4 +1,4 @@
-"""The page of a report in a real browser, where playwright and its Chromium are installed."""
+"""Tests of a report in a real browser, if playwright and Chromium are installed."""
 
 import json
 
@@ -15,7 +15,7 @@ SCREEN = 844  # px, the height of a phone 390 px wide
 
 @pytest.fixture(scope="module")
 def address(tmp_path_factory):
-    """Return the address of a page with everything on it."""
+    """Return the address of a report with all kinds of content."""
     folder = tmp_path_factory.mktemp("report")
     names = (HOSTILE, "imm", "speed-rule", "fixed-ekf", "fixed-ukf", "random")
     content = results.comparison(names)
@@ -26,7 +26,7 @@ def address(tmp_path_factory):
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(320, "light"), (390, "dark"), (1280, "dark")])
-def test_nothing_is_wider_than_the_screen_nor_a_section_endless(opened, width, scheme):
+def test_the_page_fits_the_screen_and_its_sections_are_not_too_long(opened, width, scheme):
     page = opened(width=width, color_scheme=scheme)
     ground = page.evaluate("getComputedStyle(document.body).backgroundColor")
     assert ground == {"light": "rgb(255, 255, 255)", "dark": "rgb(17, 19, 24)"}[scheme]
@@ -45,7 +45,7 @@ def test_an_episode_plays_stops_and_is_moved_by_keys(opened):
     assert slider.input_value() == "1" and now.inner_text() != first
     page.locator("#play").focus()
     page.keyboard.press("Enter")
-    playwright.expect(slider).not_to_have_value("1")  # as the page's policy lets no one else poll
+    playwright.expect(slider).not_to_have_value("1")  # the page's policy blocks wait_for_function
     page.keyboard.press("Enter")
     assert page.locator("#play").inner_text() == "Play"
     stopped = slider.input_value()
@@ -68,7 +68,7 @@ def test_the_player_shows_the_numbers_of_the_data(opened):
     assert page.locator("#strips text", has_text="speed-rule: mode").is_visible()
 
 
-def test_tables_are_whole_without_scripts(opened):
+def test_tables_are_complete_without_scripts(opened):
     page = opened(java_script_enabled=False)
     rows = page.locator(".table", has_text="Means").first.locator("tbody tr:visible")
     assert rows.count() == 5

@@ -1,4 +1,4 @@
-"""mmwave-loc report: what is on the page, and what is refused."""
+"""Tests of mmwave-loc report: what is on the page, and what is refused."""
 
 import json
 
@@ -14,26 +14,26 @@ from tests.paths import ROOT
 from tests.reporting import results
 from tests.reporting.results import HOSTILE, Read, write
 
-NONE = ("--episodes", 0)  # of them played again
+NONE = ("--episodes", 0)  # play none again
 
 
 @pytest.fixture(scope="module")
 def track(tmp_path_factory):
-    """Results of localize."""
+    """Return results of localize."""
     file = tmp_path_factory.mktemp("track") / "t.json"
     succeed("localize", "--sample", "canyon28_vehicle", "--imm", "imm", "--json", file)
     return json.loads(file.read_text())
 
 
 def report(tmp_path, *words):
-    """Return the page of results, taken apart."""
+    """Return the parsed page of results."""
     out = tmp_path / "report.html"
     succeed("report", *words, "--out", out)
     return Read(out.read_text(encoding="utf-8"))
 
 
 def compared(tmp_path, content):
-    """Return the page of a comparison, nothing played again."""
+    """Return the parsed page of a comparison, without episodes played again."""
     return report(tmp_path, write(tmp_path / "r.json", content), *NONE)
 
 
@@ -46,7 +46,7 @@ def compared(tmp_path, content):
         ({}, "a has a reward of -1.000 [-1.100, -0.900]"),
     ],
 )
-def test_the_title_is_who_won_by_how_much_as_far_as_results_tell(tmp_path, pairs, title):
+def test_the_title_says_who_won_by_how_much_if_the_results_show_it(tmp_path, pairs, title):
     paired = {name: results.metrics(mean) for name, mean in pairs.items()}
     page = compared(tmp_path, results.comparison(("a", "b", "c"), paired=paired))
     assert page.title == f"{title} - mmwave-loc"
@@ -67,7 +67,7 @@ def test_tables_show_the_figures_of_the_file_best_first(tmp_path):
     assert page.table("Differences")[1] == pair
 
 
-def test_tracks_and_runs_have_their_tables_and_a_sentence(tmp_path, track):
+def test_tracks_and_training_runs_have_their_tables_and_a_title(tmp_path, track):
     broken = write(tmp_path / "t.json", track | {"error": "log.csv: line 41: found 'x'"})
     page = report(tmp_path, broken, results.run(tmp_path / "run", over=1))
     assert "log.csv: line 41: found 'x'" in page.text
@@ -78,8 +78,8 @@ def test_tracks_and_runs_have_their_tables_and_a_sentence(tmp_path, track):
 
 
 @pytest.mark.slow
-def test_what_is_played_again_is_what_was_compared(tmp_path):
-    """Means over the episodes played are those of the file, where it has no others."""
+def test_episodes_that_are_played_again_are_those_that_were_compared(tmp_path):
+    """The file has no other episodes, so its means must be those of the episodes played."""
     file = tmp_path / "r.json"
     options = "--policies imm guided speed-rule --episodes 3 --episode-steps 40 --seed 7"
     succeed("compare", *options.split(), "--percentiles", "--json", file)
@@ -102,7 +102,7 @@ def test_what_is_played_again_is_what_was_compared(tmp_path):
     assert others == [best, best]
 
 
-def test_a_track_can_be_watched_with_its_gates(tmp_path, track):
+def test_a_track_can_be_played_with_its_gate_decisions(tmp_path, track):
     page = report(tmp_path, write(tmp_path / "t.json", track))
     (episode,) = json.loads(page.data)["episodes"]
     (course,) = episode["contenders"].values()
@@ -114,7 +114,7 @@ def test_a_track_can_be_watched_with_its_gates(tmp_path, track):
     assert course["error_m"][-1] is not None and course["nees"][-1] is not None
 
 
-def test_what_is_not_played_again_leaves_the_tables(tmp_path, track):
+def test_tables_are_shown_even_if_episodes_cannot_be_played_again(tmp_path, track):
     content = {"gone": track | {"options": {"log": "gone.csv", "scene": "street"}}}
     for name, options in {"wrong": {"dt": "fast"}, "old": None, "unknown": {"new": 1}}.items():
         content[name] = results.comparison(("os:getcwd", "never:made"), options=options)
@@ -125,7 +125,7 @@ def test_what_is_not_played_again_leaves_the_tables(tmp_path, track):
     assert page.text.count("Means ±") == 3
 
 
-def test_names_of_others_neither_break_the_page_nor_act_in_it(tmp_path, track):
+def test_hostile_names_neither_break_the_page_nor_run_code_in_it(tmp_path, track):
     policies = {HOSTILE: results.metrics(-1.0), f"{HOSTILE}2": results.metrics(-2.0)}
     content = results.comparison(
         scenario=HOSTILE,
@@ -140,13 +140,13 @@ def test_names_of_others_neither_break_the_page_nor_act_in_it(tmp_path, track):
     assert [row[0] for row in page.table("Means")[1:]] == [*map(printable, policies)]
     assert not {"\x1b", "\u202e"} & {*page.text, *page.data}
     ids = page.attributes("id")
-    assert len(ids) == len(set(ids))  # those inside of two pictures, too
+    assert len(ids) == len(set(ids))  # including those inside the two figures
     assert {url for url in page.attributes("src", "href") if not url.startswith("#")} == {"data:,"}
     (policy,) = (known["content"] for _, known in page.tags if known.get("http-equiv"))
     assert policy.startswith("default-src 'none'")
 
 
-def test_all_that_a_page_is_made_of_is_in_the_wheel():
+def test_the_wheel_has_all_files_that_make_up_a_page():
     project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     for path in (ROOT / "experiments" / "reporting" / "webpage").iterdir():
         if path.is_file() and path.suffix != ".py":
@@ -157,14 +157,14 @@ MISTAKES = {
     "no results": ({"a": 1}, "command: found"),
     "no interval": (results.comparison(policies={"imm": {"reward": 3}}), ""),
     "no mean": (results.comparison(paired={"a": {"reward": {"ci95": None}}}), "mean: found"),
-    "a seed that is none": (results.comparison(seed=-1), "seed: found -1"),
-    "nobody": (results.comparison(policies={}), ""),
+    "a wrong seed": (results.comparison(seed=-1), "seed: found -1"),
+    "no policies": (results.comparison(policies={}), ""),
     "a diagnosis": ({"command": "mmwave-loc localize", "verdict": ""}, "versions: found"),
 }
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_results_that_are_none_end_with_one_clear_line(tmp_path, mistake):
+def test_files_that_are_not_results_end_with_one_clear_line(tmp_path, mistake):
     content, message = MISTAKES[mistake]
     done = command("report", write(tmp_path / "r.json", content), "--out", tmp_path / "page.html")
     assert_one_clear_line(done, f"r.json: .*{message}")

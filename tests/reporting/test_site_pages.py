@@ -1,4 +1,4 @@
-"""The documentation site in a real browser: built as `make docs` does it, served from here."""
+"""Tests of the documentation site, built as by `make docs`, in a real browser."""
 
 import subprocess
 import sys
@@ -36,14 +36,14 @@ def site(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def address(site):
-    """Return the address of the site."""
+    """Serve the site and yield its address."""
     with ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=site)) as server:
         threading.Thread(target=server.serve_forever).start()
         yield f"http://127.0.0.1:{server.server_port}/"
         server.shutdown()
 
 
-def test_every_page_opens_on_a_phone_without_complaint_or_request_to_others(site, opened):
+def test_every_page_fits_a_phone_and_makes_no_requests_to_other_sites(site, opened):
     pages = sorted(file.relative_to(site).as_posix() for file in site.rglob("*.html"))
     assert len(pages) > 30 and {"index.html", "report.html"} <= set(pages)
     complaints = []

@@ -1,4 +1,4 @@
-"""A sweep is read: every combination once, and what is wrong is named."""
+"""Tests of reading sweep files, whose combinations of values are cells, and kept results."""
 
 import pytest
 
@@ -32,7 +32,7 @@ def spec_of(tmp_path, text, name="grid.toml"):
     return read_spec(tmp_path / name)
 
 
-def test_every_combination_is_a_cell(tmp_path):
+def test_every_combination_of_values_is_a_cell(tmp_path):
     spec = spec_of(tmp_path, GRID)
     assert len(spec) == len(spec.cells) == 2 * 2 * 2 * 2
     first, *_, last = spec.cells.values()
@@ -47,13 +47,13 @@ def test_a_list_of_lists_is_an_axis_of_lists(tmp_path):
     assert [cell["modes"] for cell in spec.cells.values()] == [("ekf", "ukf"), ("ckf",)]
 
 
-def test_names_are_those_of_the_work_whatever_the_order(tmp_path):
+def test_names_of_cells_do_not_depend_on_order_or_file_format(tmp_path):
     toml = spec_of(tmp_path, '[evaluate]\npolicy = ["imm", "fixed-ekf"]\nseed = [10, 0]\n')
     text = '{"evaluate": {"seed": [0, 10], "policy": ["fixed-ekf", "imm"]}}'
     assert toml.cells.keys() == spec_of(tmp_path, text, "grid.json").cells.keys()
 
 
-def test_other_content_of_a_file_that_is_named_is_another_cell(tmp_path, monkeypatch):
+def test_a_changed_mode_file_makes_another_cell(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text, names = '[evaluate]\npolicy = "imm"\nmodes = ["ekf", "own.json"]\n', set()
     for content in ("", "1", "2"):
@@ -62,7 +62,7 @@ def test_other_content_of_a_file_that_is_named_is_another_cell(tmp_path, monkeyp
     assert len(names) == 3
 
 
-def test_a_search_has_distributions(tmp_path):
+def test_a_search_has_distributions_of_hyperparameters(tmp_path):
     pytest.importorskip("optuna")
     spec = spec_of(tmp_path, SEARCH)
     rate, epochs, hidden = spec.free.values()
@@ -82,7 +82,7 @@ def test_too_many_cells_are_refused_before_they_are_made(tmp_path):
         spec_of(tmp_path, POLICY + "\n".join(lines))
 
 
-def test_rows_are_kept_apart_and_those_of_others_refused(tmp_path):
+def test_results_are_kept_per_cell_and_those_of_other_sweeps_are_refused(tmp_path):
     pytest.importorskip("pyarrow")
     spec = spec_of(tmp_path, '[evaluate]\npolicy = ["imm", "ppo"]\nreward = "tracking"\n')
     folder, (name, _) = tmp_path / "out", spec.cells
@@ -126,7 +126,7 @@ RATE = SEARCHED + "hyperparameters."
         (RATE + "n_epochs = { low = 1.5, high = 3 }\n", "n_epochs"),
     ],
 )
-def test_a_bad_specification_is_refused(tmp_path, text, field):
+def test_a_wrong_sweep_is_refused_with_the_name_of_the_field(tmp_path, text, field):
     if "search" in text:
         pytest.importorskip("optuna")
     with refuses(field):

@@ -1,4 +1,4 @@
-"""Counts, loops and tables of mmwave-loc speed; tests/commands/test_speed.py runs the command."""
+"""Tests of the parts of mmwave-loc speed; tests/commands/test_speed.py runs the command."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from mmwave_env.numerics.numbers import atan2, maximum, sqrt, where
 
 
 def counted(function, n):
-    """Count operations of a function from n numbers to n; loads and stores left out."""
+    """Count operations of a function from n to n numbers, without loads and stores."""
     return count(function, [0.0] * n)._replace(load=0, store=0)
 
 
@@ -21,7 +21,7 @@ def counted(function, n):
     [
         (lambda a, b: a + b, Operations(add=1)),
         (lambda a, b: a * b - 3.0, Operations(fused=1)),
-        (lambda a, b: a * b + b * a, Operations(add=1, multiply=1)),  # the same product
+        (lambda a, b: a * b + b * a, Operations(add=1, multiply=1)),  # equal products
         (lambda a, b: a / b, Operations(divide=1)),
         (lambda a, b: a / b + 1.0 / b, Operations(add=1, divide=1, multiply=2)),  # one reciprocal
         (lambda a, b: sqrt(a) - b, Operations(add=1, root=1)),
@@ -30,11 +30,11 @@ def counted(function, n):
         (lambda a, b: 1.0 * a + 0.0 * b, Operations()),
     ],
 )
-def test_operations_of_an_expression(function, expected):
+def test_the_operations_of_an_expression_are_counted(function, expected):
     assert counted(lambda w: [function(*w), w[1]], 2) == expected
 
 
-def test_what_nobody_needs_costs_nothing():
+def test_operations_whose_result_is_not_used_are_not_counted():
     def function(w):
         atan2(w[0], w[1])
         return [w[0], w[1], w[2] + 1.0]
@@ -48,26 +48,26 @@ def test_a_timed_mix_has_the_proportions_of_the_operations():
     assert shares == [0.5, 0.25, 0.25] and len(order) == LENGTH
 
 
-def test_more_operations_have_a_later_limit():
+def test_more_operations_have_a_longer_time_limit():
     few, many = Operations(fused=10, load=2, store=1), Operations(fused=1000, load=2, store=1)
     assert 0.0 < limit_s(few) < limit_s(many)
 
 
-def test_a_round_has_whole_episodes_for_as_long_as_is_asked():
+def test_a_round_measures_complete_episodes_for_the_given_time():
     laps, rates = iter([10] * 3), Rates()
     rates.measure(laps, 0.0)
     assert len(rates.steps_per_s) == len(rates.cores) == 1 and list(laps) == [10, 10]
 
 
-def test_the_filterpy_loop_does_what_a_step_needs():
+def test_the_filterpy_loop_earns_the_reward_of_a_good_track():
     twin = filterpy_pipeline(pipeline())
     total = filterpy_episode(twin, source().sample(np.random.default_rng(0)))
-    assert -5.0 < total / EPISODE < 0.0  # it follows the user: the worst reward is -10.6
+    assert -5.0 < total / EPISODE < 0.0  # the worst reward is -10.6
 
 
 @pytest.fixture(scope="module")
 def measured():
-    """Return three rounds that nobody ran."""
+    """Return three rounds of invented measurements."""
     rounds, rng = Measured((1024, 8, 64)), np.random.default_rng(0)
     for rates in (rounds.rates | rounds.filters).values():
         rates.steps_per_s[:] = rng.uniform(1e3, 1e6, 3).tolist()
@@ -78,7 +78,7 @@ def measured():
     return rounds
 
 
-def test_ratios_are_taken_round_by_round(measured):
+def test_ratios_are_computed_round_by_round(measured):
     over, under = (measured.rates[name].steps_per_s for name in ("native_1024", "filterpy"))
     ratio, result = np.divide(over, under), measured.json()
     assert measured.ratios()["native_1024_over_filterpy"] == pytest.approx(ratio)
@@ -88,12 +88,12 @@ def test_ratios_are_taken_round_by_round(measured):
 
 
 @pytest.mark.parametrize(("name", "kernel"), [("ukf", "ukf"), ("native_64_1_thread", "step")])
-def test_fractions_are_of_the_kernel_that_runs(measured, name, kernel):
+def test_fractions_refer_to_the_limit_of_the_kernel_that_runs(measured, name, kernel):
     rates = (measured.filters | measured.rates)[name].steps_per_s
     expected = np.multiply(measured.limits_s[kernel], rates)
     assert measured.fractions()[name] == pytest.approx(expected)
 
 
-def test_a_step_needs_more_than_its_filters(measured):
+def test_a_step_needs_more_operations_than_each_of_its_filters(measured):
     sums = {name: sum(operations) for name, operations in measured.operations.items()}
     assert sums["ekf"] < sums["ukf"] <= sums["ckf"] < sums["step"]

@@ -1,4 +1,4 @@
-"""Small learned switchers for tests, with random weights."""
+"""Small actor networks with random weights, and their policy files, for tests."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def actor(features=FEATURES, actions=3, hidden=(5, 4), seed=0):
     rng = np.random.default_rng(seed)
 
     def draw(*shape):
-        """Draw weights that let neurons neither sleep nor saturate."""
+        """Draw weights so that neurons neither vanish nor saturate."""
         scale = 2.0 / shape[1] ** 0.5 if len(shape) > 1 else 0.2
         return rng.normal(0.0, scale, shape).astype(np.float32)
 
@@ -48,12 +48,12 @@ def actor(features=FEATURES, actions=3, hidden=(5, 4), seed=0):
 
 
 def write_per_mode(path, seed=0, **changes):
-    """Write a policy file of an actor for modes that keep a belief each; its path."""
+    """Write the policy file of an actor for one belief per mode; return its path."""
     tensors = actor(len(PER_MODE_TABLE), actions=4, seed=seed)
     return write(path, tensors, card_of(PER_MODE_TABLE, **PER_MODE | changes))
 
 
 def write(path, tensors, card):
-    """Write a policy file; its path."""
+    """Write a policy file; return its path."""
     path.write_bytes(to_bytes(tensors, card))
     return path

@@ -1,4 +1,4 @@
-"""Checkpoints of trainings: there and back, damaged, and forged; and the log of progress."""
+"""Tests of checkpoints (read back, damaged and forged) and the progress log of trainings."""
 
 import io
 import os
@@ -38,7 +38,7 @@ STATE = {
 }  # fmt: skip
 
 
-def test_a_checkpoint_comes_back(tmp_path):
+def test_a_checkpoint_is_read_back_as_it_was_written(tmp_path):
     path = tmp_path / "checkpoint.pt"
     write_checkpoint(path, STATE)
     state = read_checkpoint(path)
@@ -49,7 +49,7 @@ def test_a_checkpoint_comes_back(tmp_path):
         assert array.dtype == STATE["arrays"][key].dtype
 
 
-def test_damage_is_found_wherever_it_is(tmp_path):
+def test_a_checkpoint_is_refused_wherever_it_is_damaged(tmp_path):
     path = tmp_path / "checkpoint.pt"
     write_checkpoint(path, STATE)
     whole, rng = path.read_bytes(), np.random.default_rng(0)
@@ -64,7 +64,7 @@ def test_damage_is_found_wherever_it_is(tmp_path):
 
 
 class Malicious:
-    """Unpickling it makes a file."""
+    """Object that makes a folder when it is unpickled."""
 
     def __init__(self, path):
         self.path = path
@@ -78,7 +78,7 @@ SCOPED = [HealthCheck.function_scoped_fixture]
 
 @settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=SCOPED)
 @given(data=st.data())
-def test_a_checkpoint_with_a_right_checksum_over_anything_is_read_or_refused(tmp_path, data):
+def test_a_forged_checkpoint_with_a_correct_checksum_is_read_or_refused(tmp_path, data):
     path = tmp_path / "checkpoint.pt"
     write_checkpoint(path, STATE)
     forge(path, data.draw(damaged(path.read_bytes()[32:])))
@@ -95,7 +95,7 @@ def forge(path, content):
     path.write_bytes(sha256(content).digest() + content)
 
 
-def test_a_checkpoint_unpacks_to_no_more_than_it_holds(tmp_path):
+def test_a_checkpoint_that_unpacks_to_more_than_its_size_is_refused(tmp_path):
     path = tmp_path / "checkpoint.pt"
     write_checkpoint(path, STATE | {"zeros": np.zeros(1_000_000)})
     packed = io.BytesIO()
@@ -122,15 +122,15 @@ BEGIN = {"update": 0, "timesteps": 0, "best": None, "beat_rule": None, "seconds"
         (BEGIN | {"best": {"timesteps": 3}}, ["reward"]),
     ],
 )
-def test_the_checkpoint_of_something_else_is_refused(tmp_path, state, named):
+def test_a_checkpoint_with_other_content_is_refused(tmp_path, state, named):
     path = tmp_path / "checkpoint.pt"
     write_checkpoint(path, state)
     with refuses("checkpoint.pt", *named):
         read_stand(path, BEGIN)
 
 
-def test_a_checkpoint_of_another_network_is_named(tmp_path):
-    """Its checksum and its kind are right; what is in it fits no network of this training."""
+def test_a_checkpoint_of_another_network_is_refused(tmp_path):
+    """Its checksum and its kind are right, but its content does not fit this training."""
     path = tmp_path / "checkpoint.pt"
     write_checkpoint(path, BEGIN | {"learner": {"timesteps": 3}, "env": {}})
     with refuses("checkpoint.pt", "updates"):
@@ -148,7 +148,7 @@ def test_a_malicious_checkpoint_is_refused_and_not_executed(tmp_path):
 # --- the progress log
 
 
-def test_the_log_writes_a_row_a_call_and_goes_on(tmp_path):
+def test_the_progress_log_writes_one_row_per_call_and_can_be_continued(tmp_path):
     log = ProgressLog(tmp_path, [])
     log.write({"a": 1, "time/fps": 9}, {}, 10)
     log.write({"b": np.float32(0.123456789)}, {}, 20)
@@ -163,7 +163,7 @@ def test_the_log_writes_a_row_a_call_and_goes_on(tmp_path):
     )
 
 
-def test_the_log_of_a_training_that_fails_ends_its_thread(tmp_path):
+def test_the_progress_log_ends_its_thread_if_the_training_fails(tmp_path):
     before = threading.active_count()
 
     def fail():

@@ -1,4 +1,4 @@
-"""Models of Stable-Baselines3 that become policy files."""
+"""Tests of converting models of Stable-Baselines3 to policy files."""
 
 import base64
 import builtins
@@ -48,7 +48,7 @@ def one_thread():
 
 @pytest.fixture
 def same_process(monkeypatch):
-    """The model is loaded in this process, which is quicker to start."""
+    """Load models in this process, because starting another one is slow."""
 
     class Process:
         exitcode = 0
@@ -70,7 +70,7 @@ def same_process(monkeypatch):
 
 @pytest.fixture
 def modes(tmp_path):
-    """The mode file of three modes that are quick to compile."""
+    """Return a mode file with three modes that are quick to compile."""
     path = tmp_path / "modes.json"
     path.write_text(json.dumps({"modes": [as_written(mode) for mode in MODES]}))
     return path
@@ -84,7 +84,7 @@ def environment(normalized=False, **arguments):
 
 
 def trained(kind, env):
-    """A model after a few steps, whose choices depend on what it sees."""
+    """Return a model after a few steps, whose actions depend on the observations."""
     algorithm, policy, options = ALGORITHMS[kind]
     model = algorithm(policy, env, seed=1, **options)
     model.learn(32, **{"use_masking": False} if kind == "maskable" else {})
@@ -96,8 +96,8 @@ def trained(kind, env):
 @pytest.mark.usefixtures("same_process")
 @pytest.mark.parametrize("normalized", [False, True], ids=["as they are", "normalized"])
 @pytest.mark.parametrize("kind", ALGORITHMS)
-def test_a_converted_model_decides_as_the_model(kind, normalized, tmp_path, modes):
-    """On every observation of 50 steps, ends of episodes among them."""
+def test_a_converted_model_chooses_the_actions_of_the_model(kind, normalized, tmp_path, modes):
+    """Compare actions in 50 steps, which include ends of episodes."""
     env = environment(normalized)
     model, words = trained(kind, env), []
     model.save(tmp_path / "model.zip")
@@ -124,7 +124,7 @@ def test_a_converted_model_decides_as_the_model(kind, normalized, tmp_path, mode
 
 @pytest.fixture
 def trusting(tmp_path):
-    """A model over modes that keep a belief each, and the mode file of their bank."""
+    """Return a model for one belief per mode, and the mode file of its bank."""
     bank = tmp_path / "bank.json"
     bank.write_text(json.dumps(bank_as_written(HANDSET)))
     env = environment(beliefs="per-mode", modes=HANDSET)
@@ -133,7 +133,7 @@ def trusting(tmp_path):
 
 
 @pytest.mark.usefixtures("same_process")
-def test_a_model_over_beliefs_per_mode_is_converted_with_its_bank(trusting, tmp_path):
+def test_a_model_for_beliefs_per_mode_is_converted_with_its_bank(trusting, tmp_path):
     (file, bank), out = trusting, tmp_path / "policy.safetensors"
     shown = succeed("convert", file, out, "--beliefs", "per-mode", "--modes", bank)
     assert "on 1000 of 1000 observations" in shown
@@ -142,7 +142,7 @@ def test_a_model_over_beliefs_per_mode_is_converted_with_its_bank(trusting, tmp_
 
 
 class Malicious:
-    """Unpickling it leaves traces in the process and on the disk."""
+    """Object that leaves traces in the process and on the disk when it is unpickled."""
 
     def __init__(self, path):
         self.path = path
@@ -153,7 +153,7 @@ class Malicious:
 
 
 def with_a_trap(file, trap):
-    """Put an object into a model that runs code when it is loaded."""
+    """Put an object that runs code when it is loaded into a model."""
     with zipfile.ZipFile(file) as archive:
         content = {name: archive.read(name) for name in archive.namelist()}
     data = json.loads(content["data"])
@@ -174,14 +174,14 @@ def test_code_in_a_model_never_runs_in_the_converting_process(tmp_path, modes):
     LearnedSwitch(tmp_path / "policy.safetensors")
 
 
-def test_a_process_that_leaves_nothing_is_told_of(tmp_path, monkeypatch):
-    monkeypatch.setattr(unzip, "_unzip", print)  # in place of what writes tensors
+def test_a_process_that_ends_without_a_result_is_reported(tmp_path, monkeypatch):
+    monkeypatch.setattr(unzip, "_unzip", print)  # instead of writing tensors
     with refuses("model.zip"):
         unzip.unzipped(tmp_path / "model.zip", None)
 
 
 def layered(**changes):
-    """A PPO whose network is another one."""
+    """Return a PPO model with another network."""
     return PPO("MlpPolicy", environment(), **FEW, policy_kwargs=changes)
 
 
@@ -190,18 +190,18 @@ def normalized():
 
 
 MISTAKES = {
-    "no zip": (None, (), "model.zip: not a model"),
+    "not a zip": (None, (), "model.zip: not a model"),
     "relu": (lambda: layered(activation_fn=torch.nn.ReLU), (), "model.zip: network: found"),
     "q network": (lambda: DQN("MlpPolicy", environment(), buffer_size=100), (), "network: found"),
     "prior": (lambda: trained("ppo", environment()), ("--observation", "prior"), "features"),
-    "no statistics": (normalized, (), "model.zip: normalize: found none"),
-    "no statistics in it": (normalized, ("--normalize", "MODES"), "not a file of VecNormalize"),
+    "normalized without statistics": (normalized, (), "model.zip: normalize: found none"),
+    "wrong statistics file": (normalized, ("--normalize", "MODES"), "not a file of VecNormalize"),
 }
 
 
 @pytest.mark.usefixtures("same_process")
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_what_no_policy_file_can_hold_is_refused(mistake, tmp_path, modes):
+def test_a_model_that_cannot_become_a_policy_file_is_refused(mistake, tmp_path, modes):
     make, words, message = MISTAKES[mistake]
     file, out = tmp_path / "model.zip", tmp_path / "policy.safetensors"
     if make is None:

@@ -1,4 +1,4 @@
-"""Places to train at: how they are named, what differs between them, and what is refused."""
+"""Tests of training places (scene, radio, time step): names, banks, and what is refused."""
 
 import json
 from dataclasses import replace
@@ -25,7 +25,7 @@ from tests.refusals import refuses
 from tests.training.actors import MODES
 
 
-def test_a_word_names_street_radio_and_rate():
+def test_a_word_names_scene_radio_and_time_step():
     assert place_from("street:handset") == Place("street", "handset", 1.0)
     assert place_from("o1:standard:0.1") == Place("o1", "standard", 0.1)
     assert str(place_from("o1:standard:0.1")) == "o1:standard:0.1"
@@ -34,8 +34,8 @@ def test_a_word_names_street_radio_and_rate():
     assert source.scenario == "vehicle"
 
 
-def test_the_street_is_where_the_environment_is_without_a_scene():
-    """Bit for bit, or trainings on record would not come out again."""
+def test_the_street_is_the_default_scene_of_environments():
+    """Episodes must be equal to the last bit, or published trainings could not be repeated."""
     episode = Place("street", "handset").source("mixed").sample(np.random.default_rng(10_000_000))
     expected = task_from().source.sample(np.random.default_rng(10_000_000))
     np.testing.assert_array_equal(episode.measurement, expected.measurement)
@@ -43,14 +43,14 @@ def test_the_street_is_where_the_environment_is_without_a_scene():
 
 @pytest.fixture
 def files(tmp_path):
-    """A scene and a radio of one's own."""
+    """Return the files of a custom scene and a custom radio."""
     scene, radio = tmp_path / "square.json", tmp_path / "phone.json"
     scene.write_text(json.dumps({"base_station_m": [10.0, 10.0, 8.0]}))
     radio.write_text(json.dumps({"name": "mine", "base": "handset"}))
     return scene, radio
 
 
-def test_scenes_and_radios_of_ones_own_are_places_too(files):
+def test_custom_scenes_and_radios_can_be_places(files):
     place = place_from(":".join(map(str, files)))
     assert place.profile == "mine" and place.source("mixed").scene.name == "square"
 
@@ -68,21 +68,21 @@ def test_scenes_and_radios_of_ones_own_are_places_too(files):
         (["o1:handset", "street:high", "o1:handset:1"], []),
     ],
 )
-def test_what_is_no_place_is_refused(words, named):
+def test_words_that_are_not_places_are_refused(words, named):
     with refuses("places", *named):
         places_from(words)
 
 
 @pytest.mark.parametrize("unseen", ["square", "mine"])
-def test_no_training_sees_what_the_benchmark_keeps_unseen(unseen, files, monkeypatch):
-    """The names in the files count, whatever these are called."""
+def test_custom_files_with_a_name_that_must_stay_unseen_are_refused(unseen, files, monkeypatch):
+    """The name in a file counts or, if there is none, the name of the file."""
     monkeypatch.setattr(module, "UNSEEN", ("square-2", unseen))
     with refuses("places"):
         place_from(":".join(map(str, files)))
     place_from("street:handset")
 
 
-def test_the_streets_and_the_radio_that_are_unseen_are_refused():
+def test_scenes_and_radios_that_the_benchmark_keeps_unseen_are_refused():
     for name in UNSEEN_SCENES:
         for word in (f"{name}:handset", f"{unseen_file(name)}:handset"):
             with refuses("scene"):
@@ -94,13 +94,13 @@ def test_the_streets_and_the_radio_that_are_unseen_are_refused():
 
 
 @pytest.mark.parametrize(("count", "places"), [(256, 9), (9, 9), (500, 3), (7, 1)])
-def test_shares_are_as_even_as_can_be(count, places):
+def test_shares_are_as_even_as_possible(count, places):
     parts = shares(count, places)
     assert sum(parts) == count and len(parts) == places
     assert max(parts) - min(parts) <= 1
 
 
-# --- what is learned at several places
+# --- training at several places
 
 PLACES = places_from(["street:handset", "o1:standard", "street:standard:0.5"])
 
@@ -116,22 +116,22 @@ def test_every_place_has_the_bank_of_its_radio():
     assert at.bank == best_bank("standard") and at.source == PLACES[1].source("mixed")
 
 
-def test_modes_that_share_a_belief_are_the_same_everywhere():
-    """Those of the first place's radio: a policy file brings them along."""
+def test_modes_that_share_a_belief_are_the_same_at_all_places():
+    """They are those of the first place's radio, and are stored in the policy file."""
     shared = task(beliefs="shared")
     assert {bank.modes for bank in shared.banks.values()} == {default_modes("handset")}
     at = task_from(**shared.arguments(PLACES[1]))
     assert at.bank is None and at.pipeline.modes == default_modes("handset")
 
 
-def test_a_bank_of_ones_own_is_used_everywhere(tmp_path):
+def test_a_custom_bank_is_used_at_all_places(tmp_path):
     own = replace(best_bank("high"), nis_quantile=0.9)
     path = tmp_path / "mine.json"
     path.write_text(json.dumps(bank_as_written(own)))
     assert banks_of((str(path),), PLACES, "per-mode") == {"handset": own, "standard": own}
 
 
-def test_an_agent_sees_the_same_features_everywhere(tmp_path):
+def test_places_with_different_features_are_refused(tmp_path):
     path = tmp_path / "square.json"
     path.write_text(json.dumps({"base_station_m": [10.0, 10.0, 8.0]}))  # no walls
     places = (PLACES[0], Place(str(path), "handset"))
@@ -139,12 +139,12 @@ def test_an_agent_sees_the_same_features_everywhere(tmp_path):
         task(places)
 
 
-def test_an_agent_chooses_from_modes_of_the_same_names_everywhere():
+def test_places_with_different_names_of_modes_are_refused():
     banks = {"handset": Bank(MODES), "standard": Bank(MODES[::-1])}
     with refuses("places"):
         task(banks=banks)
 
 
-def test_one_mode_alone_is_nothing_to_trust():
+def test_beliefs_per_mode_with_a_single_mode_are_refused():
     with refuses("modes"):
         banks_of(("ukf",), PLACES, "per-mode")

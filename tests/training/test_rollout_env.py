@@ -1,4 +1,4 @@
-"""Environments of trainings: all actions tried, and several places as each of them alone."""
+"""Tests of the environments of trainings, which try all actions and combine several places."""
 
 from dataclasses import replace
 
@@ -38,12 +38,12 @@ def environment(of=None, n=16, seed=SEED):
 
 
 def chaotic(actions):
-    """A policy whose choices hang on the last digits of what it sees."""
+    """Return a policy whose actions depend on the last digits of observations."""
     return lambda observed: (np.abs(observed[:, 1:9]).sum(1) * 1e4).astype(np.int64) % actions
 
 
 def walked(env, epochs=WALKED, seed=0):
-    """Actions (epochs, n) that an environment was walked with."""
+    """Step an environment with random actions (epochs, n); return them."""
     rng = np.random.default_rng(seed)
     actions = rng.integers(len(env.observation.actions), size=(epochs, len(env.observations)))
     for now in actions:
@@ -52,7 +52,7 @@ def walked(env, epochs=WALKED, seed=0):
 
 
 def by_hand(place, seed, first_episode, actions, first, act, beliefs):
-    """The discounted reward of an action and what follows it, in an environment of its own."""
+    """Return the discounted rewards from an action on, played in a separate environment."""
     bank = BANKS[place.radio]
     modes = bank if beliefs == "per-mode" else bank.modes
     at = {"scene": place.scene, "radio": place.radio, "dt": place.dt}
@@ -76,7 +76,7 @@ def by_hand(place, seed, first_episode, actions, first, act, beliefs):
     ("beliefs", "places"),
     [("per-mode", PLACES), ("shared", (PLACES[0], replace(PLACES[1], radio="handset")))],
 )
-def test_an_action_earns_what_it_earns_in_an_environment_played_by_hand(beliefs, places):
+def test_an_action_earns_what_it_earns_in_a_separate_environment(beliefs, places):
     env = environment(task(beliefs, places, {p.radio: BANKS[p.radio] for p in places}))
     actions, count = walked(env), len(env.observation.actions)
     tried = env.try_all(chaotic(count))
@@ -91,7 +91,7 @@ def test_an_action_earns_what_it_earns_in_an_environment_played_by_hand(beliefs,
         assert np.ptp(expected) > 0.0
 
 
-def test_trying_changes_nothing():
+def test_trying_actions_does_not_change_the_environment():
     tries, plain = environment(), environment()
     for env in (tries, plain):
         walked(env)
@@ -104,8 +104,8 @@ def test_trying_changes_nothing():
         np.testing.assert_array_equal(tries.observations, plain.observations)
 
 
-def test_states_near_an_end_are_left_out():
-    """The first environments begin anew at once, and end after 200 epochs."""
+def test_states_near_the_end_of_an_episode_are_left_out():
+    """The first eight environments begin an episode at once, which ends after 200 epochs."""
     env = environment()
     walked(env, 200 - HORIZON + 1)
     assert len(env.try_all(chaotic(4)).values) == 16
@@ -115,7 +115,7 @@ def test_states_near_an_end_are_left_out():
     assert len(env.try_all(chaotic(4)).values) == 16
 
 
-def test_places_are_spread_over_the_epochs_of_an_episode():
+def test_environments_of_a_place_are_at_different_epochs_of_their_episodes():
     env = environment(n=64)
     walked(env, 30)
     state = env.state()
@@ -124,19 +124,19 @@ def test_places_are_spread_over_the_epochs_of_an_episode():
 
 
 @pytest.mark.parametrize("n", [8, 12, 0])
-def test_too_few_environments_for_the_places_are_refused(n):
+def test_a_number_of_environments_that_does_not_suit_the_places_is_refused(n):
     with refuses("num_envs"):
         environment(n=n)
 
 
-def test_banks_of_other_algorithms_are_refused():
+def test_banks_with_different_algorithms_are_refused():
     ukfs = tuple(replace(mode, algorithm="ukf") for mode in MODES)
     banks = {"handset": Bank(MODES), "standard": Bank(ukfs)}
     with refuses("bank of standard"):
         environment(task(banks=banks))
 
 
-def test_the_normalization_is_that_of_observations_seen():
+def test_the_normalization_is_measured_on_observations_of_the_environment():
     env = environment(task(places=PLACES[:1], banks={"handset": Bank(default_modes("handset"))}))
     normal = env.measured_normalization(6.0)
     again = environment(task(places=PLACES[:1], banks={"handset": Bank(default_modes("handset"))}))
@@ -157,7 +157,7 @@ PAIRED = replace(HYPER, num_envs=5, paired=True)  # three environments and two
 
 
 def alone(place, n):
-    """The environments of a place, without any other."""
+    """Return the environments of one place alone."""
     arguments = TASK.arguments(place) | {"reward": PairedReward(TASK.reward)}
     return SB3VecEnv(MmWaveLocVectorEnv(n, **arguments, autoreset_mode="SameStep"))
 
@@ -171,8 +171,8 @@ def assert_same_ends(infos, expected):
 
 
 @pytest.mark.slow
-def test_several_places_are_what_each_of_them_is_alone():
-    """Seeds go on from place to place; later places are ahead, so that episodes end by turns."""
+def test_several_places_together_equal_each_place_alone():
+    """Seeds are counted across places; the second place is ahead, to end at other times."""
     together = PlacesVecEnv(TASK, PAIRED)
     first, second = alone(PLACES[0], 3), alone(PLACES[1], 2)
     together.seed(10_000_000)

@@ -1,4 +1,4 @@
-"""Rollout policy iteration: files, seeds, interruptions, and what it learns."""
+"""Tests of rollout policy iteration: interruptions, policy files, and what it learns."""
 
 from dataclasses import replace
 
@@ -49,7 +49,7 @@ class Interrupted(Exception):
 
 
 def interrupt_after(news):
-    """Takes news until there were some, and then ends the training."""
+    """Return a callback that interrupts a training after this many pieces of news."""
     left = iter(range(news))
 
     def tell(*_):
@@ -59,8 +59,8 @@ def interrupt_after(news):
     return tell
 
 
-def test_interrupted_it_goes_on_to_the_same_end(tmp_path):
-    """Again and again, between updates and at an evaluation; the states remembered come round."""
+def test_an_interrupted_training_continues_to_the_same_result(tmp_path):
+    """It is interrupted repeatedly, even at an evaluation, and its memory of states overflows."""
     whole, job = job_of(tmp_path / "whole"), job_of(tmp_path / "part", checkpoint_every=2)
     train(whole)
     for news in (3, 2, 4):
@@ -71,7 +71,7 @@ def test_interrupted_it_goes_on_to_the_same_end(tmp_path):
     assert_same_training(job.folder, whole.folder)
 
 
-def test_the_policy_file_acts_as_the_network(tmp_path):
+def test_the_policy_file_chooses_the_actions_of_the_network(tmp_path):
     training = RolloutTraining(job_of(tmp_path), silent)
     training.run()
     env, learner = training.env, training.learner
@@ -95,7 +95,7 @@ QUICK = replace(LARGE, batch_size=1024, learning_rate=0.002, hidden=(32, 32), fi
 
 @pytest.mark.slow
 def test_a_short_training_beats_the_rule_and_the_imm_from_scratch(tmp_path):
-    """Over the modes of the rule, whose IMM is the plain one: it starts level with that."""
+    """It has the modes of the rule, and starts as good as the IMM of these modes."""
     modes = Bank(default_modes("handset"))
     street = TrainingTask(
         "mixed", PLACES[:1], {"handset": modes}, "full", TrackingReward(), "per-mode"
@@ -127,9 +127,9 @@ def learner(hyper=LEARNING, seed=0):
 
 
 def states(n, seed, turned=False):
-    """States where action 1 is best above the mean of the first feature, and action 2 below.
+    """Return states; action 1 is best if the first feature is above its mean, else action 2.
 
-    All actions earn a large sum that depends on the state; which one is best is hidden in it.
+    In a state, all actions earn the same large random sum; the best one earns a little more.
     """
     rng = np.random.default_rng(seed)
     x = rng.normal(size=(n, FEATURES))
@@ -139,12 +139,12 @@ def states(n, seed, turned=False):
     return Tried((MEAN + SIGMA * x).astype(np.float32), values), best
 
 
-def test_before_training_the_imm_decides():
+def test_before_training_the_learner_leaves_decisions_to_the_imm():
     tried, _ = states(100, 0)
     assert (learner().greedy(tried.observations) == 0).all()
 
 
-def test_it_learns_which_action_is_best():
+def test_the_learner_learns_which_action_is_best():
     model, (tried, _), (fresh, best) = learner(), states(512, 0), states(1000, 1)
     model.remember(tried)
     figures = model.improve(1.0)
@@ -155,8 +155,7 @@ def test_it_learns_which_action_is_best():
     assert again["entropy"] < figures["entropy"]
 
 
-def test_draws_follow_the_probabilities():
-    """The probabilities are computed by hand, of one state."""
+def test_sampled_actions_follow_the_probabilities_of_the_network():
     model = learner(replace(LEARNING, first_action_bias=2.0))
     state = np.repeat(states(1, 0)[0].observations, 4000, axis=0)
     x = torch.from_numpy(((state[:1] - MEAN) / SIGMA).astype(np.float32))
@@ -165,8 +164,8 @@ def test_draws_follow_the_probabilities():
     np.testing.assert_allclose(shares, expected, atol=0.03)
 
 
-def test_it_forgets_the_oldest_states():
-    """Two memories full of states where the opposite holds, taken in unequal portions."""
+def test_the_learner_forgets_the_oldest_states():
+    """States with the other best action replace a full memory in unequal portions."""
     model, (fresh, best) = learner(), states(1000, 9, turned=True)
     model.remember(states(512, 0)[0])
     for seed, n in enumerate((300, 200, 12), start=1):

@@ -1,4 +1,4 @@
-"""The search over banks: what a point stands for, and that the best one is found."""
+"""Tests of the search over banks: the bank of a point, and that the best bank is found."""
 
 from dataclasses import fields
 
@@ -12,7 +12,7 @@ from mmwave_env.models.radio import RADIOS
 
 
 def distance(bank, planted):
-    """Return the distance of two banks of the same modes, in logarithms."""
+    """Return the squared logarithmic distance between two banks of the same modes."""
     pairs = [(np.array(bank.transition), np.array(planted.transition))]
     for field in ("sigma_p", "sigma_v", "acceleration_mps2"):
         values = [[getattr(mode, field) for mode in bank_of.modes] for bank_of in (bank, planted)]
@@ -34,7 +34,7 @@ def test_the_search_finds_a_planted_bank():
     assert distance(best, planted) < 0.02 * distance(start, planted)
 
 
-def test_generations_are_numbered_and_no_more_is_asked_than_allowed():
+def test_generations_are_numbered_and_the_number_of_evaluations_is_limited():
     asked = []
 
     def value(bank, generation):
@@ -47,7 +47,7 @@ def test_generations_are_numbered_and_no_more_is_asked_than_allowed():
     assert 40 - size < len(asked) <= 40
 
 
-def test_softmax_rows_are_probabilities_that_stand_to_staying_as_said():
+def test_softmax_rows_are_probabilities_with_given_log_odds_relative_to_staying():
     for odds in np.random.default_rng(0).uniform(-14.0, 8.0, (20, 12)):
         transition = rows_as_softmax(odds)
         assert transition.shape == (4, 4) and (transition > 0.0).all()
@@ -56,7 +56,7 @@ def test_softmax_rows_are_probabilities_that_stand_to_staying_as_said():
         np.testing.assert_allclose(np.log(ratio[~np.eye(4, dtype=bool)]), odds, atol=1e-9)
 
 
-def test_the_search_starts_from_the_modes_and_moves_all_of_their_numbers():
+def test_the_search_starts_from_the_modes_and_varies_all_of_their_numbers():
     space, n = search_space(START), len(START)
     start = space.bank_at(space.start)
     assert start.modes == START and start.nis_quantile == 0.999
@@ -69,7 +69,7 @@ def test_the_search_starts_from_the_modes_and_moves_all_of_their_numbers():
         assert space.bank_at(moved) != start
 
 
-def test_every_point_is_a_bank_that_a_file_can_hold():
+def test_the_bank_of_every_point_can_be_written_and_read():
     space = search_space(START)
     for point in np.random.default_rng(0).uniform(*space.bounds.T, (20, len(space.start))):
         bank = space.bank_at(point)
@@ -80,7 +80,7 @@ def test_every_point_is_a_bank_that_a_file_can_hold():
 
 
 @pytest.mark.parametrize("radio", RADIOS)
-def test_shipped_banks_are_of_these_modes(radio):
+def test_shipped_banks_differ_from_the_start_only_in_numbers_that_are_searched(radio):
     for before, after in zip(START, best_bank(radio).modes, strict=True):
         same = {"sigma_p", "sigma_v", "acceleration_mps2"}
         known = {f.name: getattr(before, f.name) for f in fields(before) if f.name not in same}

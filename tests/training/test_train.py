@@ -1,4 +1,4 @@
-"""Training of switchers: hyperparameters, folders, what is written and how it goes on."""
+"""Tests of training policies: hyperparameters, evaluations, options and folders of runs."""
 
 import json
 import math
@@ -56,7 +56,7 @@ def job_of(folder, hyper=HYPER, **changes):
 
 
 def content(hyper=HYPER):
-    """All hyperparameters as their file holds them."""
+    """Return all hyperparameters as in their file."""
     return asdict(hyper) | {"hidden": list(hyper.hidden)}
 
 
@@ -66,11 +66,11 @@ def one_thread():
     torch.set_num_threads(1)
 
 
-# --- what a policy file takes over
+# --- exported policies
 
 
-def test_the_exported_actor_acts_as_the_trained_one(tmp_path):
-    """2000 observations, the ends of all episodes among them."""
+def test_the_exported_actor_chooses_the_actions_of_the_trained_one(tmp_path):
+    """Compare on 2000 observations, which include the ends of all episodes."""
     training = PpoTraining(job_of(tmp_path), lambda *_: None)
     env, model = training.normal, training.model
     now, rng = env.reset(), np.random.default_rng(0)
@@ -78,7 +78,7 @@ def test_the_exported_actor_acts_as_the_trained_one(tmp_path):
         now, *_ = env.step(rng.integers(3, size=8))
     env.training = False
     with torch.no_grad():
-        model.policy.action_net.weight *= 100.0  # or hardly any logits would differ
+        model.policy.action_net.weight *= 100.0  # otherwise hardly any logits would differ
     table = training.env.observation
     path = write(tmp_path / "actor.safetensors", training.actor, card_of(table))
     policy = LearnedSwitch(path, table)
@@ -91,11 +91,11 @@ def test_the_exported_actor_acts_as_the_trained_one(tmp_path):
     assert taken == {0, 1, 2} and np.mean(alike) == 1.0
 
 
-# --- what it tells
+# --- evaluations during a training
 
 
-def test_a_training_tells_its_periodic_evaluations(tmp_path):
-    """The best of them is what the outcome says; a search stops early by them."""
+def test_a_training_reports_its_periodic_evaluations(tmp_path):
+    """The outcome has the best of them; a search uses them to stop early."""
     heard = []
     outcome = train(job_of(tmp_path), heard.append)
     rewards = {news.timesteps: news.evaluation["reward"] for news in heard if news.evaluation}
@@ -109,19 +109,19 @@ def test_a_training_tells_its_periodic_evaluations(tmp_path):
 
 
 @pytest.mark.parametrize("left", [1.0, 0.5, 0.0, -0.01, -0.5, -16_000.0])
-def test_rates_fall_but_stay_positive_beyond_the_end(left):
+def test_learning_rates_fall_but_stay_positive_after_the_end_of_training(left):
     rate = falling(0.1, left)
     assert rate == pytest.approx(max(0.1 + 0.9 * left, 0.05))
 
 
-def test_shipped_hyperparameters_are_sound():
+def test_shipped_hyperparameters_are_valid():
     for beliefs in ("shared", "per-mode"):
         for algorithm, kind in KINDS.items():
             shipped = shipped_hyperparameters(algorithm, beliefs)
             assert type(read_hyperparameters(shipped, algorithm)) is kind
 
 
-def test_a_bias_makes_the_first_action_likelier_at_the_start():
+def test_a_bias_makes_the_first_action_more_likely_at_the_start():
     env = VecNormalize(PlacesVecEnv(TASK, HYPER), norm_reward=False)
     models = [learner(env, replace(HYPER, first_action_bias=bias), seed=1) for bias in (0.0, 2.0)]
     observed = torch.as_tensor(env.reset())
@@ -130,8 +130,8 @@ def test_a_bias_makes_the_first_action_likelier_at_the_start():
     torch.testing.assert_close(odds[1] - odds[0], torch.full_like(odds[0], 2.0))
 
 
-def test_what_has_a_default_may_be_left_out(tmp_path):
-    """Files written before there was such a thing are read, and written, as they were."""
+def test_hyperparameters_that_have_a_default_may_be_left_out(tmp_path):
+    """Files older than such a hyperparameter are read, and written again without it."""
     path = written(tmp_path / "old.json", {"first_action_bias": None})
     assert read_hyperparameters(path, "ppo") == HYPER
     assert hyperparameters_as_written(HYPER) == json.loads(path.read_text())
@@ -153,7 +153,7 @@ BAD = {
 
 
 def written(path, change):
-    """A file of hyperparameters with a change; None leaves one out."""
+    """Write a file of hyperparameters with a change; None leaves one out."""
     if isinstance(change, str):
         path.write_text(change)
     else:
@@ -163,7 +163,7 @@ def written(path, change):
 
 
 def refused(*words):
-    """The line with which the command ends."""
+    """Run train with options that it must refuse; return its last line."""
     done = command("train", *words)
     line = done.stderr.splitlines()[-1]
     assert done.returncode == 2 and done.stdout == "" and line.startswith("mmwave-loc train: ")
@@ -197,7 +197,7 @@ def test_a_bad_hyperparameter_is_refused_in_one_line(change, tmp_path):
          "key: found 'n_steps', .*num_envs"),
     ],
 )  # fmt: skip
-def test_a_mistake_is_refused_before_a_folder_is_made(words, message, tmp_path):
+def test_wrong_options_are_refused_before_a_folder_is_made(words, message, tmp_path):
     line = refused(*words, "--out", tmp_path / "run")
     assert re.search(message, line), line
     assert not (tmp_path / "run").exists()
@@ -218,7 +218,7 @@ def test_too_few_environments_for_the_places_are_refused_before_a_folder_is_made
     assert not out.exists()
 
 
-def test_without_the_extra_it_says_what_to_install(tmp_path, monkeypatch):
+def test_the_error_without_pytorch_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "experiments.training.processes", None)  # as without PyTorch
     assert "mmwave-loc[train]" in refused("--out", tmp_path / "run")
     assert not (tmp_path / "run").exists()
@@ -228,7 +228,7 @@ def test_without_the_extra_it_says_what_to_install(tmp_path, monkeypatch):
 
 
 def folder_of(path, modes=None, hyper=None, **options):
-    """A run that could be resumed, by its manifest."""
+    """Make the folder of a run that, according to its manifest, can be resumed."""
     args = Args(out=path, **options)
     banks = {"handset": Bank(modes or default_modes("handset"))}
     manifest = manifest_of(args, banks, hyper or hyperparameters(args, 1))
@@ -241,7 +241,7 @@ def test_a_run_is_not_overwritten_by_accident(tmp_path):
     assert "found files in" in line and "--resume" in line and "--overwrite" in line
 
 
-def test_files_that_are_no_run_are_never_removed(tmp_path):
+def test_files_that_do_not_belong_to_a_run_are_never_removed(tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
     line = refused("--out", tmp_path, "--overwrite")
     assert "found files" in line and "left them" in line
@@ -254,7 +254,7 @@ def test_a_run_with_other_options_is_not_resumed(tmp_path):
 
 
 def test_a_run_with_other_modes_banks_or_hyperparameters_is_not_resumed(tmp_path):
-    """Files may have changed, or what names mean."""
+    """Mode files may have changed since then, or the modes that names stand for."""
     path = written(tmp_path / "mine.json", {})
     resume = ("--resume", "--hyperparameters", path, "--out")
     folder = folder_of(tmp_path / "modes", modes=MODES, hyperparameters=path)
@@ -267,7 +267,7 @@ def test_a_run_with_other_modes_banks_or_hyperparameters_is_not_resumed(tmp_path
 
 
 @pytest.mark.parametrize("damaged", ["", "[]", "{}", '{"modes": 2, "hyperparameters": 3}'])
-def test_a_damaged_manifest_is_named(damaged, tmp_path):
+def test_a_damaged_manifest_is_refused(damaged, tmp_path):
     (tmp_path / "run.json").write_text(damaged)
     line = refused("--out", tmp_path, "--resume")
     assert "run.json: not the manifest of a run" in line
@@ -279,7 +279,7 @@ def test_a_damaged_manifest_is_named(damaged, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("algo", ["ppo", "rollouts"])
 def test_a_smoke_run_says_so_and_is_refused_as_a_result(algo, tmp_path):
-    for _ in range(2):  # the second takes the place of the first
+    for _ in range(2):  # the second run replaces the first
         assert "A smoke run" in succeed("train", "--smoke", "--algo", algo, cwd=tmp_path)
     for policy in ("runs/smoke", "runs/smoke/policy.safetensors"):
         refusal = command("evaluate", "--policy", policy, cwd=tmp_path)
@@ -291,15 +291,16 @@ PLACES = ("street:handset", "o1:standard:0.5")
 
 
 @pytest.mark.slow
-def test_trained_at_two_places_with_beliefs_per_mode_a_policy_plays_at_a_third(tmp_path):
-    """From the command that trains to the one that evaluates."""
+def test_a_policy_trained_at_two_places_with_beliefs_per_mode_plays_at_a_third(tmp_path):
+    """Run the commands train and then evaluate."""
     shown = succeed("train", "--beliefs", "per-mode", "--places", *PLACES, "--smoke", cwd=tmp_path)
     assert "| minus imm-best |" in shown
     (outcome,) = json.loads((tmp_path / "runs/smoke/summary.json").read_text())["seeds"]
     best = outcome["best"]
     for rival in ("speed-rule", "imm", "imm-best"):
         each = [best[f"{place} minus {rival}"]["mean"] for place in PLACES]
-        assert best[f"minus {rival}"]["mean"] == pytest.approx(np.mean(each))  # as many episodes
+        # The places have the same number of episodes.
+        assert best[f"minus {rival}"]["mean"] == pytest.approx(np.mean(each))
     assert abs(best["minus imm-best"]["mean"]) < 0.05  # it starts near the IMM
 
     smoke = tmp_path / "runs/smoke/policy.safetensors"

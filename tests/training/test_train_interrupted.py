@@ -1,4 +1,4 @@
-"""Trainings that are killed at any moment and go on: the same files as without."""
+"""Tests that trainings killed at any moment continue and write the same files in the end."""
 
 import csv
 import io
@@ -34,7 +34,7 @@ from tests.training.test_train import HYPER, TASK, content
 pytestmark = [
     pytest.mark.torch,
     pytest.mark.slow,
-    pytest.mark.skipif(not hasattr(os, "fork"), reason="kills what it forked"),
+    pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork"),
 ]
 
 SMALL = replace(HYPER, num_envs=4, n_steps=25, batch_size=50, paired=True)
@@ -42,7 +42,7 @@ KINDS = {"ppo": SMALL, "places": replace(SMALL, first_action_bias=1.0)}
 PLACES = places_from(["street:handset", "o1:standard:0.5"])
 BANKS = dict.fromkeys(["handset", "standard"], Bank(MODES))
 TASKS = {"places": replace(TASK, places=PLACES, banks=BANKS, beliefs="per-mode")}
-UPDATES = 14  # episodes end after every eighth
+UPDATES = 14  # episodes end after every eighth update
 
 
 def job_of(folder, kind="ppo", **changes):
@@ -62,14 +62,14 @@ def train(job):
 
 
 def forked(job):
-    """A process that trains; what is compiled here need not be compiled there."""
+    """Start a forked process that trains with the functions compiled in this one."""
     process = multiprocessing.get_context("fork").Process(target=train, args=(job,))
     process.start()
     return process
 
 
 def progress(folder):
-    """Rows of the log, as text, without wall time."""
+    """Return the rows of the log as text, without wall time."""
     text = (folder / "progress.csv").read_text()
     rows = list(csv.DictReader(io.StringIO(text)))
     assert all(float(row.pop("seconds")) > 0.0 for row in rows)
@@ -84,7 +84,7 @@ def untimed(outcome):
 
 
 def assert_same_training(actual, expected):
-    """All but what a clock tells."""
+    """Assert that two trainings wrote the same files, except for times."""
     for name in ("policy.safetensors", "latest.safetensors"):
         assert (actual / name).read_bytes() == (expected / name).read_bytes()
     assert progress(actual) == progress(expected)
@@ -99,9 +99,11 @@ def one_thread():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_killed_at_random_moments_it_goes_on_to_the_same_end(kind, tmp_path, one_thread):
+def test_a_training_killed_at_random_moments_continues_to_the_same_result(
+    kind, tmp_path, one_thread
+):
     job, whole = job_of(tmp_path / "killed", kind), job_of(tmp_path / "whole", kind)
-    train(whole)  # compiles, too
+    train(whole)  # also compiles
     checkpoint, rng, kills = job.folder / "checkpoint.pt", np.random.default_rng(5), 0
     before = None
     while True:
@@ -120,14 +122,14 @@ def test_killed_at_random_moments_it_goes_on_to_the_same_end(kind, tmp_path, one
 
 
 def stamp(path):
-    """Changes whenever a file is replaced; None where there is none."""
+    """Return a value that changes whenever a file is replaced; None if there is no file."""
     try:
         return path.stat().st_ino, path.stat().st_mtime_ns
     except FileNotFoundError:
         return None
 
 
-def test_killed_before_the_first_checkpoint_it_starts_over(tmp_path, one_thread):
+def test_a_training_killed_before_the_first_checkpoint_starts_over(tmp_path, one_thread):
     job, whole = job_of(tmp_path / "killed"), job_of(tmp_path / "whole")
     train(whole)
     job = replace(job, checkpoint_every=100)
@@ -141,7 +143,7 @@ def test_killed_before_the_first_checkpoint_it_starts_over(tmp_path, one_thread)
     assert_same_training(job.folder, whole.folder)
 
 
-def test_trainings_differ_by_their_seeds_alone(tmp_path, one_thread):
+def test_trainings_differ_if_and_only_if_their_seeds_differ(tmp_path, one_thread):
     for name, seed in (("a", 0), ("b", 0), ("c", 1)):
         train(job_of(tmp_path / name, seed=seed))
     assert_same_training(tmp_path / "a", tmp_path / "b")
@@ -185,9 +187,9 @@ def test_a_damaged_checkpoint_ends_all_trainings(tmp_path):
 
 @pytest.fixture
 def started():
-    """Starts the command in a process group of its own, of which nothing is left afterwards."""
+    """Return a function that starts train in its own process group; kill it afterwards."""
     commands = []
-    # What a shell runs in the background ignores Ctrl-C, and so does all that it starts.
+    # Commands that a shell runs in the background ignore Ctrl-C, and so do their children.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def start(*words):
@@ -205,7 +207,7 @@ def started():
 
 
 def members(group):
-    """Process number and command of everyone in a process group."""
+    """Return numbers and commands of the processes in a process group."""
     words = ["ps", "-ww", "-eo", "pgid=,pid=,args="]
     listed = subprocess.run(words, capture_output=True, text=True).stdout
     rows = [line.split(None, 2) for line in listed.splitlines()]
@@ -213,7 +215,7 @@ def members(group):
 
 
 def gone(group):
-    """Whether a process group ends within a minute."""
+    """Return whether a process group ends within a minute."""
     return any(not members(group) or time.sleep(0.1) for _ in range(600))
 
 
@@ -224,13 +226,12 @@ def until_replaced(path, process):
         time.sleep(0.005)
 
 
-def test_an_interrupted_command_ends_at_once_and_goes_on_when_resumed(tmp_path, started):
-    """It ends by its death, by that of a training, by Ctrl-C, and by other signals."""
+def test_an_interrupted_command_ends_at_once_and_continues_when_resumed(tmp_path, started):
+    """It is killed, one of its trainings is killed, or it receives Ctrl-C or other signals."""
     task = replace(TASK, banks={"handset": Bank(default_modes("handset"))})
     job = job_of(tmp_path / "whole", task=task)
-    job = replace(
-        job, timesteps=10 * job.timesteps, episodes=EPISODES
-    )  # seconds, for interrupts in between
+    # The training must take seconds, so that it can be interrupted.
+    job = replace(job, timesteps=10 * job.timesteps, episodes=EPISODES)
     hyperparameters, out = tmp_path / "mine.json", tmp_path / "run"
     hyperparameters.write_text(json.dumps(content(KINDS["ppo"])))
     length = ("--seeds", 1, "--total-timesteps", job.timesteps)
@@ -242,7 +243,7 @@ def test_an_interrupted_command_ends_at_once_and_goes_on_when_resumed(tmp_path, 
     until_replaced(checkpoint, command)
     command.kill()
     command.communicate(timeout=600)
-    assert gone(command.pid)  # a training that nobody listens to ends
+    assert gone(command.pid)  # a training ends after its command was killed
 
     command = started(*words, "--resume")
     until_replaced(checkpoint, command)
@@ -267,7 +268,7 @@ def test_an_interrupted_command_ends_at_once_and_goes_on_when_resumed(tmp_path, 
     for sent, send in ((signal.SIGTERM, os.kill), (signal.SIGHUP, os.killpg)):
         command = started(*words, "--resume")
         until_replaced(checkpoint, command)
-        send(command.pid, sent)  # to the command alone, as a scheduler does; to all of a terminal
+        send(command.pid, sent)  # SIGTERM to the command alone, SIGHUP to its whole group
         output = command.communicate(timeout=600)
         assert command.returncode == 128 + sent and output[0] == ""
         assert output[1].splitlines()[-1] == f"mmwave-loc train: ended by {sent.name}"

@@ -1,4 +1,4 @@
-"""Episodes: geometry written afresh, noise statistics at 99.9 % confidence each, validation."""
+"""Tests of episodes: geometry, noise (99.9 % confidence each), validation and packing."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ from tests.refusals import refuses
 STREET = SCENES["street"]
 HZ_PER_MPS = 28e9 / 299_792_458.0
 SIGNIFICANCE = 0.001
-# Nothing but noise: no blockage, no multipath, no oscillator.
+# Only noise: no blockage, no multipath, no offset of the oscillator.
 SILENT = {"blockage_scale": 0.0, "multipath_rate_hz": 0.0, "drift_mps": 0.0, "prior_bias_mps": 1e-9}
 NOISE_ONLY = replace(RADIOS["standard"], **SILENT)
 
@@ -38,7 +38,7 @@ def wrapped(angle):
 
 
 def exact(position, velocity, anchors):
-    """Every row without noise: link by link as (range, AoA, elevation, AoD), then Doppler."""
+    """Return rows without noise: link by link (range, AoA, elevation, AoD), then Doppler."""
     columns = []
     for anchor in anchors:
         away = position - anchor
@@ -54,7 +54,7 @@ def exact(position, velocity, anchors):
 
 
 def innovations(episode):
-    """Measured minus exact, over sigma, in the epochs in which every link is seen."""
+    """Return measured minus exact rows, over sigma, of epochs in which all links are visible."""
     z = episode.measurement - exact(
         episode.truth_position_m, episode.truth_velocity_mps, episode.scene_anchors_m
     )
@@ -67,7 +67,7 @@ def innovations(episode):
 
 
 @pytest.mark.parametrize("scene", SCENES)
-def test_geometry(scene):
+def test_geometry_equals_an_independent_implementation(scene):
     scene = SCENES[scene]
     rng = np.random.default_rng(0)
     position = rng.uniform(-200.0, 200.0, (500, 3))
@@ -79,7 +79,7 @@ def test_geometry(scene):
     assert np.abs(rows[:, angles]).max() <= np.pi
 
 
-def test_doppler_is_positive_hertz_while_the_range_grows():
+def test_the_doppler_shift_in_hz_is_positive_while_the_range_grows():
     start, speed = np.array([10.0, -90.0, 1.5]), 10.0
     anchor = np.array(STREET.base_station_m)
     away = (start - anchor) / np.linalg.norm(start - anchor)
@@ -97,7 +97,7 @@ def test_odometry_rows_are_speed_and_heading():
 # --- noise
 
 
-def test_noise_is_standard_normal_over_sigma():
+def test_noise_divided_by_sigma_is_standard_normal():
     drawn = [draw(seed, radio=NOISE_ONLY) for seed in range(30)]
     pooled = np.concatenate([innovations(episode) for episode in drawn])
     for row in pooled.T:
@@ -115,14 +115,14 @@ def test_angles_are_wrapped(odometry):
         assert np.abs(episode.measurement[:, episode.layout.angles]).max() <= np.pi
 
 
-def test_doppler_is_seen_with_the_physical_anchor(episode):
+def test_the_doppler_shift_is_visible_whenever_the_base_station_is(episode):
     assert len(episode) == 200 and episode.nonfinite == 0
     np.testing.assert_array_equal(episode.visible[:, 3], episode.visible[:, 0])
     np.testing.assert_array_equal(episode.usable, episode.visible)
 
 
 @pytest.mark.parametrize("scene", SCENES)
-def test_layout_follows_scene_and_odometry(scene):
+def test_the_layout_depends_on_scene_and_odometry(scene):
     assert draw(scene=SCENES[scene]).layout == Layout(3)
     assert draw(scene=replace(SCENES[scene], walls=())).measurement.shape == (200, 5)
     assert draw(scene=SCENES[scene], odometry=True).measurement.shape == (200, 15)
@@ -133,7 +133,7 @@ def test_layout_follows_scene_and_odometry(scene):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize(("row", "group"), [(1, 0), (4, 1), (11, 2), (12, 3)])
-def test_a_measurement_that_is_no_number_is_missing_and_counted(episode, value, row, group):
+def test_a_measurement_that_is_not_finite_is_missing_and_counted(episode, value, row, group):
     t = int(np.flatnonzero(episode.visible[:, group])[0])
     measurement = episode.measurement.copy()
     measurement[t, row] = value
@@ -145,7 +145,7 @@ def test_a_measurement_that_is_no_number_is_missing_and_counted(episode, value, 
     assert np.isfinite(damaged.table()).all()
 
 
-def test_a_missing_measurement_that_is_no_number_is_not_counted(episode):
+def test_a_missing_measurement_that_is_not_finite_is_not_counted(episode):
     visible = episode.visible.copy()
     visible[3] = False
     measurement = episode.measurement.copy()
@@ -154,7 +154,7 @@ def test_a_missing_measurement_that_is_no_number_is_not_counted(episode):
     assert blind.nonfinite == 0 and np.isfinite(blind.table()).all()
 
 
-def test_an_infinite_deviation_means_missing(episode):
+def test_a_measurement_with_an_infinite_deviation_is_missing(episode):
     t = int(np.flatnonzero(episode.visible[:, 2])[0])
     sigma = episode.sigma.copy()
     sigma[t, 8] = np.inf
@@ -177,24 +177,24 @@ DAMAGE = {
 
 
 @pytest.mark.parametrize("field", DAMAGE)
-def test_validation_names_field_and_episode(episode, field):
+def test_a_wrong_field_is_refused_with_the_names_of_field_and_episode(episode, field):
     with refuses(field, "episode 'cyclist'"):
         replace(episode, **{field: DAMAGE[field](getattr(episode, field))})
 
 
 @pytest.mark.parametrize("field", sorted(set(DAMAGE) - {"measurement", "visible", "snr_db"}))
-def test_a_nan_is_refused_where_no_number_may_be_missing(episode, field):
+def test_nan_is_refused_in_fields_that_must_be_complete(episode, field):
     damaged = getattr(episode, field).copy()
     damaged.flat[1] = np.nan
     with refuses(field, "episode 'cyclist'"):
         replace(episode, **{field: damaged})
 
 
-# --- as the engine loads it
+# --- packed for the engine
 
 
 @pytest.mark.parametrize("odometry", [False, True])
-def test_the_table_is_what_the_engine_s_template_reads(odometry):
+def test_the_table_has_what_the_template_of_the_engine_reads(odometry):
     episode = draw(1, odometry=odometry)
     table = episode.table()
     template = blank_incoming(episode.layout)
@@ -215,7 +215,7 @@ def test_the_table_is_what_the_engine_s_template_reads(odometry):
         np.testing.assert_array_equal(incoming.truth, state)
 
 
-def test_the_site_is_what_the_engine_s_template_reads(episode):
+def test_the_site_has_what_the_template_of_the_engine_reads(episode):
     site = unflatten(blank_site(episode.layout), iter(episode.site().tolist()))
     np.testing.assert_array_equal(site.anchors, episode.scene_anchors_m)
     assert site.hz_per_mps == episode.hz_per_mps
@@ -224,7 +224,7 @@ def test_the_site_is_what_the_engine_s_template_reads(episode):
     np.testing.assert_array_equal(site.prior_P, lower)
 
 
-def test_an_episode_without_truth_has_a_table_that_says_so(episode):
+def test_the_table_of_an_episode_without_truth_has_nan_in_its_place(episode):
     unknown = replace(episode, truth_position_m=None, truth_velocity_mps=None)
     table = unknown.table()
     assert np.isnan(table[:, -6:]).all() and np.isfinite(table[:, :-6]).all()

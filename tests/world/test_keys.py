@@ -1,4 +1,4 @@
-"""Keys of episodes, and the streams that they follow from."""
+"""Tests of keys of episodes, and of the streams that keys are taken from."""
 
 import gymnasium as gym
 import numpy as np
@@ -17,8 +17,8 @@ def numbers(*values):
     return np.array(values, np.uint64)
 
 
-def test_keys_are_what_others_found_for_splitmix64():
-    """Vigna's reference in C for the state 1234567, as Rosetta Code has it."""
+def test_keys_are_the_published_numbers_of_splitmix64():
+    """Rosetta Code lists them for the state 1234567, from Vigna's reference in C."""
     keys = keys_at(numbers(1234567), np.arange(3, dtype=np.uint64))
     assert keys.tolist() == [6457827717110365317, 3203168211198807973, 9817491932198370423]
 
@@ -29,13 +29,13 @@ def test_the_end_of_a_stream_is_followed_by_its_beginning():
     assert first == then
 
 
-def test_streams_are_those_of_numpys_seed_sequence():
+def test_the_stream_of_a_seed_begins_with_numpys_seed_sequence():
     assert stream_of(0) == np.random.SeedSequence(0).generate_state(1, np.uint64)[0]
     assert len(set(keys_of(range(2000)).tolist())) == 2000
 
 
-def test_without_a_seed_a_stream_begins_anywhere():
-    """Its state can be told, and gives the same keys again."""
+def test_a_stream_without_a_seed_begins_at_random():
+    """Its state can be saved and restored, and then gives the same keys again."""
     streams, again, places = Streams(2), Streams(2), np.arange(2)
     assert streams.seeds() == (-1, -1)  # unknown
     again.set_states(streams.states())
@@ -45,13 +45,13 @@ def test_without_a_seed_a_stream_begins_anywhere():
 
 
 @pytest.mark.parametrize("seed", [[1, -2], [1]])
-def test_other_seeds_are_refused(seed):
+def test_wrong_seeds_are_refused(seed):
     with refuses("seed"):
         Streams(2).seed_some(seed, np.arange(2))
 
 
-def test_a_seed_means_the_same_keys_everywhere():
-    """A single environment, both kinds of vector environments and evaluation."""
+def test_a_seed_gives_the_same_keys_everywhere():
+    """Compare a single environment, both kinds of vector environments, and evaluation."""
     single = gym.make("MmWaveLoc-v0", **SHORT)
     native = gym.make_vec("MmWaveLoc-v0", num_envs=2, autoreset_mode="Disabled", **SHORT)
     gymnasiums = gym.make_vec("MmWaveLoc-v0", num_envs=2, vectorization_mode="sync", **SHORT)
@@ -67,14 +67,14 @@ def test_a_seed_means_the_same_keys_everywhere():
     assert keys == native.reset(seed=8)[1]["episode_key"].tolist()
 
 
-def test_a_named_key_leaves_the_stream_where_it_is():
+def test_a_reset_to_a_given_key_does_not_advance_the_stream():
     env = gym.make("MmWaveLoc-v0", **SHORT)
     env.reset(seed=1)
     env.reset(options={"episode_key": 7})
     assert env.reset()[1]["episode_key"] == keys_at(stream_of(1), numbers(1))[0]
 
 
-def test_a_generator_of_ones_own_begins_a_stream():
+def test_a_custom_random_generator_begins_a_stream():
     env, keys = gym.make("MmWaveLoc-v0", **SHORT).unwrapped, []
     for _ in range(2):
         env.np_random = np.random.default_rng(3)
@@ -89,7 +89,7 @@ def test_an_integer_of_64_bits_is_a_key(key):
 
 
 @pytest.mark.parametrize("key", [-1, 2**64, 0.0, "1", None, True, np.array([1, 2])])
-def test_anything_else_is_refused(key):
+def test_a_key_that_is_not_an_integer_of_64_bits_is_refused(key):
     with refuses("episode_key"):
         key_from(key)
 
@@ -111,7 +111,7 @@ def test_a_key_plays_its_episode_again():
     assert many[1][1] == single[1]
 
 
-def test_a_key_beside_a_seed_or_of_a_recording_is_refused():
+def test_a_key_together_with_a_seed_or_a_recording_is_refused():
     with refuses("episode_key", "seed"):
         gym.make("MmWaveLoc-v0", **SHORT).reset(seed=3, options={"episode_key": 1})
     env = gym.make("MmWaveLoc-v0", episodes="canyon28_vehicle", **SHORT)

@@ -1,4 +1,4 @@
-"""Mobility: truth that people and cars could have moved along."""
+"""Tests of simulated users, who must move as people and cars can, and of mobility files."""
 
 import json
 from collections import Counter
@@ -31,7 +31,7 @@ STEP_S, STEPS, SEEDS = 0.1, 2000, 40
 
 
 class Bounds(NamedTuple):
-    """Bounds of a kind of user, from the project's model: m/s, m/s^2, m/s^2, m/s^3, m."""
+    """Bounds for a kind of user, from the project's model: m/s, m/s^2, m/s^2, m/s^3, m."""
 
     speed: float
     acceleration: float
@@ -48,14 +48,14 @@ BOUNDS = {
     "jam": DRIVING._replace(speed=7.0),
     "cyclist": Bounds(6.5, 1.2, 2.5, 2.0, 4.0),
 }
-LATERAL_MPS2 = 5.0  # drivers aim at 3.5 at most; corners are taken a little faster
+LATERAL_MPS2 = 5.0  # drivers aim at no more than 3.5, but take corners a little faster
 
 every_mobility = pytest.mark.parametrize("name", BOUNDS)
 every_scene = pytest.mark.parametrize("scene", representative(SCENES, "street"))
 
 
 class Users(NamedTuple):
-    """Many users of one kind: (SEEDS, STEPS, 2) m, m/s; (SEEDS, STEPS) m/s; height, m."""
+    """Tracks of many users of one kind: (SEEDS, STEPS, 2) and (SEEDS, STEPS), m and m/s."""
 
     position: np.ndarray
     velocity: np.ndarray
@@ -93,7 +93,7 @@ def run_one(name, seed, dt, epochs):
 
 @every_mobility
 def test_acceleration_and_braking_are_bounded(tracks, name):
-    """And so are the speed, whose range is used, and the jerk."""
+    """So are jerk and speed, which also comes near its bound."""
     speed, bounds = tracks(name).speed, BOUNDS[name]
     assert 0.8 * bounds.speed < speed.max() <= bounds.speed + 1e-9
     change = np.diff(speed) / STEP_S
@@ -134,7 +134,7 @@ def test_users_stay_in_the_streets(tracks, name, scene):
     low = np.array([streets.x_m[0], streets.y_m[0]])
     high = np.array([streets.x_m[1], streets.y_m[1]])
     # Corners are cut on arcs of radius R; at the end of a dead-end street users turn on a half
-    # circle of diameter 2 R and come back beside the line they went on.
+    # circle of diameter 2 R and come back at this distance from the line they went on.
     radius = BOUNDS[name].radius
     dead_ends = low[0] == high[0] or low[1] == high[1]
     aside = 2.0 * radius if dead_ends else (1.0 - np.sqrt(0.5)) * radius
@@ -160,10 +160,10 @@ def test_most_users_stop_for_a_while(tracks, name):
         now = np.where(standing[:, t], now + STEP_S, 0.0)
         longest = np.maximum(longest, now)
     assert (longest >= 2.0).mean() > 0.5
-    assert (standing.mean(axis=1) < 0.95).all()  # and all of them get on
+    assert (standing.mean(axis=1) < 0.95).all()  # and all of them move again
 
 
-def test_walk_ride_walks_rides_and_walks(tracks):
+def test_users_of_walk_ride_walk_then_ride_then_walk(tracks):
     speed = tracks("walk-ride").speed
     on_foot = BOUNDS["pedestrian"].speed
     first, last = round(45.0 / STEP_S), round(35.0 / STEP_S)  # braking to a walk takes up to 10 s
@@ -179,13 +179,13 @@ def test_vehicles_reach_driving_speed(tracks):
 
 @every_mobility
 @pytest.mark.parametrize("dt", [0.5, 1.0, 2.0])
-def test_the_step_samples_the_same_trajectory(name, dt):
+def test_the_time_step_does_not_change_the_trajectory(name, dt):
     fine = np.array(run_one(name, 0, STEP_S, STEPS))
     coarse = np.array(run_one(name, 0, dt, round(STEPS * STEP_S / dt)))
     np.testing.assert_allclose(coarse, fine[:, :: round(dt / STEP_S)], atol=1e-8)
 
 
-def test_mixed_draws_every_mobility_alike():
+def test_mixed_draws_every_mobility_with_the_same_probability():
     draws = 2000
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], "mixed", epochs=1)
     counts = Counter(source.sample_batch(keys_of(range(draws))).names)
@@ -216,12 +216,12 @@ def with_phase(**changes):
     return SCOOTER | {"phases": [phase | changes]}
 
 
-def test_a_mobility_file_is_a_kind_of_user(tmp_path):
+def test_a_mobility_file_defines_a_kind_of_user(tmp_path):
     (scooter,) = mobilities_of(write(tmp_path, SCOOTER))
     assert scooter == Mobility("scooter", (Phase(LIMITS, (Gait(3.0, 7.0),)),), blocks=2)
 
 
-def test_a_kind_of_user_of_ones_own_keeps_to_its_limits(tmp_path):
+def test_a_custom_kind_of_user_stays_within_its_limits(tmp_path):
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], write(tmp_path, SCOOTER), dt=0.2)
     assert source.name == "scooter"
     for seed in range(5):
@@ -230,7 +230,7 @@ def test_a_kind_of_user_of_ones_own_keeps_to_its_limits(tmp_path):
         assert episode.name == "scooter" and speed.max() <= 7.0 + 1e-9
         assert 2.0 < speed.max() and np.diff(speed).max() / 0.2 <= 1.5 + 1e-9
         from_street = 20.0 - np.abs(episode.truth_position_m[:, :2] % 40.0 - 20.0)
-        assert from_street.min(axis=1).max() < 1.0  # corners of 3 m are cut by less
+        assert from_street.min(axis=1).max() < 1.0  # corners with a radius of 3 m are cut by less
 
 
 @pytest.mark.parametrize(
@@ -243,7 +243,7 @@ def test_a_kind_of_user_of_ones_own_keeps_to_its_limits(tmp_path):
         (SCOOTER | {"phases": SCOOTER["phases"] * 2}, "phases[0].duration_s"),
     ],
 )
-def test_a_damaged_mobility_file_is_refused_by_field(tmp_path, content, field):
+def test_a_damaged_mobility_file_is_refused_with_the_name_of_the_field(tmp_path, content, field):
     path = write(tmp_path, content)
     with refuses(path, field):
         mobilities_of(path)

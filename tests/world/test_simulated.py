@@ -1,7 +1,7 @@
-"""Simulated episodes against a plain numpy simulation that draws the same random numbers.
+"""Tests of simulated episodes against a plain NumPy simulation with the same random numbers.
 
-It is the meaning of a key: what is drawn before the first epoch, then epoch by epoch, in this
-order; the way of the user and what is received of it have generators of their own.
+The plain simulation defines the episode of a key: which numbers are drawn before the first epoch,
+and then in every epoch, in which order; trajectory and reception have separate generators.
 """
 
 import numpy as np
@@ -26,19 +26,21 @@ SOURCES = {
         SCENES["o1"], RADIOS["high"], "walk-ride", dt=0.1, odometry=True
     ),
     "jam": SimulatedSource(SCENES["dynamic-doppler"], RADIOS["standard"], "jam", 0.5, epochs=77),
-    "windows of a way": SimulatedSource(
+    "windows of a trajectory": SimulatedSource(
         SCENES["street"], RADIOS["handset"], around_a_block(), dt=0.7, epochs=30, odometry=True
     ),
-    "streets at random": SimulatedSource(RandomScene(), RADIOS["standard"], epochs=60),
-    "a whole way": SimulatedSource(SCENES["o1"], RADIOS["high"], around_a_block([200.0, 600.0])),
+    "random streets": SimulatedSource(RandomScene(), RADIOS["standard"], epochs=60),
+    "a complete trajectory": SimulatedSource(
+        SCENES["o1"], RADIOS["high"], around_a_block([200.0, 600.0])
+    ),
 }
 KEYS = np.random.default_rng(0).integers(0, 2**64, 20, np.uint64)
-# Of the ways of users two in a thousand part from ours after a while: an event, say the end of a
-# gait, falls on a substep in one and on the next in the other, as sums round differently.
+# For two in a thousand other keys, the trajectories of both simulations diverge: sums round
+# differently, so that an event, such as the end of a gait, is one substep later in one of them.
 
 
 class PlainDice:
-    """Draws from numpy's own SFC64."""
+    """Random draws from NumPy's own SFC64."""
 
     def __init__(self, key, stream):
         bits = np.random.SFC64(0)
@@ -65,7 +67,7 @@ class PlainDice:
 
 
 def spells(uniform, onset, leave, first):
-    """A two-state Markov chain per column: whether it is on, and since which epoch."""
+    """Run a two-state Markov chain per column; return whether it is on, and since when."""
     on, since = np.zeros(uniform.shape, bool), np.zeros(uniform.shape, int)
     for t, draw in enumerate(uniform):
         before = on[t - 1] if t else np.zeros(uniform.shape[1], bool)
@@ -75,7 +77,7 @@ def spells(uniform, onset, leave, first):
 
 
 def drawn(dice, T, L, rows):
-    """Everything that reception draws, epoch by epoch: a list of arrays (T, ...)."""
+    """Draw all numbers of the reception, epoch by epoch; return a list of arrays (T, ...)."""
     normal, uniform, exponential = dice.normal, dice.uniform, dice.exponential
     spells = [(exponential, L)] * 2 + [(normal, L, 3)] * 2 + [(uniform, L)]
     kinds = [(normal, L), (uniform, L), (uniform, L), (uniform, 1), *spells]
@@ -88,7 +90,7 @@ def drawn(dice, T, L, rows):
 
 
 def channel(radio, scene, distance, speed, dt, draws):
-    """SNR, detection, biases (T, L, 4) and Doppler spread."""
+    """Return SNR, detection, biases (T, L, 4) and Doppler spread."""
     shadow, blocking, reflecting, losing, blockage, multipath, *angles = draws[:8]
     detection, scatter, floor = draws[8:]
     T, L = distance.shape
@@ -123,7 +125,7 @@ def channel(radio, scene, distance, speed, dt, draws):
 
 
 def way(source, scene, dice):
-    """The name of a user, and its positions and velocities (T, 6)."""
+    """Return the name of a user, and positions and velocities (T, 6)."""
     scenario, T, streets = source.scenario, source.epochs, scene.streets
     if isinstance(scenario, Trajectory):
         whole = scenario.resampled(source.dt)
@@ -150,7 +152,7 @@ def way(source, scene, dice):
 
 
 def plain(source, key):
-    """An episode, straight from the model's description."""
+    """Simulate the episode of a key, straight from the model's description."""
     scene, radio, layout, T = source.scene, source.radio, source.layout, source.epochs
     dice, others = PlainDice(key, USER), PlainDice(key, RECEIVER)
     if isinstance(scene, RandomScene):
@@ -180,14 +182,14 @@ def plain(source, key):
 
 
 def wrapped(table, layout):
-    """The table with its angles, which follow dt, moved into [-pi, pi)."""
+    """Wrap the angles of a table into [-pi, pi); column 0 is dt, then follow the rows."""
     columns = 1 + np.array(layout.angles)
     table[..., columns] = np.remainder(table[..., columns] + np.pi, 2 * np.pi) - np.pi
     return table
 
 
 @pytest.mark.parametrize("name", representative(SOURCES, "default", "jam"))
-def test_a_key_means_the_episode_of_the_plain_simulation(name):
+def test_a_key_gives_the_episode_of_the_plain_simulation(name):
     source = SOURCES[name]
     for key, episode in zip(KEYS, source.episodes(KEYS), strict=True):
         expected = plain(source, key)
@@ -200,7 +202,7 @@ def test_a_key_means_the_episode_of_the_plain_simulation(name):
 
 @pytest.mark.parametrize("name", SOURCES)
 @pytest.mark.parametrize("threads", [1, 2])
-def test_a_batch_is_the_episodes_one_by_one_to_the_bit(name, threads):
+def test_a_batch_equals_single_episodes_to_the_last_bit(name, threads):
     source = SOURCES[name]
     batch = source.sample_batch(KEYS, threads=threads)
     expected = EpisodeBatch.of([source.episode(int(key)) for key in KEYS])
@@ -209,7 +211,7 @@ def test_a_batch_is_the_episodes_one_by_one_to_the_bit(name, threads):
         np.testing.assert_array_equal(getattr(batch, field), getattr(expected, field))
 
 
-def test_the_way_of_a_user_is_the_same_however_it_is_received():
+def test_the_trajectory_of_a_key_does_not_depend_on_radio_and_odometry():
     def truth(radio, **options):
         return SimulatedSource(SCENES["street"], RADIOS[radio], **options).sample_batch(KEYS).table
 
@@ -218,7 +220,7 @@ def test_the_way_of_a_user_is_the_same_however_it_is_received():
     np.testing.assert_array_equal(truth("handset", odometry=True)[..., -6:], expected)
 
 
-def test_a_seed_draws_the_key():
+def test_a_random_generator_draws_the_key_of_a_sample():
     source = SOURCES["jam"]
     key = np.random.default_rng(7).integers(0, 2**64, dtype=np.uint64)
     np.testing.assert_array_equal(
@@ -227,7 +229,7 @@ def test_a_seed_draws_the_key():
 
 
 def test_the_scene_of_a_key_is_that_of_its_episode():
-    source = SOURCES["streets at random"]
+    source = SOURCES["random streets"]
     for key, episode in zip(KEYS, source.episodes(KEYS), strict=True):
         scene = source.scene_of(int(key))
         np.testing.assert_allclose(scene.anchors_m, episode.scene_anchors_m, rtol=1e-12)

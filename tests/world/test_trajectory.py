@@ -1,4 +1,4 @@
-"""Ways of one's own: read, resampled, and refused where they can't be sent through the channel."""
+"""Tests of custom trajectories: read, resampled, and refused if they are impossible."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ STREET = SCENES["street"]
 
 
 def straight(n=5, dt=1.0, speed=2.0):
-    """Rows of someone who walks west to east."""
+    """Return the rows of a user who walks from west to east."""
     return [[i * dt, 20.0 + speed * i * dt, -80.0, 1.5] for i in range(n)]
 
 
@@ -32,7 +32,7 @@ def changed(row, column, value):
     return rows
 
 
-def test_a_file_is_the_rows_it_has(tmp_path):
+def test_a_trajectory_has_the_rows_of_its_file(tmp_path):
     rows = np.array(straight())
     read = read_trajectory(write(tmp_path, rows))
     np.testing.assert_array_equal(read.time_s, rows[:, 0])
@@ -40,13 +40,13 @@ def test_a_file_is_the_rows_it_has(tmp_path):
     np.testing.assert_allclose(read.velocity_mps, np.tile([2.0, 0.0, 0.0], (5, 1)), atol=1e-12)
 
 
-def test_columns_come_in_any_order_and_others_are_not_looked_at(tmp_path):
+def test_columns_may_be_in_any_order_and_others_are_ignored(tmp_path):
     rows = [[row[1], "car 7", row[0], row[3], row[2]] for row in straight()]
     read = read_trajectory(write(tmp_path, rows, "x,id,t,z,y"))
     np.testing.assert_array_equal(read.position_m, np.array(straight())[:, 1:])
 
 
-def test_velocities_of_a_file_are_taken(tmp_path):
+def test_velocities_in_a_file_are_used(tmp_path):
     rows = [[*row, 2.5, 0.1, 0.0] for row in straight()]
     read = read_trajectory(write(tmp_path, rows, "t,x,y,z,vx,vy,vz"))
     np.testing.assert_array_equal(read.velocity_mps, np.tile([2.5, 0.1, 0.0], (5, 1)))
@@ -59,8 +59,8 @@ def test_velocities_of_a_file_are_taken(tmp_path):
     a=st.lists(st.floats(-0.5, 0.5), min_size=3, max_size=3),
     v=st.lists(st.floats(-9.0, 9.0), min_size=3, max_size=3),
 )
-def test_constant_acceleration_is_resampled_as_it_is(dt, steps, a, v):
-    """Differences find its velocities, but for the ends, and the cubics its positions."""
+def test_constant_acceleration_is_resampled_exactly(dt, steps, a, v):
+    """Differences give its velocities, except at the ends, and cubics its positions."""
     t = np.cumsum(steps)
     position = np.outer(t, v) + 0.5 * np.outer(t * t, a)
     velocity = v + np.outer(t, a)
@@ -86,19 +86,19 @@ def test_constant_acceleration_is_resampled_as_it_is(dt, steps, a, v):
         ([[t, x, 20.0 + 3.0 * t, z] for t, x, _, z in straight()], "line 4: x, y, z"),
     ],
 )
-def test_an_impossible_way_is_refused_by_line(tmp_path, rows, place):
+def test_an_impossible_trajectory_is_refused_with_its_line(tmp_path, rows, place):
     path = write(tmp_path, rows)
     with refuses(path, place):
         SimulatedSource(STREET, RADIOS["handset"], read_ways(path))
 
 
 @pytest.mark.parametrize("header", ["time,x,y,z", "t,x,y,vx"])
-def test_a_file_without_its_columns_is_refused(tmp_path, header):
+def test_a_file_without_all_columns_is_refused(tmp_path, header):
     with refuses("way.csv", "header"):
         read_trajectory(write(tmp_path, straight(), header))
 
 
-def test_a_missing_file_is_named():
+def test_the_error_about_a_missing_file_names_it():
     with refuses("nowhere.csv", error=FileNotFoundError):
         read_trajectory("nowhere.csv")
 
@@ -113,7 +113,7 @@ def test_impossible_velocities_are_refused(tmp_path):
         read_trajectory(write(tmp_path, rows, "t,x,y,z,vx,vy,vz"))
 
 
-def test_arrays_are_refused_by_row():
+def test_wrong_arrays_are_refused_with_the_row():
     time_s, position = np.arange(5.0), np.zeros((5, 3))
     position[2, 1] = np.nan
     with refuses("mine, row 3: x, y, z"):
@@ -122,7 +122,7 @@ def test_arrays_are_refused_by_row():
         Trajectory("mine", time_s, position[:4])
 
 
-def test_a_user_who_never_moves_is_warned_of():
+def test_a_trajectory_of_a_user_who_never_moves_causes_a_warning():
     time_s = np.arange(100.0)
     degrees = np.column_stack([-122.4 + 1e-6 * time_s, np.full(100, 37.8), np.full(100, 1.5)])
     with pytest.warns(UserWarning, match="gps: found all of 99 s"):
@@ -139,13 +139,13 @@ def test_a_user_who_never_moves_is_warned_of():
         (([0, -20, 1], [50, -20, 1]), 20.0, "mine"),  # shorter than a step
     ],
 )
-def test_a_way_that_does_not_fit_the_scene_is_refused(ends, dt, place):
+def test_a_trajectory_that_does_not_fit_the_scene_is_refused(ends, dt, place):
     with refuses("mine", place):
         way = Trajectory("mine", np.arange(11.0), np.linspace(*ends, 11))
         SimulatedSource(STREET, RADIOS["handset"], way, dt=dt)
 
 
-def test_windows_begin_anywhere_and_a_short_way_is_one_episode():
+def test_windows_begin_anywhere_and_the_default_is_the_complete_trajectory():
     rows = np.array(straight(7))
     walk = Trajectory("walk", rows[:, 0], rows[:, 1:])
     source = SimulatedSource(STREET, RADIOS["handset"], walk, epochs=4)

@@ -1,4 +1,4 @@
-"""Tests of ways: scenario=, and files of several users, read, placed and drawn from."""
+"""Tests of ways, the trajectories of several users: files, windows, and use as scenario=."""
 
 import warnings
 from pathlib import Path
@@ -23,7 +23,7 @@ def straight(seconds, y=-80.0, speed=2.0, name="way"):
 
 
 def write(folder, ways, header="t,id,x,y,z"):
-    """A file of ways by id, in the order of time as traffic simulators write them."""
+    """Write a file of ways by id, in the order of time, as traffic simulators do."""
     pairs = [
         (i, row) for i, way in ways.items() for row in zip(way.time_s, way.position_m, strict=True)
     ]
@@ -57,7 +57,7 @@ def test_each_episode_is_a_window_of_one_of_the_ways(tmp_path):
     assert names == set(source.names) and len(names) == 3
 
 
-def test_one_of_several_ways_is_drawn_as_it_would_be_alone(tmp_path):
+def test_a_file_with_one_way_gives_the_episodes_of_that_trajectory(tmp_path):
     path = write(tmp_path, {"a": straight(40)})
     alone = SimulatedSource(STREET, RADIO, straight(40), epochs=20)
     named = SimulatedSource(STREET, RADIO, read_ways(path), epochs=20)
@@ -79,7 +79,7 @@ def test_ways_shorter_than_an_episode_are_left_out():
         assert len(ways.placed(STREET, 1.0, 6).names) == 3
 
 
-def test_all_ways_are_as_likely_and_all_windows_of_one():
+def test_all_ways_are_equally_likely_and_so_are_all_windows_of_a_way():
     tables = [100.0 * i + np.tile(np.arange(n)[:, None], 6) for i, n in enumerate((10, 12, 40))]
     ways, n = PlacedWays(["a", "b", "c"], tables, 10), 90_000
     numbers, truth = ways.draw((np.arange(n) + 0.5) / n)
@@ -101,32 +101,32 @@ def test_all_ways_are_as_likely_and_all_windows_of_one():
         (lambda rows: rows + ["9,b,26,-80,1.5", "9,b,27,-80,1.5"], "line 7: t"),
     ],
 )
-def test_damage_of_a_file_is_named(tmp_path, change, place):
+def test_the_error_about_a_damaged_file_names_the_place(tmp_path, change, place):
     path = write(tmp_path, {"a": straight(3)})
     path.write_text("\n".join(change(path.read_text().splitlines())) + "\n")
     with refuses(path, place):
         read_ways(path)
 
 
-def test_several_ways_are_refused_in_place_of_a_single_way(tmp_path):
+def test_several_ways_are_refused_where_a_single_trajectory_is_expected(tmp_path):
     path = write(tmp_path, {"a": straight(3), "b": straight(3)})
     with refuses(path, "column id"):
         read_trajectory(path)
 
 
-# --- what a scenario is
+# --- scenarios
 
 
 @pytest.mark.parametrize("name", ["way.csv", "WAY.CSV"])
 @pytest.mark.parametrize("as_type", [str, Path])
-def test_a_csv_file_holds_ways(tmp_path, name, as_type):
+def test_a_csv_file_given_as_scenario_is_read_as_ways(tmp_path, name, as_type):
     path = tmp_path / name
     path.write_text("t,x,y,z\n0,1,-80,1.5\n1,2,-80,1.5\n2,3,-80,1.5\n")
     assert isinstance(scenario_from(as_type(path)), Ways)
     assert scenario_from("mixed") == "mixed"
 
 
-def test_objects_are_taken_as_they_are():
+def test_objects_can_be_given_as_scenarios():
     walk = Trajectory("walk", [0.0, 1.0], [[1.0, -80.0, 1.5], [2.0, -80.0, 1.5]])
     ways = Ways("both", [walk, walk])
     assert users_of(ways) is ways
@@ -135,7 +135,7 @@ def test_objects_are_taken_as_they_are():
     assert all(isinstance(user, Mobility) for user in users_of("mixed"))
 
 
-def test_unknown_names_are_refused():
+def test_unknown_scenarios_are_refused():
     for name in ("boat", 3):
         with refuses("scenario"):
             users_of(name)
