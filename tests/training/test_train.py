@@ -284,7 +284,7 @@ def test_a_smoke_run_says_so_and_is_refused_as_a_result(algo, tmp_path):
     for policy in ("runs/smoke", "runs/smoke/policy.safetensors"):
         refusal = command("evaluate", "--policy", policy, cwd=tmp_path)
         assert refusal.returncode == 2
-        assert f"{policy}: found what train --smoke left" in refusal.stderr
+        assert f"{policy}: found the result of train --smoke" in refusal.stderr
 
 
 PLACES = ("street:handset", "o1:standard:0.5")
