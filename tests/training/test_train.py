@@ -184,7 +184,7 @@ def test_a_bad_hyperparameter_is_refused_in_one_line(change, tmp_path):
     [
         (("--scenario", "train"), "'train'.*pedestrian"),
         (("--places", "street"), "places: found 'street', expected SCENE:RADIO"),
-        (("--radio", "high", "--places", "o1:high"), "radio: found 'high' beside places"),
+        (("--radio", "high", "--places", "o1:high"), "radio: cannot be combined with places"),
         (("--beliefs", "permode"), "permode.*--beliefs.*per-mode"),
         (("--beliefs", "per-mode", "--modes", "ukf"), "modes: found 'ukf' alone"),
         (("--observation", "half"), "observation: found 'half'"),
@@ -192,7 +192,7 @@ def test_a_bad_hyperparameter_is_refused_in_one_line(change, tmp_path):
         (("--seeds", 0), "seeds: found 0"),
         (("--checkpoint-every", 0), "checkpoint_every: found 0"),
         (("--total-timesteps", -1), "total_timesteps: found -1"),
-        (("--resume", "--overwrite"), "overwrite: found it beside resume"),
+        (("--resume", "--overwrite"), "overwrite: cannot be combined with resume"),
         (("--algo", "rollouts", "--hyperparameters", shipped_hyperparameters("ppo")),
          "key: found 'n_steps', .*num_envs"),
     ],
