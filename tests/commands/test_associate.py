@@ -52,7 +52,7 @@ def test_the_command_says_what_was_associated(hidden, tmp_path):
     ("words", "message"),
     [
         ((), "columns: found no anchor in time_s"),
-        (("--associate", "--diagnose"), "diagnose: found with --associate, expected rows with an"),
+        (("--associate", "--diagnose"), "diagnose: cannot be combined with --associate"),
     ],
 )
 def test_what_makes_no_sense_is_refused(hidden, words, message):
