@@ -38,9 +38,9 @@ class Args:
 COLUMN = 25  # column in which the descriptions of names begin
 POLICIES = {
     "speed-rule": "the paper's rule: EKF up to 2 m/s, UKF above",
-    "likelihood-rule": "the mode that explains the coming measurement best",
-    "imm": "interacting multiple models over the same modes",
-    "imm-best": "tuned IMM over modes that stand, cruise, turn, accelerate and brake",
+    "likelihood-rule": "chooses the mode that explains the coming measurement best",
+    "imm": "interacting multiple models: a mixture of the same modes",
+    "imm-best": "tuned IMM of modes for users who stand, cruise, turn, accelerate or brake",
     "ppo": "learned policy that chooses between the profile's two modes",
     "guided": "learned policy that says which mode of imm-best to trust",
     "guided-ppo": "same as guided, but trained only with PPO",

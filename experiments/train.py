@@ -23,8 +23,8 @@ class Args(TaskArgs):
     """JSON file to use instead of the algorithm's own, such as experiments/training/ppo.json, or
     guided-ppo.json with --beliefs per-mode"""
     smoke: bool = False
-    """run one seed and one update, in seconds, to check that everything is installed and works;
-    writes to runs/smoke unless --out names another folder; compare refuses its policy"""
+    """run one seed and one update, which takes seconds, to check that everything is installed and
+    works; writes to runs/smoke unless --out names another folder; compare refuses its policy"""
     jobs: int = min(2, os.cpu_count() or 1)
     """number of trainings to run at once"""
     checkpoint_every: int = 32

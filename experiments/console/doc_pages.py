@@ -13,7 +13,7 @@ def page_to_renew(path: Path) -> str:
     """Read a page whose tables are to be replaced.
 
     Raises:
-        ValueError: no lines mark a table in the page.
+        ValueError: the page has no lines that mark a table.
         OSError: the page can't be read or written.
     """
     require_writable(path)

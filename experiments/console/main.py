@@ -103,7 +103,7 @@ def _complain(program: str, error: BaseException, debug: bool) -> None:
     if isinstance(error, OSError) and error.errno is not None and error.filename is None:
         # Errors about files name the file, so this one is about a stream or the working folder.
         missing = isinstance(error, FileNotFoundError)
-        line = f"{'the working folder' if missing else 'what is printed'}: {error.strerror}"
+        line = f"{'the working folder' if missing else 'standard output'}: {error.strerror}"
     elif isinstance(error, (ValueError, OSError)):
         line = str(error)
     else:
@@ -133,7 +133,7 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
             _require_results_can_be_written(args)
             command.main(args)
         print(end="", flush=True)
-    except BrokenPipeError:  # the reader has seen enough
+    except BrokenPipeError:  # the reader closed the pipe
         _leave(141)  # as a shell reports a program that SIGPIPE ended
     except Exception as error:
         _complain(program, error, debug)

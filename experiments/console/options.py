@@ -112,7 +112,7 @@ class TaskArgs:
     places: tuple[str, ...] = ()
     """places to train at, instead of --radio: each is SCENE:RADIO or SCENE:RADIO:DT, such as
     street:handset or o1:standard:0.1, with names or JSON files and the seconds between epochs
-    (default: 1); environments, and the episodes that judge policies, are spread over them evenly"""
+    (default: 1); environments, and episodes for judging policies, are spread over them evenly"""
     beliefs: Literal["shared", "per-mode"] = "shared"
     """shared: all modes work on one belief; per-mode: every mode keeps its own belief, and the
     agent says which one to trust"""
@@ -120,7 +120,8 @@ class TaskArgs:
     """modes to choose from: names and mode files; by default the radio's ekf and ukf or, with
     --beliefs per-mode, its best bank"""
     observation: str = "full"
-    """full, or prior, which leaves out how well each mode explains the coming epoch"""
+    """what the agent observes: full, or prior, which leaves out how well each mode explains the
+    coming epoch"""
     reward: str = "tracking"
     """tracking or log-score (minus the IMM's reward if the hyperparameters ask for paired), or
     paired: the tracking reward minus the IMM's; with --beliefs per-mode, the IMM is the bank's"""

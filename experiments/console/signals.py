@@ -9,7 +9,7 @@ from threading import Timer
 from types import FrameType
 from typing import Any, NoReturn
 
-# The signals that the system has: Windows has no SIGHUP.
+# Those signals that the system has; Windows has no SIGHUP.
 ENDING = tuple(getattr(signal, n) for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n))
 SOON_S = 0.01  # delay after which a signal that could not be handled is sent again
 SAME_S = 1.0  # a repetition within this time is the same signal, sent to process and group

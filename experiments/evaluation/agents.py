@@ -1,4 +1,4 @@
-"""A user's own agents: functions from observations to actions, checked before any episode."""
+"""A user's own agents: functions from observations to actions, checked before episodes run."""
 
 import importlib
 import os
@@ -17,7 +17,7 @@ Act = Callable[[NDArray[np.float32]], Any]  # observations (n, features) -> acti
 
 MODULE = re.compile(r"[\w.]+:[\w.]+")
 GUIDE = "docs/own-agent.md"
-OF_A_MODEL = "for a model, lambda seen: model.predict(seen, deterministic=True)[0]"
+OF_A_MODEL = "for a model, use lambda seen: model.predict(seen, deterministic=True)[0]"
 TRIED = 3  # number of random observations to try an agent on
 
 

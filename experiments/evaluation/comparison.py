@@ -29,7 +29,7 @@ class Comparison:
     radio: str
     selection: Selection
     policies: dict[str, dict[str, Interval]]  # means by contender and metric
-    paired: dict[str, dict[str, Interval]]  # the same for differences per episode, by "A - B"
+    paired: dict[str, dict[str, Interval]]  # the same for differences by episode, "A - B"
     reward: str = "tracking"  # kind of reward in the column "reward"
 
     @property

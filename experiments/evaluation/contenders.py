@@ -158,7 +158,7 @@ def _imm(name: str, bank_of: Callable[[], Bank]) -> Contender:
 
 
 def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:
-    """Return a function per IMM that returns its bank, by name; files are read at its call.
+    """Return, by name, functions that make the bank of each IMM; they read files when called.
 
     Args:
         radio: radio profile, a name or a JSON file.
@@ -188,7 +188,7 @@ def _of_any_modes(bank: Bank) -> dict[str, Make]:
 
 
 def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
-    """Return a function per contender that makes it, by name; files are read at its call.
+    """Return, by name, functions that make the contenders; they read files when called.
 
     Args:
         radio: radio profile, a name or a JSON file.

@@ -26,7 +26,7 @@ def history_of(
             probable mode of each epoch gives the mode and the gates.
         episode: episode with a ground-truth track.
         scoring: same as in :func:`~experiments.evaluation.runner.run_contender`.
-        streets: streets of the episode; None where they are unknown.
+        streets: streets of the episode; None if they are unknown.
 
     Raises:
         ValueError: the policy fails.

@@ -66,9 +66,9 @@ def positions_markdown(title: str, rows: Mapping[str, Any], risk: float) -> str:
         for kind, errors in kinds.items()
     ]
     return (
-        f"{grid([title, *HEADER], cells)}\n\nThe first columns are errors that this percentage of "
-        "the epochs stays below, then shares of the epochs within a distance. Level is the median "
-        f"protection level; at a risk of {risk:g}, errors should exceed their levels in "
+        f"{grid([title, *HEADER], cells)}\n\n50 % m is the error that 50 % of the epochs stay "
+        "below, and so on; within 1 m is the share of the epochs with at most this error. Level is "
+        f"the median protection level; at a risk of {risk:g}, errors should exceed their levels in "
         f"{percent(risk)} of the epochs.\n"
     )
 
@@ -97,7 +97,7 @@ def exceeded(figures: Mapping[str, Any]) -> str:
 
 
 def meters(value: float | None) -> str:
-    """Format a distance to three digits, and a large distance to whole meters."""
+    """Format a distance with three digits, or a large distance in whole meters."""
     if value is None:
         return "-"
     return f"{value:#.3g}" if value < 99.95 else f"{value:.0f}"

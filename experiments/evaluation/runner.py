@@ -30,7 +30,7 @@ class Scoring(NamedTuple):
 
     Attributes:
         reward: function of (belief, truth).
-        planar: whether height and vertical velocity are known; NEES then has two axes.
+        planar: whether height and vertical velocity are known; NEES then covers two axes.
     """
 
     reward: Reward = TrackingReward()
@@ -216,7 +216,7 @@ def score_contenders(
         after: parts of the state for ``watch``, as in :func:`run_contender`.
 
     Raises:
-        ValueError: unknown or repeated contender.
+        ValueError: a contender is unknown, or occurs twice.
     """
     chosen = [
         name if isinstance(name, Contender) else contender_from(name, radio, modes)

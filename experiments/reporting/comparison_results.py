@@ -29,7 +29,7 @@ from mmwave_env.localization.position_errors import require_risk
 
 
 class Results(NamedTuple):
-    """Results of a comparison: tables, figures, and pictures to draw."""
+    """Results of a comparison: tables, numbers, and pictures to draw."""
 
     comparison: Comparison
     text: str  # all tables as Markdown

@@ -29,7 +29,7 @@ def run_live(args: LogArgs) -> None:
     A damaged or late row causes a warning and is left out.
 
     Raises:
-        ValueError: options don't fit, or the first line is neither a header nor a JSON object.
+        ValueError: options contradict each other, or the input has neither header nor JSON.
     """
     if str(args.log) != "-" or args.scene is None:
         raise ValueError("live: needs - as the log, and --scene")

@@ -157,7 +157,7 @@ def _verdict(findings: Sequence[Finding]) -> str:
     best = findings[0]
     if best.contradictions:
         return (
-            "None of these makes the log consistent. Check the scene, the radio, and whether the "
+            "No hypothesis makes the log consistent. Check the scene, the radio, and whether the "
             "angles are in the antenna's frame instead of the map's (docs/data.md, Angles)."
         )
     if best.hypothesis == AS_IT_IS:
@@ -182,10 +182,10 @@ def diagnosis_markdown(findings: Sequence[Finding]) -> str:
         if f.nis_per_dof
     ]
     others = sum(not f.nis_per_dof for f in findings)
-    impossible = f" {others} other hypotheses have no track; --json lists them." if others else ""
+    impossible = f" {others} other hypotheses give no track; --json lists them." if others else ""
     return (
         f"{_verdict(findings)}\n\n{grid(header, rows)}\n\nThe columns are the median NIS / dof of "
-        "the worst anchor (farthest from 1) and of the Doppler shift. In a consistent log, also "
-        "the user is mostly below the base station, and the SNR and the Doppler shift are "
+        "the worst anchor (farthest from 1) and of the Doppler shift. In a consistent log, the "
+        "user is also mostly below the base station, and the SNR and the Doppler shift are "
         f"plausible.{impossible}\n"
     )

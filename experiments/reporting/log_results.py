@@ -240,7 +240,7 @@ def localized(args: LogArgs) -> None:
     figures = {
         "log": str(files.log),
         "scene": scene.name,
-        "radio": f"{work.radio.name}, whose noise is nearest" if args.radio == AUTO else args.radio,
+        "radio": f"{work.radio.name}, chosen by auto" if args.radio == AUTO else args.radio,
         "imm": args.imm,
         "rule": work.choice.why,
         **figures,

@@ -51,7 +51,7 @@ def trained(values: Values, tell: Callable[[Row], None] = lambda row: None) -> R
     """Train a policy; return the metrics of the best one on tuning seeds, and its file.
 
     Args:
-        values: value of every axis.
+        values: value of every axis, which is a key of the sweep's file.
         tell: function called with a row for each evaluation during the training.
     """
     from experiments.training.job import Job, News

@@ -30,7 +30,7 @@ RUNGS, SHARE = 9, 3  # parameters of early stopping: docs/sweep.md
 
 @contextmanager
 def connected(address: str | None, workers: int | None) -> Iterator[None]:
-    """Connect to Ray for the time of the block.
+    """Connect to Ray within the block.
 
     Args:
         address: address of a cluster, which receives this code; None to start Ray here.
@@ -39,7 +39,10 @@ def connected(address: str | None, workers: int | None) -> Iterator[None]:
     os.environ |= ENVIRONMENT | ({"RAY_NUM_REDIS_GET_RETRIES": "1"} if address else {})
     import ray
 
-    options: dict[str, Any] = {"num_cpus": workers, "object_store_memory": 100 << 20}  # small rows
+    options: dict[str, Any] = {
+        "num_cpus": workers,
+        "object_store_memory": 100 << 20,
+    }  # small rows
     if address is not None:
         root = Path(__file__).resolve().parents[2]
         folders = [str(root / package) for package in ("mmwave_env", "policies", "experiments")]
@@ -65,7 +68,7 @@ def computed(
     """
     import ray
 
-    task: Any = ray.remote(lambda values: compute(values))  # noqa: PLW0108  not partials
+    task: Any = ray.remote(lambda values: compute(values))  # noqa: PLW0108  Ray wants functions
     task = task.options(num_cpus=1, max_retries=RETRIES, retry_exceptions=[OSError])
     waiting, running = iter(cells.items()), dict[Any, str]()
     while True:

@@ -1,4 +1,4 @@
-"""Specification of a sweep: a TOML or JSON file, whose lists are combined to cells."""
+"""Specification of a sweep: a TOML or JSON file, whose lists are combined into cells."""
 
 import hashlib
 import itertools

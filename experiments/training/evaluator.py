@@ -27,7 +27,7 @@ class Evaluator:
     """An evaluator that scores all policies on the same tuning episodes, by the default reward.
 
     Args:
-        task: task of the training; its places share the episodes evenly.
+        task: task of the training; its places (scenes with a radio) share the episodes evenly.
         episodes: number of episodes; every place gets at least one.
     """
 
@@ -68,7 +68,7 @@ class Evaluator:
         }
 
     def _scores(self, contender_at: Callable[[str], Contender]) -> Scores:
-        """Compute a contender's scores on the episodes of all places, made for each one's radio."""
+        """Compute the scores of a contender, made for each place's radio, on all episodes."""
         parts = []
         for place, episodes in self._at:
             contender = contender_at(place.radio)

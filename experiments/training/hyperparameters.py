@@ -42,7 +42,7 @@ class PpoHyperparameters:
     first_action_bias: Positive = 0.0
 
     algorithm = "ppo"
-    together = 1  # adjacent environments that must share a place
+    together = 1  # number of adjacent environments that must share a place (scene and radio)
 
     def __post_init__(self) -> None:
         require_fields(self)
@@ -69,7 +69,7 @@ class RolloutHyperparameters:
     first_action_bias: Positive  # logit of action 0 at the start; the others are about 0
 
     algorithm = "rollouts"
-    together = WIDTH  # adjacent environments that must share a place: SIMD lanes
+    together = WIDTH  # the same for rollouts, whose environments run on SIMD lanes
 
     def __post_init__(self) -> None:
         require_fields(self)

@@ -27,7 +27,7 @@ MOMENTS = ("mean", "var", "count")  # attributes that hold the moments of all ob
 
 
 class PpoTraining(BaseCallback):
-    """A training in progress; Stable-Baselines3 calls it around the epochs that it collects.
+    """A training in progress; Stable-Baselines3 calls it before and after it collects epochs.
 
     Args:
         job: training to run; continues from a checkpoint in its folder, if any.
@@ -176,7 +176,7 @@ def learner(venv: VecNormalize, hyper: PpoHyperparameters, seed: int) -> PPO:
         policy_kwargs={
             "net_arch": {"pi": layers, "vf": layers},
             "activation_fn": torch.nn.Tanh,
-            "optimizer_kwargs": {"eps": 1e-5, "fused": True},  # eps is SB3's own
+            "optimizer_kwargs": {"eps": 1e-5, "fused": True},  # eps is SB3's default
         },
         seed=seed,
         device="cpu",

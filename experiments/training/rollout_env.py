@@ -135,7 +135,7 @@ class RolloutEnv:
         return Normalization.clipped(mean, sigma, clip)
 
     def try_all(self, act: Act) -> Tried:
-        """Try every action in all states that are at least the horizon from their episode's end.
+        """Try every action in all states whose episode lasts for at least the horizon.
 
         Args:
             act: function that chooses the actions after the first, for observations

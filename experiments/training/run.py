@@ -224,4 +224,7 @@ def train(args: "Args") -> None:
             "run it without --smoke; evaluate and compare refuse the policy of a smoke run.",
         )
     else:
-        say("", f"the median seed, {median['seed']}, is {args.out / 'policy.safetensors'}")
+        say(
+            "",
+            f"{args.out / 'policy.safetensors'} is the policy of the median seed, {median['seed']}",
+        )

@@ -57,7 +57,7 @@ class Place:
         return self.source("mixed").radio.name
 
     def source(self, scenario: str) -> SimulatedSource:
-        """Return the source of episodes at the place with a kind of user."""
+        """Return the source of episodes at the place for a scenario, a kind of user."""
         world = WorldArgs(scenario=scenario, scene=self.scene, radio=self.radio, dt=self.dt)
         return cast(SimulatedSource, source_of(world))  # since no recorded data was asked for
 
@@ -100,7 +100,7 @@ def require_environments(count: int, places: int, together: int = 1) -> None:
         together: number of adjacent environments that must share a place.
 
     Raises:
-        ValueError: it can't; the message says which numbers are possible.
+        ValueError: it can't be; the message says which numbers are possible.
     """
     if count % together or count < together * places:
         multiple = f"a multiple of {together}, " if together > 1 else ""

@@ -1,4 +1,4 @@
-"""Tuning of the bank of imm-best, whose modes are for users that stand, cruise, turn, and so on.
+"""Tuning of the bank of imm-best: modes for users who stand, cruise, turn, accelerate or brake.
 
 All numbers of the bank are tuned together, for the mean reward in all shipped scenes at two rates.
 """
@@ -160,7 +160,7 @@ def rows_as_softmax(odds: Array) -> Array:
 
 
 class SearchSpace(NamedTuple):
-    """Start, scale and bounds of a search over k numbers, a point."""
+    """Start, scale and bounds of a search over points of k numbers."""
 
     start: Array  # (k,) center of the first points
     deviation: Array  # (k,) standard deviations of the first points

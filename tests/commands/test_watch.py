@@ -92,7 +92,7 @@ MISTAKES = {
     "unknown policy": (("--policies", "oracle"), "policy: found 'oracle', expected one of"),
     "too many": (("--policies", *["imm"] * 4), "policies: found 4, expected 1 to 3$"),
     "no policies": (("--policies",), "policies: found 0, expected 1 to 3$"),
-    "a key of a recording": (("--key", 1, "--data", "canyon28_vehicle"), "key: recorded episodes have no key"),
+    "a key of a recording": (("--key", 1, "--data", "canyon28_vehicle"), "key: recorded"),
     "key and seed": (("--key", 1, "--seed", 2), "key: cannot be combined with seed 2"),
     "unknown ending": (("--out", "video.avi"), "out: found video.avi, expected.*.gif or .mp4$"),
     "unknown theme": (("--render-theme", "blue"), "render_theme: found 'blue'.*light, dark"),

@@ -16,7 +16,7 @@ from mmwave_env.metrics import HEADERS, METRICS
 
 
 class Verdict(NamedTuple):
-    """Name of results, with the outcome as a title and as a sentence."""
+    """A name for results, and their outcome as a title and as a sentence."""
 
     name: str
     title: str
@@ -51,7 +51,7 @@ def _verdict(comparison: Comparison) -> Verdict:
     if by is None:
         reward = comparison.policies[best]["reward"]
         return Verdict(name, f"{best} has a reward of {reward}", f"{about} Best reward: {reward}.")
-    interval = ", 95 % interval over pairs of the same episode" if by.known else ""
+    interval = ", a 95 % interval over episodes" if by.known else ""
     title = f"{best} beats {other} by {by}"
     if by.low <= 0.0:
         title = f"{best} and {other} are level"
@@ -67,7 +67,7 @@ def _track_verdict(c: Mapping[str, Any]) -> Verdict:
     title = f"{c['epochs']} epochs of {c['log']}, {c['first_s']:.10g} to {c['last_s']:.10g} s"
     tracks = c["truth"]["tracks"] if "truth" in c else {}
     ates = [f"the {name} track has an ATE of {row['ate_m']:.3f} m" for name, row in tracks.items()]
-    broken = [f"the log is not complete: {c['error']}"] if c.get("error") else []
+    broken = [f"only part of the log was used: {c['error']}"] if c.get("error") else []
     return Verdict(f"{c['log']}, {c['scene']}", title, f"{'; '.join([title, *ates, *broken])}.")
 
 
@@ -101,9 +101,7 @@ def _trainings(source: Source) -> Iterator[str]:
     for rival in rivals:
         lines = {source.path: [curve[rival] for curve in curves if rival in curve]}
         draw = partial(draw_learning_curves, {f"reward minus {rival}'s": lines}, narrow=True)
-        yield drawn(
-            f"Learning curves against {rival} on tuning seeds, a line per training", draw
-        )
+        yield drawn(f"Learning curves against {rival} on tuning seeds, a line per training", draw)
 
 
 def errors_of(source: Source, played: Played) -> Iterator[str]:
@@ -120,9 +118,9 @@ def errors_of(source: Source, played: Played) -> Iterator[str]:
         yield table(caption, ["contender", *HEADER], rows) if rows else ""
     if policies:
         note = (
-            "The first columns are errors that this percentage of the epochs stays below, then "
-            "shares of the epochs within a distance, the median protection level, and how often "
-            f"errors exceed their levels. A risk of {figures['risk']:g} allows this in "
+            "50 % m is the error that 50 % of the epochs stay below, and so on; within 1 m is the "
+            "share of the epochs with at most this error. Level is the median protection level; at "
+            f"a risk of {figures['risk']:g}, errors should exceed their levels in "
             f"{percent(figures['risk'])} of the epochs."
         )
         yield element("p", note, "note")

@@ -97,7 +97,7 @@ def _html(verdicts: Sequence[Verdict], sections: Mapping[str, str], data: Any) -
 
 
 def _colors() -> str:
-    """Return the colors of videos as variables for the style."""
+    """Return the colors that videos also have, as CSS variables."""
     light, dark = THEMES["light"], THEMES["dark"]
     pairs = {name: (getattr(light, name), getattr(dark, name)) for name in light._fields}
     modes = enumerate(zip(*pairs.pop("modes"), strict=True))

@@ -42,7 +42,7 @@ class Played:
     Attributes:
         which: description of the episodes.
         epochs, positions: errors, NEES and protection levels of the scored epochs.
-        shown: episodes to watch, as JSON holds them.
+        shown: episodes to watch, in the form of JSON.
         missing: by name, the reason why a contender is missing; under "", why all are.
     """
 

@@ -23,12 +23,12 @@ function player(place, episodes) {
     if (!names.includes(state.main)) [state.main] = names;
     if (state.beside === null) state.beside = names.includes(RULE) ? RULE : "";
     if (!names.includes(state.beside) || state.beside === state.main) state.beside = "";
-    const others = ["nobody", ...names.filter((name) => name !== state.main)];
+    const others = ["none", ...names.filter((name) => name !== state.main)];
     const focused = document.activeElement && document.activeElement.id;
     choices.replaceChildren(
       selector("which", "Episode", episodes.map((one) => one.name), state.episode, (i) => { state.episode = i; state.at = 0; choose(); }),
       selector("main", "Contender", names, names.indexOf(state.main), (i) => { state.main = names[i]; choose(); }),
-      selector("beside", "Beside", others, Math.max(0, others.indexOf(state.beside)), (i) => { state.beside = i ? others[i] : ""; choose(); }),
+      selector("beside", "Compared with", others, Math.max(0, others.indexOf(state.beside)), (i) => { state.beside = i ? others[i] : ""; choose(); }),
     );
     if (["which", "main", "beside"].includes(focused)) document.getElementById(focused).focus();
     draw();
