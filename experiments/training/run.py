@@ -224,7 +224,4 @@ def train(args: "Args") -> None:
             "run it without --smoke; evaluate and compare refuse the policy of a smoke run.",
         )
     else:
-        say(
-            "",
-            f"{args.out / 'policy.safetensors'} is the policy of the median seed, {median['seed']}",
-        )
+        say("", f"{args.out / 'policy.safetensors'} is from the median seed, {median['seed']}")
