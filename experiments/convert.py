@@ -80,7 +80,7 @@ def main(args: Args) -> None:
                 "observations, expected all of them; the policy does more than its layers"
             )
     say(
-        f"{args.policy}: same actions as {args.model} for {alike.sum()} of {alike.size} "
+        f"{args.policy}: same actions as {args.model} on {alike.sum()} of {alike.size} "
         f"observations; next: mmwave-loc compare --policies {args.policy} speed-rule imm"
     )
 
