@@ -9,7 +9,7 @@ from experiments.console.options import TaskArgs
 
 @dataclass(kw_only=True)
 class Args(TaskArgs):
-    """Train policies that choose filters; keep the best one of every seed, and the median seed's.
+    """Train policies that choose filters, with several seeds; keep the best policy of each seed.
 
     mmwave-loc train --seeds 2 --total-timesteps 500000 --out runs/short
     """

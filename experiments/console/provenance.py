@@ -39,7 +39,7 @@ def _words(value: Any) -> list[str]:
 
 
 def provenance(name: str, args: Any) -> dict[str, Any]:
-    """Return the command without its outputs, its options, and versions, for results in JSON."""
+    """Return versions, options, and the command without its outputs, for results in JSON."""
     outputs = {f.name: f.default for f in fields(args) if f.name in OUTPUTS}
     command = command_line(name, replace(args, **outputs))
     return {"command": command, "options": options_of(args), "versions": versions()}

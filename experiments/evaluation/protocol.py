@@ -62,7 +62,7 @@ class Site:
 
 
 def sites() -> list[Site]:
-    """Return all sites: nine to train in, unseen streets and an unseen radio, recordings."""
+    """Return all sites: nine for training, unseen streets, an unseen radio, and recordings."""
     unseen = {name: unseen_file(name) for name in UNSEEN}
     trained = [Site(f"{s}:{r}", TRAINED, s, r) for s in SCENES for r in RADIOS]
     streets = [

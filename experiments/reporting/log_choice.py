@@ -22,7 +22,7 @@ RULES: dict[str, tuple[Rule, str]] = {  # each rule, and its speed's name in mes
 
 
 class Choice(NamedTuple):
-    """Modes to run together with the rule or policy that chooses, and the choice in words."""
+    """Modes to run, what chooses between them, and a description of this choice."""
 
     switching: Switching
     why: str

@@ -11,7 +11,7 @@ from mmwave_env.io.records import Bound, Probability, Size, counts, object_from,
 
 MOST = 10**15  # largest value; anything larger is a mistake, and needs too much memory and time
 Count = Annotated[int, counts(1, MOST)]
-Positive = Annotated[float, Bound(f"a number of 0 to {MOST:g}", least=0.0, most=MOST)]
+Positive = Annotated[float, Bound(f"a number from 0 to {MOST:g}", least=0.0, most=MOST)]
 Neurons = Annotated[tuple[Count, ...], Size(1, 100)]
 
 
@@ -21,7 +21,7 @@ class PpoHyperparameters:
 
     num_envs: Count  # number of environments stepped at once
     n_steps: Count  # epochs of each environment between two updates
-    batch_size: Annotated[int, counts(2, MOST)]  # one advantage alone can't be normalized
+    batch_size: Annotated[int, counts(2, MOST)]  # a single advantage can't be normalized
     n_epochs: Count  # passes over the collected epochs
     # learning_rate, ent_coef: values at the start; both fall linearly
     learning_rate: Positive
@@ -31,7 +31,7 @@ class PpoHyperparameters:
     gae_lambda: Probability  # lambda of generalized advantage estimation
     clip_range: Positive  # clipping range of the probability ratio
     max_grad_norm: Positive  # length to which longer gradients are shortened
-    target_kl: Positive  # an update stops when the policy has moved further
+    target_kl: Positive  # KL divergence from the old policy that stops an update
     hidden: Neurons  # sizes of the tanh layers, the same in actor and critic
     clip_observation: Positive  # normalized observations are clipped to plus or minus this
     # whether to train on the reward minus the IMM's reward in the same episode: actions do not

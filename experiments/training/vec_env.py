@@ -63,7 +63,7 @@ class PlacesVecEnv(VecEnv):
         return seeds
 
     def reset(self) -> NDArray[Any]:
-        """Begin episodes everywhere; return observations (n, features)."""
+        """Begin episodes in all environments; return observations (n, features)."""
         observations = []
         for k, (part, env) in enumerate(zip(self._parts, self.envs, strict=True)):
             table = part.reset()
