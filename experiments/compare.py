@@ -13,22 +13,22 @@ from experiments.console.options import EpisodeArgs
 class Args(EpisodeArgs):
     """Compare policies on the same seeded episodes, with paired differences.
 
-    All figures, the reward too, leave out the first 10 epochs of an episode. Everybody is paired
-    with the best fixed mode, speed-rule, imm and imm-best, agents and policy files of your own with
-    everybody else; where none of those four is named, everybody with everybody.
+    All metrics, including the reward, leave out the first 10 epochs of an episode. Every policy is
+    paired with the best fixed mode, speed-rule, imm and imm-best; your own agents and policy files
+    are paired with every other policy. Without any of those four, all are paired with each other.
 
     mmwave-loc compare --policies fixed-ukf speed-rule imm ppo --episodes 200
     """
 
     policies: Annotated[tuple[str, ...], arg(aliases=("--policy",))] = ()
-    """names of mmwave-loc list policies, policy files (.safetensors), folders of runs of mmwave-loc
-    train, and module:function, a function without arguments that returns an agent; all that have a
-    name where none is named"""
+    """names from mmwave-loc list policies, policy files (.safetensors), folders of runs from
+    mmwave-loc train, and module:function, a function without arguments that returns an agent; by
+    default all policies that have a name"""
     errors: Path | None = None
     """draw the distribution (CDF) of horizontal and of vertical errors to this .png, .svg or .pdf
     file"""
     consistency: Path | None = None
-    """draw NEES beside its chi-square bounds to this file"""
+    """draw NEES over time, with its chi-square bounds, to this file"""
 
 
 PICTURES = ("errors", "consistency")

@@ -1,4 +1,4 @@
-"""mmwave-loc convert: a model of Stable-Baselines3 as a policy file, which holds no code."""
+"""mmwave-loc convert: a model of Stable-Baselines3 made into a policy file without code."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,37 +17,37 @@ class TrainedArgs:
     """Options that the model was trained with."""
 
     scenario: str = "mixed"
-    """kind of user, by name (mmwave-loc list scenarios) or from a JSON file"""
+    """kind of user: a name (see mmwave-loc list scenarios) or a JSON file"""
     radio: str = "handset"
-    """handset, standard, high or a JSON file"""
+    """radio profile: handset, standard, high or a JSON file"""
     modes: tuple[str, ...] = ()
-    """modes that it chooses from: names and mode files; the radio's ekf and ukf where
-    none is named, with beliefs per mode those of its best IMM"""
+    """modes that the model chooses from: names and mode files; by default the radio's ekf and ukf
+    or, with --beliefs per-mode, those of its best IMM"""
     observation: str = "full"
-    """full or prior"""
+    """observation of the model: full or prior"""
     beliefs: str = "shared"
-    """shared or per-mode"""
+    """beliefs of the modes: shared or per-mode"""
 
 
 @dataclass(kw_only=True)
 class Args(TrainedArgs):
-    """Make a policy file of a model of Stable-Baselines3.
+    """Make a policy file from a model of Stable-Baselines3.
 
-    Loading a model runs code from its file. It is loaded in a process of its own, which is no
-    sandbox: convert what you would run. The policy file holds no code, and needs no PyTorch.
+    Loading a model runs code from its file, in a separate process that is not a sandbox: convert
+    only models that you trust. The policy file holds no code, and needs no PyTorch.
 
     mmwave-loc convert model.zip policy.safetensors --normalize normalize.pkl
     """
 
     model: Positional[Path]
-    """file that model.save wrote (.zip), of PPO, A2C, TRPO or MaskablePPO"""
+    """file that model.save of PPO, A2C, TRPO or MaskablePPO wrote (.zip)"""
     policy: Positional[Path]
     """file to write (.safetensors)"""
     normalize: Path | None = None
-    """file that VecNormalize.save wrote, for a model trained under it; loading it runs code, too"""
+    """file that VecNormalize.save wrote, if the model was trained with it; loading runs its code"""
 
 
-TIES = 0.001  # share of observations where rounding may change the action
+TIES = 0.001  # share of observations for which rounding may change the action
 
 
 def main(args: Args) -> None:
@@ -76,12 +76,12 @@ def main(args: Args) -> None:
         alike = LearnedSwitch(temporary)(shown) == chosen
         if alike.mean() < 1.0 - TIES:
             raise ValueError(
-                f"{args.model}: its layers decide as it does on {alike.sum()} of {alike.size} "
-                "observations, expected all of them: its policy computes more than they do"
+                f"{args.model}: its layers choose its action for {alike.sum()} of {alike.size} "
+                "observations, expected all of them; the policy does more than its layers"
             )
     say(
-        f"{args.policy}: decides as {args.model} on {alike.sum()} of {alike.size} observations; "
-        f"mmwave-loc compare --policies {args.policy} speed-rule imm"
+        f"{args.policy}: same actions as {args.model} on {alike.sum()} of {alike.size} "
+        f"observations; next: mmwave-loc compare --policies {args.policy} speed-rule imm"
     )
 
 
@@ -99,14 +99,14 @@ def _require_trained_on(args: Args, table: "Observation", tensors: "Tensors") ->
     trained, expected = (f"{n} features and {m} actions" for n, m in sizes)
     if trained != expected:
         raise ValueError(
-            f"{args.model}: found {trained}, expected {expected}, as of {table.made_with}; say "
+            f"{args.model}: found {trained}, expected {expected}, as with {table.made_with}; give "
             "--observation, --beliefs and --modes as in its training"
         )
     bounds = np.array([tensors["low"], tensors["high"]])
     if args.normalize is None and not np.array_equal(bounds, [table.space.low, table.space.high]):
         raise ValueError(
-            f"{args.model}: found other bounds of the observations than this version's, expected "
-            "the same: train it again"
+            f"{args.model}: found other bounds of the observations than in this version, expected "
+            "the same; train it again"
         )
 
 

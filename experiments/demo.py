@@ -8,21 +8,21 @@ from experiments.console.options import EpisodeArgs, JsonArgs, PageArgs
 
 @dataclass(kw_only=True)
 class Args(JsonArgs):
-    """Compare every policy on `mixed` and on two ray-traced recordings.
+    """Compare all policies on the simulated scenario `mixed` and on two ray-traced recordings.
 
-    The files have every paired difference, too.
+    The files also contain all paired differences.
 
     mmwave-loc demo --episodes 100 --draws 20
     """
 
     episodes: int = 1000
-    """simulated episodes"""
+    """number of simulated episodes"""
     draws: int = 200
-    """draws of receiver noise on each ray-traced scenario"""
+    """number of draws of receiver noise on each ray-traced recording"""
     percentiles: bool = False
-    """also give percentiles of errors and protection levels, in the files"""
+    """also write percentiles of errors and protection levels to the files"""
     out: Path = Path("results")
-    """folder for tables.md, one JSON file a comparison, and report.html, a web page of them"""
+    """folder for tables.md, one JSON file per comparison, and report.html, a web page of all"""
 
 
 def main(args: Args) -> None:
@@ -53,10 +53,10 @@ def main(args: Args) -> None:
         write_json(args.json, everything)
     files = tuple(args.out / f"{scenario}.json" for scenario in everything)
     report = PageArgs(results=files, out=args.out / "report.html")
-    note("the web page: some episodes again, epoch by epoch")
+    note("web page: some episodes run again, to show them epoch by epoch")
     write_text(report.out, page_of(report))
     say(
-        f"All paired differences are in {args.out / 'tables.md'}, and every figure in",
+        f"All paired differences are in {args.out / 'tables.md'}, and all results in",
         f"{', '.join(map(str, files))}.",
         f"{report.out} is a web page of them, with episodes to play: open it in a browser.",
         "README.md and docs/results.md say what the columns mean.",

@@ -1,4 +1,4 @@
-"""mmwave-loc leaderboard: the benchmark of docs/benchmark.md, from entries in a folder."""
+"""mmwave-loc leaderboard: the benchmark in docs/benchmark.md, from entries in a folder."""
 
 import re
 from dataclasses import dataclass
@@ -7,26 +7,27 @@ from pathlib import Path
 
 @dataclass(kw_only=True)
 class Args:
-    """Judge contenders by the benchmark's protocol, and rank all entries there are.
+    """Judge contenders by the benchmark's protocol, and rank all entries.
 
-    Each of them runs at nine sites to train in, at unseen sites and on recordings, beside every
-    IMM. Its entry, a JSON file, is kept in the folder; the table is made of all entries there.
+    Each contender runs at the nine sites for training, at unseen sites and on recordings, together
+    with every IMM. Its entry is written to a JSON file in the folder --out; the table shows all
+    entries in that folder.
 
     mmwave-loc leaderboard --policies imm-best --episodes 20 --draws 5
     """
 
     policies: tuple[str, ...] = ()
-    """as of mmwave-loc compare; none to show the entries there are"""
+    """contenders, as in mmwave-loc compare; without any, only show the entries in the folder"""
     episodes: int = 2000
-    """on each simulated street"""
+    """number of episodes on each simulated street"""
     draws: int = 200
-    """of receiver noise on each recording"""
+    """number of draws of receiver noise on each recording"""
     seed: int = 0
     """seed of the first episode; test seeds start at 0"""
     out: Path = Path("results/leaderboard")
-    """folder of entries, a JSON file each"""
+    """folder of entries, one JSON file each"""
     docs: Path | None = None
-    """also renew the tables of this page, between its `<!-- table: ... -->` lines"""
+    """also update the tables in this page, between its `<!-- table: ... -->` and end lines"""
 
 
 def _play(args: Args) -> None:

@@ -1,4 +1,4 @@
-"""mmwave-loc list: everything that has a name, a line each."""
+"""mmwave-loc list: one line for everything that has a name."""
 
 import inspect
 import sys
@@ -19,36 +19,36 @@ Kind = Literal["all", "policies", "scenarios", "radios", "scenes", "modes", "sam
 
 @dataclass(kw_only=True)
 class Args:
-    """List what options and arguments of the environment take by name; copy samples.
+    """List the names that options and arguments of the environment accept; copy samples.
 
     mmwave-loc list policies
     """
 
     what: Positional[Kind] = "all"
-    """policies, scenarios, radios, scenes, modes, samples, rewards or all"""
+    """what to list: policies, scenarios, radios, scenes, modes, samples, rewards or all"""
     radio: str = "handset"
     """profile whose policies and modes are listed"""
     out: Path | None = None
     """with samples: copy their files to this folder, each sample to logs/NAME or recordings/NAME
     in it"""
     copy: str | None = None
-    """the one to copy, by name, its files to --out itself: the log where there is one"""
+    """name of a single sample to copy, directly to --out; its log if it has one"""
 
 
-COLUMN = 25  # where the meanings of names begin
+COLUMN = 25  # column in which the descriptions of names begin
 POLICIES = {
     "speed-rule": "the paper's rule: EKF up to 2 m/s, UKF above",
-    "likelihood-rule": "the mode that explains the coming measurement best",
-    "imm": "interacting multiple models over the same modes",
-    "imm-best": "tuned IMM over modes that stand, cruise, turn, accelerate and brake",
-    "ppo": "learned switcher over the profile's two modes",
-    "guided": "learned trust in the modes of imm-best, which keep a belief each",
-    "guided-ppo": "the same learned with PPO alone",
+    "likelihood-rule": "chooses the mode that explains the coming measurement best",
+    "imm": "interacting multiple models: a mixture of the same modes",
+    "imm-best": "tuned IMM of modes for users who stand, cruise, turn, accelerate or brake",
+    "ppo": "learned policy that chooses between the profile's two modes",
+    "guided": "learned policy that says which mode of imm-best to trust",
+    "guided-ppo": "same as guided, but trained only with PPO",
 }
 
 
 def policies(radio: str) -> dict[str, str]:
-    """Return the policies of a radio profile, with a description each."""
+    """Return the policies for a radio profile, with a description of each."""
     from experiments.evaluation.contenders import contenders
 
     return {
@@ -91,7 +91,7 @@ def scenes() -> dict[str, str]:
     from mmwave_env.models.scene import SCENES
 
     return {name: _about_scene(scene) for name, scene in SCENES.items()} | {
-        RANDOM: "each episode its own: blocks, base station and walls are drawn"
+        RANDOM: "a new scene in each episode: random blocks, base station and walls"
     }
 
 
@@ -110,7 +110,7 @@ def _about_scene(scene: "Scene") -> str:
 
 
 def samples() -> dict[str, str]:
-    """Return the recordings that come with the package, and whether they are logs, too."""
+    """Return the recordings that come with the package, and whether each is also a log."""
     from mmwave_env.datasets.samples import log_names, recording_from, sample_names
 
     logs = dict.fromkeys(log_names(), "; also as a log, for localize --sample")
@@ -122,11 +122,11 @@ def samples() -> dict[str, str]:
 
 
 def copied(out: Path, only: str | None) -> int:
-    """Copy the files of one sample or of all, each in one step; return the number of files.
+    """Copy the files of one sample or of all samples; return the number of files.
 
     Raises:
         ValueError: there is no such sample.
-        FileExistsError: a file is there already.
+        FileExistsError: a file already exists.
     """
     from mmwave_env.datasets.samples import log_names, sample_folder, sample_names
     from mmwave_env.io.files import require_writable, write_bytes

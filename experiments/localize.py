@@ -7,10 +7,10 @@ from experiments.console.options import LogArgs
 
 @dataclass(kw_only=True)
 class Args(LogArgs):
-    """The track of a measurement log, recorded or live.
+    """Compute the track of a measurement log, recorded or live.
 
-    A learned policy weighs the filters of a bank in every epoch. Or the paper's Algorithm 1 runs:
-    up to 2 m/s the EKF pipeline, above it the UKF pipeline. Or an IMM mixes a bank by itself.
+    By default a learned policy weighs the filters of a bank in every epoch. Instead, the paper's
+    Algorithm 1 can run (EKF up to 2 m/s, UKF above), or an IMM that mixes the filters by itself.
 
     mmwave-loc localize log.csv --scene scene.json --out track.tum
     mmwave-loc localize log.csv --scene scene.json --speed auto --out track.tum

@@ -7,12 +7,12 @@ from experiments.console.options import PageArgs
 
 @dataclass(kw_only=True)
 class Args(PageArgs):
-    """One web page of results, which needs neither network nor anything installed.
+    """Make one web page of results, which needs neither a network nor anything installed.
 
     It says who won by how much, and has tables, distributions of errors (CDF) and episodes to
-    play. Results are JSON files (--json) of compare, demo and localize, and folders of runs of
-    train. What files do not hold epoch by epoch is played again, by the command in them; agents
-    that are code of their own (module:function) are left out there.
+    play. Results are JSON files (--json) from compare, demo and localize, and folders of runs from
+    train. Epochs that the files do not contain are computed again with the stored options; agents
+    given as code (module:function) are not run again, and are left out of these parts.
 
     mmwave-loc report results.json runs/train --out report.html
     """

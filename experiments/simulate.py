@@ -14,11 +14,11 @@ class Args(WorldArgs):
     """
 
     out: Path
-    """the folder"""
+    """folder to write to"""
     overwrite: bool = False
-    """replace the files of an episode that are there"""
+    """replace the files of an episode that already are in the folder"""
     seed: int = 0
-    """seed of the episode, the same that compare runs"""
+    """seed of the episode; compare runs the same episode for this seed"""
 
 
 def _require_none(folder: Path, overwrite: bool) -> None:
@@ -51,7 +51,7 @@ def main(args: Args) -> None:
 
     _require_none(args.out, args.overwrite)
     source = source_of(args)
-    assert isinstance(source, SimulatedSource | TrackSource)  # options name no other source
+    assert isinstance(source, SimulatedSource | TrackSource)  # options select no other kind
     with progress("simulating"):
         (episode,) = draw_episodes(source, [args.seed])
     scene = source.scene

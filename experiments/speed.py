@@ -1,9 +1,9 @@
-"""mmwave-loc speed: steps per second compared with filterpy's and with the limit of the core.
+"""mmwave-loc speed: steps per second, compared with filterpy's and a processor core's limit.
 
-One run does the same work in a loop on filterpy's filters, a single environment, Gymnasium's sync
-vector and the native vector environment. It also measures the filters alone, the limit of the core,
-peak memory and the time to the first step. Ratios come first, as absolute figures depend much more
-on the machine.
+One run does the same work with a loop over filterpy's filters, a single environment, Gymnasium's
+synchronous vector environment and the native one. It also measures the filters alone, the limit of
+a processor core, peak memory and the time to the first step. Ratios come first, since absolute
+figures depend much more on the machine.
 """
 
 import os
@@ -15,7 +15,7 @@ from experiments.console.options import JsonArgs
 
 @dataclass(kw_only=True)
 class Args(JsonArgs):
-    """Measure steps per second, the same work side by side.
+    """Measure steps per second of several programs that do the same work.
 
     mmwave-loc speed --sizes 1 64 1024 --repeats 3
     """
@@ -23,14 +23,14 @@ class Args(JsonArgs):
     sizes: tuple[int, ...] = (1, 8, 64, 1024, 16384)
     """numbers of environments in the native vector environment"""
     seconds: float = 0.5
-    """time per measurement, at least; whole episodes are measured"""
+    """minimum time per measurement; complete episodes are measured"""
     repeats: int = 5
-    """rounds, in which every workload has its turn; medians and ranges are printed"""
+    """number of rounds, in each of which everything is measured once; prints medians and ranges"""
     docs: Path | None = None
-    """also renew the tables of this page, between its `<!-- table: ... -->` lines"""
+    """also update the tables in this page, between its `<!-- table: ... -->` and end lines"""
 
 
-# No import up here may load numpy: its linear algebra reads these variables when it is loaded.
+# No import above may load numpy: its linear algebra reads these variables when it is loaded.
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 
 
@@ -53,7 +53,7 @@ def main(args: Args) -> None:
     page = ""
     if args.docs:
         page = page_to_renew(args.docs)
-        # refuse a wrong mark before the work
+        # raises before the work if the page names an unknown table
         renewed(page, dict.fromkeys(TITLES, ""))
     measured = Measured(args.sizes)
     with progress("speed") as tell:

@@ -8,10 +8,11 @@ from tyro.conf import Positional
 
 @dataclass(kw_only=True)
 class Args:
-    """Grids of evaluations and trainings, and searches for hyperparameters, on Ray.
+    """Run grids of evaluations and trainings, and searches for hyperparameters, on Ray.
 
-    The file says what is to be done (docs/sweep.md). What is there is not computed again: a sweep
-    that was ended goes on. Cells that fail are named, and the others go on.
+    A file says what to combine (docs/sweep.md); each combination is a cell. Cells in the folder
+    are not computed again, so that an interrupted sweep continues. If a cell fails, this is
+    reported, and the others continue.
 
     mmwave-loc sweep examples/sweep.toml
     """
@@ -19,18 +20,18 @@ class Args:
     spec: Positional[Path]
     """TOML or JSON file: one table, [evaluate] or [train], whose lists are combined, or [search]"""
     out: Path | None = None
-    """folder of the rows, a Parquet file a cell (runs/sweep-NAME where none is given)"""
+    """folder of the results, one Parquet file per cell (default: runs/sweep-NAME)"""
     address: str | None = None
-    """of a Ray cluster: auto, or HOST:PORT (this machine alone, where none is given)"""
+    """address of a Ray cluster: auto, or HOST:PORT (default: only this machine)"""
     workers: int | None = None
-    """how many cells at once on this machine (as many as it has cores, where none is given)"""
+    """number of cells to compute at once on this machine (default: its number of cores)"""
 
 
 def main(args: Args) -> None:
     """Run the command.
 
     Raises:
-        ValueError: cells failed; the rows of all others are written.
+        ValueError: a cell failed; the rows of all others are written.
     """
     from experiments.sweeping.run import sweep
     from mmwave_env.io.lookup import as_name, require_extra

@@ -1,4 +1,4 @@
-"""mmwave-loc tables: the paper's tables and claims with what this model measures."""
+"""mmwave-loc tables: the paper's tables and claims, compared with what this model measures."""
 
 import csv
 import io
@@ -21,22 +21,22 @@ class Args(JsonArgs):
     """
 
     episodes: int = 1000
-    """simulated episodes for each kind of user and radio"""
+    """number of simulated episodes for each kind of user and radio"""
     seed: int = 0
     """seed of the first episode; test seeds start at 0"""
     out: Path = Path("results/paper")
     """folder for tables.md, tables.csv and tables.png"""
     docs: Path | None = None
-    """also renew the tables of this page, between its `<!-- table: ... -->` lines, and the
-    figure beside it"""
+    """also update the tables in this page, between its `<!-- table: ... -->` and end lines, and the
+    picture of the same name"""
 
 
-SECTIONS = 19
+SECTIONS = 19  # number of sections, for the progress bar
 FIELDS = ("section", "row", "column", "mean", "low", "high")
 
 
 def sections(bench: "Bench") -> "Iterator[Section]":
-    """Yield all sections, in order."""
+    """Compute and yield all sections, in order."""
     from experiments.paper.claims import CLAIMS, error_budget, headline
     from experiments.paper.printed import table_three, tables_one_and_two
 

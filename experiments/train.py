@@ -1,4 +1,4 @@
-"""mmwave-loc train: switchers that learn, on several training seeds."""
+"""mmwave-loc train: policies that learn to choose filters, with several training seeds."""
 
 import os
 from dataclasses import dataclass
@@ -9,30 +9,31 @@ from experiments.console.options import TaskArgs
 
 @dataclass(kw_only=True)
 class Args(TaskArgs):
-    """Train switchers; the best policy of every seed, and the median one, are kept.
+    """Train policies that choose filters, with several seeds; keep the best policy of each seed.
 
     mmwave-loc train --seeds 2 --total-timesteps 500000 --out runs/short
     """
 
     seeds: int = 5
-    """how many trainings"""
+    """number of trainings"""
     total_timesteps: int | None = None
-    """epochs to train each for, 4000000 where none is given; with rollouts, states to try every
-    action in, 1200000; rounded up to whole updates"""
+    """length of each training: number of epochs (default: 4000000) or, with rollouts, of states in
+    which every action is tried (default: 1200000); rounded up to complete updates"""
     hyperparameters: Path | None = None
-    """a JSON file in place of the algorithm's own, experiments/training/ppo.json, or
-    guided-ppo.json with beliefs per mode"""
+    """JSON file to use instead of the algorithm's own, such as experiments/training/ppo.json, or
+    guided-ppo.json with --beliefs per-mode"""
     smoke: bool = False
-    """one seed and one update, in seconds, to see that all is installed and works: in runs/smoke
-    unless --out names another folder; its policy is refused where results are made"""
+    """run one seed and one update, which takes seconds, to check that everything is installed and
+    works; writes to runs/smoke unless --out names another folder; compare refuses its policy"""
     jobs: int = min(2, os.cpu_count() or 1)
-    """how many trainings at once"""
+    """number of trainings to run at once"""
     checkpoint_every: int = 32
-    """updates of a training after which it could go on from where it stands"""
+    """number of updates between two checkpoints of a training, from which --resume continues"""
     out: Path = Path("runs/train")
-    """folder of the run: a folder a seed, policy.safetensors (the median seed) and summary.json"""
+    """folder of the run: one folder per seed, policy.safetensors (of the median seed) and
+    summary.json"""
     resume: bool = False
-    """go on with the run in this folder, with the options it was started with"""
+    """continue the run in this folder; the options must be the same as at its start"""
     overwrite: bool = False
     """replace the run in this folder"""
 

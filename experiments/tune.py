@@ -1,4 +1,4 @@
-"""mmwave-loc tune: process noise of modes, or a whole bank, on tuning seeds."""
+"""mmwave-loc tune: the process noise of modes, or a complete bank, tuned on tuning seeds."""
 
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -11,43 +11,43 @@ from experiments.console.options import TUNING_SEED, JsonArgs, WorldArgs
 class Args(JsonArgs):
     """Tune the process noise of modes by likelihood or by position error.
 
-    With --bank the five modes of imm-best, with their transition, by the reward of the IMM over
-    them, on all streets at 1 Hz and 10 Hz (extra "tune").
+    With --bank, tune the five modes of imm-best and the transition between them instead, by the
+    reward of their IMM in all scenes at 1 Hz and 10 Hz (needs the extra "tune").
 
     mmwave-loc tune --radio handset --out modes.json
     mmwave-loc tune --bank --radio phone.json --episodes 900 --out bank.json
     """
 
     radio: str = "handset"
-    """handset, standard, high or a JSON file"""
+    """radio profile: handset, standard, high or a JSON file"""
     modes: tuple[str, ...] = ("ekf", "ukf")
-    """what to tune: ekf, ukf, ckf, ekf-robust, ukf-robust, mode files"""
+    """modes to tune: ekf, ukf, ckf, ekf-robust, ukf-robust, mode files"""
     scenarios: tuple[str, ...] = ("pedestrian", "vehicle")
-    """kind of user each mode is tuned on, in the same order; names, JSON files or CSV files"""
+    """kind of user that each mode is tuned on, in the order of modes: names, JSON or CSV files"""
     free: tuple[str, ...] = ("sigma_v", "sigma_p")
-    """what to tune: sigma_p, sigma_v, sigma_pz, sigma_vz, sigma_b_mps, spread_gain"""
+    """parameters to tune: sigma_p, sigma_v, sigma_pz, sigma_vz, sigma_b_mps, spread_gain"""
     objective: Literal["likelihood", "rmse"] = "likelihood"
-    """likelihood of the measurements (needs no truth), or root mean square position error"""
+    """likelihood of the measurements (needs no ground truth), or root mean square position error"""
     diagonal: bool = False
-    """process noise as the paper prints it: a plain diagonal, no coupling"""
+    """use the paper's printed process noise, a diagonal matrix without coupling"""
     episodes: int = 300
-    """how many"""
+    """number of episodes to tune on"""
     seed: int = TUNING_SEED
     """seed of the first episode; never a test seed"""
     bank: bool = False
-    """tune a bank, in place of modes one by one"""
+    """tune a bank instead of single modes"""
     evaluations: int = 1000
-    """of a bank, at most"""
+    """with --bank, maximum number of evaluations"""
     out: Path | None = None
     """write the tuned modes to this mode file, for --modes and modes="""
 
 
-OF_MODES = ("modes", "scenarios", "free", "objective", "diagonal")  # options that banks do not have
-Content = dict[str, Any]  # of a JSON file
+OF_MODES = ("modes", "scenarios", "free", "objective", "diagonal")  # meaningless with --bank
+Content = dict[str, Any]  # content of a JSON file
 
 
 def _tuned_bank(args: Args) -> tuple[Content, Content]:
-    """Tune a bank, and print its reward; return the content of the mode file, and no more."""
+    """Tune a bank, and print its reward; return the content of the mode file, and no figures."""
     from experiments.console.progress import say
     from experiments.evaluation.intervals import Interval
     from experiments.training.tune_banks import tuned_bank
@@ -55,11 +55,11 @@ def _tuned_bank(args: Args) -> tuple[Content, Content]:
 
     for option in fields(Args):
         if option.name in OF_MODES and getattr(args, option.name) != option.default:
-            raise ValueError(f"{option.name}: found beside --bank, expected one of them")
+            raise ValueError(f"{option.name}: cannot be combined with --bank")
     name = radio_from(args.radio).name
     bank = tuned_bank(args.radio, args.episodes, args.seed, args.evaluations)
     reward, gain = (Interval.of(bank["held_out"][column]) for column in ("reward", "minus imm"))
-    say(f"{name}: reward {reward}, minus imm {gain}, on as many episodes that nothing was tuned on")
+    say(f"{name}: reward {reward}, minus imm's {gain}, on the same number of other episodes")
     return bank, {}
 
 
@@ -82,7 +82,7 @@ def _tuned_modes(args: Args) -> tuple[Content, Content]:
             f"modes {', '.join(mode.name for mode in modes)}"
         )
     if not args.free or len(set(args.free)) < len(args.free):
-        raise ValueError(f"free: found {args.free}, expected at least one name and none twice")
+        raise ValueError(f"free: found {args.free}, expected one or more different names")
     for name in args.free:
         choose(RANGES, name, "free")
     tuned, figures = [], []
@@ -111,7 +111,7 @@ def main(args: Args) -> None:
     if args.out:
         require_writable(args.out)
         if args.out.resolve() == Path(args.radio).resolve():
-            raise ValueError(f"out: found {args.out}, which is the radio, expected another file")
+            raise ValueError(f"out: found {args.out}, which is the radio; expected another file")
     content, figures = _tuned_bank(args) if args.bank else _tuned_modes(args)
     made = provenance("tune", args)
     if args.json:

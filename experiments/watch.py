@@ -1,4 +1,4 @@
-"""mmwave-loc watch: an episode as contenders filter it, in a window or as a video."""
+"""mmwave-loc watch: an episode filtered by several policies, in a window or as a video."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,34 +18,34 @@ if TYPE_CHECKING:
 
 @dataclass(kw_only=True)
 class Args(ModeArgs):
-    """Play an episode as policies go through it, one beside the other, in a window or as a video.
+    """Play an episode filtered by several policies, side by side, in a window or as a video.
 
     mmwave-loc watch --policies speed-rule ppo --seed 3 --out ride.gif
     """
 
     policies: tuple[str, ...] = ("speed-rule", "ppo")
-    """up to three, as of compare: names of mmwave-loc list policies, policy files (.safetensors),
-    folders of runs, and module:function"""
+    """up to three policies, as in compare: names from mmwave-loc list policies, policy files
+    (.safetensors), folders of runs, and module:function"""
     out: Path | None = None
-    """write a video, a .gif or .mp4 file, in place of a window"""
+    """write a video to this .gif or .mp4 file instead of opening a window"""
     fps: int = 10
-    """epochs a second; in a window, the keys in its title change it"""
+    """epochs per second; in a window, the keys named in its title change it"""
     render_size: int = 480
-    """height and width of the picture of a policy, px, 480 to 1080"""
+    """height and width of each policy's picture, px, 480 to 1080"""
     render_theme: str = "light"
-    """light or dark"""
+    """colors: light or dark"""
     seed: int | None = None
-    """seed of the episode (0 where none is given), the same that compare runs"""
+    """seed of the episode (default: 0); compare runs the same episode for this seed"""
     key: int | None = None
-    """key of a simulated episode in place of a seed, as --episodes-csv of compare tells it"""
+    """key of a simulated episode, instead of a seed; compare --episodes-csv writes keys"""
     begin: float | None = None
-    """second of the episode to begin at; the beginning where none is given"""
+    """time to begin at, s from the start of the episode (default: its start)"""
     end: float | None = None
-    """second of the episode to end at; the end where none is given"""
+    """time to end at, s from the start of the episode (default: its end)"""
 
 
-MOST = 3  # most policies to show
-FASTEST = 50  # most pictures per second of a GIF
+MOST = 3  # maximum number of policies to show
+FASTEST = 50  # maximum number of pictures per second in a GIF
 
 
 def main(args: Args) -> None:
@@ -72,7 +72,7 @@ def main(args: Args) -> None:
 
 
 def _check(args: Args) -> None:
-    """Refuse, before any work, options that can't be shown."""
+    """Check, before any work, that the options can be shown."""
     from mmwave_env.rendering.theme import require_drawable
     from mmwave_env.rendering.video import require_video
 
@@ -92,7 +92,7 @@ def _check(args: Args) -> None:
 def _drawn(
     task: "Task", seed: int | None, key: int | None
 ) -> "tuple[Episode, Streets | None, str]":
-    """Return the episode of a seed or key, its streets where they are known, and its title."""
+    """Return the episode of a seed or key, its streets (None if unknown), and its title."""
     import numpy as np
 
     from experiments.evaluation.seeds import Selection
@@ -104,9 +104,9 @@ def _drawn(
         (episode,), keys = selection.draw(task.source), selection.keys(task.source)
         which = f"seed {selection.seeds[0]}"
     elif seed is not None:
-        raise ValueError(f"key: found beside seed {seed}, expected one of them")
+        raise ValueError(f"key: cannot be combined with seed {seed}; use only one of the two")
     elif not isinstance(task.source, SimulatedSource):
-        raise ValueError("key: found one, but recorded episodes have none: expected a seed")
+        raise ValueError("key: recorded episodes have no key; use --seed")
     else:
         keys, which = np.array([key_from(key)], np.uint64), f"key {key}"
         (episode,) = task.source.episodes(keys)
@@ -115,7 +115,7 @@ def _drawn(
 
 
 def _between(time_s: "Array", begin: float | None, end: float | None) -> list[int]:
-    """Return the rows of a history between two times, from the prior on by default."""
+    """Return the rows of a history between two times; by default all, including the prior."""
     import numpy as np
 
     low, high = -np.inf if begin is None else begin, np.inf if end is None else end
@@ -124,8 +124,8 @@ def _between(time_s: "Array", begin: float | None, end: float | None) -> list[in
         del rows[0]
     if not rows:
         raise ValueError(
-            f"begin, end: found {low:g} to {high:g} s, expected some of the 0 to "
-            f"{time_s[-1]:g} s of the episode"
+            f"begin, end: found {low:g} to {high:g} s, expected part of the episode, "
+            f"0 to {time_s[-1]:g} s"
         )
     return rows
 
@@ -154,7 +154,7 @@ def _show(
     window = Window(size * len(contenders), size)
     window.speed = args.fps
     for row in rows:
-        window.paused |= row == rows[-1]  # until a key is pressed or the window is closed
+        window.paused |= row == rows[-1]  # at the end, wait for a key or the closing of the window
         window.show(playback.draw(row))
         if not window.is_open:
             break

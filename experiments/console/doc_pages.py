@@ -1,4 +1,4 @@
-"""Pages of docs/ whose tables are written by commands, never by hand."""
+"""Pages in docs/ whose tables are written by commands, never by hand."""
 
 import re
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ def page_to_renew(path: Path) -> str:
     """Read a page whose tables are to be replaced.
 
     Raises:
-        ValueError: the page has no marks.
+        ValueError: the page has no lines that mark a table.
         OSError: the page can't be read or written.
     """
     require_writable(path)
@@ -27,11 +27,11 @@ def renewed(page: str, tables: Mapping[str, str]) -> str:
     """Return a page with each table between its marks replaced by the table of that title.
 
     Args:
-        page: Markdown with marks.
+        page: Markdown, with lines that mark where its tables begin and end.
         tables: new tables as Markdown, by title.
 
     Raises:
-        ValueError: a mark names a table that is not given.
+        ValueError: the page names a table that is not among the new ones.
     """
 
     def table(match: re.Match[str]) -> str:

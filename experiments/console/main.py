@@ -1,7 +1,7 @@
 """The command line ``mmwave-loc <command>``.
 
-A command is a module of this package, with its options on top. Options are read before anything
-large is imported, so that help and mistakes are shown at once.
+A command is a module in ``experiments`` that begins with its options. Options are read before
+anything large is imported, so that help and mistakes are shown at once.
 """
 
 import importlib
@@ -18,36 +18,36 @@ from experiments.console.signals import Ended, ended_by_signals, stopped_at_once
 
 GROUPS = {
     "begin": {
-        "demo": "every policy, on simulated and ray-traced streets",
-        "list": "what has a name: policies, kinds of users, radios, streets, ...",
+        "demo": "compare all policies on simulated and ray-traced streets",
+        "list": "show all names: policies, kinds of users, radios, streets, ...",
     },
     "localize": {
-        "localize": "the track of a measurement log (the paper's Algorithm 1, IMM)",
-        "simulate": "one episode as files: measurement log, scene and truth",
+        "localize": "compute the track of a measurement log",
+        "simulate": "write one episode as files: measurement log, scene and truth",
     },
     "compare": {
-        "compare": "policies on the same episodes, with paired differences",
-        "evaluate": "another word for compare",
-        "tables": "the paper's tables and claims, reproduced",
-        "leaderboard": "entries of the benchmark, judged alike and ranked",
-        "watch": "an episode as policies go through it: a window or a video",
-        "report": "one self-contained web page of results",
+        "compare": "compare policies on the same episodes, with paired differences",
+        "evaluate": "same as compare",
+        "tables": "reproduce the paper's tables and test its claims",
+        "leaderboard": "judge entries of the benchmark and rank them",
+        "watch": "play an episode with some policies, in a window or as a video",
+        "report": "make one self-contained web page of results",
     },
     "train": {
-        "train": "switchers that learn, on several training seeds",
-        "tune": "process noise of modes, by likelihood or error, on tuning seeds",
-        "sweep": "grids of comparisons and trainings, here or on a Ray cluster",
-        "convert": "a model of Stable-Baselines3 as a file without code",
+        "train": "train policies, with several training seeds",
+        "tune": "tune the process noise of modes, by likelihood or error",
+        "sweep": "run grids of comparisons and trainings, here or on a Ray cluster",
+        "convert": "convert a model of Stable-Baselines3 to a file without code",
     },
-    "measure": {"speed": "steps per second beside filterpy's and the core's limit"},
+    "measure": {"speed": "measure steps per second, compared with filterpy"},
 }
 COMMANDS = {name: about for group in GROUPS.values() for name, about in group.items()}
 SAME = {"evaluate": "compare"}  # aliases of commands
-LONGEST_LINE = 2000  # most letters of a message
+LONGEST_LINE = 2000  # maximum length of a message, characters
 
 
 def page_of(name: str) -> str:
-    """Return the name of the module of a command."""
+    """Return the name of the module that implements a command."""
     return f"experiments.{SAME.get(name, name)}"
 
 
@@ -56,7 +56,7 @@ def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
 
 
 def _in_one_line(text: str) -> str:
-    """Return a message in printable characters, cut where it is long."""
+    """Return a message in printable characters, cut if it is too long."""
     from mmwave_env.io.lookup import printable
 
     line = printable(text)
@@ -64,7 +64,7 @@ def _in_one_line(text: str) -> str:
 
 
 def _leave(code: int) -> NoReturn:
-    """Exit without a traceback where the reader of the output is gone."""
+    """Exit; print no traceback if nobody reads the output any more."""
     try:
         print(end="", flush=True)
     except OSError:
@@ -85,7 +85,7 @@ def read_arguments(name: str, words: Sequence[str]) -> Any:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Suppress bars and all printing but warnings and errors in the block."""
+    """Suppress progress bars and all printing except warnings and errors in the block."""
     from experiments.console.progress import QUIET
 
     token = QUIET.set(True)
@@ -97,13 +97,13 @@ def _quiet() -> Iterator[None]:
 
 
 def _complain(program: str, error: BaseException, debug: bool) -> None:
-    """Print one line about an error, after its traceback where ``debug`` asks for it."""
+    """Print one line about an error, after its traceback if ``debug``."""
     if debug:
         traceback.print_exception(error)
     if isinstance(error, OSError) and error.errno is not None and error.filename is None:
-        # Errors of opened files name the file, so this error is of a stream or a folder.
+        # Errors about files name the file, so this one is about a stream or the working folder.
         missing = isinstance(error, FileNotFoundError)
-        line = f"{'the working folder' if missing else 'what is printed'}: {error.strerror}"
+        line = f"{'the working folder' if missing else 'standard output'}: {error.strerror}"
     elif isinstance(error, (ValueError, OSError)):
         line = str(error)
     else:
@@ -125,7 +125,7 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
         with stopped_at_once():
             warnings.showwarning = _show_warning
             for stream in (sys.stdout, sys.stderr):
-                if isinstance(stream, TextIOWrapper):  # whose encoding may lack letters of names
+                if isinstance(stream, TextIOWrapper):  # its encoding may lack letters of names
                     stream.reconfigure(errors="backslashreplace")
             args, command = read_arguments(name, words), importlib.import_module(page_of(name))
             importlib.import_module("experiments.evaluation.asked")  # slow; all commands need it
@@ -133,7 +133,7 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
             _require_results_can_be_written(args)
             command.main(args)
         print(end="", flush=True)
-    except BrokenPipeError:  # the reader has seen enough
+    except BrokenPipeError:  # the reader closed the pipe
         _leave(141)  # as a shell reports a program that SIGPIPE ended
     except Exception as error:
         _complain(program, error, debug)
@@ -206,9 +206,9 @@ def _complete(words: Sequence[str]) -> None:
 def main() -> None:
     """Run the program: the first argument names the command."""
     words = sys.argv[1:]
-    if not os.environ.get("COLUMNS", "80").strip("0"):  # some terminals do not know their width
+    if not os.environ.get("COLUMNS", "80").strip("0"):  # some terminals claim a width of 0
         del os.environ["COLUMNS"]
-    if words[:1] == ["help"]:  # the same as --help, of the program or of a command
+    if words[:1] == ["help"]:  # the same as --help, for the program or for a command
         words = [*words[1:], "--help"]
     if not words or words[0] in ("-h", "--help"):
         print(_help())

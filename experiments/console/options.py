@@ -1,7 +1,7 @@
 """Options that several commands share.
 
-Help must appear at once, so this module imports nothing slow: it repeats numbers of the library,
-and a test compares them.
+Help must appear at once, so this module imports nothing slow: it copies some constants of the
+library, and a test checks that the copies agree.
 """
 
 from dataclasses import dataclass
@@ -11,217 +11,221 @@ from typing import Literal
 from tyro.conf import Positional
 
 USUAL_EPISODES = 1000
-AUTO = "auto"  # the radio whose noise is nearest to a log's
-TUNING_SEED = 5_000_000  # the first seed for tuning
+AUTO = "auto"  # choose the radio whose noise is nearest to a log's
+TUNING_SEED = 5_000_000  # first of the seeds for tuning
 
 
 @dataclass(kw_only=True)
 class JsonArgs:
-    """Results."""
+    """Options for results in a file."""
 
     json: Path | None = None
-    """write every figure to this file"""
+    """write all results to this JSON file"""
 
 
 @dataclass(kw_only=True)
 class EpisodeResultArgs(JsonArgs):
-    """Results."""
+    """Options for the results of episodes."""
 
     episodes_csv: Path | None = None
-    """write every metric of every policy and episode to this table, a row each"""
+    """write a CSV table with one row per policy and episode, and one column per metric"""
     percentiles: bool = False
-    """also show percentiles of horizontal and vertical errors, shares within a distance, and how
-    often errors exceed their protection levels"""
+    """also show percentiles of horizontal and vertical errors, the shares of errors within some
+    distances, and how often errors exceed their protection levels"""
 
 
 @dataclass(kw_only=True)
 class WorldArgs:
-    """Options of streets, users and radio, as in the environment."""
+    """Options for streets, users and radio, as in the environment."""
 
     scenario: str | None = None
-    """kind of user, by name (mmwave-loc list scenarios; mixed where none is named) or from a JSON
-    file; or ways of your own, a CSV file with columns t, x, y, z, and id
-    where there are several users"""
+    """kind of user: a name (see mmwave-loc list scenarios; default: mixed) or a JSON file; or
+    trajectories of your own: a CSV file with columns t, x, y, z, and id if there are several
+    users"""
     radio: str = "handset"
-    """handset, standard, high or a JSON file"""
+    """radio profile: handset, standard, high or a JSON file"""
     scene: str | None = None
-    """street (where none is named), o1, dynamic-doppler, random (each episode its own) or a JSON
-    file"""
+    """street (default), o1, dynamic-doppler, random (a new scene in each episode) or a JSON file"""
     data: str | None = None
-    """recorded data instead of a simulation: one of mmwave-loc list samples, or a folder, of
-    a DeepMIMO scenario (each seed draws receiver noise and prior anew) or of a measurement log with
-    scene.json and truth.tum (each draws the prior anew)"""
+    """recorded data instead of a simulation: a sample (see mmwave-loc list samples), the folder of
+    a DeepMIMO scenario (each seed draws new receiver noise and a new prior), or a folder with a
+    measurement log, scene.json and truth.tum (each seed draws a new prior)"""
     dt: float | None = None
-    """seconds between epochs (1 where none is given)"""
+    """seconds between epochs (default: 1)"""
     episode_steps: int | None = None
-    """epochs of an episode (200 where none is given; all of recorded data)"""
+    """number of epochs of an episode (default: 200, or all epochs of recorded data)"""
     odometry: bool = False
-    """the user measures speed and heading, too"""
+    """the user also measures speed and heading"""
 
 
 @dataclass(kw_only=True)
 class ModeArgs(WorldArgs):
-    """Modes and agents."""
+    """Options for modes and agents."""
 
     modes: tuple[str, ...] = ()
-    """modes to work with in place of the profile's ekf and ukf: names (ekf, ukf, ckf, ekf-robust,
+    """modes to use instead of the profile's ekf and ukf: names (ekf, ukf, ckf, ekf-robust,
     ukf-robust) and mode files; policies are then fixed-NAME, likelihood-rule, imm and, with two
-    modes, speed-rule, which takes the first for low and the second for high mobility; learned
-    policies bring their own modes"""
+    modes, speed-rule, which uses the first mode for low and the second for high mobility; learned
+    policies have their own modes"""
     observation: str = "full"
-    """what agents of your own were trained with: full, or prior; policy files say it themselves"""
+    """observation that your own agents were trained with: full or prior; policy files record it"""
     beliefs: str = "shared"
-    """what agents of your own were trained with: shared, or per-mode, where the modes are those of
-    the radio's best IMM if none are named; policy files say it themselves"""
+    """beliefs that your own agents were trained with: shared, or per-mode (modes default to those
+    of the radio's best IMM); policy files record it"""
     planar: bool = False
     """flat terrain: height and vertical velocity are known"""
 
 
 @dataclass(kw_only=True)
 class IntegrityArgs:
-    """Integrity."""
+    """Options for the integrity of positions."""
 
     risk: float = 0.001
-    """that an error exceeds its protection level, if covariances are right"""
+    """probability that an error exceeds its protection level, if covariances are right"""
 
 
 @dataclass(kw_only=True)
 class EpisodeArgs(ModeArgs, IntegrityArgs, EpisodeResultArgs):
-    """Episodes."""
+    """Options for the episodes to run."""
 
     episodes: int | None = None
-    """how many (1000 where none is given); 1000 or more to publish"""
+    """number of episodes (default: 1000); results to publish need 1000 or more"""
     seed: int | None = None
-    """seed of the first episode (0 where none is given); test seeds start at 0, tuning seeds at
-    5000000"""
+    """seed of the first episode (default: 0); test seeds start at 0, tuning seeds at 5000000"""
     reward: str = "tracking"
-    """tracking or log-score"""
+    """reward to report: tracking or log-score"""
 
 
 @dataclass(kw_only=True)
 class TaskArgs:
-    """Options of the task to learn."""
+    """Options for the task to learn."""
 
     algo: Literal["ppo", "rollouts"] = "ppo"
-    """ppo is that of Stable-Baselines3; rollouts is rollout policy iteration with common random
-    numbers: every action is tried on the same measurements"""
+    """ppo: PPO of Stable-Baselines3; rollouts: rollout policy iteration with common random numbers,
+    which tries every action on the same measurements"""
     scenario: str = "mixed"
-    """kind of user, by name (mmwave-loc list scenarios) or from a JSON file; or a way of your own,
-    a CSV file with columns t, x, y, z"""
+    """kind of user: a name (see mmwave-loc list scenarios) or a JSON file; or a trajectory of your
+    own: a CSV file with columns t, x, y, z"""
     radio: str = "handset"
-    """handset, standard, high or a JSON file: of the street, where no places are named"""
+    """radio to train with on the street, if --places is not given: handset, standard, high or a
+    JSON file"""
     places: tuple[str, ...] = ()
-    """one or more of SCENE:RADIO and SCENE:RADIO:DT in place of a radio, such as street:handset and
-    o1:standard:0.1: names or JSON files, and the seconds between epochs, 1 where left out; the
-    environments and the episodes that policies are judged on are spread over them evenly"""
+    """places to train at, instead of --radio: each is SCENE:RADIO or SCENE:RADIO:DT, such as
+    street:handset or o1:standard:0.1, with names or JSON files and the seconds between epochs
+    (default: 1); environments, and episodes for judging policies, are spread over them evenly"""
     beliefs: Literal["shared", "per-mode"] = "shared"
-    """per-mode: every mode keeps its own belief, and the agent says which of them to trust"""
+    """shared: all modes work on one belief; per-mode: every mode keeps its own belief, and the
+    agent says which one to trust"""
     modes: tuple[str, ...] = ()
-    """to choose from: names and mode files; the radio's ekf and ukf by default, and its
-    best bank with beliefs per mode"""
+    """modes to choose from: names and mode files; by default the radio's ekf and ukf or, with
+    --beliefs per-mode, its best bank"""
     observation: str = "full"
-    """full, or prior: nothing of how each mode sees the coming epoch"""
+    """what the agent observes: full, or prior, which leaves out how well each mode explains the
+    coming epoch"""
     reward: str = "tracking"
-    """tracking or log-score, minus the IMM's where the hyperparameters say paired; or paired, which
-    always is tracking minus the IMM's: of the bank, with beliefs per mode"""
+    """tracking or log-score (minus the IMM's reward if the hyperparameters ask for paired), or
+    paired: the tracking reward minus the IMM's; with --beliefs per-mode, the IMM is the bank's"""
     nees_weight: float = 0.2
     """weight of the NEES in the tracking reward"""
 
 
 @dataclass(kw_only=True)
 class TrackOutputArgs:
-    """Results."""
+    """Options for the results of a log."""
 
     out: Path | None = None
-    """write the track: .tum (with a .csv of standard deviations and modes beside it), that .csv
-    alone, or, for a map, .geojson, .gpx or .nmea, which need an origin in the scene"""
+    """write the track to this file: .tum (together with a .csv of standard deviations and modes),
+    only that .csv, or, for maps, .geojson, .gpx or .nmea, which need an origin in the scene"""
     plot: Path | None = None
     """draw the track to this .png, .svg or .pdf file"""
     json: Path | None = None
-    """write every figure to this file"""
+    """write all results to this JSON file"""
     diagnose: bool = False
-    """tell epochs, rate, how often each anchor is seen and what is odd; then try likely mistakes on
-    the first epochs (units, signs, ends, frames, order of anchors), and say which one makes the log
-    consistent; no track"""
+    """compute no track, but show the number of epochs, the rate, how often each anchor is measured,
+    and anything odd; then try likely mistakes on the first epochs (units, signs, arrival and
+    departure, frames, order of anchors), and say which correction makes the log consistent"""
 
 
 @dataclass(kw_only=True)
 class FilterArgs:
-    """Filters."""
+    """Options for the filters."""
 
     policy: str | None = None
-    """who chooses the modes: guided (where nothing else is named), ppo, a policy file, or
-    module:function"""
+    """policy that chooses the modes: guided (default), ppo, a policy file, or module:function"""
     imm: str | None = None
-    """in place of a policy, all modes of an IMM, mixed by how well each explains the log: imm-best,
-    imm or a bank's mode file"""
+    """instead of a policy, run all modes of an IMM, weighted by how well each explains the log:
+    imm-best, imm or the mode file of a bank"""
     radio: str = AUTO
-    """noise by SNR, and the tuning of the modes: handset, standard, high or a JSON file; auto takes
-    the profile whose noise is nearest to the log's"""
+    """radio profile, which gives the noise for an SNR and the tuning of the modes: handset,
+    standard, high or a JSON file; auto takes the profile whose noise is nearest to the log's"""
     snr: float | None = None
-    """of links without one, dB: needed where the log states neither SNR nor standard deviations"""
+    """SNR of links that have none in the log, dB; needed if the log has neither SNR nor standard
+    deviations"""
     smoothing: bool = True
-    """smooth the track: Rauch-Tung-Striebel, and mode by mode where several interact"""
+    """smooth the track with a Rauch-Tung-Striebel smoother, mode by mode if several interact"""
     window: int = 200
-    """epochs smoothed together"""
+    """number of epochs that are smoothed together"""
     odometry: bool = True
-    """use speed and heading where the log has them"""
+    """use speed and heading if the log has them"""
     height: float | None = None
-    """flat terrain at this height, m"""
+    """known height of a user on flat terrain, m"""
 
 
 @dataclass(kw_only=True)
 class AlgorithmArgs:
-    """The paper's Algorithm 1, in place of a policy; any of these asks for it."""
+    """Options of the paper's Algorithm 1, which runs instead of a policy if any of them is set."""
 
     speed: str | None = None
-    """Algorithm 1: speed of the user, m/s, by which one pipeline runs; or auto, to decide in every
-    epoch"""
+    """Algorithm 1: the user's speed, m/s, which selects the pipeline that runs; or auto, to decide
+    in every epoch"""
     outside: Literal["fallback", "abort"] = "fallback"
-    """above 20 m/s, outside the design window: run the UKF pipeline, or stop"""
+    """what to do if --speed is above 20 m/s, outside the design window: run the UKF pipeline, or
+    stop"""
     follow: Literal["prediction", "odometry"] = "prediction"
-    """the speed that --speed auto follows"""
+    """speed by which --speed auto decides: predicted by the filter, or measured by odometry"""
     modes: Path | None = None
-    """mode file with other pipelines: the one for low, then the one for high mobility"""
+    """mode file with two other pipelines, the first for low and the second for high mobility"""
     gating: bool = True
-    """reject measurements outside their 99 % chi-square gates (also of --imm)"""
+    """reject measurements outside their 99 % chi-square gates (also with --imm)"""
     adaptive: bool = True
-    """scale Q and R by the innovations (also of --imm)"""
+    """scale Q and R according to the innovations (also with --imm)"""
     robust: bool = False
-    """doubt links far off instead of rejecting them (also of --imm)"""
+    """give outlying links less weight instead of rejecting them (also with --imm)"""
 
 
 @dataclass(kw_only=True)
 class LogArgs(AlgorithmArgs, FilterArgs, IntegrityArgs, TrackOutputArgs):
-    """Log, scene and truth."""
+    """Options for the log, its scene and its ground truth."""
 
     log: Positional[Path | None] = None
     """measurement log: .csv, .csv.gz or .parquet; - for standard input, with --live"""
     scene: str | None = None
-    """JSON file with the anchors; or street, o1, dynamic-doppler"""
+    """scene of the log: a JSON file with the anchors; or street, o1, dynamic-doppler"""
     sample: str | None = None
-    """in place of a log: canyon28_vehicle or canyon28_pedestrian, with its scene and truth"""
+    """recording to use instead of a log: canyon28_vehicle or canyon28_pedestrian, which have a
+    scene and ground truth"""
     live: bool = False
-    """read rows from standard input (log -), CSV or JSON lines, and print one JSON line per epoch
-    at once"""
+    """read rows from standard input (log -) as CSV or JSON lines, and print one JSON line for each
+    epoch at once"""
     lag: int = 0
-    """with --live, also print the position this many epochs ago, smoothed by those since"""
+    """with --live, also print the position this many epochs ago, smoothed with the epochs since"""
     associate: bool = False
-    """rows are paths that nobody has given an anchor: find out which belong to which, and which are
+    """rows are paths without anchor numbers: assign each path to an anchor, or reject it as
     false"""
     truth: Path | None = None
-    """true track in TUM format, to score against; the filters never see it"""
+    """ground-truth track in TUM format, to score the track; the filters never see it"""
 
 
 @dataclass(kw_only=True)
 class PageArgs:
-    """Results and episodes of a web page."""
+    """Options for the results and episodes of a web page."""
 
     results: Positional[tuple[Path, ...]]
     """JSON files of results, and folders of runs"""
     out: Path = Path("report.html")
-    """file to write"""
+    """web page to write"""
     episodes: int = 30
-    """of each comparison to play again, for the distributions of errors and NEES; 0 for none"""
+    """number of episodes of each comparison to run again, for the distributions of errors and NEES;
+    0 for none"""
     watch: int = 2
-    """how many of these can be watched epoch by epoch"""
+    """number of these episodes that the page can play epoch by epoch"""

@@ -1,7 +1,7 @@
 """Parser of a command's options: tyro reads them from the dataclass that declares them.
 
-The docstring of a dataclass is the help, and its last paragraph an example. The text below a field
-is the help of its option. A mistake is reported in one line.
+The docstring of a dataclass is the help, and its last paragraph is an example. The text below a
+field is the help for its option. A mistake is reported in one line.
 """
 
 import ast
@@ -18,9 +18,9 @@ from io import StringIO
 from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 T = TypeVar("T")
-WIDTH = 80  # widest help, columns
-UNLIMITED = 10_000  # columns, so that no word of a message is cut
-RULE = re.compile(r"^ +-+ *$", re.MULTILINE)  # between the parts of tyro's messages
+WIDTH = 80  # maximum width of help texts, columns
+UNLIMITED = 10_000  # columns; so wide that tyro breaks no word of a message
+RULE = re.compile(r"^ +-+ *$", re.MULTILINE)  # line between the parts of tyro's messages
 
 
 @dataclass(kw_only=True)
@@ -30,14 +30,14 @@ class Everywhere:
     quiet: bool = False
     """show neither tables nor progress, only warnings and errors"""
     debug: bool = False
-    """where something fails, show where in the program"""
+    """if something fails, show the place in the program"""
 
 
 def parse(arguments: type[T], words: Sequence[str], program: str) -> T:
     """Parse words into an instance of a dataclass of options.
 
     Args:
-        arguments: a dataclass with a text below every field.
+        arguments: a dataclass with a help text below every field.
         words: command line after the name of the command.
         program: name of the command, for help and errors.
 
@@ -54,7 +54,7 @@ def parse(arguments: type[T], words: Sequence[str], program: str) -> T:
     try:
         with (
             _columns(width if helped else UNLIMITED),
-            redirect_stdout(sys.stdout if helped else box),  # tyro frames a message by its encoding
+            redirect_stdout(sys.stdout if helped else box),  # tyro draws frames by its encoding
             redirect_stderr(box),
         ):
             parsed = tyro.cli(read, prog=program, description="", args=words, config=config)
@@ -69,7 +69,7 @@ def parse(arguments: type[T], words: Sequence[str], program: str) -> T:
 
 
 def described(arguments: type[Any]) -> type[Any]:
-    """Return a dataclass for tyro: own options before inherited options, each with its help."""
+    """Return a dataclass for tyro, with the class's own options first, each with its help."""
     from tyro.conf import FlagCreatePairsOff, arg
 
     kinds = get_type_hints(Everywhere) | get_type_hints(arguments, include_extras=True)
@@ -82,9 +82,9 @@ def described(arguments: type[Any]) -> type[Any]:
             hint = "(required)" if default is MISSING else "" if nothing else None
             shown = name.upper() + ("..." if "tuple" in str(kind) else "")
             shown = shown if default is MISSING else f"[{shown}]"
-            metavar = shown if is_positional(kind) else None  # None, here and above: tyro's own
+            metavar = shown if is_positional(kind) else None  # None, here and above: tyro's default
             kind = Annotated[kind, arg(help=text, help_behavior_hint=hint, metavar=metavar)]
-            if default is False:  # suppresses --no-NAME
+            if default is False:  # this marker suppresses --no-NAME
                 kind = Annotated[kind, FlagCreatePairsOff]
             made.append((name, kind, field(default=default)))
     return make_dataclass(arguments.__name__, made, kw_only=True)
@@ -103,14 +103,14 @@ def _texts(declares: type[Any]) -> dict[str, str]:
 
 
 def is_positional(kind: Any) -> bool:
-    """Tell whether an annotation says that the value is given without the name of its option."""
+    """Return whether an annotation says that the value is given without the option's name."""
     from tyro.conf import Positional
 
     return Positional in get_args(kind)
 
 
 def _folded(text: str, width: int) -> str:
-    """Fold paragraphs at a width; the last paragraph is an example with one command a line."""
+    """Fold paragraphs at a width; the last one is an example, with one command on each line."""
     *about, example = text.split("\n\n")
     folded = ["\n".join(textwrap.wrap(part, width, break_on_hyphens=False)) for part in about]
     return "\n\n".join([*folded, "example:\n" + textwrap.indent(example, "  ")])
@@ -118,7 +118,7 @@ def _folded(text: str, width: int) -> str:
 
 @contextmanager
 def _columns(count: int) -> Iterator[None]:
-    """Pretend in the block that the terminal has ``count`` columns."""
+    """Make the terminal appear to have ``count`` columns within the block."""
     before = os.environ.get("COLUMNS")
     os.environ["COLUMNS"] = str(count)
     try:

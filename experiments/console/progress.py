@@ -26,10 +26,10 @@ class _Description(TextColumn):
 def bars(*columns: ProgressColumn | str) -> Progress:
     """Return bars on standard error, which vanish at the end and keep standard output clean.
 
-    No bar is shown where standard error is not a terminal.
+    No bar is shown if standard error is not a terminal.
 
     Args:
-        columns: further columns beside rich's own.
+        columns: further columns, in addition to rich's own.
     """
     console = Console(stderr=True, quiet=QUIET.get())
     _, *others = Progress.get_default_columns()
@@ -39,7 +39,7 @@ def bars(*columns: ProgressColumn | str) -> Progress:
 
 
 def terminal_width() -> int | None:
-    """Return the width of the terminal on standard output; None where there is none."""
+    """Return the width of the terminal on standard output; None if it is not a terminal."""
     console = Console()
     return console.width if console.is_terminal else None
 

@@ -18,7 +18,7 @@ OUTPUTS = {"json", "episodes_csv", "errors", "consistency", "plot", "docs", "out
 
 
 def command_line(name: str, args: Any) -> str:
-    """Return the command that a dataclass of arguments stands for, without defaults."""
+    """Return the command line that sets the given options; default values are left out."""
     kinds = get_type_hints(type(args), include_extras=True)
     nameless = [field.name for field in fields(args) if is_positional(kinds[field.name])]
     values = [value for field in nameless if (value := getattr(args, field)) is not None]
@@ -39,14 +39,14 @@ def _words(value: Any) -> list[str]:
 
 
 def provenance(name: str, args: Any) -> dict[str, Any]:
-    """Return the command without its outputs, its options, and versions, for results in JSON."""
+    """Return versions, options, and the command without its outputs, for results in JSON."""
     outputs = {f.name: f.default for f in fields(args) if f.name in OUTPUTS}
     command = command_line(name, replace(args, **outputs))
     return {"command": command, "options": options_of(args), "versions": versions()}
 
 
 def options_of(args: Any) -> dict[str, Any]:
-    """Return options as results files hold them, without outputs: paths as text, tuples as lists.
+    """Return options in the form that results files store: no outputs, paths as text.
 
     Args:
         args: dataclass of options.
@@ -56,14 +56,14 @@ def options_of(args: Any) -> dict[str, Any]:
 
 
 def options_from(kind: type[T], content: Mapping[str, Any]) -> T:
-    """Return the options in a results file; those that ``kind`` does not have are ignored.
+    """Return the options in a results file; options that ``kind`` does not have are ignored.
 
     Args:
         kind: dataclass of options.
         content: content of the file.
 
     Raises:
-        ValueError: the file holds no options, or a value is not of its option's type.
+        ValueError: the file has no options, or a value is not of its option's type.
     """
     stored: Any = content.get("options")
     options: dict[str, Any] = {}
@@ -84,6 +84,6 @@ def versions_of(*packages: str) -> dict[str, str]:
 
 
 def versions() -> dict[str, str]:
-    """Return versions of the package, of Python and of the packages that numbers depend on."""
+    """Return the versions of this package, Python and the packages that affect the results."""
     packages = {name: version(name) for name in ("gymnasium", "numpy", "numba", "scipy")}
     return {"mmwave-loc": __version__, "python": platform.python_version(), **packages}

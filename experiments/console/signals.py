@@ -1,4 +1,4 @@
-"""Signals from a scheduler or a closed terminal, which clean up as Ctrl-C does."""
+"""Signals from a scheduler or a closed terminal: the program cleans up as after Ctrl-C."""
 
 import os
 import signal
@@ -9,10 +9,10 @@ from threading import Timer
 from types import FrameType
 from typing import Any, NoReturn
 
-# The signals that the system has: Windows has no SIGHUP.
+# Those signals that the system has; Windows has no SIGHUP.
 ENDING = tuple(getattr(signal, n) for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n))
 SOON_S = 0.01  # delay after which a signal that could not be handled is sent again
-SAME_S = 1.0  # a signal repeated within it is one signal, sent to a group and to its processes
+SAME_S = 1.0  # a repetition within this time is the same signal, sent to process and group
 
 
 class Ended(SystemExit):
@@ -31,7 +31,7 @@ def _told(number: int) -> str:
 def answered(
     numbers: Sequence[int], answer: Callable[[int, Any], None] | signal.Handlers
 ) -> Iterator[None]:
-    """Handle signals in the block by a function, except ignored signals, as under nohup."""
+    """Handle signals with a function in the block, except those ignored, such as under nohup."""
     before = {number: signal.getsignal(number) for number in numbers}
     heeded = {number: old for number, old in before.items() if old is not signal.SIG_IGN}
     for number in heeded:
@@ -45,10 +45,10 @@ def answered(
 
 @contextmanager
 def ended_by_signals() -> Iterator[None]:
-    """Raise on SIGTERM and SIGHUP in the block, so that half-written files are removed.
+    """Raise an exception on SIGTERM or SIGHUP in the block, so that half-written files are removed.
 
     Raises:
-        Ended: one of the signals came.
+        Ended: one of the signals arrived.
     """
     last_s, came = -SAME_S, 0
 
@@ -66,7 +66,7 @@ def ended_by_signals() -> Iterator[None]:
         try:
             yield
         except BaseException as other:
-            # Ray's C code replaces the exception; a bar fails where the terminal is gone.
+            # Ray's C code replaces the exception; a progress bar fails if the terminal is gone.
             if came and not isinstance(other, Ended):
                 raise Ended(came) from None
             raise
@@ -74,15 +74,15 @@ def ended_by_signals() -> Iterator[None]:
 
 @contextmanager
 def ended_by_the_system() -> Iterator[None]:
-    """Let Ctrl-C, SIGTERM and SIGHUP end the process, even within a long call of C."""
+    """Let Ctrl-C, SIGTERM and SIGHUP end the process, even during a long call into C code."""
     with answered((signal.SIGINT, *ENDING), signal.SIG_DFL):
         yield
 
 
 def _in_callback(frame: FrameType | None) -> bool:
-    """Tell whether C called the running Python code: C drops an exception raised there."""
+    """Return whether C code called the running Python code: it would drop an exception."""
     while frame is not None:
-        if frame.f_code.co_name.startswith("_raw_object_cache"):  # of llvmlite
+        if frame.f_code.co_name.startswith("_raw_object_cache"):  # a callback of llvmlite
             return True
         frame = frame.f_back
     return False
@@ -96,6 +96,6 @@ def _leave(number: int, _: Any) -> NoReturn:
 
 @contextmanager
 def stopped_at_once() -> Iterator[None]:
-    """End the process on Ctrl-C, SIGTERM and SIGHUP, without a traceback out of an import."""
+    """End the process on Ctrl-C, SIGTERM and SIGHUP without a traceback, even in an import."""
     with answered((signal.SIGINT, *ENDING), _leave):
         yield

@@ -12,10 +12,10 @@ from rich.markdown import Markdown
 from experiments.console.text import escaped, printable_lines, unescaped
 
 TABLE = re.compile(r"((?:^\|.*\n?)+)", re.MULTILINE)
-CELL = re.compile(r"((?:\\.|[^|\\])*)\|")  # with the bar that ends the cell
+CELL = re.compile(r"((?:\\.|[^|\\])*)\|")  # with the | that ends the cell
 UNIT = re.compile(r" (?=(?:m|s|%)(?: |$))")  # the space before a unit, where a line must not break
 GLUED = "\u00a0"  # a space where :mod:`textwrap` does not break
-GAP = 2  # between columns
+GAP = 2  # spaces between columns
 
 
 def grid(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
@@ -43,9 +43,9 @@ def show(text: str) -> None:
 
 
 def _tables(text: str, width: int) -> Iterator[list[str]]:
-    """Yield the lines of each table that a Markdown table is split into at a width.
+    """Split a Markdown table into tables that fit a width; yield the lines of each.
 
-    Each part repeats the first column. Headers are folded at spaces; cells are never folded.
+    Each of them repeats the first column. Headers are folded at spaces; cells are never folded.
     """
     lines = (
         [unescaped(cell.strip()) for cell in CELL.findall(line[1:])] for line in text.splitlines()

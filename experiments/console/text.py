@@ -4,7 +4,7 @@ import re
 
 from mmwave_env.io.lookup import printable
 
-# Markup of Markdown and HTML, which excludes an underscore in a word and < before a number.
+# What Markdown and HTML read as markup; an underscore within a word or < before a number is not.
 _READ = re.compile(
     r"[\\`*|$~]|<(?=[A-Za-z/!?])|&(?=[A-Za-z#])|\](?=[(\[:])"
     r"|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])"
@@ -18,7 +18,7 @@ def printable_lines(text: str) -> str:
 
 
 def escaped(text: str) -> str:
-    """Return plain text as Markdown that shows every character, also in a cell of a table."""
+    """Return plain text as Markdown that shows every character, even in a cell of a table."""
     return _READ.sub(r"\\\g<0>", printable(text))
 
 

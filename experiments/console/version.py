@@ -1,7 +1,7 @@
 """Versions, threads, cached kernels and a self-test: ``mmwave-loc --version --json``.
 
-Kernels are compiled on the machine that runs them, by its own version of the compiler. The
-self-test compares the results of kernels with those of the same equations on Python's floats.
+Kernels (compiled functions) are compiled on the machine that runs them, with the compiler installed
+there. The self-test compares their results with those of the same equations on Python's floats.
 """
 
 import os
@@ -24,14 +24,14 @@ from mmwave_env.numerics.pytree import flatten, unflatten
 from mmwave_env.task import Task, task_from
 from mmwave_env.world.episode import EpisodeBatch
 
-TOLERANCE = 1e-6  # relative; correct kernels are within 1e-9
-_KEYS = np.arange(3, dtype=np.uint64)  # three episodes, which do not fill a block of lanes
+TOLERANCE = 1e-6  # relative deviation; correct kernels stay within 1e-9
+_KEYS = np.arange(3, dtype=np.uint64)  # three episodes, which do not fill a block of SIMD lanes
 _EPOCHS = 25
 
 
 def about() -> dict[str, Any]:
-    """Return the report as JSON; compiling kernels not in the cache takes about a minute."""
-    with ended_by_the_system():  # Python handles no signal during the long call of the compiler
+    """Return the report as JSON; compiling kernels that are not cached takes about a minute."""
+    with ended_by_the_system():  # Python handles no signals during the compiler's long calls
         tests = self_test()
     return {
         "versions": versions(),
@@ -45,7 +45,7 @@ def about() -> dict[str, Any]:
 
 
 def self_test() -> list[dict[str, Any]]:
-    """Return the name, the largest deviation from floats and the verdict of every kernel."""
+    """Return every kernel's name, largest deviation from results on floats, and verdict."""
     shared, own = (task_from(episode_steps=_EPOCHS, beliefs=b) for b in ("shared", "per-mode"))
     episodes = EpisodeBatch.of(shared.simulated.episodes(_KEYS))
     on_floats = _stepped(own, episodes, on_floats=True)
@@ -63,13 +63,13 @@ def self_test() -> list[dict[str, Any]]:
 
 
 def _deviation(computed: Array, expected: Array) -> float:
-    """Return the largest difference, relative to the size of the numbers in a column."""
+    """Return the largest difference, relative to the largest number in its column."""
     size = np.maximum(np.abs(expected).max(axis=tuple(range(expected.ndim - 1))), 1.0)
     return float((np.abs(computed - expected) / size).max())
 
 
 def _episodes(task: Task, episodes: EpisodeBatch) -> float:
-    """Compare epochs drawn by compiled code with those of the same equations on floats."""
+    """Return the deviation of epochs drawn by compiled code from the same equations on floats."""
     source = task.simulated
     begun, world = source.begin(_KEYS), source.world
     settings, blank = source.feed(begun.worlds).settings[:, 0], np.zeros(world.ends[0])
@@ -85,7 +85,7 @@ def _episodes(task: Task, episodes: EpisodeBatch) -> float:
 
 
 def _stepped(task: Task, episodes: EpisodeBatch, on_floats: bool) -> Array:
-    """Return beliefs (epochs, n, 7) under the first action in every epoch."""
+    """Return the estimates (epochs, n, 7) if every action is the first."""
     engine = Engine(
         task.pipeline, len(_KEYS), TrackingReward(), bank=task.bank, on_floats=on_floats
     )
@@ -98,7 +98,7 @@ def _stepped(task: Task, episodes: EpisodeBatch, on_floats: bool) -> Array:
 
 
 def _imm(task: Task, episodes: EpisodeBatch) -> Array:
-    """Return beliefs (epochs, n, 7) of whole tracks filtered by the IMM in one call."""
+    """Return the estimates (epochs, n, 7) of an IMM that filters complete tracks in one call."""
     bank = task.bank
     assert bank is not None
     imm = ImmEngine(task.pipeline, TrackingReward(), bank.transition, bank.nis_quantile)

@@ -1,4 +1,4 @@
-"""Agents of a user: functions from observations to actions, checked before an episode runs."""
+"""A user's own agents: functions from observations to actions, checked before episodes run."""
 
 import importlib
 import os
@@ -17,12 +17,12 @@ Act = Callable[[NDArray[np.float32]], Any]  # observations (n, features) -> acti
 
 MODULE = re.compile(r"[\w.]+:[\w.]+")
 GUIDE = "docs/own-agent.md"
-OF_A_MODEL = "of a model, lambda seen: model.predict(seen, deterministic=True)[0]"
-TRIED = 3  # observations to try an agent on
+OF_A_MODEL = "for a model, use lambda seen: model.predict(seen, deterministic=True)[0]"
+TRIED = 3  # number of random observations to try an agent on
 
 
 class _Function(Policy):
-    """A function of observations as a policy without memory."""
+    """A policy without memory, made from a function of observations."""
 
     def __init__(self, act: Act) -> None:
         self._act = act
@@ -32,37 +32,37 @@ class _Function(Policy):
 
 
 def is_agent(name: str) -> bool:
-    """Tell whether a name has the form module:function."""
+    """Return whether a name has the form module:function."""
     return MODULE.fullmatch(name) is not None
 
 
 def agent_from(name: str) -> Act:
-    """Return the agent of ``module:function``.
+    """Return the agent that ``module:function`` makes.
 
     Args:
-        name: module on ``sys.path`` or in the current folder, and its function without
-            arguments that returns the agent.
+        name: a module on ``sys.path`` or in the current folder, and a function in it that takes
+            no arguments and returns the agent.
 
     Raises:
-        ValueError: names the module, and says what is wrong with it.
+        ValueError: the agent can't be made; the message says why.
     """
     module, _, path = name.partition(":")
     if os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())  # last, so that installed modules go first
+        sys.path.append(os.getcwd())  # last, so that installed modules take precedence
     try:
         make: Any = importlib.import_module(module)
         for part in path.split("."):
             make = getattr(make, part)
         return cast(Act, make())
-    except Exception as error:  # whatever a user's code does
+    except Exception as error:  # a user's code can raise anything
         raise ValueError(
             f"policy {name}: {in_one_line(error)}; expected module:function, a function "
-            f"without arguments that returns the agent ({GUIDE})"
+            f"that takes no arguments and returns the agent ({GUIDE})"
         ) from error
 
 
 def tried(name: str, agent: Act, table: Observation) -> Policy:
-    """Return an agent as a policy, once it gives actions for a few random observations.
+    """Return an agent as a policy; check that it returns actions for a few random observations.
 
     Args:
         name: name of the agent, for errors.
@@ -70,7 +70,7 @@ def tried(name: str, agent: Act, table: Observation) -> Policy:
         table: observation table that the agent works with.
 
     Raises:
-        ValueError: the agent is no function, fails, or returns no actions.
+        ValueError: the agent is not a function, raises, or does not return actions.
     """
     if not callable(agent):
         raise ValueError(
@@ -83,17 +83,17 @@ def tried(name: str, agent: Act, table: Observation) -> Policy:
     try:
         policy.reset(np.ones(TRIED, np.bool_))
         actions = np.asarray(policy(shown))
-    except Exception as error:  # whatever a user's code does
+    except Exception as error:  # a user's code can raise anything
         raise ValueError(
-            f"policy {name}: {in_one_line(error)}; it was shown observations "
-            f"{shown.shape} of float32: {table.made_with}; {OF_A_MODEL} ({GUIDE})"
+            f"policy {name}: {in_one_line(error)}; it was given observations "
+            f"{shown.shape}, float32, made with {table.made_with}; {OF_A_MODEL} ({GUIDE})"
         ) from error
     require_actions(name, actions, TRIED, len(table.actions))
     return policy
 
 
 def in_one_line(error: Exception) -> str:
-    """Return the type and the first line of an exception of a user's code."""
+    """Return the type and the first line of an exception that a user's code raised."""
     return f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
 
 
@@ -101,7 +101,7 @@ def require_actions(name: str, returned: Any, n: int, count: int) -> NDArray[np.
     """Return actions (n,) as an array; refuse anything else.
 
     Raises:
-        ValueError: they are not n integers from 0 to ``count`` - 1, one for each
+        ValueError: ``returned`` does not hold n integers from 0 to ``count`` - 1, one for each
             observation.
     """
     actions: NDArray[Any] = np.asarray(returned)

@@ -1,4 +1,4 @@
-"""Tasks, contenders and episodes that options of a command ask for."""
+"""Tasks, contenders and episodes that the options of a command ask for."""
 
 import warnings
 from collections.abc import Sequence
@@ -21,28 +21,28 @@ def all_contenders(args: ModeArgs) -> tuple[str, ...]:
 
 
 def contender_of(args: ModeArgs, name: str) -> Contender:
-    """Return a contender by name or file; warn where it ignores the chosen modes."""
+    """Return a contender by name or file; warn if it ignores the chosen modes."""
     radio, modes = args.radio, args.modes or None
     contender = contender_from(name, radio, modes, args.observation, args.beliefs)
     if modes and contender.modes != bank_over(modes, radio).modes:
-        warnings.warn(f"{name} brings its own modes; --modes is not for it", stacklevel=2)
+        warnings.warn(f"{name} brings its own modes; --modes does not apply to it", stacklevel=2)
     return contender
 
 
 def runs_of(args: EpisodeArgs, names: Sequence[str]) -> dict[str, Run]:
-    """Return the runs that some of the names are folders of."""
+    """Read the run of each name that is a folder; skip the names of known contenders."""
     known = all_contenders(args)
     return {n: Run.read(n) for n in names if n not in known and Path(n).is_dir()}
 
 
 def task_of(args: ModeArgs) -> Task:
-    """Return the task of an environment whose arguments are the options of the same names."""
+    """Return the task of an environment; its arguments are the options of the same names."""
     return _task(args, args.modes or None, args.beliefs)
 
 
 def source_of(args: WorldArgs) -> EpisodeSource:
     """Return the source of the episodes that options describe."""
-    # A dummy mode, as filters do not matter here: it saves the warning about untuned modes.
+    # Filters do not matter here; a dummy mode avoids the warning about untuned modes.
     return _task(args, [Mode("none")]).source
 
 

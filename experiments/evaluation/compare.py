@@ -1,4 +1,4 @@
-"""One call that compares agents of a user with known contenders: :func:`compare`."""
+"""Comparison of a user's agents with known contenders in one call, :func:`compare`."""
 
 import os
 import sys
@@ -25,7 +25,7 @@ USUAL_EPISODES = 200
 
 @contextmanager
 def _warnings_in_lines() -> Iterator[None]:
-    """Print every warning once, in one line without the place in our code."""
+    """Print every warning once, on one line that does not name a line of our code."""
     with warnings.catch_warnings():
         warnings.simplefilter("once")
         warnings.showwarning = lambda message, *_: print(
@@ -51,34 +51,36 @@ def compare(
     beliefs: str = "shared",
     **world: Any,
 ) -> Comparison:
-    """Compare agents of a user with known contenders on the same episodes.
+    """Compare a user's agents with known contenders on the same episodes.
 
     Args:
-        policies: agents by their name in the tables. An agent is a function from
-            observations (n, features) float32, of ``n`` episodes at once, to actions (n,),
-            integers; or whatever ``mmwave-loc compare --policies`` takes: a policy file,
+        policies: agents by their name in the tables. An agent is either a function that maps
+            observations (n, features), float32, of ``n`` episodes to ``n`` integer actions, or
+            anything that ``mmwave-loc compare --policies`` accepts: a policy file,
             "module:function", the folder of a run, or a name. A function may have a method
-            ``reset(begins)`` (bool (n,): where an episode begins), and attributes ``modes``,
-            ``observation`` and ``beliefs``, which override the arguments here.
-        beside: names of contenders, see :func:`~experiments.evaluation.contenders.contenders`.
+            ``reset(begins)``, with bool (n,) that says where an episode begins, and attributes
+            ``modes``, ``observation`` and ``beliefs``, which override the arguments here.
+        beside: names of known contenders to compare with, from
+            :func:`~experiments.evaluation.contenders.contenders`.
         scenario, radio: same as in the environment.
-        episodes: number of episodes, 200 by default; 1000 or more to publish.
-        seed: seed of the first episode, 0 by default; test seeds start at 0, outside training.
+        episodes: number of episodes, 200 by default; results to publish need 1000 or more.
+        seed: seed of the first episode, 0 by default; seeds for training start far above.
         modes, observation, beliefs: settings that agents were trained with, as in the environment;
-            policy files hold their own. "imm" among the policies has these modes, with the
-            transition and quantile of a bank or of a file that has them.
-        data: recorded or own episodes, same as the environment's ``episodes``.
+            policy files hold their own. An "imm" among the policies uses these modes, and the
+            transition and quantile of a bank or mode file that defines them.
+        data: recorded episodes or your own, same as the environment's ``episodes``.
         world: further arguments of the environment: ``scene``, ``dt``, ``episode_steps``,
             ``planar``, ``odometry``, ``reward``.
 
     Returns:
-        The metrics of all, and paired differences: a user's agents against everybody, known
-        contenders as in ``mmwave-loc compare``. ``print`` shows them as Markdown.
+        The metrics of all contenders, and paired differences: each of the user's agents against
+        every other contender, and known contenders against each other as in ``mmwave-loc
+        compare``. ``print`` shows them as Markdown.
 
     Raises:
-        ValueError: before an episode runs: no dict of policies, unknown scenario, radio or
-            contender, a name twice, no number of episodes, or an agent that fails to load, raises,
-            or returns no actions.
+        ValueError: ``policies`` is not a dict; ``episodes`` is not a number; a scenario, radio or
+            contender is unknown; a name occurs twice; or an agent fails to load, raises, or does
+            not return actions. Except for an agent that fails later, no episode has run then.
         FileNotFoundError: there is no such file.
     """
     if not isinstance(policies, Mapping):
@@ -88,7 +90,8 @@ def compare(
         )
     if not isinstance(episodes, Integral | None):
         raise ValueError(
-            f"episodes: found {episodes!r}, expected how many; data= takes recordings and logs"
+            f"episodes: found {episodes!r}, expected a number of episodes; recordings and logs are "
+            "passed as data="
         )
     task = task_from(scenario=scenario, radio=radio, episodes=data, **world)
     scoring = Scoring.of(task)
@@ -114,10 +117,11 @@ def compare(
 
 
 def evaluate(policy: Agent, **where: Any) -> Comparison:
-    """Evaluate one agent, or one known contender, alone.
+    """Evaluate a single agent or known contender.
 
     Args:
-        policy, where: as in :func:`compare`, which also compares agents with known contenders.
+        policy: an agent, in any form that the ``policies`` of :func:`compare` may have.
+        where: further arguments of :func:`compare`.
 
     Returns:
         The metrics of the agent with 95 % intervals; ``print`` shows them as Markdown.

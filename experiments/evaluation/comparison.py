@@ -22,19 +22,19 @@ from mmwave_env.world.episode import EpisodeSource
 
 @dataclass(frozen=True)
 class Comparison:
-    """Results of contenders on one source of episodes; ``str`` gives them as Markdown."""
+    """Results of contenders on one source of episodes; ``str`` formats them as Markdown."""
 
-    # scenario, radio, selection: the episodes
+    # scenario, radio and selection say which episodes were run
     scenario: str
     radio: str
     selection: Selection
     policies: dict[str, dict[str, Interval]]  # means by contender and metric
-    paired: dict[str, dict[str, Interval]]  # the same for differences "A - B", episode by episode
+    paired: dict[str, dict[str, Interval]]  # the same for differences by episode, "A - B"
     reward: str = "tracking"  # kind of reward in the column "reward"
 
     @property
     def json(self) -> dict[str, Any]:
-        """Return the comparison as results files hold it."""
+        """Return the comparison in the form that results files store."""
 
         def table(rows: dict[str, dict[str, Interval]]) -> dict[str, Any]:
             return {k: {m: i.json for m, i in row.items()} for k, row in rows.items()}
@@ -44,10 +44,10 @@ class Comparison:
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> "Comparison":
-        """Return the comparison in a results file, best reward first.
+        """Return the comparison that a results file stores, best reward first.
 
         Raises:
-            KeyError, TypeError, ValueError, AttributeError: the file holds no comparison.
+            KeyError, TypeError, ValueError, AttributeError: the content is not a comparison.
         """
 
         def table(key: str) -> dict[str, dict[str, Interval]]:
@@ -60,7 +60,7 @@ class Comparison:
         return cls(*names, selection, dict(policies), table("paired"))
 
     def margin(self, policy: str, other: str) -> Interval | None:
-        """Return the reward of one policy minus that of another; None where they are not paired."""
+        """Return one policy's reward minus another's; None if the two are not paired."""
         if pair := self.paired.get(f"{policy} - {other}"):
             return pair["reward"]
         if pair := self.paired.get(f"{other} - {policy}"):
@@ -69,8 +69,8 @@ class Comparison:
         return None
 
     def __str__(self) -> str:
-        """Return every policy with 95 % half-widths, then the paired differences of the reward."""
-        # Rewards of different kinds must not be compared.
+        """Return every policy's means ± 95 % half-widths, then paired differences of the reward."""
+        # The title names an unusual reward, since rewards of different kinds are not comparable.
         reward = "" if self.reward == "tracking" else f", reward {escaped(self.reward)}"
         parts = [f"### {escaped(self.scenario)}, {escaped(self.radio)}, {self.selection}{reward}\n"]
         parts.append(self._table(METRICS))
@@ -85,12 +85,12 @@ class Comparison:
 
     @property
     def terms(self) -> str:
-        """Return the error term and the NEES term of the tracking reward of all, as Markdown."""
+        """Return a Markdown table of both terms of the tracking reward, error and NEES."""
         about = "The terms of the tracking reward, which is minus their sum:"
         return f"\n{about}\n\n{self._table(TERMS)}\n"
 
     def _paired_table(self) -> str:
-        """Return a table of each policy minus the references."""
+        """Return a table of each policy's reward minus those of the reference contenders."""
         subtracted = {f"{a} - {b}": b for a, b in product(self.policies, repeat=2)}
         references = list(dict.fromkeys(subtracted[pair] for pair in self.paired))
         rows: list[list[object]] = []
@@ -101,13 +101,13 @@ class Comparison:
 
 
 def episodes_csv(scores: dict[str, Scores], selection: Selection, source: EpisodeSource) -> str:
-    """Return every metric of every contender and episode as CSV, a row each.
+    """Return a CSV table with a row per contender and episode, and a column per metric.
 
-    A row also has the key of its episode, where there is one.
+    A row also has the key of its episode, if the episode is simulated.
 
     Args:
         scores: result of :func:`~experiments.evaluation.runner.score_contenders`.
-        selection, source: episodes that the scores are from.
+        selection, source: episodes that were scored.
     """
     table = io.StringIO()
     rows = csv.writer(table, lineterminator="\n")
@@ -122,7 +122,7 @@ def episodes_csv(scores: dict[str, Scores], selection: Selection, source: Episod
 
 
 def references(scores: dict[str, Scores]) -> list[str]:
-    """Name the contenders to compare with: best fixed mode by reward, paper's rule, the IMMs."""
+    """Return the names of the reference contenders: best fixed mode, paper's rule and IMMs."""
     fixed = [name for name in scores if name.startswith("fixed-")]
     best = max(fixed, key=lambda name: scores[name]["reward"].mean(), default=None)
     return [n for n in (best, "speed-rule", "imm", "imm-best") if n is not None and n in scores]
@@ -131,11 +131,11 @@ def references(scores: dict[str, Scores]) -> list[str]:
 def compare_scores(scores: dict[str, Scores], own: Sequence[str] = (), **more: Any) -> Comparison:
     """Compute intervals of every contender, and paired differences against the references.
 
-    Without any reference among the contenders, everybody is paired with everybody.
+    If none of the contenders is a reference, all of them are paired with each other.
 
     Args:
         scores: result of :func:`~experiments.evaluation.runner.score_contenders`.
-        own: a user's contenders, which are paired with everybody, also with each other.
+        own: names of a user's contenders, which are paired with all others, references or not.
         more: remaining attributes of :class:`Comparison`.
     """
     metrics = [*METRICS, *TERMS]

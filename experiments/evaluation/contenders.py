@@ -1,4 +1,4 @@
-"""Contenders: policies with the modes that they choose from, and IMMs, by name."""
+"""Contenders by name: IMMs, and policies together with the modes that they choose from."""
 
 import os
 from collections.abc import Callable
@@ -28,7 +28,7 @@ from policies import FixedMode, LearnedSwitch, LikelihoodRule, Policy, SpeedRule
 
 BEST_IMM = "imm-best"  # the IMM with the modes of best_bank
 OTHERS = ("a .safetensors file", "the folder of a run", "module:function, without folder and .py")
-# Learned contenders, with a shipped policy for the radio (NAME-RADIO) or for all radios (NAME)
+# Learned contenders; their shipped policy files are for one radio (NAME-RADIO) or for all (NAME).
 SHIPPED = ("ppo", "guided", "guided-ppo")
 
 
@@ -39,13 +39,13 @@ class Contender:
     Attributes:
         name: name on the command line and in results.
         modes: filter modes to choose from or to mix.
-        policy: function from the observation table to a policy; None for the IMM over the modes.
-        transition, nis_quantile: same as in :class:`~mmwave_env.filters.bank.Bank`, for an IMM and
-            where every mode keeps its own belief.
+        policy: function from the observation table to a policy; None for the IMM of the modes.
+        transition, nis_quantile: same as in :class:`~mmwave_env.filters.bank.Bank`; used by an IMM,
+            and if every mode keeps its own belief.
         observation: observation of the policy, "full" or "prior".
         beliefs: beliefs of the modes, "shared" or "per-mode".
         bank_of: function from a radio profile to the policy's bank for that radio; None for a
-            policy that has the same modes everywhere.
+            policy that has the same modes for every radio.
     """
 
     name: str
@@ -61,12 +61,12 @@ class Contender:
     def learned(
         cls, path: str | os.PathLike[str], name: str | None = None, radio: str = "handset"
     ) -> "Contender":
-        """Return the switcher of a policy file, or a shipped switcher by its name.
+        """Return the learned policy of a policy file, or a shipped one by its name.
 
         Args:
             path: policy file or name, as in :class:`~policies.LearnedSwitch`.
             name: name in results; None for the path.
-            radio: profile that selects the bank of a switcher with several banks.
+            radio: profile that selects the bank of a policy with several banks.
         """
         switch = LearnedSwitch(path)
         return cls(
@@ -88,17 +88,17 @@ class Contender:
         observation: str = "full",
         beliefs: str = "shared",
     ) -> "Contender":
-        """Return a contender for an agent of a user.
+        """Return a contender for a user's agent.
 
         The agent's attributes ``modes``, ``observation`` and ``beliefs`` override the arguments, as
-        does its method ``bank(radio)`` where beliefs are "per-mode".
+        does its method ``bank(radio)`` if beliefs are "per-mode".
 
         Args:
             name: name in results.
             agent: function from observations (n, features) to actions (n,); see
                 :func:`~experiments.evaluation.agents.tried`.
             radio: radio profile.
-            modes: modes to choose from, as in ``MmWaveLoc-v0``; None for the profile's own.
+            modes: modes to choose from, as in ``MmWaveLoc-v0``; None for the profile's defaults.
             observation: observation of the agent, "full" or "prior".
             beliefs: beliefs of the modes, "shared" or "per-mode".
 
@@ -129,7 +129,7 @@ class Contender:
 
     @property
     def bank(self) -> Bank | None:
-        """Return the bank that a policy chooses from; None where modes share a belief."""
+        """Return the bank that a policy chooses from; None if modes share one belief."""
         if self.beliefs == "shared":
             return None
         return Bank(self.modes, self.transition, self.nis_quantile)
@@ -140,7 +140,7 @@ class Contender:
         return action_names(self.modes, self.beliefs)
 
     def start(self, layout: Layout, planar: bool = False) -> Policy | None:
-        """Return a new policy for measurements of a layout; None for the IMM."""
+        """Return a new policy for measurement vectors with a layout; None for the IMM."""
         pipeline = Pipeline(self.modes, layout, planar)
         table = Observation(pipeline, self.observation, self.beliefs)
         return self.policy and self.policy(table)
@@ -158,7 +158,7 @@ def _imm(name: str, bank_of: Callable[[], Bank]) -> Contender:
 
 
 def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:
-    """Return a function for the bank of every IMM, by name; files are read when it is called.
+    """Return, by name, functions that make the bank of each IMM; they read files when called.
 
     Args:
         radio: radio profile, a name or a JSON file.
@@ -167,14 +167,14 @@ def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:
 
 
 def shipped_for(radio: str) -> dict[str, str]:
-    """Map names of learned contenders with a radio profile to shipped policy files."""
+    """Return the shipped policy file of each learned contender for a radio profile, by name."""
     shipped, base = shipped_policies(), radio_from(radio).base
     files = ((name, file) for name in SHIPPED for file in (name, f"{name}-{base}"))
     return {name: file for name, file in files if file in shipped}
 
 
 def _of_any_modes(bank: Bank) -> dict[str, Make]:
-    """Return the contenders that any modes allow: each mode alone, rules and the IMM."""
+    """Return the contenders that exist for any modes: each mode alone, rules and the IMM."""
     names = [mode.name for mode in bank.modes]
     policies: dict[str, Callable[[Observation], Policy]] = {
         f"fixed-{name}": _fixed(i) for i, name in enumerate(names)
@@ -188,14 +188,14 @@ def _of_any_modes(bank: Bank) -> dict[str, Make]:
 
 
 def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
-    """Return a function that makes every contender, by name; files are read when it is called.
+    """Return, by name, functions that make the contenders; they read files when called.
 
     Args:
         radio: radio profile, a name or a JSON file.
         modes: modes of the contenders, as in ``MmWaveLoc-v0``; the IMM has the transition and
-            quantile of a bank or mode file that states them. None stands for the profile's two
-            modes, and adds its CKF, the IMM over its best bank, and the learned switchers that are
-            shipped for it.
+            quantile of a bank or mode file that states them. With None, the modes are the profile's
+            EKF and UKF; its CKF, the IMM of its best bank, and the learned policies shipped for it
+            are added.
     """
     if modes is not None:
         return _of_any_modes(bank_over(modes, radio))

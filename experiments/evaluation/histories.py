@@ -22,11 +22,11 @@ def history_of(
     """Return the prior and the contender's results in every epoch.
 
     Args:
-        contender: policy, whose actions are the modes of the history, or IMM, whose most probable
-            mode of an epoch gives the mode and the gates.
-        episode: episode with its truth.
+        contender: policy, whose actions are the modes of the history; or IMM, for which the most
+            probable mode of each epoch gives the mode and the gates.
+        episode: episode with a ground-truth track.
         scoring: same as in :func:`~experiments.evaluation.runner.run_contender`.
-        streets: streets of the episode; None where they are unknown.
+        streets: streets of the episode; None if they are unknown.
 
     Raises:
         ValueError: the policy fails.
@@ -60,14 +60,15 @@ def _after(prior: Array | float, epochs: Array) -> Array:
 
 @dataclass
 class EpochErrors:
-    """Errors and NEES of contenders in all scored epochs of episodes of one length."""
+    """Errors and NEES of contenders in all scored epochs of equally long episodes."""
 
     names: Mapping[str, str]  # name in figures, by contender; other contenders are skipped
-    time_s: Array = field(default_factory=lambda: np.zeros(0))  # (T,) times since the first epoch
-    _parts: dict[str, list[tuple[Array, Array]]] = field(default_factory=dict)  # errors and NEES
+    time_s: Array = field(default_factory=lambda: np.zeros(0))  # (T,) since the first epoch, s
+    # errors and NEES of each part of the episodes, by name in figures
+    _parts: dict[str, list[tuple[Array, Array]]] = field(default_factory=dict)
 
     def add(self, contender: Contender, time_s: Array, results: EpochResults) -> None:
-        """Add the epoch results of a contender on episodes with these times (T,)."""
+        """Add a contender's epoch results on episodes whose epochs have these times (T,)."""
         if contender.name in self.names:
             counted = scored(len(time_s))
             self.time_s = (time_s - time_s[0])[counted]

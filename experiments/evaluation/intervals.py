@@ -1,9 +1,9 @@
 """Means and their 95 % bootstrap intervals, over episodes and over training seeds.
 
-Scores of trainings (seeds, episodes) are crossed: every seed has the same episodes, every
-episode the same seeds. So both are resampled as wholes and independently (Owen 2007). The
-stratified bootstrap of rliable (Agarwal et al. 2021), where each run of each task is a
-training of its own, would treat K policies on n episodes as K n independent trainings.
+Scores of trainings, an array (seeds, episodes), are crossed: every training seed is judged on
+the same episodes. So complete rows and complete columns are resampled, independently of each
+other (Owen 2007). The stratified bootstrap of rliable (Agarwal et al. 2021) assumes that each
+run of each task is a separate training, and would count K policies on n episodes as K n trainings.
 """
 
 import math
@@ -19,8 +19,8 @@ from scipy.stats import norm, t
 from mmwave_env.numerics.numbers import Array
 
 RESAMPLES = 4000
-BLOCK = 100  # resamples at once, to bound the memory
-KEPT = 20_000  # episodes; resamples of more episodes are too large to keep
+BLOCK = 100  # resamples computed at once, to bound the memory
+KEPT = 20_000  # largest number of episodes whose resamples are small enough to cache
 
 
 @dataclass(frozen=True)
@@ -33,18 +33,18 @@ class Interval:
 
     @classmethod
     def of(cls, figures: Mapping[str, Any]) -> "Interval":
-        """Return the interval that a results file holds."""
+        """Return the interval that a results file stores."""
         low, high = figures["ci95"] or (float("nan"), float("nan"))
         return cls(figures["mean"], low, high)
 
     @property
     def json(self) -> dict[str, Any]:
-        """Return the interval as results files hold it."""
+        """Return the interval in the form that results files store."""
         return {"mean": self.mean, "ci95": [self.low, self.high] if self.known else None}
 
     @property
     def known(self) -> bool:
-        """Tell whether the mean has an interval."""
+        """Return whether the mean has an interval."""
         return not np.isnan(self.low)
 
     def __str__(self) -> str:
@@ -52,7 +52,7 @@ class Interval:
 
 
 def rounded(interval: Interval) -> str:
-    """Return mean and half the width of the interval, to the digits that the interval supports."""
+    """Return the mean ± half the interval's width, with as many digits as the width justifies."""
     if not interval.known:
         return f"{interval.mean:.3f}"
     half = (interval.high - interval.low) / 2.0
@@ -62,7 +62,7 @@ def rounded(interval: Interval) -> str:
 
 @lru_cache(maxsize=2)
 def _resamples(n: int, seed: int = 0) -> NDArray[np.uint16]:
-    """Count how often each of n episodes or seeds is drawn (resamples, n)."""
+    """Return how often each resample draws each of n episodes or seeds, (resamples, n)."""
     counts = np.empty((RESAMPLES, n), np.uint16)
     for first, rows in zip(range(0, RESAMPLES, BLOCK), _drawn(n, seed, BLOCK), strict=True):
         counts[first : first + BLOCK] = rows
@@ -78,7 +78,7 @@ def _drawn(n: int, seed: int, rows: int) -> Iterator[NDArray[np.int64]]:
 
 
 def _resampled_means(values: Array) -> Array:
-    """Return means (resamples, k) of columns (episodes, k), which share the resamples."""
+    """Return means (resamples, k) of columns (episodes, k); all columns use the same resamples."""
     n = len(values)
     if n > KEPT:
         blocks: Iterable[Any] = _drawn(n, 0, max(1, BLOCK * KEPT // n))
@@ -96,14 +96,14 @@ def bootstrap(values: Array) -> list[Interval]:
 
 
 def _intervals(*columns: Array) -> list[Interval]:
-    """Return intervals of means, lower and upper ends (k,)."""
+    """Return k intervals from three columns (k,): means, lower ends and upper ends."""
     return [Interval(*row) for row in np.transpose(columns).tolist()]
 
 
 def bootstrap_ratio(over: Array, under: Array) -> list[Interval]:
-    """Return ratios of means of columns over the same episodes, each (episodes, k).
+    """Return ratios of the column means of two arrays (episodes, k), with 95 % intervals.
 
-    A ratio is NaN where the denominator has mean 0, its interval where a resample of it has.
+    A ratio is NaN if its denominator is 0; its interval is NaN if that is so in any resample.
     """
 
     def ratios(means: Array) -> Array:
@@ -120,19 +120,20 @@ def bootstrap_ratio(over: Array, under: Array) -> list[Interval]:
 def few_seeds_factor(seeds: int) -> float:
     """Return the factor by which a percentile interval over few seeds is too narrow.
 
-    Resampling K of K seeds loses the factor sqrt((K - 1) / K), and percentiles take a t
-    distribution for a normal one: of 5 seeds, 95 % would mean 85 % (Hesterberg 2015).
+    Resampling K of K seeds narrows an interval by sqrt((K - 1) / K), and percentiles assume a
+    normal instead of a t distribution: with 5 seeds, a 95 % interval would only be one of 85 %
+    (Hesterberg 2015).
     """
     if seeds == 1:
-        return 1.0  # one seed tells nothing about the spread
+        return 1.0  # one seed says nothing about the spread
     return float(np.sqrt(seeds / (seeds - 1.0)) * t.ppf(0.975, seeds - 1) / norm.ppf(0.975))
 
 
 def crossed_bootstrap(scores: Array) -> Interval:
-    """Return the mean of scores (seeds, episodes) with its 95 % interval over both.
+    """Return the mean of scores (seeds, episodes) with its 95 % interval over both axes.
 
-    The means of the seeds are spread by :func:`few_seeds_factor` before they are resampled,
-    which does not change the part of the interval that is due to episodes.
+    The means of the seeds are spread apart by :func:`few_seeds_factor` before resampling. This
+    does not change the part of the interval that is due to episodes.
     """
     K, n = scores.shape
     apart = scores.mean(axis=1, keepdims=True) - scores.mean()

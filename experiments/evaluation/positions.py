@@ -14,7 +14,7 @@ from mmwave_env.metrics import scored
 from mmwave_env.numerics.numbers import Array
 
 KINDS = ("horizontal", "vertical")
-PARTS = ("P",)  # entries of the state that are needed after every epoch
+PARTS = ("P",)  # parts of the state that :meth:`Positions.add` needs for every epoch
 HEADER = (
     *(f"{100.0 * share:.0f} % m" for share in SHARES),
     *(f"within {limit:g} m" for limit in DISTANCES_M),
@@ -29,7 +29,7 @@ class Positions:
 
     Attributes:
         names: names in figures, by contender; other contenders are skipped.
-        risk: integrity risk of the levels.
+        risk: probability that an error exceeds its protection level, if covariances are right.
         planar: whether the height is known.
         errors: position errors by the name in figures.
     """
@@ -40,14 +40,14 @@ class Positions:
     errors: dict[str, PositionErrors] = field(default_factory=dict)
 
     def add(self, contender: Contender, time_s: Array, results: EpochResults) -> None:
-        """Add a contender's epoch results on some episodes, which include :data:`PARTS`."""
+        """Add a contender's epoch results on some episodes; they must include :data:`PARTS`."""
         if contender.name in self.names:
             name, counts = self.names[contender.name], scored(len(time_s))
             errors = self.errors.setdefault(name, PositionErrors(self.risk, self.planar))
             errors.add(results["error"][:, counts], results["P"][:, counts])
 
     def figures(self) -> dict[str, Any]:
-        """Return errors and levels as results files hold them."""
+        """Return errors and levels in the form that results files store."""
         policies = {name: errors.figures() for name, errors in self.errors.items()}
         return {"risk": self.risk, "policies": policies}
 
@@ -56,9 +56,9 @@ def positions_markdown(title: str, rows: Mapping[str, Any], risk: float) -> str:
     """Return a table of errors and protection levels, with a note on its last columns.
 
     Args:
-        title: header of the names of the rows.
+        title: header of the column with the names.
         rows: figures of :class:`~mmwave_env.localization.position_errors.PositionErrors` by name.
-        risk: integrity risk of the levels.
+        risk: probability that the levels are for.
     """
     cells = [
         [f"{name}, {kind}", *row_of(errors)]
@@ -66,9 +66,10 @@ def positions_markdown(title: str, rows: Mapping[str, Any], risk: float) -> str:
         for kind, errors in kinds.items()
     ]
     return (
-        f"{grid([title, *HEADER], cells)}\n\nErrors that so many percent of the epochs stay below; "
-        "shares of the epochs within a distance. Level is the median protection level; at a risk "
-        f"of {risk:g}, errors should exceed it in {percent(risk)} of the epochs.\n"
+        f"{grid([title, *HEADER], cells)}\n\n50 % m is the error that 50 % of the epochs stay "
+        "below, and so on; within 1 m is the share of the epochs with at most this error. Level is "
+        f"the median protection level; at a risk of {risk:g}, errors should exceed their levels in "
+        f"{percent(risk)} of the epochs.\n"
     )
 
 
@@ -78,7 +79,7 @@ def kinds_of(row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def row_of(figures: Mapping[str, Any]) -> list[str]:
-    """Return cells of errors of one kind, under :data:`HEADER`."""
+    """Return the cells below :data:`HEADER` for errors of one kind."""
     return [
         *(meters(value) for value in figures["percentiles_m"].values()),
         *(percent(share) for share in figures["within_m"].values()),
@@ -88,7 +89,7 @@ def row_of(figures: Mapping[str, Any]) -> list[str]:
 
 
 def exceeded(figures: Mapping[str, Any]) -> str:
-    """Return the share of epochs whose error exceeds its level, with the interval."""
+    """Return the share of epochs whose error exceeds its level, with a 95 % interval."""
     if figures["share"] is None:
         return "-"
     low, high = (percent(end).removesuffix(" %") for end in figures["ci95"])
@@ -96,14 +97,14 @@ def exceeded(figures: Mapping[str, Any]) -> str:
 
 
 def meters(value: float | None) -> str:
-    """Format a distance to three digits, and a large distance to whole meters."""
+    """Format a distance with three digits, or a large distance in whole meters."""
     if value is None:
         return "-"
     return f"{value:#.3g}" if value < 99.95 else f"{value:.0f}"
 
 
 def percent(share: float | None) -> str:
-    """Format a share as a percentage, to two digits where it is close to 0 or 1."""
+    """Format a share as a percentage, with more decimals if it is close to 0 or 1."""
     if share is None:
         return "-"
     rest = 100.0 * min(share, 1.0 - share)

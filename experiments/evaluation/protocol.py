@@ -1,4 +1,4 @@
-"""The benchmark's protocol: the sites that judge contenders, some unseen in training.
+"""The benchmark's protocol: the sites at which contenders are judged, some unseen in training.
 
 docs/benchmark.md explains it. An *entry* holds a contender's figures at every site.
 """
@@ -27,9 +27,9 @@ from mmwave_env.world.episode import EpisodeSource
 TRAINED, UNSEEN_KIND, RECORDED = KINDS = ("to train in", "unseen", "recorded")
 UNSEEN_SCENES, UNSEEN_RADIOS = ("avenue", "plaza", "alley"), ("tablet",)
 UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
-OTHER_RADIOS = ("handset", "standard")  # radios in unseen streets and on recordings
+OTHER_RADIOS = ("handset", "standard")  # radios for unseen streets and for recordings
 # Episodes and recordings of the published tables; docs/data.md lists later recordings.
-EPISODES, DRAWS = 2000, 200  # in each simulated site, and on each recording
+EPISODES, DRAWS = 2000, 200  # number of episodes at each simulated site, and on each recording
 RECORDINGS = ("canyon28_pedestrian", "canyon28_vehicle")
 
 
@@ -40,13 +40,13 @@ def unseen_file(name: str) -> str:
 
 @dataclass(frozen=True)
 class Site:
-    """A place of the benchmark: a simulated street or a recording, with a radio.
+    """A site of the benchmark: a simulated street or a recording, with a radio.
 
     Attributes:
-        kind: kind of site, from :data:`KINDS`.
+        kind: kind of site, one of :data:`KINDS`.
         scene: name or file of the street; None for a recording.
         radio: name or file of the radio.
-        data: a recording's name; None for a simulated street.
+        data: name of the recording; None for a simulated street.
     """
 
     name: str
@@ -62,7 +62,7 @@ class Site:
 
 
 def sites() -> list[Site]:
-    """Return all sites: nine to train in, unseen streets and an unseen radio, recordings."""
+    """Return all sites: nine for training, unseen streets, an unseen radio, and recordings."""
     unseen = {name: unseen_file(name) for name in UNSEEN}
     trained = [Site(f"{s}:{r}", TRAINED, s, r) for s in SCENES for r in RADIOS]
     streets = [
@@ -82,7 +82,7 @@ class Judged:
     """Scores of contenders at one site.
 
     Attributes:
-        site: where they ran.
+        site: site at which the contenders ran.
         scores: metrics by contender.
         imms: names of the IMMs among the contenders.
     """
@@ -92,11 +92,11 @@ class Judged:
     imms: tuple[str, ...]
 
     def gain(self, name: str, rival: str) -> Array:
-        """Return the reward (episodes,) of a contender minus that of a rival."""
+        """Return the reward (episodes,) of a contender minus the reward of a rival."""
         return self.scores[name]["reward"] - self.scores[rival]["reward"]
 
     def figures(self, name: str) -> dict[str, Any]:
-        """Return a contender's part of an entry: means, and its gain over every IMM."""
+        """Return a contender's figures at this site: means, and its gain over every IMM."""
         gains = {imm: self.gain(name, imm) for imm in self.imms if imm != name}
         own = [self.scores[name][metric] for metric in ("reward", "ate_m")]
         columns = np.stack([*own, *gains.values()], axis=1)
@@ -111,14 +111,14 @@ class Judged:
 
 
 def require_contenders(names: Sequence[str]) -> None:
-    """Refuse, before any episode runs, contenders that some site does not have.
+    """Check, before any episode runs, that every site has the contenders.
 
     Raises:
         ValueError, FileNotFoundError: same as from
             :func:`~experiments.evaluation.contenders.contender_from`.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # for the reason given in judge
+        warnings.simplefilter("ignore")  # modes are untuned for an unseen radio on purpose
         for radio in dict.fromkeys(site.radio for site in sites()):
             for name in names:
                 contender_from(name, radio)
@@ -139,9 +139,9 @@ def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
 
 
 def entry(name: str, judged: Sequence[Judged]) -> dict[str, Any]:
-    """Return the entry of a contender: figures of every site, and mean gain per kind of site.
+    """Return the entry of a contender: figures at every site, and mean gain per kind of site.
 
-    The gain is over the best classical method, imm-best, averaged over the sites.
+    The gain is the reward minus that of imm-best, the best classical method.
     """
     gains: dict[str, list[Array]] = {}
     for at in judged:
@@ -165,7 +165,7 @@ def read_entry(path: Path) -> dict[str, Any]:
         missing = [site.name for site in sites() if site.name not in content["venues"]]
         if missing:
             raise ValueError(f"venues: missing {', '.join(missing)}")
-        ranking([content], 0, 0)  # refuses what tables can't show
+        ranking([content], 0, 0)  # raises if tables can't show the entry
         by_site([content])
         return content
 
@@ -173,7 +173,10 @@ def read_entry(path: Path) -> dict[str, Any]:
 
 
 def standing(figures: dict[str, Any]) -> str:
-    """Return whether an entry is "above" every IMM at a site, "below" an IMM, or "level"."""
+    """Return "above" if an entry beats every IMM at a site, "below" if an IMM beats it, or "level".
+
+    A difference counts only if its interval excludes 0.
+    """
     intervals = [gain["ci95"] for gain in figures["minus"].values()]
     if all(low > 0.0 for low, _ in intervals):
         return "above"
@@ -183,11 +186,12 @@ def standing(figures: dict[str, Any]) -> str:
 def ranking(entries: Sequence[Mapping[str, Any]], episodes: int, draws: int) -> str:
     """Return a Markdown table of all entries, ranked by their mean gain at the sites to train in.
 
-    Entries with too few episodes come last and are marked, as luck would decide their rank.
+    Entries with too few episodes are marked and come last, because luck would decide their rank.
 
     Args:
         entries: entries in any order.
-        episodes, draws: numbers that the protocol requires at a simulated site and on a recording.
+        episodes, draws: numbers of episodes that the protocol requires at a simulated site and on
+            a recording.
     """
     rows: list[tuple[bool, float, list[Any]]] = []
     for content in entries:
@@ -209,10 +213,10 @@ def ranking(entries: Sequence[Mapping[str, Any]], episodes: int, draws: int) -> 
 
 
 def by_site(entries: Sequence[Mapping[str, Any]]) -> str:
-    """Return a Markdown table of rewards minus that of the best IMM of each site.
+    """Return a Markdown table of every entry's reward minus that of the best IMM, by site.
 
-    Files, such as the single trainings of a run, and the IMMs are left out where there are other
-    entries; the ranking has them.
+    Policy files (such as the single trainings of a run) and IMMs are left out if there are other
+    entries; the ranking includes them.
     """
     named = {content["entry"]: content["venues"] for content in entries}
     policies = {name: at for name, at in named.items() if "/" not in name}

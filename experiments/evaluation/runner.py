@@ -30,7 +30,7 @@ class Scoring(NamedTuple):
 
     Attributes:
         reward: function of (belief, truth).
-        planar: whether height and vertical velocity are known, and NEES covers the horizontal axes.
+        planar: whether height and vertical velocity are known; NEES then covers two axes.
     """
 
     reward: Reward = TrackingReward()
@@ -45,8 +45,8 @@ class Scoring(NamedTuple):
         """
         if task.baseline is not None:
             raise ValueError(
-                "reward: found a paired one, expected one that is not: differences between "
-                "policies, the IMM among them, are shown anyway"
+                "reward: found a paired reward, expected an unpaired one; paired differences "
+                "between policies, including the IMM, are shown in any case"
             )
         return cls(task.reward, task.pipeline.planar)
 
@@ -54,7 +54,7 @@ class Scoring(NamedTuple):
 PLAIN = Scoring()
 Scores = dict[str, Array]  # metric -> (episodes,)
 
-# "reward", "nees" (n, T), "error" (n, T, 3); of policies also "mode"
+# "reward", "nees" (n, T), "error" (n, T, 3); for policies also "mode"
 EpochResults = dict[str, NDArray[Any]]
 
 PARTS = ("reward", "nees", "error")
@@ -69,7 +69,7 @@ def score(
     episodes: Sequence[Episode],
     scoring: Scoring = PLAIN,
 ) -> Scores:
-    """Return metrics per episode of a contender and its policy, on episodes of one length."""
+    """Return metrics per episode of a contender and its policy, on equally long episodes."""
     results = _run(contender, policy, _packed(episodes, scoring), scoring)
     return _summary(results, episodes[0].time_s, scoring)
 
@@ -82,27 +82,27 @@ def run_contender(
     shown: Sequence[str] = (),
     after: Sequence[str] = (),
 ) -> EpochResults:
-    """Run a contender and its policy on episodes of one length; return every epoch's results.
+    """Run a contender and its policy on equally long episodes; return every epoch's results.
 
     Args:
-        contender, policy, episodes, scoring: same as in :func:`score`; but episodes need no truth,
-            unless they are planar.
-        shown: parts of the environment's state, such as "mixture.probability", to return as they
-            are when the policy chooses; ignored for an IMM.
-        after: parts of the state to return as they are after every epoch: every contender has
+        contender, policy, episodes, scoring: same as in :func:`score`, except that episodes need
+            ground truth only if ``scoring.planar``.
+        shown: parts of the environment's state, such as "mixture.probability", whose values at the
+            time of every choice of the policy are returned; ignored for an IMM.
+        after: parts of the state whose values after every epoch are returned; every contender has
             "x", "P", "memory.nis", "memory.accepted" and "memory.rejected".
 
     Returns:
-        "reward" and "nees" (n, T), "error" (n, T, 3) in m and, where there is a policy, "mode"
-        (n, T), its actions; (n, T, numbers) for each part in ``shown`` and ``after``. Without a
-        truth the first three are NaN.
+        "reward" and "nees" (n, T); "error" (n, T, 3) in m; for a policy also "mode" (n, T), its
+        actions; and an array (n, T, numbers) for each part in ``shown`` and ``after``. Without
+        ground truth, the first three are NaN.
     """
     packed = EpisodeBatch.of(episodes) if not scoring.planar else _packed(episodes, scoring)
     return _run(contender, policy, packed, scoring, shown, after)
 
 
 def _packed(episodes: Sequence[Episode], scoring: Scoring) -> EpisodeBatch:
-    """Pack episodes with a truth into the arrays that engines load."""
+    """Pack episodes that have a ground truth into the arrays that engines load."""
     for episode in episodes:
         episode.require_truth()
     packed = EpisodeBatch.of(episodes)
@@ -117,7 +117,7 @@ def _run(
     shown: Sequence[str] = (),
     after: Sequence[str] = (),
 ) -> EpochResults:
-    """Run :func:`run_contender` on packed episodes."""
+    """Do what :func:`run_contender` does, for episodes that are already packed."""
     pipeline, names = Pipeline(contender.modes, episodes.layout, scoring.planar), (*PARTS, *after)
     if policy is None:
         imm = ImmEngine(pipeline, scoring.reward, contender.transition, contender.nis_quantile)
@@ -147,12 +147,12 @@ def _epochs_per_second(time_s: Array) -> float:
 
 
 def _warn_of_short(time_s: Array) -> None:
-    """Warn where the scored epochs are too few for RPE."""
+    """Warn if too few epochs are scored for RPE."""
     counted, second = len(time_s[scored(len(time_s))]), round(_epochs_per_second(time_s))
     if counted <= max(1, second):
         warnings.warn(
             f"episodes of {len(time_s)} epochs: metrics leave out the first {BURN_IN}; "
-            f"{counted} left, RPE needs more than {max(1, second)} and is 0",
+            f"{counted} are left, but RPE needs more than {max(1, second)}, so it is 0",
             stacklevel=3,
         )
 
@@ -163,8 +163,8 @@ def _warn_of_nonfinite(contender: Contender, results: EpochResults) -> None:
     lost = np.count_nonzero(~finite.all(axis=1))
     if lost:
         warnings.warn(
-            f"{contender.name}: {lost} of {len(finite)} episodes had beliefs that were NaN or "
-            "infinite; its means over them are NaN (docs/reliability.md)",
+            f"{contender.name}: {lost} of {len(finite)} episodes had NaN or infinite beliefs, so "
+            "its means over all episodes are NaN (docs/reliability.md)",
             RuntimeWarning,
             stacklevel=3,
         )
@@ -183,7 +183,7 @@ def _summary(results: EpochResults, time_s: Array, scoring: Scoring) -> Scores:
 def _drawn(
     selection: Selection, source: EpisodeSource, scoring: Scoring
 ) -> tuple[EpisodeBatch, Array]:
-    """Draw episodes of one length, ready to run; also return the times (T,) of the first."""
+    """Draw equally long episodes, ready to run; also return the times (T,) of the first one."""
     keys = selection.keys(source)
     if keys is None:
         episodes = selection.draw(source)
@@ -211,12 +211,12 @@ def score_contenders(
         radio: radio profile.
         selection: episodes to run, by seeds or keys.
         modes: same as in :func:`contenders`.
-        watch: functions that take every contender, times (T,) of epochs and its epoch results.
+        watch: functions called with each contender, times (T,) of epochs and its epoch results.
         scoring: scoring of all contenders.
         after: parts of the state for ``watch``, as in :func:`run_contender`.
 
     Raises:
-        ValueError: unknown or repeated contender.
+        ValueError: a contender is unknown, or occurs twice.
     """
     chosen = [
         name if isinstance(name, Contender) else contender_from(name, radio, modes)
@@ -225,7 +225,7 @@ def score_contenders(
     parts: dict[str, list[Scores]] = {contender.name: [] for contender in chosen}
     if len(parts) < len(chosen):
         listed = ", ".join(contender.name for contender in chosen)
-        raise ValueError(f"policies: found {listed}, expected no name twice")
+        raise ValueError(f"policies: found {listed}, expected different names")
     policies = [contender.start(source.layout, scoring.planar) for contender in chosen]
     with bars() as progress:
         task = progress.add_task(source.name, total=len(selection) * (1 + len(chosen)))

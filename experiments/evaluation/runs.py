@@ -17,7 +17,7 @@ def require_outcome(outcome: dict[str, Any]) -> dict[str, Any]:
     """Return the outcome of a training; refuse anything else.
 
     Raises:
-        ValueError, KeyError, TypeError, AttributeError: a part is missing or wrong.
+        ValueError, KeyError, TypeError, AttributeError: an entry is missing or wrong.
     """
     best, beat = outcome["best"], outcome.get("beat_rule")
     numbers = [outcome["seed"], outcome["seconds"], best["reward"], best["timesteps"]]
@@ -34,22 +34,22 @@ def require_outcome(outcome: dict[str, Any]) -> dict[str, Any]:
 
 
 def require_no_smoke(name: str, command: str) -> None:
-    """Refuse a policy or run of ``train --smoke``.
+    """Refuse a policy or run that ``train --smoke`` made.
 
     Raises:
         ValueError: its command has the option --smoke.
     """
     if "--smoke" in command.split():
-        raise ValueError(f"{name}: found what train --smoke left, expected a whole training")
+        raise ValueError(f"{name}: found the result of train --smoke, expected a full training")
 
 
 @dataclass(frozen=True)
 class Run:
-    """The trainings of a run, best first by their reward on tuning seeds."""
+    """The trainings of a run, ordered by their reward on tuning seeds, best first."""
 
     name: str  # the folder, as on the command line and in results
-    seeds: tuple[int, ...]  # numbers of the trainings
-    median: int  # number of the training that stands for the run
+    seeds: tuple[int, ...]  # training seeds, which number the trainings
+    median: int  # seed of the training with the median reward, which stands for the run
     # outcome of each training, as the training wrote it
     outcomes: tuple[Mapping[str, Any], ...] = field(default=(), repr=False, compare=False)
 
@@ -59,13 +59,13 @@ class Run:
 
         Raises:
             ValueError: names the file and says what is wrong in it.
-            FileNotFoundError: no run, or an unfinished run.
+            FileNotFoundError: the folder holds no run, or an unfinished one.
         """
         path = Path(name) / "summary.json"
         if not path.is_file():
             raise FileNotFoundError(
-                f"{path}: found no file, expected the summary of a run that is over; "
-                "mmwave-loc train --resume goes on with one that is not"
+                f"{path}: found no file, expected the summary of a finished run; "
+                "mmwave-loc train --resume continues an unfinished one"
             )
         return read_json(path, "the summary of a run", partial(cls._of, name))
 
@@ -97,15 +97,15 @@ class Run:
 
 
 def trainings(names: Sequence[str], runs: Mapping[str, Run]) -> list[str]:
-    """Return names of contenders, with all trainings' policy files in place of runs."""
+    """Return names of contenders, with each run replaced by the policy files of its trainings."""
     return [file for name in names for file in (runs[name].policies if name in runs else [name])]
 
 
 def curves_of(log: Path) -> dict[str, tuple[list[float], list[float]]]:
-    """Read steps and rewards minus each rival's, on tuning seeds, from a progress log.
+    """Read learning curves from a progress log: steps, and reward minus each rival's.
 
     Raises:
-        ValueError: no CSV, or a value that is no number; names the line.
+        ValueError: the log is not CSV, or a value is not a number; names the line.
     """
     curves: dict[str, tuple[list[float], list[float]]] = {}
     rows = csv.DictReader(StringIO(read_text(log, "the progress log of a training"), newline=""))

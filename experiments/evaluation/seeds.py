@@ -12,8 +12,8 @@ import numpy as np
 from mmwave_env.world.episode import Episode, EpisodeSource
 from mmwave_env.world.keys import Keys, keys_of
 
-TRAINING_SEED = 10_000_000  # first seed of the first training; each training has a million
-SEEDS_EACH = 1_000_000
+TRAINING_SEED = 10_000_000  # first seed of the first training
+SEEDS_EACH = 1_000_000  # number of seeds that each training owns
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Selection:
     """Episodes of a source, by their seeds.
 
     Raises:
-        ValueError: no seeds, or a negative one.
+        ValueError: there are no seeds, or one is negative.
     """
 
     seeds: Sequence[int]  # seed of each episode, in order
@@ -36,7 +36,7 @@ class Selection:
             usual: default number of episodes.
 
         Raises:
-            ValueError: no episode, or a negative seed.
+            ValueError: there is no episode, or a seed is negative.
         """
         first = seed or 0
         return cls(range(first, first + (usual if episodes is None else episodes)))
@@ -58,7 +58,7 @@ class Selection:
 
     @property
     def json(self) -> dict[str, Any]:
-        """Return the selection as results files hold it."""
+        """Return the selection in the form that results files store."""
         return {"episodes": len(self), "seed": self.seeds[0]}
 
     def part(self, first: int, count: int) -> "Selection":
@@ -67,7 +67,7 @@ class Selection:
 
     def keys(self, source: EpisodeSource) -> Keys | None:
         """Return the keys (n,) of simulated episodes; other episodes have none."""
-        from mmwave_env.world.simulated import SimulatedSource  # options do not load numba
+        from mmwave_env.world.simulated import SimulatedSource  # slow: loads numba
 
         return keys_of(self.seeds) if type(source) is SimulatedSource else None
 
@@ -84,6 +84,6 @@ def draw_episodes(source: EpisodeSource, seeds: Sequence[int]) -> list[Episode]:
     """Draw one episode per seed, the same that ``env.reset(seed=...)`` draws.
 
     Raises:
-        ValueError: no seeds, or a negative one.
+        ValueError: there are no seeds, or one is negative.
     """
     return Selection(seeds).draw(source)

@@ -1,4 +1,4 @@
-"""Spread of a learned switcher's results over training seeds (Agarwal et al. 2021)."""
+"""Spread of a learned policy's results over training seeds (Agarwal et al. 2021)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,9 +17,9 @@ from mmwave_env.numerics.numbers import Array
 
 @dataclass(frozen=True)
 class Figure:
-    """A number per episode, such as the reward, for all trainings of a run."""
+    """Means of a metric, such as the reward, for all trainings of a run."""
 
-    each: tuple[Interval, ...]  # mean over episodes, per training
+    each: tuple[Interval, ...]  # mean over episodes, for each training
     mean: Interval  # mean over trainings and episodes
 
     @classmethod
@@ -29,11 +29,11 @@ class Figure:
 
     @property
     def wins(self) -> int:
-        """Count the trainings whose interval is above zero."""
+        """Return the number of trainings whose interval is above zero."""
         return sum(interval.low > 0.0 for interval in self.each)
 
     def json(self, seeds: Sequence[int]) -> dict[str, Any]:
-        """Return the figure as results files hold it."""
+        """Return the means in the form that results files store."""
         return {
             "seeds": {str(s): each.json for s, each in zip(seeds, self.each, strict=True)},
             "above_zero": self.wins,
@@ -43,16 +43,16 @@ class Figure:
 
 @dataclass(frozen=True)
 class TrainingSeeds:
-    """A run, with rewards of its trainings and their gains over rivals."""
+    """A run, with the rewards of its trainings and their gains over rivals."""
 
     run: Run  # names and outcomes of the trainings
     reward: Figure  # reward of the trainings
-    minus: dict[str, Figure]  # per rival, the reward minus the rival's, episode by episode
-    best_imm: str | None  # the IMM with the best reward, or None
+    minus: dict[str, Figure]  # by rival, the reward minus the rival's, episode by episode
+    best_imm: str | None  # the IMM with the best reward; None if there is no IMM
 
     @property
     def json(self) -> dict[str, Any]:
-        """Return rewards and gains as results files hold them."""
+        """Return rewards and gains in the form that results files store."""
         seeds = self.run.seeds
         return {
             "median": self.run.median,
@@ -88,7 +88,7 @@ def over_training_seeds(
 
 
 def seeds_markdown(seeds: TrainingSeeds) -> str:
-    """Return a run as Markdown: every training, then all trainings together."""
+    """Return a run as a Markdown table: every training, then all trainings together."""
     run, columns = seeds.run, [seeds.reward, *seeds.minus.values()]
     best = {seeds.best_imm: " (best IMM)"}
     header = ["training seed", "reward", *(f"minus {r}{best.get(r, '')}" for r in seeds.minus)]
@@ -103,7 +103,7 @@ def seeds_markdown(seeds: TrainingSeeds) -> str:
         ["mean over seeds", *(column.mean for column in columns)],
     ]
     about = (
-        f"Over training seeds, {escaped(run.name)}, best on tuning seeds first; 95 % intervals, of "
-        "one seed over episodes, of all over seeds and episodes:"
+        f"Over training seeds, {escaped(run.name)}, best on tuning seeds first; 95 % intervals "
+        "over episodes for each seed, over seeds and episodes for the mean:"
     )
     return f"\n{about}\n\n{grid(header, rows)}\n"

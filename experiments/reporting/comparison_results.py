@@ -1,4 +1,4 @@
-"""Runs of contenders and the tables that ``compare`` and ``demo`` print of them."""
+"""Runs of contenders, and the tables that ``compare`` and ``demo`` print about them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -29,17 +29,17 @@ from mmwave_env.localization.position_errors import require_risk
 
 
 class Results(NamedTuple):
-    """Results of a comparison: tables, figures, and pictures to draw."""
+    """Results of a comparison: tables, numbers, and pictures to draw."""
 
     comparison: Comparison
     text: str  # all tables as Markdown
-    json: dict[str, Any]  # every figure
-    pictures: Sequence[Callable[[], None]]  # each writes a picture
+    json: dict[str, Any]  # all results, in the form that results files store
+    pictures: Sequence[Callable[[], None]]  # functions that each write a picture
 
 
 def report(command: str, args: EpisodeArgs, made: Results) -> None:
-    """Write ``args.json``, then the pictures, and print the tables of :func:`results`."""
-    if args.json:  # first, because whoever reads the tables may close the pipe
+    """Write ``args.json`` and the pictures, and print the tables that :func:`results` made."""
+    if args.json:  # first, because the reader of the tables may close the pipe
         write_json(args.json, provenance(command, args) | made.json)
     try:
         for draw in made.pictures:
@@ -53,7 +53,7 @@ def results(
     names: Sequence[str],
     pictures: Mapping[str, Path] = MappingProxyType({}),
 ) -> Results:
-    """Run contenders on the episodes.
+    """Run contenders on the episodes that options select.
 
     Args:
         args: options that choose the episodes and the tables.
@@ -61,7 +61,7 @@ def results(
         pictures: files to draw, by option: "errors" and "consistency".
 
     Raises:
-        ValueError: an option is refused, or two pictures have the same file.
+        ValueError: an option is not valid, or both pictures have the same file.
         OSError: a picture can't be written.
     """
     require_risk(args.risk)

@@ -19,23 +19,23 @@ from mmwave_env.logs.log import LogBlock
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.scene import Scene, scene_from
 
-LONGEST_LINE = 1 << 16  # bytes; a longer one is no row
+LONGEST_LINE = 1 << 16  # bytes; a longer line is not a row
 SOURCE = "standard input"
 
 
 def run_live(args: LogArgs) -> None:
     """Read rows until the end of the input; print the belief after each epoch.
 
-    A damaged or late row is named in a warning and left out.
+    A damaged or late row causes a warning and is left out.
 
     Raises:
-        ValueError: options make no sense, or the first line is no header and no JSON object.
+        ValueError: options contradict each other, or the input has neither header nor JSON.
     """
     if str(args.log) != "-" or args.scene is None:
-        raise ValueError("live: found no log - with --scene, expected both")
+        raise ValueError("live: needs - as the log, and --scene")
     for name in ("sample", "truth", "out", "plot", "json"):
         if getattr(args, name) is not None:
-            raise ValueError(f"{name}: found with --live, expected none: pipe what it prints")
+            raise ValueError(f"{name}: cannot be combined with --live; use the printed lines")
     if args.lag < 0:
         raise ValueError(f"lag: found {args.lag}, expected 0 or more epochs")
     require_one_choice(args)
@@ -48,7 +48,7 @@ def run_live(args: LogArgs) -> None:
             tracker = Tracker(
                 scene, choice.switching, radio, height_m=args.height, lag=max(args.lag, 1)
             )
-            note(f"a track begins anew: modes {choice.why}, radio {radio}")
+            note(f"a new track begins: modes {choice.why}, radio {radio}")
         position = tracker.step(block)
         if position:
             late = tracker.smoothed() if args.lag else None
@@ -57,14 +57,14 @@ def run_live(args: LogArgs) -> None:
 
 
 def _content(position: Position) -> dict[str, Any]:
-    """Return what a line says, without what is not known."""
+    """Return the content of a line, without unknown values."""
     return {name: value for name, value in position._asdict().items() if value is not None}
 
 
 def _epochs(stream: BinaryIO, scene: Scene, snr_db: float | None) -> Iterator[LogBlock]:
-    """Yield the epochs of rows: CSV below a header, or JSON objects.
+    """Read rows, CSV below a header or JSON objects; yield the epochs that they form.
 
-    A JSON object is a row, or {"rows": [...]}, all rows of an epoch. The first one has all columns.
+    A JSON object is a row, or all rows of an epoch as {"rows": [...]}. The first has all columns.
     """
     lines = _lines(stream)
     number, first = next(lines, (0, ""))
@@ -90,16 +90,16 @@ def _epochs(stream: BinaryIO, scene: Scene, snr_db: float | None) -> Iterator[Lo
 
 
 def _objects(line: str, number: int) -> tuple[list[Any], bool]:
-    """Return the rows in a line of JSON, and whether they are a whole epoch.
+    """Return the rows in a line of JSON, and whether they are a complete epoch.
 
     Raises:
-        LogError: the line holds no JSON object, or one that is no row.
+        LogError: the line is not a JSON object, or is an object that does not hold rows.
     """
     try:
         content = parse_json(line)
         rows = content.get("rows", [content])
         if not all(isinstance(row, dict) for row in rows):
-            raise ValueError("a row that is no object")
+            raise ValueError("a row that is not an object")
     except (ValueError, TypeError, AttributeError) as error:
         raise LogError(
             f"{SOURCE}, line {number}: found {quoted(line)}, expected a row as a JSON object, or "
@@ -109,7 +109,7 @@ def _objects(line: str, number: int) -> tuple[list[Any], bool]:
 
 
 def _lines(stream: BinaryIO) -> Iterator[tuple[int, str]]:
-    """Yield the number and the text of every line; name and leave out what is no text."""
+    """Yield the number and the text of every line; warn about lines that are not text."""
     number, rest = 0, False
     while content := stream.readline(LONGEST_LINE):
         whole = content.endswith(b"\n")

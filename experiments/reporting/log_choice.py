@@ -15,30 +15,30 @@ from mmwave_env.logs.lines import number
 from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
 
 DEFAULT_POLICY = "guided"
-RULES: dict[str, tuple[Rule, str]] = {  # with the speed that each follows
+RULES: dict[str, tuple[Rule, str]] = {  # each rule, and its speed's name in messages
     "prediction": (by_predicted_speed, "the predicted"),
     "odometry": (by_odometry_speed, "odometry's"),
 }
 
 
 class Choice(NamedTuple):
-    """Modes to run, who chooses between them, and the reason in words."""
+    """Modes to run, what chooses between them, and a description of this choice."""
 
     switching: Switching
     why: str
 
 
 def is_algorithm_1(args: LogArgs) -> bool:
-    """Tell whether options ask for the paper's Algorithm 1: a speed, or anything of its own."""
+    """Return whether options ask for the paper's Algorithm 1: any option that only it has."""
     asked = (args.speed, args.modes, args.follow != "prediction" or None, args.robust or None)
     return any(option is not None for option in asked) or not (args.gating and args.adaptive)
 
 
 def require_none(beside: str, **options: object) -> None:
-    """Refuse options that mean nothing beside another one."""
+    """Refuse options that mean nothing together with the option ``beside``."""
     for name, value in options.items():
         if value is not None:
-            raise ValueError(f"{name}: found {value} with {beside}, expected one of them")
+            raise ValueError(f"{name}: cannot be combined with {beside}; use only one of the two")
 
 
 def require_one_choice(args: LogArgs) -> None:
@@ -49,17 +49,17 @@ def require_one_choice(args: LogArgs) -> None:
     if args.policy is not None and is_algorithm_1(args):
         require_none("--policy", speed=args.speed, modes=args.modes)
         raise ValueError(
-            "policy: found with an option of Algorithm 1 (--follow, --robust, --no-gating or "
-            "--no-adaptive), expected one of them, because it was trained with modes of its own"
+            "policy: cannot be combined with an option of Algorithm 1 (--follow, --robust, "
+            "--no-gating or --no-adaptive), because it was trained with its own modes"
         )
     if not by_speed and args.outside == "abort":
-        raise ValueError("outside: found abort without --speed, expected a speed in m/s")
+        raise ValueError("outside: abort needs --speed with a number of m/s")
     if (args.imm or by_speed) and args.follow == "odometry":
-        raise ValueError("follow: found odometry without --speed auto, expected both")
+        raise ValueError("follow: odometry needs --speed auto, and cannot be combined with --imm")
 
 
 def choice_of(args: LogArgs, radio: str) -> Choice:
-    """Return the localizer that options ask for; by default the learned one.
+    """Return the choice that options ask for; by default the learned policy.
 
     Args:
         args: options of the command.
@@ -71,7 +71,7 @@ def choice_of(args: LogArgs, radio: str) -> Choice:
     if args.imm is not None:
         bank = _bank(args.imm, radio)
         bank = replace(bank, modes=_as_asked(args, bank.modes))
-        return Choice(Switching(bank), f"of {args.imm} by their probability")
+        return Choice(Switching(bank), f"of {args.imm}, weighted by their probability")
     if args.policy is not None or not is_algorithm_1(args):
         name = args.policy or DEFAULT_POLICY
         contender = contender_from(name, radio)
@@ -117,17 +117,17 @@ def _algorithm_1(args: LogArgs, modes: tuple[Mode, ...]) -> Choice:
     """Return the pipelines of Algorithm 1, Step 3."""
     if args.speed in (None, "auto"):
         rule, followed = RULES[args.follow]
-        why = f"by {followed} speed, up to or above {SLOW_MPS:g} m/s"
+        why = f"chosen by whether {followed} speed is above {SLOW_MPS:g} m/s"
         return Choice(Switching(modes, rule), why)
     speed = parse_speed(args.speed)
     mode = modes[int(mode_at(speed))]
     if speed > DESIGN_LIMIT_MPS:
         window = f"outside the design window (up to {DESIGN_LIMIT_MPS:g} m/s)"
         if args.outside == "abort":
-            raise ValueError(f"speed: found {speed:g} m/s, {window}; --outside fallback runs on")
+            raise ValueError(f"speed: found {speed:g} m/s, {window}; --outside fallback allows it")
         warnings.warn(f"speed {speed:g} m/s is {window}; falling back to {mode.name}", stacklevel=2)
     side = "up to" if speed <= SLOW_MPS else "above"
-    return Choice(Switching((mode,)), f"for {speed:g} m/s, {side} {SLOW_MPS:g} m/s")
+    return Choice(Switching((mode,)), f"for {speed:g} m/s, which is {side} {SLOW_MPS:g} m/s")
 
 
 def parse_speed(word: str) -> float:

@@ -1,4 +1,4 @@
-"""Report that localize --diagnose prints of a log: facts about its epochs, and likely mistakes."""
+"""Report that localize --diagnose prints about a log: facts on its epochs, likely mistakes."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -25,7 +25,7 @@ from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.mobility import FASTEST_MPS
 
-_UNEVEN = 0.1  # share of the median step
+_UNEVEN = 0.1  # tolerated deviation of a step, as a share of the median step
 
 
 class _Sums:
@@ -33,13 +33,13 @@ class _Sums:
 
     def __init__(self, anchors: int) -> None:
         self.epochs, self.links = 0, np.zeros(anchors, np.int64)
-        self.irregular: Counter[str] = Counter()  # by what was counted, in words
+        self.irregular: Counter[str] = Counter()  # counts by a description of what was counted
         self.first_s = self.last_s = self.step_s = np.nan
         self.distance_m = self.moving_s = self.fastest_mps = 0.0
         self._before = np.empty((0, 4))  # time and true position of the last epoch
 
     def add(self, block: LogBlock, position_m: Array) -> None:
-        """Add a block with its true positions (T, 3), NaN where not known."""
+        """Add a block with its true positions (T, 3), NaN where unknown."""
         rows = np.column_stack([block.time_s, position_m])
         changes = np.diff(np.concatenate([self._before, rows]), axis=0)
         steps, moved = changes[:, 0], np.linalg.norm(changes[:, 1:], axis=1)
@@ -57,19 +57,19 @@ class _Sums:
         self.links += links.sum(axis=0)
         uneven = abs(steps - self.step_s) > _UNEVEN * self.step_s
         counted = {
-            f"gaps of more than {GAP_S:g} s: tracks begin anew there": steps > GAP_S,
+            f"gaps of more than {GAP_S:g} s, after which a new track begins": steps > GAP_S,
             f"steps that differ from {self.step_s:.4g} s by more than 10 %": uneven,
-            f"steps of the truth faster than {FASTEST_MPS:g} m/s": speed > FASTEST_MPS,
-            "epochs in which no anchor was seen": ~links.any(axis=1),
+            f"steps of the ground truth faster than {FASTEST_MPS:g} m/s": speed > FASTEST_MPS,
+            "epochs in which no anchor was measured": ~links.any(axis=1),
         } | {
-            f"times only some of the numbers of {name}, which count as not measured": incomplete
+            f"epochs with only some numbers of {name}, which counts as missing there": incomplete
             for name, incomplete in zip(block.layout.group_names, block.incomplete.T, strict=True)
         }
         self.irregular.update({words: int(epochs.sum()) for words, epochs in counted.items()})
 
     def problems(self) -> list[str]:
-        """Return sentences about irregular counts."""
-        never = [f"anchor {a + 1} was never seen" for a in np.flatnonzero(self.links == 0)]
+        """Return sentences about what is irregular, with counts."""
+        never = [f"anchor {a + 1} was never measured" for a in np.flatnonzero(self.links == 0)]
         return [f"{count} {words}" for words, count in self.irregular.items() if count] + never
 
 
@@ -101,7 +101,7 @@ def diagnosed(args: LogArgs, log: Path, scene: Scene, truth_file: Path | None) -
 def log_facts(
     blocks: Iterable[LogBlock], scene: Scene, truth: Truth | None
 ) -> tuple[dict[str, Any], LogError | None]:
-    """Read a log to its end or to the first damage; return facts about it, and the damage."""
+    """Read a log to its end or to its first error; return facts about it, and the error."""
     sums, damage = _Sums(len(scene.anchors_m)), None
     try:
         for block in blocks:
@@ -133,7 +133,7 @@ def facts_markdown(facts: dict[str, Any]) -> str:
     lines = [f"{f['epochs']} epochs, {f['first_s']:.10g} to {f['last_s']:.10g} s{rate}"]
     if speed:
         mean, most = speed["mean"], speed["max"]
-        lines.append(f"speed by the truth: {mean:.2f} m/s on average, {most:.2f} m/s at most")
+        lines.append(f"true speed: {mean:.2f} m/s on average, {most:.2f} m/s at most")
     rows = [
         [
             f"{number}{', base station' if number == 1 else ''}",
@@ -153,23 +153,23 @@ def _number(value: float | None) -> str:
 
 
 def _verdict(findings: Sequence[Finding]) -> str:
-    """Return a sentence on what is wrong and how to correct it."""
+    """Return sentences on what is wrong with the log and how to correct it."""
     best = findings[0]
     if best.contradictions:
         return (
-            "None of these makes the log consistent. Look at the scene, at angles in the frame of "
-            "the antenna instead of the map (docs/data.md, Angles), and at the radio."
+            "No hypothesis makes the log consistent. Check the scene, the radio, and whether the "
+            "angles are in the antenna's frame instead of the map's (docs/data.md, Angles)."
         )
     if best.hypothesis == AS_IT_IS:
         return "The log is consistent as it is."
     return (
-        f"The log is consistent if {best.hypothesis}. It was not changed. To mend it, {best.cure} "
-        "(docs/data.md)."
+        f"The log is consistent if {best.hypothesis}. It was not changed. To correct it, "
+        f"{best.cure} (docs/data.md)."
     )
 
 
 def diagnosis_markdown(findings: Sequence[Finding]) -> str:
-    """Return a verdict and a table of the hypotheses that allow a track, the best first."""
+    """Return a verdict and a table of the hypotheses that lead to a track, the best one first."""
     header = ["hypothesis", "anchors", "Doppler", "consistent"]
     rows = [
         [
@@ -182,9 +182,10 @@ def diagnosis_markdown(findings: Sequence[Finding]) -> str:
         if f.nis_per_dof
     ]
     others = sum(not f.nis_per_dof for f in findings)
-    impossible = f" {others} other mistakes allow no track; --json names them." if others else ""
+    impossible = f" {others} other hypotheses give no track; --json lists them." if others else ""
     return (
-        f"{_verdict(findings)}\n\n{grid(header, rows)}\n\nMedian NIS / dof, of the anchor that is "
-        "farthest from 1, and of the Doppler shift. Consistent also asks for a user mostly below "
-        f"the base station and for an SNR and a Doppler shift that can be.{impossible}\n"
+        f"{_verdict(findings)}\n\n{grid(header, rows)}\n\nThe columns are the median NIS / dof of "
+        "the worst anchor (farthest from 1) and of the Doppler shift. In a consistent log, the "
+        "user is also mostly below the base station, and the SNR and the Doppler shift are "
+        f"plausible.{impossible}\n"
     )

@@ -1,4 +1,4 @@
-"""Localization of a recorded log by the paper's Algorithm 1 or by an IMM."""
+"""Localization of a recorded log by a policy, an IMM or the paper's Algorithm 1."""
 
 import warnings
 from collections.abc import Iterable, Iterator
@@ -38,7 +38,7 @@ from mmwave_env.models.scene import Scene, scene_from
 from mmwave_env.world.episode import NEUTRAL_SNR_DB
 
 EPOCHS_PER_BLOCK = 1 << 14
-LONGEST_WINDOW = 20_000  # epochs; a window is held in memory
+LONGEST_WINDOW = 20_000  # epochs; a window must fit in memory
 
 
 class Inputs(NamedTuple):
@@ -53,7 +53,7 @@ class Inputs(NamedTuple):
 
 
 def inputs(args: LogArgs) -> Inputs:
-    """Return the files of the log, its scene and the truth, if there is one."""
+    """Return the files of the log, of its scene and of the ground truth, if there is one."""
     if args.sample is None:
         if args.log is None:
             raise ValueError("log: found none, expected a measurement log, or --sample NAME")
@@ -61,7 +61,7 @@ def inputs(args: LogArgs) -> Inputs:
             files = f"{args.log / LOG} --scene {args.log / SCENE} --truth {args.log / TRUTH}"
             raise ValueError(f"log: found the folder {args.log}, expected files, such as {files}")
         if args.scene is None:
-            raise ValueError(f"scene: found none, expected --scene with that of {args.log}")
+            raise ValueError(f"scene: found none, expected --scene FILE, the scene of {args.log}")
         return Inputs(args.log, args.scene, args.truth)
     require_none("--sample", log=args.log, scene=args.scene)
     folder = sample_folder(args.sample)
@@ -72,14 +72,18 @@ def _check(args: LogArgs, files: Inputs) -> None:
     """Refuse options that contradict each other, and outputs that would replace other files."""
     if args.diagnose:
         if args.out or args.plot:
-            raise ValueError("diagnose: found with --out or --plot, expected no track")
+            raise ValueError(
+                "diagnose: cannot be combined with --out or --plot, as it has no track"
+            )
         if args.associate:
-            raise ValueError("diagnose: found with --associate, expected rows with anchors")
+            raise ValueError(
+                "diagnose: cannot be combined with --associate, as it needs anchor numbers"
+            )
     require_one_choice(args)
     if not 2 <= args.window <= LONGEST_WINDOW:
         raise ValueError(
             f"window: found {args.window}, expected 2 to {LONGEST_WINDOW} epochs; --no-smoothing "
-            "does without"
+            "turns smoothing off"
         )
     if args.height is not None and not np.isfinite(args.height):
         raise ValueError(f"height: found {args.height}, expected a number of meters")
@@ -105,19 +109,19 @@ def _outputs(args: LogArgs) -> dict[str, Path | None]:
 
 
 class Work(NamedTuple):
-    """A log to localize, and the modes to localize it with."""
+    """A log to localize, and the choice of modes to localize it with."""
 
     scene: Scene
     radio: Radio
     choice: Choice
     first: LogBlock  # first block of the log
-    blocks: Iterable[LogBlock]  # all blocks, the first included
+    blocks: Iterable[LogBlock]  # all blocks, including the first
     truth: Truth | None
     association: Association | None  # counts of associated paths so far
 
 
 def _work(args: LogArgs, files: Inputs, scene: Scene, epochs_per_block: int) -> Work:
-    """Open the log, and the truth if there is one."""
+    """Open the log, and the ground truth if there is one."""
     association = None
     if args.associate:
         association = Association(len(scene.anchors_m))
@@ -134,12 +138,12 @@ def _work(args: LogArgs, files: Inputs, scene: Scene, epochs_per_block: int) -> 
         name = nearest_radio(first, scene) if args.radio == AUTO else args.radio
     if args.follow == "odometry" and not first.layout.odometry:
         raise ValueError(
-            f"follow: found odometry, but no speed in {files.log}, expected prediction"
+            f"follow: found odometry, but no speed in {files.log}; use --follow prediction"
         )
     choice = choice_of(args, name)
     if choice.switching.policy and not np.isfinite(first.snr_db).any():
         warnings.warn(
-            f"{files.log}: found no SNR, so the policy sees {NEUTRAL_SNR_DB:g} dB for every link",
+            f"{files.log}: found no SNR, so the policy gets {NEUTRAL_SNR_DB:g} dB for every link",
             stacklevel=2,
         )
     truth, blocks = Truth(files.truth) if files.truth else None, chain([first], blocks)
@@ -152,10 +156,10 @@ def _track(args: LogArgs, work: Work, window: int | None) -> Iterator[TrackBlock
 
 
 def beginning(args: LogArgs, epochs: int) -> tuple[TrackBlock, Work]:
-    """Filter the first epochs of a log; return their track and the work.
+    """Filter the first epochs of a log; return their track and what it was made with.
 
     Raises:
-        ValueError: same as from the command.
+        ValueError: same as from ``mmwave-loc localize``.
         OSError: a file can't be read.
     """
     files = inputs(args)
@@ -164,10 +168,10 @@ def beginning(args: LogArgs, epochs: int) -> tuple[TrackBlock, Work]:
 
 
 def _run(args: LogArgs, work: Work) -> tuple[dict[str, Any], TrackSampler, ValueError | None]:
-    """Localize, score and write, block by block.
+    """Localize a log, score its track and write it, block by block.
 
     Returns:
-        Figures, the track to draw, and the error of the log or the truth, if there is one.
+        Results, the track to draw, and an error in the log or in the ground truth, if any.
 
     Raises:
         LogError: the log is damaged before the first epoch of a track; nothing is written.
@@ -213,7 +217,7 @@ def _run(args: LogArgs, work: Work) -> tuple[dict[str, Any], TrackSampler, Value
 
 
 def localized(args: LogArgs) -> None:
-    """Run the command."""
+    """Run ``mmwave-loc localize`` on a recorded log."""
     files = inputs(args)
     _check(args, files)
     scene = scene_from(files.scene)
@@ -236,7 +240,7 @@ def localized(args: LogArgs) -> None:
     figures = {
         "log": str(files.log),
         "scene": scene.name,
-        "radio": f"{work.radio.name}, whose noise is nearest" if args.radio == AUTO else args.radio,
+        "radio": f"{work.radio.name}, chosen by auto" if args.radio == AUTO else args.radio,
         "imm": args.imm,
         "rule": work.choice.why,
         **figures,
@@ -244,16 +248,16 @@ def localized(args: LogArgs) -> None:
         "written": {content: str(path) for content, path in written.items() if path},
         "error": error and str(error),
     }
-    if args.json:  # first, because whoever reads the tables may close the pipe
+    if args.json:  # first, because the reader of the tables may close the pipe
         write_json(args.json, provenance("localize", args) | figures)
     try:
         if args.plot:
             log = "/".join(files.log.parts[-2:])
             draw_trajectory(sampler.track, args.plot, f"{log}, {kind} track")
-    finally:  # the figures are shown even if a picture fails
+    finally:  # the results are shown even if a picture fails
         try:
             show(track_markdown(figures))
-        finally:  # and the error of the log is reported even if nobody reads the figures
+        finally:  # and the error in the log is reported even if nobody reads the results
             if error:
                 shown = "written" if args.out else "shown"
                 raise ValueError(f"{error}; {figures['epochs']} epochs are {shown}") from error

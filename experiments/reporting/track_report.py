@@ -1,4 +1,4 @@
-"""Report that localize makes of a track: its text, and the epochs of its picture."""
+"""Report of localize about a track: its text, and the epochs that its picture shows."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -15,8 +15,8 @@ from mmwave_env.metrics import HEADERS, INFO_KEYS
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.numerics.numbers import Array
 
-_POINTS = 6000  # most points of a picture; a long track has at least half as many
-_POSITION = [0, 1, 3, 1, 2, 4, 3, 4, 5]  # position's part of a packed covariance
+_POINTS = 6000  # maximum number of points in a picture; a long track has at least half as many
+_POSITION = [0, 1, 3, 1, 2, 4, 3, 4, 5]  # the position's part of a packed covariance
 
 
 class TrackSampler:
@@ -29,11 +29,11 @@ class TrackSampler:
 
     def __init__(self, modes: Sequence[str], anchors_m: Array) -> None:
         self._modes, self._anchors_m = list(modes), anchors_m
-        # time, mode, segment, position, truth, covariance
+        # columns: time, mode, segment, position, true position, covariance
         self._rows, self._every, self._epochs = np.empty((0, 18)), 1, 0
 
     def add(self, block: TrackBlock, truth: Array | None) -> None:
-        """Add a block and its true positions (T, 3), NaN where not known."""
+        """Add a block and its true positions (T, 3), NaN where unknown."""
         x, P = block.smooth_x[:, :3], block.smooth_P[:, _POSITION]
         truth = np.full(x.shape, np.nan) if truth is None else truth
         numbers = block.time_s, block.mode, np.full(len(block), block.segment)
@@ -85,8 +85,8 @@ def _course(figures: dict[str, Any]) -> list[str]:
     fast = speed["epochs_above_design_limit"]
     if not f["imm"] and len(f["modes"]) > 1 and fast:
         lines.append(
-            f"warning: {fast} epochs above {DESIGN_LIMIT_MPS:g} m/s, outside the design window of "
-            f"the speed gate; {escaped(list(f['modes'])[1])} ran there"
+            f"warning: {fast} epochs are above {DESIGN_LIMIT_MPS:g} m/s, outside the design window "
+            f"of the speed rule; {escaped(list(f['modes'])[1])} ran in them"
         )
     return lines
 
@@ -108,7 +108,7 @@ def _groups(groups: dict[str, Any]) -> str:
 
 
 def _clock(truth: dict[str, Any]) -> str:
-    """Return the end of a sentence on times of the truth, and a sentence on its clock offset."""
+    """Return the end of a sentence on true positions, and a sentence on their clock's offset."""
     between, clock = truth["interpolated"], truth["clock"]
     away = f"{1e3 * truth['nearest_pose_s']:.1f} ms from the nearest pose on average"
     said = f", {between} of them between poses, {away}." if between else "."
@@ -128,8 +128,8 @@ def _association(counts: dict[str, Any]) -> list[str]:
         lines.append(f"{counts['incomplete']} paths with only some of their numbers were left out")
     if between["epochs"]:
         lines.append(
-            f"{between['epochs']} epochs without a track, whose {between['paths']} paths belong to "
-            "no anchor"
+            f"{between['epochs']} epochs without a track, whose {between['paths']} paths were "
+            "assigned to no anchor"
         )
     return lines
 
@@ -144,13 +144,14 @@ def _accuracy(truth: dict[str, Any], epochs: int) -> str:
     return (
         f"{grid(header, rows)}\n\n{truth['scored']} of {epochs} epochs have a true position"
         f"{_clock(truth)} {over}"
-        f"NEES should be {truth['nees_expected']}, 95 % of it within [{low:.2f}, {high:.2f}].\n\n"
+        f"NEES should be {truth['nees_expected']} on average, and 95 % of its values should be "
+        f"within [{low:.2f}, {high:.2f}].\n\n"
         f"{positions_markdown('track', kinds, truth['risk'])}"
     )
 
 
 def track_markdown(figures: dict[str, Any]) -> str:
-    """Return the figures of a track, as the command collects them, as Markdown."""
+    """Return the results about a track, as ``localize`` collects them, as Markdown."""
     counts = figures.get("association")
     lines = _course(figures) + (_association(counts) if counts else [])
     parts = ["".join(f"- {line}\n" for line in lines)]

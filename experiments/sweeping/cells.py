@@ -1,4 +1,4 @@
-"""Rows of a sweep: results of an evaluation or of a training, in a folder of Parquet files."""
+"""Rows of a sweep in a folder of Parquet files: one per cell, which is a combination of values."""
 
 import tempfile
 import warnings
@@ -30,7 +30,7 @@ Row = dict[str, Any]
 
 
 def evaluated(values: Values) -> Row:
-    """Return means of the metrics of an evaluation, their 95 % intervals, and every episode's."""
+    """Evaluate a policy; return the mean, 95 % interval and episodes' values of each metric."""
     args = Evaluation(**values)
     selection = Selection(range(args.seed, args.seed + args.episodes))
     with warnings.catch_warnings(record=True) as warned:
@@ -48,11 +48,11 @@ def evaluated(values: Values) -> Row:
 
 
 def trained(values: Values, tell: Callable[[Row], None] = lambda row: None) -> Row:
-    """Train; return the metrics of the best policy on tuning seeds, and its file.
+    """Train a policy; return the metrics of the best one on tuning seeds, and its file.
 
     Args:
-        values: value of every axis.
-        tell: takes the row of every policy that is evaluated during the training.
+        values: value of every axis, which is a key of the sweep's file.
+        tell: function called with a row for each evaluation during the training.
     """
     from experiments.training.job import Job, News
     from experiments.training.processes import train
@@ -82,7 +82,7 @@ def _row(figures: Mapping[str, float]) -> Row:
 
 
 def training_of(values: Values) -> tuple[Training, Hyperparameters]:
-    """Return the options of a training, and the shipped hyperparameters with its changes."""
+    """Return the options of a training, and the shipped hyperparameters, changed by the values."""
     options, changed = dict[str, Any](), dict[str, Any]()
     for axis, value in values.items():
         name = axis.removeprefix(HYPERPARAMETER)
@@ -95,7 +95,7 @@ def training_of(values: Values) -> tuple[Training, Hyperparameters]:
 
 
 def kept(folder: Path, spec: Spec) -> set[str]:
-    """Return the names of the cells, or trials, of a sweep whose rows are in a folder.
+    """Return the names of a sweep's cells, or trials, whose rows are already in a folder.
 
     Raises:
         ValueError: the folder has a row of another sweep.
@@ -104,14 +104,14 @@ def kept(folder: Path, spec: Spec) -> set[str]:
     for name in names:
         if not (name.startswith(spec.trial) if spec.free else name in spec.cells):
             raise ValueError(
-                f"{folder / name}.parquet: found a row of another sweep, or of this one by another "
-                "version or before a file that it names was changed; --out names another folder"
+                f"{folder / name}.parquet: found a row of another sweep, of another version, or "
+                "of this sweep before a file that it names was changed; --out names another folder"
             )
     return names
 
 
 def keep(folder: Path, name: str, values: Values, result: Values) -> None:
-    """Write the row of a cell, and with it the policy of a training."""
+    """Write the row of a cell and, for a training, its policy file."""
     import pyarrow
     from pyarrow import parquet
 
@@ -123,7 +123,7 @@ def keep(folder: Path, name: str, values: Values, result: Values) -> None:
 
 
 def read(folder: Path, spec: Spec) -> dict[str, Values]:
-    """Read the rows of a sweep, by the name of their cell.
+    """Read the rows of a sweep, by the names of their cells.
 
     Raises:
         ValueError: same as from :func:`kept`, or a file can't be read; the message names it.

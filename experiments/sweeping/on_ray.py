@@ -1,4 +1,4 @@
-"""Cells and trials on Ray, on this machine or on a cluster."""
+"""Computation of a sweep's cells and trials with Ray, on this machine or on a cluster."""
 
 import itertools
 import logging
@@ -15,31 +15,34 @@ from mmwave_env.io.files import first_line
 from mmwave_env.metrics import METRICS
 
 RETRIES = 2  # repeats of a cell whose process ran out of memory, ended, or raised OSError
-AHEAD = 1000  # cells that Ray has at once, which keeps as many workers busy
+AHEAD = 1000  # cells that Ray gets at once; keeps up to this many workers busy
 ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",
-    "RAY_task_oom_retries": str(RETRIES),  # without a limit otherwise
+    "RAY_task_oom_retries": str(RETRIES),  # unlimited by default
     "RAY_agent_register_timeout_ms": "120000",  # a busy machine starts slowly
     "RAY_AIR_NEW_OUTPUT": "0",
     "RAY_CHDIR_TO_TRIAL_DIR": "0",  # paths are relative to the command's folder
-    "TUNE_DISABLE_SIGINT_HANDLER": "1",  # Ctrl-C ends the command, as in other commands
-    "TUNE_DISABLE_AUTO_CALLBACK_LOGGERS": "1",  # a sweep keeps rows only
+    "TUNE_DISABLE_SIGINT_HANDLER": "1",  # Ctrl-C must end the command
+    "TUNE_DISABLE_AUTO_CALLBACK_LOGGERS": "1",  # a sweep stores only rows
 }
 RUNGS, SHARE = 9, 3  # parameters of early stopping: docs/sweep.md
 
 
 @contextmanager
 def connected(address: str | None, workers: int | None) -> Iterator[None]:
-    """Connect to Ray in the block.
+    """Connect to Ray within the block.
 
     Args:
-        address: address of a cluster, which gets this code; None to start Ray on this machine.
-        workers: number of processes on this machine; None for its number of cores.
+        address: address of a cluster, which receives this code; None to start Ray here.
+        workers: number of processes on this machine; None for one per core.
     """
     os.environ |= ENVIRONMENT | ({"RAY_NUM_REDIS_GET_RETRIES": "1"} if address else {})
     import ray
 
-    options: dict[str, Any] = {"num_cpus": workers, "object_store_memory": 100 << 20}  # small rows
+    options: dict[str, Any] = {
+        "num_cpus": workers,
+        "object_store_memory": 100 << 20,
+    }  # small rows
     if address is not None:
         root = Path(__file__).resolve().parents[2]
         folders = [str(root / package) for package in ("mmwave_env", "policies", "experiments")]
@@ -47,7 +50,7 @@ def connected(address: str | None, workers: int | None) -> Iterator[None]:
     options |= {"include_dashboard": False, "log_to_driver": False, "logging_level": logging.ERROR}
     ray.init(**options)
     try:
-        # Ray has just replaced the signal handlers by its own, and would print among our tables.
+        # Ray has just installed its own signal handlers, and would print between our tables.
         with ended_by_signals(), open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
             yield
     finally:
@@ -57,7 +60,7 @@ def connected(address: str | None, workers: int | None) -> Iterator[None]:
 def computed(
     compute: Callable[[Values], Values], cells: Mapping[str, Values]
 ) -> Iterator[tuple[str, Values | None, str]]:
-    """Yield every finished cell: its name, its row (None where it failed) and its error.
+    """Yield every finished cell: its name, its row (None if it failed) and its error.
 
     Args:
         compute: function from the values of a cell to its row.
@@ -65,7 +68,7 @@ def computed(
     """
     import ray
 
-    task: Any = ray.remote(lambda values: compute(values))  # noqa: PLW0108  functions alone
+    task: Any = ray.remote(lambda values: compute(values))  # noqa: PLW0108  Ray wants functions
     task = task.options(num_cpus=1, max_retries=RETRIES, retry_exceptions=[OSError])
     waiting, running = iter(cells.items()), dict[Any, str]()
     while True:
@@ -89,13 +92,13 @@ def searched(
     before: Mapping[str, Values],
     keep: Callable[[str, Values, Values], None],
 ) -> list[str]:
-    """Run the remaining trials on Ray Tune, with Optuna's sampler and early stopping (ASHA).
+    """Run a search's remaining trials on Ray Tune, with Optuna's sampler and early stopping.
 
     Args:
-        train: function that trains with given values and reports rows.
+        train: function that trains with given values, and passes rows to its second argument.
         spec: specification of the search.
         before: rows of finished trials, from which the sampler learns.
-        keep: takes the name of a finished trial, its values and its last row.
+        keep: function called with the name of a finished trial, its values and its last row.
 
     Returns:
         The errors of failed trials.

@@ -1,4 +1,4 @@
-"""The sweep command, from its file to its table."""
+"""The sweep command: its file is read, missing cells are computed, and a table is shown."""
 
 import shlex
 from collections.abc import Collection, Iterator, Mapping
@@ -24,16 +24,16 @@ SHOWN = ("reward", "ate_m", "rmse_m", "nees", "divergence_rate")
 
 
 def sweep(file: Path, folder: Path, address: str | None, workers: int | None) -> None:
-    """Compute the cells of a file that a folder lacks, on Ray; see :func:`connected`.
+    """Compute on Ray the cells of a sweep file whose rows a folder lacks, and show all rows.
 
     Raises:
-        ValueError: the file is not valid, the folder has rows of another sweep, or cells failed.
+        ValueError: the file is not valid, the folder has rows of another sweep, or a cell failed.
     """
     spec = read_spec(file)
     if spec.kind != "evaluate":
         require_extra("stable_baselines3", "train", f"{file}, which trains,")
     done, failed = kept(folder, spec), list[str]()
-    note(f"{len(spec)} cells, {len(done)} of them kept from before, in {folder}")
+    note(f"{len(spec)} cells, {len(done)} of them already in {folder}")
     if len(done) < len(spec):
         with connected(address, workers):
             for failure in _failures(spec, folder, done):
@@ -65,7 +65,7 @@ def _failures(spec: Spec, folder: Path, done: Collection[str]) -> Iterator[str]:
 
 
 def _table(spec: Spec, rows: Mapping[str, Values]) -> str:
-    """Return the table of varied axes and metrics: a grid in file order, a search best first."""
+    """Return a table of varied axes and metrics, in file order; for a search, best first."""
     axes = [axis for axis, values in spec.axes.items() if len(values) > 1]
     names = [name for name in spec.cells if name in rows]
     if spec.free:
@@ -82,7 +82,7 @@ def _table(spec: Spec, rows: Mapping[str, Values]) -> str:
 
 
 def _tell_best(spec: Spec, folder: Path, rows: Mapping[str, Values]) -> None:
-    """Print which training was best on tuning seeds; for a search, how to repeat it."""
+    """Print which training was best on tuning seeds and, for a search, how to repeat it."""
     best = max(rows, key=lambda name: rows[name]["reward_mean"])
     if not spec.free:
         say(f"The best of the trainings is {folder / best}.safetensors")
@@ -91,4 +91,4 @@ def _tell_best(spec: Spec, folder: Path, rows: Mapping[str, Values]) -> None:
     args, tried = training_of(spec.values_of(rows[best]))
     write_json(path, hyperparameters_as_written(tried))
     train = command_line("train", replace(args, seed=Training.seed, episodes=Training.episodes))
-    say("To train as the best did:", f"{train} --hyperparameters {shlex.quote(str(path))}")
+    say("To train like the best trial:", f"{train} --hyperparameters {shlex.quote(str(path))}")

@@ -1,4 +1,4 @@
-"""Specification of a sweep: a TOML or JSON file, whose lists are combined."""
+"""Specification of a sweep: a TOML or JSON file, whose lists are combined into cells."""
 
 import hashlib
 import itertools
@@ -19,8 +19,8 @@ from mmwave_env.io.files import parse_json, read_text
 from mmwave_env.io.lookup import choose, quoted, require_extra
 from mmwave_env.io.records import Bound, counts, hints_of, require
 
-MOST_CELLS = 100_000  # more are a mistake: a cell should take a second or longer
-HYPERPARAMETER = "hyperparameters."  # prefix of an axis of hyperparameters
+MOST_CELLS = 100_000  # more are a mistake, since a cell takes a second or longer
+HYPERPARAMETER = "hyperparameters."  # prefix of the names of axes that are hyperparameters
 
 Count = Annotated[int, counts(1, 10**12)]
 Seed = Annotated[int, Bound("an integer from 0 to 10^15", least=0, most=1e15)]
@@ -29,7 +29,7 @@ Values = Mapping[str, Any]  # values of a cell, by axis
 
 @dataclass(kw_only=True)
 class Evaluation(ModeArgs):
-    """Keys of a table [evaluate]: options of compare that affect its results."""
+    """Keys of a table [evaluate], which are options of compare that affect its results."""
 
     policy: str
     reward: str = "tracking"
@@ -39,11 +39,11 @@ class Evaluation(ModeArgs):
 
 @dataclass(kw_only=True)
 class Training(TaskArgs):
-    """Keys of a table [train], but for hyperparameters: options of train."""
+    """Keys of a table [train] except for hyperparameters, which are options of train."""
 
     total_timesteps: Count
-    seed: Seed = 0  # the number of the training
-    episodes: Count = 200  # episodes to evaluate policies on
+    seed: Seed = 0  # number of the training
+    episodes: Count = 200  # number of episodes to evaluate policies on
 
 
 KINDS: Mapping[str, Any] = {"evaluate": Evaluation, "train": Training, "search": Training}
@@ -55,9 +55,9 @@ class Spec:
 
     Attributes:
         kind: name of the table in the file.
-        axes: values of each key; a search has one value for each.
+        axes: values of each key that the file sets; in a search, one value each.
         trials: number of trials of a search.
-        free: Optuna's distributions of the hyperparameters to search, by axis.
+        free: Optuna's distributions of the hyperparameters that a search varies, by axis.
     """
 
     kind: str
@@ -70,18 +70,18 @@ class Spec:
 
     @cached_property
     def cells(self) -> dict[str, Values]:
-        """Return all combinations of a grid, by name, in the order of the file."""
+        """Return all combinations of values in a grid, by name, in the order of the file."""
         combinations = itertools.product(*self.axes.values())
         cells = (dict(zip(self.axes, values, strict=True)) for values in combinations)
         return {self._digest(values): values for values in cells}
 
     @property
     def trial(self) -> str:
-        """Return the prefix of the names of a search's trials."""
+        """Return the prefix of the names of all trials of a search."""
         return self._digest({**self.axes, **self.free})
 
     def values_of(self, row: Values) -> Values:
-        """Return the values of the trial that has a row, or of a proposal of Optuna's."""
+        """Return the values of a trial, given its row or Optuna's proposal."""
         values = {axis: value for axis, (value,) in self.axes.items()}
         for axis in self.free:
             value = json.loads(row[axis]) if isinstance(row[axis], str) else row[axis]
@@ -89,7 +89,7 @@ class Spec:
         return values
 
     def _digest(self, values: Values) -> str:
-        """Return a name that depends on values, version and the content of the files they name."""
+        """Return a name that depends on values, version and the content of files named there."""
         words = itertools.chain(*(v if isinstance(v, tuple) else (v,) for v in values.values()))
         paths = (Path(word) for word in words if isinstance(word, str) and os.path.isfile(word))
         files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
@@ -98,7 +98,7 @@ class Spec:
 
 
 def plain(value: Any) -> Any:
-    """Return a value for columns and Optuna: numbers and text unchanged, others as JSON."""
+    """Return a value as columns and Optuna accept it: numbers and text, anything else as JSON."""
     return json.dumps(value) if isinstance(value, (bool, tuple)) else value
 
 
@@ -132,7 +132,7 @@ def _spec(content: Any) -> Spec:
     if len(spec) > MOST_CELLS:
         raise ValueError(f"{kind}: found {len(spec)} cells, expected at most {MOST_CELLS}")
     if kind == "search" and not (free and all(len(values) == 1 for values in axes.values())):
-        raise ValueError("search: expected hyperparameters to try, and one value of all else")
+        raise ValueError("search: expected hyperparameters to try, and one value for other keys")
     return spec
 
 
@@ -164,7 +164,7 @@ def _hyperparameters(kind: str, table: Values, axes: Values) -> Iterator[tuple[s
 
 
 def _distribution(axis: str, choices: Any, whole: bool) -> Any:
-    """Return the range or list that Optuna chooses from."""
+    """Return the distribution from which Optuna draws: a range, or a list of choices."""
     require_extra("optuna", "ray", "a search")
     from optuna import distributions
 
@@ -178,13 +178,13 @@ def _distribution(axis: str, choices: Any, whole: bool) -> Any:
 
 
 def _values(key: str, content: Any) -> Sequence[Any]:
-    """Return the values of an axis; several values of modes or places are lists of lists."""
+    """Return the values of an axis; for modes or places, several values are a list of lists."""
     several = isinstance(content, list) and (
         key not in ("modes", "places") or all(isinstance(value, list) for value in content)
     )
     values = [tuple(v) if isinstance(v, list) else v for v in (content if several else [content])]
     if not values or len(set(map(repr, values))) < len(values):
-        raise ValueError(f"{key}: found {quoted(content)}, expected values, each once")
-    if any(isinstance(value, float) for value in values):  # a column holds numbers of one type
+        raise ValueError(f"{key}: found {quoted(content)}, expected different values")
+    if any(isinstance(value, float) for value in values):  # a column has one type of numbers
         return [float(value) if type(value) is int else value for value in values]
     return values

@@ -1,1 +1,1 @@
-"""Training of switchers: environments, networks, trainers and checkpoints."""
+"""Training of policies that choose filters: environments, networks, trainers and checkpoints."""

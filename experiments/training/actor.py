@@ -1,4 +1,4 @@
-"""Conversion of a PyTorch policy's actor to the tensors of a policy file."""
+"""Conversion of a PyTorch policy's actor (the network that acts) to tensors of a policy file."""
 
 from collections.abc import Iterable
 from typing import Any, NamedTuple
@@ -12,7 +12,7 @@ from policies.policy_file import Tensors
 class Normalization(NamedTuple):
     """Normalization of an observation o in training: (clip(o, low, high) - mean) / sigma."""
 
-    low: Array  # (features,), the shape of all four
+    low: Array  # (features,), as are the other three
     high: Array
     mean: Array
     sigma: Array
@@ -24,18 +24,18 @@ class Normalization(NamedTuple):
 
 
 def layers_of(policy: Any) -> list[Any]:
-    """Return the layers of the actor of a policy of Stable-Baselines3."""
+    """Return the layers of the actor in a policy of Stable-Baselines3."""
     return [*policy.mlp_extractor.policy_net, policy.action_net]
 
 
 def actor_tensors(layers: Iterable[Any], normal: Normalization) -> Tensors:
-    """Return the tensors of an actor as a policy file holds them.
+    """Return the tensors of an actor in the form that a policy file stores.
 
     The normalization is folded into the first weights: W / sigma, b - (W / sigma) mean.
 
     Args:
-        layers: layers of a network on normalized observations, whose linear layers count.
-        normal: normalization of an observation; the result includes its bounds.
+        layers: layers of a network that takes normalized observations; only linear ones are used.
+        normal: normalization of an observation; its bounds are among the tensors.
     """
     tensors = {"low": normal.low, "high": normal.high}
     for i, layer in enumerate(layer for layer in layers if type(layer).__name__ == "Linear"):
@@ -55,8 +55,8 @@ def require_actor(file: str, policy: Any) -> None:
     """
     if not hasattr(policy, "action_net"):
         raise ValueError(
-            f"{file}: network: found {type(policy).__name__}, expected an actor beside a critic, "
-            "as of PPO, A2C, TRPO and MaskablePPO"
+            f"{file}: network: found {type(policy).__name__}, expected an actor and a critic, "
+            "as in PPO, A2C, TRPO and MaskablePPO"
         )
     layers, shape = layers_of(policy), policy.observation_space.shape
     parts = [policy.features_extractor, *layers, policy.action_space]

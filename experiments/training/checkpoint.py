@@ -1,4 +1,4 @@
-"""Checkpoints of a training: written in one step, and read without unpickling."""
+"""Checkpoints of a training, written in one step and read without running code in them."""
 
 import io
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ from experiments.evaluation.runs import require_outcome
 from mmwave_env.io.files import first_line, read_bounded, write_bytes
 from mmwave_env.io.lookup import quoted
 
-MOST_BYTES = 1 << 30  # largest checkpoint; the memory of rollouts takes most of it
+MOST_BYTES = 1 << 30  # size limit of a checkpoint; the memory of rollouts takes most of it
 
 
 def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
@@ -23,7 +23,7 @@ def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
     memory = io.BytesIO()
     torch.save(_with_tensors(state), memory)
     content = memory.getvalue()
-    write_bytes(path, sha256(content).digest() + content)  # PyTorch would not see a flipped bit
+    write_bytes(path, sha256(content).digest() + content)  # PyTorch would not notice a flipped bit
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
@@ -35,9 +35,9 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     """
     written = read_bounded(path, MOST_BYTES, "a checkpoint")
     checksum, content = written[: sha256().digest_size], written[sha256().digest_size :]
-    with going_on_from(path):  # PyTorch raises anything on foreign bytes
+    with going_on_from(path):  # PyTorch can raise anything if it reads foreign bytes
         if sha256(content).digest() != checksum:
-            raise ValueError("found another checksum than that of its content")
+            raise ValueError("found a checksum that does not match the content")
         with ZipFile(io.BytesIO(content)) as archive:  # compressed parts could unpack to any size
             if any(part.compress_type != ZIP_STORED for part in archive.infolist()):
                 raise ValueError("found compressed parts, which PyTorch does not write")
@@ -51,7 +51,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
 
 @contextmanager
 def going_on_from(path: Path) -> Iterator[None]:
-    """Name the checkpoint in any exception of the block, which reads it or restores its state.
+    """Name the checkpoint in any exception raised in the block, which uses the checkpoint.
 
     Raises:
         ValueError: names the file.
@@ -70,10 +70,10 @@ def read_stand(path: Path, begin: dict[str, Any]) -> dict[str, Any]:
 
     Args:
         path: file of the checkpoint.
-        begin: state at the beginning of a training, which has the same keys.
+        begin: state at the beginning of a training; it has the same keys.
 
     Raises:
-        ValueError: the file is damaged, or no checkpoint of a training.
+        ValueError: the file is damaged, or is not a checkpoint of a training.
     """
     stand = read_checkpoint(path)
     with going_on_from(path):
@@ -88,7 +88,7 @@ def read_stand(path: Path, begin: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_tensors(tree: Any) -> Any:
-    """Replace arrays by tensors: a safe reader refuses the pickle of an array."""
+    """Replace arrays by tensors, since PyTorch's safe reader refuses pickled arrays."""
     if isinstance(tree, dict):
         return {key: _with_tensors(value) for key, value in tree.items()}
     if isinstance(tree, (list, tuple)):

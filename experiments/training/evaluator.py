@@ -1,4 +1,4 @@
-"""Evaluation of a policy in training, on tuning seeds, against untrained rivals."""
+"""Evaluation of a policy during its training, on tuning seeds, against untrained rivals."""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -19,15 +19,15 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
 
 TRAINING_RIVALS = ("speed-rule", "imm")  # rivals in every training
-PER_MODE_RIVALS = (*TRAINING_RIVALS, "imm-best")  # rivals where every mode keeps its own belief
-EPISODES = 500
+PER_MODE_RIVALS = (*TRAINING_RIVALS, "imm-best")  # rivals if every mode keeps its own belief
+EPISODES = 500  # number of tuning episodes
 
 
 class Evaluator:
-    """An evaluator that scores policies on the same tuning episodes, by the protocol's reward.
+    """An evaluator that scores all policies on the same tuning episodes, by the default reward.
 
     Args:
-        task: task of the training; its places share the episodes evenly.
+        task: task of the training; its places (scenes with a radio) share the episodes evenly.
         episodes: number of episodes; every place gets at least one.
     """
 
@@ -48,8 +48,8 @@ class Evaluator:
         """Return figures of a policy file, with 95 % intervals.
 
         Returns:
-            Means of every metric over all places, and the gain "minus NAME" over every rival; with
-            several places also "PLACE minus NAME".
+            The mean of every metric over all places, and the gain "minus NAME" over every rival;
+            with several places also each place's gain, "PLACE minus NAME".
         """
         scores = self._scores(lambda radio: Contender.learned(path, radio=radio))
         differences = {name: scores["reward"] - reward for name, reward in self._rivals.items()}
@@ -68,7 +68,7 @@ class Evaluator:
         }
 
     def _scores(self, contender_at: Callable[[str], Contender]) -> Scores:
-        """Compute the scores of a contender for each radio, on the episodes of all places."""
+        """Compute the scores of a contender, made for each place's radio, on all episodes."""
         parts = []
         for place, episodes in self._at:
             contender = contender_at(place.radio)
@@ -77,6 +77,6 @@ class Evaluator:
 
 
 def _gains(differences: dict[str, Array]) -> dict[str, Interval]:
-    """Return intervals of differences (episodes,), by the rival that is subtracted."""
+    """Return intervals of mean differences, by the rival that is subtracted, as "minus NAME"."""
     intervals = bootstrap(np.stack(list(differences.values()), axis=1))
     return {f"minus {name}": gain for name, gain in zip(differences, intervals, strict=True)}

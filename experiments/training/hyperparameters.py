@@ -9,19 +9,19 @@ from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.io.files import read_json
 from mmwave_env.io.records import Bound, Probability, Size, counts, object_from, require_fields
 
-MOST = 10**15  # largest value: more is a mistake, and too much for memory and time
+MOST = 10**15  # largest value; anything larger is a mistake, and needs too much memory and time
 Count = Annotated[int, counts(1, MOST)]
-Positive = Annotated[float, Bound(f"a number of 0 to {MOST:g}", least=0.0, most=MOST)]
+Positive = Annotated[float, Bound(f"a number from 0 to {MOST:g}", least=0.0, most=MOST)]
 Neurons = Annotated[tuple[Count, ...], Size(1, 100)]
 
 
 @dataclass(frozen=True)
 class PpoHyperparameters:
-    """Hyperparameters of PPO (Schulman et al. 2017), and of this task's additions to it."""
+    """Hyperparameters of PPO (Schulman et al. 2017), and of this project's additions to it."""
 
-    num_envs: Count  # environments stepped at once
-    n_steps: Count  # epochs of each between two updates
-    batch_size: Annotated[int, counts(2, MOST)]  # one advantage alone can't be normalized
+    num_envs: Count  # number of environments stepped at once
+    n_steps: Count  # epochs of each environment between two updates
+    batch_size: Annotated[int, counts(2, MOST)]  # a single advantage can't be normalized
     n_epochs: Count  # passes over the collected epochs
     # learning_rate, ent_coef: values at the start; both fall linearly
     learning_rate: Positive
@@ -30,19 +30,19 @@ class PpoHyperparameters:
     gamma: Probability  # discount per epoch
     gae_lambda: Probability  # lambda of generalized advantage estimation
     clip_range: Positive  # clipping range of the probability ratio
-    max_grad_norm: Positive  # longest gradient
-    target_kl: Positive  # an update stops when the policy has moved further
-    hidden: Neurons  # size of each tanh layer of the actor and of the critic
+    max_grad_norm: Positive  # length to which longer gradients are shortened
+    target_kl: Positive  # KL divergence from the old policy that stops an update
+    hidden: Neurons  # sizes of the tanh layers, the same in actor and critic
     clip_observation: Positive  # normalized observations are clipped to plus or minus this
-    # train on the reward minus the IMM's reward on the same episode: actions do not change the
-    # IMM's reward, so the best policy stays the same and the variance falls
+    # whether to train on the reward minus the IMM's reward in the same episode: actions do not
+    # change the IMM's reward, so the best policy stays the same and the variance falls
     paired: bool
-    # added to the logit of action 0 at the start. Where every mode keeps its own belief, action 0
-    # trusts no mode: learning starts level with the IMM
+    # added to the logit of action 0 at the start. If every mode keeps its own belief, action 0
+    # trusts the IMM's mixture instead of one mode, so that learning starts level with the IMM
     first_action_bias: Positive = 0.0
 
     algorithm = "ppo"
-    together = 1  # adjacent environments that must share a place
+    together = 1  # number of adjacent environments that must share a place (scene and radio)
 
     def __post_init__(self) -> None:
         require_fields(self)
@@ -52,24 +52,24 @@ class PpoHyperparameters:
 class RolloutHyperparameters:
     """Hyperparameters of rollout policy iteration (:mod:`experiments.training.rollouts`)."""
 
-    num_envs: Count  # environments stepped at once
-    horizon: Count  # epochs of a rollout
+    num_envs: Count  # number of environments stepped at once
+    horizon: Count  # length of a rollout, epochs
     gamma: Probability  # discount per second
-    stride: Count  # epochs between two states of an environment in which all actions are tried
-    states: Count  # least number of states to try all actions in between two updates
-    memory: Count  # latest states that an update learns from
-    gradient_steps: Count  # gradient steps of an update
-    batch_size: Count  # states of a gradient step
+    stride: Count  # epochs of an environment between two states in which all actions are tried
+    states: Count  # minimum number of such states between two updates of the network
+    memory: Count  # number of latest states that an update learns from
+    gradient_steps: Count  # number of gradient steps of an update
+    batch_size: Count  # number of states in a gradient step
     # learning_rate, ent_coef: values at the start; both fall linearly
     learning_rate: Positive
     ent_coef: Positive
     final_fraction: Probability  # share of both rates that is left at the end
-    hidden: Neurons  # size of each tanh layer
+    hidden: Neurons  # sizes of the tanh layers
     clip_observation: Positive  # normalized observations are clipped to plus or minus this
-    first_action_bias: Positive  # logit of action 0 at the start, with the other logits about 0
+    first_action_bias: Positive  # logit of action 0 at the start; the others are about 0
 
     algorithm = "rollouts"
-    together = WIDTH  # adjacent environments that must share a place: they run as lanes
+    together = WIDTH  # the same for rollouts, whose environments run on SIMD lanes
 
     def __post_init__(self) -> None:
         require_fields(self)
@@ -100,7 +100,7 @@ def read_hyperparameters(path: Path, algorithm: str) -> Hyperparameters:
 
 
 def hyperparameters_as_written(hyper: Hyperparameters) -> dict[str, Any]:
-    """Return hyperparameters as a file holds them, without default values."""
+    """Return hyperparameters in the form that a file stores, without default values."""
     return {
         field.name: list(value) if isinstance(value, tuple) else value
         for field in fields(hyper)
@@ -109,7 +109,7 @@ def hyperparameters_as_written(hyper: Hyperparameters) -> dict[str, Any]:
 
 
 def shipped_hyperparameters(algorithm: str, beliefs: str = "shared") -> Path:
-    """Return the shipped file of an algorithm, for shared beliefs or beliefs per mode."""
+    """Return the shipped file for an algorithm, with shared beliefs or beliefs per mode."""
     guided = algorithm == "ppo" and beliefs == "per-mode"
     return Path(__file__).with_name(f"{'guided-' if guided else ''}{algorithm}.json")
 
@@ -118,7 +118,7 @@ def falling(last: float, left: float) -> float:
     """Return the share of a rate that remains when a fraction of the training is left.
 
     The last update may go beyond the end of the training, where the fraction is negative: the rate
-    falls further there, but stays positive.
+    then falls further, but stays positive.
 
     Args:
         last: share of the rate at the end.

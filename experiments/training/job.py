@@ -18,7 +18,7 @@ class News(NamedTuple):
 
     Attributes:
         timesteps: number of timesteps so far.
-        text: sentence about an event; mostly empty.
+        text: sentence about an event; empty in most news.
         evaluation: figures of a periodic evaluation, "reward" among them, by name.
     """
 
@@ -34,20 +34,20 @@ Tell = Callable[[News], None]
 class Job(Generic[H]):
     """A training to run."""
 
-    # task, hyperparameters: arguments of the environments, and of the algorithm
+    # arguments of the environments and of the algorithm
     task: TrainingTask
     hyperparameters: H
     seed: int  # number of the training, from 0
     # length of the training: epochs of all environments, or states in which all actions are tried
     timesteps: int
-    folder: Path  # folder for all files
-    command: str  # command that makes the policy file
-    checkpoint_every: int  # updates between two checkpoints
+    folder: Path  # folder for all files of the training
+    command: str  # command that the policy file records as its origin
+    checkpoint_every: int  # number of updates between two checkpoints
     episodes: int = EPISODES  # number of episodes to judge policies on
 
     @property
     def outcome(self) -> Path:
-        """Return the file of the outcome, which exists once the training is over."""
+        """Return the file of the outcome, which exists once the training is finished."""
         return self.folder / "outcome.json"
 
     @property
@@ -57,10 +57,10 @@ class Job(Generic[H]):
 
     @property
     def checkpoint(self) -> Path:
-        """Return the file of the latest checkpoint, which exists until the training is over."""
+        """Return the file of the latest checkpoint, which is deleted when the training finishes."""
         return self.folder / "checkpoint.pt"
 
     @property
     def first_seed(self) -> int:
-        """Return the first seed of the seeds that belong to the training."""
+        """Return the first of the seeds that belong to the training."""
         return TRAINING_SEED + SEEDS_EACH * self.seed

@@ -1,4 +1,4 @@
-"""Training of a switcher with Stable-Baselines3's PPO, with evaluations and checkpoints."""
+"""Training of a policy with Stable-Baselines3's PPO, with evaluations and checkpoints."""
 
 from inspect import signature
 from typing import Any, cast
@@ -20,18 +20,18 @@ from experiments.training.vec_env import PlacesVecEnv
 from mmwave_env.interface.info import LAST_KEYS
 from policies.policy_file import Tensors
 
-# Updates between two rows of the log, and between two evaluations, before and after the policy
-# beats the paper's rule.
+# Number of updates between two rows of the log (LOG), and between two evaluations before (EARLY)
+# and after (LATER) the policy first beats the paper's rule.
 LOG, EARLY, LATER = 4, 2, 16
-MOMENTS = ("mean", "var", "count")  # of the observations so far
+MOMENTS = ("mean", "var", "count")  # attributes that hold the moments of all observations so far
 
 
 class PpoTraining(BaseCallback):
-    """A training in progress; Stable-Baselines3 calls it around the epochs that it collects.
+    """A training in progress; Stable-Baselines3 calls it before and after it collects epochs.
 
     Args:
         job: training to run; continues from a checkpoint in its folder, if any.
-        tell: takes the news of the training.
+        tell: function that is called with news of the training.
 
     Attributes:
         env: environments of all places.
@@ -63,7 +63,7 @@ class PpoTraining(BaseCallback):
                 with going_on_from(job.checkpoint):
                     self._restore(stand.pop("learner"), with_arrays(stand.pop("env")))
             left, fresh = job.timesteps - model.num_timesteps, not model.num_timesteps
-            never: Any = None  # keeps SB3 from logging by itself; its annotation lacks it
+            never: Any = None  # stops SB3's own logging, but its annotation forbids None
             model.learn(left, self, log_interval=never, reset_num_timesteps=fresh)
             stand["timesteps"] = model.num_timesteps
             self._evaluate()
@@ -77,7 +77,7 @@ class PpoTraining(BaseCallback):
 
     @property
     def actor(self) -> Tensors:
-        """Return the actor as a policy file holds it."""
+        """Return the actor's tensors in the form that a policy file stores."""
         sigma = np.sqrt(self.moments.var + self.normal.epsilon)
         normal = Normalization.clipped(self.moments.mean, sigma, self.normal.clip_obs)
         return actor_tensors(layers_of(self.model.policy), normal)
@@ -123,7 +123,7 @@ class PpoTraining(BaseCallback):
 
     def _learner_state(self) -> dict[str, Any]:
         model = self.model
-        kind, keys, *rest = np.random.get_state()  # noqa: NPY002  it shuffles the batches
+        kind, keys, *rest = np.random.get_state()  # noqa: NPY002  batches are shuffled with it
         return {
             "timesteps": model.num_timesteps,
             "updates": model._n_updates,
@@ -160,7 +160,7 @@ class PpoTraining(BaseCallback):
 
 
 def learner(venv: VecNormalize, hyper: PpoHyperparameters, seed: int) -> PPO:
-    """Make the algorithm, ready to learn; the environments are seeded, too.
+    """Return the PPO algorithm, ready to learn; also seed the environments.
 
     Args:
         venv: environments to learn in.
@@ -176,7 +176,7 @@ def learner(venv: VecNormalize, hyper: PpoHyperparameters, seed: int) -> PPO:
         policy_kwargs={
             "net_arch": {"pi": layers, "vf": layers},
             "activation_fn": torch.nn.Tanh,
-            "optimizer_kwargs": {"eps": 1e-5, "fused": True},  # eps is SB3's own
+            "optimizer_kwargs": {"eps": 1e-5, "fused": True},  # eps is SB3's default
         },
         seed=seed,
         device="cpu",

@@ -20,7 +20,7 @@ Outcome = dict[str, Any]
 
 
 def train(job: Job[Any], tell: Tell) -> Outcome:
-    """Run a training in this process; return figures of the training and its best policy.
+    """Run a training in this process; return figures about the training and its best policy.
 
     Raises:
         ValueError: the checkpoint is damaged.
@@ -33,18 +33,18 @@ def train(job: Job[Any], tell: Tell) -> Outcome:
 def side_by_side(
     jobs: Sequence[Job[Any]], at_once: int, tell: Callable[[Job[Any], News], None]
 ) -> list[Outcome]:
-    """Run trainings in parallel; end all others where one fails or is interrupted.
+    """Run trainings in parallel; if one fails or is interrupted, end all others.
 
     Args:
         jobs: trainings to run.
-        at_once: number of processes.
-        tell: takes a job and its news.
+        at_once: number of processes that run at once.
+        tell: function that is called with a job and its news.
 
     Returns:
         An outcome for every job.
 
     Raises:
-        ValueError: a training refused its input.
+        ValueError: the input of a training is not valid.
         ChildProcessError: a training failed in another way, or was ended from outside.
     """
     waiting, outcomes = list(reversed(jobs)), dict[int, Outcome]()
@@ -64,7 +64,7 @@ def side_by_side(
                     process.join()
                     raise ChildProcessError(
                         f"seed {job.seed}: its process ended with code {process.exitcode}; "
-                        "--resume goes on with the run"
+                        "--resume continues the run"
                     ) from None
                 if kind == "news":
                     tell(job, News(*content))
@@ -83,9 +83,9 @@ def side_by_side(
 
 
 def _started(job: Job[Any]) -> tuple[Connection, BaseProcess]:
-    """Start a process that trains; return it with the connection that carries its news."""
+    """Start a process that trains; return the connection that carries its news, and the process."""
     spawn = multiprocessing.get_context("spawn")  # a fork would share PyTorch's locks
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # else the trainings compete for cores
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # otherwise the trainings compete for cores
     ours, theirs = spawn.Pipe(duplex=False)
     process = spawn.Process(target=_train, args=(job, theirs), daemon=True)
     with answered([signal.SIGINT], signal.SIG_IGN), theirs:  # only the parent handles Ctrl-C

@@ -22,11 +22,11 @@ STEP = "timesteps"
 
 
 class ProgressLog(KVWriter):
-    """A log of a training; a row has figures of recent episodes and of the update after them.
+    """A log of a training; each row has figures about recent episodes and the update after them.
 
     Args:
         folder: folder of ``progress.csv`` and TensorBoard's events.
-        rows: rows of a training that continues; later events in the folder are dropped.
+        rows: rows so far, if a training continues; later events in the folder are dropped.
     """
 
     def __init__(self, folder: Path, rows: list[dict[str, float]]) -> None:
@@ -38,7 +38,7 @@ class ProgressLog(KVWriter):
     def write(
         self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0
     ) -> None:
-        """Add a row, without Stable-Baselines3's times, which restart with the process."""
+        """Add a row; leave out Stable-Baselines3's times, which restart with the process."""
         numbers = {
             key: float(value) for key, value in key_values.items() if not key.startswith("time/")
         }
@@ -47,7 +47,7 @@ class ProgressLog(KVWriter):
         self.rows.append({STEP: float(step), **numbers})
 
     def save(self) -> None:
-        """Write the CSV file, with empty cells where a row lacks a figure."""
+        """Write the CSV file; the cell of a figure that a row lacks is empty."""
         names = dict.fromkeys(name for row in self.rows for name in row)
         text = io.StringIO()
         table = csv.DictWriter(text, list(names), lineterminator="\n")
@@ -61,12 +61,12 @@ class ProgressLog(KVWriter):
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Write the rest of the log; after a failure only end the thread that writes events."""
+        """Write the rest of the log; after an exception, only end the thread that writes events."""
         if kind is None:
             self.save()
             self._events.close()
         else:
-            with suppress(OSError):  # such as a full disk, which may be the failure
+            with suppress(OSError):  # a full disk, for example, may be why the training failed
                 self._events.close()
 
 
@@ -75,12 +75,12 @@ class Record:
 
     Args:
         job: training to record.
-        tell: takes the news of the training.
+        tell: function that is called with news of the training.
 
     Attributes:
-        stand: state of the training: updates and timesteps so far; figures of the "best" policy;
-            the time when a policy "beat_rule", the paper's rule; both None before. Further
-            entries of a checkpoint stay until the trainer takes them out.
+        stand: state of the training: updates and timesteps so far; "best", figures of the best
+            policy, and "beat_rule", when a policy first beat the paper's rule, both None at first.
+            Further entries of a checkpoint stay until the trainer takes them out.
         log: log of the training's progress.
 
     Raises:
@@ -113,10 +113,10 @@ class Record:
 
         Args:
             actor: tensors of the policy.
-            table: features that the policy observes.
+            table: table of the features that the policy observes.
 
         Returns:
-            Figures for the log.
+            Mean figures for the log.
         """
         stand, latest = self.stand, self._job.folder / "latest.safetensors"
         write_bytes(latest, to_bytes(actor, self._card(table, {})))
@@ -138,13 +138,13 @@ class Record:
         return {f"tuning/{key}": mean for key, mean in means.items()}
 
     def save(self, **more: Any) -> None:
-        """Write the log, and a checkpoint that also holds ``more``."""
+        """Write the log, and a checkpoint that also has the entries ``more``."""
         self.log.save()
         here = {"seconds": self.seconds, "rows": self.log.rows}
         write_checkpoint(self._job.checkpoint, self.stand | here | more)
 
     def close(self) -> dict[str, Any]:
-        """Write and return the outcome: figures of the training and of its best policy."""
+        """Write and return the outcome: figures about the training and about its best policy."""
         outcome = {"seed": self._job.seed, "timesteps": self.stand["timesteps"]}
         outcome |= {"seconds": round(self.seconds, 1)}
         outcome |= {key: self.stand[key] for key in ("beat_rule", "best")}

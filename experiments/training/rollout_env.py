@@ -1,8 +1,8 @@
-"""Environments at many places, with rollouts that measure the value of every action.
+"""Environments at several places, with rollouts that measure the value of every action.
 
-The world does not depend on actions. So copies of an environment have the same measurements
-whatever their actions are, and differences of value between actions are free of the noise between
-episodes (common random numbers).
+A *place* is a scene with a radio and a rate of epochs. The world does not depend on actions. So
+copies of an environment have the same measurements whatever their actions are, and differences of
+value between actions are free of the noise between episodes (common random numbers).
 """
 
 from collections.abc import Callable
@@ -23,8 +23,8 @@ from mmwave_env.models.layout import Layout
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.world.keys import Streams
 
-STATE = ("rows", "table", "length", "epoch")  # arrays of a batch that the future depends on
-CONSTANT = 1e-4  # standard deviation of a feature that never changes
+STATE = ("rows", "table", "length", "epoch")  # arrays of a batch that determine its future
+CONSTANT = 1e-4  # added to standard deviations, as a feature that never changes has none
 
 Observations = NDArray[np.float32]
 Act = Callable[[Observations], Index]
@@ -35,7 +35,7 @@ class Tried(NamedTuple):
 
     Attributes:
         observations: (k, features) observations in the states.
-        values: (k, actions) discounted rewards of each action and the actions after it.
+        values: (k, actions) sum of discounted rewards of each action and the actions after it.
     """
 
     observations: Observations
@@ -45,22 +45,22 @@ class Tried(NamedTuple):
 class RolloutEnv:
     """N environments, spread over the places of a task and over the epochs of an episode.
 
-    Eight adjacent environments share a place and an epoch; the first episodes are cut short, so
-    that other groups of eight are in other epochs.
+    Eight adjacent environments share a place and an epoch. Their first episodes are cut to
+    different lengths, so that the groups of eight are in different epochs.
 
     Args:
         task: task of the training.
         n: number of environments, a multiple of eight.
         horizon: length of a rollout, epochs.
-        discount: discount of a reward one second later.
+        discount: factor by which a reward one second later counts less.
         seed: seed of the first environment; the other seeds count up from it.
 
     Attributes:
         observation: table of features.
-        observations: (n, features) observations that wait for an action.
+        observations: (n, features) latest observations, which need an action.
 
     Raises:
-        ValueError: n is no multiple of eight or too small, or banks need different programs.
+        ValueError: n is not a multiple of eight or too small, or banks need different programs.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class RolloutEnv:
         return max(source.epochs for source in self._sources)
 
     def step(self, actions: Index) -> Array:
-        """Take an action in every environment (n,); a new episode follows each that ends.
+        """Take the actions (n,), one in every environment; start new episodes after those that end.
 
         Returns:
             The rewards (n,).
@@ -112,7 +112,7 @@ class RolloutEnv:
         return rewards[:, 0]
 
     def _begin(self, places: Index) -> None:
-        """Start new episodes in some environments (k,)."""
+        """Start new episodes in the environments with these indices (k,)."""
         for i, source in enumerate(self._sources):
             here = places[self._place[places] == i]
             if len(here):
@@ -121,10 +121,10 @@ class RolloutEnv:
         self.observations[places] = begun[places]
 
     def measured_normalization(self, clip: float) -> Normalization:
-        """Measure mean and deviation of observations under action 0 for the longest episode.
+        """Measure mean and deviation of observations, with action 0 over the longest episode.
 
         Args:
-            clip: deviations from the mean at which observations are clipped.
+            clip: number of deviations from the mean at which observations are clipped.
         """
         parts = []
         for _ in range(self.epochs):
@@ -135,11 +135,12 @@ class RolloutEnv:
         return Normalization.clipped(mean, sigma, clip)
 
     def try_all(self, act: Act) -> Tried:
-        """Try every action in all states that are at least the horizon from their episode's end.
+        """Try every action in all states whose episode lasts for at least the horizon.
 
         Args:
-            act: chooses the actions after the first, for observations (actions * n, features):
-                first the copies of all environments that began with action 0, then with 1, ...
+            act: function that chooses the actions after the first, for observations
+                (actions * n, features): first those of all environments in the copies that began
+                with action 0, then of the copies that began with action 1, and so on.
         """
         n, actions = len(self._everyone), len(self.observation.actions)
         self._copy()
@@ -153,7 +154,7 @@ class RolloutEnv:
         return Tried(self.observations[whole], values.T[whole])
 
     def _copy(self) -> None:
-        """Give every action a copy of each environment, with the epochs up to the horizon."""
+        """Copy each environment for every action, with the epochs up to the horizon."""
         state, batch = self._engine.batch.state, self._copies.batch
         actions, n = len(self.observation.actions), len(self._everyone)
         columns = state.table.shape[2]
@@ -161,7 +162,7 @@ class RolloutEnv:
             table = np.empty((actions * n, self._horizon, columns))
             length = np.full(actions * n, self._horizon)
             batch.state = batch.state._replace(table=table, length=length)
-        # past the end of an episode, where values are discarded, its last epoch is repeated
+        # Past the end of an episode its last epoch is repeated; such values are discarded.
         epochs = np.minimum(state.epoch[:, None] + np.arange(self._horizon), self.epochs - 1)
         ahead = state.table[self._everyone[:, None], epochs]
         batch.state.table.reshape(actions, *ahead.shape)[:] = ahead
@@ -169,14 +170,14 @@ class RolloutEnv:
         batch.state.epoch[:] = 0
 
     def state(self) -> dict[str, Any]:
-        """Return a copy of all state that the future depends on, for :meth:`restore`."""
+        """Return a copy of all state that determines the future, for :meth:`restore`."""
         state = self._engine.batch.state
         arrays = {name: getattr(state, name).copy() for name in STATE}
         observations = self.observations.copy()
         return arrays | {"streams": self._streams.states(), "observations": observations}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Restore the environments, bit by bit, to the :meth:`state` of others."""
+        """Restore the exact :meth:`state` of other environments."""
         for name in STATE:
             getattr(self._engine.batch.state, name)[:] = state[name]
         self._streams.set_states(state["streams"])
@@ -187,14 +188,14 @@ def _one_pipeline(task: TrainingTask, layout: Layout) -> Pipeline:
     """Return the pipeline that runs all banks of a task.
 
     Raises:
-        ValueError: the banks differ in more than tuned numbers.
+        ValueError: the banks differ in more than their tuned numbers.
     """
     pipeline = Pipeline(task.bank.modes, layout)
     for radio, bank in task.banks.items():
         if untuned(replace(pipeline, modes=bank.modes)) != untuned(pipeline):
             raise ValueError(
-                f"bank of {radio}: found other algorithms or safeguards than in that of "
-                f"{task.places[0].profile}, expected modes that differ in process noise and known "
-                "accelerations alone"
+                f"bank of {radio}: found other algorithms or safeguards than in the bank of "
+                f"{task.places[0].profile}, expected modes that differ only in process noise and "
+                "known accelerations"
             )
     return pipeline

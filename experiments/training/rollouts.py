@@ -1,10 +1,10 @@
-"""Training of a switcher by rollout policy iteration with common random numbers.
+"""Training of a policy by rollout policy iteration with common random numbers.
 
-In states that the current policy visits, every action is tried on the same measurements, each
-followed by the greedy policy for some epochs (:class:`RolloutEnv`). The network moves towards the
-better actions (:class:`RolloutLearner`), and so on. This is rollout policy iteration (Bertsekas,
-Rollout, Policy Iteration, and Distributed Reinforcement Learning, 2020), and exact up to the
-horizon, since the world does not depend on actions.
+In states that the current policy visits, every action is tried on the same measurements, followed
+by the greedy policy for some epochs (:class:`RolloutEnv`). Then the network moves towards the
+better actions (:class:`RolloutLearner`), and both steps repeat. This is rollout policy iteration
+(Bertsekas, Rollout, Policy Iteration, and Distributed Reinforcement Learning, 2020). It is exact
+up to the horizon, since the world does not depend on actions.
 """
 
 from copy import deepcopy
@@ -23,14 +23,14 @@ from experiments.training.record import Record
 from experiments.training.rollout_env import Observations, RolloutEnv, Tried
 from mmwave_env.numerics.numbers import Index
 
-EVALUATE = 8  # updates between two evaluations
+EVALUATE = 8  # number of updates between two evaluations
 
 
 class RolloutLearner:
     """The network, its optimizer and the states that it learns from.
 
-    In every state of the memory all actions were tried, each followed by the policy of that time.
-    The network maximizes the mean of sum_a pi(a | s) (Q(s, a) - Q(s, 0)), with a small entropy
+    In every state in the memory, all actions were tried, each followed by the policy at that time.
+    The network maximizes the mean of sum_a pi(a | s) (Q(s, a) - Q(s, 0)), plus a small entropy
     bonus.
 
     Args:
@@ -76,13 +76,13 @@ class RolloutLearner:
 
     @torch.no_grad()
     def sampled(self, observations: Observations) -> Index:
-        """Draw actions (n,) by their probabilities, for observations (n, features)."""
+        """Draw actions (n,) with the network's probabilities, for observations (n, features)."""
         probabilities = torch.softmax(self._logits(observations), 1)
         actions: Index = torch.multinomial(probabilities, 1)[:, 0].numpy()
         return actions
 
     def remember(self, tried: Tried) -> None:
-        """Add states to the memory, in place of the oldest."""
+        """Add states to the memory; they replace the oldest."""
         memory = len(self._gains)
         rows = torch.arange(self._seen, self._seen + len(tried.values)) % memory
         gains = tried.values - tried.values[:, :1]
@@ -91,14 +91,14 @@ class RolloutLearner:
         self._seen += len(gains)
 
     def improve(self, left: float) -> dict[str, float]:
-        """Take gradient steps on random states of the memory.
+        """Take gradient steps on random states from the memory.
 
         Args:
-            left: remaining share of the rates, from 1 down.
+            left: share of the learning rate and of the entropy bonus that remains, 1 at the start.
 
         Returns:
-            Figures for the log: the mean gain over action 0 that the policy expects, the mean
-            gain of the best actions, and the entropy.
+            Figures for the log: the policy's expected gain over action 0, the gain of the best
+            actions (both means over states), and the entropy.
         """
         hyper, filled = self._hyper, min(self._seen, len(self._gains))
         for group in self._optimizer.param_groups:
@@ -120,7 +120,7 @@ class RolloutLearner:
         return dict(zip(names, (sums / hyper.gradient_steps).tolist(), strict=True))
 
     def state(self) -> dict[str, Any]:
-        """Return all state that the future depends on, for :meth:`restore`."""
+        """Return all state that determines the future, for :meth:`restore`."""
         return {
             "network": self.network.state_dict(),
             "optimizer": self._optimizer.state_dict(),
@@ -130,9 +130,9 @@ class RolloutLearner:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Restore the learner, bit by bit, to the :meth:`state` of another."""
+        """Restore the exact :meth:`state` of another learner."""
         self.network.load_state_dict(state["network"])
-        self._optimizer.load_state_dict(deepcopy(state["optimizer"]))  # else it keeps the tensors
+        self._optimizer.load_state_dict(deepcopy(state["optimizer"]))  # it would keep the tensors
         self._observations[:], self._gains[:] = state["observations"], state["gains"]
         self._seen = state["seen"]
 
@@ -142,7 +142,7 @@ class RolloutTraining:
 
     Args:
         job: training to run; continues from a checkpoint in its folder, if any.
-        tell: takes the news; a timestep is a state in which actions were tried.
+        tell: function that is called with news; a timestep is a state in which actions were tried.
 
     Attributes:
         env: environments in which actions are tried.

@@ -1,4 +1,4 @@
-"""The train command: folder of a run, progress on a terminal, and summary."""
+"""The train command: the folder of a run, its progress on a terminal, and its summary."""
 
 import shutil
 from collections.abc import Iterator, Mapping
@@ -36,10 +36,10 @@ from mmwave_env.io.lookup import choose
 if TYPE_CHECKING:
     from experiments.train import Args
 
-SMOKE_EPISODES = 20  # episodes to judge a policy on
-TIMESTEPS = {"ppo": 4_000_000, "rollouts": 1_200_000}  # length of a training
+SMOKE_EPISODES = 20  # number of episodes to judge the policy of a smoke run on
+TIMESTEPS = {"ppo": 4_000_000, "rollouts": 1_200_000}  # default length of a training
 
-# Options that do not affect a policy: the command in its file leaves them out.
+# Options that do not affect a policy; the command that its file records leaves them out.
 ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")
 
 
@@ -51,7 +51,7 @@ def smoke(args: "Args") -> "Args":
 
 
 def rewards(args: TaskArgs) -> Reward:
-    """Return the reward to learn, before the IMM's reward is subtracted."""
+    """Return the reward to learn, without the subtraction of the IMM's reward."""
     reward = choose(REWARDS, args.reward, "reward")
     if isinstance(reward, PairedReward):
         reward = reward.reward
@@ -61,7 +61,7 @@ def rewards(args: TaskArgs) -> Reward:
 
 
 def training_task(args: TaskArgs) -> TrainingTask:
-    """Return the task that options describe.
+    """Return the training task that options describe.
 
     Raises:
         ValueError: a place, mode or reward is unknown, a place is named twice, or both a radio
@@ -69,7 +69,7 @@ def training_task(args: TaskArgs) -> TrainingTask:
     """
     places = places_from(args.places) if args.places else (Place("street", args.radio),)
     if args.places and args.radio != TaskArgs.radio:
-        raise ValueError(f"radio: found {args.radio!r} beside places, which bring theirs")
+        raise ValueError("radio: cannot be combined with places, which name their radios")
     banks = banks_of(args.modes, places, args.beliefs)
     return TrainingTask(args.scenario, places, banks, args.observation, rewards(args), args.beliefs)
 
@@ -94,11 +94,11 @@ def hyperparameters(args: TaskArgs, places: int, path: Path | None = None) -> Hy
         raise ValueError(f"{path}: {error}") from error
     if isinstance(hyper, PpoHyperparameters):
         return replace(hyper, paired=hyper.paired or args.reward == "paired")
-    return hyper  # rollouts learn from differences, where the IMM's reward would cancel
+    return hyper  # rollouts learn from differences, in which the IMM's reward cancels
 
 
 def manifest_of(args: "Args", banks: Mapping[str, Bank], hyper: Hyperparameters) -> dict[str, Any]:
-    """Return the choices that a continued run must repeat, as JSON holds them."""
+    """Return the choices that a continued run must repeat, in the form of JSON."""
     written = {radio: bank_as_written(bank) for radio, bank in banks.items()}
     first, *_ = written.values()
     choices = {"banks": written} if args.beliefs == "per-mode" else {"modes": first["modes"]}
@@ -112,7 +112,7 @@ def begin(args: "Args", manifest: dict[str, Any]) -> None:
     """Make the folder of a run, or check that the folder holds the run to resume.
 
     Raises:
-        ValueError: the folder holds a run already; or no run, or another run, to resume.
+        ValueError: the folder already holds files; or, to resume, it holds no run or another run.
     """
     path = args.out / "run.json"
     if args.resume:
@@ -123,11 +123,11 @@ def begin(args: "Args", manifest: dict[str, Any]) -> None:
     if args.out.exists() and any(args.out.iterdir()):
         if not args.overwrite:
             raise ValueError(
-                f"out: found files in {args.out}; --resume goes on with the run there, "
+                f"out: found files in {args.out}; --resume continues the run there, "
                 "--overwrite replaces it, --out names another folder"
             )
         if not path.is_file():
-            raise ValueError(f"out: found files in {args.out} that are no run, and left them")
+            raise ValueError(f"out: found files in {args.out} that are not a run, and left them")
         shutil.rmtree(args.out)
     write_json(path, manifest)
 
@@ -144,13 +144,13 @@ def _require_same(path: Path, manifest: dict[str, Any]) -> None:
         if begun.get(key) != expected.get(key):
             raise ValueError(
                 f"{path}: {key}: found {begun.get(key)}, expected {expected.get(key)}; resume a "
-                "run with the options it was started with"
+                "run with the same options as at its start"
             )
 
 
 @contextmanager
 def shown(jobs: list[Any]) -> Iterator[Any]:
-    """Show a bar for each training, on a terminal; yield a function that takes news."""
+    """Show a progress bar for each training; yield the function to call with its news."""
     with bars(TimeElapsedColumn()) as bar:
         tasks = {job.seed: bar.add_task(f"seed {job.seed}", total=job.timesteps) for job in jobs}
 
@@ -164,7 +164,7 @@ def shown(jobs: list[Any]) -> Iterator[Any]:
 
 
 def summary(outcomes: list[dict[str, Any]]) -> str:
-    """Return all seeds as a Markdown table, best first."""
+    """Return the outcomes of all training seeds as a Markdown table, in the given order."""
     rows: list[list[Any]] = []
     minus = [key for key in outcomes[0]["best"] if key.startswith("minus ")]
     for outcome in outcomes:
@@ -188,7 +188,7 @@ def train(args: "Args") -> None:
             f"train needs more than the base install: {error}; pip install 'mmwave-loc[train]'"
         ) from error
     if args.resume and args.overwrite:
-        raise ValueError("overwrite: found it beside resume, expected one of them")
+        raise ValueError("overwrite: cannot be combined with resume, which keeps the run")
     for name in ("seeds", "total_timesteps", "jobs", "checkpoint_every"):
         count = getattr(args, name)
         if count is not None and count < 1:
@@ -220,8 +220,8 @@ def train(args: "Args") -> None:
     if args.smoke:
         say(
             "",
-            f"A smoke run, judged on {SMOKE_EPISODES} episodes: training works. How well is said "
-            "by a run without --smoke; evaluate and compare refuse the policy of this one.",
+            f"A smoke run, judged on {SMOKE_EPISODES} episodes: training works. To see how well, "
+            "run it without --smoke; evaluate and compare refuse the policy of a smoke run.",
         )
     else:
-        say("", f"the median seed, {median['seed']}, is {args.out / 'policy.safetensors'}")
+        say("", f"{args.out / 'policy.safetensors'} is from the median seed, {median['seed']}")

@@ -1,4 +1,4 @@
-"""The task that a switcher learns: places to train in, and arguments of the environments there.
+"""The task that a policy learns: places to train at, and arguments of the environments there.
 
 A *place* is a scene with a radio and a rate of epochs.
 """
@@ -39,11 +39,11 @@ class Place:
 
     def __post_init__(self) -> None:
         source = self.source("mixed")
-        # The names inside JSON files count.
+        # The names inside JSON files count, not the names of the files.
         for argument, name in (("scene", source.scene.name), ("radio", source.radio.name)):
             if name in UNSEEN:
                 raise ValueError(
-                    f"{argument}: found {name!r}, expected one to train on: the benchmark keeps "
+                    f"{argument}: found {name!r}, expected one to train on; the benchmark keeps "
                     f"{', '.join(UNSEEN)} unseen"
                 )
 
@@ -57,13 +57,13 @@ class Place:
         return self.source("mixed").radio.name
 
     def source(self, scenario: str) -> SimulatedSource:
-        """Return the source of episodes of a scenario at the place."""
+        """Return the source of episodes at the place for a scenario, a kind of user."""
         world = WorldArgs(scenario=scenario, scene=self.scene, radio=self.radio, dt=self.dt)
-        return cast(SimulatedSource, source_of(world))  # no recorded episodes were asked for
+        return cast(SimulatedSource, source_of(world))  # since no recorded data was asked for
 
 
 def place_from(text: str) -> Place:
-    """Return the place that a word on the command line names, :data:`FORM`.
+    """Return the place that a word on the command line names, in the form :data:`FORM`.
 
     Raises:
         ValueError: names the word, what was found in it and what was expected.
@@ -87,12 +87,12 @@ def places_from(words: Sequence[str]) -> tuple[Place, ...]:
     """
     places = tuple(map(place_from, words))
     if len(set(places)) < len(places):
-        raise ValueError(f"places: found {', '.join(map(str, places))}, expected none twice")
+        raise ValueError(f"places: found {', '.join(map(str, places))}, expected different places")
     return places
 
 
 def require_environments(count: int, places: int, together: int = 1) -> None:
-    """Refuse environments that can't be spread over the places.
+    """Check that a number of environments can be spread over the places.
 
     Args:
         count: number of environments.
@@ -100,7 +100,7 @@ def require_environments(count: int, places: int, together: int = 1) -> None:
         together: number of adjacent environments that must share a place.
 
     Raises:
-        ValueError: says how many environments are possible.
+        ValueError: it can't be; the message says which numbers are possible.
     """
     if count % together or count < together * places:
         multiple = f"a multiple of {together}, " if together > 1 else ""
@@ -118,12 +118,12 @@ def shares(count: int, places: int) -> list[int]:
 
 @dataclass(frozen=True)
 class TrainingTask:
-    """Arguments of ``MmWaveLoc-v0`` to learn with.
+    """Arguments of ``MmWaveLoc-v0`` for training.
 
     Attributes:
-        scenario, observation, beliefs: names.
-        places: places to train in; every environment is at one place.
-        banks: modes to choose from, by the name of a radio (:func:`banks_of`).
+        scenario, observation, beliefs: arguments of the same names.
+        places: places to train at; every environment is at one place.
+        banks: banks of modes to choose from, by the name of a radio (:func:`banks_of`).
         reward: function of (belief, truth).
 
     Raises:
@@ -145,8 +145,8 @@ class TrainingTask:
             if table.columns != tables[0].columns:
                 raise ValueError(
                     f"places: found {len(tables[0])} features at {self.places[0]} and "
-                    f"{len(table)} others at {place}, expected the same everywhere: as many "
-                    "anchors, and modes of the same names"
+                    f"{len(table)} others at {place}, expected the same features everywhere: the "
+                    "same number of anchors, and modes of the same names"
                 )
 
     @property
@@ -168,13 +168,13 @@ class TrainingTask:
 
 
 def banks_of(modes: Sequence[str], places: Sequence[Place], beliefs: str) -> dict[str, Bank]:
-    """Return the modes that a switcher chooses from at each radio, by the radio's name.
+    """Return the bank of modes that a policy chooses from with each radio, by the radio's name.
 
     Args:
-        modes: names and mode files, as on the command line; none for the defaults.
-        places: places to train in.
-        beliefs: "per-mode" for banks tuned for each radio; "shared" for the modes of the first
-            place's radio everywhere.
+        modes: names and mode files, as on the command line; empty for the defaults.
+        places: places to train at.
+        beliefs: "per-mode" for a bank tuned for each radio; "shared" for the modes tuned for the
+            radio of the first place, at all places.
 
     Raises:
         ValueError: same as from :func:`~mmwave_env.filters.bank.bank_from`.

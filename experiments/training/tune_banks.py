@@ -1,6 +1,6 @@
-"""Tuning of the bank of imm-best: modes that stand, cruise, turn, accelerate and brake.
+"""Tuning of the bank of imm-best: modes for users who stand, cruise, turn, accelerate or brake.
 
-All numbers of the bank are tuned at once, for the mean reward on all shipped streets at two rates.
+All numbers of the bank are tuned together, for the mean reward in all shipped scenes at two rates.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,10 +30,10 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import EpisodeBatch, EpisodeSource
 
-STEPS_S = (1.0, 0.1)  # steps between epochs
-SHARES = 3  # parts of the tuning episodes; a generation of the search uses one part
-# Modes of steady motion, whose gates reject contradicting measurements as outliers. The other modes
-# inflate the noise of such a measurement instead, since it may show a maneuver.
+STEPS_S = (1.0, 0.1)  # times between two epochs, s
+SHARES = 3  # parts of the tuning episodes; each generation of the search uses one part
+# The gates of modes for steady motion reject contradicting measurements as outliers. The other
+# modes inflate the noise of such a measurement instead, since it may be due to a maneuver.
 _STEADY: dict[str, Any] = {"sigma_p": 0.01, "adaptive": False, "blockage_aware": True}
 _LIVELY: dict[str, Any] = _STEADY | {"robust": True}
 START = (
@@ -46,17 +46,17 @@ START = (
 
 
 def tuned_bank(radio: str, episodes: int, seed: int, evaluations: int) -> dict[str, Any]:
-    """Return the best bank of a radio that the search finds on tuning episodes, as in files.
+    """Return the best bank for a radio that the search finds, in the form of a mode file.
 
     Args:
         radio: radio profile, a name or a JSON file.
-        episodes: number of episodes to tune on, in equal shares of streets and rates; as many
-            episodes of the following seeds measure the result.
+        episodes: number of episodes to tune on, divided equally among scenes and rates; the same
+            number of episodes with the following seeds measures the result.
         seed: seed of the first episode.
-        evaluations: most evaluations of the search.
+        evaluations: maximum number of banks that the search evaluates.
 
     Raises:
-        ValueError: too few episodes.
+        ValueError: there are too few episodes.
         ModuleNotFoundError: the extra "tune" is not installed.
     """
     require_extra("cmaes", "tune", "tune --bank")
@@ -93,12 +93,12 @@ def drawn(
     """Draw episodes in equal parts; each part has a batch for each source, in order.
 
     Raises:
-        ValueError: fewer seeds than shares.
+        ValueError: there are fewer seeds than shares.
     """
     if len(seeds) < shares:
         raise ValueError(
             f"episodes: found {len(seeds)} for each scene and step, expected {shares} or more, "
-            f"{shares * len(sources)} in all"
+            f"{shares * len(sources)} in total"
         )
     episodes = [draw_episodes(source, seeds) for source in sources]
     return [[EpisodeBatch.of(some[share::shares]) for some in episodes] for share in range(shares)]
@@ -108,8 +108,8 @@ def scores(bank: Bank, batches: Sequence[EpisodeBatch]) -> tuple[Array, Array]:
     """Run the IMM of a bank on all episodes, batch after batch.
 
     Returns:
-        The mean reward (n,) over the scored epochs of each episode; and lost (n,), 1 where the
-        track ends farther than DIVERGENCE_M from the truth, else 0.
+        The mean reward (n,) over the scored epochs of each episode; and lost (n,), 1 if the
+        estimated track ends farther than DIVERGENCE_M from the true position, else 0.
     """
     reward, lost = [], []
     for batch in batches:
@@ -130,26 +130,27 @@ SEED = 0  # seed of the search
 Value = Callable[[Bank, int], float]
 
 # Ranges to search:
-ODDS = (-14.0, 8.0)  # log of a probability to change over that to stay
-# Less velocity noise earns a little more where users walk as straight as simulated users do. A user
-# who weaves a few degrees, as in the recording of a pedestrian, would escape such a filter.
+ODDS = (-14.0, 8.0)  # log of a mode's probability to change over its probability to stay
+# Less velocity noise earns a slightly higher reward, but only because simulated users walk so
+# straight. A user who weaves by a few degrees, as in a recording, would escape such a filter.
 FREE = {
     "sigma_p": (0.005, 2.0),
     "sigma_v": (0.04, 6.0),
     "acceleration_mps2": (0.3, 6.0),
     "turn_rate_radps": (0.02, 1.0),
 }
-NINES = (1.0, 9.0)  # nines of the quantile up to which NIS counts: 3 nines are 0.999
-DECIMALS = 6  # digits of probabilities
+NINES = (1.0, 9.0)  # number of nines of the quantile at which NIS is capped: 3 nines are 0.999
+DECIMALS = 6  # decimals of probabilities
 
-_PROBABILITY_STEP, _NOISE_STEP, _NINES_STEP = 0.6, 0.25, 0.3  # deviations of the first points
+# standard deviations of the first points of the search
+_PROBABILITY_STEP, _NOISE_STEP, _NINES_STEP = 0.6, 0.25, 0.3
 
 
 def rows_as_softmax(odds: Array) -> Array:
-    """Return transition probabilities (modes, modes), (from, to), as a softmax of free odds.
+    """Return transition probabilities p (modes, modes), (from, to), as a softmax of log odds.
 
     Args:
-        odds: (modes (modes - 1),) log of p_ij / p_ii, row by row without the diagonal.
+        odds: (modes * (modes - 1),) log(p_ij / p_ii), row by row without the diagonal.
     """
     modes = 1 + int(np.sqrt(len(odds)))
     logits = np.zeros((modes, modes))
@@ -159,16 +160,16 @@ def rows_as_softmax(odds: Array) -> Array:
 
 
 class SearchSpace(NamedTuple):
-    """Start, scale and bounds of a search for k numbers."""
+    """Start, scale and bounds of a search over points of k numbers."""
 
-    start: Array  # (k,) first center
+    start: Array  # (k,) center of the first points
     deviation: Array  # (k,) standard deviations of the first points
     bounds: Array  # (k, 2) lowest and highest values
-    bank_at: Callable[[Array], Bank]  # bank at a point, with the digits of a file
+    bank_at: Callable[[Array], Bank]  # bank at a point, rounded as in a file
 
 
 def search_space(modes: Sequence[Mode]) -> SearchSpace:
-    """Return the space of a bank's numbers: transition, noise, maneuvers and NIS quantile."""
+    """Return the search space of a bank's transition, noise, maneuvers and NIS quantile."""
     n = len(modes)
     change = np.log((1.0 - DEFAULT_STAY) / (n - 1) / DEFAULT_STAY)
     chances, limits = [change] * (n * (n - 1)), [ODDS] * (n * (n - 1))
@@ -192,7 +193,7 @@ def search_space(modes: Sequence[Mode]) -> SearchSpace:
 
 
 def _written(transition: Array) -> tuple[tuple[float, ...], ...]:
-    """Round probabilities to few digits so that rows still sum to 1."""
+    """Round probabilities to DECIMALS so that rows still sum to 1."""
     short = transition.round(DECIMALS)
     np.fill_diagonal(short, 0.0)
     np.fill_diagonal(short, (1.0 - short.sum(axis=1)).round(DECIMALS))
@@ -203,13 +204,14 @@ def best_bank_of(space: SearchSpace, value: Value, evaluations: int) -> Bank:
     """Return the bank at the mean center of the second half of the search.
 
     Points are compared only within a generation, so each generation may have its own episodes. The
-    center of the search then wanders about the optimum of all episodes, and the mean center comes
-    closer to the optimum than the last center (Polyak and Juditsky 1992).
+    center of the search then wanders around the optimum of all episodes, and the mean of the
+    centers is closer to the optimum than the last one (Polyak and Juditsky 1992).
 
     Args:
         space: space to search.
-        value: objective to maximize, of a bank and the number of the generation.
-        evaluations: most calls of ``value``; fewer than a generation return the start.
+        value: function to maximize; its arguments are a bank and the number of the generation.
+        evaluations: maximum number of calls of ``value``; if they are fewer than one generation
+            needs, the start is returned.
     """
     from cmaes import CMA  # needs the extra "tune"
 

@@ -1,4 +1,4 @@
-"""Tuning of a mode's process noise: objectives and search."""
+"""Tuning of a mode's process noise: functions to maximize, and the search."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -18,7 +18,7 @@ from mmwave_env.world.episode import Episode
 
 Objective = Callable[[Mode], Array]
 
-# Range to search of each part of the process noise, in the units of Mode.
+# Range to search for each part of the process noise, in the units of Mode.
 RANGES = {
     "sigma_p": (0.01, 2.0),
     "sigma_v": (0.1, 4.0),
@@ -27,17 +27,18 @@ RANGES = {
     "sigma_b_mps": (0.01, 0.5),
     "spread_gain": (1e-4, 0.1),
 }
-# NIS beyond this chi-square quantile counts as this quantile in a likelihood. On data of the
-# filter's own model 0.99 would bias sigma_v by -6 %, 0.999 by less than 1 %.
+# NIS is capped at this chi-square quantile in a likelihood. On data simulated with the filter's
+# own model, 0.99 would bias sigma_v by -6 %, 0.999 by less than 1 %.
 CAP = 0.999
-POINTS = (6, 11)  # points of the grid along the second and the first parameter
-STEP = 0.3  # size of the first simplex in logarithms, about a third
+POINTS = (6, 11)  # number of grid points along the second and the first parameter
+STEP = 0.3  # size of the first simplex in the logarithm, about a third of a parameter
 
 
 def likelihood(history: dict[str, Array], layout: Layout) -> Array:
-    """Return the innovations' mean log-likelihood per epoch (episodes,), outliers capped.
+    """Return the innovations' mean log-likelihood per epoch (episodes,), with a cap on outliers.
 
-    Without the cap, unmodeled blockage would dominate. The value lacks -(rows / 2) log(2 pi).
+    Without the cap, unmodeled blockage would dominate. The constant -(rows / 2) log(2 pi) is
+    left out.
     """
     nis, log_likelihood = history["memory.nis"], history["log_likelihood"]
     rows = [group.stop - group.start for group in layout.groups]
@@ -61,7 +62,7 @@ OBJECTIVES = {
 
 
 def objective_of(name: str, mode: Mode, episodes: Sequence[Episode]) -> Objective:
-    """Return the objective per episode as a function of a mode with the algorithm of ``mode``."""
+    """Return the objective per episode as a function of a mode that has ``mode``'s algorithm."""
     function, names, _ = OBJECTIVES[name]
     layout = episodes[0].layout
     tracker = Tracker(Pipeline((mode,), layout), len(episodes))
@@ -77,8 +78,8 @@ def objective_of(name: str, mode: Mode, episodes: Sequence[Episode]) -> Objectiv
 def tune(mode: Mode, free: Sequence[str], objective: Objective) -> Mode:
     """Return the mode with the best values of its free parameters.
 
-    The best point of a logarithmic grid over the first two parameters is the start of a
-    Nelder-Mead search over all of them.
+    A Nelder-Mead search over all of them starts at the best point of a logarithmic grid over the
+    first two.
     """
     axes = [np.geomspace(*RANGES[name], POINTS[-1 - i]) for i, name in enumerate(free[:2])]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))

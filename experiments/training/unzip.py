@@ -1,7 +1,7 @@
-"""Extraction of the tensors of a Stable-Baselines3 model, in a process of its own.
+"""Extraction of the tensors of a Stable-Baselines3 model, in a separate process.
 
 Loading such a model runs code from its file. The process returns only a file of tensors, which
-is read without running code.
+can be read without running code.
 """
 
 import json
@@ -20,12 +20,12 @@ from experiments.evaluation.agents import in_one_line
 from experiments.training.actor import Normalization, actor_tensors, layers_of, require_actor
 from mmwave_env.io.files import open_regular
 
-DECISIONS = 1000  # size of the sample of decisions
-SHOWN, CHOSEN = "shown", "chosen"
+DECISIONS = 1000  # number of random observations for which the model's actions are returned
+SHOWN, CHOSEN = "shown", "chosen"  # names of these observations and actions among the tensors
 
 
 def unzipped(model: Path, normalize: Path | None) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Return the tensors of a model, and facts about its training.
+    """Extract the tensors of a model, and facts about its training.
 
     Args:
         model: file that ``model.save`` wrote.
@@ -37,7 +37,7 @@ def unzipped(model: Path, normalize: Path | None) -> tuple[dict[str, NDArray[Any
         name of its network.
 
     Raises:
-        ValueError: the model can't be loaded, or no policy file can hold it.
+        ValueError: the model can't be loaded, or does not fit into a policy file.
     """
     with TemporaryDirectory() as folder:
         out = Path(folder) / "model.safetensors"
@@ -47,7 +47,7 @@ def unzipped(model: Path, normalize: Path | None) -> tuple[dict[str, NDArray[Any
         process.start()
         try:
             process.join()
-        finally:  # the process must also end where this one is interrupted
+        finally:  # the process must also end if this one is interrupted
             process.kill()
             process.join()
         try:
@@ -65,7 +65,7 @@ def unzipped(model: Path, normalize: Path | None) -> tuple[dict[str, NDArray[Any
 
 
 def _unzip(model: str, normalize: Path | None, out: Path) -> None:
-    """Write the tensors, or the reason why the model has none; runs in the process."""
+    """Write the tensors, or the reason why there are none; runs in the separate process."""
     try:
         policy, data = _loaded(model)
         require_actor(model, policy)
@@ -73,7 +73,7 @@ def _unzip(model: str, normalize: Path | None, out: Path) -> None:
         if data.get("_last_obs") is not None and normalized is (normalize is None):
             expected = "the file that VecNormalize.save wrote" if normalized else "none"
             raise ValueError(
-                f"{model}: normalize: found {normalize or 'none'}, expected {expected}, as of its "
+                f"{model}: normalize: found {normalize or 'none'}, expected {expected}, as in its "
                 "training"
             )
         normal = _normalization(normalize, policy.observation_space)
@@ -87,7 +87,7 @@ def _unzip(model: str, normalize: Path | None, out: Path) -> None:
 
 
 def _loaded(model: str) -> tuple[Any, dict[str, Any]]:
-    """Load the network of a model, and the other data of its file."""
+    """Load the network of a model, and the other data in its file."""
     from stable_baselines3.common.save_util import load_from_zip_file
 
     try:
@@ -104,7 +104,7 @@ def _loaded(model: str) -> tuple[Any, dict[str, Any]]:
 
 
 def _normalization(path: Path | None, box: Any) -> Normalization:
-    """Read the normalization in a file of ``VecNormalize``; without a file it is trivial."""
+    """Read the normalization from a file of ``VecNormalize``; without a file, change nothing."""
     low, high = box.low.astype(float), box.high.astype(float)
     as_they_are = Normalization(low, high, np.zeros(box.shape), np.ones(box.shape))
     if path is None:

@@ -1,4 +1,4 @@
-"""Vector environment for Stable-Baselines3, made of native vector environments of places."""
+"""Vector environment for Stable-Baselines3, made of one native vector environment per place."""
 
 from collections.abc import Sequence
 from itertools import accumulate
@@ -19,8 +19,9 @@ from mmwave_env.world.simulated import SimulatedSource
 class PlacesVecEnv(VecEnv):
     """The environments of all places of a task, stepped together.
 
-    A reset plays each place for another number of epochs, with action 0, so that episodes end at
-    different times, and every update of a network has data from all phases of an episode.
+    A *place* is a scene with a radio and a rate of epochs. A reset steps each place by a different
+    number of epochs, with action 0, so that episodes end at different times, and every update of
+    a network has data from all phases of an episode.
 
     Args:
         task: task of the training.
@@ -62,7 +63,7 @@ class PlacesVecEnv(VecEnv):
         return seeds
 
     def reset(self) -> NDArray[Any]:
-        """Begin episodes everywhere; return observations (n, features)."""
+        """Begin episodes in all environments; return observations (n, features)."""
         observations = []
         for k, (part, env) in enumerate(zip(self._parts, self.envs, strict=True)):
             table = part.reset()
@@ -83,14 +84,14 @@ class PlacesVecEnv(VecEnv):
         return observations, rewards, over, [info for part in infos for info in part]
 
     def state(self) -> dict[str, Any]:
-        """Return all state that the future depends on, for :meth:`restore`."""
+        """Return all state that determines the future, for :meth:`restore`."""
         return {
             str(i): {"env": env.state(), "returns": part.state()}
             for i, (env, part) in enumerate(zip(self.envs, self._parts, strict=True))
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Restore the environments, bit by bit, to the :meth:`state` of others."""
+        """Restore the exact :meth:`state` of other environments."""
         for i, (env, part) in enumerate(zip(self.envs, self._parts, strict=True)):
             env.restore(state[str(i)]["env"])
             part.restore(state[str(i)]["returns"])
@@ -101,20 +102,20 @@ class PlacesVecEnv(VecEnv):
             part.close()
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """Return an attribute of each environment, or of the environments at some indices."""
+        """Return an attribute of each environment, or only of those at ``indices``."""
         every = [value for part in self._parts for value in part.get_attr(attr_name)]
         return [every[i] for i in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Refuse, as no training sets attributes."""
+        """Raise an error, since no training sets attributes of its environments."""
         raise NotImplementedError
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Refuse, as no training calls methods of its environments."""
+        """Raise an error, since no training calls methods of its environments."""
         raise NotImplementedError
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Indices = None) -> list[bool]:
-        """Tell for each index that its environment has no wrapper."""
+        """Return False for each index, since no environment has a wrapper."""
         return [False for _ in self._get_indices(indices)]

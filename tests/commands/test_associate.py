@@ -52,7 +52,7 @@ def test_the_command_reports_how_many_paths_were_associated(hidden, tmp_path):
     ("words", "message"),
     [
         ((), "columns: found no anchor in time_s"),
-        (("--associate", "--diagnose"), "diagnose: found with --associate, expected rows with an"),
+        (("--associate", "--diagnose"), "diagnose: cannot be combined with --associate"),
     ],
 )
 def test_options_that_do_not_fit_the_log_are_refused(hidden, words, message):

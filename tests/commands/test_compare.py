@@ -107,7 +107,7 @@ MISTAKES = {
     "no summary": (
         lambda run: (run / "summary.json").unlink(), (), "summary.json: found no file.*--resume",
     ),
-    "the run twice": (None, ("RUN/",), "policies: found .*expected no name twice"),
+    "the run twice": (None, ("RUN/",), "policies: found .*expected different names"),
     "no folder": (None, ("runs/never",), "policy: found 'runs/never', expected.*imm.*of a run"),
     "no file": (None, ("never.safetensors",), "never.safetensors: found no such file"),
     "not a picture": (None, ("--errors", "f.gif"), "found f.gif.*ends with .png, .svg, .pdf"),

@@ -43,7 +43,7 @@ def test_a_diagnosis_names_the_mistake_and_writes_no_track(tmp_path, downlink):
     name = "arrival is at the user, as in a downlink"
     assert f"\nThe log is consistent if {name}." in done.stdout
     cure = "exchange the columns of aoa_azimuth and aod_azimuth, negate aoa_elevation"
-    assert f"To mend it, {cure} (docs/data.md)." in done.stdout
+    assert f"To correct it, {cure} (docs/data.md)." in done.stdout
     diagnosis = json.loads(file.read_text())
     assert "--diagnose" in diagnosis["command"] and "numba" in diagnosis["versions"]
     first, *others = diagnosis["hypotheses"]
@@ -67,7 +67,7 @@ def test_a_diagnosis_says_that_a_log_is_consistent_or_that_no_mistake_explains_i
     words = options(RIDE / "log.csv", "--radio", "standard", "--diagnose", folder=RIDE)
     assert "\nThe log is consistent as it is." in command("localize", *words).stdout
     other = [*map(str, (RIDE / "log.csv", "--scene", "street", "--diagnose"))]
-    assert "\nNone of these makes the log consistent." in command("localize", *other).stdout
+    assert "\nNo hypothesis makes the log consistent." in command("localize", *other).stdout
 
 
 def test_a_diagnosis_reports_facts_about_the_log(tmp_path):

@@ -69,7 +69,7 @@ def test_an_error_while_printing_is_reported():
         words = [sys.executable, "-m", "experiments.console", "list"]
         pipes = {"stdout": full, "stderr": subprocess.PIPE, "text": True}
         done = subprocess.run(words, env=environment(), cwd=ROOT, **pipes)
-    assert done.stderr == "mmwave-loc list: what is printed: No space left on device\n"
+    assert done.stderr == "mmwave-loc list: standard output: No space left on device\n"
     assert done.returncode == 2
 
 

@@ -122,12 +122,12 @@ def test_odometry_is_used_if_the_log_has_it(capsys, driven):
 
 
 CONTRADICTIONS = {
-    "auto and abort": (["--speed", "auto", "--outside", "abort"], "outside: found abort"),
-    "odometry and a speed": (["--speed", "1", "--follow", "odometry"], "follow: found odometry"),
-    "an imm and a speed": (["--imm", "imm", "--speed", "1"], "speed: found 1 with --imm, expected"),
-    "an imm and modes": (["--imm", "imm", "--modes", "m.json"], "modes: found m.json with --imm"),
-    "an imm and abort": (["--imm", "imm", "--outside", "abort"], "outside: found abort"),
-    "a track of a diagnosis": (["--diagnose", "--out", "t.tum"], "diagnose: found with --out or"),
+    "auto and abort": (["--speed", "auto", "--outside", "abort"], "outside: abort needs"),
+    "odometry and a speed": (["--speed", "1", "--follow", "odometry"], "follow: odometry needs"),
+    "an imm and a speed": (["--imm", "imm", "--speed", "1"], "speed: cannot be combined"),
+    "an imm and modes": (["--imm", "imm", "--modes", "m.json"], "modes: cannot be combined"),
+    "an imm and abort": (["--imm", "imm", "--outside", "abort"], "outside: abort needs"),
+    "a track of a diagnosis": (["--diagnose", "--out", "t.tum"], "diagnose: cannot be combined"),
     "imm": (["--imm", "imm-bets"], "imm: found 'imm-bets', did you mean imm-best"),
     "no imm": (["--imm", "guided"], "imm: found 'guided', expected one of imm, imm-best"),
     "bank": (["--imm", "missing.json"], "missing.json"),

@@ -86,11 +86,11 @@ def test_an_agent_from_a_module_is_compared_like_any_policy(folder):
 MISTAKES = {
     "no_such_module:make": "no_such_module:make: ModuleNotFoundError: .*expected module:function",
     "my_agents:gone": "AttributeError: .*'gone'; expected module:function",
-    "my_agents:act": "TypeError: .* missing 1 required .*; expected .* without arguments",
+    "my_agents:act": "TypeError: .* missing 1 required .*; expected .* no arguments",
     "my_agents:nothing": "found None, expected a function from observations",
     "my_agents:wrong": r"my_agents:wrong: found shape \(3,\) of float64, expected \(3,\) of integ",
     "my_agents:beyond": "my_agents:beyond: found 2 to 2, expected 0 to 1",
-    "my_agents:stumbling": r"RuntimeError: no idea; it was shown observations \(3, 53\) of float32",
+    "my_agents:stumbling": r"RuntimeError: no idea; it was given observations \(3, 53\), float32",
     "my_agents.py": "policy: found 'my_agents.py', .*module:function",
     "mine.zip": "mine.zip: found a model .*, expected .*; mmwave-loc convert mine.zip mine.safet",
 }

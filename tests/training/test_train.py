@@ -184,7 +184,7 @@ def test_a_bad_hyperparameter_is_refused_in_one_line(change, tmp_path):
     [
         (("--scenario", "train"), "'train'.*pedestrian"),
         (("--places", "street"), "places: found 'street', expected SCENE:RADIO"),
-        (("--radio", "high", "--places", "o1:high"), "radio: found 'high' beside places"),
+        (("--radio", "high", "--places", "o1:high"), "radio: cannot be combined with places"),
         (("--beliefs", "permode"), "permode.*--beliefs.*per-mode"),
         (("--beliefs", "per-mode", "--modes", "ukf"), "modes: found 'ukf' alone"),
         (("--observation", "half"), "observation: found 'half'"),
@@ -192,7 +192,7 @@ def test_a_bad_hyperparameter_is_refused_in_one_line(change, tmp_path):
         (("--seeds", 0), "seeds: found 0"),
         (("--checkpoint-every", 0), "checkpoint_every: found 0"),
         (("--total-timesteps", -1), "total_timesteps: found -1"),
-        (("--resume", "--overwrite"), "overwrite: found it beside resume"),
+        (("--resume", "--overwrite"), "overwrite: cannot be combined with resume"),
         (("--algo", "rollouts", "--hyperparameters", shipped_hyperparameters("ppo")),
          "key: found 'n_steps', .*num_envs"),
     ],
@@ -284,7 +284,7 @@ def test_a_smoke_run_says_so_and_is_refused_as_a_result(algo, tmp_path):
     for policy in ("runs/smoke", "runs/smoke/policy.safetensors"):
         refusal = command("evaluate", "--policy", policy, cwd=tmp_path)
         assert refusal.returncode == 2
-        assert f"{policy}: found what train --smoke left" in refusal.stderr
+        assert f"{policy}: found the result of train --smoke" in refusal.stderr
 
 
 PLACES = ("street:handset", "o1:standard:0.5")

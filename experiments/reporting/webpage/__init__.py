@@ -1,1 +1,1 @@
-"""Web page of results in one file, part by part."""
+"""The web page of results: its parts, and their assembly into one file."""

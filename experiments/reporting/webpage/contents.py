@@ -16,7 +16,7 @@ from mmwave_env.metrics import HEADERS, METRICS
 
 
 class Verdict(NamedTuple):
-    """Name of results, with the outcome as a title and as a sentence."""
+    """A name for results, and their outcome as a title and as a sentence."""
 
     name: str
     title: str
@@ -34,15 +34,15 @@ def results_of(source: Source) -> tuple[Verdict, str]:
         return _track_verdict(content), html_of(track_markdown(dict(content)))
     if source.kind == "run":
         over, begun = len(content["seeds"]), len(content["curves"])
-        title = f"{over} of {begun} trainings of {source.path} are over"
-        more = "" if over == begun else "; mmwave-loc train --resume goes on with the others"
+        title = f"{over} of {begun} trainings of {source.path} are finished"
+        more = "" if over == begun else "; mmwave-loc train --resume continues the others"
         return Verdict(source.path, title, f"{title}{more}."), "".join(_trainings(source))
     comparison = Comparison.from_json(content)
     return _verdict(comparison), "".join(_compared(comparison))
 
 
 def _verdict(comparison: Comparison) -> Verdict:
-    """Return the winner and its margin in words."""
+    """Return the best contender and its margin in words."""
     best, *others = comparison.policies
     name = f"{comparison.scenario}, {comparison.radio}, {comparison.selection}"
     about = f"{len(others) + 1} contenders on {name}." if others else f"{best} on {name}."
@@ -51,15 +51,15 @@ def _verdict(comparison: Comparison) -> Verdict:
     if by is None:
         reward = comparison.policies[best]["reward"]
         return Verdict(name, f"{best} has a reward of {reward}", f"{about} Best reward: {reward}.")
-    interval = ", 95 % interval over pairs of the same episode" if by.known else ""
+    interval = ", a 95 % interval over episodes" if by.known else ""
     title = f"{best} beats {other} by {by}"
     if by.low <= 0.0:
         title = f"{best} and {other} are level"
-        about += f" No winner: the best reward, of {best}, minus that of {other} is {by}{interval}."
+        about += f" No winner: the reward of {best} minus that of {other} is {by}{interval}."
     else:
         about += f" {best} won: its reward is {by} above that of {other}{interval}."
     if unpaired := others[: others.index(other)]:
-        about += f" Between them, but not paired with {best} here: {', '.join(unpaired)}."
+        about += f" Ranked between these two, but not paired with {best}: {', '.join(unpaired)}."
     return Verdict(name, title, about)
 
 
@@ -67,7 +67,7 @@ def _track_verdict(c: Mapping[str, Any]) -> Verdict:
     title = f"{c['epochs']} epochs of {c['log']}, {c['first_s']:.10g} to {c['last_s']:.10g} s"
     tracks = c["truth"]["tracks"] if "truth" in c else {}
     ates = [f"the {name} track has an ATE of {row['ate_m']:.3f} m" for name, row in tracks.items()]
-    broken = [f"not the whole log: {c['error']}"] if c.get("error") else []
+    broken = [f"only part of the log was used: {c['error']}"] if c.get("error") else []
     return Verdict(f"{c['log']}, {c['scene']}", title, f"{'; '.join([title, *ates, *broken])}.")
 
 
@@ -84,7 +84,7 @@ def _compared(comparison: Comparison) -> Iterator[str]:
         for other in comparison.policies
         if (pair := comparison.paired.get(f"{name} - {other}"))
     ]
-    caption = "Differences in pairs of the same episode, with 95 % intervals"
+    caption = "Differences in the same episodes, with 95 % intervals"
     yield table(caption, ["contender", "minus", "reward", "ATE m"], pairs) if pairs else ""
 
 
@@ -101,11 +101,11 @@ def _trainings(source: Source) -> Iterator[str]:
     for rival in rivals:
         lines = {source.path: [curve[rival] for curve in curves if rival in curve]}
         draw = partial(draw_learning_curves, {f"reward minus {rival}'s": lines}, narrow=True)
-        yield drawn(f"Learning curves against {rival}, a line a training, on tuning seeds", draw)
+        yield drawn(f"Learning curves against {rival} on tuning seeds, a line per training", draw)
 
 
 def errors_of(source: Source, played: Played) -> Iterator[str]:
-    """Yield percentiles and pictures of errors of a comparison; yield nothing for other sources."""
+    """Yield HTML of the errors of a comparison, tables and pictures; nothing for other sources."""
     if source.kind != "comparison":
         return
     which, figures = played.which, played.positions.figures()
@@ -114,13 +114,14 @@ def errors_of(source: Source, played: Played) -> Iterator[str]:
     ranked, policies = ranking(source.content["policies"]), figures["policies"]
     for kind in KINDS:
         rows = [[n, *row_of(policies[n][kind])] for n in ranked if kind in policies.get(n, {})]
-        caption = f"{kind.capitalize()} errors of {which}, but for the first 10 epochs of each"
+        caption = f"{kind.capitalize()} errors in {which}, without the first 10 epochs of each"
         yield table(caption, ["contender", *HEADER], rows) if rows else ""
     if policies:
         note = (
-            "Errors that so many percent of the epochs stay below; shares of the epochs within a "
-            "distance; the median protection level, and how often errors are above theirs, which "
-            f"a risk of {figures['risk']:g} allows in {percent(figures['risk'])} of the epochs."
+            "50 % m is the error that 50 % of the epochs stay below, and so on; within 1 m is the "
+            "share of the epochs with at most this error. Level is the median protection level; at "
+            f"a risk of {figures['risk']:g}, errors should exceed their levels in "
+            f"{percent(figures['risk'])} of the epochs."
         )
         yield element("p", note, "note")
     errors_m, nees = played.epochs.errors_m, played.epochs.nees

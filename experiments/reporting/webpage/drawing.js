@@ -1,4 +1,4 @@
-// Elements, scales and lines. Names reach the page as text alone, never as markup.
+// Elements, scales and lines. Names reach the page only as text, never as markup.
 
 function change(one, attributes) {
   for (const [key, value] of Object.entries(attributes)) one.setAttribute(key, value);

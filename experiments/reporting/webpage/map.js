@@ -1,12 +1,12 @@
-// The map of an episode: streets, walls, anchors with their links, the true way and the estimates.
+// The map of an episode: streets, walls, anchors with their links, the true track and the estimates.
 
 function drawMap(place, episode, chosen) {
   const width = Math.max(260, place.clientWidth);
   const height = Math.min(560, Math.max(300, 0.95 * width));
-  const svg = picture(width, height, `Map of ${episode.name}: the true way, and the estimates of ${chosen.join(" and ")}. North is up.`);
+  const svg = picture(width, height, `Map of ${episode.name}: the true track, and the estimates of ${chosen.join(" and ")}. North is up.`);
   const courses = chosen.map((name) => episode.contenders[name]);
   const [toX, toY, perMeter] = mapScale(episode, courses, width, height);
-  const placed = (one) => [pixels(one.x, toX), pixels(one.y, toY)]; // no numbers of a log without truth
+  const placed = (one) => [pixels(one.x, toX), pixels(one.y, toY)]; // null if a log has no ground truth
   shape(svg, "rect", { width, height, fill: "var(--ground)" });
   drawStreets(svg, episode, toX, toY, perMeter);
   const links = episode.anchors.map(() => shape(svg, "line", { "stroke-width": 1.4 }));
@@ -43,7 +43,7 @@ function mapScale(episode, courses, width, height) {
     return [known.reduce((a, b) => Math.min(a, b)), known.reduce((a, b) => Math.max(a, b))];
   };
   const [[west, east], [south, north]] = [ends("x"), ends("y")];
-  // 44 px are left free.
+  // A margin of 22 px is left free on each side.
   const perMeter = Math.min((width - 44) / Math.max(east - west, 40), (height - 44) / Math.max(north - south, 40));
   const middle = [(west + east) / 2, (south + north) / 2];
   return [(x) => width / 2 + (x - middle[0]) * perMeter, (y) => height / 2 - (y - middle[1]) * perMeter, perMeter];
@@ -63,7 +63,7 @@ function drawStreets(svg, episode, toX, toY, perMeter) {
     }
   }
   const [[gx, gy, gz], ...images] = episode.anchors;
-  for (const [x, y, z] of images) { // a wall lies in the middle between the gNB and its image, across
+  for (const [x, y, z] of images) { // a wall stands halfway between the gNB and its image, across the line between them
     const far = Math.hypot(x - gx, y - gy);
     if (far === 0 || Math.abs(z - gz) > 0.1) continue;
     const [dx, dy] = [(-5000 * (y - gy)) / far, (5000 * (x - gx)) / far];
@@ -72,7 +72,7 @@ function drawStreets(svg, episode, toX, toY, perMeter) {
   }
 }
 
-// An anchor outside is an arrow at the rim, in its direction from the middle. Names avoid other signs and names.
+// An anchor outside the map is drawn as an arrow at the rim that points to it. Names are placed where they cover neither symbols nor other names.
 function drawAnchors(svg, episode, toX, toY, width, height) {
   const margin = 14;
   const signs = episode.anchors.map(([x, y], i) => {
@@ -96,7 +96,7 @@ function drawAnchors(svg, episode, toX, toY, width, height) {
   });
 }
 
-// The way of an estimate until now, in the colors of the modes for the first contender.
+// The track of an estimate up to now; the first contender's has the colors of its modes.
 function trail(svg, course, xs, ys, number) {
   if (number) {
     const line = shape(svg, "path", lineOf(number));

@@ -1,4 +1,4 @@
-"""HTML of text that others chose, of tables, and of pictures of ``experiments.figures``."""
+"""HTML for names and other text, for tables, and for pictures from ``experiments.figures``."""
 
 import hashlib
 import re
@@ -14,7 +14,7 @@ from experiments.console.text import unescaped
 from experiments.figures.canvas import COLORS, NO_MODE
 from mmwave_env.io.lookup import printable
 
-SHOWN = 5  # rows that are shown at first
+SHOWN = 5  # number of rows that are shown at first
 VARIABLES = {  # variables of the page's style, by color in pictures
     "#000000": "var(--ink)",
     "#ffffff": "var(--paper)",
@@ -23,7 +23,7 @@ VARIABLES = {  # variables of the page's style, by color in pictures
     **{color: f"var(--mode-{number})" for number, color in enumerate(COLORS)},
 }
 COLOR = re.compile("|".join(VARIABLES))
-TAG = re.compile(r"<[^>]*>")  # of matplotlib's SVG, which escapes > in attributes
+TAG = re.compile(r"<[^>]*>")  # a tag in matplotlib's SVG, which escapes > in attributes
 OWN = re.compile(r"<style.*?</style>|<metadata>.*?</metadata>", re.DOTALL)
 NAMED = re.compile(r'( id="|="#|url\(#)')  # precedes the name of an element
 
@@ -34,7 +34,7 @@ def text(value: Any) -> str:
 
 
 def element(tag: str, words: Any, kind: str = "") -> str:
-    """Return an HTML element of plain text."""
+    """Return an HTML element that contains plain text."""
     return f"<{tag}{kind and f' class={kind}'}>{text(words)}</{tag}>"
 
 
@@ -71,7 +71,7 @@ def html_of(markdown: str) -> str:
 
 
 def drawn(caption: str, draw: Callable[[Path], None]) -> str:
-    """Return a picture whose colors follow light and dark, or a note without matplotlib.
+    """Return a picture whose colors adapt to light and dark mode; without matplotlib, a note.
 
     Args:
         caption: description of the picture.
@@ -83,7 +83,7 @@ def drawn(caption: str, draw: Callable[[Path], None]) -> str:
         path = Path(folder) / "picture.svg"
         draw(path)
         svg = path.read_text("utf-8")
-    prefix = f"p{hashlib.sha256(svg.encode()).hexdigest()[:8]}-"  # ids are unique in a page
+    prefix = f"p{hashlib.sha256(svg.encode()).hexdigest()[:8]}-"  # makes ids unique in the page
 
     def adapted(tag: re.Match[str]) -> str:
         return NAMED.sub(rf"\1{prefix}", COLOR.sub(lambda color: VARIABLES[color[0]], tag[0]))

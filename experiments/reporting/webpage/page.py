@@ -1,4 +1,4 @@
-"""The web page as one file, made of template, style, script and data."""
+"""The web page as one file, made from template, style, script and data."""
 
 import json
 import re
@@ -22,7 +22,7 @@ def page_of(args: PageArgs) -> str:
     """Return the web page of results.
 
     Args:
-        args: results to read, and numbers of episodes to play again.
+        args: results to read, and numbers of episodes to run again.
 
     Raises:
         ValueError: the results can't be read.
@@ -35,7 +35,7 @@ def page_of(args: PageArgs) -> str:
             verdict, tables = results_of(source)
             command, versions = source.content["command"], source.content.get("versions", {})
             origins.append(origin_of(source.path, command, versions))
-            list(errors_of(source, Played()))  # results that can't be shown end here, before work
+            list(errors_of(source, Played()))  # raises before the work if results can't be shown
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ValueError(f"{source.path}: {first_line(error)}, expected {READ}") from error
         verdicts.append(verdict)
@@ -54,7 +54,7 @@ def page_of(args: PageArgs) -> str:
 
 
 def _folded(verdicts: Sequence[Verdict], parts: Sequence[str]) -> str:
-    """Return the part of each source under its name, all but the first folded."""
+    """Return each source's part under the source's name, folded except for the first."""
     named = [(verdict.name, part) for verdict, part in zip(verdicts, parts, strict=True) if part]
     return "".join(
         f"<details{'' if number else ' open'}><summary>{text(name)}</summary>{part}</details>"
@@ -79,7 +79,7 @@ def _player(verdicts: Sequence[Verdict], played: Sequence[Played]) -> str:
 
 
 def _html(verdicts: Sequence[Verdict], sections: Mapping[str, str], data: Any) -> str:
-    """Return the whole page; text that fills the template is not searched for marks."""
+    """Return the complete page; text inserted into the template is not searched for marks."""
     titles = {re.sub(r"\W+", "-", t.lower()): t for t, section in sections.items() if section}
     parts = {
         "title": text(verdicts[0].title),
@@ -97,7 +97,7 @@ def _html(verdicts: Sequence[Verdict], sections: Mapping[str, str], data: Any) -
 
 
 def _colors() -> str:
-    """Return the colors of films as variables of the style."""
+    """Return the colors that videos also have, as CSS variables."""
     light, dark = THEMES["light"], THEMES["dark"]
     pairs = {name: (getattr(light, name), getattr(dark, name)) for name in light._fields}
     modes = enumerate(zip(*pairs.pop("modes"), strict=True))

@@ -1,4 +1,4 @@
-"""Replay of episodes of a comparison and of a log, for details that their files do not hold."""
+"""Second runs of a comparison's episodes or of a log, for details that results do not store."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -28,9 +28,9 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.history import GATE
 from mmwave_env.rendering.theme import THEMES, hex_of
 
-LONGEST = 600  # most epochs that can be watched
+LONGEST = 600  # maximum number of epochs that can be watched
 ROWS = slice(LONGEST)
-WATCHED = 8  # most contenders to watch: the best by reward, and the rule
+WATCHED = 8  # maximum number of contenders to watch: the best by reward, and the rule
 RULE = "speed-rule"
 AFTER = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected", "memory.mode")
 
@@ -42,8 +42,8 @@ class Played:
     Attributes:
         which: description of the episodes.
         epochs, positions: errors, NEES and protection levels of the scored epochs.
-        shown: episodes to watch, as JSON holds them.
-        missing: reason why a contender is missing; under the name "" why all are.
+        shown: episodes to watch, in the form of JSON.
+        missing: by name, the reason why a contender is missing; under "", why all are.
     """
 
     which: str = "no episodes"
@@ -54,15 +54,15 @@ class Played:
 
 
 def play(source: Source, most: int, watched: int) -> Played:
-    """Play what a source is about again: the first episodes of a comparison, or the begin of a log.
+    """Run the first episodes of a comparison, or the beginning of a log, again.
 
     A user's code is not run: contenders that are a function in a module or a model in a zip file
     are left out.
 
     Args:
-        source: results to play again.
-        most: most episodes of a comparison to play.
-        watched: number of these to keep epoch by epoch.
+        source: results whose episodes or log to run.
+        most: maximum number of episodes of a comparison.
+        watched: number of these whose results to keep for every epoch.
     """
     if source.kind == "run":
         return Played()
@@ -137,12 +137,12 @@ def _play_log(source: Source) -> Played:
 
 
 def _contenders(args: EpisodeArgs, names: list[str], missing: dict[str, str]) -> list[Contender]:
-    """Return available contenders, and put reasons into ``missing`` for the others."""
+    """Return the available contenders; put the reasons why others are missing into ``missing``."""
     available = []
     for name in names:
         try:
             if is_agent(name):
-                raise ValueError("it is code of its own, which is not run for a report")
+                raise ValueError("it is a user's code, which is not run for a report")
             run = runs_of(args, [name])
             file = run[name].policy if run else name
             available.append(replace(contender_of(args, file), name=name))
@@ -152,30 +152,30 @@ def _contenders(args: EpisodeArgs, names: list[str], missing: dict[str, str]) ->
 
 
 def ranking(policies: Mapping[str, Any]) -> list[str]:
-    """Return the contenders of results, best reward first."""
+    """Return the names of the contenders in results, best reward first."""
     return sorted(policies, key=lambda name: -policies[name]["reward"]["mean"])
 
 
 def watched_names(ranked: Sequence[str]) -> list[str]:
-    """Return the contenders that can be watched, in the order of the ranking."""
+    """Return the names of the contenders that can be watched, in the order of the ranking."""
     best = [name for name in ranked if name != RULE][: WATCHED - (RULE in ranked)]
     return [name for name in ranked if name in (*best, RULE)]
 
 
-# --- episodes to watch, as data of the script
+# --- episodes to watch, as data for the script
 
 
 def _scenery(
     name: str, layout: Layout, anchors_m: Array, streets: Streets | None, axes: int, truth: Array
 ) -> dict[str, Any]:
-    """Return an episode without its contenders.
+    """Return an episode's data for the player, still without contenders.
 
     Args:
         name: name of the episode.
         layout: layout of the measurements.
         anchors_m: (L, 3) positions of anchors, the base station first.
         streets: streets to draw; None where they are unknown.
-        axes: position axes that NEES covers.
+        axes: number of position axes that NEES covers.
         truth: (T, 5) time (s), x, y, z (m) and speed (m/s); NaN where unknown.
     """
     dof = [group.stop - group.start for group in layout.groups]
@@ -198,13 +198,13 @@ def _scenery(
 
 
 def _course(results: Mapping[str, Any], modes: Sequence[str], weighed: bool) -> dict[str, Any]:
-    """Return the results of a contender in an episode, as the player needs them.
+    """Return the results of a contender in an episode, in the form that the player needs.
 
     Args:
         results: results of :func:`~experiments.evaluation.runner.run_contender` on one episode:
             "x", "P", "error", "nees" and the parts in AFTER.
         modes: names of the contender's modes.
-        weighed: whether modes are mixed, so that "mode" is only the most probable mode.
+        weighed: whether modes are mixed; the mode of an epoch is then the most probable one.
     """
     accepted, rejected = results["memory.accepted"] > 0.5, results["memory.rejected"] > 0.5
     letters = np.where(accepted, "a", np.where(rejected, "r", "m"))[ROWS]

@@ -1,10 +1,10 @@
-// The player of episodes: a map, and strips on one axis of time, with a cursor on all of them.
+// The player of episodes: a map, and plots over a common time axis with one cursor.
 
 const FRAME_MS = 60;
 const RULE = "speed-rule";
 const FATES = { a: "accepted", r: "rejected", m: "missing" };
 const FILLS = { a: "var(--accepted)", r: "var(--rejected)", m: "var(--missing)" };
-const GROUPS = 9; // colors of kinds of measurements, which are those of modes
+const GROUPS = 9; // number of colors for kinds of measurements, which are the colors of modes
 
 function player(place, episodes) {
   const state = { episode: 0, main: null, beside: null, at: 0, timer: null };
@@ -23,12 +23,12 @@ function player(place, episodes) {
     if (!names.includes(state.main)) [state.main] = names;
     if (state.beside === null) state.beside = names.includes(RULE) ? RULE : "";
     if (!names.includes(state.beside) || state.beside === state.main) state.beside = "";
-    const others = ["nobody", ...names.filter((name) => name !== state.main)];
+    const others = ["none", ...names.filter((name) => name !== state.main)];
     const focused = document.activeElement && document.activeElement.id;
     choices.replaceChildren(
       selector("which", "Episode", episodes.map((one) => one.name), state.episode, (i) => { state.episode = i; state.at = 0; choose(); }),
       selector("main", "Contender", names, names.indexOf(state.main), (i) => { state.main = names[i]; choose(); }),
-      selector("beside", "Beside", others, Math.max(0, others.indexOf(state.beside)), (i) => { state.beside = i ? others[i] : ""; choose(); }),
+      selector("beside", "Compared with", others, Math.max(0, others.indexOf(state.beside)), (i) => { state.beside = i ? others[i] : ""; choose(); }),
     );
     if (["which", "main", "beside"].includes(focused)) document.getElementById(focused).focus();
     draw();
@@ -77,7 +77,7 @@ function sentence(episode, chosen, at) {
     const course = episode.contenders[name];
     const nees = course.nees[at] === null ? "" : `, NEES ${shown(course.nees[at])}`;
     const error = course.error_m[at] === null ? "" : `, error ${course.error_m[at]} m`;
-    return `${name}: ${course.modes[course.mode[at]]}, believes ${course.speed_mps[at]} m/s${error}${nees}`;
+    return `${name}: ${course.modes[course.mode[at]]}, estimated speed ${course.speed_mps[at]} m/s${error}${nees}`;
   });
   return `${episode.time_s[at]} s, speed ${episode.speed_mps[at]} m/s. ${said.join("; ")}.`;
 }
@@ -91,7 +91,7 @@ function legend(place, episode, chosen) {
     return element("div", { class: "key" }, title, ...course.modes.map((mode, k) => swatch(course.colors[k], mode)));
   });
   const fates = Object.entries(FATES).map(([fate, name]) => swatch(FILLS[fate], `measurement ${name}`));
-  const notes = `Of ${chosen[0]}: measurements, links, NIS (dots; dashed: 99 % quantile of each kind), ellipse of 2 standard deviations. In the color of text: the true speed. Band: 95 % of NEES. Triangle: gNB or anchor, as an arrow one outside the map.`;
+  const notes = `Measurements, links, NIS (dots; dashed lines: 99 % quantile of each kind) and the ellipse of 2 standard deviations belong to ${chosen[0]}. The true speed has the color of the text. The band contains 95 % of NEES. Triangles are the gNB and other anchors; arrows point to those outside the map.`;
   place.replaceChildren(...modes, element("div", { class: "key" }, ...fates, element("span", {}, notes)));
 }
 
@@ -115,13 +115,13 @@ function lineOf(number) {
   return { fill: "none", stroke, "stroke-width": 1.5, "stroke-dasharray": number > 0 ? "5 3" : "" };
 }
 
-// --- strips over time
+// --- plots over time
 
 function drawStrips(place, episode, chosen) {
   const width = Math.max(260, place.clientWidth);
   const [left, right] = [74, width - 10];
   const courses = chosen.map((name) => episode.contenders[name]);
-  const words = `Over time, of ${chosen.join(" and ")}: modes, speed, position error, NEES with its 95 % bounds, gates and NIS of every measurement.`;
+  const words = `Plots over time for ${chosen.join(" and ")}: modes, speed, position error, NEES with its 95 % bounds, gates and NIS of every measurement.`;
   const svg = picture(width, 250 + 36 * courses.length + 15 * episode.groups.length + 144, words);
   const [first, last] = [episode.time_s[0], episode.time_s[episode.time_s.length - 1]];
   const time = scale(first, last, left, right);
@@ -155,7 +155,7 @@ function drawStrips(place, episode, chosen) {
     top += 36;
   });
   top += 4;
-  const most = 2 * Math.max(1, ...episode.speed_mps); // beliefs far beyond are drawn at the edge
+  const most = 2 * Math.max(1, ...episode.speed_mps); // estimates far above are drawn at the edge
   const speeds = courses.map((course) => course.speed_mps.map((v) => (v === null ? null : Math.min(v, most))));
   const speed = fromZero(46, "speed m/s", [...episode.speed_mps, ...speeds.flat()]);
   speeds.forEach((values, i) => line(values, speed, i));
@@ -169,7 +169,7 @@ function drawStrips(place, episode, chosen) {
   courses.forEach((course, i) => line(course.nees, nees, i));
   episode.groups.forEach((group, g) => {
     shape(svg, "text", { x: 68, y: top + 10, "text-anchor": "end", class: "quiet" }, group);
-    shape(svg, "circle", { cx: 5, cy: top + 6, r: 3, fill: groupColor(g) }); // of its NIS below
+    shape(svg, "circle", { cx: 5, cy: top + 6, r: 3, fill: groupColor(g) }); // color of its NIS in the plot below
     cells([...courses[0].fate[g]], top + 2, 8, (fate) => FILLS[fate], (fate) => `${group} ${FATES[fate]}`);
     top += 15;
   });
@@ -184,7 +184,7 @@ function drawStrips(place, episode, chosen) {
   return (at) => change(cursor, { x1: ts[at], x2: ts[at] });
 }
 
-// NIS over its degrees of freedom, of which a consistent filter has 1 on average.
+// NIS divided by its degrees of freedom; a consistent filter has 1 on average.
 function drawNis(svg, ts, episode, course, y, left, right) {
   course.nis.forEach((values, g) => {
     const dof = episode.rows[g];
@@ -205,7 +205,7 @@ function drawNis(svg, ts, episode, course, y, left, right) {
 
 const groupColor = (number) => `var(--mode-${number % GROUPS})`;
 
-// Cells of equal values, from one epoch to the next.
+// Calls take for every run of equal values, with its first epoch and the epoch where the next one begins.
 function runs(values, take) {
   let begin = 0;
   for (let k = 1; k <= values.length; k += 1) {

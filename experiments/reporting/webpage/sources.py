@@ -18,9 +18,9 @@ class Source(NamedTuple):
     """Results of one command.
 
     Attributes:
-        path: path as given, with the title for a part of a file.
+        path: path as given; for a part of a file, followed by the part's title.
         kind: "comparison", "track" or "run".
-        content: content of the file; of a run its summary and the "curves" of its trainings.
+        content: content of the file; for a run, its summary with the "curves" of its trainings.
     """
 
     path: str
@@ -29,10 +29,10 @@ class Source(NamedTuple):
 
 
 def read_source(path: Path) -> list[Source]:
-    """Read a file of results, or a folder of train, whether the run is finished or not.
+    """Read a file of results, or the folder of a run, finished or not.
 
     Raises:
-        ValueError: the file holds no results; names the file and what it lacks.
+        ValueError: the file does not hold results; names the file and what it lacks.
         FileNotFoundError: there is no such file.
     """
     over, begun = path / "summary.json", path / "run.json"
@@ -47,7 +47,7 @@ def read_source(path: Path) -> list[Source]:
         run["curves"] = {file.parent.name: curves_of(file) for file in logs}
         return [Source(str(path), "run", run)]
     content = read_json(path, "results", dict)
-    if content and all(isinstance(part, dict) for part in content.values()):  # of demo --json
+    if content and all(isinstance(part, dict) for part in content.values()):  # from demo --json
         return [_result(f"{path}: {title}", part) for title, part in content.items()]
     return [_result(str(path), content)]
 
