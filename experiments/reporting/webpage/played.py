@@ -113,8 +113,9 @@ def _play_log(source: Source) -> Played:
     """Localize the first epochs of a log again."""
     block, work = beginning(options_from(LogArgs, source.content), LONGEST)
     axes = (0, 1) if block.planar else (0, 1, 2)
-    unknown = np.full((len(block), 3), np.nan)
-    known = work.truth.at(block.time_s).position_m if work.truth else unknown
+    known = velocity = np.full((len(block), 3), np.nan)
+    if work.truth:
+        known, velocity = work.truth.at(block.time_s)[:2]
     belief = Belief([*block.x.T], unpack([*block.P.T], VERTICAL if block.planar else ()), axes)
     results = {
         "x": block.x,
@@ -126,7 +127,7 @@ def _play_log(source: Source) -> Played:
         "memory.accepted": block.accepted,
         "memory.rejected": block.visible & ~block.accepted,
     }
-    truth = np.column_stack([block.time_s, known, np.linalg.norm(block.x[:, 3:6], axis=1)])
+    truth = np.column_stack([block.time_s, known, np.linalg.norm(velocity, axis=1)])
     scene, log = work.scene, source.content["log"]
     streets = scene.streets if scene.streets_known else None
     shown = _scenery(log, block.layout, scene.anchors_m, streets, len(axes), truth)
