@@ -27,7 +27,7 @@ class Recording(Track):
     """T epochs of one user, as a perfect receiver would measure them.
 
     Attributes:
-        path_gain_db: (T, L) gain of every link, negative; without meaning if the link isn't visible.
+        path_gain_db: (T, L) gain of every link, negative; without meaning if it is not visible.
     """
 
     KIND: ClassVar[str] = "recording"
