@@ -63,11 +63,11 @@ class ClockOffset(NamedTuple):
     @property
     def advice(self) -> str:
         """Return a sentence that says what is wrong and what to do."""
-        side, change = ("ahead of", "shift them by -") if self.seconds > 0.0 else ("behind", "shift them by ")
+        side, change = ("ahead of", "-") if self.seconds > 0.0 else ("behind", "+")
         size, deviation = (1e3 * abs(value) for value in (self.seconds, self.deviation_s))
         return (
             f"found its clock {size:.0f} ± {deviation:.0f} ms {side} the log's, expected the same; "
-            f"its times were not changed; if this is right, {change}{size / 1e3:.3f} s"
+            f"times were not changed: if the offset is real, shift them by {change}{size / 1e3:.3f} s"
         )
 
 
