@@ -274,7 +274,7 @@ def _finding(
         used = nis[visible[:, g], g]
         fits[group] = float(np.median(used) / chdtri(dof[g], 0.5)) if len(used) else None
     if not np.isfinite(likelihood).all():
-        return Finding(name, fits, None, [Contradiction("track", "NaN", "finite numbers")])
+        return Finding(name, fits, None, [Contradiction("track", "NaN or infinity", "numbers")])
     spared = np.maximum(nis - chdtri(dof, _OUTLIER_QUANTILE), 0.0).sum()
     mean = (float(likelihood.sum() + 0.5 * spared) + reading.log_scale) / len(block)
     groups = {

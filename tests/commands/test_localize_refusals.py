@@ -28,8 +28,8 @@ OLD = f"# {' '.join(COLUMNS)}; mmwave-loc localize\n"  # a track that may be rep
 
 
 KEPT = {  # a file of the user's -> what --out would take its place
-    "trip.csv": ("trip.tum", "trip.csv, which is no table of a track"),
-    "path.tum": ("path.tum", "which is no track of mmwave-loc localize"),  # not told of
+    "trip.csv": ("trip.tum", "trip.csv, which is not a table of a track"),
+    "path.tum": ("path.tum", "which is not a track of mmwave-loc localize"),  # not told of
     "truth.tum": ("truth.tum", "which is also"),
     "log.csv": ("log.tum", "which is also"),
 }
