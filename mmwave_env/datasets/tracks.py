@@ -141,12 +141,12 @@ class Track(ABC):
         signal: tuple[float, float],
         doppler_hz: ArrayLike | None = None,
     ) -> tuple[dict[str, Any], Array]:
-        """Check arrays; return the fields of a :class:`Track`, and the strengths of links (T, L).
+        """Check arrays; return the fields of a :class:`Track`, and the links' SNR or gain (T, L).
 
         Args:
             name, time_s, anchors_m, doppler_hz: as the constructors ``from_arrays`` take them.
             links: (T, L) arrays in the order of ``LINK``, NaN where not measured; or None.
-            strength: name of the array with the strengths of links, and the array (T, L) or None.
+            strength: name of the array with the SNR or gain, and the array (T, L) or None.
             truth: true positions (T, 3), and true velocities (T, 3) or None.
             signal: carrier frequency and bandwidth, Hz.
 
@@ -203,7 +203,7 @@ class Track(ABC):
         return len(self.time_s)
 
     def warn_of_contradictions(self) -> None:
-        """Warn if the measurements of links differ much from the true positions, in the median.
+        """Warn if the errors of links, computed with the true positions, have a large median.
 
         The cause is a wrong convention or unit, or a true track in another frame. Noise alone gives
         no warning; its size is estimated from the change of errors from one epoch to the next.
@@ -221,12 +221,12 @@ class Track(ABC):
                     continue
                 sizes = (np.abs(wrap(e) if i else e) for e in (error, np.diff(error)))
                 median, differ = (float(np.median(size)) for size in sizes)
-                # With noise alone, the median is two thirds of its standard deviation.
+                # With noise alone, the median is two thirds of the noise's standard deviation.
                 if median > min(_FAR[i], max(_NEAR[i], 2.0 * differ / _NOISE)):
-                    far.append(f"{name} of anchor {a + 1} by {median:.3g}")
+                    far.append(f"{name} of anchor {a + 1}: {median:.3g}")
         if far:
             warnings.warn(
-                f"{self.record}: found a median far from the truth, {', '.join(far)}; expected "
+                f"{self.record}: found large median errors ({', '.join(far)}), expected "
                 'units, angles and frame as docs/data.md ("Angles") defines them',
                 stacklevel=2,
             )
@@ -266,7 +266,7 @@ class TrackSource:
             if not rows[:, : layout.doppler].any():
                 shown = ", ".join(self._measurements)
                 raise ValueError(
-                    f"measurements: found {shown}, expected a number of links in {track.record}"
+                    f"measurements: found {shown}, expected a range or an angle of {track.record}"
                 )
         runs = stretches(track.time_s, track.position_m, GAP_S)
         if not runs:

@@ -72,7 +72,7 @@ def open_regular(path: Path, expected: str = "a file") -> BinaryIO:
         raise FileNotFoundError(f"{path}: found no such file, expected {expected}") from None
     if kind != stat.S_IFREG:
         error = IsADirectoryError if kind == stat.S_IFDIR else OSError
-        raise error(f"{path}: found {_KINDS.get(kind, 'no file')}, expected {expected}")
+        raise error(f"{path}: found {_KINDS.get(kind, 'a special file')}, expected {expected}")
     return path.open("rb")
 
 
@@ -119,7 +119,7 @@ def parse_json(text: str) -> Any:
     Raises:
         ValueError: the text is not valid JSON; the message says what is wrong.
     """
-    nested = f"found more nested lists or objects, expected at most {JSON_DEPTH} levels"
+    nested = f"found lists or objects nested too deeply, expected at most {JSON_DEPTH} levels"
     try:
         value = json.loads(text)
     except RecursionError:
@@ -185,7 +185,7 @@ def _target_of(path: Path) -> Path:
     target = Path(os.path.realpath(path))
     if target.is_dir():
         raise IsADirectoryError(f"{path}: found a folder, expected a file to write")
-    if path.exists() and not path.is_file():  # such as the pipe that /dev/stdout is
+    if path.exists() and not path.is_file():  # such as a pipe behind /dev/stdout
         raise OSError(f"{path}: found a device, expected a file to write")
     target.parent.mkdir(parents=True, exist_ok=True)
     return target
@@ -193,7 +193,7 @@ def _target_of(path: Path) -> Path:
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """Yield a temporary file in the folder of ``path``, with its endings; finally rename it.
+    """Yield a temporary file next to ``path``, with its endings; in the end it replaces ``path``.
 
     If the block fails, the temporary file is removed and ``path`` stays as it was. Missing folders
     are created. The permissions of a new file follow the umask; those of a replaced file are kept.
@@ -207,7 +207,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     mode = target.stat().st_mode & 0o777 if target.exists() else None
     with naming(path, temporary):
         try:
-            private = 0o666 if mode is None else 0o600  # while writing
+            private = 0o666 if mode is None else 0o600  # permissions while writing
             os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, private))
             yield temporary
             if mode is not None:

@@ -16,7 +16,7 @@ LONGEST = 80  # maximum length of a name, and of a value that a message quotes
 
 
 def spelled(letter: str) -> str:
-    """Return a letter as its escape code, for letters that are not printable."""
+    """Return the escape code of a letter that is not printable."""
     return letter.encode("unicode_escape", "surrogatepass").decode("ascii")
 
 

@@ -64,7 +64,7 @@ class Size:
     @property
     def expected(self) -> str:
         """Return the limits in words."""
-        return f"a list of {self.least} to {self.most}"
+        return f"a list of length {self.least} to {self.most}"
 
     def holds(self, value: Any) -> bool:
         """Tell whether the length of a list is within the limits."""
@@ -139,7 +139,7 @@ def _said(hint: Any) -> str:
         return " or ".join(map(_said, inside))
     if origin is tuple:
         said = [_said(element) for element in inside if element is not ...]
-        return f"a list, each {said[0]}" if inside[-1] is ... else f"[{', '.join(said)}]"
+        return f"a list, each element {said[0]}" if inside[-1] is ... else f"[{', '.join(said)}]"
     return "a function" if origin else "an object"
 
 
@@ -166,7 +166,7 @@ def require_ordered(record: object, *names: str) -> None:
 
 
 def require(name: str, value: Any, hint: Any) -> None:
-    """Refuse an argument that does not fit a field of this type.
+    """Refuse an argument that does not fit a type, which may be annotated with limits.
 
     Raises:
         ValueError: the value is invalid; the message names it and what was expected.
@@ -181,7 +181,7 @@ def _require(hint: Any, value: Any, name: str, of: str) -> None:
     if get_origin(bare) is tuple and get_args(bare)[-1] is ... and _is_list(value):
         for i, element in enumerate(value):  # find the invalid element
             _require(get_args(bare)[0], element, f"{name}[{i}]", of)
-        raise ValueError(f"{name}{of}: found {len(value)}, expected {_said(hint)}")
+        raise ValueError(f"{name}{of}: found length {len(value)}, expected {_said(hint)}")
     raise ValueError(f"{name}{of}: found {quoted(value)}, expected {_said(hint)}")
 
 

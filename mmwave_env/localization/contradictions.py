@@ -22,11 +22,11 @@ NIS_LIMITS = (0.2, 5.0)  # per degree of freedom
 SNR_LIMITS_DB = (-60.0, 90.0)
 REJECTED_LIMIT = 1.0 / 3.0
 _ENOUGH = 20  # minimum number of epochs for a conclusion
-_ENOUGH_IF_BLOCKED = 100  # the same if links may be blocked, because such errors last for seconds
+_ENOUGH_IF_BLOCKED = 100  # minimum if links may be blocked, because these errors last for seconds
 _WINDOW_S = 30.0  # the oscillator's offset hardly changes over this time
 _MOST_APART_S = 3.0  # longest gap over which the Doppler shift is integrated
 _SLOPE_LIMITS = (0.5, 1.5)
-_SURE = 10.0  # standard errors: that many, because errors of a blocked link are not independent
+_SURE = 10.0  # standard errors; this is high, because errors of a blocked link are not independent
 
 
 class Contradiction(NamedTuple):
@@ -105,7 +105,7 @@ def _oddities(block: LogBlock, scene: Scene, radio: Radio) -> Iterator[Contradic
     direct = block.visible[:, 0]
     if direct.sum() >= _ENOUGH:
         above = float((block.measurement[direct, 2] > 0.0).mean())
-        if above > 0.5 + 1.5 / np.sqrt(direct.sum()):  # by three standard errors
+        if above > 0.5 + 1.5 / np.sqrt(direct.sum()):  # half, and three standard errors
             yield Contradiction(
                 "anchor 1",
                 f"the user above it in {100.0 * above:.0f} % of epochs",
@@ -113,7 +113,7 @@ def _oddities(block: LogBlock, scene: Scene, radio: Radio) -> Iterator[Contradic
             )
     slope, error = _range_per_doppler(block, scene, radio)
     if not _SLOPE_LIMITS[0] <= slope <= _SLOPE_LIMITS[1] and abs(slope - 1.0) > _SURE * error:
-        value = f"a range that grows by {slope:.3g} m if the shift amounts to 1 m"
+        value = f"a range that grows by {slope:.3g} m where the shift predicts 1 m"
         yield Contradiction("Doppler", value, "1 m: are sign and unit right?")
 
 

@@ -56,8 +56,8 @@ class Reading(NamedTuple):
     # scene, radio: scene and radio of the measurements
     scene: Scene
     radio: Radio
-    # sum of the logarithms of the factors between these numbers and the numbers of the file: what
-    # to add to the log-likelihood of these numbers for that of the file's
+    # sum of the logarithms of the factors between these numbers and those of the file; adding it to
+    # the log-likelihood of these numbers gives that of the numbers of the file
     log_scale: float = 0.0
 
 

@@ -90,7 +90,7 @@ class Switching:
 
     def __post_init__(self) -> None:
         if self.rule and (self.bank or self.policy):
-            raise ValueError("rule: cannot be combined with a bank or a policy, which also choose")
+            raise ValueError("rule: cannot be combined with a bank or a policy, which replace it")
 
     @property
     def bank(self) -> Bank | None:

@@ -165,7 +165,7 @@ def nmea(origin: Origin, moment: float, place: Array, packed: Array) -> str:
 
 
 def _degrees(angle: float, digits: int, sides: str) -> str:
-    """Return degrees and minutes as NMEA writes them, with the side of the earth."""
+    """Return degrees and minutes as NMEA writes them, with the hemisphere."""
     minutes = round(abs(angle) * 60.0 * 1e7)  # 1e-7 minutes are 0.2 mm
     whole, rest = divmod(minutes, 600_000_000)
     return f"{whole:0{digits}d}{rest / 1e7:010.7f},{sides[int(angle < 0.0)]}"
@@ -216,5 +216,5 @@ def map_file(path: Path, scene: Scene) -> Iterator[Write]:
 
 
 def _escaped(name: str) -> str:
-    """Return a name for XML in ASCII."""
+    """Return a name as ASCII text for XML."""
     return escape(name).encode("ascii", "xmlcharrefreplace").decode("ascii")

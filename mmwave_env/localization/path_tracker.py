@@ -127,7 +127,7 @@ class PathTracker:
         self._memory = initial_memory(layout, 1)
         self._gate = float(chdtri(4, 1.0 - GATE_QUANTILE))
         self._disagreement = float(chdtri(1, 1.0 - GATE_QUANTILE))
-        unheard = np.zeros((1, layout.anchors))  # odometry doesn't depend on it
+        unheard = np.zeros((1, layout.anchors))  # SNRs, on which odometry does not depend
         self._odometry_sigma = radio.sigma(unheard, scene, layout)[0, layout.doppler + 1 :].tolist()
 
     def follow(self, track: PathTrack, paths: PathEpoch) -> PathTrack:
@@ -178,7 +178,7 @@ class PathTracker:
         return fitted
 
     def _beginnings(self, track: PathTrack | None, paths: PathEpoch) -> Iterator[PathTrack]:
-        """Yield tracks from every path that may be the line of sight and is not explained yet."""
+        """Yield a track for every path that may be the line of sight and is not explained yet."""
         links = self._links(paths)
         sights = links.z[0]
         likely = gives_fix(sights) & (disagreement(sights, links.sigma[0]) < self._disagreement)

@@ -59,7 +59,7 @@ def horizontal_level(P: Array, risk: float) -> Array:
 
 
 def vertical_level(P: Array, risk: float) -> Array:
-    """Compute levels (...,), m, from packed covariances P (..., 6 or more): position comes first."""
+    """Compute levels (...,), m, from packed covariances P (..., 6 or more): x, y, z come first."""
     from scipy.special import ndtri
 
     return -ndtri(0.5 * risk) * np.sqrt(np.maximum(P[..., 5], 0.0))  # type: ignore[no-any-return]
@@ -100,7 +100,7 @@ def exceedance(error: Array, level: Array) -> dict[str, Any]:
     }
 
 
-SHARES = (0.50, 0.67, 0.80, 0.90, 0.95)  # shares of epochs, whose largest errors are percentiles
+SHARES = (0.50, 0.67, 0.80, 0.90, 0.95)  # shares of epochs, for percentiles
 DISTANCES_M = (0.2, 1.0, 3.0, 10.0)
 _IN_MEMORY = 1 << 20  # bytes; larger files are on disk
 

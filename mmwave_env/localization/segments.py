@@ -24,7 +24,8 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Mask
 
-# Standard deviations of the weak prior: of the height, and of x and y around the mean anchor.
+# Standard deviations of the weak prior: height around that of the streets; x and y around the
+# mean position of the anchors.
 HEIGHT_SIGMA_M, _FARTHEST_M = 2.0, 1e3
 _WORST_FIX_M = 50.0  # maximum horizontal standard deviation of a position to begin a track with
 _AMBIGUOUS = 12.0  # if the squared errors of two solutions differ by less, either may be right
@@ -32,7 +33,7 @@ _DIRECTIONS, _STARTS_M, _ROUNDS = 12, (10.0, 40.0, 160.0), 15
 
 
 class Fix(NamedTuple):
-    """A first position."""
+    """A first position, from the links of one epoch."""
 
     prior: tuple[Array, Array]  # mean (7,) and covariance (7, 7) of the state
     used: Mask  # (groups,) whether each group of measurements was used to compute it

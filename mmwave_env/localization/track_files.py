@@ -18,7 +18,7 @@ from mmwave_env.models.scene import Scene
 TRACK_ENDINGS = (".tum", ".txt")
 TABLE_ENDING = ".csv"
 ENDINGS = (*TRACK_ENDINGS, TABLE_ENDING, *MAP_FILES)
-_VARIANCES = [i * (i + 3) // 2 for i in range(6)]  # places in packed P: positions, velocities
+_VARIANCES = [i * (i + 3) // 2 for i in range(6)]  # indices of variances in packed P
 _TRACK_HEADER = f"# {' '.join(COLUMNS)}; mmwave-loc localize\n"
 _TABLE_HEADER = (
     "time_s,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m,vx_mps,vy_mps,vz_mps,"
@@ -41,7 +41,7 @@ def table_beside(track: Path) -> Path | None:
 
 
 def require_own_files(track: Path) -> None:
-    """Refuse to replace files, except a track of ours and the table next to it.
+    """Refuse to replace any file that is neither an earlier track nor its table.
 
     A track and its table can be made again from their log. Any other file may be the only copy:
     a ground-truth track is a TUM file, too, and the user never typed the name of the table.

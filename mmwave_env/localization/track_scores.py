@@ -47,7 +47,7 @@ class Accuracy:
         self._waiting = np.concatenate([self._waiting, error])
 
     def pair(self, first: Index, second: Index, done: int) -> None:
-        """Add the changes from ``first`` to ``second`` errors; drop the ``done`` oldest errors."""
+        """Add the changes between pairs of errors (indices); then drop the ``done`` oldest ones."""
         change = self._waiting[second] - self._waiting[first]
         self._change += float(np.linalg.norm(change, axis=1).sum())
         self._pairs += len(change)
@@ -152,7 +152,7 @@ class TruthScores:
         return truth
 
     def warn_if_far(self, track: str) -> None:
-        """Warn if the truth is far from what a track believes."""
+        """Warn if the true positions are far from the beliefs of a track."""
         nees = self._tracks[track].figures()["nees"]
         if nees is not None and not nees <= FAR_NEES:
             warnings.warn(

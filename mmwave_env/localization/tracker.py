@@ -63,7 +63,7 @@ class Tracker:
 
     Args:
         scene: scene whose anchors are measured: a name, a JSON file or a Scene.
-        policy: policy file, or name of a shipped policy; or modes, with what chooses between them.
+        policy: policy file, or name of a shipped policy, or a :class:`Switching` between modes.
         radio: profile of the receiver.
         snr_db: SNR to assume for links without one.
         height_m: height of flat terrain, if it is known.

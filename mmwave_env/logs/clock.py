@@ -6,12 +6,12 @@ by
 
     e = c + (dh/dp) (tau v + s) + noise
 
-in every row of a link (a range or an angle), h(p). The constant c is a bias of the row, and s is a
-shift of the frame by some meters, so only changes of the velocity reveal a clock offset: on a
-straight line at constant speed tau is unobservable. tau is the least-squares estimate. Errors are
-correlated over seconds, so the standard error comes from the jackknife: the spread of estimates
-that each leave out one stretch of time (B. Efron, C. Stein, "The jackknife estimate of variance",
-1981).
+for every row of a link, a range or an angle h(p) at position p; v is the velocity. The constant c
+is a bias of the row, and s is a shift of the frame by some meters, so only changes of the velocity
+reveal a clock offset: on a straight line at constant speed tau is unobservable. tau is the
+least-squares estimate. Errors are correlated over seconds, so the standard error comes from the
+jackknife: the spread of estimates that each leave out one stretch of time (B. Efron, C. Stein,
+"The jackknife estimate of variance", 1981).
 
 The formula is only correct to first order: in tenths of a second a user moves by meters, over
 which h is not linear. So the log is compared again with the track at times shifted by the
@@ -31,7 +31,7 @@ from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, wrap
 
-_STRETCHES, _SHORTEST_S = 32, 2.0  # maximum number of stretches; their length, doubled to meet it
+_STRETCHES, _SHORTEST_S = 32, 2.0  # maximum number of stretches; shortest length of one
 _FEWEST = 5  # minimum number of stretches for a standard error
 _CHANCE = 0.005  # probability of finding an offset if there is none
 _PART = 0.01  # minimum share of the squared error, noise included, that a relevant offset explains
@@ -57,7 +57,7 @@ class ClockOffset(NamedTuple):
         return abs(self.seconds) > self.limit * self.deviation_s and self.part > _PART
 
     def figures(self) -> dict[str, float]:
-        """Return the estimate as results contain it."""
+        """Return the numbers that are written to results."""
         return {"ahead_s": self.seconds, "deviation_s": self.deviation_s}
 
     @property

@@ -14,7 +14,7 @@ _BLOCK_BYTES = 1 << 20
 
 
 class DamagedFileError(ValueError):
-    """Error for a file that is damaged from some row on, raised after all rows before that one.
+    """Error for a file that is damaged from some row on; the rows before it were delivered.
 
     Args:
         path: path of the file.
@@ -62,7 +62,7 @@ def line_blocks(path: Path) -> Iterator[tuple[list[str], float]]:
 
 
 def _read(file: Any) -> tuple[bytes, bool, str]:
-    """Read the next bytes; return them, whether the file ends, and words for damage there or ""."""
+    """Return the next bytes, whether the file ends after them, and words for damage, if any."""
     pieces: list[bytes] = []
     size = 0
     while size < _BLOCK_BYTES:

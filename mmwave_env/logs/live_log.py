@@ -59,8 +59,8 @@ class LiveLog:
             for name in row:
                 if name not in self._names:
                     raise LogError(
-                        f"{self._log.path}, row {number}, column {name!r}: found another column, "
-                        f"expected one of {', '.join(self._names)}"
+                        f"{self._log.path}, row {number}, column {name!r}: "
+                        f"found an unknown column, expected one of {', '.join(self._names)}"
                     )
             cells = (row.get(name) for name in self._names)
             row = ",".join("" if cell is None else str(cell) for cell in cells)

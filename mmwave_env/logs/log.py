@@ -74,7 +74,7 @@ class LogBlock(Block):
     # whether the segment begins here, with a first fix that gives its prior
     begins: bool = False
     skipped: int = 0  # number of epochs of the log before the first segment
-    dropped: int = 0  # number of epochs between segments, up to the next block
+    dropped: int = 0  # number of epochs dropped between segments, before the next block
 
     def whole(self) -> "LogBlock":
         """Return the block with only the groups that were measured completely and with an SNR."""
@@ -224,7 +224,7 @@ class PathEpoch(NamedTuple):
     layout: Layout  # layout of the scene's anchors, with or without odometry
     time_s: float
     measurement: Array  # (n, 5) rows of a link, m and rad, and its Doppler shift, Hz, or NaN
-    at_station: bool  # whether arrivals were seen at the base station, not at its mirror image
+    at_station: bool  # whether arrivals are those at the base station, not at its mirror image
     snr_db: Array  # (n,)
     incomplete: int  # number of paths that are left out because some of their numbers are missing
     doppler_spread_hz: float  # 0 where none was measured

@@ -1,6 +1,6 @@
 """Checks of the rows of a measurement log.
 
-An error names the damaged row; it is raised after the complete epochs before that row.
+An error names the damaged row; the complete epochs before that row are delivered first.
 """
 
 from collections.abc import Callable, Iterator
@@ -20,7 +20,7 @@ _ROUNDING_DEG = 1e-4  # rounding error of angles that were once stored as 32-bit
 
 
 def whole_epochs(log: LogFile, anchors: int | None, limits: bool) -> Iterator[Table]:
-    """Yield the rows of complete epochs: once per table of the log, the epochs that it completes.
+    """Yield the rows of complete epochs, in one part per table of the log.
 
     Args:
         log: the file.
@@ -62,7 +62,7 @@ def first_damage(
     first, error = (n - 1, table.damage) if table.damage else (n, None)
     if not n:
         return first, error
-    with np.errstate(invalid="ignore", over="ignore"):  # for infinite times and ranges
+    with np.errstate(invalid="ignore", over="ignore"):  # times and ranges may be infinite
         for check in chain(_checks(table, anchors), _limits(table) if limits else ()):
             row = int(np.argmax(check.wrong))
             if check.wrong[row] and row < first:
@@ -116,13 +116,13 @@ def _anchor_checks(table: Table, anchors: int) -> Iterator[_Check]:
     yield _Check(
         "anchor",
         first[number] != np.arange(len(link)),
-        "each anchor once in an epoch",
+        "each anchor once per epoch",
         lambda row: f"{_show(anchor[row])} twice at time {_show(time[row])}",
     )
     if "doppler" in table.columns:
         shifted = ~np.isnan(table.raw("doppler"))
         again = shifted & (anchor != table.first(np.where(shifted, anchor, np.nan))[table.epoch])
-        yield _Check("doppler", again, "the Doppler shift of only one anchor in an epoch")
+        yield _Check("doppler", again, "the Doppler shift of only one anchor per epoch")
 
 
 def _one_value(table: Table, quantity: str) -> _Check:
@@ -132,7 +132,7 @@ def _one_value(table: Table, quantity: str) -> _Check:
     return _Check(
         quantity,
         ~np.isnan(values) & (values != first),
-        "one value in an epoch",
+        "one value per epoch",
         lambda row: f"{_show(values[row])} and {_show(first[row])} at the same time",
     )
 

@@ -51,7 +51,7 @@ def _flight(name: str) -> dict[str, Unit]:
 
 _SPEED = {"speed_mps": Unit(), "speed_kmh": Unit(1.0, 3.6)}
 
-RANGE_LIMITS_M = (1e-3, 1e6)  # any antenna and any cell is within these; a wrong unit exceeds them
+RANGE_LIMITS_M = (1e-3, 1e6)  # limits of all real ranges; ranges in a wrong unit exceed them
 WIDEST_ELEVATION_DEG = 90.0
 _RANGE = between(0.0, RANGE_LIMITS_M[1], "m"), "m"
 _TURN = between(-360.0, 360.0, "degrees (docs/data.md, Angles)"), "degrees"

@@ -34,7 +34,7 @@ class LogError(ValueError):
 
 
 class Block:
-    """Base of dataclasses of consecutive rows or epochs: arrays (n, ...) and values for all."""
+    """Base class for consecutive rows or epochs: dataclasses of arrays (n, ...) and values."""
 
     arrays: ClassVar[tuple[str, ...]] = ()  # names of the arrays; the first gives the length
 
@@ -66,8 +66,8 @@ def in_windows(
 ) -> Iterator[AnyBlock]:
     """Yield the same epochs in blocks of complete windows; at the end of a segment, yield the rest.
 
-    If ``blocks`` raises a LogError, it is raised after the epochs before it. ``segment`` returns
-    the number of the segment that a block belongs to; segments are not joined.
+    A LogError of ``blocks`` is raised only after the epochs before it were yielded. ``segment``
+    returns the number of a block's segment; blocks of different segments are not joined.
     """
     waiting: list[AnyBlock] = []
     count = 0
@@ -121,7 +121,7 @@ class Table(Block):
         return np.concatenate([[0], np.cumsum(np.diff(self.raw("time")) != 0.0)])
 
     def first(self, values: Array) -> Array:
-        """Return the first of the values (n,) of each epoch that is not NaN; NaN if all are."""
+        """Return, for every epoch, the first of its values (n,) that is not NaN; else NaN."""
         first = np.full(self.epoch[-1] + 1, np.nan)
         some = np.flatnonzero(~np.isnan(values))[::-1]
         first[self.epoch[some]] = values[some]  # backwards, so the first row remains

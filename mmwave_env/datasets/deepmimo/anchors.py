@@ -39,8 +39,8 @@ LINE_OF_SIGHT, REFLECTION = 0.0, 1.0
 class StationPaths:
     """The paths between one base station and E receivers, at most P for each receiver.
 
-    If ``interactions`` is 0 or 1, all numbers of a path are finite, except the bounce if it is 0;
-    the numbers of other paths have no meaning.
+    All numbers of a path are finite if ``interactions`` is 1; if it is 0, all except the bounce.
+    The numbers of other paths have no meaning.
 
     Attributes:
         name: name of the station in the files.
@@ -155,7 +155,8 @@ def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, NDArray[np.
     station, q = paths.position_m, paths.bounce_m
     member = np.where(paths.interactions == LINE_OF_SIGHT, 0, -1)
     if not (member == 0).any():
-        paths.refuse("inter", 0, "no line of sight (0) in any epoch, not even that", "at least one")
+        none = "no line of sight (0) in any epoch, beginning with that"
+        paths.refuse("inter", 0, none, "at least one")
     reflected = paths.interactions == REFLECTION
     back = q - position_m[:, None]
     with np.errstate(all="ignore"):  # a reflection at the receiver itself is refused below

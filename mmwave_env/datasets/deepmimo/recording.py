@@ -153,7 +153,7 @@ def _links(
         return [(links, k) for k in [0, *images[:virtual_anchors]]]
     in_sight = [s for s in stations if (s.interactions == LINE_OF_SIGHT).any()]
     if not in_sight:
-        none = "no line of sight (0) to any station in any epoch, not even that"
+        none = "no line of sight (0) to any station in any epoch, beginning with that"
         stations[0].refuse("inter", 0, none, "at least one")
     by_station = [find_links(station, position_m) for station in in_sight]
     return [(links, 0) for links in sorted(by_station, key=lambda links: -links.epochs_seen[0])]

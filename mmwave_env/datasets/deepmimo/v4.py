@@ -57,7 +57,7 @@ class Scenario:
         return self.scenes != (self.folder,)
 
     def name_of(self, epoch: NDArray[np.int_]) -> str:
-        """Return words, for messages, for the receiver of an epoch: its scene and row (2,)."""
+        """Return a name, for messages, for the receiver that has this scene and row (2,)."""
         scene, row = epoch.tolist()
         return f"receiver {row}" + (f" in {self.scenes[scene].name}" if self.is_dynamic else "")
 
@@ -279,9 +279,9 @@ def _read_scene(
 def _finite(
     file: Path, key: str, array: Array, rows: NDArray[np.int_] | None, used: Mask | None = None
 ) -> Array:
-    """Return an array without NaN and infinity, or refuse it; only ``used`` (R, P) numbers count.
+    """Refuse an array with NaN or infinity, or return it.
 
-    Numbers that are not used become NaN.
+    If ``used`` (R, P) is given, only these numbers are checked, and all others become NaN.
     """
     if used is not None:
         used = used.reshape(used.shape + (1,) * (array.ndim - 2))
