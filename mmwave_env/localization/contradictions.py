@@ -105,7 +105,7 @@ def _oddities(block: LogBlock, scene: Scene, radio: Radio) -> Iterator[Contradic
     direct = block.visible[:, 0]
     if direct.sum() >= _ENOUGH:
         above = float((block.measurement[direct, 2] > 0.0).mean())
-        if above > 0.5 + 1.5 / np.sqrt(direct.sum()):  # half, and three standard errors
+        if above > 0.5 + 1.5 / np.sqrt(direct.sum()):  # half plus three standard errors
             yield Contradiction(
                 "anchor 1",
                 f"the user above it in {100.0 * above:.0f} % of epochs",
