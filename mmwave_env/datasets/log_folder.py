@@ -1,4 +1,4 @@
-"""Episodes as folders with log, scene and truth, as ``mmwave-loc simulate`` writes them."""
+"""Folders with the log, the scene and the true track of an episode: a reader and a writer."""
 
 import warnings
 from pathlib import Path
@@ -24,19 +24,19 @@ _LOGS = tuple(f"log{suffix}" for suffix in SUFFIXES)
 
 
 def read_log_folder(folder: Path) -> MeasuredTrack:
-    """Read the track of a folder with a log, its scene and its truth, all into memory.
+    """Read a folder with a log, its scene and its true track, completely into memory.
 
-    Positions are those of :class:`~mmwave_env.logs.truth.Truth` at the times of the epochs;
-    velocities are their differences. The layout is partial if a link has only some of its numbers
-    or own standard deviations, or if the Doppler shift is that of another anchor. A truth whose
-    clock differs from the log's causes a warning.
+    :class:`~mmwave_env.logs.truth.Truth` interpolates the true positions at the times of the
+    epochs; true velocities are computed from their differences. The layout is partial if a link
+    lacks some of its numbers or has its own standard deviations, or if an anchor other than the
+    base station has the Doppler shift. There is a warning if the clocks of log and track differ.
 
     Args:
         folder: contains ``log.csv`` (or ``.csv.gz``, ``.parquet``), ``scene.json``, ``truth.tum``.
 
     Raises:
-        ValueError: a file is missing, damaged or of another kind, or no pose of the truth
-            is at the time of an epoch; the message names file and row, what was found and what
+        ValueError: a file is missing, damaged or not of the expected kind, or the true position
+            is known at no epoch; the message names file and row, what was found and what
             was expected.
         OSError: a file can't be read.
     """
@@ -80,20 +80,20 @@ def log_of(folder: Path) -> Path:
         files = f"no {', no '.join(missing)}" if missing else " and ".join(logs)
         raise ValueError(
             f"{folder}: found {files}, expected a log (one of {', '.join(_LOGS)}), {SCENE} and "
-            f"{TRUTH} (docs/own-log.md); or {PARAMS}, of a DeepMIMO scenario"
+            f"{TRUTH} (docs/own-log.md), or the {PARAMS} of a DeepMIMO scenario"
         )
     return folder / logs[0]
 
 
 def write_log_folder(folder: Path, episode: Episode, scene: Scene, origin: str) -> list[str]:
-    """Write an episode as :func:`read_log_folder` reads it; return the names of the files.
+    """Write an episode so that :func:`read_log_folder` can read it; return the names of the files.
 
     Args:
         folder: created if it does not exist.
-        episode: written without its prior. If it has no truth, a truth in the folder is removed,
-            because it does not belong to the new log.
+        episode: the episode, whose prior is not written. If its true positions are unknown, an
+            existing ``truth.tum`` is removed, because it does not belong to the new log.
         scene: scene of the episode.
-        origin: words for a comment in the truth that say how the episode was made.
+        origin: text for a comment in ``truth.tum`` that says how the episode was made.
 
     Raises:
         OSError: a file can't be written.

@@ -1,4 +1,4 @@
-"""Writer of episodes as measurement logs for :func:`~mmwave_env.logs.log.read_log`."""
+"""Writer of measurement logs from episodes; :func:`~mmwave_env.logs.log.read_log` reads them."""
 
 import gzip
 import math
@@ -14,11 +14,11 @@ from mmwave_env.world.episode import NEUTRAL_SNR_DB, Episode
 
 
 def log_columns(episode: Episode) -> dict[str, Array]:
-    """Return the columns (n,) of an episode's log, NaN where empty; a row per epoch and anchor.
+    """Return the columns of an episode's log, arrays (n,) with one row per epoch and anchor.
 
-    Numbers of unusable groups are left out. The SNR stays where a link or the
-    Doppler shift needs it. In a partial layout there are standard deviations, too. An elevation
-    that noise moves beyond the vertical is clipped there, as receivers do.
+    NaN stands for an empty cell: groups of measurements that are not usable have no numbers, and
+    an SNR is given only if a link or the Doppler shift needs it. A partial layout adds columns of
+    standard deviations. Elevations that noise pushes beyond the vertical are clipped to it.
     """
     layout, usable = episode.layout, episode.usable
     T, L = len(episode), layout.anchors
@@ -32,7 +32,7 @@ def log_columns(episode: Episode) -> dict[str, Array]:
     heard = usable[:, :L].copy()
     heard[epochs, shifted] |= usable[:, L]
     if layout.partial:
-        heard &= episode.snr_db != NEUTRAL_SNR_DB  # no SNR was measured
+        heard &= episode.snr_db != NEUTRAL_SNR_DB  # this value means that no SNR was measured
 
     def first_row(values: Array, shown: Mask | bool = True, anchor: Index | int = 0) -> Array:
         out = np.full((T, L), np.nan)
@@ -63,7 +63,7 @@ def log_columns(episode: Episode) -> dict[str, Array]:
 
 
 def log_text(columns: dict[str, Array]) -> str:
-    """Return columns (n,) as CSV, exact to the last bit."""
+    """Return columns (n,) as CSV; reading them gives exactly the same numbers."""
     words = [
         ["" if math.isnan(v) else repr(v) for v in values.tolist()] for values in columns.values()
     ]
@@ -74,7 +74,7 @@ def write_log(path: Path, episode: Episode) -> None:
     """Write the log of an episode as CSV or Parquet, depending on the name of the file.
 
     Raises:
-        LogError: the file is of another kind, or pyarrow is missing.
+        LogError: the name has another ending, or pyarrow is missing.
         OSError: the file can't be written.
     """
     name, columns = path.name.lower(), log_columns(episode)
@@ -89,4 +89,4 @@ def write_log(path: Path, episode: Episode) -> None:
     elif name.endswith(".csv"):
         path.write_text(log_text(columns), encoding="utf-8", newline="\n")
     else:
-        raise LogError(f"{path}: found {path.suffix!r}, expected a name in {', '.join(SUFFIXES)}")
+        raise LogError(f"{path}: found {path.suffix!r}, expected one of {', '.join(SUFFIXES)}")

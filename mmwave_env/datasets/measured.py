@@ -1,7 +1,7 @@
-"""Measured tracks: a log with its truth, replayed as it was measured.
+"""Measured tracks: a log with the true positions of the user, replayed as it was measured.
 
-Measurements are never drawn anew: a seed draws the prior and, unless it is fixed, the epoch of
-the log at which an episode begins.
+Measurements are the same in every episode: a seed determines only the prior and, if episodes are
+shorter than the log, the epoch of the log at which an episode begins.
 """
 
 from dataclasses import dataclass, replace
@@ -25,17 +25,18 @@ from mmwave_env.world.checks import refuse
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MeasuredTrack(Track):
-    """T epochs of one user as a receiver measured them, with the truth.
+    """T epochs of one user as a receiver measured them, with the true positions.
 
-    :meth:`from_arrays` makes a track of a user's arrays;
-    :func:`~mmwave_env.datasets.log_folder.read_log_folder` reads it from files.
+    :meth:`from_arrays` makes a track from arrays;
+    :func:`~mmwave_env.datasets.log_folder.read_log_folder` reads one from files.
 
     Attributes:
-        snr_db: (T, L); -inf where no SNR was measured.
+        snr_db: (T, L) SNR of every link; -inf where no SNR was measured.
         doppler_spread_hz: (T,) Doppler spread.
-        sigma: (T, rows) the receiver's own standard deviations, NaN where it states none; None in a
-            layout that is not partial.
-        doppler_anchor: (T,) anchor of the Doppler shift, from 0; None for the base station.
+        sigma: (T, rows) the receiver's own standard deviations, NaN where it states none; None if
+            the layout is not partial.
+        doppler_anchor: (T,) index, from 0, of the anchor whose Doppler shift was measured; None
+            for the base station.
     """
 
     snr_db: Array
@@ -75,34 +76,35 @@ class MeasuredTrack(Track):
         bandwidth_hz: float = 100e6,
         name: str = "own",
     ) -> "MeasuredTrack":
-        """Return a track from a user's arrays; NaN stands for what was not measured or is unknown.
+        """Return a track made from arrays, in which NaN marks numbers that are not known.
 
-        A link may have only some of its numbers; those whose noise neither an SNR nor a standard
-        deviation tells count as not measured. Angles are in the frame of the map: arrival is the
-        direction anchor -> user, azimuth ``atan2(dy, dx)`` and elevation ``atan2(dz, hypot(dx,
-        dy))``; departure is the azimuth user -> anchor. Angles of a virtual anchor are seen from
-        the mirror image. docs/data.md, "Angles", converts other conventions.
+        A link may lack some of its numbers. A number with neither an SNR nor a standard deviation
+        counts as not measured, because its noise is unknown. Angles are in the frame of the map:
+        arrival is the direction anchor -> user, azimuth ``atan2(dy, dx)`` and elevation
+        ``atan2(dz, hypot(dx, dy))``; departure is the azimuth user -> anchor. Angles of a virtual
+        anchor are seen from the mirror image. docs/data.md, "Angles", explains how to convert
+        other conventions.
 
         Args:
             time_s: (T,) times of the epochs, increasing, s.
-            anchors_m: (L, 3) base station, then virtual anchors, m.
+            anchors_m: (L, 3) positions of the base station, then of the virtual anchors, m.
             position_m: (T, 3) true positions, m.
             range_m: (T, L) ranges of links: speed of light times one-way time of flight, m.
             aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad: (T, L) angles of links, rad.
-            doppler_hz: (T,) shift of the base station's link, positive while the range grows.
+            doppler_hz: (T,) Doppler shift of the base station, positive while the range grows.
             snr_db: (T, L) SNR of links, dB; with the radio profile it determines the noise.
             range_sigma_m, aoa_azimuth_sigma_rad, aoa_elevation_sigma_rad, aod_azimuth_sigma_rad:
-                (T, L) the receiver's own standard deviations, which come before the profile's.
-            doppler_sigma_hz: (T,) likewise.
-            doppler_spread_hz: (T,) Doppler spread; 0 where there is none.
-            velocity_mps: (T, 3) true velocities, m/s; None for differences of positions.
+                (T, L) the receiver's own standard deviations, which replace the profile's.
+            doppler_sigma_hz: (T,) standard deviation of the Doppler shift, likewise.
+            doppler_spread_hz: (T,) Doppler spread; None and NaN stand for 0.
+            velocity_mps: (T, 3) true velocities, m/s; None to compute them from the positions.
             carrier_hz, bandwidth_hz: frequencies of the signal.
             name: name for results and messages.
 
         Raises:
-            ValueError: an array has another shape, times do not increase, standard deviations are
-                not positive, nothing tells of the horizontal position, or an array has neither
-                standard deviations nor an SNR; the message names the array.
+            ValueError: an array has the wrong shape, times do not increase, standard deviations
+                are not positive, no array contains information about the horizontal position, or
+                neither standard deviations nor an SNR are given; the message names the array.
         """
         record = f"{cls.KIND} {name!r}"
         links = (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad)
@@ -140,25 +142,25 @@ def _require_noise(
     deviations: dict[str, ArrayLike | None],
     snr_db: ArrayLike | None,
 ) -> None:
-    """Refuse arrays that give no horizontal position, or whose noise is unknown."""
+    """Refuse arrays without information about the horizontal position, or with unknown noise."""
     horizontal = [name for name in LINK if "elevation" not in name]
     if all(measured[name] is None for name in horizontal):
         refuse(record, ", ".join(horizontal), "none of them", "one or more")
     for name, values in measured.items():
         if values is not None and deviations[name] is None and snr_db is None:
-            refuse(record, name, "no noise", f"{sigma_name(name)} or snr_db")
+            refuse(record, name, "unknown noise", f"also {sigma_name(name)} or snr_db")
 
 
 def _as_partial(
     record: str, fields: dict[str, Any], heard: Mask, deviations: dict[str, ArrayLike | None]
 ) -> dict[str, Any]:
-    """Return what differs in a partial layout, which a track has if it needs one.
+    """Return the fields of a track that change in a partial layout; none if it isn't needed.
 
     Args:
-        record: for messages.
-        fields: as in a layout that is not partial.
+        record: name of the track, for messages.
+        fields: fields of the track in a layout that is not partial.
         heard: (T, L) whether a link has an SNR.
-        deviations: standard deviations by names of measurements, (T, L) or (T,).
+        deviations: name of a measurement -> its standard deviations, (T, L) or (T,).
     """
     layout: Layout = fields["layout"]
     rows, sigma = fields["measurement"], np.full_like(fields["measurement"], np.nan)
@@ -169,7 +171,7 @@ def _as_partial(
             continue
         stated = numbers(record, sigma_name(name), values, shape)
         if (stated <= 0.0).any():
-            expected = "above 0, or NaN where none"
+            expected = "more than 0, or NaN if unknown"
             refuse(record, sigma_name(name), stated[stated <= 0.0][0], expected)
         sigma[:, slice(i, layout.doppler, 4) if link else layout.doppler] = stated
     shifted = np.zeros(len(rows), np.int64)

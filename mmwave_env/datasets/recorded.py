@@ -1,9 +1,9 @@
 """Recordings: one track through a known scene, with measurements drawn anew in every episode.
 
-A ray tracer (or a survey) gives the paths and what a perfect receiver would measure on them. A
-seed adds the effects of the receiver from a radio profile: noise, the oscillator's bias and the
-prior. Blockage, multipath, missed detections and outages are not simulated in addition, because
-the recording already has the paths that exist.
+A ray tracer (or a survey) gives the paths and what a perfect receiver would measure on them. The
+effects of a real receiver are added, drawn from a seed and a radio profile: noise, the oscillator's
+bias and the prior. Blockage, multipath, missed detections and outages are not simulated, because
+the recording already says which paths exist.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from mmwave_env.models.radio import Radio, doppler_spread, oscillator_bias
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.checks import refuse, require_finite
 
-_NO_PATH_DB = -200.0  # gain of a missing path: negligible, but its sigmas stay finite
+_NO_PATH_DB = -200.0  # gain of a missing path: so low that it is negligible, but not infinite
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -27,7 +27,7 @@ class Recording(Track):
     """T epochs of one user, as a perfect receiver would measure them.
 
     Attributes:
-        path_gain_db: (T, L) gain of every link, negative; it has no meaning where not visible.
+        path_gain_db: (T, L) gain of every link, negative; without meaning if it is not visible.
     """
 
     KIND: ClassVar[str] = "recording"
@@ -67,12 +67,12 @@ class Recording(Track):
     ) -> "Recording":
         """Return a recording from the paths of a ray tracer or survey; NaN where there is no path.
 
-        Arguments are those of :meth:`~mmwave_env.datasets.measured.MeasuredTrack.from_arrays`,
-        exact, and ``path_gain_db``, (T, L) negative, which the radio profile turns into an SNR. The
-        Doppler shift is computed from the true velocity wherever there is a line of sight.
+        Arguments are as in :meth:`~mmwave_env.datasets.measured.MeasuredTrack.from_arrays`, but
+        free of noise. The radio profile converts ``path_gain_db``, (T, L) and negative, to an SNR.
+        The Doppler shift is computed from the true velocity wherever there is a line of sight.
 
         Raises:
-            ValueError: an array has another shape, or its numbers are invalid; the message
+            ValueError: an array has the wrong shape, or its numbers are invalid; the message
                 names the array.
         """
         links = (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad)
@@ -86,7 +86,7 @@ class Recording(Track):
         return recording
 
     def add_doppler(self) -> None:
-        """Set the Doppler shift of the true velocity wherever there is a line of sight."""
+        """Compute the Doppler shift from the true velocity wherever there is a line of sight."""
         away, layout = self.position_m - self.anchors_m[0], self.layout
         rate = range_rate(list(away.T), list(self.velocity_mps.T))
         self.measurement[:, layout.doppler] = self.scene.hz_per_mps * rate

@@ -1,4 +1,4 @@
-"""Sources of episodes by name: samples of the package, and a user's own folders."""
+"""Sources of episodes: samples, which are part of the package, and a user's own data."""
 
 import os
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ def log_names() -> tuple[str, ...]:
 
 
 def sample_folder(name: str, kind: str = "log") -> Path:
-    """Return the folder of a sample, a ``log`` or a ``recording``.
+    """Return the folder of a sample, whose kind is ``log`` or ``recording``.
 
     Raises:
         ValueError: there is no such sample; the message lists the names.
@@ -43,7 +43,7 @@ def sample_folder(name: str, kind: str = "log") -> Path:
 
 
 def recording_from(name: str) -> Recording:
-    """Read the recording with a name in :func:`sample_names`.
+    """Read the recording with this name, one of :func:`sample_names`.
 
     Raises:
         ValueError: there is no such recording; the message lists the names.
@@ -60,14 +60,16 @@ def source_from(
     """Return the source for an ``episodes=`` argument, or for ``--data``.
 
     Args:
-        episodes: a name in :func:`sample_names`; a folder with a measurement log, its scene and
-            its truth, or with a DeepMIMO v4 scenario; a recording; or a measured track.
+        episodes: one of :func:`sample_names`; a folder with a measurement log, its scene and its
+            true track, or with a DeepMIMO v4 scenario; a recording; or a measured track.
         radio: profile of the receiver.
-        epochs: length of an episode, a window drawn at random; None for all epochs.
-        measurements: names of what is used of them; None for all.
+        epochs: length of an episode, which is a window drawn at random; None for the longest
+            stretch of epochs with known positions.
+        measurements: names of the measurements to use; None for all.
 
     Raises:
-        ValueError: the name is unknown, the folder is of another kind, or no window fits.
+        ValueError: the name is unknown, the folder contains something else, or the data are
+            shorter than ``epochs``.
         OSError: a file can't be read.
     """
     if not isinstance(episodes, str | os.PathLike):
@@ -77,13 +79,13 @@ def source_from(
     folder = Path(episodes)
     if folder.is_file():
         raise ValueError(
-            f"episodes: found the file {folder}, expected its folder, {folder.parent}; a way of "
-            f"your own is a scenario: --scenario {folder}"
+            f"episodes: found the file {folder}, expected its folder, {folder.parent}; to use "
+            f"your own trajectory, pass --scenario {folder}"
         )
     if not folder.is_dir():
         raise ValueError(
             f"episodes: found {str(folder)!r}, expected one of {', '.join(sample_names())}, "
-            "or the folder of a measurement log with scene and truth, or of a DeepMIMO scenario"
+            "or a folder with a measurement log, its scene and its truth, or a DeepMIMO scenario"
         )
     read = read_deepmimo if is_scenario(folder) else read_log_folder
     return TrackSource(read(folder), radio, epochs, measurements)

@@ -27,22 +27,20 @@ from mmwave_env.numerics.numbers import Array, Index, Mask, wrap
 from mmwave_env.world.checks import refuse, require_epochs, require_increasing, require_name
 from mmwave_env.world.episode import Episode, shapes_of
 
-# m, rad: medians beyond _FAR are wrong even with noise, medians within _NEAR are acceptable.
+# Limits of the median errors of range, m, and angles, rad: an error above _FAR can't be noise, an
+# error below _NEAR is acceptable.
 _FAR, _NEAR = (50.0, 0.5, 0.5, 0.5), (5.0, 0.05, 0.05, 0.05)
-_NOISE = 0.6745 * np.sqrt(2.0)  # median absolute difference of two errors of unit deviation
-_ENOUGH = 20  # epochs for a median
+_NOISE = 0.6745 * np.sqrt(2.0)  # median absolute difference of two N(0, 1) errors
+_ENOUGH = 20  # minimum number of epochs for a median
 
 
 class Received(NamedTuple):
-    """The measurements of T epochs, and the oscillator's first bias, or None where unknown.
-
-    The last two are as :meth:`Episode.measured` takes them.
-    """
+    """The measurements of T epochs, as :meth:`Episode.measured` takes them."""
 
     measurement: Array  # (T, rows)
     snr_db: Array  # (T, L)
     doppler_spread_hz: Array  # (T,)
-    bias_hz: float | None
+    bias_hz: float | None  # the oscillator's bias in the first epoch, None if unknown
     sigma: Array | None = None
     doppler_anchor: Index | None = None
 
@@ -57,9 +55,9 @@ class Track(ABC):
         layout: rows and groups of the measurements.
         time_s: (T,) times, increasing.
         measurement: (T, rows) in the order of ``layout``: m, rad, Hz, m/s.
-        visible: (T, groups) bool; elsewhere the numbers have no meaning.
+        visible: (T, groups) whether each group was measured; if not, its numbers have no meaning.
         position_m: (T, 3) true positions, NaN in epochs where unknown.
-        velocity_mps: (T, 3) true velocities, known where positions are.
+        velocity_mps: (T, 3) true velocities, NaN in epochs where unknown.
     """
 
     KIND: ClassVar[str] = "track"
@@ -89,12 +87,12 @@ class Track(ABC):
 
     @abstractmethod
     def _received(self, radio: Radio, rng: np.random.Generator, epochs: slice) -> Received:
-        """Return what a receiver measures in some epochs."""
+        """Return what a receiver with this radio profile measures in these epochs."""
 
     def episode(
         self, radio: str | Radio, rng: np.random.Generator, epochs: slice = slice(None)
     ) -> Episode:
-        """Return an episode of the track, or of some of its epochs, in which the truth is known.
+        """Return the epochs of the track, all or some, as an episode with known true positions.
 
         The prior is drawn around the true state. If the bias of the oscillator is unknown, the mean
         of its prior is 0.
@@ -105,7 +103,7 @@ class Track(ABC):
             epochs: consecutive epochs.
 
         Raises:
-            ValueError: the truth of an epoch is not known.
+            ValueError: the true position in an epoch is not known.
         """
         radio = radio_from(radio)
         received = self._received(radio, rng, epochs)
@@ -143,17 +141,17 @@ class Track(ABC):
         signal: tuple[float, float],
         doppler_hz: ArrayLike | None = None,
     ) -> tuple[dict[str, Any], Array]:
-        """Return the fields of every track, and the strengths of links (T, L), of a user's arrays.
+        """Check arrays; return the fields of a :class:`Track`, and the links' SNR or gain (T, L).
 
         Args:
             name, time_s, anchors_m, doppler_hz: as the constructors ``from_arrays`` take them.
-            links: (T, L) arrays in the order of ``LINK``, NaN where not measured; None for NaN.
-            strength: name and values (T, L) of the strength of links, or None.
-            truth: positions (T, 3), and velocities (T, 3) or None.
-            signal: carrier and bandwidth, Hz.
+            links: (T, L) arrays in the order of ``LINK``, NaN where not measured; or None.
+            strength: name of the array with the SNR or gain, and the array (T, L) or None.
+            truth: true positions (T, 3), and true velocities (T, 3) or None.
+            signal: carrier frequency and bandwidth, Hz.
 
         Raises:
-            ValueError: an array has another shape, or times do not increase.
+            ValueError: an array has the wrong shape, or times do not increase.
         """
         record = f"{cls.KIND} {name!r}"
         time = numbers(record, "time_s", time_s, (None,))
@@ -205,10 +203,10 @@ class Track(ABC):
         return len(self.time_s)
 
     def warn_of_contradictions(self) -> None:
-        """Warn if the median error of links against the true positions is large.
+        """Warn if the errors of links, computed with the true positions, have a large median.
 
-        The cause is a wrong convention or unit, or a truth in another frame. Noise alone gives no
-        warning; its size is estimated by the change of errors from one epoch to the next.
+        The cause is a wrong convention or unit, or a true track in another frame. Noise alone gives
+        no warning; its size is estimated from the change of errors from one epoch to the next.
         """
         layout, position = self.layout, list(self.position_m.T)
         anchors = self.anchors_m.tolist()
@@ -223,13 +221,13 @@ class Track(ABC):
                     continue
                 sizes = (np.abs(wrap(e) if i else e) for e in (error, np.diff(error)))
                 median, differ = (float(np.median(size)) for size in sizes)
-                # Noise alone makes the median two thirds of its deviation.
+                # With noise alone, the median is two thirds of the noise's standard deviation.
                 if median > min(_FAR[i], max(_NEAR[i], 2.0 * differ / _NOISE)):
-                    far.append(f"{name} of anchor {a + 1} by {median:.3g}")
+                    far.append(f"{name} of anchor {a + 1}: {median:.3g}")
         if far:
             warnings.warn(
-                f"{self.record}: found a median far from the truth, {', '.join(far)}; expected "
-                'units, angles and frame as in docs/data.md ("Angles")',
+                f"{self.record}: found large median errors ({', '.join(far)}), expected "
+                'units, angles and frame as docs/data.md ("Angles") defines them',
                 stacklevel=2,
             )
 
@@ -244,12 +242,12 @@ class TrackSource:
         track: a measured track, whose measurements are the same in each episode; or a recording,
             whose measurements are drawn anew in each.
         radio: profile of the receiver, or its name.
-        epochs: length of an episode, a window drawn at random from all stretches; None for
-            the longest stretch as a whole.
-        measurements: names of what is used of the track's measurements; None for all.
+        epochs: length of an episode, which is a window drawn at random from all stretches; None
+            for the complete longest stretch.
+        measurements: names of the measurements to use; None for all.
 
     Raises:
-        ValueError: there is no stretch, or no stretch of that length.
+        ValueError: there is no stretch, or no stretch is that long.
     """
 
     def __init__(
@@ -268,7 +266,7 @@ class TrackSource:
             if not rows[:, : layout.doppler].any():
                 shown = ", ".join(self._measurements)
                 raise ValueError(
-                    f"measurements: found {shown}, expected some that {track.record} has of links"
+                    f"measurements: found {shown}, expected a range or an angle of {track.record}"
                 )
         runs = stretches(track.time_s, track.position_m, GAP_S)
         if not runs:
@@ -277,23 +275,23 @@ class TrackSource:
                 expected = f"at most {GAP_S:g} s: are its times in seconds?"
                 refuse(track.record, "time_s", f"epochs {step:.4g} s apart", expected)
             raise ValueError(
-                f"{track.record}: found no two epochs in a row with a true position, expected "
-                "some, which reward and metrics need (docs/own-log.md)"
+                f"{track.record}: found no two consecutive epochs with a true position, expected "
+                "some, because reward and metrics need them (docs/own-log.md)"
             )
         longest = max(runs, key=lambda run: run.stop - run.start)
         most = longest.stop - longest.start
         if epochs is None and most < len(track):
             warnings.warn(
                 f"{track.record}: found {len(track)} epochs, some without a true position or "
-                f"after a gap of more than {GAP_S:g} s; episodes are the longest stretch between "
-                f"them, {most} epochs from {track.time_s[longest.start]:g} s on",
+                f"after a gap of more than {GAP_S:g} s; episodes use the longest stretch between "
+                f"these, {most} epochs from {track.time_s[longest.start]:g} s on",
                 stacklevel=2,
             )
         self.epochs = most if epochs is None else epochs
         if not 1 <= self.epochs <= most:
             raise ValueError(
-                f"epochs: found {epochs}, expected 1 to {most}, the longest stretch of "
-                f"{track.record} with truth and without a gap of more than {GAP_S:g} s"
+                f"epochs: found {epochs}, expected 1 to {most}, the length of the longest stretch "
+                f"of {track.record} with true positions and without a gap of more than {GAP_S:g} s"
             )
         whole = [longest] if epochs is None else runs
         self._starts = np.concatenate(
@@ -308,7 +306,7 @@ class TrackSource:
 
 
 def numbers(record: str, field: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    """Return a copy as an array of numbers of a shape, in which None is any length but 0."""
+    """Return a copy as an array of numbers with this shape; None stands for any length but 0."""
     try:
         array = np.array(values, float)
     except (TypeError, ValueError) as error:

@@ -1,4 +1,4 @@
-"""Reader of users' ways in CSV files."""
+"""Reader of CSV files with trajectories ("ways") of users."""
 
 import csv
 import math
@@ -16,18 +16,18 @@ from mmwave_env.io.records import Printable
 from mmwave_env.world.checks import refuse_in
 from mmwave_env.world.trajectory import Scenario, Trajectory, Ways
 
-COLUMNS = ("t", "x", "y", "z", "vx", "vy", "vz")  # either all of the last three or none
+COLUMNS = ("t", "x", "y", "z", "vx", "vy", "vz")  # a file has all of the last three or none
 ID = "id"
 
 
 def read_ways(path: str | os.PathLike[str]) -> Ways:
-    """Read the ways of a CSV file with columns t, x, y, z, perhaps vx, vy, vz, and perhaps id.
+    """Read trajectories from a CSV file with columns t, x, y, z; vx, vy, vz and id are optional.
 
     Units are s, m and m/s, in the frame of the scene. Rows with the same id belong to one user, in
-    the order of time; without that column all rows do. Other columns are ignored.
+    order of time; without this column, all rows belong to one user. Other columns are ignored.
 
     Raises:
-        ValueError: the file is wrong; the message names the file, the row and the error.
+        ValueError: the file is invalid; the message names the file, the row and the error.
         FileNotFoundError: the file does not exist.
     """
     name = os.fspath(path)
@@ -42,10 +42,10 @@ def read_ways(path: str | os.PathLike[str]) -> Ways:
 
 
 def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
-    """Read the only way of a CSV file, as :func:`read_ways` does.
+    """Read the trajectory from a CSV file that has only one, as :func:`read_ways` does.
 
     Raises:
-        ValueError, FileNotFoundError: as for :func:`read_ways`; or there are several ways.
+        ValueError, FileNotFoundError: as for :func:`read_ways`; or there are several trajectories.
     """
     ways = read_ways(path).trajectories
     if len(ways) > 1:
@@ -60,7 +60,7 @@ def _way(name: str, lines: list[int], values: Sequence[float]) -> Trajectory:
 
 
 def _rows(file: Path) -> Iterator[tuple[int, str, list[float]]]:
-    """Yield line, id ("" without that column) and numbers of every row."""
+    """Yield the line number, the id ("" without that column) and the numbers of every row."""
     reader = csv.DictReader(StringIO(read_text(file, "CSV"), newline=""), skipinitialspace=True)
     try:
         header = reader.fieldnames or ()
@@ -70,7 +70,7 @@ def _rows(file: Path) -> Iterator[tuple[int, str, list[float]]]:
         for row in reader:
             line = f"line {reader.line_num}"
             if None in row or None in row.values():
-                refuse_in(file, line, "another number of values", f"{len(header)}, as in line 1")
+                refuse_in(file, line, "a wrong number of values", f"{len(header)}, as in line 1")
             user = row.get(ID, "")
             if ID in row and not is_name(user):
                 refuse_in(file, f"{line}, column {ID}", quoted(user), Printable.expected)
@@ -91,7 +91,7 @@ def _number(file: Path, cell: str, text: str) -> float:
 
 
 def scenario_from(scenario: Scenario) -> Scenario:
-    """Return a ``scenario=`` argument, with the ways of a CSV file in place of its name.
+    """Return a ``scenario=`` argument; replace the name of a CSV file by its trajectories.
 
     Raises:
         ValueError, FileNotFoundError: as for :func:`read_ways`.

@@ -1,1 +1,1 @@
-"""Files, names, and dataclasses as JSON: all that comes from outside, and atomic writing."""
+"""Reading and writing of files, names that users choose, and dataclasses stored as JSON."""

@@ -13,9 +13,9 @@ from typing import Any, BinaryIO, TypeVar
 
 T = TypeVar("T")
 
-TEXT_BYTES = 16 << 20  # most bytes in memory at once; logs and tracks are streamed instead
-JSON_BYTES = 8 << 20  # most bytes read as JSON: a hundred times our largest file
-JSON_DEPTH = 50  # most lists and objects inside each other
+TEXT_BYTES = 16 << 20  # maximum size of a text file; longer logs and tracks are read in blocks
+JSON_BYTES = 8 << 20  # maximum size of a JSON file, a hundred times that of our largest one
+JSON_DEPTH = 50  # maximum depth of nested lists and objects
 
 _KINDS = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a FIFO", stat.S_IFSOCK: "a socket"}
 _KINDS |= dict.fromkeys((stat.S_IFCHR, stat.S_IFBLK), "a device")
@@ -25,13 +25,13 @@ _KINDS |= dict.fromkeys((stat.S_IFCHR, stat.S_IFBLK), "a device")
 
 
 def _named(error: OSError, path: Path) -> OSError:
-    """Return the same error with the name of a file."""
-    return OSError(error.errno, error.strerror, str(path))  # a subclass, by number
+    """Return the same error, but with the name of a file."""
+    return OSError(error.errno, error.strerror, str(path))  # Python picks the subclass by errno
 
 
 @contextmanager
 def naming(path: Path, temporary: Path | None = None) -> Iterator[None]:
-    """Add the name of a file to OS errors in the block that name none, such as a full disk.
+    """Add the name of a file to OS errors that do not name one, such as a full disk.
 
     Args:
         path: file to name.
@@ -60,7 +60,7 @@ def open_regular(path: Path, expected: str = "a file") -> BinaryIO:
 
     Args:
         path: path of the file.
-        expected: what was expected, for the message.
+        expected: words for the expected file, for the message.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -72,7 +72,7 @@ def open_regular(path: Path, expected: str = "a file") -> BinaryIO:
         raise FileNotFoundError(f"{path}: found no such file, expected {expected}") from None
     if kind != stat.S_IFREG:
         error = IsADirectoryError if kind == stat.S_IFDIR else OSError
-        raise error(f"{path}: found {_KINDS.get(kind, 'no file')}, expected {expected}")
+        raise error(f"{path}: found {_KINDS.get(kind, 'a special file')}, expected {expected}")
     return path.open("rb")
 
 
@@ -81,27 +81,27 @@ def read_bounded(path: Path, most: int, expected: str = "a file") -> bytes:
 
     Args:
         path: path of the file.
-        most: most bytes that the file may have.
-        expected: what was expected, for the message.
+        most: maximum number of bytes.
+        expected: words for the expected file, for the message.
 
     Raises:
-        OSError: as :func:`open_regular`, or the file is longer.
+        OSError: as for :func:`open_regular`, or the file is larger.
     """
     with open_regular(path, expected) as file, naming(path):
         size = os.fstat(file.fileno()).st_size
-        content = file.read(most + 1) if size <= most else b""  # some systems report no size
+        content = file.read(most + 1) if size <= most else b""  # a system may report size 0
         if max(size, len(content)) > most:
             length = f"{size} bytes" if size > most else f"more than {most} bytes"
-            raise OSError(f"{path}: found {length}, expected {expected} of at most {most}")
+            raise OSError(f"{path}: found {length}, expected {expected} of at most {most} bytes")
         return content
 
 
 def read_text(path: Path, expected: str = "text", most: int = TEXT_BYTES) -> str:
-    """Read a whole text file; line ends stay as they are, and a UTF-8 byte order mark is removed.
+    """Read a text file; line ends stay as they are, and a UTF-8 byte order mark is removed.
 
     Raises:
         ValueError: the text is not UTF-8; the message names file and line.
-        OSError: as :func:`read_bounded`.
+        OSError: as for :func:`read_bounded`.
     """
     content = read_bounded(path, most, expected)
     try:
@@ -117,9 +117,9 @@ def parse_json(text: str) -> Any:
     """Parse JSON; refuse nesting so deep that programs fail on it.
 
     Raises:
-        ValueError: the text is no JSON; the message says what is wrong.
+        ValueError: the text is not valid JSON; the message says what is wrong.
     """
-    nested = f"found lists or objects in each other, expected at most {JSON_DEPTH} deep"
+    nested = f"found lists or objects nested too deeply, expected at most {JSON_DEPTH} levels"
     try:
         value = json.loads(text)
     except RecursionError:
@@ -134,18 +134,18 @@ def parse_json(text: str) -> Any:
 
 
 def read_json(path: Path, kind: str, make: Callable[[dict[str, Any]], T], see: str = "") -> T:
-    """Read the object in a JSON file, and return what ``make`` makes of it.
+    """Read the object in a JSON file, pass it to ``make``, and return the result.
 
     Args:
         path: path of the file.
         kind: kind of the file, for messages, such as "a mode file".
-        make: takes the object. Errors that code raises for an object of another shape, because a
-            key is missing or a value has another type, become the ValueError here, too.
-        see: where this kind of file is described, for messages.
+        make: function of the object. If it fails because a key is missing or a value has another
+            type, the error is converted to the ValueError below.
+        see: name of the description of this kind of file, for messages.
 
     Raises:
         ValueError: the file is invalid; the message names the file and what is wrong in it.
-        OSError: as :func:`read_bounded`; FileNotFoundError if there is no such file.
+        OSError: as for :func:`read_bounded`; FileNotFoundError if there is no such file.
     """
     text = read_text(path, f"{kind}, JSON", JSON_BYTES)
     try:
@@ -177,15 +177,15 @@ def require_writable(path: Path) -> None:
 
 
 def _target_of(path: Path) -> Path:
-    """Return the file that a path stands for, behind links; create missing folders.
+    """Return the file that a path or link leads to; create missing folders.
 
     Raises:
-        OSError: the path is that of a folder or a device.
+        OSError: the path leads to a folder or a device.
     """
     target = Path(os.path.realpath(path))
     if target.is_dir():
         raise IsADirectoryError(f"{path}: found a folder, expected a file to write")
-    if path.exists() and not path.is_file():  # behind /dev/stdout there may be a pipe
+    if path.exists() and not path.is_file():  # such as a pipe behind /dev/stdout
         raise OSError(f"{path}: found a device, expected a file to write")
     target.parent.mkdir(parents=True, exist_ok=True)
     return target
@@ -193,7 +193,7 @@ def _target_of(path: Path) -> Path:
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """Yield a temporary file beside ``path``, with its endings, that replaces it at the end.
+    """Yield a temporary file next to ``path``, with its endings; in the end it replaces ``path``.
 
     If the block fails, the temporary file is removed and ``path`` stays as it was. Missing folders
     are created. The permissions of a new file follow the umask; those of a replaced file are kept.
@@ -207,7 +207,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     mode = target.stat().st_mode & 0o777 if target.exists() else None
     with naming(path, temporary):
         try:
-            private = 0o666 if mode is None else 0o600  # until the file is whole
+            private = 0o666 if mode is None else 0o600  # permissions while writing
             os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, private))
             yield temporary
             if mode is not None:
@@ -219,17 +219,17 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file in one step; create missing folders."""
+    """Write a text file completely or not at all; create missing folders."""
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a binary file in one step; create missing folders."""
+    """Write a binary file completely or not at all; create missing folders."""
     with atomic_path(path) as temporary:
         temporary.write_bytes(content)
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write JSON in one step."""
+    """Write a JSON file completely or not at all; create missing folders."""
     write_text(path, json.dumps(content, indent=2) + "\n")

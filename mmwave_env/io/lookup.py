@@ -1,6 +1,6 @@
-"""Names: their form, their display, and lookup by name.
+"""Names: which ones are valid, how they are shown, and lookup by name.
 
-Errors list the valid names, or say how to get what is missing.
+Errors list the valid names, or say how to install what is missing.
 """
 
 import importlib.util
@@ -9,14 +9,14 @@ from difflib import get_close_matches
 from typing import TypeVar
 
 T = TypeVar("T")
-LONGEST = 80  # most letters of a name, and of a value that a message quotes
+LONGEST = 80  # maximum length of a name, and of a value that a message quotes
 
 
-# --- names from outside
+# --- names that users choose
 
 
 def spelled(letter: str) -> str:
-    """Return a letter as its escape code, for letters that are not printable."""
+    """Return the escape code of a letter that is not printable."""
     return letter.encode("unicode_escape", "surrogatepass").decode("ascii")
 
 
@@ -31,12 +31,12 @@ def is_name(value: object) -> bool:
 
 
 def as_name(text: str) -> str:
-    """Return the name of a file or a folder as a valid name: escaped where necessary, and cut."""
+    """Return the name of a file or folder as a valid name: escaped, and cut if it is too long."""
     return printable(text)[:LONGEST] or "unnamed"
 
 
 def as_cell(name: str) -> str:
-    """Return a name for a CSV table, so that spreadsheets read it as text, not as a formula."""
+    """Return a name as a CSV cell that spreadsheets read as text, not as a formula."""
     return f"'{name}" if name.startswith(("=", "+", "-", "@", "\t", "\r")) else name
 
 
@@ -78,12 +78,12 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
 class MissingExtraError(ImportError, ValueError):
     """Error for a missing package that one of our extras installs.
 
-    It is an ImportError for Python, and a wrong argument for commands, which print it in one line.
+    It is also a ValueError, because commands print these in one line, without a traceback.
     """
 
 
 def require_extra(package: str, extra: str, user: str) -> None:
-    """Refuse a task whose package is not installed, before any work.
+    """Raise an error, before any work is done, if a package is not installed.
 
     Args:
         package: name of the package, as it is imported.

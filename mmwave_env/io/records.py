@@ -1,7 +1,7 @@
 """Dataclasses that are stored in JSON files; the types of fields define their valid values.
 
-A dataclass refuses values that do not fit its fields (:func:`require_fields`), a JSON file is read
-into it (:func:`read_object`), and mmwave_env/data/schemas describes the file: all by these types.
+The types serve three purposes: a dataclass refuses values that do not fit (:func:`require_fields`),
+JSON files are read into it (:func:`read_object`), and mmwave_env/data/schemas describes the files.
 """
 
 import math
@@ -25,7 +25,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Bound:
-    """Limits of a number: from ``least`` or above ``above``, to ``most`` or below ``below``."""
+    """Limits of a number: >= ``least`` or > ``above``, and <= ``most`` or < ``below``."""
 
     expected: str
     least: float | None = None
@@ -39,19 +39,19 @@ class Bound:
         return bool(low and (value < self.below if self.most is None else value <= self.most))
 
     def outside(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which numbers, of any shape, are not between two limits; NaN never is."""
+        """Return which numbers, of any shape, are outside the two limits; NaN always is."""
         assert self.least is not None and self.most is not None
         return ~((values >= self.least) & (values <= self.most))  # type: ignore[no-any-return]
 
 
 def between(least: float, most: float, unit: str = "") -> Bound:
     """Return a bound with two limits."""
-    return Bound(f"a number of {least:g} to {most:g} {unit}".rstrip(), least=least, most=most)
+    return Bound(f"a number from {least:g} to {most:g} {unit}".rstrip(), least=least, most=most)
 
 
 def counts(least: int, most: int) -> Bound:
-    """Return a bound of integers with two limits."""
-    return Bound(f"an integer of {least} to {most}", least=least, most=most)
+    """Return a bound with two limits for an integer."""
+    return Bound(f"an integer from {least} to {most}", least=least, most=most)
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Size:
     @property
     def expected(self) -> str:
         """Return the limits in words."""
-        return f"a list of {self.least} to {self.most}"
+        return f"a list of length {self.least} to {self.most}"
 
     def holds(self, value: Any) -> bool:
         """Tell whether the length of a list is within the limits."""
@@ -78,7 +78,7 @@ class Printable:
     expected: str = f"1 to {LONGEST} printable letters"
 
     def holds(self, value: Any) -> bool:
-        """Tell whether a text is such a name."""
+        """Tell whether a text is short enough and printable."""
         return is_name(value)
 
 
@@ -126,7 +126,7 @@ def _is_list(value: Any) -> bool:
 
 
 def _said(hint: Any) -> str:
-    """Return a type in words, for "expected ..."."""
+    """Return words for a type, which follow "expected" in messages."""
     origin, inside = get_origin(hint), get_args(hint)
     if hint in _KINDS:
         return _KINDS[hint][1]
@@ -139,12 +139,12 @@ def _said(hint: Any) -> str:
         return " or ".join(map(_said, inside))
     if origin is tuple:
         said = [_said(element) for element in inside if element is not ...]
-        return f"a list, each {said[0]}" if inside[-1] is ... else f"[{', '.join(said)}]"
+        return f"a list, each element {said[0]}" if inside[-1] is ... else f"[{', '.join(said)}]"
     return "a function" if origin else "an object"
 
 
 def require_fields(record: Any, of: str = "") -> None:
-    """Refuse fields whose values do not fit their types; call it when a dataclass is made.
+    """Refuse fields whose values do not fit their types; dataclasses call it when they are made.
 
     Args:
         record: dataclass to check.
@@ -158,7 +158,7 @@ def require_fields(record: Any, of: str = "") -> None:
 
 
 def require_ordered(record: object, *names: str) -> None:
-    """Refuse ranges, fields of two numbers, whose limits are exchanged."""
+    """Refuse fields that are ranges (two numbers) if the first number is larger than the second."""
     for name in names:
         low, high = getattr(record, name)
         if low > high:
@@ -166,7 +166,7 @@ def require_ordered(record: object, *names: str) -> None:
 
 
 def require(name: str, value: Any, hint: Any) -> None:
-    """Refuse an argument that does not fit a field of this type.
+    """Refuse an argument that does not fit a type, which may be annotated with limits.
 
     Raises:
         ValueError: the value is invalid; the message names it and what was expected.
@@ -181,17 +181,17 @@ def _require(hint: Any, value: Any, name: str, of: str) -> None:
     if get_origin(bare) is tuple and get_args(bare)[-1] is ... and _is_list(value):
         for i, element in enumerate(value):  # find the invalid element
             _require(get_args(bare)[0], element, f"{name}[{i}]", of)
-        raise ValueError(f"{name}{of}: found {len(value)}, expected {_said(hint)}")
+        raise ValueError(f"{name}{of}: found length {len(value)}, expected {_said(hint)}")
     raise ValueError(f"{name}{of}: found {quoted(value)}, expected {_said(hint)}")
 
 
 def object_from(kind: type[T], content: Any, where: str = "") -> T:
-    """Return a dataclass from an object of a JSON file; lists become tuples, objects dataclasses.
+    """Return a dataclass made from an object of a JSON file; lists in it become tuples.
 
     Args:
-        kind: the dataclass, which calls :func:`require_fields` when made.
-        content: content of the file.
-        where: place in the file, such as "walls[1].".
+        kind: the dataclass, which calls :func:`require_fields` when it is made.
+        content: the object; objects inside it become dataclasses, too.
+        where: prefix that says where the object is in the file, such as "walls[1].".
 
     Raises:
         ValueError: a key is unknown or missing, or the dataclass refuses a value.
@@ -205,7 +205,7 @@ def object_from(kind: type[T], content: Any, where: str = "") -> T:
         choose(hints, key, f"{where}key")
     for field in fields(kind):  # type: ignore[arg-type]
         if field.name not in content and field.default is field.default_factory is MISSING:
-            beside = f" beside {', '.join(content)}" if content else ""
+            beside = f" in addition to {', '.join(content)}" if content else ""
             raise ValueError(f"{where}{field.name}: found none, expected one{beside}")
     built = {key: _built(hints[key], value, f"{where}{key}") for key, value in content.items()}
     try:
@@ -235,7 +235,7 @@ def read_object(path: str | os.PathLike[str], schema: str, make: Callable[[Any],
     Args:
         path: path of the file.
         schema: name of the schema: "scene", "modes", "radio", "mobility".
-        make: makes the result from the file's object.
+        make: function that makes the result from the object in the file.
 
     Raises:
         ValueError: the file is invalid; the message names file, mistake and schema.

@@ -1,11 +1,11 @@
-"""Association of the paths of a log, which have no anchor numbers, with anchors, epoch by epoch.
+"""Association of paths with anchors, epoch by epoch, for logs of paths without anchor numbers.
 
 A separate filter follows the user (``path_tracker.py``). In every epoch it predicts the user's
 state, and paths are assigned to anchors by global nearest neighbor at that prediction. The result
 is an ordinary log, so all code that localizes a log can localize this one.
 
-A track begins where a line-of-sight hypothesis explains enough of the coming epochs. The track
-begins anew where it is lost, or where another hypothesis explains more.
+A track begins with the hypothesis that some path is the line of sight, if this explains enough
+paths of the coming epochs. A new track begins if this one is lost or another explains more.
 """
 
 from collections.abc import Iterable, Iterator
@@ -23,11 +23,11 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Index
 
-LOOK_AHEAD = 10  # number of epochs over which a line-of-sight hypothesis is tried
+LOOK_AHEAD = 10  # number of epochs in which a line-of-sight hypothesis is tested
 
 
 class Association:
-    """Running sums over the association of the paths of a log.
+    """Running counts of associated, missed and false paths of a log.
 
     Args:
         anchors: number of anchors of the scene.
@@ -39,7 +39,7 @@ class Association:
         self._associated, self._missed = np.zeros((2, anchors), np.int64)
 
     def add(self, paths: PathEpoch, labels: Index | None, begins: bool) -> None:
-        """Add an epoch: the path of every anchor (L,), or None where there is no track."""
+        """Add an epoch; ``labels`` is the path of every anchor (L,), or None without a track."""
         self.epochs += 1
         self.starts += begins
         self._paths += len(paths.snr_db)
@@ -52,7 +52,7 @@ class Association:
         self._missed += labels == NO_PATH
 
     def figures(self) -> dict[str, Any]:
-        """Return the sums as a dictionary."""
+        """Return the counts as a dictionary."""
         named = [f"anchor {a + 1}" for a in range(len(self._missed))]
         return {
             "paths": self._paths,
@@ -73,16 +73,16 @@ def associate(
     tally: Association,
     epochs_per_block: int = 4096,
 ) -> Iterator[LogBlock]:
-    """Yield the log in which the paths are associated with anchors.
+    """Yield the log with its paths associated with anchors.
 
-    Where the log is damaged, the epochs before the damage are delivered first.
+    If the log is damaged, the epochs before the damage are delivered first.
 
     Args:
         epochs: epochs of the log of paths.
         scene: scene whose anchors were measured.
         radio: profile of the receiver: standard deviations by SNR, oscillator, prior.
-        mode: filter mode that follows the user meanwhile; choose one for high mobility, whose
-            predictions are uncertain enough for any user.
+        mode: filter mode that follows the user during association; choose one for high mobility,
+            because its predictions are uncertain enough for any user.
         tally: counts the associations.
         epochs_per_block: number of epochs in a block; the last block may be shorter.
 
@@ -95,7 +95,7 @@ def associate(
 def _labelled(
     epochs: Iterable[PathEpoch], scene: Scene, radio: Radio, mode: Mode, tally: Association
 ) -> Iterator[LogBlock]:
-    """Yield every epoch with the measurements of the anchors; between tracks there are none."""
+    """Yield every epoch with measurements of anchors, or without measurements between tracks."""
     track: PathTrack | None = None
     tracker: PathTracker | None = None
     for window in _windows(epochs, LOOK_AHEAD):
@@ -109,7 +109,7 @@ def _labelled(
         except ArithmeticError as error:
             raise LogError(
                 f"log, time {paths.time_s} s: found a user straight above or below an anchor, or "
-                "further away than numbers reach; expected measurements that a receiver can make"
+                "too far away to compute with; expected measurements that a receiver can make"
             ) from error
         track = rival or track
         tally.add(paths, track and track.labels, rival is not None)
@@ -141,7 +141,7 @@ def _block(paths: PathEpoch, epoch: Epoch, begins: bool) -> LogBlock:
 
 
 def _windows(epochs: Iterable[PathEpoch], size: int) -> Iterator[list[PathEpoch]]:
-    """Yield every epoch with up to ``size - 1`` that follow it; at a LogError, yield the rest."""
+    """Yield every epoch with the next ``size - 1``; before a LogError or the end, with fewer."""
     held: list[PathEpoch] = []
     try:
         for epoch in epochs:

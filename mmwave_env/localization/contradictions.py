@@ -1,4 +1,4 @@
-"""Contradictions between a log and its scene, which mistaken units, signs or frames cause.
+"""Contradictions between a log and its scene, which wrong units, signs or frames cause.
 
 Most mistakes can't be seen in a single row, but a track made from wrong rows does not fit them, or
 its geometry is impossible. The limits are wide: at most 10 of 1000 correct logs are flagged
@@ -21,12 +21,12 @@ from mmwave_env.numerics.numbers import Array
 NIS_LIMITS = (0.2, 5.0)  # per degree of freedom
 SNR_LIMITS_DB = (-60.0, 90.0)
 REJECTED_LIMIT = 1.0 / 3.0
-_ENOUGH = 20  # epochs; fewer are not significant
-_ENOUGH_IF_BLOCKED = 100  # epochs; errors of a blocked link persist for seconds
+_ENOUGH = 20  # minimum number of epochs for a conclusion
+_ENOUGH_IF_BLOCKED = 100  # minimum if links may be blocked, because these errors last for seconds
 _WINDOW_S = 30.0  # the oscillator's offset hardly changes over this time
 _MOST_APART_S = 3.0  # longest gap over which the Doppler shift is integrated
 _SLOPE_LIMITS = (0.5, 1.5)
-_SURE = 10.0  # standard errors; errors of a blocked link persist, so they are not independent
+_SURE = 10.0  # standard errors; this is high, because errors of a blocked link are not independent
 
 
 class Contradiction(NamedTuple):
@@ -43,14 +43,14 @@ class Contradiction(NamedTuple):
 def contradictions(
     block: LogBlock, scene: Scene, radio: Radio, groups: Mapping[str, Mapping[str, Any]]
 ) -> list[Contradiction]:
-    """Return everything that contradicts a log.
+    """Return all contradictions between a log and its scene, its radio or physical limits.
 
     Args:
         block: first epochs of the log.
         scene, radio: scene and radio that the log is said to come from.
-        groups: measurement statistics of a track, by name: ``seen``, ``rejected_share`` and
-            ``nis_per_dof``, as :meth:`~mmwave_env.localization.track_scores.Groups.figures`
-            returns them.
+        groups: name of a group of measurements -> its statistics in a track: ``seen``,
+            ``rejected_share`` and ``nis_per_dof``, as
+            :meth:`~mmwave_env.localization.track_scores.Groups.figures` returns them.
     """
     return [*impossible(block), *_oddities(block, scene, radio), *_misfits(groups)]
 
@@ -105,24 +105,24 @@ def _oddities(block: LogBlock, scene: Scene, radio: Radio) -> Iterator[Contradic
     direct = block.visible[:, 0]
     if direct.sum() >= _ENOUGH:
         above = float((block.measurement[direct, 2] > 0.0).mean())
-        if above > 0.5 + 1.5 / np.sqrt(direct.sum()):  # three standard errors: a user may be above
+        if above > 0.5 + 1.5 / np.sqrt(direct.sum()):  # half plus three standard errors
             yield Contradiction(
                 "anchor 1",
                 f"the user above it in {100.0 * above:.0f} % of epochs",
-                "below: a negative elevation",
+                "the user below it: a negative elevation",
             )
     slope, error = _range_per_doppler(block, scene, radio)
     if not _SLOPE_LIMITS[0] <= slope <= _SLOPE_LIMITS[1] and abs(slope - 1.0) > _SURE * error:
-        value = f"a range that grows by {slope:.3g} m where the shift says 1 m"
+        value = f"a range that grows by {slope:.3g} m where the shift predicts 1 m"
         yield Contradiction("Doppler", value, "1 m: are sign and unit right?")
 
 
 def _range_per_doppler(block: LogBlock, scene: Scene, radio: Radio) -> tuple[float, float]:
-    """Regress the range of anchor 1 on the distance from the Doppler shift; return slope and error.
+    """Regress the range of anchor 1 on the distance that follows from the Doppler shift.
 
-    Ranges of windows are regressed on the integral of the shift, a constant, and the oscillator's
-    offset times time, where the offset has the radio's prior. The slope is 1 where sign and unit
-    are right. The result is (1, inf) where nothing moves.
+    In each window, ranges are regressed on three terms: the integrated shift; a constant; and time,
+    multiplied by the oscillator's offset, whose prior is the radio's. Return the slope of the first
+    term, which is 1 if sign and unit are right, and its standard error; (1, inf) if nothing moves.
     """
     direct = block.visible[:, 0] & block.visible[:, block.layout.anchors]
     time, z = block.time_s[direct], block.measurement[direct]
@@ -142,7 +142,7 @@ def _range_per_doppler(block: LogBlock, scene: Scene, radio: Radio) -> tuple[flo
 
 
 def _windows(time_s: Array) -> Iterator[slice]:
-    """Yield windows of consecutive epochs (T,) without gaps."""
+    """Yield short windows of consecutive epochs, from their times (T,), without long gaps."""
     if not len(time_s):
         return
     gap = np.diff(time_s, prepend=time_s[:1]) > _MOST_APART_S
@@ -154,7 +154,7 @@ def _windows(time_s: Array) -> Iterator[slice]:
 
 
 def _regression(time_s: Array, range_m: Array, rate: Array, sigma: float, radio: Radio) -> Array:
-    """Compute spare degrees of freedom and the products of a window's regression, over sigma^2."""
+    """Return a window's residual degrees of freedom, and its three sums of products / sigma^2."""
     time = time_s - time_s.mean()
     moved = np.cumsum(np.diff(time, prepend=time[0]) * 0.5 * (rate + np.roll(rate, 1)))
     moved -= moved.mean()

@@ -1,10 +1,10 @@
-"""Diagnosis of a log: likely mistakes are undone, one by one, on its first epochs.
+"""Diagnosis of a log: the search for a likely mistake that, once undone, makes it consistent.
 
-A hypothesis says how to read the numbers of the file. All hypotheses are tracked side by side by
-the same filter, without gates. A hypothesis fits if NIS / dof is near 1 and
+A hypothesis is a way to read the numbers of the file. For every hypothesis, the same filter
+without gates computes a track from the first epochs. A hypothesis fits if NIS / dof is near 1 and
 :mod:`~mmwave_env.localization.contradictions` finds nothing against it. Hypotheses that make the
 log consistent are ranked by the likelihood of the file's own numbers, so that different units can
-be compared. Where no single mistake explains the log, pairs are tried. The log is never changed.
+be compared. If no single mistake explains the log, pairs are tried. The log is never changed.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -38,7 +38,7 @@ _COLUMNS = {
     "azimuth of departure": ("aod_azimuth", _DEPARTURE),
     "elevation": ("aoa_elevation", _ELEVATION),
 }
-_FACTORS = {  # mistake -> factor, and the unit of a column in seconds, or milliseconds and so on
+_FACTORS = {  # mistake -> the factor that undoes it, and the unit that the column really has
     "1e3 times too large (ms?)": (1e-3, "ms"),
     "1e6 times too large (us?)": (1e-6, "us"),
     "1e9 times too large (ns?)": (1e-9, "ns"),
@@ -46,18 +46,18 @@ _FACTORS = {  # mistake -> factor, and the unit of a column in seconds, or milli
     "1e6 times too small (s?)": (1e6, "s"),
     "1e9 times too small (s?)": (1e9, "s"),
 }
-_OUTLIER_QUANTILE = 1e-6  # a group's NIS beyond this quantile is an outlier, and is clipped
+_OUTLIER_QUANTILE = 1e-6  # a group's NIS beyond this upper quantile is an outlier, and is clipped
 
 
 class Reading(NamedTuple):
-    """The epochs of a log as they read under a hypothesis."""
+    """The epochs of a log, read as a hypothesis says."""
 
     block: LogBlock  # the epochs; angles need not be wrapped
     # scene, radio: scene and radio of the measurements
     scene: Scene
     radio: Radio
-    # sum of the logarithms of the factors between these numbers and the numbers of the file. It
-    # converts a likelihood of the former to one of the latter
+    # sum of the logarithms of the factors between these numbers and those of the file; adding it to
+    # the log-likelihood of these numbers gives that of the numbers of the file
     log_scale: float = 0.0
 
 
@@ -65,7 +65,7 @@ Hypothesis = Callable[[Reading], Reading]
 
 
 class Mistake(NamedTuple):
-    """A mistake: the function that undoes it, and the cure of the log in words."""
+    """A mistake: the function that undoes it, and words that say how to correct the log."""
 
     undo: Hypothesis
     cure: str
@@ -75,10 +75,10 @@ class Finding(NamedTuple):
     """The result of testing a hypothesis."""
 
     hypothesis: str  # the hypothesis in words
-    # by group, the median over epochs (robust to outliers) divided by the median of chi-square: 1
-    # if right. None where a group was not measured or tracked
+    # name of a group -> median of its NIS over epochs (robust to outliers), divided by the median
+    # of chi-square: 1 if the hypothesis is right; None if the group was not measured or tracked
     nis_per_dof: dict[str, float | None]
-    # mean over epochs of the file's numbers; None where there is no track
+    # mean over epochs of the log-likelihood of the file's numbers; None if there is no track
     log_likelihood: float | None
     # what contradicts the hypothesis; empty if the log is consistent with it
     contradictions: list[Contradiction]
@@ -86,7 +86,7 @@ class Finding(NamedTuple):
 
     @property
     def worst_anchor(self) -> float | None:
-        """Return the NIS / dof of the anchor that is farthest from 1."""
+        """Return the NIS / dof that is farthest from 1 among the anchors; None if there is none."""
         anchors = [nis for name, nis in self.nis_per_dof.items() if name.startswith("anchor")]
         return max(filter(None, anchors), key=lambda nis: abs(np.log(nis)), default=None)
 
@@ -126,7 +126,7 @@ def _exchanged(part: int, other: int, reading: Reading) -> Reading:
 
 
 def _anchors(order: Sequence[int], reading: Reading) -> Reading:
-    """Take the log's n-th anchor for the scene's ``order[n]``-th."""
+    """Assume that the log's n-th anchor is the scene's ``order[n]``-th."""
     gnb, *others = [(x, y, z) for x, y, z in reading.scene.anchors_m[list(order)].tolist()]
     return reading._replace(
         scene=replace(reading.scene, base_station_m=gnb, walls=(), virtual_anchors_m=tuple(others))
@@ -134,7 +134,7 @@ def _anchors(order: Sequence[int], reading: Reading) -> Reading:
 
 
 def _orders(anchors: int) -> list[tuple[int, ...]]:
-    """Return the orders with two anchors exchanged, or with all counted from another anchor."""
+    """Return the orders with two anchors exchanged, or with all numbers shifted by one."""
     right = list(range(anchors))
     orders = [tuple(right[1:] + right[:1]), tuple(right[-1:] + right[:-1])]
     for i, j in combinations(right, 2):
@@ -145,7 +145,7 @@ def _orders(anchors: int) -> list[tuple[int, ...]]:
 
 
 def hypotheses(scene: Scene, radio: Radio) -> dict[str, Mistake]:
-    """Return likely mistakes in words, with how to undo them."""
+    """Return likely mistakes, named in words, with the functions that undo them."""
     ends, turned = partial(_exchanged, _AZIMUTH, _DEPARTURE), _scaled([_ELEVATION], -1.0)
     vertical = partial(_exchanged, _AZIMUTH, _ELEVATION)
     zenith, nadir = (_scaled([_ELEVATION], sign, -sign * PI / 2.0) for sign in (-1.0, 1.0))
@@ -160,17 +160,17 @@ def hypotheses(scene: Scene, radio: Radio) -> dict[str, Mistake]:
         "elevation is a zenith angle": (zenith, "write 90 degrees - aoa_elevation"),
         "elevation is a nadir angle": (nadir, "write aoa_elevation - 90 degrees"),
         "azimuths are clockwise from north": (north, clockwise),
-        "time of flight is there and back": (_scaled([_RANGE], 0.5), "halve it"),
+        "time of flight is there and back": (_scaled([_RANGE], 0.5), "halve the time of flight"),
         "Doppler shift has the other sign": (_scaled((), -1.0), "negate doppler"),
     }
     for name, (column, row) in _COLUMNS.items():
         cure = f"rename {column}_rad to {column}_deg"
         mistakes[f"{name} is in degrees"] = _scaled([row], PI / 180.0), cure
     for unit, suffix, factor in (("degrees", "deg", PI / 180.0), ("radians", "rad", 180.0 / PI)):
-        cure = f"name the columns of angles by their unit, such as aoa_azimuth_{suffix}"
+        cure = f"name the columns of angles after their unit, such as aoa_azimuth_{suffix}"
         mistakes[f"angles are in {unit}"] = _scaled(_ANGLES, factor), cure
     for error, (factor, unit) in _FACTORS.items():
-        cure = f"multiply it by {factor:g}, or name the column by its true unit, such as"
+        cure = f"multiply it by {factor:g}, or name the column after its true unit, such as"
         mistakes[f"time of flight is {error}"] = _scaled([_RANGE], factor), f"{cure} toa_{unit}"
         mistakes[f"time is {error}"] = partial(_timed, factor), f"{cure} time_{unit}"
     for unit, suffix, factor in (("m/s", "mps", scene.hz_per_mps), ("kHz", "khz", 1e3)):
@@ -180,10 +180,10 @@ def hypotheses(scene: Scene, radio: Radio) -> dict[str, Mistake]:
         mistakes[f"Doppler shift is in Hz, not in {unit}"] = _scaled((), 1.0 / factor), to_hz
     for order in _orders(len(scene.anchors_m)):
         numbers = ", ".join(str(i + 1) for i in order)
-        cure = f"write the scene's anchors in the order {numbers}"
+        cure = f"list the anchors of the scene in the order {numbers}"
         mistakes[f"anchors are the scene's {numbers}"] = partial(_anchors, order), cure
     for name in sorted(RADIOS.keys() - {radio.name}):
-        cure = f"give --radio {name}, or radio={name!r}"
+        cure = f"use --radio {name}, or radio={name!r}"
         mistakes[f"radio is {name}"] = partial(Reading._replace, radio=RADIOS[name]), cure
     return {name: Mistake(*mistake) for name, mistake in mistakes.items()}
 
@@ -202,8 +202,8 @@ def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Fi
 
     Returns:
         A finding for the log as it is and for every hypothesis. Hypotheses that make the log
-        consistent come first, the most likely one leading; the others follow by their fit.
-        If only pairs of hypotheses do so, the most likely pair comes before all others.
+        consistent come first, beginning with the most likely one; the others follow by their fit.
+        If only pairs of hypotheses make it consistent, the most likely pair comes first.
 
     Raises:
         ValueError: there is no line of sight to begin with.
@@ -274,7 +274,7 @@ def _finding(
         used = nis[visible[:, g], g]
         fits[group] = float(np.median(used) / chdtri(dof[g], 0.5)) if len(used) else None
     if not np.isfinite(likelihood).all():
-        return Finding(name, fits, None, [Contradiction("track", "no number", "numbers")])
+        return Finding(name, fits, None, [Contradiction("track", "NaN or infinity", "numbers")])
     spared = np.maximum(nis - chdtri(dof, _OUTLIER_QUANTILE), 0.0).sum()
     mean = (float(likelihood.sum() + 0.5 * spared) + reading.log_scale) / len(block)
     groups = {

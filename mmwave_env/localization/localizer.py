@@ -1,8 +1,8 @@
 """Localization of a measurement log, block by block (paper, Algorithm 1, Step 3; or an IMM).
 
-A track begins with a first fix, which gives its prior, and begins anew after a long gap
-(``segments.py``). From there on, every ``window`` epochs are smoothed. A log may be larger than
-memory, and its track does not depend on how it is cut into blocks.
+A track begins with a first position, which gives its prior, and begins anew after a long gap
+(``segments.py``). Counted from there, every ``window`` epochs are smoothed together. A log may be
+larger than memory, and its track does not depend on how it is cut into blocks.
 """
 
 import os
@@ -47,12 +47,12 @@ class TrackBlock(LogBlock):
         planar: whether z and vz are known exactly.
         x, P: (T, 7), (T, 28) filtered belief after each epoch; covariances are packed. With an IMM
             they are the moments of its mixture.
-        filtered: (T, numbers) what the smoother needs: x, P, and the belief predicted for each
-            epoch, or the mixture of a bank.
+        filtered: (T, numbers) what the smoother needs: x, P, and the belief that was predicted for
+            the epoch or, with an IMM, its mixture.
         smooth_x, smooth_P: (T, 7), (T, 28) smoothed belief; without smoothing, the filtered one.
         mode: (T,) number of the mode that ran; with an IMM, the most probable mode.
         nis: (T, groups) NIS in that mode; 0 where not visible.
-        visible: (T, groups) as of the log, but without the link that gave the prior.
+        visible: (T, groups) as in the log, but without the links that gave the prior.
         accepted: (T, groups) whether the gate accepted the group.
     """
 
@@ -69,18 +69,18 @@ class TrackBlock(LogBlock):
 
 @dataclass(frozen=True)
 class Switching:
-    """The modes of a localizer, and who chooses between them.
+    """The modes of a localizer, and the rule or policy that chooses between them.
 
     Attributes:
         modes: one mode, or the modes to choose from; or a bank, whose modes interact.
-        rule: chooses a mode in every epoch, as
+        rule: function that chooses a mode in every epoch, as
             :class:`~mmwave_env.engines.track_engine.Tracker` takes it.
-        policy: function from the table of features to a policy, which chooses the mode, or the mode
-            of the bank to trust.
+        policy: function from an observation's table of features to a policy, which chooses the mode
+            to run or, with a bank, the mode to trust.
         observation: observation of the policy, "full" or "prior".
 
     Raises:
-        ValueError: there is a rule beside a bank or a policy.
+        ValueError: a rule is combined with a bank or a policy.
     """
 
     modes: tuple[Mode, ...] | Bank
@@ -90,11 +90,11 @@ class Switching:
 
     def __post_init__(self) -> None:
         if self.rule and (self.bank or self.policy):
-            raise ValueError("rule: found one with a bank or a policy, expected one of them")
+            raise ValueError("rule: cannot be combined with a bank or a policy, which replace it")
 
     @property
     def bank(self) -> Bank | None:
-        """Return the bank; None where at most one mode runs at a time."""
+        """Return the bank; None if only one mode runs at a time."""
         return self.modes if isinstance(self.modes, Bank) else None
 
     @property
@@ -104,7 +104,7 @@ class Switching:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Return the parts of the state to keep of every epoch; the last are for the smoother."""
+        """Return names of the parts of the state to keep; the last are for the smoother."""
         return (*_FILTERED, "mixture") if self.bank else (*_FILTERED, *_PREDICTED)
 
     def pipeline(self, layout: Layout, planar: bool) -> Pipeline:
@@ -125,10 +125,10 @@ class Switching:
 
 
 def learned(path: str | os.PathLike[str], radio: str) -> Switching:
-    """Return the learned switcher of a policy file, or a shipped one by its name.
+    """Return the modes and the policy of a learned switcher.
 
     Args:
-        path: as :class:`~policies.learned.LearnedSwitch` takes it.
+        path: policy file, or name of a shipped policy.
         radio: profile that selects the bank of a switcher with several banks.
     """
     switch = LearnedSwitch(path)
@@ -146,19 +146,19 @@ def localize(
 ) -> Iterator[TrackBlock]:
     """Yield the track of a log.
 
-    Where the log is damaged, the epochs before the damage are delivered first.
+    If the log is damaged, the epochs before the damage are delivered first.
 
     Args:
         blocks: blocks of the log; each is filtered in one call, so large blocks are faster.
         scene: scene whose anchors were measured.
         radio: profile of the receiver: standard deviations by SNR, oscillator, prior.
-        switching: the modes, and who chooses between them.
-        window: epochs smoothed together; None for no smoothing.
-        height_m: height of flat terrain, where it is known (paper, Sec. II-A).
+        switching: the modes, and the rule or policy that chooses between them.
+        window: number of epochs that are smoothed together; None for no smoothing.
+        height_m: height of flat terrain, if it is known (paper, Sec. II-A).
 
     Raises:
         LogError: from ``blocks``.
-        ValueError: there is no epoch to begin with.
+        ValueError: no epoch determines a position to begin with.
     """
     track = _filtered(segments(blocks, scene, radio), scene, radio, switching, height_m)
     return track if window is None else _smoothed(track, window, scene, switching)
@@ -189,7 +189,7 @@ def _filtered(
 
 
 def _while_finite(track: TrackBlock) -> Iterator[TrackBlock]:
-    """Yield the track up to the first state that is not finite; refuse the rest of the block."""
+    """Yield the track before the first state that is not finite; then raise an error, if any."""
     lost = np.flatnonzero(~np.isfinite(track.x).all(axis=1) | ~np.isfinite(track.P).all(axis=1))
     if not len(lost):
         yield track
@@ -198,20 +198,20 @@ def _while_finite(track: TrackBlock) -> Iterator[TrackBlock]:
     if first:
         yield track.part(slice(first))
     raise LogError(
-        f"log, time {track.time_s[first]} s: found no finite state after this epoch, expected "
+        f"log, time {track.time_s[first]} s: found NaN or infinity after this epoch, expected "
         "measurements that a receiver can make"
     )
 
 
 def episode_from(block: LogBlock, scene: Scene, radio: Radio, begins: bool = True) -> Episode:
-    """Return epochs of a log as an episode whose truth is not known.
+    """Return epochs of a log as an episode without true positions.
 
     Args:
         block: the epochs.
         scene: scene whose anchors were measured.
         radio: profile of the receiver, for the prior and for standard deviations by SNR.
         begins: whether a track begins here, with a prior from the first epoch; the links that gave
-            it are then not visible, or they would be used twice. Otherwise the prior has no
+            it are then not visible, so that they are not used twice. Otherwise the prior has no
             meaning.
     """
     prior, visible = (np.zeros(7), np.eye(7)), block.visible
@@ -242,7 +242,7 @@ def episode_from(block: LogBlock, scene: Scene, radio: Radio, begins: bool = Tru
 def _smoothed(
     blocks: Iterable[TrackBlock], window: int, scene: Scene, switching: Switching
 ) -> Iterator[TrackBlock]:
-    """Yield the track in blocks of whole windows, smoothed together, and the rest of segments."""
+    """Yield the track with smoothed windows, of which the last one in a segment may be shorter."""
     for block in in_windows(blocks, window, lambda block: block.segment):
         epochs = min(window, len(block))
         parts, time_s, spread_hz = (
@@ -254,7 +254,7 @@ def _smoothed(
 
 
 def filtered_of(parts: Mapping[str, Array]) -> Array:
-    """Return what the smoother needs (T, numbers) of parts of the state of T epochs."""
+    """Return what the smoother needs (T, numbers), from parts of the state in T epochs."""
     kept = (values for name, values in parts.items() if name not in _FILTERED)
     return np.hstack([parts["x"], parts["P"], *kept])
 
@@ -271,8 +271,8 @@ def smoothed(
     """Return smoothed means (N, T, 7) and packed covariances (N, T, 28) of N windows of a track.
 
     Args:
-        switching, layout, planar, scene: of the track.
-        filtered: (N, T, numbers) x and P of every epoch, and what else the smoother needs.
+        switching, layout, planar, scene: those that were used to compute the track.
+        filtered: (N, T, numbers) rows that :func:`filtered_of` returned.
         time_s, spread_hz: (N, T) times and Doppler spreads.
     """
     dt, ends = np.diff(time_s), [STATE_SIZE, STATE_SIZE + 28]

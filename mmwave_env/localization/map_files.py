@@ -1,7 +1,7 @@
-"""Track files on the map of the world: GeoJSON, GPX and NMEA 0183, written block by block.
+"""Track files for maps of the world: GeoJSON, GPX and NMEA 0183, written block by block.
 
-Positions of the scene become latitude, longitude and height (WGS 84) by the scene's origin;
-pymap3d converts the frames.
+Positions in the scene are converted to latitude, longitude and height (WGS 84) by pymap3d, with the
+origin that the scene states.
 """
 
 import json
@@ -25,8 +25,8 @@ from mmwave_env.numerics.numbers import Array
 ELLIPSE_SHARE = 0.95
 _ELLIPSE_NIS = -2.0 * np.log(1.0 - ELLIPSE_SHARE)  # chi-square quantile, 2 degrees of freedom
 Write = Callable[[TrackBlock], None]
-_CORNERS = 32  # of an ellipse's polygon
-_ELLIPSES_APART_S = 1.0  # a polygon per epoch at 100 Hz would make a file that no map opens
+_CORNERS = 32  # number of corners of the polygon that stands for an ellipse
+_ELLIPSES_APART_S = 1.0  # minimum; with an ellipse per epoch, at 100 Hz, no map could open the file
 _GEOJSON = '{"type": "FeatureCollection", "features": ['
 _GPX = (
     '<?xml version="1.0" encoding="UTF-8"?>\n'
@@ -56,14 +56,14 @@ def _ellipses(origin: Origin, x: Array, P: Array) -> Array:
     corners = np.repeat(x[:, None, :3], _CORNERS, axis=1)
     corners[..., :2] += offsets.transpose(0, 2, 1)
     around = geodetic(origin, corners.reshape(-1, 3)).reshape(len(x), _CORNERS, 3)
-    return np.concatenate([around, around[:, :1]], axis=1)[..., [1, 0]]  # closed
+    return np.concatenate([around, around[:, :1]], axis=1)[..., [1, 0]]  # a closed ring
 
 
 @contextmanager
 def _geojson(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
-    """Write a FeatureCollection: lines of the track, and the 95 % ellipse of an epoch a second."""
+    """Write a FeatureCollection: lines of the track, and every second a 95 % ellipse."""
     separator = ""
-    last: tuple[int, float, list[float]] = -1, -np.inf, []  # segment, time of an ellipse, point
+    last: tuple[int, float, list[float]] = -1, -np.inf, []  # last segment, ellipse's time, point
     file.write(_GEOJSON)
 
     def feature(kind: str, coordinates: object, **properties: object) -> None:
@@ -165,7 +165,7 @@ def nmea(origin: Origin, moment: float, place: Array, packed: Array) -> str:
 
 
 def _degrees(angle: float, digits: int, sides: str) -> str:
-    """Return degrees and minutes as NMEA writes them, with the side of the earth."""
+    """Return degrees and minutes as NMEA writes them, with the hemisphere."""
     minutes = round(abs(angle) * 60.0 * 1e7)  # 1e-7 minutes are 0.2 mm
     whole, rest = divmod(minutes, 600_000_000)
     return f"{whole:0{digits}d}{rest / 1e7:010.7f},{sides[int(angle < 0.0)]}"
@@ -179,7 +179,7 @@ def _sentence(text: str) -> str:
 class MapFile(NamedTuple):
     """A format of files for maps."""
 
-    header: str  # first letters of every such file
+    header: str  # text that every such file begins with
     writer: Callable[[TextIO, Origin, str], AbstractContextManager[Write]]
 
 
@@ -203,8 +203,8 @@ def map_file(path: Path, scene: Scene) -> Iterator[Write]:
     """
     if scene.origin is None:
         raise ValueError(
-            f"out: found {path}, but no origin in scene {scene.name!r}, expected "
-            '"origin": {"latitude_deg": ..., "longitude_deg": ...} in its file (docs/data.md)'
+            f"out: {path} needs the origin of scene {scene.name!r}, which has none; add "
+            '"origin": {"latitude_deg": ..., "longitude_deg": ...} to its file (docs/data.md)'
         )
     with (
         atomic_path(path) as temporary,
@@ -216,5 +216,5 @@ def map_file(path: Path, scene: Scene) -> Iterator[Write]:
 
 
 def _escaped(name: str) -> str:
-    """Return a name for XML in ASCII."""
+    """Return a name as ASCII text for XML."""
     return escape(name).encode("ascii", "xmlcharrefreplace").decode("ascii")

@@ -1,12 +1,13 @@
-"""Tracker of a user through paths without anchor numbers, with hypotheses about the position.
+"""Tracker that follows a user through paths without anchor numbers, by testing hypotheses.
 
 A track begins with the hypothesis that *this path is the line of sight*. The path gives a
-position, which the paths of the next epochs fit or not. Tracks are values, so several can be tried.
+position, which the paths of the next epochs fit or do not fit. Tracks are immutable values, so
+several of them can be tried in parallel.
 
-Paths are assigned to anchors by global nearest neighbor, the assignment with the least sum of NIS
-in which each path and each anchor occurs at most once, and an anchor without a path costs as much
-as the gate (Blackman and Popoli 1999, Sec. 6.4). The NIS is the one that the filters compute, with
-the measurement linearized (EKF) at the prediction.
+Paths are assigned to anchors by global nearest neighbor: the assignment with the smallest sum of
+NIS in which each path and each anchor occurs at most once, and an anchor without a path costs as
+much as the gate (Blackman and Popoli 1999, Sec. 6.4). The NIS is the one that the filters compute,
+with the measurement linearized at the prediction, as in an EKF.
 """
 
 from collections.abc import Iterator, Sequence
@@ -57,7 +58,7 @@ def path_nis(x: Vector, P: Matrix, anchors: Matrix, paths: Array, sigma: Array) 
 
 
 def assign(nis: Array, gate: float) -> Index:
-    """Return the path of every anchor (L,), ``NO_PATH`` where no path is within the gate.
+    """Return the path of every anchor (L,), ``NO_PATH`` if no path is within the gate.
 
     Args:
         nis: (L, n) as :func:`path_nis` returns it.
@@ -81,14 +82,14 @@ def disagreement(paths: Array, sigma: Array) -> Array:
 
 
 GATE_QUANTILE = 0.99  # chi-square quantile of the NIS below which a path may belong to an anchor
-CLEARLY_MORE = 0.5  # additional paths per epoch that a new track must explain to replace a track
+CLEARLY_MORE = 0.5  # additional paths per epoch that a new track must explain to replace another
 
 
 class PathTrack(NamedTuple):
     """A hypothesis about the user's state after an epoch."""
 
-    x: list[float]  # (7,)
-    P: list[float]  # (28,) packed
+    x: list[float]  # (7,) mean
+    P: list[float]  # (28,) packed covariance
     memory: Memory
     time_s: float
     seen_s: float  # last time at which a path or odometry belonged to the track
@@ -107,7 +108,8 @@ class _Links(NamedTuple):
     # z, sigma: (L, n, 4) rows of the links and their standard deviations, m and rad
     z: Array
     sigma: Array
-    doppler_sigma: Array  # (n,) standard deviations of Doppler shifts if from the base station, Hz
+    # (n,) standard deviations, Hz, of the paths' Doppler shifts, if they are the base station's
+    doppler_sigma: Array
 
 
 class PathTracker:
@@ -125,7 +127,7 @@ class PathTracker:
         self._memory = initial_memory(layout, 1)
         self._gate = float(chdtri(4, 1.0 - GATE_QUANTILE))
         self._disagreement = float(chdtri(1, 1.0 - GATE_QUANTILE))
-        unheard = np.zeros((1, layout.anchors))  # odometry has no SNR
+        unheard = np.zeros((1, layout.anchors))  # SNRs, on which odometry does not depend
         self._odometry_sigma = radio.sigma(unheard, scene, layout)[0, layout.doppler + 1 :].tolist()
 
     def follow(self, track: PathTrack, paths: PathEpoch) -> PathTrack:
@@ -140,8 +142,8 @@ class PathTracker:
     def rival(self, track: PathTrack | None, window: Sequence[PathEpoch]) -> PathTrack | None:
         """Return a track that begins here and explains more of the coming epochs, if there is one.
 
-        The result is also None where a track that begins later explains more: such a track waits
-        for the end of a blockage instead of taking a reflection for the line of sight.
+        The result is also None if a track that begins later explains more: during a blockage, a
+        track that began here would mistake a reflection for the line of sight.
         """
         horizon = window[0].time_s + GAP_S
         paths, *coming = (epoch for epoch in window if epoch.time_s <= horizon)
@@ -159,7 +161,7 @@ class PathTracker:
     def _best(
         self, track: PathTrack | None, paths: PathEpoch, coming: Sequence[PathEpoch]
     ) -> tuple[PathTrack | None, int]:
-        """Return the track that begins here and explains most paths, and the number of paths."""
+        """Return the track that begins here and explains the most paths, and their number."""
         best: tuple[PathTrack | None, int] = None, 0
         for begun in self._beginnings(track, paths):
             fitted = self._fitted(begun, coming)
@@ -176,7 +178,7 @@ class PathTracker:
         return fitted
 
     def _beginnings(self, track: PathTrack | None, paths: PathEpoch) -> Iterator[PathTrack]:
-        """Yield tracks from every path that may be the line of sight and is not explained yet."""
+        """Yield a track for every path that may be the line of sight and is not explained yet."""
         links = self._links(paths)
         sights = links.z[0]
         likely = gives_fix(sights) & (disagreement(sights, links.sigma[0]) < self._disagreement)
@@ -231,7 +233,7 @@ class PathTracker:
         return Epoch(dt, z, sigma, visible, snr, paths.doppler_spread_hz)
 
     def _with_labels(self, epoch: Epoch, paths: PathEpoch, links: _Links, labels: Index) -> Epoch:
-        """Return the epoch with the paths of the anchors in their rows."""
+        """Return the epoch with the numbers of each anchor's path in the rows of this anchor."""
         layout = self._layout
         z, sigma, visible, snr = (list(part) for part in epoch[1:5])
         for anchor in np.flatnonzero(labels != NO_PATH).tolist():
@@ -246,7 +248,7 @@ class PathTracker:
         return epoch._replace(z=z, sigma=sigma, visible=visible, snr_db=snr)
 
     def _updated(self, track: PathTrack, paths: PathEpoch) -> PathTrack:
-        """Return the track after the update with its epoch."""
+        """Return the track after the update with the measurements of its epoch."""
         epoch, layout = track.epoch, self._layout
         site = Site(self._anchors, self._scene.hz_per_mps, track.x, track.P)
         after = predict_update(

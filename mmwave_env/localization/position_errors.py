@@ -1,13 +1,14 @@
-"""Position errors in the field's terms: percentiles, shares of epochs and protection levels.
+"""Statistics of position errors: percentiles, shares of epochs and protection levels.
 
-Errors are horizontal (the length in x and y) and vertical (the absolute value of z). The distances
-are those of 3GPP TS 22.261, Table 7.3.2.2-1, for positioning services. A track may be larger than
-memory, so errors are kept in temporary files, 16 bytes per epoch and kind, until they are needed.
+Errors are horizontal (the length in x and y) and vertical (the absolute value of z). Errors are
+counted within the distances of 3GPP TS 22.261, Table 7.3.2.2-1, for positioning services. A track
+may be larger than memory, so errors are kept in temporary files, 16 bytes per epoch and kind.
 
 A protection level is a bound that an error exceeds with a stated risk if the covariance is right.
 With position errors e ~ N(0, P), the level at risk r is the distance that |e| exceeds with
-probability r. A track has integrity if its errors exceed the levels no more often (P. D. Groves,
-Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed., 2013, ch. 17).
+probability r. A track has integrity if its errors do not exceed the levels more often than that (P.
+D. Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed.,
+2013, ch. 17).
 
 Vertically |e| has a normal distribution folded at zero: level = sigma_z Phi^-1(1 - r/2).
 Horizontally, let a >= b be the standard deviations along the axes of the ellipse of the 2 x 2
@@ -15,8 +16,9 @@ block of P, and e = (a rho cos t, b rho sin t) with rho exp(-rho^2/2) drho dt / 
 
     P(|e| > d) = 1/(2 pi) int_0^(2 pi) exp(-d^2 / (2 (a^2 cos^2 t + b^2 sin^2 t))) dt,
 
-which is solved for d: the exact quantile, not its usual upper bound a sqrt(chi2^-1(1 - r; 2)). The
-two are equal where a = b. (J. W. Craig, MILCOM 1991, has the integral for b = 0.)
+which is solved for d. This gives the exact quantile instead of the usual upper bound
+a sqrt(chi2^-1(1 - r; 2)), which is exact only if a = b. (J. W. Craig, MILCOM 1991, has the integral
+for b = 0.)
 """
 
 from functools import lru_cache
@@ -47,7 +49,7 @@ def require_risk(risk: float) -> None:
 
 
 def horizontal_level(P: Array, risk: float) -> Array:
-    """Compute levels (...,), m, of packed covariances P (..., 3 or more): x and y come first."""
+    """Compute levels (...,), m, from packed covariances P (..., 3 or more): x and y come first."""
     xx, xy, yy = P[..., 0], P[..., 1], P[..., 2]
     middle, half = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
     major = np.sqrt(middle + half)
@@ -57,7 +59,7 @@ def horizontal_level(P: Array, risk: float) -> Array:
 
 
 def vertical_level(P: Array, risk: float) -> Array:
-    """Compute levels (...,), m, of packed covariances P (..., 6 or more): positions come first."""
+    """Compute levels (...,), m, from packed covariances P (..., 6 or more): x, y, z come first."""
     from scipy.special import ndtri
 
     return -ndtri(0.5 * risk) * np.sqrt(np.maximum(P[..., 5], 0.0))  # type: ignore[no-any-return]
@@ -65,7 +67,7 @@ def vertical_level(P: Array, risk: float) -> Array:
 
 @lru_cache(maxsize=16)
 def _multiples(risk: float) -> Array:
-    """Compute d / a (ratios,) for every b / a by bisection."""
+    """Compute the level divided by a, (ratios,), for every ratio b / a, by bisection."""
     spread = np.cos(_ANGLES) ** 2 + np.outer(_RATIOS**2, np.sin(_ANGLES) ** 2)
     low, high = np.zeros(len(_RATIOS)), np.full(len(_RATIOS), np.sqrt(-2.0 * np.log(risk)))
     for _ in range(_HALVINGS):
@@ -80,7 +82,7 @@ def exceedance(error: Array, level: Array) -> dict[str, Any]:
 
     An error or a level that is NaN counts as exceeded. The interval is that of Clopper and Pearson
     (1934) with :data:`CONFIDENCE`, for independent epochs. Epochs of a track are correlated, so
-    the share of another track may well lie outside.
+    the share in another track may well lie outside of the interval.
 
     Returns:
         "exceeded", the count; "share" and its interval "ci95", both None without errors.
@@ -98,7 +100,7 @@ def exceedance(error: Array, level: Array) -> dict[str, Any]:
     }
 
 
-SHARES = (0.50, 0.67, 0.80, 0.90, 0.95)  # shares of epochs at which errors are compared
+SHARES = (0.50, 0.67, 0.80, 0.90, 0.95)  # shares of epochs, for percentiles
 DISTANCES_M = (0.2, 1.0, 3.0, 10.0)
 _IN_MEMORY = 1 << 20  # bytes; larger files are on disk
 
@@ -116,7 +118,7 @@ def vertical(error: Array) -> Array:
 def percentiles(sizes: Array) -> dict[str, float | None]:
     """Compute percentiles of errors (n,), m, as :func:`numpy.quantile` interpolates them.
 
-    A percentile is None where it is not finite: there are no errors, or too many errors are NaN.
+    A percentile is None if it is not finite: there are no errors, or too many errors are NaN.
     """
     largest = np.where(np.isnan(sizes), np.inf, sizes)
     with np.errstate(invalid="ignore"):  # interpolation between two infinities is invalid
@@ -128,7 +130,7 @@ def percentiles(sizes: Array) -> dict[str, float | None]:
 
 
 class BoundedErrors:
-    """Errors of one kind with the protection level of each."""
+    """Errors of one kind, horizontal or vertical, each with its protection level."""
 
     def __init__(self) -> None:
         self._file: Any = SpooledTemporaryFile(_IN_MEMORY)  # noqa: SIM115 - open as long as self
@@ -146,7 +148,7 @@ class BoundedErrors:
         return rows
 
     def figures(self) -> dict[str, Any]:
-        """Return statistics of the errors and levels; see docs/errors.md."""
+        """Return the statistics of errors and levels that docs/errors.md describes."""
         error, level = self.rows().T
         return {
             "epochs": len(error),
@@ -168,7 +170,7 @@ class PositionErrors:
         planar: whether the height is known, so that there are no vertical errors.
 
     Attributes:
-        kinds: "horizontal" and "vertical".
+        kinds: errors by kind, "horizontal" and, unless planar, "vertical".
     """
 
     def __init__(self, risk: float = RISK, planar: bool = False) -> None:

@@ -1,4 +1,4 @@
-"""The radio profile of a log, where nobody names it: the shipped one whose noise is nearest."""
+"""Default radio profile of a log: the shipped profile whose noise is nearest to the log's."""
 
 import numpy as np
 
@@ -9,16 +9,16 @@ from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, wrap
 from mmwave_env.world.episode import NEUTRAL_SNR_DB
 
-_FEWEST = 20  # second differences for a median
-_ROBUST = 1.4826 / np.sqrt(6.0)  # median absolute second difference of noise, to its deviation
+_FEWEST = 20  # minimum number of second differences for a median
+_ROBUST = 1.4826 / np.sqrt(6.0)  # standard deviation / median absolute second difference, of noise
 
 
 def nearest_radio(block: LogBlock, scene: Scene) -> str:
-    """Return the name of the shipped profile whose deviations are nearest to those of a log.
+    """Return the name of the shipped profile whose standard deviations are nearest to a log's.
 
-    A row's deviation is the median of the receiver's own, if it states them; otherwise it follows
-    from second differences in time, in which a steady motion cancels. Distances are between
-    logarithms, in the mean over the rows that were measured.
+    A row's standard deviation is the median of those that the receiver states, if it does;
+    otherwise it follows from second differences in time, in which a steady motion cancels. Nearest
+    means the least mean squared difference of logarithms, over the rows that were measured.
 
     Args:
         block: first epochs of the log.
@@ -36,7 +36,7 @@ def nearest_radio(block: LogBlock, scene: Scene) -> str:
 
 
 def _deviation(block: LogBlock, row: int) -> float:
-    """Return the deviation of a row of links, m or rad; NaN where too few were measured."""
+    """Return the standard deviation, m or rad, of a row of links; NaN if too few were measured."""
     columns = slice(row, block.layout.doppler, len(LINK))
     own = block.sigma[:, columns]
     if np.isfinite(own).any():

@@ -1,11 +1,12 @@
-"""Segments of a log, and the first position of each, from the links of one epoch.
+"""Segments of a log, each tracked separately, and their first positions.
 
-Prediction bridges seconds; after half a minute without a link the filter is often lost, and
-confident of a wrong place. So a segment ends after a long gap, and the next one begins with the
-next first fix.
+A filter can predict over some seconds without a link; after half a minute it is often lost, and
+confident of a wrong position. So a segment ends after a long gap, and the next one begins with the
+next epoch that determines a position, its first fix.
 
-A whole link of the base station gives it directly. Where a log has no such links, all links of the
-epoch give it together, by nonlinear least squares with the height of the streets as a weak prior.
+A complete link of the base station gives this position directly. If the log lacks columns for
+that, all links of the epoch give it together, by nonlinear least squares with the height of the
+streets as a weak prior.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -23,31 +24,32 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Mask
 
-HEIGHT_SIGMA_M = 2.0  # of a user's height about that of the streets, where no elevation tells it
-_FARTHEST_M = 1e3  # deviation of the weak prior about the anchors
-_WORST_FIX_M = 50.0  # horizontal deviation of a position that a track can begin with
-_AMBIGUOUS = 12.0  # least difference of the squared errors of two solutions of which one is right
+# Standard deviations of the weak prior: height around that of the streets; x and y around the
+# mean position of the anchors.
+HEIGHT_SIGMA_M, _FARTHEST_M = 2.0, 1e3
+_WORST_FIX_M = 50.0  # maximum horizontal standard deviation of a position to begin a track with
+_AMBIGUOUS = 12.0  # if the squared errors of two solutions differ by less, either may be right
 _DIRECTIONS, _STARTS_M, _ROUNDS = 12, (10.0, 40.0, 160.0), 15
 
 
 class Fix(NamedTuple):
-    """A first position."""
+    """A first position, from the links of one epoch."""
 
     prior: tuple[Array, Array]  # mean (7,) and covariance (7, 7) of the state
-    used: Mask  # (groups,) groups that gave it
+    used: Mask  # (groups,) whether each group of measurements was used to compute it
 
 
 def gives_fix(links: Array) -> Mask:
     """Tell which links (n, 4 or more), m and rad, give a prior.
 
-    Straight above or below an anchor the azimuth is undefined. Near there the uncertainty of the
-    direction grows with the elevation, which a Gaussian does not describe.
+    Straight above or below an anchor the azimuth is undefined. Close to this vertical line, the
+    uncertainty of the direction grows with the elevation, which a Gaussian does not describe.
     """
     return (links[:, 0] >= RANGE_LIMITS_M[0]) & (abs(links[:, 2]) <= STEEPEST_FIX_RAD)
 
 
 def first_fix(block: LogBlock, epoch: int, scene: Scene, radio: Radio) -> Fix | None:
-    """Return the position that an epoch of a block determines, or None."""
+    """Return the position that an epoch of a block determines, or None if it determines none."""
     row = block.part(slice(epoch, epoch + 1))
     sigma = radio.sigma(row.snr_db, scene, row.layout)
     sigma = np.where(np.isfinite(row.sigma), row.sigma, sigma)[0]
@@ -81,7 +83,7 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
     """Return the position (3,) and its covariance from all links of an epoch (T = 1), or None.
 
     The search starts around every anchor, in all directions, because ranges and angles alone have
-    several minima. None is returned where two of them explain the links, or none is sharp.
+    several minima. The result is None if two of them explain the links, or the best is uncertain.
     """
     layout, anchors = row.layout, scene.anchors_m
     measured = np.isfinite(row.measurement[0]).astype(float)
@@ -96,7 +98,7 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
     weight = 1.0 / np.array([_FARTHEST_M, _FARTHEST_M, HEIGHT_SIGMA_M]) ** 2
 
     def normal(position: Array) -> tuple[float, Array, Array]:
-        """Return the squared error, its gradient and the information at a position."""
+        """Return the squared error, its gradient and the information matrix at a position."""
         x = [*position.tolist(), 0.0, 0.0, 0.0, 0.0]
         links = groups_of(x, epoch)[: layout.anchors]
         e = np.array([value for link in links for value in link.innovation])
@@ -136,7 +138,7 @@ def _starts(anchors: Array, center: Array) -> Iterator[Array]:
 def _descend(
     normal: Callable[[Array], tuple[float, Array, Array]], position: Array
 ) -> tuple[float, Array, Array]:
-    """Return squared error, position and information at the minimum near a start (Gauss-Newton)."""
+    """Find the minimum near a start (Gauss-Newton): squared error, position and information."""
     cost, gradient, information = normal(position)
     for _ in range(_ROUNDS):
         step = np.linalg.solve(information, gradient)
@@ -158,9 +160,9 @@ def _descend(
 
 
 def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator[LogBlock]:
-    """Yield the epochs of the segments of a log, each block within one segment.
+    """Yield the epochs of the segments of a log, in blocks that each belong to one segment.
 
-    A segment ends when neither a link nor odometry was seen for more than ``GAP_S``, or where the
+    A segment ends if there is neither a link nor odometry for more than ``GAP_S``, or if the
     log says that a track must begin anew. The next segment begins with the next first fix.
 
     Raises:
@@ -209,14 +211,14 @@ def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator
         )
         raise ValueError(
             f"log: found {skipped} epochs, none of which determines a position, expected "
-            f"{sight if block.whole_columns else 'one with links that have one solution'}, where "
-            f"the track begins ({incomplete} lack some numbers)"
+            f"{sight if block.whole_columns else 'one with links that have a unique solution'}, to "
+            f"begin the track ({incomplete} lack some numbers)"
         )
     yield held
 
 
 def _first_fix(block: LogBlock, scene: Scene, radio: Radio) -> int:
-    """Return the index of the first epoch that gives a prior; without one, the number of epochs."""
+    """Return the index of the first epoch that gives a prior, or the number of epochs if none."""
     if block.whole_columns:
         whole = np.isfinite(block.measurement[:, :4]).all(axis=1)
         fixes = np.flatnonzero(block.visible[:, 0] & whole & gives_fix(block.measurement))
@@ -228,9 +230,9 @@ def _first_fix(block: LogBlock, scene: Scene, radio: Radio) -> int:
 
 
 def _end(block: LogBlock, last_s: float, begins: bool) -> tuple[int, float | None]:
-    """Count the block's epochs in the segment; return also the time of its last measurement.
+    """Count the block's epochs in the segment; also return the time of its last measurement.
 
-    The time is None if the segment ends in this block; ``begins`` tells whether it starts here.
+    The time is None if the segment ends in this block; ``begins`` says whether it starts here.
     """
     measured = block.visible[:, : block.layout.anchors].any(axis=1)
     if block.layout.odometry:  # dead reckoning bridges two minutes as well as ten seconds

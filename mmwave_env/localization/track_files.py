@@ -1,4 +1,4 @@
-"""Track files, written block by block."""
+"""Writers of track files, block by block."""
 
 import csv
 import io
@@ -18,7 +18,7 @@ from mmwave_env.models.scene import Scene
 TRACK_ENDINGS = (".tum", ".txt")
 TABLE_ENDING = ".csv"
 ENDINGS = (*TRACK_ENDINGS, TABLE_ENDING, *MAP_FILES)
-_VARIANCES = [i * (i + 3) // 2 for i in range(6)]  # of positions and velocities in packed P
+_VARIANCES = [i * (i + 3) // 2 for i in range(6)]  # indices of variances in packed P
 _TRACK_HEADER = f"# {' '.join(COLUMNS)}; mmwave-loc localize\n"
 _TABLE_HEADER = (
     "time_s,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m,vx_mps,vy_mps,vz_mps,"
@@ -27,24 +27,24 @@ _TABLE_HEADER = (
 
 
 def table_beside(track: Path) -> Path | None:
-    """Return the path of the table of standard deviations beside a TUM file; None beside others.
+    """Return the path of the table with the standard deviations of a TUM file; None for others.
 
     Raises:
-        ValueError: the name of the file is that of no format of tracks.
+        ValueError: the ending of the file is not that of a track file.
     """
     if track.suffix not in ENDINGS:
         raise ValueError(
-            f"out: found {track}, expected a name that ends with {', '.join(ENDINGS)}; beside a "
-            "TUM file its standard deviations go to a .csv"
+            f"out: found {track}, expected a name that ends with {', '.join(ENDINGS)}; the "
+            "standard deviations of a TUM file are written to a .csv file next to it"
         )
     return track.with_suffix(TABLE_ENDING) if track.suffix in TRACK_ENDINGS else None
 
 
 def require_own_files(track: Path) -> None:
-    """Refuse to replace any file other than a track and the table beside it.
+    """Refuse to replace any file that is neither an earlier track nor its table.
 
     A track and its table can be made again from their log. Any other file may be the only copy:
-    a recorded truth is a TUM file, too, and the user never typed the name of the table.
+    a ground-truth track is a TUM file, too, and the user never typed the name of the table.
 
     Raises:
         ValueError: a file with another header has one of the names.
@@ -54,8 +54,8 @@ def require_own_files(track: Path) -> None:
     headers |= {ending: kind.header for ending, kind in MAP_FILES.items()}
     table = table_beside(track)
     for path, problem in (
-        (track, "no track of mmwave-loc localize and which the new one"),
-        (table, f"no table of a track and which that of {track}"),
+        (track, "not a track of mmwave-loc localize and would be replaced by the new one"),
+        (table, f"not a table of a track and would be replaced by the table of {track}"),
     ):
         if path is None or not path.is_file():
             continue
@@ -64,8 +64,8 @@ def require_own_files(track: Path) -> None:
             own = file.read(len(header)) == header.encode()
         if not own:
             raise ValueError(
-                f"out: found {path}, which is {problem} would replace, expected another name, such "
-                f"as {track.with_stem(f'{track.stem}-track')}"
+                f"out: found {path}, which is {problem}, expected another name, such as "
+                f"{track.with_stem(f'{track.stem}-track')}"
             )
 
 
@@ -77,13 +77,13 @@ def track_files(track: Path, modes: Sequence[str], scene: Scene) -> Iterator[Wri
     """Yield a function that writes the next block of a track; at the end, put the files in place.
 
     Args:
-        track: file for the smoothed track; its ending says the format. Beside a TUM file,
-            :func:`table_beside` has the other columns.
+        track: file for the smoothed track; its ending determines the format. What a TUM file has
+            no columns for is written to the file that :func:`table_beside` returns.
         modes: names of the modes.
         scene: scene, whose origin files for maps need.
 
     Raises:
-        ValueError: a file for a map, but the scene has no origin.
+        ValueError: the file is for a map, but the scene has no origin.
     """
     if track.suffix in MAP_FILES:
         with map_file(track, scene) as write:
@@ -124,7 +124,7 @@ def _table_file(path: Path, modes: Sequence[str]) -> Iterator[Write]:
 
         def write(block: TrackBlock) -> None:
             x = block.smooth_x
-            # Rounding may take a variance that is known to be 0 below 0.
+            # Rounding may make a variance that is known to be 0 negative.
             sigma = np.sqrt(np.maximum(block.smooth_P[:, _VARIANCES], 0.0))
             numbers = np.column_stack(
                 [block.time_s, x[:, :3], sigma[:, :3], x[:, 3:6], sigma[:, 3:]]

@@ -19,7 +19,7 @@ from mmwave_env.numerics.numbers import Array
 
 Index = NDArray[np.intp]
 
-FAR_NEES = 100.0  # mean NEES of a track that is unrelated to the truth
+FAR_NEES = 100.0  # a larger mean NEES means that the track is far from the truth
 _ENOUGH = 100  # number of epochs from which the time step is estimated
 
 
@@ -47,14 +47,14 @@ class Accuracy:
         self._waiting = np.concatenate([self._waiting, error])
 
     def pair(self, first: Index, second: Index, done: int) -> None:
-        """Compare waiting errors by their indices; then drop the ``done`` oldest errors."""
+        """Add the changes between pairs of errors (indices); then drop the ``done`` oldest ones."""
         change = self._waiting[second] - self._waiting[first]
         self._change += float(np.linalg.norm(change, axis=1).sum())
         self._pairs += len(change)
         self._waiting = self._waiting[done:]
 
     def figures(self) -> dict[str, float | None]:
-        """Return the running metrics by name, but for divergence, which is of episodes."""
+        """Return the running metrics by name, except divergence, which only episodes have."""
         counts = (max(self._scored, 1), self._pairs)
         sums = Sums(*np.array([*counts, *self._sums[:2], self._change, *self._sums[2:], 0.0]))
         known = {"rpe_m": self._pairs}
@@ -66,10 +66,11 @@ class Accuracy:
 
 
 class Pairs:
-    """Pairs of scored epochs that are a second apart, or an epoch where epochs are longer.
+    """Pairs of scored epochs that are a second apart, or one time step if this is longer.
 
     Attributes:
-        apart_s: a multiple of the time step, as near to a second as possible; None until known.
+        apart_s: time between the epochs of a pair: the multiple of the time step that is nearest to
+            a second; None until known.
     """
 
     def __init__(self) -> None:
@@ -86,7 +87,7 @@ class Pairs:
         self._segment = np.concatenate([self._segment, np.full(len(scored), segment)])
 
     def take(self, end: bool) -> tuple[Index, Index, int]:
-        """Return indices of pairs among waiting epochs, and the number of epochs that are done."""
+        """Return indices of pairs of waiting epochs, and how many epochs need not wait longer."""
         nothing = np.empty(0, np.intp)
         if self.apart_s is None:
             if len(self._first_s) < (2 if end else _ENOUGH):
@@ -113,12 +114,12 @@ class Pairs:
 
 
 class TruthScores:
-    """Scores of tracks ("filtered", "smoothed" or both) against the truth, planar or in 3D.
+    """Scores of tracks ("filtered", "smoothed" or both) against true positions, planar or in 3D.
 
     Attributes:
         truth: true positions of the user.
         scored: number of epochs scored so far.
-        errors: errors of each track, with protection levels at the risk.
+        errors: name of a track -> its position errors, with their protection levels.
     """
 
     def __init__(
@@ -151,13 +152,13 @@ class TruthScores:
         return truth
 
     def warn_if_far(self, track: str) -> None:
-        """Warn if the truth is far from what a track believes."""
+        """Warn if the true positions are far from the beliefs of a track."""
         nees = self._tracks[track].figures()["nees"]
         if nees is not None and not nees <= FAR_NEES:
             warnings.warn(
                 f"{self.truth.path}: found a mean NEES of {nees:.3g}, expected about "
-                f"{len(self._axes)}: is it in m, in the scene's frame (x east, y north), of "
-                "this log, and are the anchors where the scene says? Or the track is lost",
+                f"{len(self._axes)}: is this file in m, in the scene's frame (x east, y north) and "
+                "from the same drive, and are the scene's anchors right? If so, the track is lost",
                 stacklevel=2,
             )
 
@@ -172,7 +173,7 @@ class TruthScores:
             accuracy.pair(*pairs)
 
     def figures(self) -> dict[str, Any]:
-        """Return the accuracy of every track with the reference values to judge it by."""
+        """Return the accuracy of every track, with reference values to compare it with."""
         self._pair(end=True)
         tracks = {
             name: {**accuracy.figures(), **self.errors[name].figures()}

@@ -1,4 +1,4 @@
-"""Live localization: epochs go in one by one, and a position comes out at once."""
+"""Live localization: every epoch that goes in gives a position at once."""
 
 from collections import deque
 from collections.abc import Iterable, Mapping
@@ -30,10 +30,10 @@ class Position(NamedTuple):
     Attributes:
         time_s: time of the epoch.
         position_m: (3,) in the frame of the scene.
-        covariance_m2: (3, 3) of the position.
-        velocity_mps: (3,).
-        mode: name of the mode that ran, or of the most probable mode.
-        nis: NIS of every group of measurements that was seen, by name.
+        covariance_m2: (3, 3) covariance of the position.
+        velocity_mps: (3,) in the frame of the scene.
+        mode: name of the mode that ran or, in a bank, of the most probable mode.
+        nis: name of every group that was measured -> its NIS.
         rejected: names of the groups that the gates rejected.
         begins: whether a track begins here, with a first position from the links.
         geodetic: latitude and longitude (degrees) and height (m); None in a scene without origin.
@@ -51,7 +51,7 @@ class Position(NamedTuple):
 
 
 class Tracker:
-    """A track that grows by an epoch at a time, the same to the last bit as that of a whole log.
+    """A track that grows by one epoch at a time, bit-identical to that of the complete log.
 
     ```python
     >>> tracker = Tracker("street", policy="guided")
@@ -63,11 +63,11 @@ class Tracker:
 
     Args:
         scene: scene whose anchors are measured: a name, a JSON file or a Scene.
-        policy: policy file, or name of a shipped policy; or modes and who chooses between them.
+        policy: policy file, or name of a shipped policy, or a :class:`Switching` between modes.
         radio: profile of the receiver.
-        snr_db: SNR of links without one.
-        height_m: height of flat terrain, where it is known.
-        lag: epochs by which :meth:`smoothed` is late.
+        snr_db: SNR to assume for links without one.
+        height_m: height of flat terrain, if it is known.
+        lag: number of epochs by which :meth:`smoothed` lags behind.
     """
 
     def __init__(
@@ -87,21 +87,21 @@ class Tracker:
         self._log: LiveLog | None = None
         self._filter: Any = None
         self._last_s: float | None = None  # time of the last measurement; None before a track
-        # of the last epochs: time, Doppler spread, mode, and what the smoother needs
+        # time, Doppler spread, mode, and what the smoother needs, for each of the last epochs
         self._late: deque[tuple[float, float, str, Array]] = deque(maxlen=lag + 1)
 
     def update(self, rows: Iterable[Mapping[str, Any]]) -> Position | None:
-        """Take the rows of an epoch; return the belief after it.
+        """Process the rows of an epoch; return the belief after it.
 
         Args:
-            rows: one mapping an anchor, from names of columns (docs/data.md) to numbers; None, or
-                no key, for what was not measured.
+            rows: one mapping per anchor, from names of columns (docs/data.md) to numbers. If a
+                number was not measured, it is None or its key is missing.
 
         Returns:
-            None before the first epoch that determines a position, and in long gaps.
+            The belief; None before the first epoch that determines a position, and in long gaps.
 
         Raises:
-            LogError: a row is damaged or late; the epoch is left out.
+            LogError: a row is damaged or late; the epoch is ignored.
         """
         rows, blocks = list(rows), []
         if self._log is None:
@@ -115,7 +115,7 @@ class Tracker:
         return position
 
     def step(self, block: LogBlock) -> Position | None:
-        """Take an epoch of a log, a block with T = 1; see :meth:`update`."""
+        """Process an epoch of a log, a block with T = 1, as :meth:`update` does."""
         time_s, layout = float(block.time_s[0]), block.layout
         spread_hz, self._layout = float(block.doppler_spread_hz[0]), layout
         begins = self._last_s is None or time_s - self._last_s > GAP_S
@@ -146,9 +146,9 @@ class Tracker:
         )  # fmt: skip
 
     def smoothed(self) -> Position | None:
-        """Return the position ``lag`` epochs ago, smoothed by the epochs since.
+        """Return the position ``lag`` epochs ago, smoothed with the epochs since then.
 
-        None before the track is that long.
+        The result is None as long as the track is too short for this.
         """
         if len(self._late) < (self._late.maxlen or 0):
             return None

@@ -1,19 +1,21 @@
-"""Estimate of a constant offset between the clock of a truth and the clock of a log.
+"""Estimate of a constant offset between the clock of a ground-truth track and the clock of a log.
 
-If the times of a truth are late by tau, its position at time t is the user's at t - tau. The
-measurements of a log then differ from those computed from the truth, to first order, by
+If the clock of the track is ahead by tau, the track's position at time t is where the user was at
+t - tau. The measurements of a log then differ from those computed from the track, to first order,
+by
 
     e = c + (dh/dp) (tau v + s) + noise
 
-in every row h of a link. The constant c is a bias of each row, and s is an offset of the frame by
-some meters, so only changes of the velocity reveal a clock offset: on a straight line at
-constant speed tau is unobservable. tau is the least-squares estimate. Errors are correlated over
-seconds, so the standard error is that of the jackknife: the spread of the estimates in which one
-stretch of time is left out (B. Efron, C. Stein, "The jackknife estimate of variance", 1981).
+for every row of a link, a range or an angle h(p) at position p; v is the velocity. The constant c
+is a bias of the row, and s is a shift of the frame by some meters, so only changes of the velocity
+reveal a clock offset: on a straight line at constant speed tau is unobservable. tau is the
+least-squares estimate. Errors are correlated over seconds, so the standard error comes from the
+jackknife: the spread of estimates that each leave out one stretch of time (B. Efron, C. Stein,
+"The jackknife estimate of variance", 1981).
 
-This holds to first order only: a tau of tenths of a second is meters, over which a log is not
-straight. So the log is compared again with the truth at times moved by the estimate, until the
-remaining offset is within its error (Gauss-Newton).
+The formula is only correct to first order: in tenths of a second a user moves by meters, over
+which h is not linear. So the log is compared again with the track at times shifted by the
+estimate, until the remaining offset is within its error (Gauss-Newton).
 """
 
 import math
@@ -29,24 +31,25 @@ from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, wrap
 
-_STRETCHES, _SHORTEST_S = 32, 2.0  # at most so many stretches; beyond that their length doubles
-_FEWEST = 5  # least number of stretches for a standard error
-_CHANCE = 0.005  # probability of finding an offset in a clock without one
-_PART = 0.01  # least share of the squared error, noise included, that a relevant offset explains
+_STRETCHES, _SHORTEST_S = 32, 2.0  # maximum number of stretches; shortest length of one
+_FEWEST = 5  # minimum number of stretches for a standard error
+_CHANCE = 0.005  # probability of finding an offset if there is none
+_PART = 0.01  # minimum share of the squared error, noise included, that a relevant offset explains
 _STEP_M = 1e-3  # step of the numerical derivative of the rows of a link
-_ENOUGH, _OUTLIER = 20, 6.0  # epochs for a deviation; an outlier's least deviations
-_COMPARED = 4096  # number of epochs from the beginning
-_ROUNDS, _FARTHEST_S = 12, 10.0  # most comparisons; offsets beyond that are not credible
-_LEAST = 1e-6  # m, rad: deviation of a log without noise
+_ENOUGH = 20  # minimum number of epochs for a standard deviation
+_OUTLIER = 6.0  # standard deviations; larger errors are ignored
+_COMPARED = 4096  # maximum number of epochs, from the beginning of the log, that are compared
+_ROUNDS, _FARTHEST_S = 12, 10.0  # maximum number of comparisons; maximum credible offset
+_LEAST = 1e-6  # m, rad: minimum standard deviation, for logs without noise
 
 
 class ClockOffset(NamedTuple):
-    """An estimate of how far the clock of a truth is ahead of the clock of a log."""
+    """An estimate of how far the clock of a ground-truth track is ahead of the clock of a log."""
 
     seconds: float  # the estimate
     deviation_s: float  # its standard error
     part: float  # share of the squared error, from 0 to 1, that the estimate explains
-    limit: float  # ratio of seconds to deviation_s that chance exceeds in one of 200 cases
+    limit: float  # ratio of seconds to deviation_s that chance alone exceeds in one of 200 cases
 
     @property
     def matters(self) -> bool:
@@ -54,22 +57,22 @@ class ClockOffset(NamedTuple):
         return abs(self.seconds) > self.limit * self.deviation_s and self.part > _PART
 
     def figures(self) -> dict[str, float]:
-        """Return the estimate as it is written to results."""
+        """Return the numbers that are written to results."""
         return {"ahead_s": self.seconds, "deviation_s": self.deviation_s}
 
     @property
     def advice(self) -> str:
         """Return a sentence that says what is wrong and what to do."""
-        side, change = ("ahead of", "less") if self.seconds > 0.0 else ("behind", "more")
+        side, change = ("ahead of", "-") if self.seconds > 0.0 else ("behind", "+")
         size, deviation = (1e3 * abs(value) for value in (self.seconds, self.deviation_s))
         return (
             f"found its clock {size:.0f} ± {deviation:.0f} ms {side} the log's, expected the same; "
-            f"nothing was moved: if that is so, make its times {size / 1e3:.3f} s {change}"
+            f"nothing was changed: if this is real, shift its times by {change}{size / 1e3:.3f} s"
         )
 
 
 def keeping(blocks: Iterable[LogBlock], kept: list[LogBlock]) -> Iterator[LogBlock]:
-    """Yield the same blocks, and keep the first ones, which :func:`clock_offset` compares."""
+    """Yield the same blocks; append the first ones to ``kept``, for :func:`clock_offset`."""
     for block in blocks:
         if sum(map(len, kept)) < _COMPARED:
             kept.append(block)
@@ -79,12 +82,12 @@ def keeping(blocks: Iterable[LogBlock], kept: list[LogBlock]) -> Iterator[LogBlo
 def clock_offset(
     log: LogBlock, scene: Scene, truth_at: Callable[[Array], TrueEpochs]
 ) -> ClockOffset | None:
-    """Estimate the offset; return None with too little data or a velocity that never changed.
+    """Estimate the offset; return None if data are too few or the velocity never changes.
 
     Args:
         log: first epochs of the log.
         scene: scene whose anchors were measured.
-        truth_at: returns the truth at times of the truth's clock.
+        truth_at: function from times (T,), by the clock of the track, to true positions.
     """
     log = log.part(slice(_COMPARED))
     estimate = _linear(log, scene, truth_at(log.time_s))
@@ -109,7 +112,7 @@ def clock_offset(
 
 
 def _linear(log: LogBlock, scene: Scene, truth: TrueEpochs) -> tuple[ClockOffset, Array] | None:
-    """Estimate the offset to first order; return deviations of the rows of links (4 L,), too."""
+    """Estimate the offset to first order; also return standard deviations (4 L,) of the rows."""
     from scipy.stats import t
 
     anchors, layout = scene.anchors_m.tolist(), Layout(len(scene.anchors_m))
@@ -142,7 +145,8 @@ def _linear(log: LogBlock, scene: Scene, truth: TrueEpochs) -> tuple[ClockOffset
     while log.time_s[-1] - log.time_s[0] >= _STRETCHES * stretch_s:
         stretch_s *= 2.0
     ends_at = np.flatnonzero(np.diff((log.time_s - log.time_s[0]) // stretch_s)) + 1
-    # products of 1, the error, and its derivatives by tau and by s, by stretch and row
+    # Sums, per stretch and row, of products of 1, the error, and its derivatives with respect to
+    # tau and s.
     sums = np.array([np.einsum("tri,trj->rij", part, part) for part in np.split(terms, ends_at)])
     sums = sums[sums[:, :, 0, 0].any(axis=1)]
     total, n = sums.sum(axis=0), len(sums)
@@ -161,7 +165,7 @@ def _fit(sums: Array) -> tuple[float, float] | None:
     ones = sums[:, 0]
     of_means = ones[:, :, None] * ones[:, None] / np.maximum(ones[:, :1, None], 1.0)
     centered = (sums - of_means).sum(axis=0)[1:, 1:]
-    # The part that s explains is removed from the error and from the rate; tau fits the rest.
+    # Whatever s explains is removed from the error and from its derivative with respect to tau.
     by_shift = np.linalg.pinv(centered[2:, 2:], hermitian=True) @ centered[2:, :2]
     error, rate = np.vstack([np.eye(2), -by_shift]).T
     changes, errors = float(rate @ centered @ rate), float(error @ centered @ error)

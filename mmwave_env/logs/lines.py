@@ -1,4 +1,4 @@
-"""Text files in blocks of lines, so that a file of any length takes little memory."""
+"""Reader of text files in blocks of lines, so that even the longest file needs little memory."""
 
 import gzip
 import math
@@ -14,13 +14,13 @@ _BLOCK_BYTES = 1 << 20
 
 
 class DamagedFileError(ValueError):
-    """A file that is damaged from some row on; every whole row before it has been delivered.
+    """Error for a file that is damaged from some row on; the rows before it were delivered.
 
     Args:
         path: path of the file.
-        row: number of the first row that is not whole, counted from 1.
+        row: number of the first damaged row, counted from 1.
         problem, expected: words for the message.
-        unit: word for a row.
+        unit: word for a row in the message.
     """
 
     def __init__(
@@ -33,12 +33,12 @@ class DamagedFileError(ValueError):
 def line_blocks(path: Path) -> Iterator[tuple[list[str], float]]:
     """Yield the lines of a text file, about 1 MiB at a time, and the share of it read so far.
 
-    The file is gzipped if its name ends in ``.gz``. Lines have no ends; bytes that are not UTF-8
-    are escaped, for messages.
+    A file whose name ends in ``.gz`` is unzipped. Lines are yielded without their line ends. Bytes
+    that are not UTF-8 are escaped, so that messages can show them.
 
     Raises:
         OSError: the file can't be opened or read.
-        DamagedFileError: its compression is broken, or a line is longer than a block.
+        DamagedFileError: the gzip data are broken, or a line is longer than a block.
     """
     with open_regular(path) as raw, naming(path):
         total = max(os.fstat(raw.fileno()).st_size, 1)
@@ -55,14 +55,14 @@ def line_blocks(path: Path) -> Iterator[tuple[list[str], float]]:
                 yield lines, min(raw.tell() / total, 1.0)
             first += len(lines)
             if damage:
-                raise DamagedFileError(path, first, damage, "a file that is whole")
+                raise DamagedFileError(path, first, damage, "a complete file")
             if len(rest) > _BLOCK_BYTES:
                 problem = f"more than {_BLOCK_BYTES} bytes that begin with {rest[:20]!r}"
                 raise DamagedFileError(path, first, problem, "a line of text")
 
 
 def _read(file: Any) -> tuple[bytes, bool, str]:
-    """Read the next block of bytes; return whether it is the last, and damage after it, if any."""
+    """Return the next bytes, whether the file ends after them, and words for damage, if any."""
     pieces: list[bytes] = []
     size = 0
     while size < _BLOCK_BYTES:
@@ -79,7 +79,7 @@ def _read(file: Any) -> tuple[bytes, bool, str]:
 
 
 def _decode(content: bytes, at_start: bool) -> list[str]:
-    """Decode whole lines; the last line may lack its end."""
+    """Decode complete lines; the last one may lack its line end."""
     text = content.decode("utf-8", errors="backslashreplace").replace("\r\n", "\n")
     if at_start:
         text = text.removeprefix("\ufeff")
@@ -88,7 +88,7 @@ def _decode(content: bytes, at_start: bool) -> list[str]:
 
 
 def number(word: str) -> float:
-    """Read a number as numpy reads it; return NaN for others (Python also accepts 1_0 and ١)."""
+    """Parse a number that numpy can read; return NaN for others, such as 1_0 and ١."""
     try:
         return float(word) if word.isascii() and "_" not in word else math.nan
     except ValueError:

@@ -1,4 +1,4 @@
-"""A measurement log that arrives row by row; whole epochs leave at once."""
+"""Measurement logs that arrive row by row; every epoch is returned as soon as it is complete."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,19 +15,19 @@ from mmwave_env.models.scene import Scene
 
 
 class LiveLog:
-    """The rows of a log as they arrive, gathered to epochs.
+    """A collector of the rows of a log, which groups them into epochs as they arrive.
 
-    An epoch is over when a row of each anchor is there, when a row with a later time arrives, or by
-    :meth:`end_epoch`. Memory holds the rows of one epoch.
+    An epoch is over when every anchor has a row, when a row with a later time arrives, or when
+    :meth:`end_epoch` is called. Only the rows of one epoch are kept in memory.
 
     Args:
         names: names of the columns, as in the header of a log.
         scene: scene whose anchors are measured.
-        snr_db: SNR of links without one.
+        snr_db: SNR to assume for links without one.
         source: name of the source, for messages.
 
     Raises:
-        LogError: the columns are not those of a log, or do not state the noise.
+        LogError: the columns are not those of a log, or do not say how large the noise is.
     """
 
     def __init__(
@@ -46,21 +46,21 @@ class LiveLog:
         self._last_s = -np.inf
 
     def add(self, row: str | Mapping[str, Any], number: int = 0) -> list[LogBlock]:
-        """Take a row, as a line of CSV or by the names of columns; return the epochs that are over.
+        """Add a row; return the epochs that are over now.
 
         Args:
-            row: the row; an epoch's first row ends the epoch before.
+            row: a line of CSV, or a mapping from names of columns to values.
             number: number of the row in its source, for messages.
 
         Raises:
-            LogError: the row is damaged, or late; it is left out.
+            LogError: the row is damaged or late, and is ignored.
         """
         if not isinstance(row, str):
             for name in row:
                 if name not in self._names:
                     raise LogError(
-                        f"{self._log.path}, row {number}, column {name!r}: found a new column, "
-                        f"expected one of {', '.join(self._names)}"
+                        f"{self._log.path}, row {number}, column {name!r}: "
+                        f"found an unknown column, expected one of {', '.join(self._names)}"
                     )
             cells = (row.get(name) for name in self._names)
             row = ",".join("" if cell is None else str(cell) for cell in cells)
@@ -83,13 +83,13 @@ class LiveLog:
             over = self.end_epoch()
         both = Table.joined([*self._rows, table])
         _, damage = first_damage(self._log, both, anchors, limits=True)
-        if damage:  # it contradicts the rows before
+        if damage:  # the row contradicts earlier rows of its epoch
             raise damage
         self._rows = [both]
         return [*over, *(self.end_epoch() if len(both) == anchors else [])]
 
     def end_epoch(self) -> list[LogBlock]:
-        """Return the epoch whose rows are there, as if it were over; nothing without rows."""
+        """End the current epoch and return it; return nothing if it has no rows yet."""
         if not self._rows:
             return []
         (rows,), self._rows = self._rows, []

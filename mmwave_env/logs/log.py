@@ -2,14 +2,14 @@
 
 The name of a column (`log_columns.py`) is a quantity and a unit: ``time_s, anchor, toa_s,
 aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad, doppler_hz, snr_db``, and optionally
-``doppler_spread_hz`` and odometry, ``speed_mps`` and ``heading_rad``. An anchor is its number
-in the scene, from 1, the physical gNB, whose rows alone have a Doppler shift. A cell that was
-not measured is empty; an anchor that was not seen may be left out. Quantities of the epoch, not
-of an anchor (Doppler spread, odometry), may be in any row of the epoch.
+``doppler_spread_hz`` and odometry, ``speed_mps`` and ``heading_rad``. Anchors are given by their
+number in the scene; number 1 is the physical gNB, usually the only one with a Doppler shift. A cell
+is empty if nothing was measured; an anchor that was not seen may have no row. Quantities that
+belong to the epoch, not to an anchor (Doppler spread, odometry), may be in any row of the epoch.
 
 A log of paths has the same columns without ``anchor``: one row per epoch and path, as a receiver
 finds them. The rows of an epoch are in any order and may include false paths. Every path may have
-a Doppler shift, because the base station's path is not known yet.
+a Doppler shift, because it is not known yet which path belongs to the base station.
 
 A log may be larger than memory, so it is read in blocks of consecutive epochs.
 """
@@ -48,7 +48,7 @@ from mmwave_env.numerics.numbers import Array, Index, Mask
 class LogBlock(Block):
     """T consecutive epochs of a log; numbers of groups that are not visible have no meaning.
 
-    :func:`~mmwave_env.localization.localizer.segments` sets what concerns segments.
+    :func:`~mmwave_env.localization.localizer.segments` sets the fields that describe segments.
     """
 
     layout: Layout  # rows and groups of the measurements
@@ -59,11 +59,11 @@ class LogBlock(Block):
     # shift that includes the SNR, because their noise follows from it. In a partial layout, whether
     # any number was measured whose noise is known
     visible: Mask
-    # (T, groups) whether only some of the numbers were measured: a lost group. In a partial layout,
-    # whether a number was lost because its noise is unknown
+    # (T, groups) whether the group is lost because only some of its numbers were measured. In a
+    # partial layout, whether a number is lost because its noise is unknown
     incomplete: Mask
     doppler_anchor: Index  # (T,) anchor of the Doppler shift, from 0
-    snr_db: Array  # (T, L); -inf, no signal, where none was measured
+    snr_db: Array  # (T, L); -inf (no signal) where no SNR was measured
     doppler_spread_hz: Array  # (T,); 0 where none was measured
     # (T,) whether a track must begin anew here, because its association with anchors contradicts
     # the epochs before. It is never set in a log with anchor numbers
@@ -74,10 +74,10 @@ class LogBlock(Block):
     # whether the segment begins here, with a first fix that gives its prior
     begins: bool = False
     skipped: int = 0  # number of epochs of the log before the first segment
-    dropped: int = 0  # number of epochs between segments, up to the next block
+    dropped: int = 0  # number of epochs dropped between segments, before the next block
 
     def whole(self) -> "LogBlock":
-        """Return the block with only the groups that were measured in full, with an SNR."""
+        """Return the block with only the groups that were measured completely and with an SNR."""
         layout = replace(self.layout, partial=False)
         visible, _ = whole_groups(self.measurement, np.isfinite(self.snr_db), layout)
         visible[:, layout.anchors] &= self.doppler_anchor == 0
@@ -98,24 +98,24 @@ def read_log(
     Angles are in the frame of the map. Arrival is the direction from the anchor to the
     user; departure is the azimuth from the user to the anchor. docs/data.md has a figure.
 
-    Where the log is damaged, every whole epoch before the damage is delivered first. An epoch
+    If the log is damaged, every complete epoch before the damage is delivered first. An epoch
     whose end is unknown because of the damage (no later time can be read, and not all anchors are
-    present) does not count as whole.
+    present) does not count as complete.
 
     Args:
         path: CSV (``.csv``, ``.csv.gz``) or Parquet (``.parquet``, needs the extra `data`).
         scene: scene whose anchors were measured.
         epochs_per_block: number of epochs in a block.
         odometry: False to ignore columns of odometry. Otherwise ``layout`` has odometry
-            where the log has it.
+            if the log has it.
         limits: False to accept ranges and angles of any size, and not to wrap angles, for
             a diagnosis.
         partial: whether a link may lack some of its numbers, in some epochs or everywhere, and
             any anchor may have the Doppler shift.
-        snr_db: SNR of links without one.
+        snr_db: SNR to assume for links without one.
 
     Raises:
-        LogError: at once for a file or a header that is not a log's, later for a damaged row,
+        LogError: at once if the file or its header is not that of a log; later for a damaged row,
             naming file, row, column, what was found and what was expected; at the end for a
             log without rows or without a single measurement.
         OSError: the file can't be read.
@@ -163,7 +163,7 @@ def _require_measurements(path: Path, blocks: Iterable[LogBlock]) -> Iterator[Lo
 def block_of(
     table: Table, scene: Scene, layout: Layout, wrap: bool, snr_db: float | None
 ) -> LogBlock:
-    """Return rows of whole epochs as a block."""
+    """Convert the rows of complete epochs to a block."""
     epoch, links, station = table.epoch, table.links(), scene.anchors_m[0]
     anchor, T = table["anchor"].astype(np.int64) - 1, int(epoch[-1]) + 1
     of_doppler = table.first(np.where(np.isnan(table["doppler"]), np.nan, anchor))
@@ -224,7 +224,7 @@ class PathEpoch(NamedTuple):
     layout: Layout  # layout of the scene's anchors, with or without odometry
     time_s: float
     measurement: Array  # (n, 5) rows of a link, m and rad, and its Doppler shift, Hz, or NaN
-    at_station: bool  # whether arrivals were seen at the base station, not at its mirror image
+    at_station: bool  # whether arrivals are those at the base station, not at its mirror image
     snr_db: Array  # (n,)
     incomplete: int  # number of paths that are left out because some of their numbers are missing
     doppler_spread_hz: float  # 0 where none was measured
@@ -241,7 +241,7 @@ def read_paths(path: Path, scene: Scene, odometry: bool = True) -> Iterator[Path
         path, scene, odometry: as :func:`read_log` takes them.
 
     Raises:
-        LogError: as :func:`read_log`; also for too many paths in an epoch.
+        LogError: as for :func:`read_log`; also for too many paths in an epoch.
         OSError: the file can't be read.
     """
     log = open_log(path, scene.hz_per_mps, odometry, associated=False)
@@ -251,7 +251,7 @@ def read_paths(path: Path, scene: Scene, odometry: bool = True) -> Iterator[Path
             measured, epochs = measured or len(epoch.snr_db) > 0, epochs + 1
             yield epoch
     if not measured:
-        raise LogError(f"{path}: found {epochs} epochs without a whole path, expected at least one")
+        raise LogError(f"{path}: found no complete path in {epochs} epochs, expected at least one")
 
 
 def _split(table: Table, layout: Layout) -> Iterator[PathEpoch]:

@@ -1,6 +1,6 @@
 """Checks of the rows of a measurement log.
 
-A damaged row is an error that names it; the whole epochs before it are delivered first.
+An error names the damaged row; the complete epochs before that row are delivered first.
 """
 
 from collections.abc import Callable, Iterator
@@ -15,16 +15,16 @@ from mmwave_env.logs.log_tables import LogError, LogFile, Table
 from mmwave_env.models import envelope
 from mmwave_env.numerics.numbers import Array, Mask
 
-MOST_PATHS = 1000  # most paths in an epoch of a log without anchor numbers
-_ROUNDING_DEG = 1e-4  # error of angles that were once 32-bit numbers
+MOST_PATHS = 1000  # maximum number of paths in an epoch of a log without anchor numbers
+_ROUNDING_DEG = 1e-4  # rounding error of angles that were once stored as 32-bit numbers
 
 
 def whole_epochs(log: LogFile, anchors: int | None, limits: bool) -> Iterator[Table]:
-    """Yield the rows of whole epochs, as many at a time as each table completes.
+    """Yield the rows of complete epochs, in one part per table of the log.
 
     Args:
         log: the file.
-        anchors: number of anchors in the scene; None where rows are paths without numbers.
+        anchors: number of anchors in the scene; None if rows are paths without anchor numbers.
         limits: whether to refuse numbers beyond physical limits.
 
     Raises:
@@ -32,7 +32,7 @@ def whole_epochs(log: LogFile, anchors: int | None, limits: bool) -> Iterator[Ta
     """
     rest: list[Table] = []
     for table in log.tables():
-        # The last epoch of the tables before may go on in this table.
+        # The last epoch of the previous table may continue in this one.
         rows = table.joined([*rest, table])
         damaged, error = first_damage(log, rows, anchors, limits)
         end = _end_of_epochs(rows.raw("time"), damaged, anchors)
@@ -51,18 +51,18 @@ class _Check(NamedTuple):
     quantity: str
     wrong: Mask
     expected: str
-    words: Callable[[int], str] | None = None  # words for a row; None for the number in it
+    words: Callable[[int], str] | None = None  # words for the error in a row; None for its number
 
 
 def first_damage(
     log: LogFile, table: Table, anchors: int | None, limits: bool
 ) -> tuple[int, LogError | None]:
-    """Return index and error of the first damaged row; without one, the number of rows."""
+    """Return index and error of the first damaged row; (number of rows, None) if there is none."""
     n = len(table)
     first, error = (n - 1, table.damage) if table.damage else (n, None)
     if not n:
         return first, error
-    with np.errstate(invalid="ignore", over="ignore"):  # for infinite times and ranges
+    with np.errstate(invalid="ignore", over="ignore"):  # times and ranges may be infinite
         for check in chain(_checks(table, anchors), _limits(table) if limits else ()):
             row = int(np.argmax(check.wrong))
             if check.wrong[row] and row < first:
@@ -74,7 +74,7 @@ def first_damage(
 
 
 def _checks(table: Table, anchors: int | None) -> Iterator[_Check]:
-    """Yield the checks of any log; damage found in a row may hide later damage."""
+    """Yield the checks that every log must pass."""
     time, epoch = table.raw("time"), table.epoch
     for quantity in table.columns:
         wrong = np.isinf(table.raw(quantity))
@@ -83,16 +83,16 @@ def _checks(table: Table, anchors: int | None) -> Iterator[_Check]:
     yield _Check(
         "time",
         np.diff(time, prepend=time[0]) < 0.0,
-        "times that increase, and the rows of an epoch together",
+        "times in increasing order, and the rows of an epoch together",
         lambda row: f"{_show(time[row])} after {_show(time[row - 1])}",
     )
     if anchors is None:
-        number = np.arange(len(epoch)) - np.searchsorted(epoch, epoch)  # of the path in its epoch
+        number = np.arange(len(epoch)) - np.searchsorted(epoch, epoch)  # index in the epoch
         yield _Check(
             "time",
             number >= MOST_PATHS,
             f"at most {MOST_PATHS}",
-            lambda row: f"{number[row] + 1} paths at one time",
+            lambda row: f"{number[row] + 1} paths at the same time",
         )
     else:
         yield from _anchor_checks(table, anchors)
@@ -116,13 +116,13 @@ def _anchor_checks(table: Table, anchors: int) -> Iterator[_Check]:
     yield _Check(
         "anchor",
         first[number] != np.arange(len(link)),
-        "each anchor once in an epoch",
-        lambda row: f"{_show(anchor[row])} a second time at time {_show(time[row])}",
+        "each anchor once per epoch",
+        lambda row: f"{_show(anchor[row])} twice at time {_show(time[row])}",
     )
     if "doppler" in table.columns:
         shifted = ~np.isnan(table.raw("doppler"))
         again = shifted & (anchor != table.first(np.where(shifted, anchor, np.nan))[table.epoch])
-        yield _Check("doppler", again, "the Doppler shift of one anchor in an epoch")
+        yield _Check("doppler", again, "the Doppler shift of only one anchor per epoch")
 
 
 def _one_value(table: Table, quantity: str) -> _Check:
@@ -132,8 +132,8 @@ def _one_value(table: Table, quantity: str) -> _Check:
     return _Check(
         quantity,
         ~np.isnan(values) & (values != first),
-        "one value in an epoch",
-        lambda row: f"{_show(values[row])} beside {_show(first[row])} at one time",
+        "one value per epoch",
+        lambda row: f"{_show(values[row])} and {_show(first[row])} at the same time",
     )
 
 
@@ -148,8 +148,8 @@ def _limits(table: Table) -> Iterator[_Check]:
     yield _Check(
         "time",
         (step_s > 0.0) & (step_s < shortest),
-        f"the time of that row, or at least {shortest:g} s more",
-        lambda row: f"{step_s[row]:.3g} s after the row before",
+        f"the same time, or at least {shortest:g} s more",
+        lambda row: f"{step_s[row]:.3g} s after the previous row",
     )
 
 
@@ -165,7 +165,7 @@ def _limit(table: Table, quantity: str, bound: Bound, unit: str) -> _Check:
     likely = f"if it is in degrees, name the column {stem}_deg; " if ending == "rad" else ""
     azimuth = table.columns.get("aoa_azimuth") or table.columns.get(STATION)
     if quantity == "aoa_elevation" and azimuth and abs(values[np.argmax(wrong)]) <= 360.0:
-        likely += f"if it is the azimuth, exchange {azimuth.name} with it; "
+        likely += f"if it is the azimuth, exchange the column with {azimuth.name}; "
     return _Check(
         quantity,
         wrong,
@@ -180,12 +180,12 @@ def _show(value: float) -> str:
 
 
 def _end_of_epochs(time: Array, damaged: int, anchors: int | None) -> int:
-    """Return the number of rows before a damaged row that are in epochs known to be whole."""
+    """Return the number of rows before a damaged row that are in epochs known to be complete."""
     if damaged == 0:
         return 0
     last = time[damaged - 1]
     start = int(np.searchsorted(time[:damaged], last))
-    if damaged == len(time):  # no damage, but the next table may go on with the same epoch
+    if damaged == len(time):  # no damage, but the next table may continue the epoch
         return start
     following = time[damaged]
     moved_on = last < following < np.inf

@@ -12,7 +12,7 @@ from mmwave_env.models.measurement import SPEED_OF_LIGHT
 
 
 class Unit(NamedTuple):
-    """A unit: value * multiply / divide. Powers of ten divide, because that rounds correctly."""
+    """A unit: value * multiply / divide is SI; dividing by powers of ten rounds correctly."""
 
     multiply: float = 1.0
     divide: float = 1.0
@@ -23,8 +23,8 @@ class Quantity(NamedTuple):
 
     columns: dict[str, Unit]  # names of the columns that may hold the quantity, with their units
     meaning: str  # the quantity in words, for messages
-    # limits of a receiver's numbers, and their unit, degrees for angles. A least number of 0 holds
-    # for a diagnosis, too
+    # limits of what a receiver can measure, and their unit (degrees for angles). A diagnosis
+    # ignores them, except a lower limit of 0
     limits: tuple[Bound, str] | None = None
     per_epoch: bool = False  # whether the quantity belongs to the epoch instead of an anchor
 
@@ -35,11 +35,11 @@ def _in(name: str, units: dict[str, Unit]) -> dict[str, Unit]:
 
 _TIME = {"_s": Unit(), "_ms": Unit(1.0, 1e3), "_us": Unit(1.0, 1e6), "_ns": Unit(1.0, 1e9)}
 _ANGLE = {"_rad": Unit(), "_deg": Unit(np.pi, 180.0)}
-_SHIFT = {"_hz": Unit(), "_khz": Unit(1e3), "_mps": Unit()}  # _mps: times f_c / c
+_SHIFT = {"_hz": Unit(), "_khz": Unit(1e3), "_mps": Unit()}  # columns_of sets f_c / c for _mps
 
 
 def _flight(name: str) -> dict[str, Unit]:
-    """Return the columns of a range: the time of one way, of the way there and back, or meters."""
+    """Return the columns that may hold a range: one-way time, round-trip time, or meters."""
     ways = (("toa", SPEED_OF_LIGHT), ("rtt", SPEED_OF_LIGHT / 2.0))
     times = {
         f"{way}{name}{ending}": Unit(speed, unit.divide)
@@ -51,7 +51,7 @@ def _flight(name: str) -> dict[str, Unit]:
 
 _SPEED = {"speed_mps": Unit(), "speed_kmh": Unit(1.0, 3.6)}
 
-RANGE_LIMITS_M = (1e-3, 1e6)  # limits of any antenna and any cell; a mistaken unit exceeds them
+RANGE_LIMITS_M = (1e-3, 1e6)  # limits of all real ranges; ranges in a wrong unit exceed them
 WIDEST_ELEVATION_DEG = 90.0
 _RANGE = between(0.0, RANGE_LIMITS_M[1], "m"), "m"
 _TURN = between(-360.0, 360.0, "degrees (docs/data.md, Angles)"), "degrees"
@@ -71,9 +71,9 @@ QUANTITIES = {
     "time": Quantity(_in("time", _TIME), "the time of the epoch"),
     "anchor": Quantity(
         {"anchor": Unit()},
-        "the number in the scene; mmwave-loc localize --associate does without (docs/data.md)",
+        "the number in the scene, unless mmwave-loc localize --associate finds it (docs/data.md)",
     ),
-    "toa": Quantity(_flight(""), "the time of flight (rtt: there and back), or the range", _RANGE),
+    "toa": Quantity(_flight(""), "the time of flight (rtt: round trip), or the range", _RANGE),
     "aoa_azimuth": Quantity(
         _in("aoa_azimuth", _ANGLE), "the azimuth from the anchor to the user", _TURN
     ),
@@ -82,7 +82,7 @@ QUANTITIES = {
     "aod_azimuth": Quantity(
         _in("aod_azimuth", _ANGLE), "the azimuth from the user to the anchor", _TURN
     ),
-    BODY: Quantity(_in(BODY, _ANGLE), "the azimuth of departure from the heading", _TURN),
+    BODY: Quantity(_in(BODY, _ANGLE), "the azimuth of departure, minus the heading", _TURN),
     "snr": Quantity({"snr_db": Unit()}, "the signal-to-noise ratio", _SNR),
     "doppler": Quantity(_in("doppler", _SHIFT), "the Doppler shift of one anchor", _BIAS),
     "toa_sigma": Quantity(
@@ -102,7 +102,7 @@ QUANTITIES = {
     "doppler_spread": Quantity(
         _in("doppler_spread", _SHIFT), "the Doppler spread", _SPREAD, per_epoch=True
     ),
-    "speed": Quantity(_SPEED, "the speed by odometry", _FASTEST, per_epoch=True),
+    "speed": Quantity(_SPEED, "the speed from odometry", _FASTEST, per_epoch=True),
     "heading": Quantity(_in("heading", _ANGLE), "the direction of travel", per_epoch=True),
 }
 _QUANTITY_OF = {name: quantity for quantity, row in QUANTITIES.items() for name in row.columns}
@@ -111,10 +111,10 @@ LINK_QUANTITIES = ("toa", "aoa_azimuth", "aoa_elevation", "aod_azimuth")
 ODOMETRY_QUANTITIES = ("speed", "heading")
 SIGMA_OF = {quantity: f"{quantity}_sigma" for quantity in (*LINK_QUANTITIES, "doppler")}
 SIGMA_OF |= {STATION: "aoa_azimuth_sigma", BODY: "aod_azimuth_sigma"}
-ROW_QUANTITIES = (*LINK_QUANTITIES, "doppler")  # of each anchor
+ROW_QUANTITIES = (*LINK_QUANTITIES, "doppler")  # quantities that belong to an anchor
 HORIZONTAL = ("toa", "aoa_azimuth", STATION, "aod_azimuth", BODY)  # at least one is required
-_WHOLE = (*LINK_QUANTITIES, "snr")  # required where links are whole
-_OTHER_FRAMES = {  # quantity: the one that replaces it, and the one that is then required
+_WHOLE = (*LINK_QUANTITIES, "snr")  # required in a log that is not partial
+_OTHER_FRAMES = {  # quantity -> a quantity that may replace it, and a quantity that this requires
     "aoa_azimuth": (STATION, STATION),
     "aod_azimuth": (BODY, "heading"),
 }
@@ -123,9 +123,9 @@ _OTHER_FRAMES = {  # quantity: the one that replaces it, and the one that is the
 class Column(NamedTuple):
     """A column of a log."""
 
-    name: str  # in the file
-    number: int  # in the file, from 0
-    unit: Unit  # to convert by
+    name: str  # name in the file
+    number: int  # index of the column in the file, from 0
+    unit: Unit  # unit in the file
 
 
 def columns_of(
@@ -137,14 +137,14 @@ def columns_of(
 ) -> dict[str, Column]:
     """Return the columns of a log by quantity, from the names of all its columns.
 
-    Without ``odometry`` its columns are ignored, except a heading that angles need; a column of
-    anchors is ignored where rows are not ``associated``. A Doppler shift in m/s is converted by
-    ``hz_per_mps``, f_c / c. In a ``partial`` log any of the horizontal measurements is enough;
+    If ``odometry`` is False, its columns are ignored, except a heading that angles need; if
+    ``associated`` is False, a column of anchors is ignored. A Doppler shift in m/s is multiplied by
+    ``hz_per_mps``, f_c / c. If ``partial`` is True, any of the horizontal measurements is enough;
     otherwise all rows of a link and the SNR are required.
 
     Raises:
         ValueError: a name is unknown or lacks its unit, or a quantity occurs twice or is
-            missing; the message tells which names are allowed.
+            missing; the message lists the names that are allowed.
     """
     columns: dict[str, Column] = {}
     for number, name in enumerate(names):
@@ -176,13 +176,13 @@ def _require(
     for usual, (other, needed) in _OTHER_FRAMES.items():
         if other in columns:
             if usual in columns:
-                raise _twice(columns[usual].name, columns[other].name, f"{usual} in one frame")
+                raise _twice(columns[usual].name, columns[other].name, f"{usual} in only one frame")
             required = [needed if quantity == usual else quantity for quantity in required]
             required += [needed] if partial else []
     if partial and columns.keys().isdisjoint(HORIZONTAL):
         known = ", ".join(next(iter(QUANTITIES[quantity].columns)) for quantity in HORIZONTAL)
         raise ValueError(
-            f"columns: found {', '.join(names)}, which say nothing of the horizontal position, "
+            f"columns: found {', '.join(names)}, which say nothing about the horizontal position, "
             f"expected one or more of {known}"
         )
     if BODY not in columns and not columns.keys().isdisjoint(ODOMETRY_QUANTITIES):
@@ -205,11 +205,11 @@ def _quantity(name: str) -> str:
     meant = [start for start in spelled if name == start or name.startswith(f"{start}_")]
     if meant:
         expected = _one_of(QUANTITIES[spelled[max(meant, key=len)]].columns)
-        raise ValueError(f"column {quoted(name)}: found no unit we know, expected {expected}")
+        raise ValueError(f"column {quoted(name)}: found no known unit, expected {expected}")
     known = ", ".join(next(iter(row.columns)) for row in QUANTITIES.values())
     raise ValueError(
-        f"column {quoted(name)}: found no quantity we know, expected columns divided by commas "
-        f"out of {known}, or the same in other units"
+        f"column {quoted(name)}: found an unknown quantity, expected some of these columns, "
+        f"separated by commas: {known}, or the same in other units"
     )
 
 

@@ -26,15 +26,15 @@ AnyBlock = TypeVar("AnyBlock", bound="Block")
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 _BATCH_ROWS = 1 << 14
-_WHOLE = "a file that is whole"
+_WHOLE = "a complete file"
 
 
 class LogError(ValueError):
-    """A file that is not a measurement log, or is damaged from some row on."""
+    """Error for a file that is not a measurement log, or that is damaged from some row on."""
 
 
 class Block:
-    """Consecutive rows or epochs, as a dataclass of arrays (n, ...) and of values they share."""
+    """Base class for consecutive rows or epochs: dataclasses of arrays (n, ...) and values."""
 
     arrays: ClassVar[tuple[str, ...]] = ()  # names of the arrays; the first gives the length
 
@@ -64,10 +64,10 @@ class Block:
 def in_windows(
     blocks: Iterable[AnyBlock], window: int, segment: Callable[[AnyBlock], int] = lambda block: 0
 ) -> Iterator[AnyBlock]:
-    """Yield the same epochs in blocks of whole windows, and the rest at the end of each segment.
+    """Yield the same epochs in blocks of complete windows; at the end of a segment, yield the rest.
 
-    Epochs before a LogError of ``blocks`` are delivered before it. ``segment`` returns the number
-    of the segment that a block belongs to; segments are not joined.
+    A LogError of ``blocks`` is raised only after the epochs before it were yielded. ``segment``
+    returns the number of a block's segment; blocks of different segments are not joined.
     """
     waiting: list[AnyBlock] = []
     count = 0
@@ -100,8 +100,7 @@ class Table(Block):
     rows: Rows  # (n,) numbers of the rows in the file, for messages
     cells: Array  # (n, columns) as in the file, NaN where empty
     share: float  # share of the file read so far, 0 to 1
-    # damage of the last row, after which nothing follows; cells of that row that can't be read are
-    # NaN
+    # damage in the last row, after which nothing follows; cells that can't be read are NaN there
     damage: LogError | None = None
 
     def raw(self, quantity: str) -> Array:
@@ -118,20 +117,20 @@ class Table(Block):
     @cached_property
     def epoch(self) -> Rows:
         """Return the epoch (n,), from 0, of every row; the rows of an epoch have the same time."""
-        # The times in the file: two of them may be equal after conversion to seconds.
+        # Times as in the file, because different ones may become equal when converted to seconds.
         return np.concatenate([[0], np.cumsum(np.diff(self.raw("time")) != 0.0)])
 
     def first(self, values: Array) -> Array:
-        """Return the first of the values (n,) of each epoch that is not NaN; NaN if all are."""
+        """Return, for every epoch, the first of its values (n,) that is not NaN; else NaN."""
         first = np.full(self.epoch[-1] + 1, np.nan)
         some = np.flatnonzero(~np.isnan(values))[::-1]
-        first[self.epoch[some]] = values[some]  # of several rows, the last one stored stays
+        first[self.epoch[some]] = values[some]  # backwards, so the first row remains
         return first
 
     def links(self) -> Array:
         """Return the rows of links (n, 4), m and rad; departures are in the frame of the map.
 
-        Azimuths of arrival are at the base station if the log has them from there.
+        If the log has azimuths of arrival as seen at the base station, these are returned.
         """
         arrival = self[STATION if STATION in self.columns else "aoa_azimuth"]
         departure = self["aod_azimuth"]
@@ -142,14 +141,14 @@ class Table(Block):
 
 @dataclass(frozen=True)
 class LogFile:
-    """A log whose header was read."""
+    """A log of which only the header was read."""
 
     path: Path  # path of the file
     columns: dict[str, Column]  # the columns that are used, by quantity
     width: int  # number of columns in the file
 
     def error(self, row: int, quantity: str, problem: str, expected: str) -> LogError:
-        """Return the error that names a cell; rows of a CSV count as editors count lines."""
+        """Return an error that names a cell; rows of a CSV file are counted like its lines."""
         place = f"{'row' if _is_parquet(self.path) else 'line'} {row}"
         if quantity:
             place += f", column {self.columns[quantity].name!r}"
@@ -179,11 +178,11 @@ def open_log(
             :func:`~mmwave_env.logs.log_columns.columns_of` takes them.
 
     Raises:
-        LogError: the file is of another format, or its columns are not those of a log.
+        LogError: the file has another format, or its columns are not those of a log.
         OSError: the file can't be read.
     """
     if not path.name.lower().endswith(SUFFIXES):
-        raise LogError(f"{path}: found {path.suffix!r}, expected a name in {', '.join(SUFFIXES)}")
+        raise LogError(f"{path}: found {path.suffix!r}, expected one of {', '.join(SUFFIXES)}")
     open_regular(path, "a measurement log").close()
     names = list(_parquet_types(path)) if _is_parquet(path) else _csv_names(path)
     try:
@@ -210,13 +209,13 @@ def _csv_names(path: Path) -> list[str]:
         raise LogError(str(error)) from error
     if not lines:
         raise LogError(f"{path}: found an empty file, expected a measurement log")
-    try:  # by a real CSV reader, because some programs quote names
+    try:  # with a real CSV reader, because some programs quote names
         names = [name.strip() for name in next(csv.reader(lines[:1]))]
     except csv.Error:
         names = []
     if len(names) < 2:
         raise LogError(
-            f"{path}, line 1: found {lines[0][:60]!r}, expected names of columns, divided by commas"
+            f"{path}, line 1: found {lines[0][:60]!r}, expected comma-separated names of columns"
         )
     return names
 
@@ -239,7 +238,7 @@ def _csv_tables(log: LogFile) -> Iterator[Table]:
 
 
 def _parse_quickly(lines: list[str], log: LogFile) -> Array | None:
-    """Parse cells (lines, columns); return None where a line needs a closer look."""
+    """Parse cells (lines, columns); return None if a line needs :func:`parse_carefully`."""
     used = [column.number for column in log.columns.values()]
     if not lines:
         return np.empty((0, len(used)))
@@ -259,7 +258,7 @@ def _parse_quickly(lines: list[str], log: LogFile) -> Array | None:
 
 
 def parse_carefully(log: LogFile, lines: list[str], first: int, share: float) -> Table:
-    """Parse cell by cell up to the first damage; skip blank lines; blank cells are empty."""
+    """Parse cell by cell up to the first damage; skip blank lines, treat blank cells as empty."""
     cells, rows, damage = [], [], None
     for row, line in enumerate(lines, start=first):
         if not line.strip():
@@ -275,7 +274,7 @@ def parse_carefully(log: LogFile, lines: list[str], first: int, share: float) ->
                 values[i] = number(word)
                 empty = not word or word.lower().lstrip("+-") == "nan"
                 if damage is None and math.isnan(values[i]) and not empty:
-                    expected = "a number, or nothing where it was not measured"
+                    expected = "a number, or nothing if it was not measured"
                     damage = log.error(row, quantity, quoted(word), expected)
         cells.append(values)
         rows.append(row)

@@ -1,4 +1,4 @@
-"""True positions of a user by time."""
+"""True positions of a user at any time, interpolated from a recorded track."""
 
 import warnings
 from itertools import pairwise
@@ -10,8 +10,8 @@ import numpy as np
 from mmwave_env.logs.tum import Poses, tum_blocks
 from mmwave_env.numerics.numbers import Array
 
-BRIDGED_S = 1.5  # longest gap between poses that is interpolated: GPS, once a second, may be late
-TOLERANCE_S = 0.01  # distance in time to a pose used without interpolation; evo's default
+BRIDGED_S = 1.5  # longest gap that is interpolated: GPS gives a pose per second, sometimes late
+TOLERANCE_S = 0.01  # maximum time to a pose that is used without interpolation; evo's default
 _REACH_S = 2.0 * BRIDGED_S  # interpolation depends on two poses on either side
 
 
@@ -19,28 +19,28 @@ class TrueEpochs(NamedTuple):
     """True positions in T epochs, and the distance in time to the nearest poses."""
 
     position_m: Array  # (T, 3), NaN where not known
-    velocity_mps: Array  # (T, 3), NaN where no pose is before or no pose is after
-    away_s: Array  # (T,) time of the nearest pose minus the epoch's; NaN where not known
+    velocity_mps: Array  # (T, 3), NaN where not known
+    away_s: Array  # (T,) time of the nearest pose minus that of the epoch; NaN where not known
 
 
 class Truth:
-    """True positions by time, from a TUM file that is read only as far as needed.
+    """A track of true positions, from a TUM file that is read only as far as needed.
 
-    Between two poses at most ``BRIDGED_S`` apart the position is on the cubic (Hermite) through
-    both, whose velocity at a pose is that of the parabola through it and its neighbors; at the
-    time of a pose the position is exactly that pose. Next to a gap and at the ends, it is the pose
-    within ``TOLERANCE_S``, if there is one.
+    Between two poses that are at most ``BRIDGED_S`` apart, the position is on the cubic Hermite
+    spline through both, whose velocity at a pose is that of the parabola through it and its
+    neighbors. Next to a gap and at the ends, the position is that of a pose within ``TOLERANCE_S``;
+    if there is none, it is not known.
 
     Args:
         path: path of the file.
 
     Attributes:
         path: path of the file.
-        first_s: first time of the file.
-        last_s: the last time read so far.
+        first_s: first time in the file.
+        last_s: last time that was read so far.
 
     Raises:
-        ValueError, OSError: as :func:`~mmwave_env.logs.tum.tum_blocks`, methods too.
+        ValueError, OSError: as for :func:`~mmwave_env.logs.tum.tum_blocks`; also from methods.
     """
 
     def __init__(self, path: Path) -> None:
@@ -51,7 +51,7 @@ class Truth:
         self.first_s, self.last_s = (float(self._near.time_s[i]) for i in (0, -1))
 
     def at(self, time_s: Array) -> TrueEpochs:
-        """Return what is known at times (T,), which must increase, also from call to call."""
+        """Interpolate at times (T,), which must increase, also from one call to the next."""
         parts, start = [], 0
         while start < len(time_s):
             settled = time_s[start:] < self.last_s - _REACH_S
@@ -63,7 +63,7 @@ class Truth:
         return TrueEpochs(*map(np.concatenate, zip(*parts, strict=True)))
 
     def _read(self, first_s: float) -> None:
-        """Read on, and drop the poses before a time."""
+        """Read the next block, and drop the poses before a time."""
         poses = next(self._blocks, None)
         if poses is None:
             self._ended = True
@@ -78,12 +78,12 @@ class Truth:
             self.last_s = float(poses.time_s[-1])
 
     def no_match(self, first_s: float, last_s: float) -> ValueError:
-        """Return the error for a truth without a pose at the epochs of a log after ``first_s``."""
+        """Return the error for a track that matches no epoch of a log, which has these ends."""
         self.read_on()
         return ValueError(
             f"{self.path}: found times from {self.first_s!r} to {self.last_s!r} s, expected some "
-            f"within {TOLERANCE_S} s of the log's, or two around one, at most {BRIDGED_S:g} s "
-            f"apart; the log's are from {first_s!r} to {last_s!r} s"
+            f"within {TOLERANCE_S} s of a time of the log, or two around it that are at most "
+            f"{BRIDGED_S:g} s apart; the log's times are from {first_s!r} to {last_s!r} s"
         )
 
     def warn_if_few(self, matched: int, epochs: int, first_s: float, last_s: float) -> None:
@@ -93,9 +93,9 @@ class Truth:
         self.read_on()
         warnings.warn(
             f"{self.path}: found a true position for {matched} of the log's {epochs} epochs, "
-            f"expected half at least; the log's times are {first_s:.10g} to {last_s:.10g} s, the "
-            f"truth's {self.first_s:.10g} to {self.last_s:.10g} s: are both in seconds, and is the "
-            f"truth without gaps of more than {BRIDGED_S:g} s?",
+            f"expected at least half; the log's times are {first_s:.10g} to {last_s:.10g} s, those "
+            f"of this file {self.first_s:.10g} to {self.last_s:.10g} s: are both in seconds, and "
+            f"are there gaps of more than {BRIDGED_S:g} s in this file?",
             stacklevel=3,
         )
 
@@ -135,7 +135,7 @@ def stretches(time_s: Array, position_m: Array, gap_s: float) -> list[slice]:
 
 
 def velocity_of(time_s: Array, position_m: Array, gap_s: float) -> Array:
-    """Compute velocities (T, 3) of parabolas through neighbors within stretches; NaN elsewhere."""
+    """Compute velocities (T, 3) from parabolas through neighbors; NaN outside of stretches."""
     velocity = np.full_like(position_m, np.nan)
     for run in stretches(time_s, position_m, gap_s):
         velocity[run] = np.gradient(position_m[run], time_s[run], axis=0)

@@ -30,7 +30,7 @@ def tum_lines(time_s: Array, position_m: Array) -> str:
 def tum_blocks(path: Path) -> Iterator[Poses]:
     """Read a trajectory, about 1 MiB of the file at a time; each block has at least one pose.
 
-    Orientations must be numbers, and are then left out.
+    Orientations must be numbers, but are not returned.
 
     Raises:
         ValueError: a line is damaged; the message names file and line, and what was expected.
@@ -48,7 +48,7 @@ def tum_blocks(path: Path) -> Iterator[Poses]:
 
 
 def read_tum(path: Path) -> Poses:
-    """Read a whole trajectory, as :func:`tum_blocks` reads its parts."""
+    """Read a complete trajectory at once; :func:`tum_blocks` reads it in parts."""
     time_s, position_m = zip(*tum_blocks(path), strict=True)
     return Poses(np.concatenate(time_s), np.concatenate(position_m))
 
@@ -58,7 +58,7 @@ def _parse(path: Path, lines: list[str], first: int, last_s: float) -> Array:
 
     Args:
         path: path of the file.
-        lines: consecutive lines of it.
+        lines: consecutive lines of the file.
         first: number of the first line.
         last_s: time of the last pose before them.
     """
@@ -90,6 +90,6 @@ def _find_damage(path: Path, lines: list[str], first: int, last_s: float) -> NoR
             raise ValueError(f"{place}, t: found {words[0]}, expected more than {last_s}")
         last_s = float(words[0]) if words else last_s
     raise ValueError(
-        f"{path}, lines {first} to {first + len(lines) - 1}: found what numpy does not read, "
+        f"{path}, lines {first} to {first + len(lines) - 1}: found text that numpy can't read, "
         f"expected {' '.join(COLUMNS)}"
     )

@@ -30,8 +30,8 @@ OLD = (
 
 
 KEPT = {  # a user's file -> the --out that would replace it, and the refusal
-    "trip.csv": ("trip.tum", "trip.csv, which is no table of a track"),
-    "path.tum": ("path.tum", "which is no track of mmwave-loc localize"),  # not among the inputs
+    "trip.csv": ("trip.tum", "trip.csv, which is not a table of a track"),
+    "path.tum": ("path.tum", "which is not a track of mmwave-loc localize"),  # not among the inputs
     "truth.tum": ("truth.tum", "which is also"),
     "log.csv": ("log.tum", "which is also"),
 }

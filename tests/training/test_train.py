@@ -142,13 +142,13 @@ def test_hyperparameters_that_have_a_default_may_be_left_out(tmp_path):
 
 BAD = {
     "text": ("gamma: 0.9\n", "Expecting value"),
-    "missing": ({"gamma": None}, "gamma: found none, expected one beside num_envs"),
+    "missing": ({"gamma": None}, "gamma: found none, expected one in addition to num_envs"),
     "unknown": ({"gama": 0.9}, "key: found 'gama', did you mean gamma"),
     "nan": ({"gamma": math.nan}, "gamma: found nan, expected a number"),
-    "fraction": ({"n_steps": 1.5}, "n_steps: found 1.5, expected an integer of 1 to"),
+    "fraction": ({"n_steps": 1.5}, "n_steps: found 1.5, expected an integer from 1 to"),
     "number": ({"paired": 1}, "paired: found 1, expected bool"),
-    "one": ({"batch_size": 1}, "batch_size: found 1, expected an integer of 2 to"),
-    "no neurons": ({"hidden": [64, 0]}, r"hidden\[1\]: found 0, expected an integer of 1 to"),
+    "one": ({"batch_size": 1}, "batch_size: found 1, expected an integer from 2 to"),
+    "no neurons": ({"hidden": [64, 0]}, r"hidden\[1\]: found 0, expected an integer from 1 to"),
 }
 
 

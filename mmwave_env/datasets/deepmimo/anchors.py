@@ -5,15 +5,15 @@ receiver at p to come in a straight line from the station's mirror image at g (p
 
     a = q + |g - q| (q - p) / |q - p|
 
-For one flat wall this image is the same from everywhere, so clusters of images are the virtual
-anchors. Arrival and range are those seen from a virtual anchor; the departure is measured
-at the station, before the bounce, and is mirrored with the path.
+For a flat wall this image is the same for all receivers, so clusters of images are the virtual
+anchors. Arrival and range are already those of the straight line from the virtual anchor; the
+direction of departure is measured at the station, before the bounce, so it is mirrored.
 
 Other paths (two bounces, diffraction, scattering, transmission) are left out: they have no fixed
-image, or their image can't be computed from the first point of interaction in a file.
+image, or their image can't be computed from their first point of interaction.
 
-Paths are given as :class:`StationPaths`, independent of the file format: in SI units, with the
-meaning of the files.
+Paths are given as :class:`StationPaths`, which does not depend on the file format: its numbers
+mean the same as those in the files, but are in SI units.
 """
 
 from collections.abc import Callable
@@ -30,8 +30,8 @@ from mmwave_env.models.measurement import SPEED_OF_LIGHT, direction
 from mmwave_env.numerics.numbers import PI, Array, Mask, wrap
 from mmwave_env.world.checks import refuse_in
 
-TOLERANCE_M = 0.05  # float32 files agree to 1e-4 m; closer places are the same
-# Values of ``interactions``: a digit for each interaction, from the base station to the receiver.
+TOLERANCE_M = 0.05  # closer points count as the same; rounding to float32 moves them by 1e-4 m
+# Values of ``interactions``, which have a digit for each interaction on the way to the receiver.
 LINE_OF_SIGHT, REFLECTION = 0.0, 1.0
 
 
@@ -39,19 +39,19 @@ LINE_OF_SIGHT, REFLECTION = 0.0, 1.0
 class StationPaths:
     """The paths between one base station and E receivers, at most P for each receiver.
 
-    Paths with ``interactions`` 0 or 1 have finite numbers everywhere (and a bounce if there is
-    one); the numbers of other paths have no meaning.
+    All numbers of a path are finite if ``interactions`` is 1; if it is 0, all except the bounce.
+    The numbers of other paths have no meaning.
 
     Attributes:
         name: name of the station in the files.
         position_m: (3,) position of the station.
-        interactions: (E, P) 0 line of sight, 1 one reflection, ...; NaN where there is no path.
+        interactions: (E, P) 0 for a line of sight, 1 for one reflection, ...; NaN for no path.
         bounce_m: (E, P, 3) first point of interaction.
         gain_db: (E, P) 20 log10 |a|.
         delay_s: (E, P) absolute delay.
         arrival, departure: (E, P, 2) azimuth and zenith angle at the receiver and at the station,
-            rad; lines of sight show whether they point along propagation or against it.
-        source: returns the file, and the receiver's number in it, of a key and an epoch.
+            rad, either along propagation or against it (see :func:`propagation`).
+        source: function from a key and an epoch to the file of the key, and the receiver's row.
     """
 
     name: str
@@ -65,7 +65,7 @@ class StationPaths:
     source: Callable[[str, int], tuple[Path, int]]
 
     def refuse(self, key: str, epoch: int, value: str, expected: str) -> NoReturn:
-        """Refuse a file by a ValueError about a value of a receiver."""
+        """Raise a ValueError about a value of the receiver in this epoch, naming the file."""
         file, receiver = self.source(key, epoch)
         refuse_in(file, key, f"{value} of receiver {receiver}", expected)
 
@@ -73,7 +73,8 @@ class StationPaths:
 def propagation(angles: Array, sight: Array, direct: Mask) -> Array:
     """Compute unit vectors (E, P, 3) along propagation from azimuths and zenith angles (E, P, 2).
 
-    Converters store directions along propagation or against it; lines of sight show which.
+    Some converters store the direction of propagation, others its opposite. The paths that are a
+    line of sight (``direct``), whose direction ``sight`` is known, show which one it is.
     """
     azimuth, zenith = np.moveaxis(angles, -1, 0)
     horizontal = np.sin(zenith)
@@ -85,8 +86,8 @@ def propagation(angles: Array, sight: Array, direct: Mask) -> Array:
 
 
 _FLAT = 0.7  # a mirror is the ground, not a wall, if its normal is steeper than 45 degrees
-_ROW_KEYS = ("delay", "aoa_az", "aoa_el", "aod_az")  # sources of the rows of a link
-_TOLERANCES = (2.0 * TOLERANCE_M, 0.02, 0.02, 0.02)  # m, rad; for errors of convention, not noise
+_ROW_KEYS = ("delay", "aoa_az", "aoa_el", "aod_az")  # names of the arrays behind the rows of a link
+_TOLERANCES = (2.0 * TOLERANCE_M, 0.02, 0.02, 0.02)  # m, rad; wrong conventions exceed them
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,9 +96,9 @@ class StationLinks:
 
     Attributes:
         paths: paths of the station, for E receivers, P paths each.
-        anchors_m: (K, 3) the station, and its images in the order in which they were found.
+        anchors_m: (K, 3) position of the station, then of its images in the order of discovery.
         member: (E, P) index of the anchor that a path leads to; -1 for none.
-        rows: (E, P, 4) rows of a link, as in ``LINK``: m, rad; NaN where a path leads to none.
+        rows: (E, P, 4) rows of a link, as in ``LINK``: m, rad; NaN if the path leads to no anchor.
     """
 
     paths: StationPaths
@@ -107,7 +108,7 @@ class StationLinks:
 
     @cached_property
     def is_ground(self) -> Mask:
-        """Return which anchors (K,) are images in the ground: their mirror is flat and below."""
+        """Return which anchors (K,) are images in the ground, a mirror below the station."""
         normal = self.anchors_m[0] - self.anchors_m
         return np.asarray(normal[:, 2] > _FLAT * np.linalg.norm(normal, axis=1))
 
@@ -119,7 +120,7 @@ class StationLinks:
         return np.bincount(pairs[:, 1], minlength=len(self.anchors_m))
 
     def strongest(self, anchor: int) -> tuple[Mask, NDArray[np.int_]]:
-        """Return where an anchor is seen (E,), and the strongest path (E,) to it in every epoch."""
+        """Return the epochs (E,) in which an anchor is seen, and the strongest path (E,) to it."""
         leads = self.member == anchor
         return leads.any(axis=1), np.argmax(np.where(leads, self.paths.gain_db, -np.inf), axis=1)
 
@@ -142,7 +143,7 @@ def find_links(paths: StationPaths, position_m: Array) -> StationLinks:
     gain = (member >= 0) & (paths.gain_db > 0.0)
     if gain.any():
         n, p = np.argwhere(gain)[0].tolist()
-        expected = "a gain of at most 0 dB: are the numbers powers, not dB?"
+        expected = "a gain of at most 0 dB: are the numbers linear powers instead of dB?"
         paths.refuse("power", n, f"{paths.gain_db[n, p]:.4g} dB on path {p}", expected)
     return StationLinks(paths, anchors, member, rows)
 
@@ -154,7 +155,8 @@ def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, NDArray[np.
     station, q = paths.position_m, paths.bounce_m
     member = np.where(paths.interactions == LINE_OF_SIGHT, 0, -1)
     if not (member == 0).any():
-        paths.refuse("inter", 0, "no line-of-sight path (0) in any epoch from that", "at least one")
+        none = "no line of sight (0) in any epoch, beginning with that"
+        paths.refuse("inter", 0, none, "at least one")
     reflected = paths.interactions == REFLECTION
     back = q - position_m[:, None]
     with np.errstate(all="ignore"):  # a reflection at the receiver itself is refused below
@@ -163,7 +165,7 @@ def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, NDArray[np.
     nowhere = reflected & ~np.isfinite(image).all(axis=-1)
     if nowhere.any():
         n, p = np.argwhere(nowhere)[0].tolist()
-        paths.refuse("inter_pos", n, f"{q[n, p]}, the place", "a point away from it")
+        paths.refuse("inter_pos", n, f"{q[n, p]}, the position", "a point away from it")
     anchors, images = [station], image[reflected]
     leads, tree = np.full(len(images), -1), cKDTree(images)
     for i in range(len(images)):

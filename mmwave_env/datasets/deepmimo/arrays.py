@@ -1,4 +1,4 @@
-"""Arrays of a DeepMIMO v4 scenario: each is in a .npz or .npy file, and pickles are refused."""
+"""Reader of the arrays of a DeepMIMO v4 scenario, .npz or .npy files; pickles are refused."""
 
 import math
 import zipfile
@@ -15,7 +15,7 @@ from mmwave_env.world.checks import refuse_in
 
 Shape = tuple[int | str, ...]
 SUFFIXES = (".npz", ".npy")  # in the order of preference
-MOST_BYTES = 2**29  # most bytes of an array in memory
+MOST_BYTES = 2**29  # maximum size of an array in memory
 
 
 def find_array(folder: Path, name: str) -> Path:
@@ -28,9 +28,9 @@ def find_array(folder: Path, name: str) -> Path:
     for file in files:
         if file.exists():
             return file
-    matlab = f"{name}.mat alone" if (folder / f"{name}.mat").exists() else "no such file"
+    matlab = f"only {name}.mat" if (folder / f"{name}.mat").exists() else "no such file"
     raise FileNotFoundError(
-        f"{files[0]}: found {matlab}, expected .npz or .npy, as DeepMIMO 4 writes them"
+        f"{files[0]}: found {matlab}, expected an .npz or .npy file, as DeepMIMO 4 writes it"
     )
 
 
@@ -40,16 +40,16 @@ def read_array(file: Path, key: str, shape: Shape, rows: NDArray[np.int_] | None
     Args:
         file: file of the array, as :func:`find_array` returns it.
         key: name of the array.
-        shape: shape of the whole array; a letter stands for any length.
-        rows: (R,) numbers of the rows to read, in any order; None for all. Other rows of an
+        shape: shape of the complete array; a letter stands for any length.
+        rows: (R,) indices of the rows to read, in any order; None for all. Other rows of an
             .npy file are not read.
 
     Raises:
-        ValueError: the file is not regular, not readable, not of real numbers, of another shape
-            or larger than MOST_BYTES; the message names file and key.
+        ValueError: the path is not a regular file, or the array can't be read, is not real, has
+            another shape or is larger than MOST_BYTES; the message names file and key.
     """
     if not file.is_file():  # reading a pipe or a device would block
-        refuse_in(file, key, "no regular file", f"a file of numbers, {', '.join(SUFFIXES)}")
+        refuse_in(file, key, "a path that is not a file", f"a file, {' or '.join(SUFFIXES)}")
     with _readable(file, key):
         stored = _stored(file, key)
     if stored.dtype.kind not in "fiu":
@@ -60,7 +60,7 @@ def read_array(file: Path, key: str, shape: Shape, rows: NDArray[np.int_] | None
         refuse_in(file, key, f"shape {stored.shape}", f"shape ({', '.join(map(str, shape))})")
     count, width = len(stored if rows is None else rows), math.prod(stored.shape[1:])
     if count * width * 8 > MOST_BYTES:
-        expected = f"at most {MOST_BYTES} bytes in memory: choose users"
+        expected = f"at most {MOST_BYTES} bytes in memory: choose fewer users"
         refuse_in(file, key, f"{count} rows of {width} numbers", expected)
     with _readable(file, key):
         return np.array(stored if rows is None else stored[rows], float)
@@ -73,17 +73,17 @@ def _stored(file: Path, key: str) -> NDArray[Any]:
     with zipfile.ZipFile(file) as archive:
         names = [name.removesuffix(".npy") for name in archive.namelist()]
         if key not in names:
-            raise ValueError(f"only {', '.join(names[:5]) or 'nothing'}, no array named {key}")
+            raise ValueError(f"it contains {', '.join(names[:5]) or 'nothing'}, but not {key}")
         size = archive.getinfo(f"{key}.npy").file_size
     if size > MOST_BYTES:
-        raise ValueError(f"{size} bytes, more than {MOST_BYTES}: an .npy file may be larger")
+        raise ValueError(f"{size} bytes, more than {MOST_BYTES}: use .npy, which may be larger")
     with np.load(file, allow_pickle=False) as arrays:
         return np.asarray(arrays[key])
 
 
 @contextmanager
 def _readable(file: Path, key: str) -> Iterator[None]:
-    """Turn all errors of numpy, zipfile and zlib for a damaged file into a ValueError."""
+    """Convert every error that numpy, zipfile or zlib raises for a damaged file to a ValueError."""
     try:
         yield
     except Exception as error:

@@ -27,7 +27,7 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.checks import refuse_in
 from mmwave_env.world.trajectory import Trajectory
 
-SIDECAR = "trajectory.csv"  # our own file: the times at the receivers, one row per epoch
+SIDECAR = "trajectory.csv"  # not a file of DeepMIMO: times and positions, one row per epoch
 
 
 def read_deepmimo(
@@ -46,19 +46,19 @@ def read_deepmimo(
     scenes. Times and velocities come from ``trajectory.csv`` in the folder, one row per epoch.
 
     If there is one station, or ``base_station`` selects one, the anchors are this station and
-    its images. Otherwise they are all stations that are seen, the station seen most often
-    first. The Doppler shift is that of the first anchor, computed from the true velocity.
+    its images. Otherwise the anchors are all stations that are in sight in some epoch, the one
+    seen most often first. The first anchor's Doppler shift is computed from the true velocity.
 
     Args:
         folder: folder of a DeepMIMO v4 scenario.
-        virtual_anchors: most virtual anchors; those seen in most epochs are kept.
-        bandwidth_hz: bandwidth of the signal. The scenario's own bandwidth belongs to the ray
-            tracer; no path depends on it.
-        dt_s: time step, instead of ``trajectory.csv``; velocities are then differences of
+        virtual_anchors: maximum number of virtual anchors; those seen most often are kept.
+        bandwidth_hz: bandwidth of the signal. The scenario's own bandwidth is not used, because
+            no path depends on it.
+        dt_s: time step to use instead of ``trajectory.csv``; velocities are then computed from the
             positions.
-        users: rows of receivers, from 0. For a static scenario, one row per epoch; for a dynamic
-            scenario, one row for all scenes, or one row per scene.
-        base_station: number of the only station used, from 1 in the order of the files' names.
+        users: indices of receivers, from 0. For a static scenario, one index per epoch; for a
+            dynamic scenario, one index for all scenes, or one index per scene.
+        base_station: number of the only station to use, from 1 in the order of the files' names.
         receiver_set: number of the set of receivers, if there are several sets.
 
     Raises:
@@ -103,14 +103,14 @@ def _way_of(scenario: Scenario, epochs: NDArray[np.int_], dt_s: float | None) ->
 
     Args:
         scenario: scenario with the receivers.
-        epochs: (E, 2) scenes and rows, as :meth:`Scenario.epochs` returns them.
-        dt_s: time step; velocities are then differences of positions. None to read
+        epochs: (E, 2) scenes and receivers, as :meth:`Scenario.epochs` returns them.
+        dt_s: time step; velocities are then computed from the positions. None to read
             ``trajectory.csv``.
 
     Raises:
-        FileNotFoundError: the file is missing, and ``dt_s`` is None.
-        ValueError: the file is damaged or not at the receivers, or no user moves like this:
-            epochs more than 15 s apart, or an impossible speed.
+        FileNotFoundError: ``dt_s`` is None, and ``trajectory.csv`` is missing.
+        ValueError: the file is damaged, its positions are not those of the receivers, or no user
+            can move like this: epochs are more than 15 s apart, or the speed is impossible.
     """
     position = scenario.positions(epochs)
     if dt_s is not None:
@@ -122,8 +122,8 @@ def _way_of(scenario: Scenario, epochs: NDArray[np.int_], dt_s: float | None) ->
     if not file.exists():
         raise FileNotFoundError(
             f"{file}: found no such file, expected the times and velocities that DeepMIMO does "
-            f"not store: a row {','.join(COLUMNS)} for each epoch; or dt_s= of "
-            "read_deepmimo, the time between them"
+            f"not store: a row {','.join(COLUMNS)} for each epoch; or pass dt_s=, the time "
+            "between epochs, to read_deepmimo"
         )
     way = read_trajectory(file)
     rows = len(scenario.scenes) if scenario.is_dynamic else scenario.receivers
@@ -145,7 +145,7 @@ def _way_of(scenario: Scenario, epochs: NDArray[np.int_], dt_s: float | None) ->
 def _links(
     stations: list[StationPaths], position_m: Array, virtual_anchors: int
 ) -> list[tuple[StationLinks, int]]:
-    """Return the anchors of a recording: the links of a station, and the index of the anchor."""
+    """Return, for each anchor of a recording, the links of its station and its index in them."""
     if len(stations) == 1:
         links = find_links(stations[0], position_m)
         images = np.flatnonzero(~links.is_ground)[1:].tolist()
@@ -153,7 +153,7 @@ def _links(
         return [(links, k) for k in [0, *images[:virtual_anchors]]]
     in_sight = [s for s in stations if (s.interactions == LINE_OF_SIGHT).any()]
     if not in_sight:
-        none = "no line of sight (0) of any station at any epoch, from that"
-        stations[0].refuse("inter", 0, none, "one at least")
+        none = "no line of sight (0) to any station in any epoch, beginning with that"
+        stations[0].refuse("inter", 0, none, "at least one")
     by_station = [find_links(station, position_m) for station in in_sight]
     return [(links, 0) for links in sorted(by_station, key=lambda links: -links.epochs_seen[0])]

@@ -1,8 +1,9 @@
-"""Reader of DeepMIMO v4 scenario folders, which checks the paths in their files.
+"""Reader of DeepMIMO v4 scenario folders, which also checks the paths in their files.
 
 A scenario is a folder with ``params.json`` and one array per file, named
 ``{key}_t{txset}_tx{tx}_r{rxset}.npz`` (or ``.npy``). A dynamic scenario has one sub-folder with
-such files per scene; their sorted order is that of time. Times and velocities are not stored.
+such files per scene; sorted by name, they are in order of time. Times and velocities are not
+stored.
 """
 
 import re
@@ -32,7 +33,7 @@ _RECEIVERS = re.compile(r"rx_pos_(t\d+_tx\d+)_r(\d+)\.(?:npz|npy)")
 
 @dataclass(frozen=True)
 class Scenario:
-    """The contents of a scenario folder before its arrays are read.
+    """A description of a scenario folder, whose paths have not been read yet.
 
     Attributes:
         folder: folder of the scenario.
@@ -56,12 +57,12 @@ class Scenario:
         return self.scenes != (self.folder,)
 
     def name_of(self, epoch: NDArray[np.int_]) -> str:
-        """Return the name of the receiver of an epoch (2,), for messages."""
+        """Return a name, for messages, for the receiver that has this scene and row (2,)."""
         scene, row = epoch.tolist()
         return f"receiver {row}" + (f" in {self.scenes[scene].name}" if self.is_dynamic else "")
 
     def epochs(self, users: int | Sequence[int] | NDArray[np.int_] | None) -> NDArray[np.int_]:
-        """Return scene and row (E, 2) of the receiver of every epoch.
+        """Return the scene, and the receiver's row in its arrays, of every epoch (E, 2).
 
         Args:
             users: rows of receivers, from 0. For a static scenario, one row per epoch, or None for
@@ -73,7 +74,7 @@ class Scenario:
         """
         rows = np.arange(self.receivers) if users is None else np.asarray(users)
         if rows.size == 0 or rows.dtype.kind not in "iu" or rows.ndim > 1:
-            raise ValueError(f"users: found {users!r}, expected numbers of receivers")
+            raise ValueError(f"users: found {users!r}, expected indices of receivers, from 0")
         outside = rows[(rows < 0) | (rows >= self.receivers)]
         if outside.size:
             raise ValueError(
@@ -99,7 +100,7 @@ class Scenario:
         return find_array(self.scenes[scene], f"{key}_{station}_r{self.receiver_set}")
 
     def positions(self, epochs: NDArray[np.int_]) -> Array:
-        """Return positions (E, 3), m, of the receivers of epochs, which :meth:`epochs` returns."""
+        """Return positions (E, 3), m, of receivers, given as :meth:`epochs` returns them."""
         parts = []
         for scene, rows in _by_scene(epochs):
             file = self.file(scene, "rx_pos", self.stations[0])
@@ -115,17 +116,17 @@ class Scenario:
     def paths(
         self, epochs: NDArray[np.int_], base_station: int | None = None
     ) -> list[StationPaths]:
-        """Read the paths of some receivers, by base station.
+        """Read the paths between each base station and some receivers.
 
         Args:
-            epochs: (E, 2) scenes, increasing, and rows, as :meth:`epochs` returns them.
+            epochs: (E, 2) scenes, in increasing order, and rows, as :meth:`epochs` returns them.
             base_station: number of the only station to read, from 1 in the order of ``stations``;
                 None for all stations.
 
         Raises:
             FileNotFoundError: a file is missing.
             ValueError: there is no such station; or a file can't be read or contradicts another
-                file, which the message names with the key.
+                file: the message names the file and the key.
         """
         stations = self.stations
         if base_station is not None:
@@ -139,12 +140,12 @@ class Scenario:
 
 
 def is_scenario(folder: Path) -> bool:
-    """Tell whether a folder is marked as a scenario."""
+    """Tell whether a folder has the file that marks it as a scenario."""
     return (folder / PARAMS).exists()
 
 
 def open_scenario(folder: Path, receiver_set: int | None = None) -> Scenario:
-    """Read the contents of a scenario folder, without its arrays.
+    """Read the description of a scenario folder, but not its paths.
 
     Args:
         folder: folder of the scenario.
@@ -209,13 +210,13 @@ def _stations(scene: Path, receiver_set: int | None) -> tuple[str, tuple[str, ..
     if len(chosen) != 1:
         known = ", ".join(str(int(n)) for n in sets)
         raise ValueError(
-            f"receiver_set: found {receiver_set or 'all'}, expected one of {known} of {scene}"
+            f"receiver_set: found {receiver_set}, expected one of {known}, the sets in {scene}"
         )
     return chosen[0], tuple(station for station, number in links if number == chosen[0])
 
 
 def _by_scene(epochs: NDArray[np.int_]) -> list[tuple[int, NDArray[np.int_]]]:
-    """Return scenes, and the rows of receivers in each scene, of epochs (E, 2)."""
+    """Return the scenes of epochs (E, 2), each with the rows of its receivers."""
     scenes, rows = epochs.T
     return [(int(scene), rows[scenes == scene]) for scene in np.unique(scenes)]
 
@@ -226,7 +227,7 @@ def _read_station(scenario: Scenario, epochs: NDArray[np.int_], station: str) ->
     for scene, arrays in enumerate(scenes[1:], start=1):
         moved = arrays.pop("tx_pos")
         if np.linalg.norm(moved - here) > TOLERANCE_M:
-            expected = f"{here[0].tolist()}, as in the first scene: a station that stays"
+            expected = f"{here[0].tolist()}, as in the first scene: stations must not move"
             file = scenario.file(scene, "tx_pos", station)
             refuse_in(file, "tx_pos", moved[0].tolist(), expected)
     path = {key: _stacked([arrays[key] for arrays in scenes]) for key in scenes[0]}
@@ -263,7 +264,7 @@ def _read_scene(
     inter = read("inter", N, "P")
     P = inter.shape[1]
     used = (inter == LINE_OF_SIGHT) | (inter == REFLECTION)
-    points = read("inter_pos", N, P, "I", 3)  # the largest array: too large files are refused here
+    points = read("inter_pos", N, P, "I", 3)  # the largest array; refused if it is too large
     first = points[:, :, 0] if points.shape[2] else np.full((*inter.shape, 3), np.nan)
     arrays = {
         "tx_pos": check("tx_pos", read("tx_pos", 1, 3, rows=None)),
@@ -278,7 +279,10 @@ def _read_scene(
 def _finite(
     file: Path, key: str, array: Array, rows: NDArray[np.int_] | None, used: Mask | None = None
 ) -> Array:
-    """Refuse NaN and infinity; with ``used`` (R, P) only where it is true, with NaN elsewhere."""
+    """Refuse an array with NaN or infinity, or return it.
+
+    If ``used`` (R, P) is given, only these numbers are checked, and all others become NaN.
+    """
     if used is not None:
         used = used.reshape(used.shape + (1,) * (array.ndim - 2))
         array = np.where(used, array, np.nan)
@@ -291,7 +295,7 @@ def _finite(
 
 
 def _stacked(scenes: Sequence[Array]) -> Array:
-    """Stack arrays (R, P, ...) of scenes, padded to the largest number of paths."""
+    """Stack the arrays (R, P, ...) of scenes, padded with NaN to the largest number of paths."""
     most = max(array.shape[1] for array in scenes)
     missing = [[(0, 0), (0, most - a.shape[1]), *[(0, 0)] * (a.ndim - 2)] for a in scenes]
     return np.concatenate(
