@@ -121,7 +121,7 @@ class Trajectory:
         """
         way = self.resampled(dt)
         if len(way) < 2:
-            raise ValueError(f"{self.name}: found {np.ptp(self.time_s):g} s, expected >= {dt:g} s, dt")
+            raise ValueError(f"{self.name}: found {np.ptp(self.time_s):g} s, expected {dt:g} (dt)")
         position = way[:, :3]
 
         def refuse(epoch: int, expected: str) -> None:
