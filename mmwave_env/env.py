@@ -48,7 +48,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
     epoch. Its choice changes the estimate, never the world.
 
     Source: "Mobility-Aware Localization in mmWave Channel: Adaptive Hybrid Filtering Approach".
-    The paper chooses an extended Kalman filter (EKF) up to 2 m/s and an unscented one (UKF) above.
+    The paper uses an extended Kalman filter (EKF) up to 2 m/s and an unscented one (UKF) above.
 
     ## Action Space
 
@@ -93,7 +93,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
 
     `reward="tracking"` (default): -(1.0 min(error, 10 m) + 0.2 min(|ln(NEES / 3)|, 3)), with
     the position error and the position's NEES after the epoch. `reward="log-score"`: log
-    density of the true position, at least -30. Any function of (belief, truth) works too, see
+    density of the true position, at least -30. Any function of (belief, truth) works too; see
     `mmwave_env.interface.reward`. A mode's `cost` is subtracted in every epoch that runs it. The
     array `info["reward_terms"]` holds the terms of the epoch's reward, in the order of the names
     `env.unwrapped.reward_terms`, for users who want other weights; the last term is the cost.
@@ -167,7 +167,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
     * `episodes`: recorded data instead of a simulation: a recording of the package, such as
       "canyon28_vehicle" (`mmwave-loc list samples`), the folder of a DeepMIMO scenario or of a
       measurement log with its scene and truth, a `Recording`, a `MeasuredTrack` (docs/own-log.md),
-      or any episode source, whose `radio`, if it has one, selects the default modes' tuning.
+      or any episode source; if a source has a `radio`, the default modes are those tuned for it.
     * `planar`: whether the terrain is flat, so that z and vz are known.
     * `odometry`: whether the user also measures speed and heading.
     * `measurements`: names of the quantities that the receiver measures, from "range", "azimuth"
@@ -177,8 +177,8 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
     * `terminate_on_divergence`: see Episode End.
     * `render_mode`: "rgb_array" or "human", a window whose title lists its keyboard keys; needs
       the extra `render`.
-    * `render_size`, `render_theme`: height and width of pictures, 480 (default) to 1080; "light"
-      (default) or "dark".
+    * `render_size`: height and width of pictures, 480 (default) to 1080.
+    * `render_theme`: "light" (default) or "dark".
     * `backend`: "lanes", or "filterpy" for the same modes on filterpy's filters (slow; needs the
       extra `filterpy`).
     * `env_config`: all of these arguments in one mapping, passed by position, as RLlib does.
@@ -272,8 +272,8 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
     def spec(self, spec: EnvSpec | None) -> None:
         epochs = getattr(self.source, "epochs", None)
         self._spec = spec and replace(spec, max_episode_steps=epochs)
-        # If `gym.make` cuts episodes from outside, their last step has no metrics. It keeps its
-        # limit only in a local variable.
+        # If `gym.make` cuts episodes from outside, their last step has no metrics. It keeps the
+        # limit only in a local variable, which is read here.
         make = sys._getframe(1).f_locals
         limit = make.get("max_episode_steps") or getattr(
             make.get("env_spec"), "max_episode_steps", None

@@ -69,7 +69,7 @@ class Epochs(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """Running sums over the epochs of tracks (n,) after the burn-in, instead of their arrays."""
+    """Sums over the epochs of tracks (n,) after the burn-in, for tracks that are not stored."""
 
     epochs: Array  # number of epochs
     changes: Array  # number of pairs of epochs that are a second apart
@@ -166,8 +166,8 @@ def summary(
     Args:
         error: (..., T, 3) estimated minus true position, m.
         nees: (..., T) NEES of the position.
-        epochs_per_s: number of epochs in a second, the interval of RPE.
-        axes: position axes that NEES covers.
+        epochs_per_s: number of epochs per second; RPE compares epochs that are a second apart.
+        axes: number of position axes that NEES covers.
         reward: (..., T) rewards; None leaves their mean out.
     """
     counted = scored(nees.shape[-1])
@@ -179,5 +179,5 @@ def summary(
 
 
 def running_summary(sums: Sums) -> dict[str, Array]:
-    """Compute the metrics that have a running form, per track (n,)."""
+    """Compute the metrics that running sums allow, for each track (n,)."""
     return {name: METRICS[name].running(sums) for name in INFO_KEYS}  # type: ignore[misc]

@@ -43,7 +43,7 @@ class Task:
             if modes share a belief.
         reward: function of (belief, truth).
         baseline: bank of the IMM whose reward is subtracted; None without a paired reward.
-        worst: reward for every remaining epoch of a diverged episode; None if episodes go on.
+        worst: reward for every remaining epoch of a diverged episode; None if it does not end.
     """
 
     source: EpisodeSource
@@ -73,7 +73,7 @@ class Task:
         return type(self.source) is SimulatedSource  # other sources may draw in their own way
 
     def streets_of(self, key: int) -> Streets | None:
-        """Return the streets of an episode, for its picture; None if they are not known.
+        """Return the streets of an episode, for its picture; None if they are unknown.
 
         Args:
             key: key of the episode, if episodes have keys.
@@ -141,7 +141,7 @@ def task_from(**arguments: Any) -> Task:
     known = [field.name for field in fields(TaskArguments)]
     for name in arguments:
         if name not in known:
-            # commands and ``compare`` call it "data"
+            # commands and ``compare`` call this argument "data"
             hint = did_you_mean("episodes" if name == "data" else name, known)
             raise TypeError(  # some libraries look for these words of Python's own message
                 f"got an unexpected keyword argument {name!r}, expected one of "

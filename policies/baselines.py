@@ -8,7 +8,7 @@ from policies.policy import Policy
 
 
 class FixedMode(Policy):
-    """A policy that always takes the same action, which is the number of a mode."""
+    """A policy that always takes the same action."""
 
     def __init__(self, action: int) -> None:
         self.action = action

@@ -25,7 +25,7 @@ def shipped_policies() -> dict[str, Path]:
 
 
 class LearnedSwitch(Policy):
-    """A network that chooses the most probable action: a mode, or a mode to trust.
+    """A network that chooses the most probable action: a mode to use or to trust.
 
     ```python
     >>> policy = LearnedSwitch("runs/mine.safetensors")

@@ -48,7 +48,7 @@ class Card:
         ValueError: a field is invalid; the message says what is wrong.
     """
 
-    # modes that the actions stand for; with a belief per mode they are the modes of the first
+    # modes for which the actions stand; with a belief per mode they are the modes of the first
     # bank, and action 0, "none", precedes them
     modes: tuple[Mode, ...]
     observation: str  # "full" or "prior"
@@ -207,7 +207,7 @@ def read_policy(path: str | os.PathLike[str]) -> tuple[Tensors, Card]:
 
 
 def _require_header(path: Path) -> None:
-    """Refuse a file that is too large, or whose header is, before its data are read."""
+    """Refuse a file if it or its header is too large, before its data are read."""
     with open_regular(path, "a policy (.safetensors)") as file, naming(path):
         size, header = os.fstat(file.fileno()).st_size, int.from_bytes(file.read(8), "little")
     if size > MOST_BYTES or header > MOST_HEADER:
@@ -264,7 +264,7 @@ def _require_actor(tensors: Tensors, card: Card) -> None:
             "the tensor 'low'"
         )
     if (tensors["low"] > tensors["high"]).any():
-        raise ValueError("tensor 'low': found numbers above 'high', expected none above")
+        raise ValueError("tensor 'low': found numbers above those of 'high', expected none")
 
 
 def _shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]]:

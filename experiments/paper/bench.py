@@ -26,7 +26,7 @@ from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 
 CHUNK = 128  # number of tracks at a time: few enough for their arrays to stay in the caches
-TUNED_ON = {"pedestrian": 0, "vehicle": 1}  # index of the mode among the shipped modes
+TUNED_ON = {"pedestrian": 0, "vehicle": 1}  # index of the user's mode among the shipped modes
 
 
 @dataclass(frozen=True)
@@ -131,8 +131,8 @@ Row = list[Cell]
 class Section:
     """A table with a title and a note."""
 
-    title: str  # Markdown
-    note: str  # Markdown
+    title: str  # title, in Markdown
+    note: str  # note below the table, in Markdown
     header: str  # headers of the columns, with " | " between them
     labels: int = 1  # number of columns at the beginning that together name a row
     rows: list[Row] = field(default_factory=list)

@@ -96,7 +96,7 @@ def steps(bench: Bench) -> Iterator[Row]:
 @section(
     "Adaptive scaling and wrong process noise",
     "Standard profile, filtered, gates with recovery; sigma_v is the tuned value times the factor.",
-    "user | sigma_v times | ATE m: fixed | adaptive | in 95 % bounds: fixed | adaptive",
+    "user | factor of sigma_v | ATE m: fixed | adaptive | in 95 % bounds: fixed | adaptive",
     labels=2,
 )
 def adaptation(bench: Bench) -> Iterator[Row]:
@@ -133,8 +133,8 @@ def smoothing(bench: Bench) -> Iterator[Row]:
     "The untuned filter, the tuned one with gates and adaptive scaling, and the same after "
     "smoothing; coupled Q. The paper's own tables imply reductions of 72 % (EKF) and 46 % (UKF) "
     "for pedestrians, 99 % and 80 % for vehicles.",
-    "user | radio | untuned EKF m | tuned and gated m | smoothed m | less than EKF % | than UKF %"
-    " | than CKF %",
+    "user | radio | untuned EKF m | tuned and gated m | smoothed m | reduction from EKF % | from "
+    "UKF % | from CKF %",
     labels=2,
 )
 def improvement(bench: Bench) -> Iterator[Row]:

@@ -27,7 +27,7 @@ class Operations(NamedTuple):
     multiply: int = 0  # remaining products
     divide: int = 0
     root: int = 0  # square roots
-    select: int = 0  # comparisons, choices, signs and bits
+    select: int = 0  # comparisons, choices, and operations on signs and bits
     load: int = 0  # rows of the workspace
     store: int = 0
 

@@ -36,7 +36,7 @@ _STEPS: dict[str, Callable[..., Any]] = {
 
 
 def limit_s(operations: Operations) -> float:
-    """Return the minimum time of a core for the operations, s, each on eight environments."""
+    """Return the minimum time, s, that a core needs for operations on eight environments."""
     steps, rows = sum(_steps(operations).values()), max(operations.load, operations.store)
     return max(steps * _mix_s(operations), rows * _copying_s())
 

@@ -24,10 +24,13 @@ from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, log, maximum, sqrt, where
 
 MISSING_SNR_DB = -20.0
-# kinds of features of an anchor, and their values for an anchor that is never visible
+# values that the features of an anchor, by kind, have for an anchor that is never visible
 UNSEEN = {"NIS": 0.0, "verdict": 0.0, "SNR": MISSING_SNR_DB, "SNR drop": 0.0, "coming NIS": 0.0}
 _LEAST = 1e-9  # lower limit of a probability in a logarithm
-_WAYS = {"along": "along the predicted velocity", "across": "to the left of that velocity"}
+_WAYS = {
+    "along": "component along the predicted velocity",
+    "across": "component to the left of the predicted velocity",
+}
 
 
 class MixtureView(NamedTuple):

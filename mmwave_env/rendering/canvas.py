@@ -122,7 +122,7 @@ def _font(size: int) -> Any:
 
 def _large(points: Array) -> Array:
     """Return points (n, 2) in the coordinates of the large surface."""
-    # np.clip would keep NaN, which pygame refuses; these functions replace it with a limit
+    # np.clip would keep NaN; these functions replace NaN with a limit
     return np.fmax(np.fmin(points, _FAR), -_FAR) * _TIMES  # type: ignore[no-any-return]
 
 

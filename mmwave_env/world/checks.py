@@ -49,7 +49,7 @@ def require_increasing(record: str, time_s: Array) -> None:
 
 
 def require_within(record: str, field: str, values: Array, bound: Bound) -> None:
-    """Refuse numbers of a field, of any shape, that are NaN or outside a bound with two limits."""
+    """Refuse numbers of a field, an array of any shape, that are NaN or outside a bound."""
     wrong = bound.outside(values)
     if wrong.any():
         refuse(record, field, f"{values[wrong].flat[0]:g}", bound.expected)

@@ -180,7 +180,7 @@ class Episode:
 
     @cached_property
     def usable(self) -> Mask:
-        """Return which groups (T, groups) are visible and finite, in a partial layout in part."""
+        """Return which groups (T, groups) are visible and finite; one row is enough if partial."""
         finite, starts = self._finite, [rows.start for rows in self.layout.groups]
         if self.layout.partial:
             return self.visible & np.logical_or.reduceat(finite, starts, axis=1)  # type: ignore[no-any-return]
@@ -265,9 +265,9 @@ class EpisodeBatch(NamedTuple):
 
     Attributes:
         names: (n,) names of the episodes.
-        nonfinite: (n,) numbers of groups, as :attr:`Episode.nonfinite`.
+        nonfinite: (n,) numbers of groups that contain NaN or infinity and count as missing.
         length: (n,) numbers of epochs.
-        table: (n, epochs, columns) tables :meth:`Episode.table`; rows after the length are unused.
+        table: (n, epochs, columns) :meth:`Episode.table` of each; rows after the length are unused.
         site: (n, numbers) anchors, carrier and prior from :meth:`Episode.site`.
         layout: layout of all episodes.
     """

@@ -1,8 +1,8 @@
 """Keys of episodes: 64 bits that determine everything in a simulated episode.
 
-The seed of an environment gives a stream, a number of 64 bits. The key of its n-th episode is the
-n-th output of SplitMix64 (Steele, Lea and Flood 2014), which starts at the stream. It is a function
-of stream and n, so many environments draw their keys at once and need no generator.
+The seed of an environment determines its stream, a number of 64 bits. The key of its n-th episode
+is the n-th output of SplitMix64 (Steele, Lea and Flood 2014), which starts at the stream. A key is
+a function of stream and n, so many environments can draw their keys at once without a generator.
 """
 
 import operator
@@ -46,7 +46,7 @@ def keys_of(seeds: Iterable[int]) -> Keys:
 
 
 def draw_key(rng: np.random.Generator) -> int:
-    """Draw a key from a generator instead of a seed."""
+    """Draw a key from a generator, without a seed."""
     return int(rng.integers(0, 2**64, dtype=np.uint64))
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from mmwave_env.numerics.numbers import Number, clip, cos_sin, maximum, minimum, sqrt, where
 
-STANDING_MPS = 0.1  # a traveler below this speed may change over to another phase
+STANDING_MPS = 0.1  # a traveler at or below this speed may begin another phase
 FAR = 1e9  # m or s: a distance or time that is never reached
 
 
@@ -56,7 +56,7 @@ class Traveler(NamedTuple):
     gait_left: Number  # time for which the target speed is kept, s
     phase: Number  # number of the phase, which ends at ``phase_end`` s
     phase_end: Number
-    stopping: Number  # 1 while the traveler brakes to a stand to change over to the next phase
+    stopping: Number  # 1 while the traveler brakes to a standstill, before the next phase
     # turn, red: quarter turns to the left and seconds of red light at the crossing ahead
     turn: Number
     red: Number

@@ -62,7 +62,7 @@ class Limits:
     Attributes:
         acceleration_mps2, braking_mps2, lateral_mps2: ranges of limits of the acceleration.
         jerk_mps3: limit of the rate at which the acceleration changes.
-        corner_radius_m: radius of the arcs at crossings; at most half the distance of crossings.
+        corner_radius_m: radius of arcs at crossings; at most half the distance between crossings.
         red_light_probability: probability of a red light at a crossing.
         red_light_s: range of the duration of a red light; each is drawn anew.
     """
@@ -162,7 +162,7 @@ SCENARIOS = {  # names and meanings
 
 
 def mobilities_of(scenario: str | os.PathLike[str]) -> tuple[Mobility, ...]:
-    """Return the mobilities that a scenario draws from, in equal shares.
+    """Return the mobilities from which a scenario draws users, in equal shares.
 
     Raises:
         ValueError: the scenario is unknown, and the message lists the known ones; or

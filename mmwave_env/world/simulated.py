@@ -238,7 +238,7 @@ class SimulatedSource:
 
     @property
     def travels(self) -> bool:
-        """Return whether users are simulated, which needs no table of positions, or ways given."""
+        """Return whether users are simulated; otherwise they move on given ways, in a table."""
         return bool(self._plans)
 
     def begin(self, keys: Keys) -> Begun:

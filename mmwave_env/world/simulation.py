@@ -1,7 +1,7 @@
 """The simulation of a world, epoch by epoch: moving users, the channel, the measurements.
 
 The functions compute with plain numbers, so that they can also run on SIMD lanes, one user per
-lane. All random numbers come from generators that a key seeds: it determines the episode.
+lane. All random numbers come from generators that a key seeds, so a key determines the episode.
 """
 
 from collections.abc import Callable
@@ -336,7 +336,7 @@ def begin(w: Beginning, streets: RandomScene | None) -> Beginning:
 def beginning(
     layout: Layout, kinds: int, phases: int, gaits: int, streets: RandomScene | None
 ) -> Program[Beginning]:
-    """Return the program of :func:`begin` for lanes.
+    """Return the program that runs :func:`begin` on SIMD lanes.
 
     Args:
         layout: layout of the measurements, with the number of anchors.

@@ -18,7 +18,7 @@ from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.world.mobility import FASTEST_MPS, Mobility, mobilities_of
 
 REACH_M = (1.0, 5000.0)  # distances for which the path loss is valid (3GPP TR 38.901, UMi)
-STANDING_M, STANDING_S = 0.1, 60.0  # moving less than this in this time suggests degrees
+STANDING_M, STANDING_S = 0.1, 60.0  # 0.1 m in a minute suggests that positions are in degrees
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class Trajectory:
         lines: (N,) line numbers of the rows in their file, for messages; None without a file.
 
     Raises:
-        ValueError: a row is wrong; the message names the error and the line, or the row from 1.
+        ValueError: a row is wrong; the message names the error and its line or row, from 1.
     """
 
     name: str
@@ -163,7 +163,7 @@ class Ways:
             epochs: maximum length of an episode.
 
         Raises:
-            ValueError: as for :meth:`Trajectory.way`.
+            ValueError: a way does not fit the scene, see :meth:`Trajectory.way`.
         """
         tables = [trajectory.way(scene, dt) for trajectory in self.trajectories]
         epochs = min(epochs, max(map(len, tables)))
