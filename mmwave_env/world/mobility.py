@@ -60,7 +60,9 @@ class Limits:
     """The limits of a traveler's motion; limits given as ranges are drawn once per episode.
 
     Attributes:
-        acceleration_mps2, braking_mps2, lateral_mps2: ranges of limits of the acceleration.
+        acceleration_mps2: range of the limit of acceleration.
+        braking_mps2: range of the limit of braking.
+        lateral_mps2: range of the limit of lateral acceleration, in corners.
         jerk_mps3: limit of the rate at which the acceleration changes.
         corner_radius_m: radius of arcs at crossings; at most half the distance between crossings.
         red_light_probability: probability of a red light at a crossing.
