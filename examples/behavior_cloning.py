@@ -1,4 +1,4 @@
-"""Minari: behavior cloning of a shipped switcher, from the data set that this command makes.
+"""Minari: behavior cloning of the policy guided, from the data set that this command makes.
 
 python examples/minari_collect.py guided --episodes 300 --id mmwave-loc/guided-v0
 """
@@ -36,6 +36,6 @@ def act(observations):
 
 
 alike = np.mean(act(held_out[0].numpy()) == held_out[1].numpy())
-print(f"The clone does as its teacher in {alike:.1%} of the epochs of episodes held out.\n")
+print(f"The clone acts like its teacher in {alike:.1%} of the epochs of held-out episodes.\n")
 beside = ("fixed-ukf", "speed-rule", "imm-best", "guided")
 print(compare({"cloned": act}, beside, beliefs="per-mode", episodes=1000))

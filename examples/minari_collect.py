@@ -1,11 +1,12 @@
-"""Minari: observations, actions and rewards of policies in the same episodes, as a data set.
+"""Minari: a data set with observations, actions and rewards of policies in the same episodes.
 
 python examples/minari_collect.py guided none random --episodes 100 --id mmwave-loc/mixed-v0
 
-Policies: guided, guided-ppo and policy files whose modes keep a belief each; none, which trusts no
+Policies are guided, guided-ppo, and files of policies with a belief per mode; none, which trusts no
 mode and so is the IMM; trust-NAME, which always trusts one mode; and random. All act in the
-environment of the first policy file, or else of guided. Data sets are in MINARI_DATASETS_PATH.
-Seeds are training seeds: episodes in the data set must not be used to judge a policy.
+environment of the first policy with a file, or of guided if there is none. Data sets are stored in
+the folder MINARI_DATASETS_PATH. The episodes are drawn with training seeds, because episodes in the
+data set must not be used to judge a policy.
 """
 
 import argparse
@@ -22,7 +23,7 @@ FIRST_SEED = 10_000_000
 
 
 def player(name, learned, actions, rng):
-    """Return a function from observations (1, features) and "an episode begins" to an action."""
+    """Return a function act(observations (1, features), whether an episode begins) -> action."""
     if name in learned:
         policy = learned[name]
 

@@ -1,4 +1,4 @@
-"""Optuna: the discount and the learning rate of PPO, chosen by tuning seeds."""
+"""Optuna: choose the discount and the learning rate of PPO on tuning episodes."""
 
 import gymnasium as gym
 import optuna
@@ -23,7 +23,7 @@ def reward(trial):
     def act(observations):
         return model.predict(envs.normalize_obs(observations), deterministic=True)[0]
 
-    seed = 5_000_000  # tuning seeds, which neither training nor test has
+    seed = 5_000_000  # first of the tuning seeds, which are used for neither training nor tests
     policies = compare({"trial": act}, beside=("fixed-ukf",), episodes=100, seed=seed).policies
     trial.set_user_attr("fixed-ukf", policies["fixed-ukf"]["reward"].mean)
     return policies["trial"]["reward"].mean

@@ -1,10 +1,11 @@
-"""Sionna RT: a way through ray-traced streets as a DeepMIMO v4 folder, which --data plays.
+"""Sionna RT: trace rays to a user who moves through streets; write a DeepMIMO v4 folder for --data.
 
 python examples/raytrace.py way.csv canyon-way
 mmwave-loc compare --policies fixed-ekf fixed-ukf --data canyon-way
 
-The way has the columns t, x, y, z, in the frame of the geometry. Sionna traces lines of sight and
-paths with one mirror-like reflection, between isotropic antennas with vertical polarization.
+The file way.csv describes the user's way in the columns t, x, y, z, in the frame of the geometry.
+Sionna traces lines of sight and paths with one mirror-like reflection, between isotropic antennas
+with vertical polarization.
 """
 
 import argparse
@@ -15,8 +16,8 @@ import numpy as np
 
 from mmwave_env.datasets.ways import read_trajectory
 
-RAYS, SEED, BLOCK = 10**5, 1, 200  # rays that look for walls; receivers traced at once
-INTERACTIONS = {1: 1.0, 2: 3.0, 4: 4.0, 8: 2.0}  # Sionna's reflection, ... in DeepMIMO's digits
+RAYS, SEED, BLOCK = 10**5, 1, 200  # number of rays; their seed; number of receivers traced at once
+INTERACTIONS = {1: 1.0, 2: 3.0, 4: 4.0, 8: 2.0}  # DeepMIMO's digits for Sionna's interactions
 
 
 def trace(geometry, carrier_hz, base_station_m, receivers_m):
@@ -45,7 +46,7 @@ def trace(geometry, carrier_hz, base_station_m, receivers_m):
 
 
 def arrays_of(paths):
-    """Return DeepMIMO's arrays (receivers, paths, ...) of Sionna's paths, the strongest first."""
+    """Convert Sionna's paths to DeepMIMO's arrays (receivers, paths, ...), the strongest first."""
     real, imaginary = (np.array(part, float)[:, 0, 0, 0] for part in paths.a)
     delay = np.array(paths.tau, float)[:, 0]
     gain = np.hypot(real, imaginary)
@@ -79,7 +80,7 @@ def arrays_of(paths):
 
 
 def joined(blocks):
-    """Concatenate arrays along receivers; pad with NaN the arrays that have fewer paths."""
+    """Concatenate arrays along receivers; pad arrays with fewer paths with NaN."""
     most = max(block.shape[1] for block in blocks)
     fill = [[(0, 0), (0, most - b.shape[1])] + [(0, 0)] * (b.ndim - 2) for b in blocks]
     return np.concatenate(
@@ -89,7 +90,7 @@ def joined(blocks):
 
 def write_folder(folder, arrays, carrier_hz, base_station_m, time_s, track):
     """Write a static DeepMIMO v4 scenario whose receivers are the epochs of a track (N, 6)."""
-    folder.mkdir(parents=True)  # fails if the folder exists, which may hold other arrays
+    folder.mkdir(parents=True)  # fails if the folder exists, because it may contain other arrays
     arrays |= {"rx_pos": track[:, :3], "tx_pos": np.array([base_station_m])}
     for key, array in arrays.items():
         np.savez_compressed(
@@ -105,9 +106,10 @@ def write_folder(folder, arrays, carrier_hz, base_station_m, time_s, track):
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("way", type=Path, help="CSV file, columns t, x, y, z")
-    parser.add_argument("out", type=Path, help="the folder to write")
-    parser.add_argument("--geometry", default="simple_street_canyon", help="or a Mitsuba .xml")
+    parser.add_argument("way", type=Path, help="CSV file of the way, with columns t, x, y, z")
+    parser.add_argument("out", type=Path, help="folder to write")
+    geometry = "name of one of Sionna's scenes, or a Mitsuba .xml file"
+    parser.add_argument("--geometry", default="simple_street_canyon", help=geometry)
     parser.add_argument("--base-station", type=float, nargs=3, default=[-5.0, 4.0, 6.0])
     parser.add_argument("--carrier-hz", type=float, default=28e9)
     parser.add_argument("--dt", type=float, default=0.1, help="seconds between epochs")

@@ -1,6 +1,7 @@
-"""RLlib: PPO on normalized observations; without them, the id with `env_config` is enough.
+"""RLlib: PPO on normalized observations.
 
-The optional argument is the number of the training, 0 by default.
+Without normalization, RLlib needs only the environment's id and `env_config`. The optional argument
+is the number of the training, which determines its seed; 0 by default.
 """
 
 import sys

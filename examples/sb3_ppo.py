@@ -11,7 +11,7 @@ from mmwave_env.sb3 import SB3VecEnv
 torch.set_num_threads(1)  # the network is too small for more threads to help
 envs = gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=64, autoreset_mode="SameStep")
 envs = VecNormalize(SB3VecEnv(envs), norm_reward=False, gamma=0.95)
-seed = 10_000_000  # seeds of test episodes start at 0, training seeds start here
+seed = 10_000_000  # the first training seed; seeds of test episodes start at 0
 model = PPO("MlpPolicy", envs, n_steps=64, batch_size=1024, gamma=0.95, seed=seed, device="cpu")
 model.learn(total_timesteps=200_000)
 

@@ -1,11 +1,11 @@
-"""SUMO: floating-car data as a file of ways; every episode draws one of the ways.
+"""SUMO: convert floating-car data to a file of ways; every episode draws one of these ways.
 
 python examples/sumo.py traffic.xml.gz ways.csv --scene street
 mmwave-loc compare --policies fixed-ekf imm --scenario ways.csv --episode-steps 60
 
-The first argument is the XML file of `sumo --fcd-output`, perhaps gzipped. --make first makes that
-file: vehicles and pedestrians go at random through a grid of streets with traffic lights
-(pip install -r examples/sumo.txt).
+The first argument is the XML file of `sumo --fcd-output`, which may be gzipped. With --make the
+program makes this file first: vehicles and pedestrians move at random through a grid of streets
+with traffic lights (this needs pip install -r examples/sumo.txt).
 """
 
 import argparse
@@ -26,7 +26,7 @@ from mmwave_env.world.trajectory import Trajectory
 
 
 def read_trips(path):
-    """Read times and positions (N, 3) t, x, y of every vehicle and person, by id."""
+    """Read a table (N, 3) of t, x, y for every vehicle and person, by id."""
     trips = {}
     with (gzip.open if path.suffix == ".gz" else open)(path, "rb") as file:
         for _, step in ElementTree.iterparse(file):
@@ -39,9 +39,9 @@ def read_trips(path):
 
 
 def ways_in(scene, trips, least_s, shift_m=None):
-    """Return the trips that stay clear of walls as trajectories; print why others are left out.
+    """Return trips that are not behind walls as trajectories; print why others are left out.
 
-    The middle of the traffic is put on the middle of the streets, unless a shift is given.
+    Without a shift, the middle of the traffic is moved to the middle of the streets.
     """
     places = np.concatenate([rows[:, 1:] for rows in trips.values()])
     if shift_m is None:
@@ -63,7 +63,7 @@ def ways_in(scene, trips, least_s, shift_m=None):
             print(f"left out: {error}")
         else:
             ways.append(way)
-    print(f"{short} left out, shorter than {least_s:g} s")
+    print(f"{short} trips left out, because they are shorter than {least_s:g} s")
     return ways
 
 
@@ -78,7 +78,7 @@ def write_ways(path, ways):
 
 
 def make_traffic(out, seconds, seed, blocks=2, block_m=80):
-    """Make traffic with SUMO's programs netgenerate, randomTrips.py and sumo."""
+    """Write the file of traffic ``out``, with SUMO's netgenerate, randomTrips.py and sumo."""
     home = Path(distribution("eclipse-sumo").locate_file("sumo"))
 
     def run(program, options, *values):
@@ -103,13 +103,15 @@ def make_traffic(out, seconds, seed, blocks=2, block_m=80):
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("traffic", type=Path, help="floating-car data, .xml or .xml.gz")
-    parser.add_argument("ways", type=Path, help="the CSV file to write")
-    parser.add_argument("--scene", default="street", help="whose streets the traffic is put on")
-    parser.add_argument("--least", type=float, default=60.0, help="seconds that a trip lasts")
-    parser.add_argument("--shift", type=float, nargs=2, help="meters, in place of the middle")
-    parser.add_argument("--make", type=int, metavar="SECONDS", help="make the traffic first")
-    parser.add_argument("--seed", type=int, default=0, help="of the traffic that is made")
+    parser.add_argument("traffic", type=Path, help="file of floating-car data, .xml or .xml.gz")
+    parser.add_argument("ways", type=Path, help="CSV file to write")
+    parser.add_argument("--scene", default="street", help="scene to whose streets traffic is moved")
+    parser.add_argument("--least", type=float, default=60.0, help="minimum duration of trips, s")
+    shift = "shift of all positions in x and y, m; by default from middle to middle"
+    parser.add_argument("--shift", type=float, nargs=2, help=shift)
+    make = "first make traffic that lasts this long, and write it to the file of floating-car data"
+    parser.add_argument("--make", type=int, metavar="SECONDS", help=make)
+    parser.add_argument("--seed", type=int, default=0, help="seed of the traffic to make")
     args = parser.parse_args()
     if args.make:
         make_traffic(args.traffic, args.make, args.seed)

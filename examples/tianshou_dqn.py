@@ -1,4 +1,4 @@
-"""Tianshou: DQN on single environments, which it steps in turn."""
+"""Tianshou: DQN on single environments, which Tianshou steps one after another."""
 
 import gymnasium as gym
 import torch

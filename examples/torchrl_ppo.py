@@ -1,4 +1,4 @@
-"""TorchRL: PPO on the native vector environment, whose episodes TorchRL resets itself."""
+"""TorchRL: PPO on the native vector environment; TorchRL resets its environments itself."""
 
 import gymnasium as gym
 import torch

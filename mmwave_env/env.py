@@ -1,4 +1,4 @@
-"""The environment: ``gymnasium.make("MmWaveLoc-v0")``."""
+"""The environment that ``gymnasium.make("MmWaveLoc-v0")`` makes."""
 
 import sys
 from collections.abc import Mapping
@@ -33,7 +33,7 @@ from mmwave_env.world.keys import Stream, key_from, option_of
 
 _INTEGERS = (int, np.int64)  # usual types of actions
 _HERE = np.zeros(1, np.int64)  # index of the environment in a batch of one
-BACKENDS = {"lanes": "SIMD lanes", "filterpy": "filterpy's filters, slow, independent"}
+BACKENDS = {"lanes": "SIMD lanes", "filterpy": "the slow, independent filters of filterpy"}
 
 
 class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
@@ -42,32 +42,32 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
     ## Description
 
     A pedestrian or a vehicle moves through a street with three 28 GHz anchors: a base station
-    (gNB) and its mirror images in two building walls. Every epoch (1 s) brings, per anchor,
-    time of arrival, azimuth and elevation of arrival and azimuth of departure, and one Doppler
-    shift. The agent chooses which Kalman filter pipeline, or *mode*, processes the epoch.
-    What it chooses changes the estimate, never the world.
+    (gNB) and its mirror images in two building walls. In every epoch (1 s) the time of arrival,
+    the azimuth and elevation of arrival and the azimuth of departure are measured for each anchor,
+    and one Doppler shift. The agent chooses which Kalman filter pipeline, or *mode*, processes the
+    epoch. Its choice changes the estimate, never the world.
 
-    Source: "Mobility-Aware Localization in mmWave Channel: Adaptive Hybrid Filtering Approach",
-    whose rule is the EKF up to 2 m/s and the UKF above.
+    Source: "Mobility-Aware Localization in mmWave Channel: Adaptive Hybrid Filtering Approach".
+    The paper uses an extended Kalman filter (EKF) up to 2 m/s and an unscented one (UKF) above.
 
     ## Action Space
 
-    `Discrete(len(modes))`: the mode that processes the current epoch. By default
+    `Discrete(len(modes))`: the mode that processes the current epoch. The default modes are
 
     {modes}
 
-    tuned by `mmwave-loc tune` for the three radios; the noise is per epoch of 1 s. Both modes gate
-    each anchor and the Doppler at the 99 % chi-square quantile, recover from lock-out after two
-    epochs, and scale Q and R by the windowed mean of NIS.
+    The noise, per epoch of 1 s, was tuned by `mmwave-loc tune` for the three radios. Both modes
+    gate each anchor and the Doppler shift at the 99 % chi-square quantile, accept all links again
+    after two epochs in which the gates rejected every one, and scale Q and R by the mean NIS.
 
     ## Observation Space
 
     `Box(float32)` of the features below: what the estimator knows, never the truth. They include
-    the next epoch's measurement as each mode would see it ("coming ...", "preference ...");
-    `observation="prior"` leaves these out. A feature is shown as (value - mean) / deviation, with
-    constants that are medians over all streets and radios, and within `low` and `high`: at most
-    ten deviations. `env.unwrapped.observation.read(observation, name)` gives it in its own unit.
-    By default:
+    how well each mode would explain the coming epoch ("coming ...", "preference ...");
+    `observation="prior"` leaves these out. A feature is (value - mean) / deviation, limited to
+    `low` and `high`, at most ten deviations from the mean. Mean and deviation are constants,
+    medians over many streets and radios. `env.unwrapped.observation.read(observation, name)`
+    returns a feature in its own unit. The default features are:
 
     {table}
 
@@ -76,43 +76,45 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
     By default the modes share one belief, which the chosen mode updates. With `beliefs="per-mode"`
     each mode keeps its own, and they interact as in an IMM (Blom and Bar-Shalom 1988):
 
-    * Action space: `Discrete(len(modes) + 1)`. Action 0 trusts no mode; taking it throughout is
-      the IMM itself. Action k multiplies the probability of the k-th mode by e^3 over a second
-      before the beliefs are combined and mixed again, and its `cost` is subtracted.
+    * Action space: `Discrete(len(modes) + 1)`. Action 0 trusts no mode: an agent that always takes
+      it is the IMM itself. Action k multiplies the probability of the k-th mode by e^3 over a
+      second before the beliefs are combined and mixed again; the mode's `cost` is subtracted.
     * Observation space: as above without distances and the previous mode, but with the log-odds of
-      every mode before and after the coming measurement, its speed and velocity variance, and
-      further averages of the Doppler spread. `env.unwrapped.observation.table()` shows it.
-    * Information: `mode` is the action; `mode_probabilities` are those after it. Estimate, NEES and
-      reward are of the combined belief; `nis`, `accepted`, `rejected` and `gamma` are of the most
-      probable mode. `reward="paired"` subtracts what action 0 throughout would earn.
-    * `modes=None` is the bank of the radio's strongest IMM, `mmwave_env.filters.bank.best_bank`. A
-      mode file may also have "transition" (probabilities over a second) and "nis_quantile".
+      each mode before and after the coming measurement, the mode's speed and velocity variance,
+      and more averages of the Doppler spread. `env.unwrapped.observation.table()` shows them all.
+    * Information: `mode` is the action; `mode_probabilities` are those after the action. Estimate,
+      NEES and reward belong to the combined belief; `nis`, `accepted`, `rejected` and `gamma` to
+      the most probable mode. `reward="paired"` subtracts the reward of always taking action 0.
+    * `modes=None` selects the bank (modes and transition probabilities) of the radio's strongest
+      IMM, `mmwave_env.filters.bank.best_bank`. A mode file for a bank may also contain
+      "transition" (probabilities over a second) and "nis_quantile".
 
     ## Rewards
 
     `reward="tracking"` (default): -(1.0 min(error, 10 m) + 0.2 min(|ln(NEES / 3)|, 3)), with
     the position error and the position's NEES after the epoch. `reward="log-score"`: log
-    density of the true position, at least -30. Any function of (belief, truth) works too, see
+    density of the true position, at least -30. Any function of (belief, truth) works too; see
     `mmwave_env.interface.reward`. A mode's `cost` is subtracted in every epoch that runs it. The
     array `info["reward_terms"]` holds the terms of the epoch's reward, in the order of the names
-    `env.unwrapped.reward_terms`, for users who weigh them anew; cost is the last one.
+    `env.unwrapped.reward_terms`, for users who want other weights; the last term is the cost.
 
-    `reward="paired"`: the tracking reward minus that of an IMM over the radio's two default modes,
-    in the same epoch of the same episode. The agent cannot change what the IMM earns, so the best
-    policy is the same, and training sees less noise. `PairedReward` pairs others.
+    `reward="paired"`: the tracking reward minus the reward of an IMM over the radio's two default
+    modes, in the same epoch of the same episode. The agent cannot change what the IMM earns, so
+    the best policy is the same, with less noise in training. `PairedReward` pairs other rewards.
 
     ## Starting State
 
-    An episode is drawn from the scenario: trajectory, channel, measurements, and a prior
-    belief around the true state (4 m handset, 3 m standard, 2 m high in each horizontal axis).
-    `reset(seed=s)` gives the same episode everywhere.
+    An episode consists of a trajectory, the channel, measurements, and a prior belief around the
+    true state (deviation in each horizontal axis: 4 m for the handset radio, 3 m for standard, 2 m
+    for high), all drawn from the scenario. `reset(seed=s)` draws the same episode everywhere.
 
     ## Episode End
 
-    Truncation after `episode_steps` epochs (default 200, of a trajectory at most; recordings and
-    logs: all of them). With `terminate_on_divergence=True` an episode terminates when the error
-    exceeds 50 m, and that step pays the worst reward for every epoch left, so that failing fast
-    does not pay. A paired reward then also loses what the IMM earns in those epochs.
+    An episode is truncated after `episode_steps` epochs: by default 200, or all epochs of a
+    shorter trajectory, of a recording or of a log. With `terminate_on_divergence=True` it
+    terminates when the error exceeds 50 m, and the last step earns the worst reward for every
+    remaining epoch, so that failing fast does not pay. A paired reward is also reduced by what
+    the IMM earns in those epochs.
 
     ## Information
 
@@ -120,67 +122,66 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
       Doppler), `mode`, `gamma`, `truth` (position, velocity), `estimate` (position, velocity,
       bias), `reward_terms`; with beliefs per mode also `mode_probabilities`.
     * `reset`: `episode_name`, `episode_key` (of simulated episodes), `truth`, `estimate`, and
-      `nonfinite`: how many links, Doppler shifts and odometry had a NaN or infinity and count as
-      missing.
-    * The last step adds `ate_m`, `rmse_m`, `rpe_m`, `mean_nees`, `in_bounds`, `divergence` (without
-      the first 10 epochs), and with `smoothed=True` also `smoothed_ate_m` (Rauch-Tung-Striebel over
-      the episode, which is run again for it, on lanes). Where beliefs were NaN or infinite, it
-      warns and adds `nonfinite_beliefs`: after how many epochs.
-    * `infos="episode"` tells of resets and last steps alone, `infos="none"` nothing, for speed.
-      `infos="fixed"` has the same keys at every reset and step, for libraries that need that
-      (docs/own-agent.md): numbers only, without `episode_name` and `episode_key`; what is not
-      known is NaN, False or -1.
+      `nonfinite`: the number of links, Doppler shifts and odometry readings that contain NaN or
+      infinity and count as missing.
+    * The last step adds `ate_m`, `rmse_m`, `rpe_m`, `mean_nees`, `in_bounds`, `divergence` (all
+      without the first 10 epochs); with `smoothed=True` also `smoothed_ate_m`, for which the
+      episode is run again and smoothed (Rauch-Tung-Striebel). If beliefs were NaN or infinite, it
+      warns and adds `nonfinite_beliefs`, the number of epochs after which they were.
+    * To save time, `infos="episode"` fills infos only at resets and last steps, and `infos="none"`
+      never. `infos="fixed"` has the same keys at every reset and step, for libraries that need
+      this (docs/own-agent.md): only numbers, without `episode_name` and `episode_key`; unknown
+      values are NaN, False or -1.
 
     ## Keys
 
     A simulated episode is a function of its key, 64 bits that follow from the environment's seed
     and the number of episodes begun since. `reset(options={"episode_key": key})` plays it again in
     any environment with the same scenario, scene, radio and steps. With another radio the user
-    still goes the same way.
+    still moves along the same trajectory.
 
     ## Copies
 
     `copy.deepcopy` and `pickle` copy an environment in the middle of an episode, for planners; the
-    copy goes on the same to the last bit. A deep copy shares the source of episodes and compiled
-    code. Vector environments can be copied, too, or saved as plain arrays by `state` and `restore`.
+    copy continues identically, to the last bit. A deep copy shares the source of episodes and
+    compiled code. Vector environments can also be saved as plain arrays by `state` and `restore`.
 
     ## Arguments
 
     * `scenario`: "pedestrian", "vehicle", "walk-ride", "jam", "cyclist" or "mixed" (default); a
-      JSON file or a `Mobility` for a kind of user of your own; a CSV file of ways (columns t, x, y,
-      z, and id for several users), a `Trajectory` or `Ways` (docs/own-world.md).
+      JSON file or a `Mobility` for your own kind of user; a CSV file of trajectories (columns t, x,
+      y, z, and id for several users), a `Trajectory` or `Ways` (docs/own-world.md).
     * `radio`: "handset" (default), "standard", "high", a JSON file, or a `Radio`. Default modes are
-      tuned for these three names; others get those of their `base` and a warning.
-    * `scene`: "street" (default), "o1", "dynamic-doppler", a JSON file, or a `Scene`; "random" or
-      a `RandomScene`, and each episode draws streets, base station and walls of its own.
+      tuned for these three names; other radios use the modes of their `base`, with a warning.
+    * `scene`: "street" (default), "o1", "dynamic-doppler", a JSON file, or a `Scene`; with "random"
+      or a `RandomScene` each episode draws its own streets, base station and walls.
     * `modes`: list of modes, each a name ("ekf", "ukf", "ckf", "ekf-robust", "ukf-robust"), a
       mode file or a `Mode`, whose algorithm may be your own function (docs/own-filters.md); or
-      one mode file, a dict of what such a file holds, or a `Bank`.
+      one mode file, a dict with the content of such a file, or a `Bank`.
     * `beliefs`: "shared" (default) or "per-mode", see Beliefs per Mode.
     * `reward`: "tracking", "log-score", "paired", a function or a `PairedReward`.
     * `observation`: "full" or "prior".
     * `infos`: "all" (default), "episode", "none" or "fixed", see Information.
-    * `smoothed`: whether the last step tells `smoothed_ate_m`; False by default.
+    * `smoothed`: whether the last info contains `smoothed_ate_m`; False by default.
     * `episode_steps`, `dt`: epochs per episode and seconds per epoch.
     * `episodes`: recorded data instead of a simulation: a recording of the package, such as
       "canyon28_vehicle" (`mmwave-loc list samples`), the folder of a DeepMIMO scenario or of a
       measurement log with its scene and truth, a `Recording`, a `MeasuredTrack` (docs/own-log.md),
-      or any episode source, whose `radio`, if it has one, selects the default modes' tuning.
-    * `planar`: flat terrain: z and vz are known.
-    * `odometry`: the user also measures speed and heading.
-    * `measurements`: names of what the receiver measures, of "range", "azimuth", "elevation" (of
-      arrival), "departure" (azimuth) and "doppler", of simulated, recorded or measured episodes;
-      None (default) for all. The other rows are never measured: gates and `nis` count the rows that
-      are there. One of range and azimuths is needed. Truth and remaining values stay those of the
-      key or seed.
+      or any episode source; if a source has a `radio`, the default modes are those tuned for it.
+    * `planar`: whether the terrain is flat, so that z and vz are known.
+    * `odometry`: whether the user also measures speed and heading.
+    * `measurements`: names of the quantities that the receiver measures, from "range", "azimuth"
+      and "elevation" (of arrival), "departure" (azimuth) and "doppler"; None (default) for all.
+      "range", "azimuth" or "departure" must be among them. Gates and `nis` then count only these
+      quantities. The truth and the remaining values of an episode stay the same.
     * `terminate_on_divergence`: see Episode End.
-    * `render_mode`: "rgb_array" or "human", a window whose title names its keys; needs the extra
-      `render`.
-    * `render_size`, `render_theme`: height and width of pictures, 480 (default) to 1080; "light"
-      (default) or "dark".
+    * `render_mode`: "rgb_array" or "human", a window whose title lists its keyboard keys; needs
+      the extra `render`.
+    * `render_size`: height and width of pictures, 480 (default) to 1080.
+    * `render_theme`: "light" (default) or "dark".
     * `backend`: "lanes", or "filterpy" for the same modes on filterpy's filters (slow; needs the
       extra `filterpy`).
-    * `env_config`: by position, all of these in one mapping, as RLlib hands them to the class.
+    * `env_config`: all of these arguments in one mapping, passed by position, as RLlib does.
 
     ```python
     >>> import gymnasium as gym
@@ -193,7 +194,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
     ## Vectorized environment
 
     `gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=1024)` steps all environments in one call
-    of a compiled kernel; environment i equals a single one with the same seed, to the last bit.
+    of a compiled kernel; environment i behaves exactly like a single one with the same seed.
     Further arguments: `autoreset_mode` (a string: "NextStep", the default, "SameStep" or
     "Disabled") and `threads`. `render_mode="rgb_array"` draws the first 16 environments. "human",
     `infos="fixed"` and `backend="filterpy"` need `vectorization_mode="sync"`.
@@ -246,7 +247,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
         self.action_space = spaces.Discrete(len(self.observation.actions))
 
     def _set_up(self) -> None:
-        """Create everything that follows from the arguments; copies do the same."""
+        """Create everything that follows from the arguments, for a new environment or a copy."""
         pipeline, on_floats = self._task.pipeline, self._backend == "filterpy"
         if on_floats:
             require_extra("filterpy", "filterpy", 'backend="filterpy"')
@@ -271,24 +272,24 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
     def spec(self, spec: EnvSpec | None) -> None:
         epochs = getattr(self.source, "epochs", None)
         self._spec = spec and replace(spec, max_episode_steps=epochs)
-        # `gym.make` may end episodes from outside; their last step then has no metrics. It keeps
-        # the limit only in a local variable.
+        # If `gym.make` cuts episodes from outside, their last step has no metrics. It keeps the
+        # limit only in a local variable, which is read here.
         make = sys._getframe(1).f_locals
         limit = make.get("max_episode_steps") or getattr(
             make.get("env_spec"), "max_episode_steps", None
         )
         if epochs is not None and limit is not None and 0 < limit < epochs:
             raise ValueError(
-                f"max_episode_steps: found {limit}, expected None or {epochs}; episode_steps= "
-                "makes episodes of another length, which tell their metrics"
+                f"max_episode_steps: found {limit}, expected None or {epochs}; use episode_steps= "
+                "for shorter episodes, so that the last info contains their metrics"
             )
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Draw an episode; the same seed gives the same episode. See Gymnasium's `Env.reset`.
+        """Draw an episode; the same seed draws the same episode. See Gymnasium's `Env.reset`.
 
-        ``options={"episode_key": k}`` plays the episode of a key that infos contain.
+        ``options={"episode_key": k}`` plays an episode again; k is its key, from an earlier info.
         """
         key = option_of(options, "episode_key")
         if key is not None:
@@ -326,7 +327,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
     def step(
         self, action: np.int64
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Process the epoch with a mode, or trust a mode. See Gymnasium's `Env.step`."""
+        """Process the epoch with a mode, or trust a mode more; see Gymnasium's `Env.step`."""
         if self._over:
             raise ResetNeeded("Call reset before step: there is no episode under way.")
         # Gymnasium's own check takes longer than the filters
@@ -362,7 +363,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
         return observation, float(rewards[0]), terminated, truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Draw the epochs so far, from above: (480, 480, 3) for "rgb_array", or another size."""
+        """Draw the epochs so far, seen from above; return (size, size, 3), or None for "human"."""
         if self._gallery is None:
             return None
         self._require_begun("render")
@@ -383,7 +384,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
         return worded(info, self._infos, at_end, groups, beliefs, terms)
 
     def _episode_info(self) -> dict[str, Any]:
-        """Return metrics of the processed epochs, and the count of those with nonfinite beliefs."""
+        """Return metrics of the processed epochs, and how many of them had nonfinite beliefs."""
         self._history.turn = self._steps
         metrics: dict[str, Any] = {k: float(v[0]) for k, v in self._metrics_of(_HERE).items()}
         (lost,) = self._tally.nonfinite(_HERE).tolist()

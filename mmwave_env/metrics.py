@@ -1,10 +1,10 @@
-"""Metrics of a track: position errors and consistency (paper, Sec. IV; design: fixed protocol).
+"""Metrics of a track: position errors and consistency (paper, Sec. IV).
 
-Errors are unaligned because the frame is known, so ATE, RMSE and RPE equal what evo computes
-from the translation part without alignment. NEES is that of the position, which
-:meth:`mmwave_env.filters.belief.Belief.nees` computes; with 3 axes its expectation is 3, and 95 %
-of the epochs lie in the two-sided chi-square interval [0.22, 9.35]. (The paper gates a 3-D NEES at
-5.99, the one-sided 95 % quantile for 2 axes; for 3 it is 7.81.)
+Tracks are not aligned with the truth, because the frame is known, so ATE, RMSE and RPE are those
+that the tool evo computes for translation without alignment. The NEES of the position is computed
+by :meth:`mmwave_env.filters.belief.Belief.nees`. For a consistent filter and 3 axes its expectation
+is 3, and it is in the two-sided chi-square interval [0.22, 9.35] in 95 % of the epochs. (The paper
+gates a 3-D NEES at 5.99, the one-sided 95 % quantile for 2 axes; for 3 axes it is 7.81.)
 """
 
 from collections.abc import Callable
@@ -37,7 +37,7 @@ def rmse(error: Array) -> Array:
 def rpe(error: Array, delta: int = 1) -> Array:
     """Compute the relative pose error (...,): mean |e_k - e_(k - delta)| of (..., T, 3), m.
 
-    The error of tracks no longer than ``delta`` epochs is zero.
+    It is zero for tracks of at most ``delta`` epochs.
     """
     change = error[..., delta:, :] - error[..., :-delta, :]
     if change.shape[-2] == 0:
@@ -46,7 +46,7 @@ def rpe(error: Array, delta: int = 1) -> Array:
 
 
 def nees_interval(axes: int = 3, share: float = 0.95) -> tuple[float, float]:
-    """Return the two-sided interval of a consistent filter's NEES in ``share`` of epochs."""
+    """Return the two-sided interval that contains ``share`` of a consistent filter's NEES."""
     from scipy.special import chdtri
 
     tail = (1.0 - share) / 2.0
@@ -54,12 +54,12 @@ def nees_interval(axes: int = 3, share: float = 0.95) -> tuple[float, float]:
 
 
 def scored(epochs: int) -> slice:
-    """Return the slice of epochs that averages use: all after the burn-in, at least one."""
+    """Return the slice of epochs that averages use: all after the burn-in, at least the last."""
     return slice(min(BURN_IN, epochs - 1), None)
 
 
 class Epochs(NamedTuple):
-    """The counted epochs of whole tracks."""
+    """The epochs of complete tracks, without the burn-in."""
 
     reward: Array  # (..., T)
     error: Array  # (..., T, 3) estimated minus true position, m
@@ -69,12 +69,12 @@ class Epochs(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """Running sums over the counted epochs of tracks (n,), for tracks that are not kept."""
+    """Sums over the epochs of tracks (n,) after the burn-in, for tracks that are not stored."""
 
     epochs: Array  # number of epochs
     changes: Array  # number of pairs of epochs that are a second apart
     distance: Array  # length of the position error, m
-    squared: Array  # its square, m^2
+    squared: Array  # squared length of the position error, m^2
     change: Array  # length of the change of the error over a second, m
     nees: Array
     inside: Array  # number of epochs with the NEES inside the interval
@@ -82,16 +82,16 @@ class Sums(NamedTuple):
 
 
 class Metric(NamedTuple):
-    """A figure of an episode's track."""
+    """A number that describes an episode's track."""
 
-    name: str  # in results
-    header: str  # of its column in tables
+    name: str  # name in results
+    header: str  # header of its column in tables
     unit: str
     meaning: str
-    whole: Callable[[Epochs], Array]  # from whole tracks
-    # from running sums; without this form the figure is in results, but in no info and no track
+    whole: Callable[[Epochs], Array]  # computes the metric from complete tracks
+    # computes it from running sums; without this function, infos do not contain the metric
     running: Callable[[Sums], Array] | None = None
-    info: str = ""  # key in infos, where it is not the name
+    info: str = ""  # key in infos, if it differs from the name
 
     @property
     def described(self) -> str:
@@ -141,7 +141,7 @@ METRICS = {
     )
 }  # fmt: skip
 INFO_KEYS = {m.name: m.info or m.name for m in METRICS.values() if m.running}
-TERMS = {  # terms of the tracking reward, which is minus their sum: header and meaning
+TERMS = {  # costs whose negative sum is the tracking reward; each with its header and meaning
     "error_term": ("error term", "what position errors cost in the tracking reward, per epoch"),
     "nees_term": ("NEES term", "what the NEES costs in the tracking reward, per epoch"),
 }
@@ -150,7 +150,7 @@ HEADERS |= {name: header for name, (header, _) in TERMS.items()}
 
 
 def _diverged(largest: Array) -> Array:
-    """Return 1.0 where a largest squared error (...), m^2, is beyond the limit or NaN."""
+    """Return 1.0 where the largest squared error (...), m^2, is above the limit or NaN."""
     return (~(largest <= DIVERGENCE_M**2)).astype(float)  # type: ignore[no-any-return]
 
 
@@ -166,8 +166,8 @@ def summary(
     Args:
         error: (..., T, 3) estimated minus true position, m.
         nees: (..., T) NEES of the position.
-        epochs_per_s: number of epochs in a second, the interval of RPE.
-        axes: position axes that NEES covers.
+        epochs_per_s: number of epochs per second; RPE compares epochs that are a second apart.
+        axes: number of position axes that NEES covers.
         reward: (..., T) rewards; None leaves their mean out.
     """
     counted = scored(nees.shape[-1])
@@ -179,5 +179,5 @@ def summary(
 
 
 def running_summary(sums: Sums) -> dict[str, Array]:
-    """Compute the metrics that have a running form, per track (n,)."""
+    """Compute the metrics that running sums allow, for each track (n,)."""
     return {name: METRICS[name].running(sums) for name in INFO_KEYS}  # type: ignore[misc]

@@ -26,15 +26,15 @@ class SB3VecEnv(VecEnv):
 
     When an episode ends, the info of its environment holds the info of its last step, including
     the metrics of the episode, and the keys that Stable-Baselines3 reads: the
-    ``terminal_observation``; ``TimeLimit.truncated``, which says that the value of the next state
-    counts; and ``episode`` with return "r", length "l" and time "t".
+    ``terminal_observation``; ``TimeLimit.truncated``, which says that the episode was only cut, so
+    its last state still has a value; and ``episode`` with return "r", length "l" and time "t".
 
     Args:
-        env: with autoreset mode "SameStep": other modes return the last observation of an episode
-            one step later, or not at all.
+        env: vector environment with autoreset mode "SameStep"; other modes return the last
+            observation of an episode one step later, or not at all.
 
     Raises:
-        ValueError: the autoreset mode is another one.
+        ValueError: the environment has another autoreset mode.
     """
 
     def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any]) -> None:
@@ -52,15 +52,17 @@ class SB3VecEnv(VecEnv):
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     def reset(self) -> Any:
-        """Begin all episodes, with the seeds and options set before; return observations (n, ...).
+        """Begin all episodes with the seeds and options set earlier; return observations (n, ...).
 
         Raises:
-            ValueError: environments got different options, but all are reset together.
+            ValueError: options differ between environments, which are all reset together.
         """
         if any(options != self._options[0] for options in self._options):
-            raise ValueError(f"options: found {self._options}, expected the same everywhere")
+            raise ValueError(
+                f"options: found {self._options}, expected the same for all environments"
+            )
         known = any(seed is not None for seed in self._seeds)
-        seeds: Any = list(self._seeds) if known else None  # typed as one seed, but lists are common
+        seeds: Any = list(self._seeds) if known else None  # Gymnasium's type leaves lists out
         observations, _ = self.env.reset(seed=seeds, options=self._options[0] or None)
         self.reset_infos = [{} for _ in range(self.num_envs)]
         self._returns[:], self._lengths[:] = 0.0, 0
@@ -126,7 +128,7 @@ class SB3VecEnv(VecEnv):
         return [method(*method_args, **method_kwargs)] * self.num_envs
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Indices = None) -> list[bool]:
-        """Tell for each index whether a wrapper's work is done here; only that of Monitor is."""
+        """Return for each index whether a wrapper is in use; this class itself acts as Monitor."""
         return [wrapper_class is Monitor] * len(list(self._get_indices(indices)))
 
     def _require_all(self, indices: Indices, call: str) -> None:
@@ -135,7 +137,7 @@ class SB3VecEnv(VecEnv):
 
 
 def _of(batched: dict[str, Any], i: int) -> dict[str, Any]:
-    """Return the batched infos of one environment, as their masks say."""
+    """Return the info of one environment from batched infos, without keys masked out for it."""
     info: dict[str, Any] = {}
     for key, value in batched.items():
         mask = batched.get(f"_{key}")

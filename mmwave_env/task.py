@@ -1,4 +1,4 @@
-"""Task of ``MmWaveLoc-v0`` from its arguments, for the single and the vector environment."""
+"""The task that the arguments of ``MmWaveLoc-v0`` define, single or vectorized."""
 
 import os
 from collections.abc import Sequence
@@ -39,10 +39,11 @@ class Task:
         source: source of episodes.
         radio: profile of the receiver.
         pipeline: modes and layout.
-        bank: bank of the modes if every mode keeps its own belief; None if they share a belief.
+        bank: modes with their transition probabilities, if every mode keeps its own belief; None
+            if modes share a belief.
         reward: function of (belief, truth).
-        baseline: IMM whose reward is subtracted; None without a paired reward.
-        worst: reward of a diverged episode for every remaining epoch; None if none ends early.
+        baseline: bank of the IMM whose reward is subtracted; None without a paired reward.
+        worst: reward for every remaining epoch of a diverged episode; None if it does not end.
     """
 
     source: EpisodeSource
@@ -68,11 +69,11 @@ class Task:
 
     @property
     def has_keys(self) -> bool:
-        """Tell whether an episode is a function of a key."""
+        """Return whether every episode is a function of a key."""
         return type(self.source) is SimulatedSource  # other sources may draw in their own way
 
     def streets_of(self, key: int) -> Streets | None:
-        """Return the streets of an episode, for its picture; None if they are not known.
+        """Return the streets of an episode, for its picture; None if they are unknown.
 
         Args:
             key: key of the episode, if episodes have keys.
@@ -86,20 +87,20 @@ class Task:
         return scene.streets if self.simulated.travels or scene.streets_known else None
 
     def require_keys(self, seed: Any) -> None:
-        """Refuse a key if episodes have none, or if there is a seed, too, which draws a key.
+        """Refuse a key if episodes have no keys, or if there is also a seed, which draws a key.
 
         Raises:
-            ValueError: one of these cases.
+            ValueError: the key is refused.
         """
         if not self.has_keys:
             raise ValueError(
-                f"options['episode_key']: found one, but {self.source.name!r} is recorded or a "
-                "source of your own; only simulated episodes have keys: expected none"
+                f"options['episode_key']: found a key, but {self.source.name!r} is recorded or "
+                "your own source; only simulated episodes have keys"
             )
         if seed is not None:
             raise ValueError(
-                f"options['episode_key'] and seed: found both (seed {seed!r}), expected one of "
-                "them: a seed draws keys"
+                f"options['episode_key'] and seed: found both (seed {seed!r}), expected only one "
+                "of them, because a seed also determines the key"
             )
 
     @property
@@ -131,7 +132,7 @@ class TaskArguments:
 
 
 def task_from(**arguments: Any) -> Task:
-    """Return the task of an environment's arguments, which are those of :class:`TaskArguments`.
+    """Return the task that an environment's arguments define; :class:`TaskArguments` lists them.
 
     Raises:
         TypeError: an argument is unknown.
@@ -140,9 +141,9 @@ def task_from(**arguments: Any) -> Task:
     known = [field.name for field in fields(TaskArguments)]
     for name in arguments:
         if name not in known:
-            # commands and ``compare`` call it "data"
+            # commands and ``compare`` call this argument "data"
             hint = did_you_mean("episodes" if name == "data" else name, known)
-            raise TypeError(  # libraries look for the words of Python's own message
+            raise TypeError(  # some libraries look for these words of Python's own message
                 f"got an unexpected keyword argument {name!r}, expected one of "
                 f"{', '.join(known)}{hint}"
             )
@@ -162,7 +163,9 @@ def task_from(**arguments: Any) -> Task:
     worst = None
     if asked.terminate_on_divergence:
         if getattr(pays, "worst", None) is None:
-            raise ValueError("terminate_on_divergence: the reward needs its lowest value, worst")
+            raise ValueError(
+                "terminate_on_divergence: needs a reward with an attribute worst, its lowest value"
+            )
         worst = pays.worst - max(mode.cost for mode in pipeline.modes)  # type: ignore[attr-defined]
     return Task(source, radio, pipeline, bank, pays, baseline, worst)
 
@@ -173,8 +176,8 @@ def bank_and_modes(
     """Return the bank and the modes that ``modes=`` and ``beliefs=`` stand for.
 
     Args:
-        modes, beliefs: as :class:`~mmwave_env.env.MmWaveLocEnv` takes them.
-        radio: profile that named modes are tuned for.
+        modes, beliefs: arguments of :class:`~mmwave_env.env.MmWaveLocEnv`.
+        radio: radio profile for which the named modes are tuned.
 
     Returns:
         The bank, or None if the modes share a belief; and the modes.
@@ -188,13 +191,13 @@ def bank_and_modes(
         return bank, bank.modes
     if isinstance(modes, Bank):
         raise ValueError(
-            "modes: found a bank, expected a list of modes; a bank is for beliefs='per-mode'"
+            "modes: found a bank, expected a list of modes; a bank needs beliefs='per-mode'"
         )
     return None, modes_from(modes, radio)
 
 
 def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
-    """Return the source of episodes, and the radio that they were received with."""
+    """Return the source of episodes, and the radio with which they were received."""
     measurements = measurements_from(asked.measurements)
     if asked.episodes is None:
         simulated = SimulatedSource(
@@ -214,7 +217,7 @@ def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
         return simulated, radio
     for name in ("scenario", "scene", "dt", "odometry"):
         if (value := getattr(asked, name)) is not None and value is not False:
-            raise ValueError(f"{name}: found {value!r}, but recorded episodes bring it")
+            raise ValueError(f"{name}: found {value!r}, but recorded episodes have their own")
     source = _recorded(asked.episodes, radio, asked.episode_steps, measurements)
     return source, getattr(source, "radio", radio)
 

@@ -49,25 +49,25 @@ class MmWaveLocVectorEnv(
 
     Args:
         num_envs: number of environments N.
-        autoreset_mode: "NextStep" (the step after an end resets, its action is ignored),
-            "SameStep" (the step that ends resets, too; its own results are in ``final_obs``
-            and ``final_info``) or "Disabled" (reset by
-            ``reset(options={"reset_mask": mask})``, a bool array (N,); others stay unchanged).
-        threads: most threads, used where they pay, from N = 1024 on; results do not depend on
-            their number.
-        max_episode_steps: None, or the length of the episodes, as the specification of a single
-            environment has it; ``episode_steps`` sets it.
+        autoreset_mode: "NextStep" (the step after the end of an episode ignores its action and
+            resets), "SameStep" (the step that ends an episode also resets; the results of the old
+            episode are in ``final_obs`` and ``final_info``) or "Disabled" (call
+            ``reset(options={"reset_mask": mask})`` with a bool array (N,) to reset only some).
+        threads: maximum number of threads, used only where they pay, from N = 1024 on; results do
+            not depend on it.
+        max_episode_steps: None or the length of the episodes, which Gymnasium may pass; it must
+            agree with ``episode_steps``.
         infos: "all", "episode" (at the first and last step of episodes) or "none" (except the last
             info of an episode, if the last step resets).
         smoothed: whether the last info of an episode also contains ``smoothed_ate_m``.
         render_mode: None or "rgb_array".
-        render_size, render_theme: as the single environment takes them.
-        backend: "lanes".
+        render_size, render_theme: arguments of the single environment.
+        backend: "lanes"; vector environments have no other backend.
         **arguments: arguments of :class:`~mmwave_env.env.MmWaveLocEnv`.
 
     Attributes:
         batch: the running episodes, and their beliefs.
-        autoreset_mode: as in Gymnasium's own vector environments.
+        autoreset_mode: a ``gymnasium.vector.AutoresetMode``.
     """
 
     def __init__(
@@ -96,8 +96,8 @@ class MmWaveLocVectorEnv(
         ):
             if value not in known:
                 raise ValueError(
-                    f"{name}: found {value!r}, expected {' or '.join(map(repr, known))}; others "
-                    'need gymnasium.make, or make_vec with vectorization_mode="sync"'
+                    f"{name}: found {value!r}, expected {' or '.join(map(repr, known))}; for other "
+                    'values use gymnasium.make, or make_vec with vectorization_mode="sync"'
                 )
         if render_mode:
             require_drawable(render_size, render_theme, f"render_mode={render_mode!r}")
@@ -117,8 +117,8 @@ class MmWaveLocVectorEnv(
         epochs = getattr(self._task.source, "epochs", None)
         if max_episode_steps not in {None, epochs}:
             raise ValueError(
-                f"max_episode_steps: found {max_episode_steps}, expected None or {epochs}; "
-                "episode_steps= draws episodes of another length"
+                f"max_episode_steps: found {max_episode_steps}, expected None or {epochs}; use "
+                "episode_steps= for another length"
             )
         self._set_up_noting()
         drawn = (*self._drawn, render_size, render_theme)
@@ -135,16 +135,16 @@ class MmWaveLocVectorEnv(
         self._over, self._ended = self._none_over, 0
 
     def _set_up(self) -> None:
-        """Create everything that follows from the arguments; copies do the same."""
+        """Create everything that follows from the arguments, for a new environment or a copy."""
         self._start_engine(self._task.pipeline, self.num_envs, threads=self._threads)
         engine = self._engine
         self.batch = engine.batch
         self._stepper = Stepper(engine, self._tally, self._history, self._infos)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
-        """Draw pictures (480, 480, 3), or of another size, of the first few environments.
+        """Draw pictures (size, size, 3) of the first 16 environments; None without a render mode.
 
-        Gymnasium's `wrappers.vector.RecordVideo` makes a grid of these pictures.
+        Gymnasium's `wrappers.vector.RecordVideo` arranges these pictures in a grid.
         """
         if self._gallery is None:
             return None
@@ -152,7 +152,7 @@ class MmWaveLocVectorEnv(
         return self._gallery.draw()
 
     def _begin_pictures(self, places: Index) -> None:
-        """Start over in the pictures of environments whose episodes just began."""
+        """Clear the pictures of environments whose episodes just began; places: their indices."""
         if self._gallery:
             names, engine = self._names.tolist(), self._engine
             self._gallery.begin(places, names, self._streets_of, engine.column)
@@ -166,8 +166,9 @@ class MmWaveLocVectorEnv(
         """Draw an episode for every environment, or for those of ``options["reset_mask"]``.
 
         Args:
-            seed: s for s, s + 1, ...; or a seed per environment, None to continue its stream.
-            options: ``reset_mask`` is a bool array (N,); ``episode_key`` are the keys (N,) of the
+            seed: s to seed environment i with s + i; or one seed per environment, where None
+                continues the environment's stream of episodes.
+            options: ``reset_mask`` is a bool array (N,); ``episode_key`` holds the keys (N,) of the
                 episodes to play; keys of environments that are not reset are ignored.
 
         Returns:
@@ -179,7 +180,7 @@ class MmWaveLocVectorEnv(
         if keys is not None:
             self._task.require_keys(seed)
             keys = keys_from(keys, self.num_envs)[places]
-        self._begun &= not chosen.all()  # until all episodes are drawn
+        self._begun &= not chosen.all()  # if all are reset, False until all episodes are drawn
         self._streams.seed_some(seed, places)
         drawn = self._draw(places, keys)
         _, state = self._stepper.start(places)
@@ -199,17 +200,17 @@ class MmWaveLocVectorEnv(
         ):
             raise ValueError(
                 f"options['reset_mask']: found {mask!r}, expected a bool array of shape "
-                f"({self.num_envs},), somewhere True"
+                f"({self.num_envs},) with at least one True"
             )
         if not (self._begun or mask.all()):
             raise ResetNeeded(
-                "Reset all environments before some of them: no episode is under way."
+                "Reset all environments before you reset only some: no episode is under way."
             )
         return mask
 
     @property  # type: ignore[misc]
     def np_random(self) -> Any:
-        """Return a generator per environment, from which your own source draws episodes."""
+        """Return one generator per environment; your own source draws its episodes from these."""
         return self._streams.generators()
 
     @property
@@ -218,7 +219,7 @@ class MmWaveLocVectorEnv(
         return self._streams.seeds()
 
     def _draw(self, places: Index, keys: Keys | None = None) -> dict[str, NDArray[Any]]:
-        """Begin episodes in some environments; return their infos for ``reset``, (N,) each."""
+        """Begin episodes in the environments ``places``; return infos for ``reset``, (N,) each."""
         task, engine = self._task, self._engine
         infos: dict[str, NDArray[Any]] = {"episode_name": np.full(self.num_envs, None, object)}
         infos["nonfinite"] = np.zeros(self.num_envs, np.int64)
@@ -243,7 +244,7 @@ class MmWaveLocVectorEnv(
         return {} if self._infos == "none" else infos
 
     def step(self, actions: Index) -> Step:
-        """Process an epoch in every environment with its mode (N,); see the class about ends."""
+        """Process an epoch in every environment, with the modes ``actions`` (N,)."""
         actions = self._checked(actions)
         fresh, resets = self._over, self._ended  # none unless autoreset is NextStep
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
@@ -274,7 +275,7 @@ class MmWaveLocVectorEnv(
         return observations, rewards, terminated, truncated, infos
 
     def _end(self, observations: Observations, infos: dict[str, Any]) -> dict[str, Any]:
-        """Add infos where episodes end; begin new episodes there if the same step resets."""
+        """Add the infos of ended episodes; begin new episodes if the autoreset mode is SameStep."""
         lost = np.zeros(self.num_envs, np.int64)
         lost[self._over] = self._tally.nonfinite(np.flatnonzero(self._over))
         if lost.any():
@@ -316,7 +317,7 @@ class MmWaveLocVectorEnv(
         return metrics
 
     def _same_step(self, observations: Observations, infos: dict[str, Any]) -> dict[str, Any]:
-        """Reset where episodes ended; their last observations and infos become ``final_*``."""
+        """Reset environments whose episodes ended; their last results become ``final_*``."""
         over = self._over.copy()
         ended = np.flatnonzero(over)
         final_obs = np.full(self.num_envs, None, object)

@@ -8,7 +8,7 @@ from policies.policy import Policy
 
 
 class FixedMode(Policy):
-    """A policy that always chooses the same mode, by its number."""
+    """A policy that always takes the same action."""
 
     def __init__(self, action: int) -> None:
         self.action = action
@@ -19,14 +19,14 @@ class FixedMode(Policy):
 
 
 class LikelihoodRule(Policy):
-    """A policy that chooses the mode with the best average likelihood, coming epoch included.
+    """A policy that chooses the mode with the best average likelihood, including the coming epoch.
 
     It compares moving averages of the modes' log-likelihoods, which are part of the observation.
 
     Args:
-        observation: the environment's table of features; it must include the coming epoch.
+        observation: the environment's table of features, of the kind "full".
         modes: names of the modes, in order.
-        pace: "fast" or "slow" average.
+        pace: kind of average, "fast" or "slow".
     """
 
     def __init__(self, observation: Observation, modes: list[str], pace: str = "fast") -> None:

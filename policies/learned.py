@@ -1,4 +1,4 @@
-"""Learned switchers, trained with PyTorch, and run with numpy."""
+"""Learned switchers: policies that were trained with PyTorch and run with numpy."""
 
 import os
 from importlib.resources import files
@@ -25,7 +25,7 @@ def shipped_policies() -> dict[str, Path]:
 
 
 class LearnedSwitch(Policy):
-    """A network that chooses the mode, or the mode to trust, by the most probable action.
+    """A network that chooses the most probable action: a mode to use or to trust.
 
     ```python
     >>> policy = LearnedSwitch("runs/mine.safetensors")
@@ -36,7 +36,7 @@ class LearnedSwitch(Policy):
 
     ```
 
-    With a belief per mode, the environment takes the policy's bank for its radio:
+    With a belief per mode, make the environment with the policy's bank for the radio:
 
     ```python
     >>> policy = LearnedSwitch("runs/per-mode.safetensors")
@@ -48,17 +48,17 @@ class LearnedSwitch(Policy):
 
     Args:
         path: a policy file (``.safetensors``), or the name of a shipped policy.
-        observation: the environment's table of features, in which the policy finds its own by
-            their names; None for exactly the features of its file.
+        observation: the environment's table of features, in which the policy looks up its features
+            by name; None if observations have exactly the features listed in the policy's file.
 
     Attributes:
         card: description of the policy's training.
-        modes: modes of its environments; with a belief per mode, the modes of the first bank.
-        beliefs: "shared" or "per-mode", as in its environments.
+        modes: modes that its environments need; with a belief per mode, those of its first bank.
+        beliefs: "shared" or "per-mode", which its environments need.
 
     Raises:
         ValueError: the name is unknown, the file is damaged, or the environment lacks a feature.
-        FileNotFoundError: there is no such file.
+        FileNotFoundError: the file does not exist.
     """
 
     def __init__(
@@ -68,9 +68,11 @@ class LearnedSwitch(Policy):
         tensors, self.card = read_policy(self._path)
         self.modes, self.beliefs = self.card.modes, self.card.beliefs
         self._low, self._high = tensors["low"], tensors["high"]
-        self._width = len(self._low)  # number of columns of the observations that it is given
-        self._columns: NDArray[np.intp] | None = None  # those it reads; None for all, in order
-        self._unseen: Array | None = None  # values of features of anchors that lack, else NaN
+        self._width = len(self._low)  # number of columns in the environment's observations
+        # columns that the policy reads; None if it reads all of them in order
+        self._columns: NDArray[np.intp] | None = None
+        # per feature: the value to use if its anchor is missing in the scene, or else NaN
+        self._unseen: Array | None = None
         layers = sum(name.startswith("layer.") for name in tensors) // 2
         self._layers = [
             (tensors[f"layer.{i}.weight"].T, tensors[f"layer.{i}.bias"]) for i in range(layers)
@@ -82,8 +84,8 @@ class LearnedSwitch(Policy):
         """Return the bank to use with a radio, for a policy with a belief per mode.
 
         Args:
-            radio: name or file of the profile; a profile unknown in training gets the bank of its
-                base, of "standard", or the first bank, if these are missing.
+            radio: name or file of the radio profile. If training did not include it, the bank is
+                the first that exists of those for its base, for "standard", and for any radio.
 
         Raises:
             ValueError: the policy was trained with a shared belief.
@@ -91,8 +93,8 @@ class LearnedSwitch(Policy):
         banks = self.card.banks
         if not banks:
             raise ValueError(
-                f"{self._path}: found no banks, as it was trained with beliefs='shared'; use "
-                "policy.modes"
+                f"{self._path}: found no banks, because the policy was trained with "
+                "beliefs='shared'; use policy.modes"
             )
         if radio in banks:
             return banks[radio]
@@ -103,9 +105,9 @@ class LearnedSwitch(Policy):
     def read_from(self, observation: Observation) -> None:
         """Find the policy's features, by name, in the observations of an environment.
 
-        Features that the policy does not know are not read. In a scene with more anchors than in
-        training it reads those of the first ones; with fewer, it reads the others as anchors that
-        are never seen (:data:`~mmwave_env.interface.features.UNSEEN`).
+        Features that the policy does not know are ignored. In a scene with more anchors than in
+        training, it uses the first anchors; with fewer, it treats the missing ones as anchors that
+        are never visible (:data:`~mmwave_env.interface.features.UNSEEN`).
 
         Raises:
             ValueError: beliefs or modes differ, or a feature is missing or has another unit or
@@ -117,7 +119,8 @@ class LearnedSwitch(Policy):
             raise ValueError(
                 f"{self._path}: trained with beliefs={card.beliefs!r} and the modes "
                 f"{', '.join(mode.name for mode in card.modes)}, found {observation.made_with}, or "
-                f"another tuning of them; make the environment as in training: {self._made_with}"
+                "modes of the same names with another tuning; make the environment as in training: "
+                f"{self._made_with}"
             )
         columns = {column.name: column for column in observation.columns}
         unseen = np.full(len(card.features), np.nan, np.float32)
@@ -127,7 +130,7 @@ class LearnedSwitch(Policy):
             if anchor and kind in UNSEEN and f"SNR anchor {rest.split()[0]}" not in columns:
                 unseen[i] = (UNSEEN[kind] - feature.mean) / feature.deviation
             elif column != feature:
-                values = f"{column[1:]}" if column else "none (has the environment fewer anchors?)"
+                values = f"{column[1:]}" if column else "none (does the scene have fewer anchors?)"
                 raise ValueError(
                     f"{self._path}: feature {feature.name!r}: found {values}, expected unit, mean "
                     f"and deviation {feature[1:]}; make the environment as in training: "
@@ -141,14 +144,14 @@ class LearnedSwitch(Policy):
 
     @property
     def _made_with(self) -> str:
-        """Return the code that makes an environment for this policy."""
+        """Return Python code that makes an environment for this policy."""
         arguments = "modes=policy.modes"
         if self.card.banks:
             arguments = f'beliefs="per-mode", modes=policy.bank("{next(iter(self.card.banks))}")'
         return f'gym.make("MmWaveLoc-v0", {arguments}, observation={self.card.observation!r})'
 
     def __call__(self, observation: Array) -> NDArray[np.int64]:
-        """Return actions (n,) for observations (n, features); :meth:`logits` raises the errors."""
+        """Return actions (n,) for observations (n, features); :meth:`logits` explains errors."""
         actions: NDArray[np.int64] = self.logits(observation).argmax(axis=1)
         return actions
 
@@ -159,13 +162,13 @@ class LearnedSwitch(Policy):
             observation: (n, features) observations.
 
         Raises:
-            ValueError: the number of features differs.
+            ValueError: the number of features is wrong.
         """
         if observation.ndim != 2 or observation.shape[1] != self._width:
             raise ValueError(
-                f"observation: found shape {observation.shape}, expected (n, {self._width}); of a "
-                "single environment take observation[None]; if it has more features than "
-                f"{self._made_with}, say LearnedSwitch({str(self._path)!r}, "
+                f"observation: found shape {observation.shape}, expected (n, {self._width}); for a "
+                "single environment pass observation[None]; if it has more features than "
+                f"{self._made_with}, use LearnedSwitch({str(self._path)!r}, "
                 "env.unwrapped.observation)"
             )
         if self._columns is not None:

@@ -1,14 +1,14 @@
 """Policy files: a learned switcher as ``.safetensors``, which is read without unpickling.
 
-The tensors are float32; the actor is the network that chooses:
+The tensors, all float32, describe the actor, which is the network that chooses actions:
 
 - ``low``, ``high`` (features,): observations are clipped to these limits. Normalization during
   training is folded into the first weights;
 - ``layer.0.weight`` (out, in), ``layer.0.bias`` (out,), ``layer.1.weight``, ...: an MLP with
-  tanh between its layers. ``in`` of the first layer is features, ``out`` of the last layer the
-  number of actions: the modes; with a belief per mode, "none" and the modes.
+  tanh between its layers. The first ``in`` is the number of features, the last ``out`` the number
+  of actions. The actions are the modes; with a belief per mode, "none" precedes them.
 
-The file's metadata hold, under "policy", a JSON object with the number of this format, the
+The file's metadata contain, under "policy", a JSON object with the number of this format, the
 :class:`Card` and a checksum of card and tensors.
 """
 
@@ -32,27 +32,27 @@ from mmwave_env.io.files import first_line, naming, open_regular, parse_json
 from mmwave_env.io.lookup import choose, quoted
 
 FORMAT = 2
-MOST_BYTES = 128 << 20  # most bytes of a file: a thousand times our largest
-MOST_HEADER = 16 << 20  # most bytes of the header: names, shapes and the card
-_KEY = "policy"  # a single key: the library writes several in any order
-_PER_MODE = ("beliefs", "banks")  # not written for shared beliefs, as in older files
+MOST_BYTES = 128 << 20  # maximum size of a file: a thousand times that of our largest
+MOST_HEADER = 16 << 20  # maximum size of the header, which contains names, shapes and the card
+_KEY = "policy"  # the only key, because the library writes several keys in random order
+_PER_MODE = ("beliefs", "banks")  # left out if the belief is shared, as in older files
 
 Tensors = dict[str, NDArray[np.float32]]
 
 
 @dataclass(frozen=True)
 class Card:
-    """The description of a policy's weights in its file.
+    """The description of a policy and its training, which its file contains.
 
     Raises:
         ValueError: a field is invalid; the message says what is wrong.
     """
 
-    # modes that the actions stand for; with a belief per mode, the modes of the first bank, and
-    # action 0 stands for none of them
+    # modes for which the actions stand; with a belief per mode they are the modes of the first
+    # bank, and action 0, "none", precedes them
     modes: tuple[Mode, ...]
     observation: str  # "full" or "prior"
-    # features that the actor reads, in its order: names, units and scales
+    # features that the actor reads, in the actor's order: names, units and scales
     features: tuple[Column, ...]
     scenario: str  # scenario of the training
     radio: str  # radio profile of the training
@@ -60,11 +60,11 @@ class Card:
     seed: int  # seed of the training; -1 if it had none
     timesteps: int  # number of epochs of the training
     command: str  # command that made the file
-    evaluation: dict[str, Any]  # results, JSON of any form
-    versions: dict[str, str]  # versions of packages at training, including "mmwave-loc"
+    evaluation: dict[str, Any]  # results, as JSON of any form
+    versions: dict[str, str]  # versions of packages used in training, including "mmwave-loc"
     beliefs: str = "shared"  # "shared" or "per-mode"
-    # banks of beliefs per mode, by the radio profile of the training; the names of the modes are
-    # the same in all banks
+    # with a belief per mode, the bank for each radio profile of the training; all banks have modes
+    # of the same names
     banks: dict[str, Bank] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -75,27 +75,27 @@ class Card:
         choose(OBSERVATIONS, self.observation, "observation")
         names = [column.name for column in self.features]
         if len(set(names)) < len(names):
-            raise ValueError(f"features: found {len(names)} with equal names, expected none")
+            raise ValueError("features: found a name more than once, expected different names")
         if not isinstance(self.versions.get("mmwave-loc"), str):
-            raise ValueError(f"versions: found {self.versions!r}, expected one of 'mmwave-loc'")
+            raise ValueError(f"versions: found {self.versions!r}, expected that of 'mmwave-loc'")
         choose(BELIEFS, self.beliefs, "beliefs")
         if self.beliefs == "per-mode":
             self._require_banks()
         elif self.banks:
             raise ValueError(
-                f"banks: found those of {', '.join(self.banks)}, expected none where beliefs are "
+                f"banks: found banks for {', '.join(self.banks)}, expected none if beliefs are "
                 "'shared'"
             )
 
     def _require_banks(self) -> None:
-        """Refuse banks that do not fit each other or the modes."""
+        """Refuse banks that do not agree with each other or with the modes."""
         if not self.banks:
-            raise ValueError("banks: found none, expected one or more where beliefs are 'per-mode'")
+            raise ValueError("banks: found none, expected at least one if beliefs are 'per-mode'")
         first, *_ = self.banks.values()
         if self.modes != first.modes:
             raise ValueError(
-                f"modes: found {_names(self.modes)}, expected {_names(first.modes)} as the first "
-                "bank has them"
+                f"modes: found {_names(self.modes)}, expected {_names(first.modes)} with the same "
+                "tuning as in the first bank"
             )
         for radio, bank in self.banks.items():
             if _names(bank.modes) != _names(self.modes):
@@ -111,10 +111,10 @@ class Card:
 
     @classmethod
     def from_json(cls, content: Any) -> "Card":
-        """Return the card of a policy file's JSON.
+        """Return the card described by a policy file's JSON.
 
         Raises:
-            ValueError: the JSON is no card; the message says what is wrong.
+            ValueError: the JSON does not describe a card; the message says what is wrong.
         """
         if not isinstance(content, dict):
             raise ValueError(f"card: found {quoted(content)}, expected an object")
@@ -125,10 +125,10 @@ class Card:
         return cls(**{**content, "modes": alone.modes, "banks": banks, "features": features})
 
     def as_json(self) -> dict[str, Any]:
-        """Return the card as a policy file holds it.
+        """Return the card as the JSON of a policy file.
 
         Raises:
-            ValueError: a mode's algorithm is a function, which no file can hold.
+            ValueError: a mode's algorithm is a function, which cannot be written to a file.
         """
         banks = {radio: bank_as_written(bank) for radio, bank in self.banks.items()}
         modes = [as_written(mode) for mode in self.modes]
@@ -137,7 +137,7 @@ class Card:
 
 
 def _column(row: Any) -> Column:
-    """Return a column of the JSON list of its name, unit, mean and deviation."""
+    """Return the column that a JSON list of name, unit, mean and deviation describes."""
     types = [type(value) for value in row] if isinstance(row, list) else []
     if types == [str, str, float, float] and np.isfinite(row[2]) and 0.0 < row[3] < np.inf:
         return Column(*row)
@@ -148,7 +148,7 @@ def _banks_in(content: Any) -> dict[str, Bank]:
     """Return the banks of a card in a policy file."""
     if not isinstance(content, dict):
         raise ValueError(
-            f"banks: found {quoted(content)}, expected an object, a bank for each radio"
+            f"banks: found {quoted(content)}, expected an object with a bank for each radio"
         )
     banks = {}
     for radio, bank in content.items():
@@ -171,9 +171,9 @@ def to_bytes(tensors: Tensors, card: Card) -> bytes:
         ValueError: :func:`read_policy` would refuse the content.
     """
     _require_actor(tensors, card)
-    # The library writes the memory of an array: for a transposed array, that of another array.
+    # The library writes the memory of an array as it is, and so would undo a transposition.
     tensors = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
-    content = json.loads(json.dumps(card.as_json()))  # the form that a reader gets
+    content = json.loads(json.dumps(card.as_json()))  # what a reader gets, such as lists for tuples
     document = {"format": FORMAT, "sha256": _checksum(tensors, content), "card": content}
     written: bytes = save(tensors, {_KEY: json.dumps(document)})
     return written
@@ -184,7 +184,7 @@ def read_policy(path: str | os.PathLike[str]) -> tuple[Tensors, Card]:
 
     Raises:
         ValueError: the file is invalid; the message names the file and what is wrong in it.
-        OSError: the file can't be read; FileNotFoundError if there is no such file.
+        OSError: the file can't be read; FileNotFoundError if it does not exist.
     """
     path = Path(path)
     _require_header(path)
@@ -197,22 +197,22 @@ def read_policy(path: str | os.PathLike[str]) -> tuple[Tensors, Card]:
         expected = _checksum(tensors, document["card"])
         if document["sha256"] != expected:
             raise ValueError(
-                f"sha256: found {quoted(document['sha256'])}, expected {expected!r}; the file was "
-                "damaged: copy or train it again"
+                f"sha256: found {quoted(document['sha256'])}, expected {expected!r}; the file is "
+                "damaged: copy it or train the policy again"
             )
-    # These include errors that code raises for a card of another shape.
+    # A card of an unexpected shape may cause any of these errors in the code above.
     except (ValueError, TypeError, AttributeError, LookupError, SafetensorError) as error:
         raise ValueError(f"{path}: not a policy file: {first_line(error)}") from error
     return tensors, card
 
 
 def _require_header(path: Path) -> None:
-    """Refuse a file of another kind, or larger than policies are, before its data are read."""
+    """Refuse a file if it or its header is too large, before its data are read."""
     with open_regular(path, "a policy (.safetensors)") as file, naming(path):
         size, header = os.fstat(file.fileno()).st_size, int.from_bytes(file.read(8), "little")
     if size > MOST_BYTES or header > MOST_HEADER:
         sizes = f"a file of {size} bytes and a header of {header}"
-        most = f"{MOST_BYTES} and {MOST_HEADER} at most"
+        most = f"at most {MOST_BYTES} and {MOST_HEADER}"
         raise ValueError(f"{path}: not a policy file: found {sizes}, expected {most}")
 
 
@@ -223,20 +223,20 @@ def _document(text: str | None) -> dict[str, Any]:
     try:
         document = parse_json(text)
     except ValueError as error:
-        raise ValueError(f"metadata {_KEY!r}: found no JSON: {error}") from error
+        raise ValueError(f"metadata {_KEY!r}: found text that is not JSON: {error}") from error
     if not isinstance(document, dict):
         raise ValueError(f"metadata {_KEY!r}: found {quoted(document)}, expected an object")
     if document.get("format") != FORMAT:
         raise ValueError(
             f"format: found {quoted(document.get('format'))}, expected {FORMAT}; use the version "
-            "of mmwave-loc that wrote it, or train it again"
+            "of mmwave-loc that wrote the file, or train the policy again"
         )
     _require_names(f"metadata {_KEY!r}", document, ("format", "sha256", "card"))
     return document
 
 
 def _tensor(file: Any, name: str) -> NDArray[np.float32]:
-    """Return a tensor of an open file; refuse types that numpy lacks before numpy reads them."""
+    """Return a tensor of an open file; first check its type, which numpy may not support."""
     dtype = file.get_slice(name).get_dtype()
     if dtype != "F32":
         raise ValueError(f"tensor {name!r}: found type {dtype}, expected F32")
@@ -245,7 +245,7 @@ def _tensor(file: Any, name: str) -> NDArray[np.float32]:
 
 
 def _require_actor(tensors: Tensors, card: Card) -> None:
-    """Refuse tensors that are no actor for the card."""
+    """Refuse tensors that are not an actor as the card describes it."""
     shapes = _shapes(tensors, card)
     _require_names("tensors", tensors, shapes)
     for name, shape in shapes.items():
@@ -253,21 +253,22 @@ def _require_actor(tensors: Tensors, card: Card) -> None:
         if tensor.dtype != np.float32:
             raise ValueError(f"tensor {name!r}: found type {tensor.dtype}, expected float32")
         if not tensor.size:
-            raise ValueError(f"tensor {name!r}: found nothing in it, expected numbers")
+            raise ValueError(f"tensor {name!r}: found an empty tensor, expected numbers")
         if tensor.shape != shape:
             raise ValueError(f"tensor {name!r}: found shape {tensor.shape}, expected {shape}")
         if not np.isfinite(tensor).all():
             raise ValueError(f"tensor {name!r}: found NaN or infinity, expected finite numbers")
     if len(card.features) != tensors["low"].size:
         raise ValueError(
-            f"features: found {len(card.features)}, expected {tensors['low'].size}, as 'low' has"
+            f"features: found {len(card.features)}, expected {tensors['low'].size}, the size of "
+            "the tensor 'low'"
         )
     if (tensors["low"] > tensors["high"]).any():
-        raise ValueError("tensor 'low': found numbers above 'high', expected none")
+        raise ValueError("tensor 'low': found numbers above those of 'high', expected none")
 
 
 def _shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]]:
-    """Return names and shapes of an actor with the features, layers and neurons of the tensors."""
+    """Return the shapes of an actor with as many features, layers and neurons as the tensors."""
     size = {name: tensor.size for name, tensor in tensors.items()}
     features = size.get("low", 0)
     shapes: dict[str, tuple[int, ...]] = {"low": (features,), "high": (features,)}

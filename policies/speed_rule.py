@@ -1,4 +1,4 @@
-"""The paper's rule (Sec. III-A): the EKF pipeline up to 2 m/s, the UKF pipeline above."""
+"""The paper's rule (Sec. III-A): use the EKF pipeline up to 2 m/s, and the UKF pipeline above."""
 
 import warnings
 
@@ -16,29 +16,29 @@ SLOW_MPS = 2.0  # paper, Algorithm 1: mobility is low up to this speed
 
 
 def mode_at(speed: Number, threshold: float = SLOW_MPS) -> Number:
-    """Apply the paper's rule (Sec. III-A) to numbers: mode 0 up to the threshold, mode 1 above."""
+    """Apply the paper's rule (Sec. III-A): return 0 up to the threshold, 1 above it."""
     return where(speed > threshold, 1.0, 0.0)
 
 
 def by_predicted_speed(x: Vector, epoch: Epoch) -> Number:
-    """Apply the rule to tracks, by the predicted speed, which is that of the last state (7,)."""
+    """Apply the rule to the predicted speed, which equals the speed of the last state x (7,)."""
     return mode_at(sqrt(dot(x[3:6], x[3:6])))
 
 
 def by_odometry_speed(x: Vector, epoch: Epoch) -> Number:
-    """Apply the rule to the speed of odometry, or to the predicted speed where it is missing."""
+    """Apply the rule to the odometry's speed or, if that is missing, to the predicted speed."""
     return where(epoch.visible[-1] > 0.5, mode_at(epoch.z[-2]), by_predicted_speed(x, epoch))
 
 
 class SpeedRule(Policy):
-    """The paper's rule (Sec. III-A): mode 0 up to the threshold, mode 1 above.
+    """The paper's rule (Sec. III-A): choose mode 0 up to a threshold of the speed, mode 1 above.
 
     Above 20 m/s, outside the paper's design window, the policy warns once and chooses mode 1.
 
     Args:
         observation: the environment's table of features.
-        threshold: meters per second; the paper's is 2.
-        feature: "predicted speed", or "odometry speed" where the user measures it.
+        threshold: threshold of the speed, m/s; the paper uses 2 m/s.
+        feature: speed to use: "predicted speed" or, with odometry, "odometry speed".
     """
 
     def __init__(
@@ -57,9 +57,9 @@ class SpeedRule(Policy):
             self._warned = True
             warnings.warn(
                 f"speed above {DESIGN_LIMIT_MPS:g} m/s is outside the design window of the paper's "
-                "rule (speed-rule), which chooses its mode for high mobility there",
+                "rule (speed-rule), which then chooses its mode for high mobility",
                 stacklevel=2,
             )
-        # An observation is float32: rounding may make a speed at the threshold read above it.
+        # Observations are float32: a speed at the threshold may be rounded to one above it.
         threshold = min(self.threshold, DESIGN_LIMIT_MPS)
         return mode_at(speed, threshold * (1.0 + 1e-6)).astype(np.int64)  # type: ignore[no-any-return]

@@ -1,1 +1,1 @@
-"""Pictures in one style, with one function for each."""
+"""Pictures in the project's style, with one function for each picture."""

@@ -1,4 +1,4 @@
-"""Canvas of pictures in the project's style (publication.mplstyle), and their shared parts."""
+"""Figures in the project's style (publication.mplstyle), and parts that several pictures share."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -10,19 +10,19 @@ from mmwave_env.io.lookup import printable, require_extra, spelled
 from mmwave_env.rendering.theme import THEMES, hex_of
 
 STYLE = Path(__file__).with_name("publication.mplstyle")
-UNDATED: dict[str, dict[str, Any]] = {  # without a date, equal pictures are equal files
+UNDATED: dict[str, dict[str, Any]] = {  # without dates, so that equal pictures are equal files
     ".png": {},
     ".svg": {"Date": None},
     ".pdf": {"CreationDate": None},
 }
-COLORS = [hex_of(color) for color in THEMES["light"].modes]  # colors of modes, the same as in films
+COLORS = [hex_of(color) for color in THEMES["light"].modes]  # colors of modes, as in videos
 NO_MODE = hex_of(THEMES["light"].none)
 
-LEGEND_COLUMNS = 2  # columns of a legend below panels
+LEGEND_COLUMNS = 2  # number of columns in a legend below panels
 
 
 def require_picture(option: str, path: Path) -> None:
-    """Refuse a picture that an option names and that could not be written, before any work.
+    """Refuse a picture file that could not be written, before any work; ``option`` names the file.
 
     Raises:
         ValueError: the name does not end with .png, .svg or .pdf.
@@ -39,10 +39,10 @@ def require_picture(option: str, path: Path) -> None:
 
 @contextmanager
 def picture(path: Path, width_in: float, height_in: float) -> Iterator[Any]:
-    """Yield a matplotlib figure to draw into; a .png, .svg or .pdf file is written at the end.
+    """Yield a matplotlib figure to draw into, and write it to a .png, .svg or .pdf file at the end.
 
-    The figure has the project's style, whatever the user's settings of matplotlib are. The file
-    is written in one step.
+    The figure has the project's style, whatever matplotlib settings the user has. The file is
+    written completely or not at all.
     """
     from matplotlib import style
     from matplotlib.figure import Figure
@@ -58,7 +58,7 @@ def picture(path: Path, width_in: float, height_in: float) -> Iterator[Any]:
 
 
 def caption(name: str) -> str:
-    """Spell out characters of a name that the font lacks or that cannot be seen."""
+    """Return a name in which characters that are invisible or not in the font are spelled out."""
     from matplotlib.font_manager import findfont, get_font
 
     font = get_font(findfont("DejaVu Sans"))  # the font that comes with matplotlib
@@ -69,7 +69,7 @@ def caption(name: str) -> str:
 def contenders(names: Iterable[str]) -> dict[str, str]:
     """Map names of contenders to their labels in a picture.
 
-    A path is shortened to its last parts, as many as tell it from all others.
+    A path is shortened to as many of its last parts as distinguish it from all other names.
     """
     parts, shown = {name: Path(name).parts for name in names}, {}
     for name, own in parts.items():
@@ -80,15 +80,15 @@ def contenders(names: Iterable[str]) -> dict[str, str]:
 
 
 def legend_beside(axes: Any, **options: Any) -> None:
-    """Draw a legend to the right of a panel, where it covers no data."""
+    """Draw a legend to the right of a panel, where it does not cover data."""
     axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.02), borderaxespad=0.0, **options)
 
 
 @contextmanager
 def panels(path: Path, count: int, entries: int, narrow: bool) -> Iterator[tuple[Any, list[Any]]]:
-    """Yield a picture of panels, side by side or, for a phone, stacked.
+    """Yield a picture and its ``count`` panels, side by side or (``narrow``) stacked, for a phone.
 
-    The legend with so many entries, which :func:`legend_of` draws, is beside or below them.
+    It has room for a legend of ``entries``, to the right or below; :func:`legend_of` draws it.
     """
     if narrow:
         size = 4.6, 2.9 * count + 0.3 + 0.2 * (-(-entries // LEGEND_COLUMNS))
@@ -100,7 +100,7 @@ def panels(path: Path, count: int, entries: int, narrow: bool) -> Iterator[tuple
 
 
 def legend_of(figure: Any, axes: Any, narrow: bool, handles: Sequence[Any]) -> None:
-    """Draw the legend of :func:`panels`; each handle has its label."""
+    """Draw the legend of a picture from :func:`panels`; the handles contain the labels."""
     if narrow:
         figure.legend(handles=handles, loc="outside lower left", ncols=LEGEND_COLUMNS)
     else:
@@ -108,7 +108,7 @@ def legend_of(figure: Any, axes: Any, narrow: bool, handles: Sequence[Any]) -> N
 
 
 def plain_numbers(axis: Any) -> None:
-    """Label a logarithmic axis with plain numbers, at 1, 2 and 5 where there is room."""
+    """Label a logarithmic axis with plain numbers: powers of ten, and 2 and 5 if there is room."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     low, high = axis.get_view_interval()

@@ -1,4 +1,4 @@
-"""Curves of learning, of position errors (CDF), and of the consistency of filters."""
+"""Pictures of learning curves, of position errors (CDF), and of the consistency of filters."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,11 +11,11 @@ from experiments.figures.canvas import COLORS, caption, contenders, legend_of, p
 from mmwave_env.localization.position_errors import SHARES, horizontal, vertical
 from mmwave_env.numerics.numbers import Array
 
-SMALLEST_M = 1e-3  # smallest error on a logarithmic axis
+SMALLEST_M = 1e-3  # smaller errors are drawn as this, because the axis is logarithmic
 BOUNDS = "95 % bounds if consistent"
 _SHARES = np.linspace(0.0, 0.999, 400)
 Line = tuple[Sequence[float], Sequence[float]]  # steps, values
-_STYLES = ("-", "--", ":")  # styles for more lines than colors
+_STYLES = ("-", "--", ":")  # line styles, to distinguish more lines than there are colors
 
 
 def _style(number: int) -> dict[str, Any]:
@@ -23,13 +23,13 @@ def _style(number: int) -> dict[str, Any]:
 
 
 def draw_error_cdf(errors_m: Mapping[str, Array], path: Path, narrow: bool = False) -> None:
-    """Draw the distribution (CDF) of horizontal and vertical errors (..., 3), m, by contender."""
+    """Draw the distributions (CDF) of contenders' horizontal and vertical errors (..., 3), m."""
     with panels(path, 2, len(errors_m), narrow) as (figure, (left, right)):
         labels = contenders(errors_m)
         for number, (name, errors) in enumerate(errors_m.items()):
             look = _style(number) | {"label": labels[name]}
             for axes, sizes in ((left, horizontal(errors)), (right, vertical(errors))):
-                values = np.maximum(sizes, SMALLEST_M)  # the error of a known height is 0
+                values = np.maximum(sizes, SMALLEST_M)  # where the height is known, errors are 0
                 axes.plot(np.quantile(values, _SHARES), _SHARES, **look)
                 axes.plot(np.quantile(values, SHARES), SHARES, "o", ms=3.5, color=look["color"])
         for axes, kind in ((left, "horizontal"), (right, "vertical")):
@@ -37,7 +37,7 @@ def draw_error_cdf(errors_m: Mapping[str, Array], path: Path, narrow: bool = Fal
             axes.set(xscale="log", ylim=(0.0, 1.0), xlabel=f"{kind} position error (m)")
             axes.set_xlim(left=low)
             axes.set_yticks(SHARES, [f"{100.0 * share:.0f} %" for share in SHARES])
-            axes.set_ylabel("share of epochs below")
+            axes.set_ylabel("share of epochs with a smaller error")
             plain_numbers(axes.xaxis)
         legend_of(figure, right, narrow, left.lines[::2])
 
@@ -45,13 +45,13 @@ def draw_error_cdf(errors_m: Mapping[str, Array], path: Path, narrow: bool = Fal
 def draw_consistency(
     time_s: Array, nees: Mapping[str, Array], dof: int, path: Path, narrow: bool = False
 ) -> None:
-    """Draw NEES and its chi-square bounds as a picture: over time, and its distribution.
+    """Draw the NEES over time with its chi-square bounds, and the distribution of the NEES.
 
     Args:
         time_s: (T,) times since the first epoch of an episode.
         nees: (n, T) NEES of n episodes, by contender.
-        dof: degrees of freedom, the number of coordinates.
-        path, narrow: as :func:`~experiments.figures.canvas.panels` takes them.
+        dof: degrees of freedom, the number of coordinates that are estimated.
+        path, narrow: arguments of :func:`~experiments.figures.canvas.panels`.
     """
     episodes = len(next(iter(nees.values())))
     low, high = chi2.ppf([0.025, 0.975], episodes * dof) / (episodes * dof)
@@ -65,7 +65,7 @@ def draw_consistency(
             inside = np.sort(chi2.cdf(values, dof), axis=None)
             whole.plot(_SHARES, np.searchsorted(inside, _SHARES, "right") / inside.size, **look)
         label = f"mean NEES / {dof}, of {episodes:,} episodes"
-        over_time.set(xlabel="time since the begin (s)", yscale="log", ylabel=label)
+        over_time.set(xlabel="time since the start (s)", yscale="log", ylabel=label)
         plain_numbers(over_time.yaxis)
         whole.set(xlabel="chi-square probability p", ylabel="share of NEES below its p-quantile")
         whole.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
@@ -75,12 +75,11 @@ def draw_consistency(
 def draw_learning_curves(
     figures: Mapping[str, Mapping[str, Sequence[Line]]], path: Path, narrow: bool = False
 ) -> None:
-    """Draw figures over steps as a picture, with a line per training.
+    """Draw quantities over the steps of training, with one line per training and a line at zero.
 
     Args:
-        figures: steps and values of every training, by the label of the y axis and by run. A line
-            marks zero.
-        path, narrow: as :func:`~experiments.figures.canvas.panels` takes them.
+        figures: steps and values of every training, by the label of the y axis and then by run.
+        path, narrow: arguments of :func:`~experiments.figures.canvas.panels`.
     """
     from matplotlib.ticker import EngFormatter, NullFormatter
 

@@ -1,4 +1,4 @@
-"""Timelines of the modes that ran, with speeds and errors."""
+"""Timelines of speeds, errors and the modes (filters) that ran."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -11,8 +11,8 @@ from experiments.figures.canvas import NO_MODE, caption, contenders, legend_besi
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.rendering.history import History
 
-_LINES_IN = 2.0  # height of a panel of lines, inches
-_LOOKS = [  # looks of contenders, in other colors than the first modes
+_LINES_IN = 2.0  # height of a panel with lines, inches
+_LOOKS = [  # colors and line styles of contenders; the first modes have other colors
     {"color": color, "ls": style}
     for color, style in (("C3", "-"), ("C4", "--"), ("C6", "-."), ("C2", ":"))
 ]
@@ -20,13 +20,13 @@ _TRUE = {"color": "0.55", "lw": 3.5, "alpha": 0.6}  # pale and wide, below other
 
 
 def mode_ribbon(axes: Any, time: Array, mode: Index, modes: int, low: float = 0.0) -> None:
-    """Draw a band of height 1 above ``low``, in the colors of the modes that ran.
+    """Draw a band of height 1, in the colors of the modes that ran.
 
     Args:
         axes: panel to draw into.
         time: (T,) times of the epochs.
-        mode: (T,) numbers of modes; -1 for none.
-        modes: number of modes.
+        mode: (T,) number of the mode that ran in each epoch; -1 for none.
+        modes: how many modes there are.
         low: lower edge of the band.
     """
     begins = np.flatnonzero(np.diff(mode, prepend=-2))
@@ -44,12 +44,12 @@ def mode_ribbon(axes: Any, time: Array, mode: Index, modes: int, low: float = 0.
 def draw_histories(
     histories: Mapping[str, History], modes: Sequence[str], rows: slice, path: Path
 ) -> None:
-    """Draw speeds, errors and modes of contenders in a part of an episode as a picture.
+    """Draw speeds, errors and modes of contenders during a part of an episode.
 
     Args:
         histories: histories of the same episode, by contender.
         modes: names of the modes, the same for all contenders.
-        rows: epochs to draw, counted from 1, since the first row of a history is the prior's.
+        rows: epochs to draw, counted from 1, because row 0 of a history is the prior.
         path: .png, .svg or .pdf file.
     """
     first = next(iter(histories.values()))
@@ -70,7 +70,7 @@ def draw_histories(
 
 
 def _speed_mps(states: Array) -> Array:
-    """Return the speeds (T,) of states (T, 6 or more), position and velocity first."""
+    """Return the speeds (T,) of states (T, 6 or more) that begin with position and velocity."""
     return np.linalg.norm(states[:, 3:6], axis=1)  # type: ignore[no-any-return]
 
 

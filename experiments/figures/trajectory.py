@@ -1,4 +1,4 @@
-"""Picture of a track from above with its ellipses, its error over time, and its modes."""
+"""Picture of a track, seen from above with error ellipses, its error over time, and its modes."""
 
 import textwrap
 from collections.abc import Sequence
@@ -13,10 +13,10 @@ from experiments.figures.canvas import caption, legend_beside, picture
 from experiments.figures.timeline import mode_ribbon
 from mmwave_env.numerics.numbers import Array, Index
 
-ELLIPSES = 15  # approximate number along a track
-TITLE_LETTERS = 80  # longest line
-_ENLARGED = (1, 2, 5, 10, 20, 50, 100)  # factors that make ellipses large enough to see
-_VISIBLE = 0.02  # share of the track's extent, smallest size that can be seen
+ELLIPSES = 15  # maximum number of ellipses along a track
+TITLE_LETTERS = 80  # maximum number of letters in a line of the title
+_ENLARGED = (1, 2, 5, 10, 20, 50, 100)  # factors by which ellipses may be enlarged to be visible
+_VISIBLE = 0.02  # smallest visible size, as a share of the track's extent
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,12 +26,12 @@ class DrawnTrack:
     time_s: Array  # (T,) times of the epochs
     position_m: Array  # (T, 3) estimated positions
     covariance_m2: Array  # (T, 3, 3) covariances of the position
-    truth_m: Array  # (T, 3) true positions, NaN where not known
+    truth_m: Array  # (T, 3) true positions; NaN if unknown
     mode: Index  # (T,) number of the mode that ran
-    segment: Index  # (T,) number of the segment, which rises where the track starts again
+    segment: Index  # (T,) number of the segment; a new segment begins where the track starts again
     modes: Sequence[str]  # names of the modes
     anchors_m: Array  # (L, 3) positions of anchors, the physical gNB first
-    whole: bool = True  # whether no epoch is left out; lines between epochs far apart would mislead
+    whole: bool = True  # False if epochs were left out; then epochs are not joined by lines
 
 
 def draw_trajectory(track: DrawnTrack, path: Path, title: str) -> None:
@@ -55,7 +55,7 @@ def draw_trajectory(track: DrawnTrack, path: Path, title: str) -> None:
 
 
 def time_unit(time_s: Array) -> tuple[float, str]:
-    """Return the seconds of the unit that times (T,) are shown in, and its symbol."""
+    """Return the unit in which times (T,) are shown: its length in seconds, and its symbol."""
     return (3600.0, "h") if time_s[-1] - time_s[0] > 3 * 3600.0 else (1.0, "s")
 
 
@@ -82,7 +82,7 @@ def _draw_above(axes: Any, track: DrawnTrack) -> None:
 
 
 def _add_steps(axes: Any, track: DrawnTrack, chosen: Array, look: dict[str, Any]) -> None:
-    """Draw lines between successive epochs where chosen (T - 1,), but none between segments."""
+    """Draw lines to the next epoch where ``chosen`` (T - 1,), but not from segment to segment."""
     from matplotlib.collections import LineCollection
 
     position = track.position_m[:, :2]
@@ -92,7 +92,7 @@ def _add_steps(axes: Any, track: DrawnTrack, chosen: Array, look: dict[str, Any]
 
 
 def _draw_ellipses(axes: Any, track: DrawnTrack) -> None:
-    """Draw 95 % ellipses at a few epochs, enlarged where they are too small to be seen."""
+    """Draw 95 % ellipses at a few epochs, enlarged if they are too small to be visible."""
     from matplotlib.patches import Ellipse
 
     at = np.unique(np.linspace(0, len(track.time_s) - 1, ELLIPSES).astype(int))
@@ -111,7 +111,7 @@ def _draw_ellipses(axes: Any, track: DrawnTrack) -> None:
 
 
 def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
-    """Draw the anchors that are no further from the track than the track is long."""
+    """Draw the anchors that are not farther from the track than its extent (or 30 m)."""
     low, high = position.min(axis=0), position.max(axis=0)
     reach = max(float((high - low).max()), 30.0)
     middle = 0.5 * (low + high)
@@ -120,7 +120,7 @@ def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
             name = "gNB" if number == 1 else f"virtual anchor {number}"
             marker, fill = ("^", "black") if number == 1 else ("v", "white")
             axes.plot(*anchor, marker, color="black", ms=8, mfc=fill)
-            # Right of the middle, the name is left of the anchor, inside the picture.
+            # Names of anchors in the right half are to the left, so that they stay in the picture.
             offset, side = (-7, "right") if anchor[0] > middle[0] else (7, "left")
             place = {"textcoords": "offset points", "va": "center", "ha": side}
             axes.annotate(name, anchor, (offset, 0), **place)

@@ -1,1 +1,1 @@
-"""Measurements of the paper's tables and claims: sections for mmwave-loc tables."""
+"""Measurements that test the paper's tables and claims, as sections for mmwave-loc tables."""

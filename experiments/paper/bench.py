@@ -1,4 +1,4 @@
-"""Runs of modes on the episodes of a setting, cached, and sections that show the results."""
+"""Cached runs of modes on the episodes of a setting, and sections that show the results."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -25,8 +25,8 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 
-CHUNK = 128  # tracks at a time: few enough for their arrays to stay in the caches
-TUNED_ON = {"pedestrian": 0, "vehicle": 1}  # index of the mode among the shipped modes
+CHUNK = 128  # number of tracks at a time: few enough for their arrays to stay in the caches
+TUNED_ON = {"pedestrian": 0, "vehicle": 1}  # index of the user's mode among the shipped modes
 
 
 @dataclass(frozen=True)
@@ -34,11 +34,11 @@ class Setting:
     """A setting that determines the episodes of a run."""
 
     scenario: str  # kind of user
-    radio: str  # profile
-    clean: bool = False  # without blockage and multipath
-    odometry: bool = False  # the user also measures speed and heading
+    radio: str  # name of the radio profile
+    clean: bool = False  # whether blockage and multipath are left out
+    odometry: bool = False  # whether the user also measures speed and heading
     walls: bool = True  # False for the base station alone, without virtual anchors
-    changes: tuple[tuple[str, object], ...] = ()  # fields of the radio profile to replace
+    changes: tuple[tuple[str, object], ...] = ()  # changed fields of the radio profile, and values
 
     def source(self) -> SimulatedSource:
         """Return the source of the episodes."""
@@ -57,13 +57,13 @@ class Setting:
 class Errors(NamedTuple):
     """Errors of a mode on every episode."""
 
-    scores: Scores  # metric -> (episodes,)
+    scores: Scores  # values (episodes,) by metric
     nees: Array  # (episodes, epochs) without the burn-in
     axis_rms_m: Array  # (3,) root mean square error along x, y and z
 
 
 class TrackRun(NamedTuple):
-    """Errors of a mode's tracks, filtered and after Rauch-Tung-Striebel smoothing."""
+    """Errors of a mode's tracks, before and after Rauch-Tung-Striebel smoothing."""
 
     filtered: Errors
     smoothed: Errors
@@ -73,7 +73,7 @@ class Bench:
     """A cache of runs of modes on the episodes of seeds ``seed .. seed + episodes - 1``.
 
     Args:
-        episodes: number of episodes of a setting.
+        episodes: number of episodes per setting.
         seed: seed of the first episode.
     """
 
@@ -86,7 +86,7 @@ class Bench:
         return draw_episodes(setting.source(), range(self.seed, self.seed + self.count))
 
     def _run(self, mode: Mode, setting: Setting, planar: bool = False) -> TrackRun:
-        """Filter and smooth every episode of a setting, with known z and vz where ``planar``."""
+        """Filter and smooth every episode of a setting, with known z and vz if ``planar``."""
         episodes = self.episodes(setting)
         if planar:
             height = SCENES["street"].streets.height_m
@@ -95,7 +95,7 @@ class Bench:
 
 
 def track(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> TrackRun:
-    """Filter and smooth episodes of one length with a mode."""
+    """Filter and smooth episodes of the same length with a mode."""
     parts = [_tracks(mode, episodes[i : i + CHUNK], planar) for i in range(0, len(episodes), CHUNK)]
     axes = 2 if planar else 3
     errors, nees, better_errors, better_nees = map(np.concatenate, zip(*parts, strict=True))
@@ -103,7 +103,7 @@ def track(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> Trac
 
 
 def _tracks(mode: Mode, episodes: Sequence[Episode], planar: bool) -> Sequence[Array]:
-    """Return position errors (n, T, 3) and NEES (n, T), filtered, then both smoothed."""
+    """Return position errors (n, T, 3) and NEES (n, T) of the filter, then of the smoother."""
     pipeline = Pipeline((mode,), episodes[0].layout, planar)
     tracker = Tracker(pipeline, len(episodes))
     tracker.load(episodes)
@@ -112,7 +112,7 @@ def _tracks(mode: Mode, episodes: Sequence[Episode], planar: bool) -> Sequence[A
     better_x, better_P = smooth(x, P, x_predicted, P_predicted, np.diff(episodes[0].time_s), planar)
     better = error + better_x[..., :3] - x[..., :3]
     covariance = unpack(list(np.moveaxis(better_P, -1, 0)), zero=pipeline.known_axes)
-    # The error stands for the state and 0 for the truth: NEES depends only on their difference.
+    # NEES depends only on state minus truth, so the error can replace the state, and 0 the truth.
     offset = Belief(list(np.moveaxis(better, -1, 0)), covariance, pipeline.position_axes)
     return error, nees, better, offset.nees([0.0] * 3)
 
@@ -131,10 +131,10 @@ Row = list[Cell]
 class Section:
     """A table with a title and a note."""
 
-    title: str  # Markdown
-    note: str  # Markdown
+    title: str  # title, in Markdown
+    note: str  # note below the table, in Markdown
     header: str  # headers of the columns, with " | " between them
-    labels: int = 1  # number of first columns, which name a row
+    labels: int = 1  # number of columns at the beginning that together name a row
     rows: list[Row] = field(default_factory=list)
 
     @property
@@ -148,11 +148,11 @@ class Section:
         return f"{grid(self.columns, rows)}\n\n{self.note}"
 
     def markdown(self) -> str:
-        """Return the whole section as Markdown."""
+        """Return the section with its title as Markdown."""
         return f"### {self.title}\n\n{self.body()}\n"
 
     def records(self) -> list[Row]:
-        """Return section, row, column, mean, low and high of every number."""
+        """Return a row [section, row, column, mean, low, high] for every number."""
         out: list[Row] = []
         for row in self.rows:
             name = ", ".join(str(cell) for cell in row[: self.labels])
@@ -171,7 +171,7 @@ Rows = Callable[[Bench], Iterator[Row]]
 def section(
     title: str, note: str, header: str, labels: int = 1
 ) -> Callable[[Rows], Callable[[Bench], Section]]:
-    """Return a decorator: a function that yields the rows of a table then returns its section."""
+    """Return a decorator that makes a function return a section instead of yielding its rows."""
 
     def of(rows: Rows) -> Callable[[Bench], Section]:
         return wraps(rows)(lambda bench: Section(title, note, header, labels, [*rows(bench)]))

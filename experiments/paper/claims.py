@@ -1,4 +1,4 @@
-"""The paper's claims, one section each."""
+"""Tests of the paper's claims, one section for each claim."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -45,13 +45,13 @@ def _ates(runs: Sequence[Errors]) -> list[np.ndarray]:
 
 @section(
     "One tuning, three algorithms",
-    "Filtered, with the process noise tuned for the kind of user, gates and adaptive scaling. "
-    "Differences are paired, episode by episode.",
+    "Filtered, not smoothed, with gates, adaptive scaling and the process noise tuned for the kind "
+    "of user. Differences are paired, episode by episode.",
     "user | radio | anchors | EKF: ATE m | UKF: ATE m | CKF: ATE m | UKF - EKF: m | CKF - UKF: m",
     labels=3,
 )
 def algorithms(bench: Bench) -> Iterator[Row]:
-    """Compare EKF, UKF and CKF with one tuning."""
+    """Compare EKF, UKF and CKF with the same tuning."""
     for street in SETTINGS:
         for walls, anchors in ((True, "3"), (False, "gNB alone")):
             setting = replace(street, walls=walls)
@@ -63,10 +63,10 @@ def algorithms(bench: Bench) -> Iterator[Row]:
 
 @section(
     "What each step brings",
-    "Tuned modes, coupled Q. Changes of the filtered ATE are paired, against the paper's "
-    "pipeline (first row of each group, with recovery from lock-out). Robust: noise of a "
-    "doubtful link inflated instead of the link rejected, no adaptive scaling. "
-    "Blockage-aware: noise of a link inflated, too, when its SNR drops.",
+    "Tuned modes, coupled Q. Changes of the filtered ATE are paired differences from the paper's "
+    "pipeline (first row of each group, with recovery from lock-out). Robust: the noise of a "
+    "doubtful link is inflated instead of rejecting the link, and there is no adaptive scaling. "
+    "Blockage-aware: the noise of a link is also inflated when its SNR drops.",
     "user | radio | pipeline | filtered ATE m | change m | NEES | in 95 % bounds | smoothed ATE m",
     labels=3,
 )
@@ -95,12 +95,12 @@ def steps(bench: Bench) -> Iterator[Row]:
 
 @section(
     "Adaptive scaling and wrong process noise",
-    "Standard profile, filtered, gates with recovery; sigma_v is the tuned one times the factor.",
-    "user | sigma_v times | ATE m: fixed | adaptive | in 95 % bounds: fixed | adaptive",
+    "Standard profile, filtered, gates with recovery; sigma_v is the tuned value times the factor.",
+    "user | factor of sigma_v | ATE m: fixed | adaptive | in 95 % bounds: fixed | adaptive",
     labels=2,
 )
 def adaptation(bench: Bench) -> Iterator[Row]:
-    """Measure adaptive scaling where the process noise is wrong."""
+    """Measure the effect of adaptive scaling if the process noise is wrong."""
     for scenario in TUNED_ON:
         setting = Setting(scenario, "standard")
         for factor in (0.25, 0.5, 1.0, 2.0, 4.0):
@@ -120,7 +120,7 @@ def adaptation(bench: Bench) -> Iterator[Row]:
     labels=3,
 )
 def smoothing(bench: Bench) -> Iterator[Row]:
-    """Compare Rauch-Tung-Striebel smoothing with the filter that it starts from."""
+    """Compare the errors before and after Rauch-Tung-Striebel smoothing."""
     for setting in SETTINGS:
         for coupling, name in ((False, "plain diagonal"), (True, "coupled")):
             before, after = _ates(bench.run(setting.tuned(coupling), setting))
@@ -130,11 +130,11 @@ def smoothing(bench: Bench) -> Iterator[Row]:
 
 @section(
     "What optimizing takes off the ATE",
-    "From an untuned filter over the tuned one, with gates and adaptive scaling, to the "
-    "smoothed one; coupled Q. The paper's own tables say 72 % (EKF) and 46 % (UKF) on foot, "
-    "99 % and 80 % driving.",
-    "user | radio | untuned EKF m | tuned and gated m | smoothed m | less than EKF % | than UKF %"
-    " | than CKF %",
+    "The untuned filter, the tuned one with gates and adaptive scaling, and the same after "
+    "smoothing; coupled Q. The paper's own tables imply reductions of 72 % (EKF) and 46 % (UKF) "
+    "for pedestrians, 99 % and 80 % for vehicles.",
+    "user | radio | untuned EKF m | tuned and gated m | smoothed m | reduction from EKF % | from "
+    "UKF % | from CKF %",
     labels=2,
 )
 def improvement(bench: Bench) -> Iterator[Row]:
@@ -171,14 +171,15 @@ def process_noise(bench: Bench) -> Iterator[Row]:
 
 @section(
     "Doppler in hertz, or as printed",
-    "Filtered ATE in m, tuned modes. As printed, v'(p - p1)/|p - p1| in m/s plus b in Hz "
-    "stands for a shift that the receiver measures in Hz (93 Hz for 1 m/s at 28 GHz). Read as "
-    "m/s: its noise is taken for m/s as well.",
+    "Filtered ATE in m, tuned modes. As printed: the filter predicts v'(p - p1)/|p - p1| in m/s "
+    "plus b in Hz for a shift that the receiver measures in Hz (93 Hz for 1 m/s at 28 GHz). Read "
+    "as m/s: the filter takes the number of Hz for m/s, and also assumes noise that is 93 times "
+    "smaller.",
     "user | radio | gates: in hertz | as printed | no gates: in hertz | as printed | read as m/s",
     labels=2,
 )
 def units(bench: Bench) -> Iterator[Row]:
-    """Compare Doppler in hertz with the equation as printed, which adds m/s and Hz."""
+    """Compare the Doppler shift in hertz with the printed equation, which adds m/s and Hz."""
     for setting in SETTINGS:
         mode, episodes = setting.tuned(), bench.episodes(setting)
         ungated = replace(mode, gate=None, recovery=None)
@@ -195,24 +196,24 @@ def units(bench: Bench) -> Iterator[Row]:
 
 
 def _drifting_in_hz(mode: Mode, episode: Episode) -> Mode:
-    """Return the mode with oscillator noise in Hz, for episodes with 1 Hz per m/s."""
+    """Return the mode with its oscillator noise in Hz, for episodes with 1 Hz per m/s."""
     return replace(mode, sigma_b_mps=mode.sigma_b_mps * episode.hz_per_mps)
 
 
 def _read_as_mps(episode: Episode) -> Episode:
-    """Return the episode with its Doppler shift in Hz, and the noise, read as m/s."""
+    """Return the episode with the Doppler shift's number of Hz taken for m/s, and noise in m/s."""
     sigma = episode.sigma.copy()
     sigma[:, episode.layout.doppler] /= episode.hz_per_mps
     return replace(episode, hz_per_mps=1.0, sigma=sigma)
 
 
 def resolution(bench: Bench) -> Section:
-    """Compute the path separation that 100 MHz resolves, and the error of a range."""
+    """Compute which path separation a bandwidth of 100 MHz resolves, and the error of a range."""
     scene, radio = SCENES["street"], RADIOS["standard"]
     ideal = replace(radio, range_floor_m=(1e-9, 1e-9))
     snr_db = np.array([0.0, 10.0, 20.0, 30.0, 40.0])
     sigma = ideal.sigma(np.tile(snr_db[:, None], 3), scene, Layout())[:, 0]
-    # The bound goes with 1 / sqrt(SNR), far above its floor.
+    # The bound is proportional to 1 / sqrt(SNR), here far above the floor.
     centimeter_db = snr_db[-1] + 20.0 * math.log10(sigma[-1] / 0.01)
     links = np.concatenate(
         [e.snr_db[e.usable[:, 0], 0] for e in bench.episodes(Setting("pedestrian", "standard"))]
@@ -221,8 +222,8 @@ def resolution(bench: Bench) -> Section:
         "Range at 100 MHz",
         f"c / B is {SPEED_OF_LIGHT / scene.bandwidth_hz:.2f} m: two paths closer than that are not "
         f"resolved. One path alone is measured to 1 cm from {centimeter_db:.0f} dB on; the median "
-        f"SNR of the standard profile's direct link is {np.median(links):.0f} dB, and its range "
-        f"floor {radio.range_floor_m[0]:g} m.",
+        f"SNR of the standard profile's direct link is {np.median(links):.0f} dB, and the floor of "
+        f"its range error is {radio.range_floor_m[0]:g} m.",
         "SNR dB | Cramer-Rao bound of the range, m",
         rows=[[f"{snr:g}", float(bound)] for snr, bound in zip(snr_db, sigma, strict=True)],
     )
@@ -235,7 +236,7 @@ def resolution(bench: Bench) -> Section:
     "gate | 3 axes | 2 axes | measured, 3 axes",
 )
 def consistency_gate(bench: Bench) -> Iterator[Row]:
-    """Compare NEES of three axes with 5.99, the 95 % quantile of two axes."""
+    """Compare the NEES of three axes with 5.99, the 95 % quantile for two axes."""
     setting = Setting("pedestrian", "standard", clean=True)
     nees = bench.run(replace(setting.tuned(), adaptive=False), setting).filtered.nees
     for gate in (float(chi2.ppf(0.95, 2)), float(chi2.ppf(0.95, 3)), nees_interval()[1]):
@@ -245,8 +246,8 @@ def consistency_gate(bench: Bench) -> Iterator[Row]:
 
 @section(
     "Printed figures against each other",
-    "No track has an RMSE below its ATE (the mean of a square is at least the square of the "
-    "mean), nor an RPE over one epoch above twice its ATE but for the ends of the track.",
+    "No track has an RMSE below its ATE, because the mean of a square is at least the square of "
+    "the mean, nor an RPE over one epoch above twice its ATE (except for effects of its ends).",
     "row | ATE m | RMSE m | RPE m | contradiction",
 )
 def contradictions(_: Bench) -> Iterator[Row]:
@@ -261,7 +262,7 @@ def contradictions(_: Bench) -> Iterator[Row]:
 
 
 def _accuracy(errors: Errors) -> Row:
-    """Return ATE, median NEES, share in the bounds and mean NEES."""
+    """Return ATE, median NEES, share of the NEES in its 95 % bounds and mean NEES."""
     scores = errors.scores
     ate, share, nees = _means(scores["ate_m"], scores["in_bounds"], scores["nees"])
     return [ate, float(np.median(errors.nees)), share, nees]
@@ -270,16 +271,16 @@ def _accuracy(errors: Errors) -> Row:
 @section(
     "Headline accuracy: the high profile",
     f"The paper's smoothed ATE: {', '.join(f'{user} {ate:g} m' for user, ate in HEADLINE.items())}"
-    ". A consistent filter has a median NEES of 2.37, 3-D "
-    "(1.39 on flat terrain, where height is known: paper, Sec. II-A), a mean of 3 (2), and "
-    "0.95 within the bounds. Robust: blockage-aware, too.",
+    ". In 3-D a consistent filter has a median NEES of 2.37 and a mean of 3; on flat terrain, "
+    "where the height is known (paper, Sec. II-A), 1.39 and 2. Its share within the bounds is "
+    "0.95. Robust modes are also blockage-aware.",
     "user | terrain | channel | pipeline | smoothed: ATE m | smoothed: median NEES | smoothed: in "
     "95 % bounds | smoothed: mean NEES | filtered: ATE m | filtered: median NEES | filtered: in "
     "95 % bounds | filtered: mean NEES",
     labels=4,
 )
 def headline(bench: Bench) -> Iterator[Row]:
-    """Measure accuracy and consistency of the high profile."""
+    """Measure the accuracy and the consistency of filters with the high profile."""
     for scenario in HEADLINE:
         for planar, terrain in ((False, "3-D"), (True, "flat")):
             for clean, channel in ((False, "as is"), (True, "no blockage, no multipath")):
@@ -296,7 +297,7 @@ def headline(bench: Bench) -> Iterator[Row]:
 
 
 def _changes(radio: Radio) -> dict[str, dict[str, object]]:
-    """Return improvements of a radio, by name."""
+    """Return improvements of a radio: the changed fields, by name of the improvement."""
     angles = ("aoa_floor_rad", "aod_floor_rad", "elevation_floor_rad")
     larger = {"gnb_elements": 2 * radio.gnb_elements, "ue_elements": 2 * radio.ue_elements}
     halved, quartered = ({name: getattr(radio, name) / n for name in angles} for n in (2, 4))
@@ -314,13 +315,13 @@ def _changes(radio: Radio) -> dict[str, dict[str, object]]:
 
 @section(
     "Error budget of the high profile, 3-D, smoothed",
-    "Robust, blockage-aware updates; one change of the radio at a time, process noise as tuned "
-    "for the profile as is. Axes: root mean square errors.",
+    "Robust, blockage-aware updates; one change of the radio at a time, with the process noise "
+    "tuned for the unchanged profile. x, y, z: root mean square errors.",
     "user | radio | ATE m | x m | y m | z m",
     labels=2,
 )
 def error_budget(bench: Bench) -> Iterator[Row]:
-    """Measure the share of each part of the radio in the 3-D error."""
+    """Measure how much each property of the radio contributes to the 3-D error."""
     for scenario in HEADLINE:
         for name, changes in _changes(RADIOS["high"]).items():
             setting = Setting(scenario, "high", changes=tuple(changes.items()))

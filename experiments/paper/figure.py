@@ -1,4 +1,4 @@
-"""Picture of Tables I and II and of the process-noise sweep."""
+"""Picture of Tables I and II and of the ATE against process noise."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,8 +9,8 @@ from experiments.figures.canvas import picture, plain_numbers
 from experiments.paper.bench import Cell, Section
 from mmwave_env.models.radio import RADIOS
 
-COUPLED = 3  # column of the ATE with coupled process noise; the paper's ATE comes first
-FILTERS = 4  # number of rows that the paper also has
+COUPLED = 3  # column of our ATE with coupled process noise; column 1 has the paper's ATE
+FILTERS = 4  # number of rows that are also in the paper
 COLORS = {"ekf": "C0", "ukf": "C1"}
 
 
@@ -23,7 +23,7 @@ def _errorbars(axes: Any, x: Sequence[float], cells: Sequence[Cell], **style: An
 
 
 def _meters(axes: Any) -> None:
-    """Set a logarithmic axis of ATE, the same in every panel."""
+    """Make the y axis a logarithmic axis of ATE, with the same limits in every panel."""
     axes.set_yscale("log")
     axes.set_ylim(0.1, 1000.0)
     plain_numbers(axes.yaxis)
@@ -31,7 +31,7 @@ def _meters(axes: Any) -> None:
 
 
 def _bars(axes: Any, sections: Sequence[Section], title: str) -> None:
-    """Draw ATE per filter: the paper's figures, and ours per radio profile."""
+    """Draw the ATE of each filter: the paper's value, and ours for each radio profile."""
     rows = sections[0].rows[:FILTERS]
     axes.scatter(
         range(FILTERS), [row[1] for row in rows], marker="_", s=900, color="black", label="paper"
@@ -47,7 +47,7 @@ def _bars(axes: Any, sections: Sequence[Section], title: str) -> None:
 
 
 def _sweep(axes: Any, section: Section) -> None:
-    """Draw ATE over process noise, with and without gates."""
+    """Draw the ATE over the process noise, with and without gates."""
     x = [float(str(row[0])) for row in section.rows]
     styles = {"no gates": ":", "gates, no recovery": "-", "gates, recovery": "--"}
     for column, name in enumerate(section.columns[1:], start=1):
@@ -63,7 +63,7 @@ def _sweep(axes: Any, section: Section) -> None:
 
 
 def draw(sections: dict[str, Section], path: Path) -> None:
-    """Write the picture."""
+    """Draw all panels from the sections, by title, and write the picture to a file."""
     with picture(path, 13.0, 4.2) as figure:
         axes = figure.subplots(1, 3)
         for panel, title in zip(axes, ("Table I: pedestrian", "Table II: vehicle"), strict=False):

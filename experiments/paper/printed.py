@@ -1,4 +1,4 @@
-"""Tables I, II and III with the paper's own figures (arXiv 2510.06861) and ours."""
+"""Tables I, II and III with the numbers printed in the paper (arXiv 2510.06861) and ours."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -14,7 +14,7 @@ from mmwave_env.models.radio import RADIOS
 
 
 class Published(NamedTuple):
-    """A row of Table I or II, in the printed order."""
+    """The numbers of a row of the paper's Table I or II, in the printed order."""
 
     ate_m: float
     rpe_m: float
@@ -40,17 +40,17 @@ OTHERS = {  # Table III: method, scenario, ATE in meters
 }
 
 PRINTED = {"ate_m": "ATE m", "rpe_m": "RPE m", "nees": "NEES", "rmse_m": "RMSE m"}
-UNTUNED_SIGMA_V = 1.0  # m/s: the paper does not print its untuned process noise
+UNTUNED_SIGMA_V = 1.0  # m/s, our choice, because the paper does not state its own
 
 
 def untuned(algorithm: str, coupling: bool) -> Mode:
-    """Return a filter of the paper's first rows: no tuning, gates, scaling or smoothing."""
+    """Return a filter of the tables' first rows: without tuning, gates, scaling and smoothing."""
     off = {"gate": None, "recovery": None, "adaptive": False}
     return Mode(algorithm, algorithm, sigma_v=UNTUNED_SIGMA_V, coupling=coupling, **off)  # type: ignore[arg-type]
 
 
 def _row(name: str, printed: Published | None, forms: Sequence[Scores]) -> Row:
-    """Return a row: per metric the paper's figure, then ours for each form of process noise."""
+    """Return a row: per metric the paper's number, then ours for each form of process noise."""
     ours = iter(bootstrap(np.stack([scores[m] for m in PRINTED for scores in forms], axis=1)))
     row: Row = [name]
     for metric in PRINTED:
@@ -89,7 +89,7 @@ def tables_one_and_two(bench: Bench) -> Iterator[Section]:
             "smoothed."
         )
         if scenario == "pedestrian":
-            note += " With odometry the same tracks are measured with other noise."
+            note += " With odometry the tracks are the same, but the noise is not."
         for radio in RADIOS:
             rows = _rows(bench, Setting(scenario, radio), printed)
             yield Section(f"Table {number}: {scenario}, {radio}", note, header, rows=[*rows])
@@ -97,13 +97,13 @@ def tables_one_and_two(bench: Bench) -> Iterator[Section]:
 
 @section(
     "Table III",
-    "Other people's figures are as the paper quotes them, on other data than ours: they show "
-    "an order of magnitude, no ranking. Ours: tuned, gated, scaled and smoothed, coupled Q.",
+    "The results of other authors are quoted from the paper and are from other data: they show "
+    "an order of magnitude, not a ranking. Ours: tuned, gated, scaled and smoothed, coupled Q.",
     " | ".join(["method", "scenario", "ATE m: paper", *RADIOS]),
     labels=2,
 )
 def table_three(bench: Bench) -> Iterator[Row]:
-    """Return Table III with our figures, coupled process noise."""
+    """Yield the rows of Table III, with our results for coupled process noise."""
     for method, (environment, ate) in OTHERS.items():
         yield [method, environment, ate, *[""] * len(RADIOS)]
     for name, scenario, printed in (

@@ -1,1 +1,1 @@
-"""Timing for mmwave-loc speed: environments, filters and the limit of the core."""
+"""Timing for mmwave-loc speed: environments, filters and the limit of a processor core."""

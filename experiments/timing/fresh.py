@@ -1,7 +1,7 @@
-"""Time to the first step, and peak memory, each in a fresh process.
+"""Time to the first step, and peak memory, measured in a new process.
 
-The time starts before Python does, so it includes imports and compilation. Files that other runs
-left on disk (bytecode, compiled loops) are used, as in a second run.
+The time includes the start of Python, imports and compilation. Files that earlier runs left on
+disk (bytecode, compiled loops) are used, so this is the time of a second run.
 """
 
 import os
@@ -11,22 +11,23 @@ import time
 from pathlib import Path
 from typing import Any
 
-STEPS = 210  # past the end of all episodes and the drawing of the next episodes
+STEPS = 210  # enough to end all episodes and to draw the next ones
 
 
 def fresh(name: str, n: int) -> tuple[float, float]:
-    """Start Python, make an environment, and measure time and memory of its steps.
+    """Start Python, make an environment there, and measure the time and memory of its steps.
 
     Args:
         name: id of the environment, as in ``gymnasium.make``.
         n: number of environments in a vector environment; 0 for a single environment.
 
     Returns:
-        Seconds from Python's start to the end of the first step, and peak resident memory, past
+        Seconds from Python's start to the end of the first step, and peak resident memory, beyond
         the ends of episodes, MiB (2^20 bytes).
     """
     words = [sys.executable, "-m", __name__, name, str(n)]
-    packages = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}  # our path
+    # the child finds the same packages as this process
+    packages = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     begin = time.perf_counter()
     with subprocess.Popen(words, env=packages, stdout=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None
@@ -39,7 +40,7 @@ def fresh(name: str, n: int) -> tuple[float, float]:
 
 
 def _step(name: str, n: int) -> None:
-    """Print a line after the first step, and peak memory at the end; runs in the process."""
+    """Print a line after the first step, and peak memory at the end, in the new process."""
     import gymnasium as gym
     import numpy as np
 
@@ -57,7 +58,7 @@ def _step(name: str, n: int) -> None:
 
 def _peak_mb() -> float:
     status = Path("/proc/self/status")
-    if status.exists():  # not ru_maxrss on Linux: a child inherits its parent's
+    if status.exists():  # on Linux ru_maxrss would include the memory of the parent
         return int(status.read_text().split("VmHWM:")[1].split()[0]) / 1024
     import resource
 

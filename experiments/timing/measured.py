@@ -1,4 +1,4 @@
-"""All measurements of mmwave-loc speed, round by round."""
+"""All measurements of mmwave-loc speed, made in several rounds."""
 
 import gc
 import time
@@ -34,23 +34,23 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.world.travel import stride_of
 
-FRESH_RUNS = 3  # most runs of every process, since a run takes seconds
-FRESH_SIZES = 3  # the largest sizes only: smaller sizes need about the same
-STEP = "step"  # name of the whole environment's step among the kernels
-BASES = ("filterpy", SYNC_NAME)  # workloads that ours are compared with
+FRESH_RUNS = 3  # maximum number of runs in new processes, since each takes seconds
+FRESH_SIZES = 3  # number of sizes, the largest, that run in new processes; others need as much
+STEP = "step"  # name of the kernel that makes a complete step of the environment
+BASES = ("filterpy", SYNC_NAME)  # workloads with which ours are compared
 
 Rounds = dict[str, list[float]]
 
 
 @dataclass
 class Rates:
-    """Rates of a workload, per round."""
+    """The rates of a workload, one per round."""
 
     steps_per_s: list[float] = field(default_factory=list)
-    cores: list[float] = field(default_factory=list)  # seconds of processor per second
+    cores: list[float] = field(default_factory=list)  # processor time per elapsed time
 
     def measure(self, laps: Laps, seconds: float) -> None:
-        """Measure a round of whole episodes for ``seconds`` or more, without garbage collection."""
+        """Run complete episodes for at least ``seconds``, without garbage collection; add rates."""
         gc.collect()
         gc.disable()
         busy, begin = time.process_time(), time.perf_counter()
@@ -63,19 +63,19 @@ class Rates:
 
 
 class Measured:
-    """Rates, limits, memory and first steps; every list has an entry per round.
+    """The measured rates, limits, memory and first steps; every list has one entry per round.
 
     Args:
         sizes: numbers of environments in the native vector environment.
 
     Attributes:
-        sizes: sorted sizes, each once.
+        sizes: sorted sizes, without duplicates.
         rates: rates of environments, by name.
-        filters: rates of the filters alone, one thread.
-        operations: operations of the filters' kernels and of the environment's kernel.
-        limits_s: least seconds of a step of each kernel on one core.
+        filters: rates of the filters without an environment, on one thread.
+        operations: numbers of operations in the filters' kernels and in the environment's kernel.
+        limits_s: minimum time of a step of each kernel on one core, s.
         cold_start_s: seconds from the start of a process to the end of its first step.
-        peak_mb: peak resident memory of the process, MiB (2^20 bytes).
+        peak_mb: peak resident memory of a process, MiB (2^20 bytes).
     """
 
     def __init__(self, sizes: Sequence[int]) -> None:
@@ -91,9 +91,9 @@ class Measured:
         self.peak_mb: Rounds = {name: [] for name in self._processes}
 
     def run(self, seconds: float, repeats: int) -> Iterator[float]:
-        """Run all measurements; yield the share done after each.
+        """Run all measurements; yield the share that is done after each.
 
-        Every round runs each workload once, so that a drift of the machine affects all alike.
+        Every round runs each workload once, so that a drift of the machine affects all equally.
         """
         starts, workloads = min(FRESH_RUNS, repeats), len(self.rates) + len(self.filters)
         pieces = starts * len(self._processes) + workloads + repeats * (workloads + 1)
@@ -122,7 +122,7 @@ class Measured:
             yield
 
     def natives(self, threads: int = BOTH) -> list[str]:
-        """Return names of the native vector environments with ``threads`` threads."""
+        """Return names of our vector environments ("native") with ``threads`` threads."""
         return [native_name(n, threads) for n in self.sizes]
 
     @property
@@ -131,7 +131,7 @@ class Measured:
         return ["single"] + [name for threads in THREADS for name in self.natives(threads)]
 
     def ratios(self) -> Rounds:
-        """Return steps per second relative to the filterpy loop and to the sync vector."""
+        """Return ratios of our steps per second to those of the workloads in :data:`BASES`."""
         return {
             f"{name}_over_{base}": quotients(
                 self.rates[name].steps_per_s, self.rates[base].steps_per_s
@@ -141,7 +141,7 @@ class Measured:
         }
 
     def fractions(self) -> Rounds:
-        """Return the limit of a core over the time taken, for filters and environments."""
+        """Return the minimum time of a step on a core, divided by the time that it took."""
         workloads = self.filters | {name: self.rates[name] for name in self.natives(1)}
         return {
             name: np.multiply(self.limits_of(name), rates.steps_per_s).tolist()
@@ -149,11 +149,11 @@ class Measured:
         }
 
     def limits_of(self, name: str) -> list[float]:
-        """Return the least seconds of a workload's step on one core."""
+        """Return the minimum time of a workload's step on one core, s, per round."""
         return self.limits_s[name if name in self.filters else STEP]
 
     def json(self) -> dict[str, Any]:
-        """Return medians, and separately their range over the rounds."""
+        """Return medians over the rounds and, under "spread", minima and maxima."""
         rates = self.rates | self.filters
         tables: dict[str, Rounds] = {
             "ratios": self.ratios(),
@@ -179,7 +179,7 @@ class Measured:
 
 
 def kernels() -> dict[str, Operations]:
-    """Count the operations of the filters alone, and of the environment's step with its world.
+    """Count the operations of each filter, and of an environment's step with its simulated world.
 
     Rare events of the world (changes of gait, crossings) are left out.
     """

@@ -1,7 +1,7 @@
-"""Count of the operations of a function of numbers, obtained by running it.
+"""Exact counts of the operations of a function of numbers, obtained by running it.
 
-:class:`~mmwave_env.compiler.lanes.Lanes` emit their instructions through a builder. With a builder
-that records instructions, running any function of numbers counts them exactly, uncompiled.
+:class:`~mmwave_env.compiler.lanes.Lanes` (SIMD values) emit instructions through an LLVM builder.
+With a builder that records instructions instead, the function need not be compiled.
 """
 
 from collections import Counter
@@ -15,19 +15,19 @@ from mmwave_env.compiler.lanes import Lanes
 from mmwave_env.numerics.pytree import flatten, unflatten
 
 _KINDS = {"fadd": "add", "fsub": "add", "fmul": "multiply", "fdiv": "divide"}
-_KINDS |= {"llvm.sqrt": "root", "load": "load", "bitcast": "free"}  # all others: "select"
-_COMMUTE = ("fadd", "fmul", "and_", "or_")
+_KINDS |= {"llvm.sqrt": "root", "load": "load", "bitcast": "free"}  # all others are "select"
+_COMMUTE = ("fadd", "fmul", "and_", "or_")  # instructions whose operands may be exchanged
 
 
 class Operations(NamedTuple):
-    """SIMD instructions, each on eight environments."""
+    """Numbers of SIMD instructions, each of which works on eight environments."""
 
-    fused: int = 0  # multiply-adds: products that only one sum uses
+    fused: int = 0  # multiply-adds, which combine a sum with a product that nothing else uses
     add: int = 0  # remaining sums and differences
     multiply: int = 0  # remaining products
     divide: int = 0
     root: int = 0  # square roots
-    select: int = 0  # comparisons, choices, signs and bits
+    select: int = 0  # comparisons, choices, and operations on signs and bits
     load: int = 0  # rows of the workspace
     store: int = 0
 
@@ -42,7 +42,7 @@ class _Instruction:
 
 
 class _Recorder:
-    """A stand-in for an LLVM builder; it records an instruction on the same operands once."""
+    """A replacement of an LLVM builder; it records repeated instructions only once."""
 
     def __init__(self) -> None:
         self.module = ir.Module()
@@ -53,7 +53,7 @@ class _Recorder:
         return self._record(function.name.rpartition(".")[0], operands)
 
     def select(self, condition: _Instruction, a: Any, b: Any) -> _Instruction:
-        """Record a choice; one between the compared values is a minimum or maximum."""
+        """Record a choice; a choice between the compared values is a minimum or maximum."""
         operator, *compared = condition.operands
         chosen = [_operand(a), _operand(b)]
         if chosen in (compared, compared[::-1]):
@@ -76,9 +76,9 @@ def _operand(value: Any) -> Any:
 
 
 def count(function: Callable[[Any], Any], template: Any) -> Operations:
-    """Count operations on lanes of a function from a tree of numbers to a tree of the same shape.
+    """Count the operations of a function that maps a tree of numbers to a tree of the same shape.
 
-    Unused results and numbers that are passed through cost nothing, as in a
+    Unused results and unchanged numbers cost nothing, as in a
     :class:`~mmwave_env.compiler.program.Program`.
     """
     recorder = _Recorder()
@@ -97,7 +97,7 @@ def _counted(results: Sequence[_Instruction], stores: int) -> Operations:
         for step in needed
         if step.kind == "add"
     )
-    # Several quotients by one divisor become products with its reciprocal ("arcp" of the lanes).
+    # Divisions by the same divisor become products with its reciprocal (LLVM's flag "arcp").
     divisors = Counter(step.operands[1] for step in needed if step.kind == "divide")
     products = sum(quotients for quotients in divisors.values() if quotients > 1)
     kinds.update(fused=fused, store=stores, multiply=products - fused, add=-fused)
@@ -106,7 +106,7 @@ def _counted(results: Sequence[_Instruction], stores: int) -> Operations:
 
 
 def _needed(results: Iterable[_Instruction]) -> Iterator[_Instruction]:
-    """Yield every instruction that the results depend on, each once."""
+    """Yield every instruction on which the results depend, once."""
     waiting, yielded = list(results), set()
     while waiting:
         step = waiting.pop()

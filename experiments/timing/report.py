@@ -1,4 +1,4 @@
-"""Markdown tables of the measurements of speed."""
+"""Markdown tables of the speed measurements."""
 
 import math
 import os
@@ -39,7 +39,7 @@ def short(value: float) -> str:
 
 
 def spread(values: Sequence[float], unit: float = 1.0) -> str:
-    """Format the median of the rounds, and their range where there are several rounds."""
+    """Format the median of the rounds with their range, or the only round."""
     values = [value * unit for value in values]
     if len(values) == 1:
         return short(values[0])
@@ -57,7 +57,7 @@ def _ratios(measured: Measured) -> str:
         [label(name), *(spread(ratios[f"{name}_over_{base}"]) for base in BASES)]
         for name in measured.ours
     ]
-    return grid(["steps per second of", *(f"over {label(base)}" for base in BASES)], rows)
+    return grid(["ratio of steps per second", *(f"to {label(base)}" for base in BASES)], rows)
 
 
 def _rate(name: str, rates: Rates) -> list[str]:
@@ -66,12 +66,12 @@ def _rate(name: str, rates: Rates) -> list[str]:
 
 def _rates(measured: Measured) -> str:
     rows = [[*_rate(*item), f"{median(item[1].cores):.2f}"] for item in measured.rates.items()]
-    return grid(["", "steps per second", "ns a step", "cores busy"], rows)
+    return grid(["", "steps per second", "ns per step", "cores busy"], rows)
 
 
 def _filters(measured: Measured) -> str:
     rows = [_rate(*item) for item in measured.filters.items()]
-    return grid(["filter", "epochs per second", "ns an epoch"], rows)
+    return grid(["filter", "epochs per second", "ns per epoch"], rows)
 
 
 def _limits(measured: Measured) -> str:
@@ -81,7 +81,7 @@ def _limits(measured: Measured) -> str:
         taken = quotients(limits, fractions)
         shown = (spread(limits, 1e9), spread(taken, 1e9), spread(fractions, 100.0))
         rows.append([label(name), *shown])
-    return grid(["one thread", "limit of the core, ns a step", "taken, ns", "reached, %"], rows)
+    return grid(["one thread", "limit, ns per step", "time taken, ns", "limit reached, %"], rows)
 
 
 def _processes(header: str, rounds: Rounds) -> str:

@@ -1,9 +1,9 @@
 """Lower bound on the time that a core needs for the operations of a kernel (roofline).
 
-The model: all arithmetic shares the vector pipes, so the kernel's operations are timed as a
-whole, in their proportions, on independent chains in registers; loads and stores have pipes of
-their own; the limit is the slower of the two. The model leaves out waits for results, register
-spills, caches, and the fetching of long code.
+In this model all arithmetic shares the vector pipes, so a mix of operations in the kernel's
+proportions is timed, on independent chains in registers. Loads and stores have their own pipes and
+are timed separately; the limit is the longer of the two times. The model leaves out waits for
+results, register spills, caches, and the fetching of long code.
 """
 
 import time
@@ -21,10 +21,10 @@ from mmwave_env.numerics.numbers import sqrt, where
 
 CHAINS = (8, 16, 24)  # numbers of chains to try: the best depends on registers and latencies
 LENGTH = 480  # operations of a timed kernel: many per loop, but few enough for any cache
-BLOCKS, ROWS = 4, 64  # 16 KiB, which any first-level cache holds
+BLOCKS, ROWS = 4, 64  # 16 KiB, which fits into any first-level cache
 CALLS, TRIES = 1000, 10
 
-# Steps of a chain; the factor 1 and the term 0 are numbers that the compiler does not know.
+# Steps of a chain; the factor is 1 and the term 0, but the compiler does not know this.
 _STEPS: dict[str, Callable[..., Any]] = {
     "fused": lambda x, factor, term, other: x * factor + term,
     "add": lambda x, factor, term, other: x + term,
@@ -36,13 +36,13 @@ _STEPS: dict[str, Callable[..., Any]] = {
 
 
 def limit_s(operations: Operations) -> float:
-    """Return the least seconds of a core for the operations, each on eight environments."""
+    """Return the minimum time, s, that a core needs for operations on eight environments."""
     steps, rows = sum(_steps(operations).values()), max(operations.load, operations.store)
     return max(steps * _mix_s(operations), rows * _copying_s())
 
 
 def _mix_s(operations: Operations) -> float:
-    """Return seconds per step of a mix, at the best number of chains."""
+    """Return the seconds per operation in a mix of operations, at the best number of chains."""
     order = interleaved(operations)
     blocks = np.full((1, ROWS, WIDTH), 1.7)
     blocks[:, :2] = [[1.0], [0.0]]
@@ -50,12 +50,12 @@ def _mix_s(operations: Operations) -> float:
 
 
 def _copying_s() -> float:
-    """Return seconds of a load and a store in the first-level cache."""
+    """Return the seconds that a load and a store take in the first-level cache."""
     return _seconds(_copying(), np.zeros((BLOCKS, ROWS, WIDTH))) / (BLOCKS * ROWS // 2)
 
 
 def interleaved(operations: Operations) -> tuple[str, ...]:
-    """Return ``LENGTH`` steps in the proportions of the operations, evenly spread."""
+    """Return ``LENGTH`` kinds of operations, in the given proportions and evenly mixed."""
     steps = _steps(operations)
     total = sum(steps.values())
     order: list[str] = []
@@ -67,12 +67,12 @@ def interleaved(operations: Operations) -> tuple[str, ...]:
 
 def _steps(operations: Operations) -> dict[str, float]:
     steps = {kind: getattr(operations, kind) for kind in _STEPS}
-    return steps | {"select": operations.select / 2}  # it compares, then chooses
+    return steps | {"select": operations.select / 2}  # the timed step compares, then chooses
 
 
 @cache
 def _chains(order: tuple[str, ...], chains: int) -> Any:
-    """Compile steps on independent chains; steps of every kind rotate through the chains."""
+    """Compile steps on independent chains; each kind of step takes one chain after another."""
 
     def build(rows: Any) -> None:
         factor, term, other, *x = (rows[row] for row in range(3 + chains))
@@ -109,7 +109,7 @@ def _repeated(build: Callable[[Any], None]) -> Any:
 
 
 def _seconds(repeat: Any, blocks: Any) -> float:
-    """Return seconds per pass over the blocks, the shortest of several tries."""
+    """Return the seconds of a pass over the blocks, the minimum of several tries."""
     repeat(blocks.copy(), 1)  # compiles
     shortest = np.inf
     for _ in range(TRIES):

@@ -1,9 +1,9 @@
-"""Timed workloads, with the same work per step as far as possible.
+"""Timed workloads, which do the same work per step as far as possible.
 
-The work is an environment's step with filterpy's filters, in one environment, and in many: both
-modes' predictions, gates, innovations and posteriors, the reward of the chosen mode, and episodes
-drawn as they are needed. The action is always mode 1. The filterpy loop lacks observations,
-adaptive noise, recovery, and the metrics of an episode.
+The work is the step of an environment: a loop over filterpy's filters, our single environment and
+our vector environments compute both modes' predictions, gates, innovations and posteriors and the
+chosen mode's reward, and draw episodes when needed. The action is always mode 1. The filterpy loop
+leaves out observations, adaptive noise, recovery, and the metrics of an episode.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -33,26 +33,26 @@ from mmwave_env.world.episode import Episode, blank_incoming
 from mmwave_env.world.simulated import SimulatedSource
 
 RADIO = "handset"
-EPISODE = 200  # steps of an episode
-SYNC = 8  # environments that Gymnasium steps one after another
+EPISODE = 200  # number of steps of an episode
+SYNC = 8  # number of environments that Gymnasium steps one after another
 SYNC_NAME = f"sync_{SYNC}"
-TRACKS = 1024  # tracks of the filters alone
-BOTH = 2  # threads, the default of `gymnasium.make_vec` on two cores
+TRACKS = 1024  # number of tracks of the filters without an environment
+BOTH = 2  # number of threads, the default of `gymnasium.make_vec` on two cores
 THREADS = (BOTH, 1)
 FILTERS = ("ekf", "ukf", "ckf")
 ENVIRONMENT = "mmwave_env:MmWaveLoc-v0"
 
 
-Laps = Iterator[int]  # steps of all environments together, one number per episode
+Laps = Iterator[int]  # for each episode, the number of steps of all environments together
 
 
 def native_name(n: int, threads: int = BOTH) -> str:
-    """Return the name in results of the vector environment of n environments."""
+    """Return the name, in results, of our vector environment with n environments."""
     return f"native_{n}" if threads == BOTH else f"native_{n}_{threads}_thread"
 
 
 def environments(sizes: Sequence[int]) -> dict[str, Callable[[], Laps]]:
-    """Return the workloads of environments, by name; each starts when it is called."""
+    """Return functions that start the workloads of environments, by name."""
     return {
         "filterpy": filterpy,
         "single": stepped,
@@ -66,23 +66,23 @@ def environments(sizes: Sequence[int]) -> dict[str, Callable[[], Laps]]:
 
 
 def filters() -> dict[str, Callable[[], Laps]]:
-    """Return the workloads of the filters alone, by name, one thread."""
+    """Return functions that start the workloads of single filters on one thread, by name."""
     episodes, modes = draw_episodes(source(), range(TRACKS)), named_modes(RADIO)
     return {name: partial(tracks, modes[name], episodes) for name in FILTERS}
 
 
 def source() -> SimulatedSource:
-    """Return the source of the episodes that the environment draws by default."""
+    """Return the environment's default source of episodes."""
     return SimulatedSource(scene_from("street"), radio_from(RADIO), epochs=EPISODE)
 
 
 def pipeline() -> Pipeline:
-    """Return the pipeline that the environment has by default."""
+    """Return the environment's default pipeline."""
     return Pipeline(default_modes(RADIO), source().layout)
 
 
 def filterpy() -> Laps:
-    """Run a loop on filterpy's filters."""
+    """Run a Python loop over episodes with filterpy's filters."""
     episodes, twin = source(), filterpy_pipeline(pipeline())
     for seed in count():
         filterpy_episode(twin, episodes.sample(np.random.default_rng(seed)))
@@ -90,7 +90,7 @@ def filterpy() -> Laps:
 
 
 def filterpy_episode(twin: Pipeline, episode: Episode) -> float:
-    """Filter an episode with every mode and keep the last mode's belief; return total reward."""
+    """Filter an episode with all modes; return the total reward of always choosing the last one."""
     layout, memory, reward = twin.layout, initial_memory(twin.layout, 1), TrackingReward()
     site = unflatten(blank_site(layout), iter(episode.site().tolist()))
     blank = blank_incoming(layout)
@@ -109,9 +109,9 @@ def filterpy_episode(twin: Pipeline, episode: Episode) -> float:
 
 
 def stepped(n: int = 0, **options: Any) -> Laps:
-    """Step n environments that `gymnasium.make_vec` makes, or one of `gymnasium.make` where n is 0.
+    """Step n environments from `gymnasium.make_vec` or, if n is 0, one from `gymnasium.make`.
 
-    All episodes end together.
+    All episodes end at the same time.
     """
     make: Any = partial(gym.make_vec, num_envs=n) if n else gym.make
     env = make(ENVIRONMENT, episode_steps=EPISODE, **options)
@@ -129,7 +129,7 @@ def stepped(n: int = 0, **options: Any) -> Laps:
 
 
 def tracks(mode: Mode, episodes: Sequence[Episode]) -> Laps:
-    """Run a filter and its gates from the first epoch of every episode to the last."""
+    """Run a filter with its gates over complete episodes, again and again."""
     tracker = Tracker(Pipeline((mode,), episodes[0].layout), len(episodes))
     tracker.load(episodes)
     while True:

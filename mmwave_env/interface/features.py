@@ -1,7 +1,7 @@
 """Features of an observation, each with its formula.
 
-An estimator knows every feature at run time; no feature uses the truth. The formulas
-are functions of numbers, so they are computed inside the SIMD kernel.
+An estimator knows every feature at run time; no feature uses the truth. The formulas are functions
+of plain numbers, so that they can be compiled into the SIMD kernel.
 """
 
 from collections.abc import Callable
@@ -24,14 +24,17 @@ from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, log, maximum, sqrt, where
 
 MISSING_SNR_DB = -20.0
-# kinds of features of an anchor, and their values where the anchor is never seen
+# values that the features of an anchor, by kind, have for an anchor that is never visible
 UNSEEN = {"NIS": 0.0, "verdict": 0.0, "SNR": MISSING_SNR_DB, "SNR drop": 0.0, "coming NIS": 0.0}
 _LEAST = 1e-9  # lower limit of a probability in a logarithm
-_WAYS = {"along": "along the predicted velocity", "across": "to the left of it"}
+_WAYS = {
+    "along": "component along the predicted velocity",
+    "across": "component to the left of the predicted velocity",
+}
 
 
 class MixtureView(NamedTuple):
-    """The inputs of features that need a belief per mode."""
+    """The inputs of features that exist only if each mode has its own belief."""
 
     # predicted, posterior: (modes,) probabilities before and after the coming epoch's measurement
     predicted: list[Number]
@@ -46,28 +49,28 @@ class View(NamedTuple):
     x: Vector
     P: Matrix
     memory: Memory  # memory of the track
-    candidates: list[ModeResult]  # per mode, its result for the coming epoch
+    candidates: list[ModeResult]  # each mode's result for the coming epoch
     epoch: Epoch  # the coming epoch
     site: Site  # anchors and carrier
-    mixture: Any = None  # a MixtureView, with a belief per mode
+    mixture: Any = None  # a MixtureView if each mode has its own belief
 
 
 @dataclass(frozen=True)
 class Feature:
     """One component of the observation: (clip(value, low, high) - mean) / deviation.
 
-    Mean and deviation are those of its kind (:mod:`mmwave_env.interface.observation`), which also
-    limits the feature to ten deviations from the mean.
+    Mean and deviation depend on its kind; :mod:`mmwave_env.interface.observation` defines them and
+    also limits the feature to ten deviations from the mean.
     """
 
     name: str  # unique in the table
-    meaning: str  # meaning, with the formula where the name does not give it
+    meaning: str  # meaning, with the formula if the name does not imply it
     unit: str  # unit of the value
     # low, high: limits of the value
     low: float
     high: float
     value: Callable[..., Number]  # formula, a function of a View
-    kind: str = ""  # name without its anchor or mode; by default the whole name
+    kind: str = ""  # name without its anchor or mode; by default the full name
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "kind", self.kind or self.name)
@@ -78,8 +81,8 @@ def context(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
 
     Args:
         pipeline: modes and layout.
-        per_mode: whether every mode keeps its own belief. Then no feature depends on the size of
-            a street, so that a policy trained in one street works in others.
+        per_mode: whether every mode keeps its own belief. If so, no feature depends on the size
+            of the streets, so that a policy trained in one scene works in others.
     """
     layout = pipeline.layout
     table = [*_motion(layout), *_last_epoch(layout)]
@@ -103,18 +106,20 @@ def _motion(layout: Layout) -> list[Feature]:
     def odometry(v: View) -> Number:
         return where(v.epoch.visible[-1] > 0.5, v.epoch.z[-2], _speed(v))
 
-    measured = "of the coming epoch; predicted speed where missing"
+    averaged = "moving average of the Doppler spread, divided by f_c / c"
+    measured = "speed measured by odometry in the coming epoch; predicted speed if missing"
+    spreads = "Doppler spread of the coming epoch, divided by f_c / c"
     table = [
         Feature("predicted speed", "norm of the predicted velocity", "m/s", 0, 50, _speed),
-        Feature("Doppler spread", "of the coming epoch, over f_c / c", "m/s", 0, 50, spread),
-        Feature("Doppler spread average", "the same, averaged", "m/s", 0, 50, spread_average),
+        Feature("Doppler spread", spreads, "m/s", 0, 50, spread),
+        Feature("Doppler spread average", averaged, "m/s", 0, 50, spread_average),
         Feature("odometry speed", measured, "m/s", 0, 50, odometry),
     ]
     return table if layout.odometry else table[:-1]
 
 
 def _named_groups(layout: Layout) -> list[tuple[int, str, str]]:
-    """Return number, name and kind of every group of measurements."""
+    """Return number, name and kind of every group of measurements (links, Doppler, odometry)."""
     return [
         (g, name, "link" if g < layout.anchors else name)
         for g, name in enumerate(layout.group_names)
@@ -131,13 +136,14 @@ def _last_epoch(layout: Layout) -> list[Feature]:
         *(Feature(f"NIS {name}", "ln(1 + NIS) of the last epoch", "", 0, 10,
                   lambda v, g=g: log(1.0 + v.memory.nis[g]), f"NIS {kind}")
           for g, name, kind in groups),
-        *(Feature(f"verdict {name}", "last epoch: 1 accepted, -1 gated, 0 missing", "", -1, 1,
+        *(Feature(f"verdict {name}", "in the last epoch: 1 accepted, -1 rejected by the gate, "
+                  "0 missing", "", -1, 1,
                   lambda v, g=g: v.memory.accepted[g] - v.memory.rejected[g], f"verdict {kind}")
           for g, name, kind in groups),
-        Feature("position variance", "ln of the trace of P, horizontal position", "ln m^2", -20, 20,
-                lambda v: _log_trace(v, 0)),
-        Feature("velocity variance", "ln of the trace of P, horizontal velocity", "ln (m/s)^2", -20,
-                20, lambda v: _log_trace(v, 3)),
+        Feature("position variance", "ln of the trace of P for the horizontal position", "ln m^2",
+                -20, 20, lambda v: _log_trace(v, 0)),
+        Feature("velocity variance", "ln of the trace of P for the horizontal velocity",
+                "ln (m/s)^2", -20, 20, lambda v: _log_trace(v, 3)),
     ]  # fmt: skip
 
 
@@ -148,27 +154,28 @@ def _distance(view: View, anchor: int) -> Number:
 
 
 def _links(layout: Layout, distances: bool) -> list[Feature]:
-    """Return features of the coming epoch's links: with distances, or with the number of links."""
+    """Return features of the coming epoch's links, with either distances or the number of links."""
     table = []
     for a in range(layout.anchors):
         table += [
             Feature(f"SNR anchor {a + 1}",
-                    f"of the coming epoch; {MISSING_SNR_DB:g} dB where missing", "dB", -20, 80,
+                    f"SNR in the coming epoch; {MISSING_SNR_DB:g} dB if missing", "dB", -20, 80,
                     lambda v, a=a: where(
                         v.epoch.visible[a] > 0.5, v.epoch.snr_db[a], MISSING_SNR_DB), "SNR"),
-            Feature(f"SNR drop anchor {a + 1}", "its slow mean minus SNR; 0 where missing",
+            Feature(f"SNR drop anchor {a + 1}", "slow mean of the SNR minus SNR; 0 if missing",
                     "dB", -20, 40, lambda v, a=a: where(
                         v.epoch.visible[a] > 0.5, v.memory.snr_mean_db[a] - v.epoch.snr_db[a], 0.0),
                     "SNR drop"),
-            Feature(f"distance anchor {a + 1}", "of the predicted position", "m", 0, 1000,
-                    lambda v, a=a: _distance(v, a), "distance"),
+            Feature(f"distance anchor {a + 1}", "distance of the predicted position to the anchor",
+                    "m", 0, 1000, lambda v, a=a: _distance(v, a), "distance"),
         ][: 3 if distances else 2]  # fmt: skip
     each = [1.0] * layout.anchors
 
     def visible(v: View) -> Number:
         return dot(each, v.epoch.visible[: layout.anchors])
 
-    links = Feature("visible links", "of the coming epoch", "links", 0, layout.anchors, visible)
+    meaning = "number of visible links in the coming epoch"
+    links = Feature("visible links", meaning, "links", 0, layout.anchors, visible)
     return table if distances else [*table, links]
 
 
@@ -176,7 +183,7 @@ def _previous(pipeline: Pipeline) -> list[Feature]:
     def ran(m: int, v: View) -> Number:
         return where(abs(v.memory.mode - float(m)) < 0.5, 1.0, 0.0)
 
-    kind, meaning = "previous mode", "1 if it ran in the last epoch"
+    kind, meaning = "previous mode", "1 if this mode ran in the last epoch, else 0"
     return [
         Feature(f"{kind} {mode.name}", meaning, "", 0, 1, partial(ran, m), kind)
         for m, mode in enumerate(pipeline.modes)
@@ -186,37 +193,35 @@ def _previous(pipeline: Pipeline) -> list[Feature]:
 def _track() -> list[Feature]:
     """Return the features of the track's memory."""
     return [
-        *(Feature(f"NIS {pace} average", "of NIS / dof of what was accepted", "", 0, 10,
+        *(Feature(f"NIS {pace} average", "average NIS / dof of accepted groups", "", 0, 10,
                   lambda v, i=i: v.memory.nis_average[i])
           for i, pace in enumerate(("fast", "slow"))),
         *(Feature(f"correction {way}", f"average position correction {way} the velocity", "m", -10,
                   10, lambda v, i=i: v.memory.correction[i])
           for i, way in enumerate(("along", "across"))),
         Feature("gamma", "adaptive scale of Q and R", "", 0.5, 2, lambda v: v.memory.gamma),
-        Feature("lock-out", "epochs in a row with no visible link within its gate", "epochs", 0, 10,
-                lambda v: v.memory.lockout),
-        Feature("time since fix", "since a link was last accepted", "s", 0, 50,
+        Feature("lock-out", "successive epochs in which all visible links failed their gates",
+                "epochs", 0, 10, lambda v: v.memory.lockout),
+        Feature("time since fix", "time since a link was last accepted", "s", 0, 50,
                 lambda v: v.memory.unfixed_s),
     ]  # fmt: skip
 
 
 def _log_odds(p: Number) -> Number:
-    """Compute ln(p / (1 - p)) of a probability, which may be 0 or 1."""
+    """Compute the log-odds ln(p / (1 - p)) of a probability, which may be 0 or 1."""
     return log(maximum(p, _LEAST) / maximum(1.0 - p, _LEAST))
 
 
 def _mixture(pipeline: Pipeline) -> list[Feature]:
     return [
-        *(Feature(f"Doppler spread {pace} average", "over f_c / c", "m/s", 0, 16,
+        *(Feature(f"Doppler spread {pace} average", "average divided by f_c / c", "m/s", 0, 16,
                   lambda v, i=i: v.mixture.spread_averages_hz[i] / v.site.hz_per_mps)
           for i, pace in enumerate(("fast", "slow", "slowest"))),
-        *(Feature(f"predicted log-odds {mode.name}", "of the mode, before the coming measurement",
+        *(Feature(f"predicted log-odds {mode.name}",
+                  "log-odds of the mode before the coming measurement",
                   "", -16, 16, lambda v, m=m: _log_odds(v.mixture.predicted[m]),
                   "predicted log-odds") for m, mode in enumerate(pipeline.modes)),
     ]  # fmt: skip
-
-
-# --- the coming epoch
 
 
 def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
@@ -226,7 +231,7 @@ def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
     observation of the kind "prior" does not contain them.
 
     Args:
-        pipeline, per_mode: as :func:`context` takes them.
+        pipeline, per_mode: arguments of :func:`context`.
     """
     layout, modes = pipeline.layout, pipeline.modes
     table = _innovation(pipeline)
@@ -239,7 +244,7 @@ def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
 
 
 def _doppler_innovation(view: View, layout: Layout) -> Number:
-    """Compute the measured minus the predicted radial velocity, m/s; 0 where missing."""
+    """Compute the measured minus the predicted radial velocity, m/s; 0 if it was not measured."""
     x, base = move(view.x, view.epoch.dt), doppler_anchor(view.site.anchors, view.epoch.doppler_of)
     step = [x[i] - base[i] for i in range(3)]
     measured = (view.epoch.z[layout.doppler] - x[6]) / view.site.hz_per_mps
@@ -250,9 +255,9 @@ def _doppler_innovation(view: View, layout: Layout) -> Number:
 def _innovation(pipeline: Pipeline) -> list[Feature]:
     layout, last = pipeline.layout, pipeline.modes[-1].name
     return [
-        Feature("coming Doppler innovation", "of the radial velocity; 0 where missing", "m/s", -10,
-                10, lambda v: _doppler_innovation(v, layout)),
-        *(Feature(f"coming NIS {name} {last}", "ln(1 + NIS) of the group", "", 0, 10,
+        Feature("coming Doppler innovation", "innovation of the radial velocity; 0 if missing",
+                "m/s", -10, 10, lambda v: _doppler_innovation(v, layout)),
+        *(Feature(f"coming NIS {name} {last}", "ln(1 + NIS) in the coming epoch", "", 0, 10,
                   lambda v, g=g: log(1.0 + v.candidates[-1].nis[g]), f"coming NIS {kind}")
           for g, name, kind in _named_groups(layout)),
     ]  # fmt: skip
@@ -266,7 +271,7 @@ def _mean_nis(layout: Layout, candidate: ModeResult, epoch: Epoch) -> Number:
 
 
 def _correction(view: View, mode: int, first: int, across: bool) -> Number:
-    """Compute two components of candidate minus prediction, along the velocity or to its left."""
+    """Compute a mode's correction of position or velocity, along the velocity or to its left."""
     predicted, candidate = move(view.x, view.epoch.dt), view.candidates[mode]
     step = [candidate.x[i] - predicted[i] for i in (first, first + 1)]
     v = predicted[3:5]
@@ -280,10 +285,11 @@ def _candidate(layout: Layout, m: int, name: str) -> list[Feature]:
     return [
         Feature(f"coming NIS {name}", "ln(1 + NIS / dof) over the visible groups", "", 0, 10,
                 lambda v: log(1.0 + _mean_nis(layout, v.candidates[m], v.epoch)), "coming NIS"),
-        Feature(f"coming rejected {name}", "links it would reject", "links", 0, layout.anchors,
+        Feature(f"coming rejected {name}", "number of links that the mode would reject", "links",
+                0, layout.anchors,
                 lambda v: dot(links, v.epoch.visible) - dot(links, v.candidates[m].accepted),
                 "coming rejected"),
-        Feature(f"coming variance {name}", "ln of the trace of its P, horizontal position",
+        Feature(f"coming variance {name}", "ln of the trace of its P for the horizontal position",
                 "ln m^2", -20, 20,
                 lambda v: log(v.candidates[m].P[0] + v.candidates[m].P[2] + 1e-12),
                 "coming variance"),
@@ -301,11 +307,11 @@ def _against(layout: Layout, m: int, name: str, last: str) -> list[Feature]:
         return capped_log_likelihood(view.candidates[mode], degrees)
 
     return [
-        Feature(f"coming log-likelihood {name}", f"minus that of {last}; NIS counts up to 99.9 %",
-                "nats", -30, 30, lambda v: likelihood(v, m) - likelihood(v, -1),
-                "coming log-likelihood"),
+        Feature(f"coming log-likelihood {name}", "log-likelihood minus the log-likelihood of "
+                f"{last}; each NIS is limited to its 99.9 % quantile", "nats", -30, 30,
+                lambda v: likelihood(v, m) - likelihood(v, -1), "coming log-likelihood"),
         *(Feature(f"preference {pace} {name}",
-                  f"{pace} average of its log-likelihood minus that of {last}", "nats", -30, 30,
+                  f"{pace} average of coming log-likelihood {name}", "nats", -30, 30,
                   lambda v, i=i: v.memory.preference[i][m], f"preference {pace}")
           for i, pace in enumerate(("fast", "slow"))),
     ]  # fmt: skip
@@ -314,12 +320,12 @@ def _against(layout: Layout, m: int, name: str, last: str) -> list[Feature]:
 def _posterior(m: int, name: str) -> list[Feature]:
     """Return features of a mode after the coming measurement: its probability and its velocity."""
     return [
-        Feature(f"coming log-odds {name}", "of the mode, after the coming measurement", "", -16, 16,
-                lambda v: _log_odds(v.mixture.posterior[m]), "coming log-odds"),
-        Feature(f"coming speed {name}", "ln of the horizontal speed + 0.05 m/s", "ln m/s", -4, 4,
-                lambda v: _log_speed(v, m), "coming speed"),
-        Feature(f"coming velocity variance {name}", "ln of the trace of its P, horizontal velocity",
-                "ln (m/s)^2", -20, 20,
+        Feature(f"coming log-odds {name}", "log-odds of the mode after the coming measurement", "",
+                -16, 16, lambda v: _log_odds(v.mixture.posterior[m]), "coming log-odds"),
+        Feature(f"coming speed {name}", "ln(horizontal speed of the mode + 0.05 m/s)", "ln m/s",
+                -4, 4, lambda v: _log_speed(v, m), "coming speed"),
+        Feature(f"coming velocity variance {name}",
+                "ln of the trace of its P for the horizontal velocity", "ln (m/s)^2", -20, 20,
                 lambda v: log(v.candidates[m].P[9] + v.candidates[m].P[14] + 1e-12),
                 "coming velocity variance"),
     ]  # fmt: skip

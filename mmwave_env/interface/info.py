@@ -1,4 +1,4 @@
-"""Infos of environments: of a step, for one or many environments, and of a whole episode."""
+"""Infos of a step, for one or many environments, and of a complete episode."""
 
 import warnings
 from collections.abc import Callable, Iterable
@@ -18,14 +18,14 @@ STEP_KEYS = (
 )
 PROBABILITIES = "mode_probabilities"  # only with a belief per mode
 FLAGS = ("accepted", "rejected")
-NAMED = ("episode_name", "episode_key")  # in the info of a reset: names of an episode
+NAMED = ("episode_name", "episode_key")  # in the info of a reset: they identify an episode
 SMOOTHED_KEY = "smoothed_ate_m"
-NONFINITE_KEY = "nonfinite_beliefs"  # in the info of the last step if there were any
+NONFINITE_KEY = "nonfinite_beliefs"  # in the info of the last step if there are any
 LAST_KEYS = (*INFO_KEYS.values(), SMOOTHED_KEY)  # in the info of the last step
 INFOS = {
-    "all": "what there is to tell",
-    "fixed": "the same numbers always",
-    "episode": "what there is to tell at ends of episodes",
+    "all": "everything that is known",
+    "fixed": "the same numbers at every reset and step",
+    "episode": "everything that is known, at the first and last step of episodes",
     "none": "nothing",
 }
 
@@ -49,7 +49,7 @@ def drawn_rows(at: Any, span: Callable[[Any], slice]) -> dict[str, slice]:
     """Return the rows of a workspace that a :class:`~mmwave_env.rendering.history.Recorder` reads.
 
     Args:
-        at: as :func:`info_rows` takes it.
+        at: workspace with row numbers as leaves, as for :func:`info_rows`.
         span: returns the rows of a part of the workspace.
     """
     rows = info_rows(at)
@@ -61,8 +61,8 @@ def drawn_rows(at: Any, span: Callable[[Any], slice]) -> dict[str, slice]:
 def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
     """Return infos (n, ...) of the environments in ``where`` (n,), as Gymnasium batches them.
 
-    The arrays are modified: elsewhere they become 0, or None. Every key has a mask ``_key``.
-    Without environments there are no keys. All masks are the same array.
+    The arrays are modified: for other environments they become 0 or None. Every key gets a mask
+    ``_key``; all masks are the same array. If ``where`` is False everywhere, there are no keys.
     """
     if not where.any():
         return {}
@@ -84,7 +84,7 @@ def step_info(column: Array, rows: dict[str, Any], mode: int) -> dict[str, Any]:
 
     Args:
         column: workspace (size,) after the step.
-        rows: places of the values in it, as :func:`info_rows` returns them: rows or slices.
+        rows: row or slice of each value in the workspace, from :func:`info_rows`.
         mode: number of the mode that ran.
     """
     info: dict[str, Any] = {}
@@ -99,14 +99,14 @@ def worded(
 ) -> dict[str, Any]:
     """Return an info in the form that ``infos`` selects.
 
-    Fixed infos always have the same keys, types and shapes: all numbers of any info, as numpy's
-    types; NaN, False or -1 stand for numbers that are not known.
+    "fixed" infos always have the same keys, types and shapes: all numbers that an info may contain,
+    in numpy's types; NaN, False or -1 stand for unknown numbers.
 
     Args:
         info: everything that is known.
-        infos: argument of the environment.
-        at_end: whether the info is that of an episode's first or last step.
-        groups: number of groups of the measurement: links, Doppler, odometry.
+        infos: the environment's argument of this name.
+        at_end: whether the info belongs to a reset or to the last step of an episode.
+        groups: number of groups of measurements: links, Doppler shift, odometry.
         beliefs: number of beliefs that the modes keep.
         terms: number of terms of the reward.
     """
@@ -125,15 +125,16 @@ def worded(
 
 
 def mask_keys(keys: Iterable[str]) -> list[str]:
-    """Return the names of the masks of infos."""
+    """Return the names of the masks that belong to some keys of infos."""
     return [f"_{key}" for key in keys]
 
 
 def warn_of_nonfinite(stacklevel: int = 3) -> None:
     """Warn that an episode ended with beliefs that were not finite; Python shows this once."""
     warnings.warn(
-        f"an episode ended whose belief was NaN or infinite; info[{NONFINITE_KEY!r}] tells after "
-        "how many epochs, its metrics are NaN (docs/reliability.md)",
+        "an episode ended in which the belief was NaN or infinite, so its metrics are NaN; "
+        f"info[{NONFINITE_KEY!r}] is the number of epochs after which it was "
+        "(docs/reliability.md)",
         RuntimeWarning,
         stacklevel,
     )

@@ -1,8 +1,8 @@
-"""Observation: one table of features from which space, documentation and values are made.
+"""Observation: one table of features that defines the space, the documentation and the values.
 
-Every feature is standardized by the mean and the deviation of its kind. They are constants of the
+Every feature is standardized by the mean and the deviation of its kind, which are constants of the
 package, so that an observation has the same meaning everywhere and networks need no normalization.
-Rare values may be far from the mean: they are limited to ten deviations.
+Rare values far from the mean are limited to ten deviations.
 """
 
 import inspect
@@ -25,13 +25,15 @@ from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.numerics.numbers import Number, clip
 
-LIMIT = 10.0  # most deviations of a feature from its mean
+LIMIT = 10.0  # maximum deviations of a feature from its mean
 
-OBSERVATIONS = {"full": "everything", "prior": "nothing of how each mode sees the coming epoch"}
-
-BELIEFS = {
-    "shared": "one belief, which the mode chosen updates",
-    "per-mode": "one belief a mode; they interact, and the agent says which to trust",
+OBSERVATIONS = {
+    "full": "all features",
+    "prior": "all features except how well each mode explains the coming epoch",
+}
+BELIEFS = {  # a belief is a mean and a covariance
+    "shared": "one belief, which the chosen mode updates",
+    "per-mode": "one belief per mode; they interact, and the agent chooses which mode to trust",
 }
 
 
@@ -52,14 +54,14 @@ class Scale(NamedTuple):
 def feature_scales() -> dict[str, Scale]:
     """Read mean and deviation of every kind of feature from data/feature_scales.json."""
     # Measured 2026-11-23 (code at commit 476d657): 24 episodes with random actions in each
-    # combination of a scene, a radio, both kinds of beliefs and four sets of modes (two, two with
-    # odometry, eight, the radio's bank); each number is the median over these, not clipped.
+    # combination of scene, radio, kind of beliefs and one of four sets of modes (two, two with
+    # odometry, eight, the radio's bank); each number is the median over combinations, not clipped.
     text = files("mmwave_env").joinpath("data/feature_scales.json").read_text(encoding="utf-8")
     return {kind: Scale(**scale) for kind, scale in json.loads(text)["kinds"].items()}
 
 
 class Column(NamedTuple):
-    """A column of observations, which hold (value - mean) / deviation.
+    """A column of observations; it contains (value - mean) / deviation.
 
     Policy files list the columns that their policy reads.
     """
@@ -103,17 +105,17 @@ class Observation:
 
     @property
     def made_with(self) -> str:
-        """Return the arguments of the environment that make this table, for messages."""
+        """Return the environment's arguments that lead to this table, for messages."""
         modes = ", ".join(mode.name for mode in self.modes)
         return f"observation={self.kind!r}, beliefs={self.beliefs!r} and the modes {modes}"
 
     @property
     def space(self) -> spaces.Box:
-        """Return the Box of one observation, float32."""
+        """Return the space of one observation, float32."""
         return spaces.Box(*np.array(self._bounds(), np.float32).T, dtype=np.float32)
 
     def _bounds(self) -> list[tuple[Number, Number]]:
-        """Return the limits of every feature as it is shown."""
+        """Return the limits of every standardized feature."""
         return [(_shown(f.low, f, s), _shown(f.high, f, s)) for f, s in self._rows]
 
     @property
@@ -122,24 +124,24 @@ class Observation:
         return tuple(Column(f.name, f.unit, *map(float, scale)) for f, scale in self._rows)
 
     def values(self, view: View) -> list[Number]:
-        """Return the observation as numbers."""
+        """Return the standardized values of all features."""
         return [_shown(f.value(view), f, scale) for f, scale in self._rows]
 
     def read(self, observation: NDArray[np.float32], name: str) -> NDArray[np.float64]:
         """Return a feature in its own unit, from observations (..., features).
 
-        The value is as exact as single precision allows; zeros and counts are exact. A value
-        beyond a limit reads as the limit.
+        The value is as exact as single precision allows; zeros and counts are exact. For a value
+        beyond a limit, the limit is returned.
 
         Raises:
-            KeyError: there is no feature of that name; the message lists the names.
+            KeyError: no feature has that name; the message lists the names.
         """
         if name not in self._index:
             raise KeyError(f"feature {name!r}: expected one of {', '.join(self._index)}")
         i = self._index[name]
         shown, (mean, deviation) = observation[..., i].astype(np.float32), self.scales[i]
         value = shown.astype(np.float64) * deviation + mean
-        # Round to a power of two that is no finer than the resolution of single precision here.
+        # Round to a multiple of a power of two that single precision can resolve at this value.
         step = np.exp2(np.ceil(np.log2(np.spacing(np.abs(shown)).astype(np.float64) * deviation)))
         return np.asarray(np.rint(value / step) * step)
 
@@ -163,7 +165,7 @@ def _shown(value: Number, feature: Feature, scale: Scale) -> Number:
 
 
 def with_tables(docstring: str) -> str:
-    """Replace ``{modes}`` in a docstring by the default modes, ``{table}`` by their features."""
+    """Fill in ``{modes}`` and ``{table}`` in a docstring: tables of default modes and features."""
     observed = Observation(Pipeline(default_modes(), Layout())).table()
     lines = ["| action | mode | algorithm | horizontal velocity noise, m/s |", "|---|---|---|---|"]
     for action, (kind, algorithm) in enumerate(

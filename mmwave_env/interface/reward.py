@@ -1,10 +1,10 @@
-"""Rewards: functions of a belief and the truth, written on numbers.
+"""Rewards: functions of a belief (mean and covariance) and the truth.
 
 A reward is called as ``reward(belief, truth)`` with a
-:class:`~mmwave_env.filters.belief.Belief` and the true (6,) position and velocity, and returns
-its terms by name, whose sum is paid, or one number. Pass your own reward to ``MmWaveLoc-v0`` as
-``reward=``; it follows the rules of :mod:`mmwave_env.numerics.numbers`, so it runs on SIMD lanes
-like all other code. Any reward can be paired (:class:`PairedReward`).
+:class:`~mmwave_env.filters.belief.Belief` and the true (6,) position and velocity. It returns
+one number, or a dict of named terms, whose sum is the reward. Pass your own reward to
+``MmWaveLoc-v0`` as ``reward=``. It must follow the rules of :mod:`mmwave_env.numerics.numbers`,
+because it is compiled for SIMD lanes. Any reward can be paired (:class:`PairedReward`).
 """
 
 from collections.abc import Callable
@@ -31,8 +31,8 @@ _SMALLEST_NEES = 1e-12
 class TrackingReward:
     """-(error_weight min(error, error_limit_m) + nees_weight min(|ln(NEES / d)|, nees_limit)).
 
-    Penalizes distance from the truth and inconsistency either way; NEES is taken per epoch,
-    so inflating the covariance does not pay. d is the number of estimated position axes.
+    It penalizes the distance from the truth and a NEES that is too large or too small. The NEES is
+    that of each epoch, so inflating P does not pay. d is the number of estimated position axes.
     """
 
     error_weight: float = 1.0
@@ -68,7 +68,7 @@ class TrackingReward:
 
 @dataclass(frozen=True)
 class LogScore:
-    """Log density of the true position, a proper score in nats, no lower than ``worst``."""
+    """The log density of the true position (a proper score, in nats), at least ``worst``."""
 
     worst: float = -30.0
 
@@ -79,12 +79,12 @@ class LogScore:
 
 @dataclass(frozen=True)
 class PairedReward:
-    """A reward minus what an IMM earns by it, in the same epoch of the same episode.
+    """The agent's reward minus that of an IMM, in the same epoch of the same episode.
 
-    The IMM mixes the two default modes of the radio, whatever the agent chooses from. An action
-    changes nothing of what it earns, so the best policy stays the same; that an episode is hard
-    cancels out, so the variance falls. Where an episode ends early because of divergence, what
-    the IMM earns in the epochs left is subtracted, too.
+    With a shared belief the IMM mixes the two default modes of the radio, and otherwise the modes
+    of the agent's bank. Actions do not change what the IMM earns, so the best policy stays the
+    same; the difficulty of an episode cancels out, so the variance is smaller. If an episode ends
+    early because of divergence, what the IMM earns in the remaining epochs is also subtracted.
 
     Attributes:
         reward: function of (belief, truth).
@@ -101,13 +101,13 @@ REWARDS: dict[str, Reward | PairedReward] = {
 
 
 def terms_of(reward: Reward, belief: Belief, truth: Vector) -> Terms:
-    """Return the terms of a reward by name; a reward of one number has the term "reward"."""
+    """Return the terms of a reward by name; a single number is a term named "reward"."""
     paid = reward(belief, truth)
     return paid if isinstance(paid, dict) else {"reward": paid}
 
 
 def total(terms: Terms) -> Number:
-    """Return the sum of terms, which is the reward."""
+    """Return the reward, which is the sum of its terms."""
     return cast(Number, reduce(add, terms.values()))
 
 
@@ -118,11 +118,11 @@ def term_names(reward: Reward) -> tuple[str, ...]:
 
 
 def reward_from(reward: str | Reward | PairedReward) -> Reward | PairedReward:
-    """Return the reward for ``reward=``: a name, a function of (belief, truth), or paired.
+    """Return the reward for ``reward=``: a name, a function of (belief, truth) or a paired reward.
 
     Raises:
-        ValueError: the name is unknown, or the function is not hashable, cannot run on lanes or
-            returns no number.
+        ValueError: the name is unknown, or the function is not hashable, cannot run on SIMD lanes
+            or does not return numbers.
     """
     function = reward.reward if isinstance(reward, PairedReward) else reward
     if isinstance(reward, str) or not callable(function):
@@ -138,9 +138,9 @@ def reward_from(reward: str | Reward | PairedReward) -> Reward | PairedReward:
 
 
 def reward_name(reward: Reward) -> str:
-    """Return the name of a reward in :data:`REWARDS`, or else the name of the function or class.
+    """Return the name of a reward in :data:`REWARDS`, or otherwise that of its function or class.
 
-    A known reward with other weights has the name of its class.
+    A known reward with other weights is named after its class.
     """
     for name, known in REWARDS.items():
         if reward == known:
@@ -149,14 +149,14 @@ def reward_name(reward: Reward) -> str:
 
 
 def _trial() -> tuple[Belief, Vector]:
-    """Return a belief and a truth of numbers that hide their value, as the compiler's do."""
+    """Return a belief and a truth whose numbers hide their values, as numbers on lanes do."""
     P = [[FloatTracer(4.0 if i == j else 0.5) for j in range(7)] for i in range(7)]
     belief = Belief([FloatTracer(float(i)) for i in range(7)], P)
     return belief, [FloatTracer(0.5 * i) for i in range(6)]
 
 
 def _check(reward: Reward) -> None:
-    """Try a function on numbers that hide their value."""
+    """Try a reward on numbers that hide their values; refuse it if that fails."""
     try:
         terms = terms_of(reward, *_trial())
     except NoValueError as refusal:
@@ -165,13 +165,13 @@ def _check(reward: Reward) -> None:
         advice = f"{type(error).__name__}: {error}"
         raise _refused(reward, "failed on trial", error, advice) from error
     if not terms or not all(isinstance(name, str) for name in terms):
-        raise _refused(reward, f"returned the terms {list(terms)}, expected one name or more")
+        raise _refused(reward, f"returned terms named {list(terms)}, expected one or more strings")
     for value in terms.values():
         if isinstance(value, bool | TracerCondition):
             raise _refused(reward, "returned a condition, expected where(condition, 1.0, 0.0)")
         if not isinstance(value, float | int | Tracer):
             kind = "None" if value is None else type(value).__name__
-            raise _refused(reward, f"returned {kind}, expected a number, or numbers by name")
+            raise _refused(reward, f"returned {kind}, expected a number or a dict of numbers")
 
 
 def _refused(
@@ -179,5 +179,5 @@ def _refused(
 ) -> ValueError:
     name = getattr(reward, "__name__", type(reward).__name__)
     line = (error and line_of(error, reward)) or begin_of(reward)
-    # Gymnasium appends the arguments of the environment to a message: start a new line for them.
+    # Gymnasium appends the environment's arguments to the message, so end it with a new line.
     return ValueError("\n".join([f"reward {name} {problem}", str(line), *advice, ""]))

@@ -1,4 +1,4 @@
-"""Canvas: shapes and words on a pygame surface."""
+"""Canvas for drawing shapes and words on a pygame surface."""
 
 import math
 import os
@@ -11,21 +11,21 @@ from numpy.typing import NDArray
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.theme import Color
 
-os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # the prompt would go to standard output
+os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # pygame would print its greeting
 import pygame
 
 Point = tuple[float, float]
 Rect = pygame.FRect  # a part of a picture, px from its upper left corner
 _TIMES = 2  # factor of supersampling, for smooth edges
-_FAR = 1e4  # px; points farther out are moved here
+_FAR = 1e4  # px; larger coordinates are reduced to this
 
 
 class Canvas:
-    """A picture that is being drawn: shapes first, then words.
+    """A picture that is being drawn; words appear above all shapes.
 
     Args:
         width, height: size in px.
-        unit: px of a line that is 1 px wide in the smallest picture; fonts and lines scale with it.
+        unit: px per unit of line widths and font sizes; 1 in the smallest picture.
     """
 
     def __init__(self, width: int, height: int, unit: float) -> None:
@@ -36,11 +36,11 @@ class Canvas:
         self._words: list[tuple[Any, Point]] = []
 
     def clip(self, part: Rect | None) -> None:
-        """Draw shapes in a part of the picture only; None for the whole picture."""
+        """Draw the following shapes only inside a part of the picture; None for all of it."""
         self._large.set_clip(None if part is None else _scaled(part))
 
     def fill(self, color: Color, part: Rect | None = None) -> None:
-        """Fill a part of the picture, or the whole picture."""
+        """Fill a part of the picture, or all of it."""
         self._large.fill(color, None if part is None else _scaled(part))
 
     def polygon(self, points: Array, color: Color, opacity: float = 1.0) -> None:
@@ -56,7 +56,7 @@ class Canvas:
         self._large.blit(glass, box)
 
     def line(self, points: Array, color: Color, width: float = 1.0, closed: bool = False) -> None:
-        """Draw a line through points (n, 2), at least two."""
+        """Draw a line through at least two points (n, 2)."""
         pygame.draw.lines(self._large, color, closed, _large(points), self._width(width))
 
     def dashes(self, start: Point, end: Point, color: Color, width: float = 1.0) -> None:
@@ -68,7 +68,7 @@ class Canvas:
             self.line(start + np.outer(shares, way), color, width)
 
     def disc(self, center: Point, radius: float, color: Color) -> None:
-        """Draw a filled circle, its radius in units."""
+        """Draw a filled circle, with the radius in units."""
         (middle,) = _large(np.array([center])).tolist()
         pygame.draw.circle(self._large, color, middle, radius * self.unit * _TIMES)
 
@@ -78,11 +78,11 @@ class Canvas:
         """Write a line centered vertically at a point; return the part of the picture it covers.
 
         Args:
-            text: passed through :func:`~mmwave_env.io.lookup.printable` if it is not our own.
+            text: the line; text from users must be made :func:`~mmwave_env.io.lookup.printable`.
             at: left end of the line, or its right end with ``align`` 1, or its middle with 0.5.
             color: color of the letters.
             size: size of the font in units.
-            align: share of the width that lies left of the point.
+            align: share of the line's width that is left of the point.
         """
         drawn = _font(round(size * self.unit)).render(text, True, color)
         width, height = drawn.get_size()
@@ -95,7 +95,7 @@ class Canvas:
         return float(_font(round(size * self.unit)).size(text)[0])
 
     def fitting(self, text: str, width: float, size: float = 15.0) -> str:
-        """Return the words, cut to a width in px if they are wider."""
+        """Return the text, shortened to a width in px if it is wider."""
         if self.width_of(text, size) <= width:
             return text
         cut = (f"{text[:kept]}..." for kept in range(len(text), -1, -1))
@@ -122,7 +122,7 @@ def _font(size: int) -> Any:
 
 def _large(points: Array) -> Array:
     """Return points (n, 2) in the coordinates of the large surface."""
-    # not np.clip: these take the number where the other is NaN
+    # np.clip would keep NaN; these functions replace NaN with a limit
     return np.fmax(np.fmin(points, _FAR), -_FAR) * _TIMES  # type: ignore[no-any-return]
 
 
@@ -132,7 +132,7 @@ def _scaled(part: Rect) -> tuple[int, int, int, int]:
 
 
 def ellipse(center: Array, P: Array, deviations: float) -> Array:
-    """Return the outline (n, 2) of a covariance (2, 2) at so many standard deviations."""
+    """Return the outline (n, 2) of a covariance (2, 2) at this number of standard deviations."""
     angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
     variances, axes = np.linalg.eigh(P)
     lengths = np.sqrt(np.maximum(variances, 0.0))

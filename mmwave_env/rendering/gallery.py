@@ -1,4 +1,4 @@
-"""Pictures of the first environments of many, for Gymnasium's vector wrappers."""
+"""Pictures of the first few of many environments, for Gymnasium's vector wrappers."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -10,16 +10,16 @@ from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.rendering.history import Recorder
 
-DRAWN = 16  # more pictures would be too small to read, and need too much memory
+DRAWN = 16  # more pictures would be too small to read, and would need too much memory
 
 
 class Gallery:
-    """Recorder and painter of the first of N environments, at most :data:`DRAWN`.
+    """Recorder and painter of the first :data:`DRAWN` of N environments, or of all if N is less.
 
     Args:
         n: number of environments N.
-        rows, axes: as :class:`Recorder` takes them.
-        modes, size, theme: as :class:`~mmwave_env.rendering.picture.Picture` takes them.
+        rows, axes: arguments of :class:`Recorder`.
+        modes, size, theme: arguments of :class:`~mmwave_env.rendering.picture.Picture`.
 
     Attributes:
         recorders: recorders of the environments that are drawn.
@@ -67,7 +67,7 @@ class Gallery:
             self.recorders[index].add(workspace(index), int(actions[index]))
 
     def draw(self) -> tuple[NDArray[np.uint8], ...]:
-        """Draw a picture of each of the N environments; the undrawn share an empty picture."""
+        """Draw a picture of each of the N environments; those not recorded share a black one."""
         if self._picture is None:
             from mmwave_env.rendering.picture import Picture
 

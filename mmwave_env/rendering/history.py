@@ -12,8 +12,8 @@ from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array, Index
 
 NO_MODE = -1  # for the prior, which no mode computed
-GATE = 0.99  # chi-square quantile for NIS in pictures: that of the gates of most modes
-POSITION_NUMBERS = 6  # numbers of a packed covariance that belong to the position; they come first
+GATE = 0.99  # chi-square quantile for the NIS in pictures; most modes have gates at this quantile
+POSITION_NUMBERS = 6  # the first numbers of a packed covariance belong to the position
 
 
 class Scenery(NamedTuple):
@@ -21,12 +21,12 @@ class Scenery(NamedTuple):
 
     name: str  # name of the episode
     anchors_m: Array  # (L, 3) positions, the base station first
-    streets: Streets | None  # streets of the map; None where unknown
+    streets: Streets | None  # streets of the map; None if unknown
 
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """The prior and the k epochs after it, in rows: the first row is the prior's."""
+    """The prior and the k epochs after it, as rows of arrays; the first row is the prior."""
 
     scenery: Scenery  # data that stay the same through the episode
     axes: int  # position axes that NEES covers
@@ -52,7 +52,7 @@ class History:
 
     @cached_property
     def error_95_m(self) -> Array:
-        """Return the radius (k + 1,) below which the belief expects 95 % of the errors.
+        """Return the radius (k + 1,) within which 95 % of the errors are expected, given P.
 
         The squared error of a Gaussian belief is a weighted sum of chi-squares, approximated by a
         scaled chi-square with the same mean and variance (Satterthwaite).
@@ -68,7 +68,7 @@ class History:
             return np.sqrt(square / mean * chdtri(mean**2 / square, 0.05))  # type: ignore[no-any-return]
 
     def until(self, epochs: int) -> "History":
-        """Return the history as it was after so many epochs."""
+        """Return the history as it was after this number of epochs."""
         own = {field.name: getattr(self, field.name) for field in fields(self)}
         arrays = {key: of for key, of in own.items() if isinstance(of, np.ndarray)}
         rows: dict[str, Any] = {key: of[: epochs + 1] for key, of in arrays.items()}
@@ -76,10 +76,10 @@ class History:
 
 
 class Recorder:
-    """Recorder of the epochs of an environment as it steps.
+    """Recorder of an environment's epochs, from its workspace (all its numbers in one array).
 
     Args:
-        rows: places in the workspace of ``anchors``, ``dt`` of the next epoch, ``truth``,
+        rows: slices of the workspace that contain ``anchors``, ``dt`` of the next epoch, ``truth``,
             ``estimate``, ``P`` (packed), ``nees``, ``accepted`` and ``rejected``.
         axes: position axes that NEES covers.
     """
@@ -88,7 +88,7 @@ class Recorder:
         P = slice(rows["P"].start, rows["P"].start + POSITION_NUMBERS)
         self._rows, self._axes = {**rows, "P": P}, axes
         self._scenery = Scenery("", np.zeros((0, 3)), None)
-        self._epochs: dict[str, list[Any]] = {}  # an entry an epoch
+        self._epochs: dict[str, list[Any]] = {}  # lists with one entry per epoch
 
     def begin(self, name: str, streets: Streets | None, workspace: Array) -> None:
         """Start over with the prior in the workspace (size,)."""
@@ -96,7 +96,7 @@ class Recorder:
         self._scenery = Scenery(name, anchors_m, streets)
         self._epochs = {key: [] for key in (*self._rows, "time_s", "mode")}
         self._append(workspace, 0.0, NO_MODE)
-        self._epochs["nees"][0] = np.array([np.nan])  # the workspace has the last episode's
+        self._epochs["nees"][0] = np.array([np.nan])  # replaces that of the previous episode
 
     def add(self, workspace: Array, mode: int) -> None:
         """Record the epoch that a mode just processed."""

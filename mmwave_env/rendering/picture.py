@@ -18,11 +18,11 @@ from mmwave_env.rendering.history import History
 from mmwave_env.rendering.street_map import draw_by_mode, draw_map, follow, nice, runs
 from mmwave_env.rendering.theme import SMALLEST, THEMES, Theme
 
-_COLUMNS, _ROWS = 4, 3  # most columns and rows of the legend of modes
+_COLUMNS, _ROWS = 4, 3  # maximum numbers of columns and rows in the legend of modes
 
 
 def legend_rows(modes: int) -> int:
-    """Return the number of rows of a legend of so many modes, as far as it is shown."""
+    """Return the number of rows, at most ``_ROWS``, in a legend of this number of modes."""
     return min(_ROWS, -(-modes // _COLUMNS))
 
 
@@ -34,7 +34,7 @@ class Picture:
         size: height and width in px.
         theme: "light" or "dark".
         title: title above the picture; empty for none.
-        rows: least number of rows of the legend of modes.
+        rows: minimum number of rows in the legend of modes.
     """
 
     def __init__(
@@ -52,14 +52,14 @@ class Picture:
         self._title, self._rows = printable(title), max(rows, legend_rows(len(modes)))
 
     def draw(self, history: History, beside: Sequence[History] = ()) -> NDArray[np.uint8]:
-        """Draw the last epoch of a history and the trajectory so far: (size, size, 3).
+        """Draw the last epoch of a history and the trajectory so far; return (size, size, 3).
 
-        The picture depends on nothing else: the same history gives the same picture.
+        The picture depends only on the arguments: the same history gives the same picture.
 
         Args:
             history: history to draw.
-            beside: other histories of the same episode, drawn beside it: speeds and errors of all
-                have the same scale.
+            beside: other histories of the same episode, shown in pictures next to this one; the
+                scales of speed and error fit all of them.
         """
         canvas, theme, unit = self._canvas, self._theme, self._canvas.unit
         legend = unit * (15.0 * self._rows + 4.0)
@@ -100,7 +100,7 @@ class Picture:
         canvas.words(numbers, (self._size - pad, y), theme.ink, align=1.0)
 
     def _draw_key(self, history: History, y: float) -> None:
-        """Draw the key of symbols and lines of the map."""
+        """Draw the key that explains symbols and lines of the map."""
         canvas, theme, unit = self._canvas, self._theme, self._canvas.unit
         x = 12.0 * unit
         mode = theme.mode(int(history.modes[-1])) if history.epochs else theme.quiet
@@ -139,17 +139,17 @@ class Picture:
             canvas.words(words, (left + 19.0 * unit, y), theme.ink if now else theme.quiet, 14)
 
 
-_GAP_SHARE = 1 / 120  # share of a picture's width, so that two maps don't look like one
+_GAP_SHARE = 1 / 120  # gap between two maps, as a share of a picture's width
 
 
 class Playback:
-    """Pictures of the same epoch side by side.
+    """A painter of several histories of an episode, side by side at the same epoch.
 
     Args:
-        histories: histories of one episode, with equally many epochs.
+        histories: histories of one episode, all with the same number of epochs.
         modes: names of the actions for each history.
         titles: title above each picture.
-        size, theme: as :class:`~mmwave_env.rendering.picture.Picture` takes them.
+        size, theme: arguments of :class:`Picture`.
     """
 
     def __init__(
@@ -160,7 +160,7 @@ class Playback:
         size: int,
         theme: str,
     ) -> None:
-        rows = max(legend_rows(len(names)) for names in modes)  # strips at the same height
+        rows = max(legend_rows(len(names)) for names in modes)  # to align the strips of pictures
         pictures = [
             Picture(names, size, theme, title, rows)
             for names, title in zip(modes, titles, strict=True)
@@ -168,7 +168,7 @@ class Playback:
         self._parts = list(zip(histories, pictures, strict=True))
 
     def draw(self, epochs: int) -> NDArray[np.uint8]:
-        """Draw all histories after so many epochs; return (size, sum of sizes, 3)."""
+        """Draw all histories after this number of epochs; return (size, sum of widths, 3)."""
         known = [history.until(epochs) for history, _ in self._parts]
         drawn = [
             picture.draw(history, known)
@@ -179,30 +179,30 @@ class Playback:
         return np.concatenate(drawn, axis=1)
 
 
-_WINDOW = 120  # number of epochs shown
-_NEES = (0.03, 300.0)  # range shown; other values are at the edge
-_WORDS_SHARE = 0.235  # share of the width left of the strips
-_TICKS_SHARE = 0.06  # share of the width right of the strips
+_WINDOW = 120  # number of epochs that strips show
+_NEES = (0.03, 300.0)  # range of the NEES strip; other values are drawn at its edge
+_WORDS_SHARE = 0.235  # share of the picture's width that is left of the strips, for words
+_TICKS_SHARE = 0.06  # share of the picture's width that is right of the strips, for ticks
 _ROW = 13.0  # height of a line of words, in units
 
 
 @dataclass(frozen=True)
 class Strip:
-    """A quantity over n epochs, as it is drawn."""
+    """A diagram of a quantity over n epochs."""
 
     title: str  # title with the unit
-    curve: Array  # (n,) values of the estimate, in the colors of the modes
+    curve: Array  # (n,) values of the estimate, drawn in the colors of the modes
     values: tuple[float, float]  # values at the lower and upper edge of the strip
-    truth: Array | None = None  # (n,) true values; or None
-    # lower and upper edge, (n,) or numbers, and the label; or None
+    truth: Array | None = None  # (n,) true values, if known
+    # a band of expected values: its lower and upper edge, (n,) or numbers, and its label
     band: tuple[Array | float, Array | float, str] | None = None
-    # values labelled on a logarithmic scale; without ticks, the scale is linear
+    # labelled values of a logarithmic scale; without them the scale is linear
     ticks: tuple[float, ...] = ()
 
     def heights(self, values: Array | float) -> Array:
-        """Return the heights of values, from 0 at the lower edge to 1; others are clipped."""
+        """Return the heights of values, 0 at the lower edge to 1; values outside are clipped."""
         low, high = self.values
-        shown = np.fmax(np.fmin(values, high), low)  # NaN is drawn as the worst value
+        shown = np.fmax(np.fmin(values, high), low)  # NaN is drawn at the upper edge
         if self.ticks:
             low, high, shown = math.log(low), math.log(high), np.log(shown)
         return np.asarray((shown - low) / (high - low))
@@ -211,7 +211,7 @@ class Strip:
 def draw_strips(
     canvas: Canvas, place: Rect, history: History, theme: Theme, beside: Sequence[History] = ()
 ) -> None:
-    """Draw all strips in a part of the picture; the histories ``beside`` share their scales."""
+    """Draw all strips in a part of the picture, with scales that also fit ``beside``."""
     unit, rows = canvas.unit, slice(max(1, history.epochs - _WINDOW + 1), None)
     words, ticks = _WORDS_SHARE * place.width, _TICKS_SHARE * place.width
     ribbon = 12.0 * unit
@@ -233,7 +233,7 @@ def draw_strips(
 
 
 def _times(history: History, rows: slice) -> tuple[float, float]:
-    """Return the times at the left and right edge of a window that moves on when it is full."""
+    """Return the times at the left and right edge of the strips, at least ``_WINDOW`` epochs."""
     time_s = history.time_s[rows]
     step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
     first = float(time_s[0]) if len(time_s) else 0.0
@@ -242,9 +242,9 @@ def _times(history: History, rows: slice) -> tuple[float, float]:
 
 def _speed(history: History, rows: slice) -> Strip:
     states = history.truth[rows], history.estimate[rows]
-    with np.errstate(over="ignore"):  # a lost track may be of any size
+    with np.errstate(over="ignore"):  # the speed of a lost track may be arbitrarily large
         true, estimated = (np.linalg.norm(state[:, 3:6], axis=1) for state in states)
-    most = 2.0 * float(true.max(initial=1.0))  # an estimate far beyond is shown at the edge
+    most = 2.0 * float(true.max(initial=1.0))  # a larger estimate is drawn at the edge
     top = _top(np.maximum(true, np.fmin(estimated, most)))
     return Strip("speed, m/s", estimated, (0.0, top), true)
 
@@ -262,7 +262,7 @@ def _nees(history: History, rows: slice) -> Strip:
 
 
 def _top(values: Array) -> float:
-    """Return an upper edge above values (n,): a round value of at least 2."""
+    """Return a round number of at least 2 above values (n,), for the upper edge of a strip."""
     known = values[np.isfinite(values)]
     largest = max(2.0, 1.05 * float(known.max(initial=0.0)))
     below = nice(largest)
@@ -272,7 +272,7 @@ def _top(values: Array) -> float:
 def _draw_strip(
     canvas: Canvas, place: Rect, plot: Rect, strip: Strip, x: Array, modes: Index, theme: Theme
 ) -> None:
-    """Draw the frame, ticks, band and lines of a strip, and their key left of them."""
+    """Draw the frame, ticks, band and lines of a strip, and to the left the key of the lines."""
     unit = canvas.unit
 
     def y(values: Array | float) -> Array:
@@ -310,7 +310,7 @@ def _draw_strip(
 def _draw_ribbon(
     canvas: Canvas, place: Rect, lane: Rect, x: Array, modes: Index, theme: Theme
 ) -> None:
-    """Draw the mode that ran in each epoch, with its number where there is room."""
+    """Draw a ribbon in the color of the mode that ran in each epoch, with its number if it fits."""
     unit = canvas.unit
     canvas.words("mode", (place.left + 8.0 * unit, lane.centery), theme.ink, 15)
     canvas.fill(theme.ground, lane)
@@ -324,7 +324,7 @@ def _draw_ribbon(
         canvas.fill(color, part)
         if part.width > 12.0 * unit:
             light = np.dot(color, (0.299, 0.587, 0.114)) > 140.0
-            ink = (0, 0, 0) if light else (255, 255, 255)  # whichever contrasts more
+            ink = (0, 0, 0) if light else (255, 255, 255)  # the color that contrasts more
             canvas.words(str(modes[begin]), part.center, ink, 13, 0.5)
 
 

@@ -1,6 +1,6 @@
 """Map with streets, walls, anchors and links, and the trajectories of user and estimate.
 
-The visible part of the map follows user and estimate without jumps.
+The visible part of the map follows the user and the estimate without jumps.
 """
 
 import math
@@ -15,25 +15,25 @@ from mmwave_env.rendering.canvas import Canvas, Point, Rect, ellipse
 from mmwave_env.rendering.history import History
 from mmwave_env.rendering.theme import Color, Theme
 
-_MEMORY_S, _LAG_S = 20.0, 4.0  # length of the past that counts; time constant with which it fades
-_AHEAD_S = 4.0  # time of the user's travel that fits between the center and the edge
-_LEAST_M = 25.0  # least distance from the center to the upper edge
+_MEMORY_S, _LAG_S = 20.0, 4.0  # averages cover this time, with weights of this time constant
+_AHEAD_S = 4.0  # time in which the user would travel from the center to the edge
+_LEAST_M = 25.0  # minimum distance from the center to the upper edge
 _INNER = 0.5  # share of the picture's height and width in which user and estimate stay
 _STREET_M = 14.0  # width of streets in the picture, if blocks leave enough room
 _FACADE_M = 4.0  # depth of a wall in the picture
-_SAME_HEIGHT_M = 0.1  # the image in a vertical wall is as high as the base station
-_TRAIL = 1500  # most epochs of a trajectory that are drawn
+_SAME_HEIGHT_M = 0.1  # tolerance: the image in a vertical wall is as high as the base station
+_TRAIL = 1500  # maximum number of epochs of a trajectory that are drawn
 
 
 class View(NamedTuple):
-    """A part of the map in a part of the picture."""
+    """The visible part of the map, and the part of the picture in which it is drawn."""
 
-    center_m: Array  # (2,) position at the center
+    center_m: Array  # (2,) position on the map that is at the center
     scale: float  # px per meter
-    frame: Rect  # the part of the picture
+    frame: Rect  # part of the picture
 
     def pixels(self, points_m: Array) -> Array:
-        """Return the positions (n, 2) in the picture of points (n, 2 or more) of the map."""
+        """Convert points (n, 2 or more) of the map into positions (n, 2) in the picture, px."""
         offset = (points_m[:, :2] - self.center_m) * self.scale
         return self.frame.center + offset * (1.0, -1.0)
 
@@ -45,10 +45,10 @@ class View(NamedTuple):
 
 
 def follow(history: History, frame: Rect) -> View:
-    """Return the view of the last epoch: a function of the history, so that a copy shows the same.
+    """Return the view of the last epoch; it depends only on the history, so copies draw the same.
 
-    Center and scale are averages over the last seconds, so that they change smoothly, except where
-    this would lose the user or the estimate.
+    Center and scale are averages over the last seconds, so that they change smoothly, unless the
+    user or the estimate would leave the picture.
     """
     recent = history.time_s >= history.time_s[-1] - _MEMORY_S
     weights = np.exp((history.time_s[recent] - history.time_s[-1]) / _LAG_S)
@@ -88,13 +88,13 @@ def clipped(start: Point, end: Point, frame: Rect) -> tuple[Point, Point] | None
 
 
 def nice(value: float) -> float:
-    """Return the largest of ..., 1, 2, 5, 10, ... that is not above the value."""
+    """Return the largest number of the series ..., 1, 2, 5, 10, ... that is at most the value."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(step * power for step in (10.0, 5.0, 2.0, 1.0) if step * power <= value * 1.000001)
 
 
 def draw_map(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
-    """Draw the whole map in the frame of the view."""
+    """Draw the complete map in the frame of the view."""
     canvas.clip(view.frame)
     canvas.fill(theme.ground, view.frame)
     if history.scenery.streets:
@@ -107,7 +107,7 @@ def draw_map(canvas: Canvas, view: View, history: History, theme: Theme) -> None
 
 
 def _draw_streets(canvas: Canvas, view: View, streets: Streets, theme: Theme) -> None:
-    """Draw streets of an assumed width, and the blocks of houses between them."""
+    """Draw streets with an assumed width, and the blocks of houses between them."""
     half = min(_STREET_M, streets.block_m / 4.0) / 2.0
     (west, east), (south, north) = streets.x_m, streets.y_m
     net = np.array([[west - half, south - half], [east + half, north + half]])
@@ -124,7 +124,7 @@ def _draw_streets(canvas: Canvas, view: View, streets: Streets, theme: Theme) ->
 
 
 def _blocks(extent_m: tuple[float, float], block_m: float, low: float, high: float) -> Array:
-    """Return the positions at which the blocks between two limits begin."""
+    """Return the positions at which the blocks begin that are visible between two limits."""
     begins = extent_m[0] + block_m * np.arange(
         round((extent_m[1] - extent_m[0]) / block_m), dtype=float
     )
@@ -132,7 +132,7 @@ def _blocks(extent_m: tuple[float, float], block_m: float, low: float, high: flo
 
 
 def _box(view: View, corners_m: Array) -> Rect:
-    """Return the part of the picture between south-west and north-east corners (2, 2), clipped."""
+    """Return the visible part of a rectangle with south-west and north-east corners (2, 2)."""
     frame = view.frame.inflate(4.0, 4.0)
     (left, bottom), (right, top) = np.clip(
         view.pixels(corners_m), (frame.left, frame.top), (frame.right, frame.bottom)
@@ -197,20 +197,20 @@ def _draw_ways(canvas: Canvas, view: View, history: History, theme: Theme) -> No
 
 
 def draw_by_mode(canvas: Canvas, points: Array, modes: Index, theme: Theme, width: float) -> None:
-    """Draw a line (n, 2) in the colors of the modes (n,); the first point's mode is not used."""
+    """Draw a line (n, 2); the part up to a point has the color of that point's mode (n,)."""
     for begin, end in runs(modes[1:]):
         color = theme.mode(int(modes[begin + 1]))
         canvas.line(points[begin : end + 1], color, width)
 
 
 def runs(modes: Index) -> list[tuple[int, int]]:
-    """Return first and end of the runs in which the mode stays the same."""
+    """Return first and end index of each run of epochs in which the mode stays the same."""
     changes = np.flatnonzero(np.diff(modes)) + 1
     return list(pairwise([0, *changes.tolist(), len(modes)]))
 
 
 def _draw_scale(canvas: Canvas, view: View, theme: Theme) -> Rect:
-    """Draw a bar of a round length in the lower right corner; return the part that it covers."""
+    """Draw a scale bar in the lower right corner; return the part of the picture it covers."""
     unit = canvas.unit
     length = nice(110.0 * unit / view.scale)
     place = Rect(0.0, 0.0, length * view.scale + 12.0 * unit, 25.0 * unit)
@@ -225,7 +225,7 @@ def _draw_scale(canvas: Canvas, view: View, theme: Theme) -> Rect:
 
 
 def _draw_anchors(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
-    """Draw the scale, the anchors, and arrows at the edge to anchors outside, with distances."""
+    """Draw scale bar and anchors; anchors outside are arrows at the edge, with distances."""
     inner = view.frame.inflate(-14.0 * canvas.unit, -14.0 * canvas.unit)
     user, here = _point(view, history.truth[-1]), history.truth[-1, :3]
     around = 9.0 * canvas.unit
@@ -233,7 +233,7 @@ def _draw_anchors(canvas: Canvas, view: View, history: History, theme: Theme) ->
     for number, anchor in enumerate(history.scenery.anchors_m):
         at, name = _point(view, anchor), f"anchor {number + 1}" if number else "gNB"
         if clipped(at, at, inner):
-            # the base station: a filled triangle; a mirror image of it: a hollow one
+            # the base station is a filled triangle, its mirror images are hollow ones
             shape = at + np.array([[0.0, -7.0], [6.0, 5.0], [-6.0, 5.0]]) * canvas.unit
             canvas.polygon(shape, theme.paper if number else theme.ink)
             canvas.line(shape, theme.wall if number else theme.ink, 1.5, closed=True)
@@ -262,7 +262,7 @@ def _draw_arrow(canvas: Canvas, start: Point, tip: Point, color: Color) -> None:
 def _label(
     canvas: Canvas, text: str, at: Point, frame: Rect, theme: Theme, taken: list[Rect]
 ) -> None:
-    """Draw a name near a point, inside the frame, in a place that is not taken if possible."""
+    """Draw a name near a point, inside the frame and, if possible, not over ``taken`` parts."""
     unit = canvas.unit
     width, height, gap = canvas.width_of(text, 14) + 6.0 * unit, 15.0 * unit, 10.0 * unit
     places = [
@@ -277,7 +277,7 @@ def _label(
 
 
 def _draw_plate(canvas: Canvas, place: Rect, theme: Theme) -> None:
-    """Draw a pale background for words."""
+    """Draw a translucent background for words."""
     corners = [place.topleft, place.topright, place.bottomright, place.bottomleft]
     canvas.polygon(np.array(corners), theme.paper, 0.8)
 

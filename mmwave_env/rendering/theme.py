@@ -1,6 +1,6 @@
-"""Colors in light and dark, for videos; the colors of modes are also those of figures and reports.
+"""Light and dark colors for videos; figures and reports use the same colors for modes.
 
-The colors of modes are from Okabe and Ito (2008), which color-blind readers can tell apart, in an
+The colors of modes are from Okabe and Ito (2008), which color-blind readers can distinguish, in an
 order that keeps neighbors far apart; some are lighter or darker, to contrast with the background.
 """
 
@@ -12,7 +12,7 @@ from mmwave_env.io.lookup import choose, require_extra
 
 Color = tuple[int, ...]  # red, green and blue, 0 to 255
 
-# Light and dark. "quiet" is for explanations, "none" for an action that trusts no mode.
+# Name, light color, dark color. "quiet" is for explanations, "none" for trusting no mode.
 _COLORS = """\
     paper     ffffff 111318
     ink       222226 eeeeeb
@@ -76,12 +76,12 @@ class Theme(NamedTuple):
 
 
 def hex_of(color: Color) -> str:
-    """Return the color as web pages write it, such as #0072b2."""
+    """Return a color as in web pages, such as #0072b2."""
     return "#" + bytes(color).hex()
 
 
 def _theme(column: int) -> Theme:
-    """Return the theme in a column of the table, from 1."""
+    """Return the theme in a column of the table: 1 for light, 2 for dark."""
     colors = [tuple(bytes.fromhex(line.split()[column])) for line in _COLORS.splitlines()]
     plain = len(Theme._fields) - 1
     return Theme._make([*colors[:plain], tuple(colors[plain:])])
@@ -93,11 +93,12 @@ FRAMES_PER_SECOND = 10  # default speed of videos and windows
 
 
 def require_drawable(size: int, theme: str, purpose: str) -> None:
-    """Refuse a picture of a size in px that can't be drawn, before any work.
+    """Refuse a picture that can't be drawn, before any work is done.
 
     Args:
-        size, theme: as :class:`~mmwave_env.rendering.picture.Picture` takes them.
-        purpose: what needs pictures, for the message.
+        size: height and width in px.
+        theme: "light" or "dark".
+        purpose: option or argument that needs pictures, for the message.
 
     Raises:
         ValueError: the size or the theme is invalid.

@@ -1,4 +1,4 @@
-"""Video files, .gif or .mp4, from a sequence of pictures. Needs the extra ``render``."""
+"""Video files (.gif or .mp4) of a sequence of pictures; needs the extra ``render``."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
@@ -13,14 +13,14 @@ from mmwave_env.io.lookup import require_extra
 
 Draw = Callable[[int], NDArray[np.uint8]]
 Pictures = Iterator[NDArray[np.uint8]]
-_PACKAGES = {".gif": "PIL", ".mp4": "imageio_ffmpeg"}  # packages that write them
-_COLORS = 256  # most colors of a GIF
-_SAMPLES = 6  # number of pictures that the palette is computed from
+_PACKAGES = {".gif": "PIL", ".mp4": "imageio_ffmpeg"}  # package that writes each format
+_COLORS = 256  # maximum number of colors in a GIF
+_SAMPLES = 6  # number of pictures from which the palette is computed
 _LAST_S = 2.0  # time for which a GIF shows its last picture, before it repeats
 
 
 def require_video(option: str, path: Path) -> None:
-    """Refuse a video that an option names and that could not be written, before any work.
+    """Refuse a video file that could not be written, before any work; ``option`` names the file.
 
     Raises:
         ValueError: the name does not end with .gif or .mp4.
@@ -37,14 +37,14 @@ def require_video(option: str, path: Path) -> None:
 def write_video(
     path: Path, draw: Draw, numbers: Sequence[int], fps: int, report: Callable[[float], None]
 ) -> None:
-    """Write a video in one step: the file is whole or does not exist.
+    """Write a video completely or, if that fails, not at all; an existing file is then kept.
 
     Args:
         path: path of the file, checked by :func:`require_video`.
-        draw: returns the picture (height, width, 3) of a number.
+        draw: returns the picture (height, width, 3) with a given number.
         numbers: numbers of the pictures, at least one.
         fps: pictures per second.
-        report: receives the share done.
+        report: receives the share that is done.
     """
 
     def pictures() -> Iterator[NDArray[np.uint8]]:
@@ -79,7 +79,7 @@ def _write_mp4(path: Path, pictures: Pictures, first: NDArray[np.uint8], fps: in
 
     size = first.shape[1::-1]
     writer = imageio_ffmpeg.write_frames(str(path), size, fps=fps, quality=8, macro_block_size=2)
-    with closing(writer):  # closed even if a picture fails, because ffmpeg would go on writing
+    with closing(writer):  # if a picture fails, ffmpeg must be stopped
         writer.send(None)  # starts the generator
         for picture in pictures:
             writer.send(np.ascontiguousarray(picture))

@@ -20,12 +20,12 @@ _UNSEEN = {"offscreen", "dummy"}  # video drivers without a visible window
 
 
 def require_display(
-    purpose: str = 'render_mode="human"', instead: str = 'take render_mode="rgb_array"'
+    purpose: str = 'render_mode="human"', instead: str = 'use render_mode="rgb_array"'
 ) -> None:
-    """Refuse to open a window that nobody would see; the message names purpose and way out.
+    """Refuse to open a window for a purpose if nobody would see it; suggest what to do instead.
 
     Raises:
-        OSError: there is no display; the message says which variable is missing.
+        OSError: there is no display; the message names the variables that select one.
     """
     try:
         pygame.display.init()
@@ -36,15 +36,15 @@ def require_display(
     if not pygame.display.get_init() or (driver in _UNSEEN and driver != asked):
         pygame.display.quit()
         raise OSError(
-            f"{purpose}: found no display (SDL: {driver}), expected one: set the variable DISPLAY "
-            f"or WAYLAND_DISPLAY, or {instead}"
+            f"{purpose}: found no display (SDL: {driver}); set the variable DISPLAY or "
+            f"WAYLAND_DISPLAY, or {instead}"
         )
 
 
 class Window:
-    """A window for one picture after another, at a speed that keys change; its title names them.
+    """A window that shows one picture after another, at a speed that the user changes with keys.
 
-    After the user closes it, nothing is shown any more, and :meth:`show` returns at once.
+    The title lists the keys. After the user closes the window, :meth:`show` returns at once.
 
     Args:
         width, height: size in px.
@@ -58,7 +58,7 @@ class Window:
         self._name()
 
     def show(self, picture: NDArray[np.uint8]) -> None:
-        """Show a picture (height, width, 3) for its time; if paused, until a key is pressed."""
+        """Show a picture (height, width, 3) until the next is due or, if paused, until a key."""
         surface = pygame.image.frombuffer(picture.tobytes(), picture.shape[1::-1], "RGB")
         self._stepping = False
         while self._screen is not None:
@@ -73,7 +73,7 @@ class Window:
 
     @property
     def is_open(self) -> bool:
-        """Tell whether the window is open."""
+        """Return whether the window is open."""
         return self._screen is not None
 
     def close(self) -> None:
@@ -83,7 +83,7 @@ class Window:
             self._screen = None
 
     def _listen(self) -> None:
-        """Handle the events since the last call, up to a single step."""
+        """Handle the events since the last call, until one of them asks for a single step."""
         while self._screen is not None and not self._stepping:
             event = pygame.event.poll()
             if event.type == pygame.NOEVENT:
@@ -105,5 +105,5 @@ class Window:
             self.speed = next((speed for speed in SPEEDS[::-1] if speed < self.speed), SPEEDS[0])
 
     def _name(self) -> None:
-        state = "paused" if self.paused else f"{self.speed} pictures a second"
+        state = "paused" if self.paused else f"{self.speed} pictures per second"
         pygame.display.set_caption(f"MmWaveLoc-v0, {state} (space: pause, n: one epoch, + and -)")

@@ -1,4 +1,4 @@
-"""Checks of records of epochs, whose errors name the record and the field."""
+"""Checks of records of epochs; their errors name the record and the field."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -12,12 +12,12 @@ from mmwave_env.numerics.numbers import Array
 
 
 def refuse(record: str, field: str, value: object, expected: str) -> NoReturn:
-    """Refuse a field of a record, such as "episode 'jam'", by a ValueError."""
+    """Raise a ValueError about a field of a record, such as "episode 'jam'"."""
     raise ValueError(f"{field} of {record}: found {value}, expected {expected}")
 
 
 def refuse_in(file: Path, part: str, value: object, expected: str) -> NoReturn:
-    """Refuse a part of a file, such as a line or a key, by a ValueError."""
+    """Raise a ValueError about a part of a file, such as a line or a key."""
     raise ValueError(f"{file}: {part}: found {value}, expected {expected}")
 
 
@@ -49,14 +49,14 @@ def require_increasing(record: str, time_s: Array) -> None:
 
 
 def require_within(record: str, field: str, values: Array, bound: Bound) -> None:
-    """Refuse numbers of a field, of any shape, that are NaN or outside a bound with two limits."""
+    """Refuse numbers of a field, an array of any shape, that are NaN or outside a bound."""
     wrong = bound.outside(values)
     if wrong.any():
         refuse(record, field, f"{values[wrong].flat[0]:g}", bound.expected)
 
 
 def require_finite(record: str, epochs: Any, fields: Iterable[str]) -> None:
-    """Refuse NaN and infinity in arrays; arguments are as for :func:`require_epochs`."""
+    """Refuse NaN and infinity in the arrays ``fields``; see :func:`require_epochs`."""
     for field in fields:
         value = getattr(epochs, field)
         if value is not None and not np.isfinite(value).all():

@@ -28,10 +28,10 @@ NEUTRAL_SNR_DB = 20.0  # about the mean in streets, for links whose SNR was not 
 class Episode:
     """The data of T epochs of one user.
 
-    Missing groups are marked by a mask, never by a magic value: where ``visible`` is False the
-    numbers are meaningless. Measurements that are NaN or infinite are marked missing and counted.
-    In a partial layout a row that was not measured is NaN; its group is visible if any row is.
-    Numbers outside the filters' envelope are refused (:mod:`~mmwave_env.models.envelope`).
+    Missing groups (a link, the Doppler shift or odometry) are marked in ``visible``; where it is
+    False the numbers are meaningless. Measurements that are NaN or infinite count as missing.
+    In a partial layout, rows that were not measured are NaN; a group is visible if any row was.
+    Numbers that the filters cannot handle are refused (:mod:`~mmwave_env.models.envelope`).
 
     Attributes:
         name: name of the episode, for results and messages.
@@ -45,11 +45,11 @@ class Episode:
         doppler_spread_hz: (T,) measured Doppler spread.
         prior_mean: (7,) state at the first epoch.
         prior_covariance: (7, 7) covariance at the first epoch, positive definite.
-        truth_position_m: (T, 3) true positions, or None where unknown.
-        truth_velocity_mps: (T, 3) true velocities, or None where unknown.
+        truth_position_m: (T, 3) true positions; None if unknown.
+        truth_velocity_mps: (T, 3) true velocities; None if unknown.
         layout: rows and groups.
-        doppler_anchor: (T,) anchor of the Doppler shift, from 0, in a partial layout; None for the
-            first anchor in every epoch.
+        doppler_anchor: (T,) anchor of the Doppler shift, counted from 0, in a partial layout; None
+            for the first anchor in every epoch.
     """
 
     name: str
@@ -92,7 +92,7 @@ class Episode:
             require_within(self._record, field, values, bound)
 
     def _bounded(self) -> Iterator[tuple[str, Array, Bound]]:
-        """Yield the name, the values and the bound of every bounded part."""
+        """Yield the name, the values and the bound of everything that has a bound."""
         mean, deviation = self.prior_mean, np.sqrt(np.diag(self.prior_covariance))
         sigma, layout = np.where(self._used, self.sigma, np.nan), self.layout
         lengths = np.setdiff1d(np.arange(layout.size), [*layout.angles, layout.doppler])
@@ -133,7 +133,7 @@ class Episode:
         position_m: Array | None = None,
         velocity_mps: Array | None = None,
     ) -> "Episode":
-        """Return the episode of measured arrays; the radio determines what noise is not stated.
+        """Return the episode of measured arrays; noise that is not stated follows from the radio.
 
         Args:
             name, layout, time_s, measurement, visible, snr_db, doppler_spread_hz: attributes.
@@ -141,8 +141,8 @@ class Episode:
             scene: scene whose anchors were measured.
             radio: profile of the receiver.
             prior: mean (7,) and covariance (7, 7) at the first epoch.
-            sigma: (T, rows) the receiver's own standard deviations, NaN where it states none.
-            position_m, velocity_mps: the truth (T, 3), or None where unknown.
+            sigma: (T, rows) standard deviations that the receiver states, NaN where it states none.
+            position_m, velocity_mps: true positions and velocities (T, 3); None if unknown.
         """
         known = np.isfinite(snr_db)
         stated = radio.sigma(snr_db, scene, layout)
@@ -180,7 +180,7 @@ class Episode:
 
     @cached_property
     def usable(self) -> Mask:
-        """Return whether (T, groups) each group is visible and all its numbers are finite."""
+        """Return which groups (T, groups) are visible and finite; one row is enough if partial."""
         finite, starts = self._finite, [rows.start for rows in self.layout.groups]
         if self.layout.partial:
             return self.visible & np.logical_or.reduceat(finite, starts, axis=1)  # type: ignore[no-any-return]
@@ -194,7 +194,7 @@ class Episode:
 
     @property
     def _used(self) -> Mask:
-        """Return which rows (T, rows) are measurements of usable groups."""
+        """Return which rows (T, rows) are measured, in usable groups."""
         groups = np.repeat(self.usable, self.layout.widths, axis=1)
         return groups & self._finite if self.layout.partial else groups
 
@@ -213,7 +213,7 @@ class Episode:
             raise ValueError(f"{self._record}: found no truth, which reward and metrics need")
 
     def on_flat_ground(self, height_m: float | None = None) -> "Episode":
-        """Return the episode with vz 0 and a known height, by default the true first height."""
+        """Return the episode with vz 0 and a known height, by default the first true height."""
         if height_m is None:
             self.require_truth()
             height_m = self.truth_position_m[0, 2]  # type: ignore[index]
@@ -222,7 +222,7 @@ class Episode:
         return replace(self, prior_mean=mean)
 
     def only(self, measurements: Sequence[str]) -> "Episode":
-        """Return the episode in a partial layout, with only the rows of some measurements."""
+        """Return the episode in a partial layout, with only some measurements, such as "range"."""
         layout = replace(self.layout, partial=True)
         rows = self._used & offered_rows(layout, measurements)
         measurement = np.where(rows, self.measurement, np.nan)
@@ -230,7 +230,7 @@ class Episode:
         return replace(self, measurement=measurement, visible=visible, layout=layout)
 
     def table(self) -> Array:
-        """Return the table (T, columns) that engines load; :func:`columns_of` names its columns."""
+        """Return the table (T, columns) that engines load; :func:`columns_of` has the columns."""
         at, links = columns_of(self.layout), self.usable[:, : self.layout.anchors]
         keep = self._used
         position, velocity = self.truth_position_m, self.truth_velocity_mps
@@ -256,7 +256,7 @@ class Episode:
 
 
 def shapes_of(layout: Layout, T: int) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of the arrays that every record of T epochs has."""
+    """Return the shapes of the arrays that are in every record of T epochs."""
     return {"time_s": (T,), "measurement": (T, layout.size), "visible": (T, len(layout.groups))}
 
 
@@ -265,11 +265,11 @@ class EpisodeBatch(NamedTuple):
 
     Attributes:
         names: (n,) names of the episodes.
-        nonfinite: (n,) numbers of groups, as in :class:`Episode`.
+        nonfinite: (n,) numbers of groups that contain NaN or infinity and count as missing.
         length: (n,) numbers of epochs.
-        table: (n, epochs, columns), rows of :meth:`Episode.table` up to the length.
-        site: (n, numbers), rows of :meth:`Episode.site`.
-        layout: layout of all the episodes.
+        table: (n, epochs, columns) :meth:`Episode.table` of each; rows after the length are unused.
+        site: (n, numbers) anchors, carrier and prior from :meth:`Episode.site`.
+        layout: layout of all episodes.
     """
 
     names: list[str]
@@ -283,10 +283,10 @@ class EpisodeBatch(NamedTuple):
     def of(
         cls, episodes: "EpisodeBatch | Sequence[Episode]", layout: Layout | None = None
     ) -> "EpisodeBatch":
-        """Return episodes of one layout, by default the layout of the first, as a batch.
+        """Return a batch of episodes.
 
         Raises:
-            ValueError: an episode has another layout.
+            ValueError: an episode has another layout than ``layout``, or than the first episode.
         """
         if isinstance(episodes, EpisodeBatch):
             layouts = [(episodes.names[0], episodes.layout)]
@@ -330,8 +330,8 @@ class Incoming(NamedTuple):
 
     Attributes:
         dt, z, snr_db, doppler_spread_hz: as in :class:`Epoch`.
-        signed_sigma: (rows,) standard deviations, negative where the row is missing.
-        truth: (6,) true position (m) and velocity (m/s), for scores.
+        signed_sigma: (rows,) standard deviations; negative if the row is missing.
+        truth: (6,) true position (m) and velocity (m/s), to compute scores.
         doppler_of: as in :class:`Epoch`.
     """
 
@@ -344,7 +344,7 @@ class Incoming(NamedTuple):
     doppler_of: Vector = ()
 
     def epoch(self, layout: Layout) -> Epoch:
-        """Return the part of the row that the estimator sees."""
+        """Return the part of the row that the estimator may use."""
         sigma = [abs(sigma) for sigma in self.signed_sigma]
         parts = self.dt, self.z, sigma
         if layout.partial:

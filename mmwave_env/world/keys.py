@@ -1,8 +1,8 @@
 """Keys of episodes: 64 bits that determine everything in a simulated episode.
 
-The seed of an environment gives a stream, a number of 64 bits. The key of its n-th episode is the
-n-th output of SplitMix64 (Steele, Lea and Flood 2014), which starts at the stream. It is a function
-of stream and n, so many environments draw their keys at once and need no generator.
+The seed of an environment determines its stream, a number of 64 bits. The key of its n-th episode
+is the n-th output of SplitMix64 (Steele, Lea and Flood 2014), which starts at the stream. A key is
+a function of stream and n, so many environments can draw their keys at once without a generator.
 """
 
 import operator
@@ -17,17 +17,17 @@ from mmwave_env.numerics.numbers import Index
 
 Keys = NDArray[np.uint64]
 
-_STRIDE = np.uint64(0x9E3779B97F4A7C15)  # 2**64 over the golden ratio, odd
+_STRIDE = np.uint64(0x9E3779B97F4A7C15)  # 2**64 divided by the golden ratio, rounded to odd
 
 
 def keys_at(streams: NDArray[np.uint64], episodes: NDArray[np.uint64]) -> Keys:
-    """Return the keys (n,) of some episodes of streams.
+    """Return the keys (n,) of episodes in streams.
 
     Args:
         streams: (n,) streams of environments, or one stream.
-        episodes: (n,) numbers of the episodes, 0 for the first of a stream.
+        episodes: (n,) number of each episode in its stream, from 0.
     """
-    # arrays of integers wrap around, on purpose
+    # overflow is intended: arrays of integers wrap around
     bits = np.atleast_1d(streams) + (np.atleast_1d(episodes) + np.uint64(1)) * _STRIDE
     bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -46,12 +46,12 @@ def keys_of(seeds: Iterable[int]) -> Keys:
 
 
 def draw_key(rng: np.random.Generator) -> int:
-    """Draw a key from a generator instead of a seed."""
+    """Draw a key from a generator, without a seed."""
     return int(rng.integers(0, 2**64, dtype=np.uint64))
 
 
 def key_from(key: Any) -> int:
-    """Return a key given by a user as an integer.
+    """Return a key that a user passed, as an int.
 
     Raises:
         ValueError: the key is not an integer of 64 bits.
@@ -66,7 +66,7 @@ def key_from(key: Any) -> int:
 
 
 def keys_from(keys: Any, n: int) -> Keys:
-    """Return the keys (n,) that a user gave for n environments.
+    """Return the keys (n,) that a user passed for n environments.
 
     Raises:
         ValueError: there is not one key per environment, or a key is not an integer of 64 bits.
@@ -74,14 +74,14 @@ def keys_from(keys: Any, n: int) -> Keys:
     numbers = np.atleast_1d(np.asarray(keys, object))
     if numbers.shape != (n,):
         raise ValueError(
-            f"options['episode_key']: found shape {np.shape(keys)}, expected ({n},), one an "
+            f"options['episode_key']: found shape {np.shape(keys)}, expected ({n},), one per "
             "environment"
         )
     return np.array([key_from(key) for key in numbers], np.uint64)
 
 
 def option_of(options: Any, name: str) -> Any:
-    """Return the entry of ``reset(options=...)`` with a name; None if there is none.
+    """Return the entry ``name`` of ``reset(options=...)``; None if it is missing.
 
     Raises:
         ValueError: the options are not a dict.
@@ -92,10 +92,10 @@ def option_of(options: Any, name: str) -> Any:
 
 
 class Stream:
-    """The position of one environment in its stream of keys, given by its generator's seed."""
+    """The position of one environment in its stream of keys, which its seed determines."""
 
     def __init__(self) -> None:
-        self._state = np.zeros(2, np.uint64)  # as Streams.states
+        self._state = np.zeros(2, np.uint64)  # stream, and number of keys drawn from it
         self._from: np.random.Generator | None = None
 
     def next(self, rng: np.random.Generator, seed: int) -> int:
@@ -113,7 +113,7 @@ class Stream:
 
 
 class Streams:
-    """The positions of N environments in their streams of keys, which begin at random.
+    """The positions of N environments in their streams of keys; unseeded streams are random.
 
     Args:
         n: number of environments.
@@ -125,7 +125,7 @@ class Streams:
         self.set_states(self._states)
 
     def seed(self, place: int, seed: int) -> None:
-        """Start an environment's stream as ``Env.reset`` does.
+        """Start the stream of environment ``place`` with a seed, as ``Env.reset`` does.
 
         Raises:
             ValueError: the seed is negative.
@@ -150,7 +150,7 @@ class Streams:
         if isinstance(seed, (int, np.integer)):
             seed = range(int(seed), int(seed) + n)
         elif seed is not None and len(seed) != n:
-            raise ValueError(f"seed: found {len(seed)} seeds, expected {n}, one an environment")
+            raise ValueError(f"seed: found {len(seed)} seeds, expected {n}, one per environment")
         if seed is None:
             return
         for place in places:
@@ -162,23 +162,23 @@ class Streams:
         return tuple(self._seeds)
 
     def states(self) -> NDArray[np.uint64]:
-        """Return a copy of the streams and the numbers of keys drawn from each (n, 2)."""
+        """Return a copy (n, 2) of the streams and of the numbers of keys drawn from each."""
         return self._states.copy()
 
     def set_states(self, states: NDArray[np.uint64]) -> None:
-        """Set the states (n, 2), whose seeds are then unknown."""
+        """Set the states (n, 2) from :meth:`states`; the seeds are then unknown."""
         self._states[:] = states
         self._seeds = [-1] * len(states)
         self._generators: list[np.random.Generator | None] = [None] * len(states)
 
     def keys(self, places: Index) -> Keys:
-        """Draw the keys (places,) of the next episodes of some environments, each given once."""
+        """Draw the key of the next episode of each environment in ``places``, without repeats."""
         keys = keys_at(*self._states[places].T)
         self._states[places, 1] += np.uint64(1)
         return keys
 
     def generator(self, place: int) -> np.random.Generator:
-        """Return the ``np_random`` of an environment; keys are not drawn from this generator."""
+        """Return the ``np_random`` of an environment; keys do not come from this generator."""
         generator, seed = self._generators[place], self._seeds[place]
         if generator is None:
             known = int(self._states[place, 0]) if seed == -1 else seed

@@ -1,4 +1,4 @@
-"""Motion of users along their way, on lanes, which hold eight travelers at once.
+"""Motion of users along their ways, written so that SIMD lanes can move eight travelers at once.
 
 A traveler speeds up and brakes within limits of acceleration, braking and jerk, to reach its
 target speed and to slow down for corners and red lights. The equations describe a substep
@@ -9,14 +9,14 @@ from typing import NamedTuple
 
 from mmwave_env.numerics.numbers import Number, clip, cos_sin, maximum, minimum, sqrt, where
 
-STANDING_MPS = 0.1  # a traveler below this speed may change over to another phase
+STANDING_MPS = 0.1  # a traveler at or below this speed may begin another phase
 FAR = 1e9  # m or s: a distance or time that is never reached
 
 
 class Net(NamedTuple):
     """The net of streets on which a traveler moves."""
 
-    block: Number  # distance of crossings, m
+    block: Number  # distance between crossings, m
     # blocks_x, blocks_y: number of blocks, west to east and south to north
     blocks_x: Number
     blocks_y: Number
@@ -30,7 +30,7 @@ class Traveler(NamedTuple):
     """The state of a traveler: its position and motion, the way ahead and its plans.
 
     The way ahead is a straight stretch, then an arc over a crossing (no arc if the way leads
-    straight on); the crossing after that is known too, since braking may begin before the first.
+    straight on). The crossing after that is known too, since braking may begin before the first.
     """
 
     due: Number  # 1 if an event is due before the next substep: gait, crossing or phase
@@ -40,7 +40,7 @@ class Traveler(NamedTuple):
     y: Number
     heading: Number  # heading before the arc, in quarter turns from east to the left: 0 to 3
     traveled: Number  # distance traveled on the way ahead, m
-    # stretch, arc: lengths of the way ahead, m
+    # stretch, arc: lengths of the two parts of the way ahead, m
     stretch: Number
     arc: Number
     radius: Number  # radius of the arc, m
@@ -56,7 +56,7 @@ class Traveler(NamedTuple):
     gait_left: Number  # time for which the target speed is kept, s
     phase: Number  # number of the phase, which ends at ``phase_end`` s
     phase_end: Number
-    stopping: Number  # 1 while the traveler brakes to a stand to change over to the next phase
+    stopping: Number  # 1 while the traveler brakes to a standstill, before the next phase
     # turn, red: quarter turns to the left and seconds of red light at the crossing ahead
     turn: Number
     red: Number
@@ -85,7 +85,7 @@ def around(heading: Number) -> Number:
 def state_of(t: Traveler) -> tuple[list[Number], list[Number]]:
     """Return the position (2,), m, and the velocity (2,), m/s, of a traveler."""
     along, bent = minimum(t.traveled, t.stretch), clip(t.traveled - t.stretch, 0.0, t.arc)
-    beyond = maximum(t.traveled - t.stretch - t.arc, 0.0)  # the crossing is not due before then
+    beyond = maximum(t.traveled - t.stretch - t.arc, 0.0)  # may be > 0 until the next event
     east, north = unit(t.heading)
     side = where(t.turn < -0.5, -1.0, 1.0)
     cosine, sine = cos_sin(bent / t.radius)
@@ -97,14 +97,14 @@ def state_of(t: Traveler) -> tuple[list[Number], list[Number]]:
 
 
 def wanted_acceleration(t: Traveler, net: Net) -> Number:
-    """Return the acceleration that a traveler wants, m/s^2, for its target speed or what is ahead.
+    """Return the acceleration, m/s^2, that a traveler wants for its target speed or what is ahead.
 
     Two things ahead limit the speed. A turn at a crossing limits it to v_c with v_c^2 = lateral
     acceleration times radius; a red light limits it to v_c = 0 one meter before the crossing.
-    Braking at b over a distance d goes from v down to v_c with v^2 = v_c^2 + 2 b d. Travelers plan
-    with half of their b, so the speed they aim at is v^2 = v_c^2 + b d. The braking that v needs,
-    (v^2 - v_c^2) / 2 d, counts d without what is traveled until the braking has built up; where it
-    exceeds 0.7 b, they brake as hard as needed, up to b.
+    Braking at b over a distance d reduces v to v_c, where v^2 = v_c^2 + 2 b d. Travelers plan with
+    half of their b, so they aim at a speed of v^2 = v_c^2 + b d. From v they would need a braking
+    of (v^2 - v_c^2) / 2 d, where d leaves out the distance traveled until braking has built up; if
+    that exceeds 0.7 b, they brake as hard as needed, up to b.
     """
     left, turns, turns_after = t.stretch - t.traveled, t.arc > 0.0, abs(t.turn_after) > 0.5
     beyond = left + net.block - where(turns_after, t.radius, 0.0)
@@ -116,7 +116,7 @@ def wanted_acceleration(t: Traveler, net: Net) -> Number:
     aim = minimum(cornering + t.braking * maximum(corner, 0.0), t.braking * light)
     aim = sqrt(minimum(t.target * t.target, aim))
     pull = clip((aim - t.v) * 2.0, -t.braking, t.acceleration)
-    built_up = 0.6 / t.jerk * (maximum(t.a, 0.0) + t.braking) * t.v  # until braking has
+    built_up = 0.6 / t.jerk * (maximum(t.a, 0.0) + t.braking) * t.v  # distance until it has, m
     need = maximum(
         where(corner > 0.0, squared - cornering, 0.0) / (2.0 * maximum(corner - built_up, 0.5)),
         where(light > 0.0, squared, 0.0) / (2.0 * maximum(light - built_up, 0.5)),
@@ -130,7 +130,7 @@ def move(t: Traveler, net: Net, step: Number) -> Traveler:
     most = t.jerk * step
     waiting = (t.v < 0.3) & (t.stretch - t.traveled < 3.0)
     a = t.a + clip(wanted_acceleration(t, net) - t.a, -most, most)
-    v = t.v + maximum(a * step, -t.v)  # never backwards; not fused, which would round otherwise
+    v = t.v + maximum(a * step, -t.v)  # >= 0; not a fused multiply-add, which rounds differently
     a = where(v > 0.0, a, maximum(a, 0.0))
     time, traveled = t.time + step, t.traveled + 0.5 * (t.v + v) * step
     gait_left = t.gait_left - step

@@ -24,8 +24,8 @@ from mmwave_env.world import travel
 from mmwave_env.world.kinematics import FAR
 from mmwave_env.world.travel import PhasePlan, TravelPlan, blank_plan
 
-FASTEST_MPS = 100.0  # faster than any user of streets
-ROOM = 3  # least room for phases and gaits, so that all shipped kinds of users share a program
+FASTEST_MPS = 100.0  # faster than any user in streets
+ROOM = 3  # minimum room for phases and gaits, so that all shipped kinds of users share a program
 
 Speed = Annotated[float, Bound(f"0 to {FASTEST_MPS:g} m/s", least=0.0, most=FASTEST_MPS)]
 Duration = Annotated[float, Bound("a number >= 0.001", least=1e-3, most=inf)]
@@ -39,9 +39,9 @@ class Gait:
     """A target speed that is kept for a while.
 
     Attributes:
-        low_mps, high_mps: the target is uniform between these.
-        mean_s: mean duration, exponential; for good if left out.
-        weight: how often it is chosen next, relative to the others.
+        low_mps, high_mps: limits between which the target speed is uniformly distributed.
+        mean_s: mean of the exponentially distributed duration; by default the gait never ends.
+        weight: relative frequency with which this gait is chosen.
     """
 
     low_mps: Speed
@@ -57,14 +57,16 @@ class Gait:
 
 @dataclass(frozen=True)
 class Limits:
-    """The limits of a traveler's motion; values are drawn from the ranges once per episode.
+    """The limits of a traveler's motion; limits given as ranges are drawn once per episode.
 
     Attributes:
-        acceleration_mps2, braking_mps2, lateral_mps2: ranges.
-        jerk_mps3: limit of the change of acceleration.
-        corner_radius_m: of the arcs at crossings; at most half the distance of crossings.
-        red_light_probability: of waiting at a crossing.
-        red_light_s: range of the wait.
+        acceleration_mps2: range of the limit of acceleration.
+        braking_mps2: range of the limit of braking.
+        lateral_mps2: range of the limit of lateral acceleration, in corners.
+        jerk_mps3: limit of the rate at which the acceleration changes.
+        corner_radius_m: radius of arcs at crossings; at most half the distance between crossings.
+        red_light_probability: probability of a red light at a crossing.
+        red_light_s: range of the duration of a red light; each is drawn anew.
     """
 
     acceleration_mps2: Range
@@ -82,12 +84,12 @@ class Limits:
 
 @dataclass(frozen=True)
 class Phase:
-    """A stretch of an episode with one way of moving.
+    """A part of an episode with one style of moving.
 
     Attributes:
-        limits: what is possible.
-        gaits: what is wanted.
-        duration_s: range of its length; the rest of the episode if left out.
+        limits: limits of the motion.
+        gaits: target speeds, one of which is chosen at a time.
+        duration_s: range of its duration; by default the phase lasts until the episode ends.
     """
 
     limits: Limits
@@ -104,10 +106,10 @@ class Mobility:
     """A kind of user.
 
     Attributes:
-        name: of the scenario.
-        phases: in order of time. All but the last say their ``duration_s``; the last does not,
-            unless the episode ends as it began.
-        blocks: how many times closer together the crossings are than the streets' blocks say.
+        name: name of the scenario.
+        phases: phases in order of time. All but the last need a ``duration_s``; the last must not
+            have one, unless ``ends_as_it_began``.
+        blocks: factor by which this user's crossings are closer together than the scene's.
         ends_as_it_began: whether the episode ends with its first phase again.
     """
 
@@ -124,8 +126,8 @@ class Mobility:
                 raise ValueError(f"phases[{i}].duration_s: found none, expected [low, high]")
         if self.phases[last].duration_s[0] < inf and not self.ends_as_it_began:
             raise ValueError(
-                f"phases[{last}].duration_s: found it in the last phase, expected none: it lasts "
-                "until the episode ends"
+                f"phases[{last}].duration_s: found one, expected none: the last phase lasts until "
+                "the episode ends"
             )
 
 
@@ -149,8 +151,9 @@ MOBILITIES: dict[str, Mobility] = {
     "cyclist": Mobility("cyclist", (Phase(_CYCLING, _CYCLE),)),
 }
 MIXED = "mixed"
-_IN_EQUAL_SHARES = ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")  # never longer: default
-SCENARIOS = {  # each with its meaning
+# The kinds of users in "mixed", which is the default scenario: additions would change results.
+_IN_EQUAL_SHARES = ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")
+SCENARIOS = {  # names and meanings
     "pedestrian": "walks, stands, turns at crossings",
     "vehicle": "drives, brakes, waits at red lights",
     "walk-ride": "walks, rides a car, walks again",
@@ -161,7 +164,7 @@ SCENARIOS = {  # each with its meaning
 
 
 def mobilities_of(scenario: str | os.PathLike[str]) -> tuple[Mobility, ...]:
-    """Return the mobilities that a scenario draws from, in equal shares.
+    """Return the mobilities from which a scenario draws users, in equal shares.
 
     Raises:
         ValueError: the scenario is unknown, and the message lists the known ones; or
@@ -175,7 +178,7 @@ def mobilities_of(scenario: str | os.PathLike[str]) -> tuple[Mobility, ...]:
 
 
 def read_mobility(path: str | os.PathLike[str]) -> Mobility:
-    """Read a kind of user from a JSON file with the fields of :class:`Mobility`, parts as objects.
+    """Read a kind of user from a JSON file with the fields of :class:`Mobility`, in nested objects.
 
     "name" is by default the name of the file.
 
@@ -188,9 +191,9 @@ def read_mobility(path: str | os.PathLike[str]) -> Mobility:
 
 
 def plans_of(mobilities: Sequence[Mobility], block_m: float) -> list[TravelPlan]:
-    """Return mobilities in numbers, for streets at least ``block_m`` apart.
+    """Return the travel plans of kinds of users, for streets at least ``block_m`` apart.
 
-    All plans have the same number of phases and gaits; unused ones do not count.
+    All plans have the same number of phases and gaits; unused ones have no effect.
 
     Raises:
         ValueError: corners do not fit between two crossings.
@@ -216,10 +219,10 @@ def plans_of(mobilities: Sequence[Mobility], block_m: float) -> list[TravelPlan]
 
 
 def _phase_plan(phase: Phase, gaits: int) -> PhasePlan:
-    """Return a phase in numbers, with room for ``gaits`` gaits."""
+    """Return the plan of a phase, with room for ``gaits`` gaits."""
     wanted = [travel.Gait(*(min(value, FAR) for value in astuple(gait))) for gait in phase.gaits]
     wanted += [travel.Gait(0.0, 0.0, 1.0, 0.0)] * (gaits - len(wanted))
-    length = [min(end, FAR) for end in phase.duration_s]  # FAR: no episode is so long
+    length = [min(end, FAR) for end in phase.duration_s]  # FAR is longer than any episode
     drawn, braking, lateral, jerk, radius, red_probability, red = astuple(phase.limits)
     low, high = red
     fixed = travel.Phase(0.0, 0.0, 0.0, jerk, radius, red_probability, low, high, 0.0, wanted)

@@ -49,18 +49,18 @@ from mmwave_env.world.simulation import (
 from mmwave_env.world.trajectory import PlacedWays, Scenario, Users, users_of
 from mmwave_env.world.travel import TravelPlan, stride_of
 
-RARE = 4.0  # standard deviations of a rare event
-MOST_EPOCHS = 1_000_000  # limit for an episode, since times and actions of epochs are kept
+RARE = 4.0  # number of standard deviations that only rare events exceed
+MOST_EPOCHS = 1_000_000  # limit for an episode, since times and actions of all epochs are stored
 
 
 class Begun(NamedTuple):
-    """The beginnings of n episodes.
+    """The beginnings of n episodes, of simulated users or of users on given ways (trajectories).
 
     Attributes:
-        kinds: (n,) numbers of the kinds of users, or of the given ways.
-        worlds: (n, numbers) kept state of each world before the first epoch; only the state of
-            the receiver if a way is given.
-        truth: (n, epochs, 6) true positions and velocities if a way is given; else (n, epochs, 0).
+        kinds: (n,) index of the kind of user, or of the given way.
+        worlds: (n, numbers) state of each simulated world before the first epoch; only the state
+            of the receiver if a way is given.
+        truth: (n, epochs, 6) true positions and velocities if a way is given, or (n, epochs, 0).
         first: (n, 7) true states at the first epoch.
         sites: (n, numbers) rows of :meth:`Episode.site`.
     """
@@ -82,15 +82,15 @@ class SimulatedSource:
 
     Attributes:
         scene: geometry and carrier; or the random scene from which each episode draws its own.
-        radio: noise, blockage, multipath.
+        radio: radio profile, which determines noise, blockage and multipath.
         scenario: kind of user (a name, "mixed", a JSON file or a Mobility), or given ways (a CSV
             file, a Trajectory or Ways).
         dt: seconds between epochs.
         epochs: length of an episode. With given ways, an episode is a random window of that
             length, or shorter if all ways are shorter.
         odometry: whether the user also reports speed and heading.
-        measurements: names of what the receiver offers, of
-            :data:`~mmwave_env.models.layout.MEASUREMENTS`; None for all, in whole groups.
+        measurements: names of the quantities that the receiver measures, some of
+            :data:`~mmwave_env.models.layout.MEASUREMENTS`; None for all.
     """
 
     scene: Scene | RandomScene
@@ -111,7 +111,7 @@ class SimulatedSource:
             object.__setattr__(self, "epochs", self.ways.epochs)
 
     def _require_envelope(self) -> None:
-        """Refuse a radio in a scene whose episodes would be outside the filters' envelope."""
+        """Refuse a radio and scene if their numbers are outside the range that filters accept."""
         scene, radio, anchors = self._example, self.radio, self.layout.anchors
         snr_db = np.repeat(np.array(SNR_LIMITS_DB)[:, None], anchors, axis=1)
         rarely = math.exp(RARE * radio.spread_sigma)
@@ -137,7 +137,7 @@ class SimulatedSource:
 
     @cached_property
     def _example(self) -> Scene:
-        """Return the scene or a random one; all have the same carrier and number of anchors."""
+        """Return the scene, or an example of the random scene with its carrier and anchor count."""
         return self.scene.example if isinstance(self.scene, RandomScene) else self.scene
 
     @property
@@ -147,12 +147,12 @@ class SimulatedSource:
 
     @cached_property
     def steps_s(self) -> Array:
-        """Return the seconds (epochs,) since the epoch before, 0 in the first."""
+        """Return the seconds (epochs,) since the previous epoch, 0 for the first."""
         return np.diff(self.time_s, prepend=0.0)
 
     @property
     def name(self) -> str:
-        """Return the name of the scenario, and of the scene unless it is the default street."""
+        """Return the name of the scenario, with the scene's unless that is the default street."""
         users, scene = self._users, self.scene.name
         if not isinstance(users, tuple):
             name = users.name
@@ -202,7 +202,7 @@ class SimulatedSource:
         program, state = self._simulation(begun)
         measured = rows_of(program.index.measured)
         io = StepIO.of(n, self.epochs, output_rows=measured)
-        program.on_lanes()  # else some threads would wait while another compiles
+        program.on_lanes()  # compile now; otherwise threads would wait while one of them compiles
         blocks = len(state.rows)
         jobs = [(state, io, part) for part in spans(blocks, min(threads, blocks))]
         share(program.run_on_lanes, jobs, threads)
@@ -217,8 +217,8 @@ class SimulatedSource:
         )
 
     def feed(self, worlds: Array) -> Feed:
-        """Return the feed that simulates drawn users, from their first worlds (n, numbers)."""
-        _, _, receiver, user = self.world.template  # of an unused lane
+        """Return the feed that simulates epochs, from the users' first worlds (n, numbers)."""
+        _, _, receiver, user = self.world.template  # fills unused lanes
         kept = blocks_of(np.array(flatten([receiver, user]), float), len(worlds))
         fill(kept, np.arange(kept.shape[1]), worlds)
         timed = columns_of(self.layout).dt
@@ -238,7 +238,7 @@ class SimulatedSource:
 
     @property
     def travels(self) -> bool:
-        """Tell whether users are drawn, which needs no table; else ways are given."""
+        """Return whether users are simulated; otherwise they move on given ways, in a table."""
         return bool(self._plans)
 
     def begin(self, keys: Keys) -> Begun:
@@ -274,13 +274,13 @@ class SimulatedSource:
 
     @cached_property
     def _plans(self) -> list[TravelPlan]:
-        """Return the plans of the kinds of users; none if ways are given."""
+        """Return the travel plans of the kinds of users; none if ways are given."""
         users, scene = self._users, self.scene
         if not isinstance(users, tuple):
             if isinstance(scene, RandomScene):
                 raise ValueError(
-                    f"scene: found {scene.name!r}, expected one scene: {users.name} is a way in "
-                    "streets of its own"
+                    f"scene: found {scene.name!r}, expected a fixed scene, because the trajectory "
+                    f"{users.name} does not fit random streets"
                 )
             return []
         if isinstance(scene, RandomScene):
@@ -290,19 +290,19 @@ class SimulatedSource:
 
     @cached_property
     def ways(self) -> PlacedWays:
-        """Return the given ways, if users are not drawn."""
+        """Return the given ways, placed in the scene."""
         users = self._users
         assert not isinstance(users, tuple)
         return users.placed(self._example, self.dt, self.epochs)
 
     @property
     def world(self) -> World:
-        """Return the world that simulates the epochs of drawn users."""
+        """Return the world that simulates the epochs of users who are not on given ways."""
         return world_of(self.layout, *self._room)
 
     @property
     def _room(self) -> tuple[int, int]:
-        """Return the numbers of phases and gaits that the plans have room for."""
+        """Return the numbers of phases and gaits for which the plans have room."""
         phases = [plan.phases for plan in self._plans]
         return (len(phases[0]), len(phases[0][0].phase.gaits)) if phases else (1, 1)
 
@@ -313,7 +313,7 @@ class SimulatedSource:
 
     @cached_property
     def _before(self) -> Array:
-        """Return the workspace (size,) from which an episode begins, without its key."""
+        """Return the workspace (size,) in which an episode begins, before its key is filled in."""
         scene, radio, template = self._example, self.radio, self._beginning.template
         filled = template._replace(
             plans=self._plans,
@@ -326,7 +326,7 @@ class SimulatedSource:
 
     @cached_property
     def _settings_rows(self) -> Array:
-        """Return the settings (rows, 8), which are the same in all episodes."""
+        """Return the settings (rows, 8 lanes), which are the same in all episodes."""
         radio, scene, stride = self.radio, self._example, stride_of(self.dt)
         settings = WorldSettings(
             hz_per_mps=scene.hz_per_mps,
@@ -342,7 +342,7 @@ class SimulatedSource:
 
     @cached_property
     def _site(self) -> tuple[Array, Any]:
-        """Return :meth:`Episode.site` of the example, and the index of each number in it."""
+        """Return :meth:`Episode.site` of the example scene, and the index of each number in it."""
         scene = self._example
         covariance = self.radio.prior_covariance(scene)[np.tril_indices(STATE_SIZE)]
         site = Site(

@@ -1,7 +1,7 @@
 """The simulation of a world, epoch by epoch: moving users, the channel, the measurements.
 
-The functions of numbers run on lanes, one user per lane. All randomness comes from the generator
-of the lane, which a key of 64 bits seeds: an episode is a function of its key.
+The functions compute with plain numbers, so that they can also run on SIMD lanes, one user per
+lane. All random numbers come from generators that a key seeds, so a key determines the episode.
 """
 
 from collections.abc import Callable
@@ -51,17 +51,16 @@ class WorldSettings(NamedTuple):
 
     hz_per_mps: Number  # carrier frequency over the speed of light
     channel: Channel  # radio and scene
-    drift_hz: Number  # standard deviation of the oscillator's change over a step
-    # step_s, stride: length of a substep, and number of substeps in an epoch
-    step_s: Number
-    stride: Number
-    offered: Vector = ()  # (rows,) 1 where the receiver offers the row; empty unless partial
+    drift_hz: Number  # standard deviation of the oscillator's change from epoch to epoch
+    step_s: Number  # length of a substep
+    stride: Number  # number of substeps in an epoch
+    offered: Vector = ()  # (rows,) 1 if the receiver measures the row; empty if it measures all
 
 
 class ReceiverState(NamedTuple):
     """The state of links and receiver between two epochs."""
 
-    dice: list[Number]  # (4,) state of the generator
+    dice: list[Number]  # (4,) state of the random generator
     anchors: list[list[Number]]  # (L, 3) positions, m
     is_first: Number  # 1 before the first epoch
     channel: ChannelState  # state of the links
@@ -71,8 +70,8 @@ class ReceiverState(NamedTuple):
 class UserState(NamedTuple):
     """The state of a simulated user between two epochs."""
 
-    dice: list[Number]  # (4,) state of the user's generator, which is not the receiver's
-    net: Net  # net of the streets
+    dice: list[Number]  # (4,) state of the user's random generator; the receiver has another one
+    net: Net  # net of streets
     phases: list[Phase]  # phases of the episode
     traveler: Traveler  # state in the coming epoch
 
@@ -80,7 +79,7 @@ class UserState(NamedTuple):
 class WorldState(NamedTuple):
     """The state of a simulated episode between two epochs."""
 
-    measured: Incoming  # the epoch just measured; callers that know the time fill in dt
+    measured: Incoming  # the epoch just measured; its dt is filled in by the caller
     settings: WorldSettings
     receiver: ReceiverState
     user: UserState
@@ -133,7 +132,7 @@ def measure(
 
 
 def _where_measured(measured: Vector, rows: Vector, otherwise: float) -> list[Number]:
-    """Return the rows (rows,) with a constant in place of those that are not measured (rows,)."""
+    """Return the rows (rows,) with ``otherwise`` where ``measured`` (rows,) is 0."""
     return [where(s > 0.5, value, otherwise) for s, value in zip(measured, rows, strict=True)]
 
 
@@ -146,7 +145,7 @@ def _observe(w: WorldState, layout: Layout) -> WorldState:
 
 
 def _attend(w: WorldState) -> WorldState:
-    """Apply the events that are due to their travelers."""
+    """Let the traveler react to an event (a new gait, crossing or phase), if one is due."""
     user = w.user
     dice, due = Dice(user.dice), user.traveler.due > 0.5
     traveler = attend(dice, user.traveler, user.phases, user.net)
@@ -162,7 +161,7 @@ def _move(w: WorldState) -> WorldState:
 
 
 def blank_world(layout: Layout, phases: int, gaits: int) -> WorldState:
-    """Return a placeholder world with sound numbers, to be overwritten."""
+    """Return a placeholder world with valid numbers, to be overwritten."""
     still = Traveler(*[0.0] * len(Traveler._fields))._replace(radius=1.0, jerk=1.0)
     gait = Gait(0.0, 0.0, 1.0, 1.0)
     phase = Phase(1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, [gait] * gaits)
@@ -183,12 +182,12 @@ class World:
 
     Args:
         layout: rows of the measurements.
-        phases, gaits: greatest numbers of phases and gaits.
+        phases, gaits: maximum numbers of phases and gaits.
 
     Attributes:
-        template: a workspace of floats.
-        index: the same tree with row numbers as leaves.
-        ends: the rows where the measured epoch, the settings and the kept state end.
+        template: the world as a tree of floats.
+        index: the same tree, with the row number of each float in the workspace.
+        ends: the rows at which the measured epoch, the settings and the kept state end.
     """
 
     def __init__(self, layout: Layout, phases: int, gaits: int) -> None:
@@ -200,7 +199,7 @@ class World:
         self._compiled: Any = None
 
     def on_lanes(self) -> int:
-        """Return the address of a C function that simulates an epoch, for a Feed."""
+        """Return the address of a compiled C function that simulates an epoch, for a ``Feed``."""
         with global_compiler_lock:
             if self._compiled is None:
                 self._compiled = self._compile()
@@ -208,7 +207,7 @@ class World:
 
     @property
     def parts(self) -> tuple[Callable[[WorldState], WorldState], ...]:
-        """Return the three parts of an epoch: measurement, events, and motion in a substep."""
+        """Return the three parts of an epoch: measurement, events and motion during a substep."""
 
         def observed(w: WorldState) -> WorldState:
             return _observe(w, self._layout)
@@ -216,7 +215,7 @@ class World:
         return observed, _attend, _move
 
     def _compile(self) -> Any:
-        """Compile the parts of an epoch; the events run only if an event is due in a lane."""
+        """Compile the parts of an epoch; events are computed only if one is due in some lane."""
         parts, ends = self.parts, self.ends
         look, happen, substep = (tree_kernel(part, self.template, ends) for part in parts)
         row = 8 * WIDTH  # bytes
@@ -242,14 +241,14 @@ class World:
 
 @cache  # never dropped, because feeds hold only the address of the compiled code
 def world_of(layout: Layout, phases: int, gaits: int) -> World:
-    """Return the world of drawn users, compiled once for all sources with equal arguments."""
+    """Return the world of simulated users, shared by all sources with the same arguments."""
     return World(layout, phases, gaits)
 
 
 class OnAWay(NamedTuple):
-    """The state of a simulated episode of a user whose way is given."""
+    """The state of a simulated episode of a user on a given way (trajectory)."""
 
-    truth: list[Number]  # (6,) truth of the epoch, loaded from a table
+    truth: list[Number]  # (6,) true position and velocity, loaded from a table
     measured: Incoming  # as in :class:`WorldState`
     settings: WorldSettings
     receiver: ReceiverState
@@ -257,7 +256,7 @@ class OnAWay(NamedTuple):
 
 @lru_cache(maxsize=8)
 def on_a_way(layout: Layout) -> Program[OnAWay]:
-    """Return the program of an epoch of a user whose way is given."""
+    """Return the program that simulates an epoch of a user on a given way."""
 
     def function(w: OnAWay) -> OnAWay:
         measured, receiver = measure(w.truth, w.settings, w.receiver, layout)
@@ -281,7 +280,8 @@ def as_measured(layout: Layout) -> Program[AsMeasured]:
 
 # --- the beginning of an episode: everything that is drawn before its first epoch
 
-# Streams of a key: the way of a user does not depend on the receiver or on the rate of epochs.
+# Each key seeds two streams of random numbers, so that a user's way depends neither on the receiver
+# nor on the rate of epochs.
 USER, RECEIVER = 0, 1
 
 
@@ -290,13 +290,13 @@ class FirstDraws(NamedTuple):
 
     receiver: ReceiverState
     user: UserState  # not used if a way is given
-    choice: Number  # number of the kind of user; if a way is given, uniform in [0, 1) to choose it
+    choice: Number  # number of the kind of user; or uniform in [0, 1), to choose a given way
     first: list[Number]  # (7,) true state at the first epoch; 0 if a way is given
     prior_noise: list[Number]  # (7,) error of the prior's mean
 
 
 class Beginning(NamedTuple):
-    """A key and the parameters from which an episode begins."""
+    """A key, the parameters of an episode's beginning, and the beginning drawn from them."""
 
     key: list[Number]  # (1,) bits of the key
     plans: list[TravelPlan]  # kinds of users; none if a way is given
@@ -336,12 +336,12 @@ def begin(w: Beginning, streets: RandomScene | None) -> Beginning:
 def beginning(
     layout: Layout, kinds: int, phases: int, gaits: int, streets: RandomScene | None
 ) -> Program[Beginning]:
-    """Return the program of :func:`begin` for lanes.
+    """Return the program that runs :func:`begin` on SIMD lanes.
 
     Args:
-        layout: gives the number of anchors.
+        layout: layout of the measurements, with the number of anchors.
         kinds: number of kinds of users; 0 if a way is given.
-        phases, gaits: greatest numbers of phases and gaits.
+        phases, gaits: maximum numbers of phases and gaits.
         streets: the random scene to draw scenes from; None for a fixed scene.
     """
     world = blank_world(layout, phases, gaits)

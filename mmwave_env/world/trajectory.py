@@ -1,6 +1,6 @@
-"""Trajectories of users, placed in a scene as ways from which episodes are drawn.
+"""Trajectories of users; placed in a scene, they are the ways from which episodes are drawn.
 
-This module also interprets a ``scenario=`` argument: kinds of users, or such ways.
+This module also interprets the argument ``scenario=``: kinds of users, or such ways.
 """
 
 import os
@@ -17,8 +17,8 @@ from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.world.mobility import FASTEST_MPS, Mobility, mobilities_of
 
-REACH_M = (1.0, 5000.0)  # distances at which the path loss holds (3GPP TR 38.901, UMi)
-STANDING_M, STANDING_S = 0.1, 60.0  # staying so close for so long suggests positions in degrees
+REACH_M = (1.0, 5000.0)  # distances for which the path loss is valid (3GPP TR 38.901, UMi)
+STANDING_M, STANDING_S = 0.1, 60.0  # 0.1 m in a minute suggests that positions are in degrees
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,12 +29,12 @@ class Trajectory:
         name: name of the trajectory, for results and messages.
         time_s: (N,) increasing times; at least two, without gaps of more than 15 s.
         position_m: (N, 3) positions in the frame of the scene.
-        velocity_mps: (N, 3) velocities; None for the rates of change of the positions, at every
-            row the slope of the parabola through the row and its neighbors.
-        lines: (N,) lines of the rows in their file, for messages; None if there is no file.
+        velocity_mps: (N, 3) velocities; if None, they are computed from the positions, as slopes
+            of the parabola through each row and its neighbors.
+        lines: (N,) line numbers of the rows in their file, for messages; None without a file.
 
     Raises:
-        ValueError: a row is wrong; the message names its line, or its number from 1, and the error.
+        ValueError: a row is wrong; the message names the error and its line or row, from 1.
     """
 
     name: str
@@ -64,11 +64,11 @@ class Trajectory:
         object.__setattr__(self, "velocity_mps", np.gradient(p, t, axis=0) if v is None else v)
 
     def _require_motion(self, t: Array, p: Array, v: Array | None) -> None:
-        """Refuse motion that is impossible for a user of streets."""
+        """Refuse motion that is impossible for a user in streets; warn of a user who stands."""
         step = np.diff(t, prepend=t[0] - 1.0)
         moved = np.diff(p, axis=0, prepend=p[:1])
         self._require(step > 0.0, t, "t", "more than in the row before")
-        near = f"at most {GAP_S:g} s after the row before; cut the trajectory there, if t is in s"
+        near = f"at most {GAP_S:g} s after the row before; split the trajectory there, if t is in s"
         self._require(step <= GAP_S, t, "t", near)
         speed = np.linalg.norm(moved, axis=1) / step
         most = f"at most {FASTEST_MPS:g} m/s"
@@ -80,18 +80,18 @@ class Trajectory:
             way, integral = np.linalg.norm(moved, axis=1).sum(), fast[1:] @ step[1:]
             if integral > 2.0 * way + STANDING_M:
                 raise ValueError(
-                    f"{self.name}: vx, vy, vz: found a way of {integral:.6g} m, expected that of "
-                    f"the positions, {way:.6g} m: are they in m/s?"
+                    f"{self.name}: vx, vy, vz: found speeds that add up to {integral:.6g} m, "
+                    f"expected about {way:.6g} m, as the positions do: are they in m/s?"
                 )
         if t[-1] - t[0] >= STANDING_S and np.ptp(p, axis=0).max() < STANDING_M:
             warnings.warn(
-                f"{self.name}: found all of {t[-1] - t[0]:g} s within {STANDING_M:g} m; x, y are "
-                "taken as meters: are they in degrees?",
+                f"{self.name}: found all positions of {t[-1] - t[0]:g} s within {STANDING_M:g} m; "
+                "x, y are read as meters: are they in degrees?",
                 stacklevel=4,
             )
 
     def _require(self, holds: Mask, values: Array, part: str, expected: str) -> None:
-        """Refuse the first of the rows (N, ...) in which a condition does not hold."""
+        """Refuse the first row of values (N, ...) for which a condition is false."""
         rows = holds.reshape(len(holds), -1).all(axis=1)
         if not rows.all():
             self._refuse(int(np.argmin(rows)), part, values[np.argmin(rows)], expected)
@@ -114,14 +114,14 @@ class Trajectory:
         return np.hstack([cubic(at), cubic(at, 1)])
 
     def way(self, scene: Scene, dt: float) -> Array:
-        """Return the way through a scene, (E, 6) as from :meth:`resampled`.
+        """Return positions and velocities (E, 6) from :meth:`resampled`, if they fit a scene.
 
         Raises:
-            ValueError: the way is shorter than a step, behind a wall, or out of an anchor's reach.
+            ValueError: the way is shorter than ``dt``, behind a wall, or out of an anchor's reach.
         """
         way = self.resampled(dt)
         if len(way) < 2:
-            raise ValueError(f"{self.name}: found {np.ptp(self.time_s):g} s, expected {dt:g}, dt")
+            raise ValueError(f"{self.name}: found {np.ptp(self.time_s):g} s, expected {dt:g} (dt)")
         position = way[:, :3]
 
         def refuse(epoch: int, expected: str) -> None:
@@ -141,10 +141,10 @@ class Trajectory:
 
 @dataclass(frozen=True, eq=False)
 class Ways:
-    """Ways of one or several users, of which each episode draws one.
+    """A collection of one or more ways (trajectories), from which each episode draws one.
 
     Attributes:
-        name: name of the ways, for results and messages.
+        name: name of the collection, for results and messages.
         trajectories: (K,) trajectories, at least one.
     """
 
@@ -158,12 +158,12 @@ class Ways:
         episodes are as long as the longest way.
 
         Args:
-            scene: the scene in whose frame the positions are.
+            scene: scene; the positions are in its frame.
             dt: seconds between epochs.
-            epochs: greatest length of an episode.
+            epochs: maximum length of an episode.
 
         Raises:
-            ValueError: as for :meth:`Trajectory.way`.
+            ValueError: a way does not fit the scene, see :meth:`Trajectory.way`.
         """
         tables = [trajectory.way(scene, dt) for trajectory in self.trajectories]
         epochs = min(epochs, max(map(len, tables)))
@@ -172,7 +172,7 @@ class Ways:
             warnings.warn(
                 f"{self.name}: found {len(tables) - len(kept)} of {len(tables)} ways shorter than "
                 f"{dt * (epochs - 1):g} s, an episode; they are left out (a smaller episode_steps "
-                "takes them)",
+                "includes them)",
                 stacklevel=2,
             )
         names = [self.trajectories[i].name for i in kept]
@@ -181,7 +181,7 @@ class Ways:
 
 @dataclass(frozen=True, eq=False)
 class PlacedWays:
-    """K ways through a scene; an episode is a window of one of them.
+    """A set of K ways through a scene; an episode is a window of one of them.
 
     Attributes:
         names: (K,) names of the ways.
@@ -194,7 +194,7 @@ class PlacedWays:
     epochs: int
 
     def draw(self, choice: Array) -> tuple[Index, Array]:
-        """Draw the numbers of the ways (n,) of episodes, and their truth (n, epochs, 6).
+        """Draw a way for each of n episodes; return its number (n,) and the truth (n, epochs, 6).
 
         All ways are equally likely, and so are all windows of one way.
 
@@ -215,7 +215,7 @@ Users = tuple[Mobility, ...] | Ways
 
 
 def users_of(scenario: Scenario) -> Users:
-    """Return the kinds of users, or the given ways, of a ``scenario=`` argument.
+    """Return the kinds of users, or the ways, that a ``scenario=`` argument stands for.
 
     Raises:
         ValueError, FileNotFoundError: as for :func:`~mmwave_env.world.mobility.mobilities_of`.

@@ -4,8 +4,8 @@ A traveler walks or drives along a net of streets, turns at crossings on circula
 waits at red lights, and follows gaits (target speeds that change now and then) within
 limits of acceleration, braking, lateral acceleration and jerk. A substep takes about 0.1 s.
 
-The events of a traveler (a new gait, crossing or phase) are drawn here;
-:mod:`mmwave_env.world.kinematics` moves the traveler. Each lane holds one traveler.
+This module draws the events of a traveler (a new gait, crossing or phase);
+:mod:`mmwave_env.world.kinematics` moves the traveler. Each SIMD lane holds one traveler.
 """
 
 import math
@@ -28,11 +28,11 @@ class Gait(NamedTuple):
     low: Number
     high: Number
     mean_s: Number  # mean duration
-    weight: Number  # weight in the choice, relative to the weights of all gaits
+    weight: Number  # relative frequency with which this gait is chosen
 
 
 class Phase(NamedTuple):
-    """A phase of a traveler, in force from the end of the phase before.
+    """A part of an episode with one style of moving; it begins when the previous phase ends.
 
     Its limits of acceleration, braking and lateral acceleration are drawn once per episode.
     """
@@ -46,30 +46,30 @@ class Phase(NamedTuple):
     # red_low, red_high: range of the duration of a red light, s
     red_low: Number
     red_high: Number
-    end: Number  # time of the phase's end, s since the episode began
+    end: Number  # time at which the phase ends, s since the episode began
     gaits: list[Gait]
 
 
 class PhasePlan(NamedTuple):
-    """The ranges (2,) from which length and limits of a phase are drawn."""
+    """The ranges (2,) from which the length and the limits of a phase are drawn."""
 
     length: list[Number]
     acceleration: list[Number]
     braking: list[Number]
     lateral: list[Number]
-    ends_early: Number  # 1 if the following phase is the first again, until the episode ends
+    ends_early: Number  # 1 if the first phase follows once more and lasts until the episode ends
     phase: Phase  # the values that are not drawn
 
 
 class TravelPlan(NamedTuple):
-    """A kind of user in numbers."""
+    """A kind of user, described by numbers only."""
 
-    closer: Number  # number of the kind's crossings per block of the streets
+    closer: Number  # factor by which this user's crossings are closer together than the scene's
     phases: list[PhasePlan]
 
 
 def blank_plan(phases: int, gaits: int) -> TravelPlan:
-    """Return a placeholder plan with that number of phases and gaits, to be overwritten."""
+    """Return a placeholder plan with the given numbers of phases and gaits, to be overwritten."""
     gait = Gait(0.0, 0.0, 1.0, 0.0)
     phase = Phase(1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, FAR, [gait] * gaits)
     once, at_one = [FAR, FAR], [1.0, 1.0]
@@ -77,7 +77,7 @@ def blank_plan(phases: int, gaits: int) -> TravelPlan:
 
 
 def _draw_gait(dice: Dice, gaits: Sequence[Gait]) -> tuple[Number, Number]:
-    """Draw a target speed and the time for which it is kept."""
+    """Draw a gait; return its target speed and the time for which it is kept."""
     total = gaits[0].weight
     for gait in gaits[1:]:
         total = total + gait.weight
@@ -90,7 +90,7 @@ def _draw_gait(dice: Dice, gaits: Sequence[Gait]) -> tuple[Number, Number]:
 
 
 def _leads_on(x: Number, y: Number, heading: Number, net: Net) -> Number:
-    """Return 1 where a street leads from a crossing in this direction, else 0."""
+    """Return 1 if a street leads from a crossing in this direction, else 0."""
     east, north = unit(heading)
     x, y = x + east, y + north
     inside = (x > -0.5) & (y > -0.5) & (x < net.blocks_x + 0.5) & (y < net.blocks_y + 0.5)
@@ -98,7 +98,7 @@ def _leads_on(x: Number, y: Number, heading: Number, net: Net) -> Number:
 
 
 def _draw_turn(dice: Dice, x: Number, y: Number, heading: Number, net: Net) -> Number:
-    """Draw quarter turns to the left at a crossing: 0, 1, -1, or 2 (back) in a dead end."""
+    """Draw the number of quarter turns to the left at a crossing: 0, 1, -1, or 2 in a dead end."""
     ahead = _leads_on(x, y, heading, net)
     left = _leads_on(x, y, around(heading + 1.0), net)
     options = ahead + left + _leads_on(x, y, around(heading - 1.0), net)
@@ -109,7 +109,7 @@ def _draw_turn(dice: Dice, x: Number, y: Number, heading: Number, net: Net) -> N
 
 
 def _look_ahead(dice: Dice, t: Traveler, heading: Number, phase: Phase, net: Net) -> Traveler:
-    """Draw the turn and the seconds of red light at the next crossing."""
+    """Draw the turn and the duration of the red light at the crossing after the next one."""
     east, north = unit(heading)
     x, y = t.node_x + east, t.node_y + north
     turn = _draw_turn(dice, x, y, heading, net)
@@ -119,12 +119,12 @@ def _look_ahead(dice: Dice, t: Traveler, heading: Number, phase: Phase, net: Net
 
 
 def _arc(turn: Number, radius: Number) -> Number:
-    """Return the length of an arc."""
+    """Return the length of an arc of some quarter turns."""
     return abs(turn) * (math.pi / 2) * radius
 
 
 def _cross(dice: Dice, t: Traveler, phase: Phase, net: Net) -> Traveler:
-    """Pass a crossing: the way after the crossing becomes the way ahead."""
+    """Pass a crossing: what lies behind the crossing becomes the way ahead."""
     east, north = unit(t.heading)
     turned, side = abs(t.turn), where(t.turn < 0.0, -1.0, 1.0)
     forward = t.stretch + where(abs(turned - 1.0) < 0.5, t.radius, 0.0)
@@ -162,9 +162,9 @@ def _enter(t: Traveler, number: Number, phase: Phase) -> Traveler:
 
 
 def _change_over(t: Traveler, following: Phase) -> Traveler:
-    """Come to a stand where a phase is over, then begin the next phase."""
+    """Make a traveler stop when its phase is over; begin the next phase once it stands still."""
     left, wider = t.stretch - t.traveled, following.radius - t.radius
-    # If the next phase needs a wider corner than there is room for, first pass the corner.
+    # If there is no room left for the wider corner of the next phase, pass the corner first.
     room = (abs(t.turn) < 0.5) | (left > wider + 4.0)
     over = (t.time >= t.phase_end) & (t.stopping < 0.5) & room
     t = t._replace(
@@ -182,7 +182,7 @@ def _change_over(t: Traveler, following: Phase) -> Traveler:
 
 
 def attend(dice: Dice, t: Traveler, phases: Sequence[Phase], net: Net) -> Traveler:
-    """Apply the events that are due to a traveler before a substep."""
+    """Return the traveler after all events that are due before a substep."""
     t = _change_over(t, tree_at(t.phase + 1.0, phases))
     phase = tree_at(t.phase, phases)
     target, lasts = _draw_gait(dice, phase.gaits)
@@ -194,7 +194,7 @@ def attend(dice: Dice, t: Traveler, phases: Sequence[Phase], net: Net) -> Travel
 
 
 def draw_phases(dice: Dice, plans: Sequence[PhasePlan], total_s: Number) -> list[Phase]:
-    """Draw the phases of an episode; a phase that returns gets newly drawn limits."""
+    """Draw the phases of an episode; the limits of a repeated phase are drawn again."""
     lengths = [dice.uniform(*plan.length) for plan in plans]
     phases, passed = [], 0.0
     for plan, length, after in zip(plans, lengths, [*lengths[1:], 0.0], strict=True):
@@ -235,5 +235,5 @@ def set_off(dice: Dice, phases: Sequence[Phase], net: Net) -> Traveler:
 
 
 def stride_of(dt: float) -> int:
-    """Return the number of substeps in a step of ``dt`` seconds."""
+    """Return the number of substeps in an epoch of ``dt`` seconds."""
     return max(1, round(dt / FINEST_STEP_S))

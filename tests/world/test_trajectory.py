@@ -125,7 +125,7 @@ def test_wrong_arrays_are_refused_with_the_row():
 def test_a_trajectory_of_a_user_who_never_moves_causes_a_warning():
     time_s = np.arange(100.0)
     degrees = np.column_stack([-122.4 + 1e-6 * time_s, np.full(100, 37.8), np.full(100, 1.5)])
-    with pytest.warns(UserWarning, match="gps: found all of 99 s"):
+    with pytest.warns(UserWarning, match="gps: found all positions of 99 s"):
         Trajectory("gps", time_s, degrees)
 
 
