@@ -65,7 +65,7 @@ def main(args: Args) -> None:
     entries = [read_entry(path) for path in sorted(args.out.glob("*.json"))]
     if not entries:
         raise ValueError(f"out: found no entries in {args.out}; --policies makes some")
-    tables = {"leaderboard": ranking(entries, EPISODES, DRAWS), "venues": by_site(entries)}
+    tables = {"leaderboard": ranking(entries, EPISODES, DRAWS), "sites": by_site(entries)}
     show("\n\n".join(tables.values()))
     if args.docs:
         write_text(args.docs, renewed(page, tables))

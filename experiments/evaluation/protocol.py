@@ -149,7 +149,7 @@ def entry(name: str, judged: Sequence[Judged]) -> dict[str, Any]:
     means = {kind: bootstrap(np.mean(gain, axis=0)[:, None])[0] for kind, gain in gains.items()}
     return {
         "entry": name,
-        "venues": {at.site.name: at.figures(name) for at in judged},
+        "sites": {at.site.name: at.figures(name) for at in judged},
         "mean_gain": {kind: means[kind].json for kind in KINDS if kind in means},
     }
 
@@ -162,9 +162,9 @@ def read_entry(path: Path) -> dict[str, Any]:
     """
 
     def checked(content: dict[str, Any]) -> dict[str, Any]:
-        missing = [site.name for site in sites() if site.name not in content["venues"]]
+        missing = [site.name for site in sites() if site.name not in content["sites"]]
         if missing:
-            raise ValueError(f"venues: missing {', '.join(missing)}")
+            raise ValueError(f"sites: missing {', '.join(missing)}")
         ranking([content], 0, 0)  # raises if tables can't show the entry
         by_site([content])
         return content
@@ -195,7 +195,7 @@ def ranking(entries: Sequence[Mapping[str, Any]], episodes: int, draws: int) -> 
     """
     rows: list[tuple[bool, float, list[Any]]] = []
     for content in entries:
-        at, gains = content["venues"].values(), content["mean_gain"]
+        at, gains = content["sites"].values(), content["mean_gain"]
         recorded = min(site["episodes"] for site in at if site["kind"] == RECORDED)
         simulated = min(site["episodes"] for site in at if site["kind"] != RECORDED)
         short = simulated < episodes or recorded < draws
@@ -218,7 +218,7 @@ def by_site(entries: Sequence[Mapping[str, Any]]) -> str:
     Policy files (such as the single trainings of a run) and IMMs are left out if there are other
     entries; the ranking includes them.
     """
-    named = {content["entry"]: content["venues"] for content in entries}
+    named = {content["entry"]: content["sites"] for content in entries}
     policies = {name: at for name, at in named.items() if "/" not in name}
     shown = {n: at for n, at in policies.items() if not n.startswith("imm")} or policies or named
     rows = []
@@ -229,4 +229,4 @@ def by_site(entries: Sequence[Mapping[str, Any]]) -> str:
             best = min(gains, key=lambda imm: gains[imm]["mean"])
             cells.append(f"{Interval.of(gains[best])} ({best})")
         rows.append(cells)
-    return grid(["venue", *shown], rows)
+    return grid(["site", *shown], rows)

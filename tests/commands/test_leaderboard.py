@@ -26,7 +26,7 @@ def entries(tmp_path_factory):
 def test_entries_are_ranked_and_a_page_is_renewed(entries, tmp_path):
     page = tmp_path / "page.md"
     page.write_text(
-        "<!-- table: leaderboard -->\n<!-- end -->\n<!-- table: venues -->\n<!-- end -->\n"
+        "<!-- table: leaderboard -->\n<!-- end -->\n<!-- table: sites -->\n<!-- end -->\n"
     )
     shown = succeed("leaderboard", "--out", entries, "--docs", page)
     best = "| imm-best | 2 / 2 (too few) | 0.000 [0.000, 0.000]"
@@ -40,7 +40,7 @@ def test_entries_are_ranked_and_a_page_is_renewed(entries, tmp_path):
 def test_a_file_that_is_not_an_entry_is_refused(entries, tmp_path):
     good = json.loads((entries / "imm-best.json").read_text())
     for damage, message in (
-        ({"venues": {}}, "venues: missing street:handset, "),
+        ({"sites": {}}, "sites: missing street:handset, "),
         ({"mean_gain": {}}, "not an entry: "),
     ):
         (tmp_path / "bad.json").write_text(json.dumps(good | damage))
@@ -66,7 +66,7 @@ def test_an_entry_of_too_few_episodes_comes_last_and_is_marked(episodes, draws, 
     folder = ROOT / "docs" / "leaderboard"
     good, poor = (json.loads((folder / f"{name}.json").read_text()) for name in (GOOD, POOR))
     (tmp_path / "full.json").write_text(json.dumps(poor))
-    for site in good["venues"].values():
+    for site in good["sites"].values():
         site["episodes"] = draws if site["kind"] == "recorded" else episodes
     (tmp_path / "a-short.json").write_text(json.dumps(good | {"entry": "short"}))
     shown = succeed("leaderboard", "--out", tmp_path)
