@@ -81,7 +81,7 @@ def test_the_page_of_help_texts_has_every_command(hooks):
     assert names == list(COMMANDS)
 
 
-def test_roles_in_docstrings_become_links_and_names_and_numbers_stay_on_one_line(hooks):
+def test_roles_become_links_while_names_and_numbers_stay_on_one_line(hooks):
     html = "<p>:func:<code>~mmwave_env.metrics.ate</code> :func:<code>draw</code></p>"
     links = re.findall('identifier="(.*?)"><code>(.*?)<', hooks.on_page_content(html))
     assert links == [("mmwave_env.metrics.ate", "ate")]
@@ -96,7 +96,7 @@ def test_a_paragraph_that_is_only_a_link_to_a_report_shows_it_in_a_frame(hooks):
     assert frames == ["../report.html#episodes"]
 
 
-def test_the_description_for_package_indexes_links_to_the_repository_at_its_tag():
+def test_links_in_the_package_description_lead_to_the_repository_at_its_tag():
     files = ("README.md", "pyproject.toml", "mmwave_env/__init__.py")
     texts = [(ROOT / name).read_text("utf-8") for name in files]
     text = loaded("setup.py").described(*texts)

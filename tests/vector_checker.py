@@ -6,7 +6,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-STEPS = 40  # number in the longest check, in which episodes must end
+STEPS = 40  # number of steps in the longest check; some episodes must end within it
 
 
 def check_vector_env(make):
@@ -44,7 +44,7 @@ def arrays(result):
 
 
 def forward(env, actions):
-    """Return the results of a step and, if autoreset is disabled, of the reset after ends."""
+    """Return the results of a step and, if autoreset is disabled, of the reset of ended episodes."""
     results = [env.step(actions)]
     over = results[0][2] | results[0][3]
     if env.metadata["autoreset_mode"] == AutoresetMode.DISABLED and over.any():

@@ -107,7 +107,7 @@ def _complain(program: str, error: BaseException, debug: bool) -> None:
     elif isinstance(error, (ValueError, OSError)):
         line = str(error)
     else:
-        where = "" if debug else "; --debug shows where, please report it"
+        where = "" if debug else "; please report it (--debug shows where it happened)"
         line = f"failed with {type(error).__name__}: {error}{where}"
     print(f"{program}: {_in_one_line(line)}", file=sys.stderr)
 

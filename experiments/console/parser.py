@@ -54,7 +54,9 @@ def parse(arguments: type[T], words: Sequence[str], program: str) -> T:
     try:
         with (
             _columns(width if helped else UNLIMITED),
-            redirect_stdout(sys.stdout if helped else box),  # tyro draws frames by its encoding
+            redirect_stdout(
+                sys.stdout if helped else box
+            ),  # tyro frames with characters that it can encode
             redirect_stderr(box),
         ):
             parsed = tyro.cli(read, prog=program, description="", args=words, config=config)

@@ -17,7 +17,7 @@ QUIET: ContextVar[bool] = ContextVar("quiet", default=False)  # neither bars nor
 
 
 class _Description(TextColumn):
-    """Description of a bar as plain text: names are neither markup nor escape sequences."""
+    """Description of a bar as plain text: markup in names is not interpreted."""
 
     def render(self, task: Task) -> Text:
         return Text(printable(task.description), style="progress.description")

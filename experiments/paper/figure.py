@@ -47,7 +47,7 @@ def _bars(axes: Any, sections: Sequence[Section], title: str) -> None:
 
 
 def _sweep(axes: Any, section: Section) -> None:
-    """Draw the ATE over the process noise, with and without gates."""
+    """Draw the ATE against the process noise, with and without gates."""
     x = [float(str(row[0])) for row in section.rows]
     styles = {"no gates": ":", "gates, no recovery": "-", "gates, recovery": "--"}
     for column, name in enumerate(section.columns[1:], start=1):

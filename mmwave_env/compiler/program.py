@@ -164,7 +164,7 @@ class Program(Generic[Workspace]):
         return [attrgetter(name)(self.index) for name in names]
 
     def by_name(self, names: Sequence[str], outputs: Array) -> dict[str, Array]:
-        """Split outputs (n, epochs, rows), which are the rows of :meth:`parts`, by name.
+        """Split outputs (n, epochs, rows) by name; the rows are those of :meth:`parts`, in order.
 
         Returns:
             For each name, (n, epochs) if it is a single number, else (n, epochs, numbers).

@@ -1,6 +1,6 @@
 """Interacting multiple models (IMM) instead of an agent: whole episodes in one call.
 
-No action steers an IMM, so its compiled code need not stop between epochs. Everything that can be
+Without an agent, compiled code need not stop between epochs. Everything that can be
 tuned (transition probabilities, process noise, the weight of outliers) is part of its data, so one
 compiled program runs any tuning.
 """
@@ -115,7 +115,7 @@ def _program(pipeline: Pipeline, reward: Reward, acted: bool) -> Program[ImmStat
 
 
 class ImmEngine:
-    """An IMM over the modes of a pipeline, which weights the modes without an agent.
+    """An IMM over the modes of a pipeline; it weights the modes itself, without an agent.
 
     Args:
         pipeline: modes and layout.

@@ -144,8 +144,8 @@ def _tuned_profile(radio: Radio) -> str:
     if radio.name not in RADIOS:
         warnings.warn(
             f"radio {radio.name!r}: found no modes tuned for it, using those of {radio.base!r}; "
-            f"mmwave-loc tune --radio {radio.name}.json --out modes.json tunes modes= and --modes; "
-            "add --bank to tune a bank",
+            "to tune some for modes= and --modes, run mmwave-loc tune --radio "
+            f"{radio.name}.json --out modes.json (with --bank for a bank)",
             stacklevel=3,
         )
     return radio.base

@@ -75,7 +75,7 @@ class Size:
 class Printable:
     """Text that can be shown unchanged in tables and pictures."""
 
-    expected: str = f"1 to {LONGEST} printable letters"
+    expected: str = f"1 to {LONGEST} printable characters"
 
     def holds(self, value: Any) -> bool:
         """Tell whether a text is short enough and printable."""

@@ -46,18 +46,18 @@ from mmwave_env.numerics.numbers import Array, Index, Mask
 
 @dataclass(frozen=True, eq=False)
 class LogBlock(Block):
-    """T consecutive epochs of a log; numbers of groups that are not visible have no meaning.
+    """T consecutive epochs of a log; values in groups that are not visible are meaningless.
 
-    :func:`~mmwave_env.localization.localizer.segments` sets the fields that describe segments.
+    :func:`~mmwave_env.localization.segments.segments` sets the fields that describe segments.
     """
 
     layout: Layout  # rows and groups of the measurements
     time_s: Array  # (T,) increasing, also across blocks
     measurement: Array  # (T, rows) m, rad, Hz, m/s; angles in [-pi, pi)
     sigma: Array  # (T, rows) the receiver's own standard deviations; NaN where it states none
-    # (T, groups) whether every number of the group was measured; for a link and for the Doppler
-    # shift that includes the SNR, because their noise follows from it. In a partial layout, whether
-    # any number was measured whose noise is known
+    # (T, groups) whether every number of the group was measured. Links and the Doppler shift need
+    # the SNR, too, because their noise follows from it. In a partial layout, whether any number
+    # was measured whose noise is known
     visible: Mask
     # (T, groups) whether the group is lost because only some of its numbers were measured. In a
     # partial layout, whether a number is lost because its noise is unknown

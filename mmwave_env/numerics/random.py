@@ -2,7 +2,7 @@
 
 The generator is SFC64 (Chris Doty-Humphrey, PractRand), which numpy also offers: it needs only
 additions, shifts, a rotation and xor. Its four 64-bit words are stored as the bits of four floats;
-four lanes store the words of eight environments in the same way.
+on SIMD lanes, four vectors of eight floats store the words of eight environments.
 """
 
 import math
@@ -89,7 +89,7 @@ class Dice:
         return [word.as_number() for word in self._words]
 
     def uniform(self, low: Number = 0.0, high: Number = 1.0) -> Number:
-        """Draw uniformly from [low, high), or from [0, 1) the number that numpy would draw."""
+        """Draw uniformly from [low, high); from [0, 1) it is the number that numpy would draw."""
         word, self._words = next_word(self._words)
         return low + (high - low) * (word >> 11).scaled(2.0**-53)
 

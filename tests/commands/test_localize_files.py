@@ -98,6 +98,6 @@ def test_an_invalid_name_is_refused_with_its_file_and_key(tmp_path, kind, name):
     more = ("--modes", path) if kind == "modes" else ()
     done = command("localize", RIDE / "log.csv", "--scene", scene, "--speed", "9", *more)
     assert_one_clear_line(
-        done, f"{kind}.json: .*name.*: found .*expected 1 to 80 printable letters"
+        done, f"{kind}.json: .*name.*: found .*expected 1 to 80 printable characters"
     )
     assert len(done.stderr) < 1000

@@ -43,14 +43,14 @@ FUNCTIONS = {
     "sine": lambda x, y: cos_sin(x)[1],
     "larger": lambda x, y: maximum(x, y),
     "where": lambda x, y: where(x < y, x, y),
-    "where not less": lambda x, y: where(x <= y, x, y),
+    "where less or equal": lambda x, y: where(x <= y, x, y),
     "both": lambda x, y: where((x < y) & (x < 0.0), x, y),
     "either": lambda x, y: where((x < y) | (x < 0.0), x, y),
     "tenth": lambda x, y: x * 0.1,
     "next to a tenth": lambda x, y: x * 0.10000000000000002,
     "zero": lambda x, y: where(x < y, 0.0, x),
     "negative zero": lambda x, y: where(x < y, -0.0, x),
-    "same once more": lambda x, y: (x + y) * (x + y),
+    "same sum computed twice": lambda x, y: (x + y) * (x + y),
     "square": lambda x, y: (lambda s: s * s)(x + y),
 }
 
@@ -110,7 +110,7 @@ PROGRAMS = """
 
 @pytest.mark.slow
 def test_kernels_of_several_processes_are_not_mixed_up(started):
-    """Let each process compile one kernel first, so that all may have the same symbol."""
+    """Compile each kernel first in a process of its own, so that all could have the same symbol."""
     changes = ["lambda x: x + 4.0", "lambda x: x * 3.0", "lambda x: x - 7.0"]
     for change, value in zip(changes, ["5.0", "3.0", "-6.0"], strict=True):
         assert started(PROGRAMS + f"    shown({change})") == [value, "0"]

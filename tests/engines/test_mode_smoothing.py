@@ -44,7 +44,7 @@ def nees(batch, x, P):
 
 @pytest.mark.parametrize("planar", [False, True])
 @pytest.mark.parametrize("dt", [1.0, 0.1])
-def test_a_single_mode_is_smoothed_as_by_the_rts_smoother(planar, dt):
+def test_smoothing_a_single_mode_equals_the_rts_smoother(planar, dt):
     task = task_from(dt=dt, planar=planar, episode_steps=40)
     _, track, steps, (x, P) = smoothed(task, Bank(default_modes()[:1]), 4)
     expected = smooth(*(track[name] for name in PARTS[:4]), steps[:, 1:], planar)

@@ -24,7 +24,7 @@ def packed(P):
 
 
 @pytest.mark.parametrize("dt", [0.1, 1.0, 3.0])
-def test_a_linear_model_is_smoothed_as_by_filterpy(dt):
+def test_smoothing_a_linear_model_equals_filterpy(dt):
     rng = np.random.default_rng(0)
     epochs = 60
     root = rng.normal(size=(7, 7))
@@ -65,7 +65,7 @@ def tracks(planar, n=9, epochs=120):
 
 
 @pytest.mark.parametrize("planar", [False, True])
-def test_our_tracks_are_smoothed_as_by_numpy(planar):
+def test_smoothed_tracks_equal_a_plain_numpy_smoother(planar):
     x, P, x_predicted, P_predicted = tracks(planar)
     time_s = np.arange(x.shape[1], dtype=float)
     free = [0, 1, 3, 4, 6] if planar else list(range(7))

@@ -94,7 +94,7 @@ def test_the_interval_of_the_share_is_that_of_clopper_and_pearson(exceeded, epoc
     assert figures["ci95"] == pytest.approx([low, high])
 
 
-def test_nan_counts_as_exceeded_and_no_epochs_give_no_share():
+def test_nan_counts_as_exceeded_and_the_share_of_zero_epochs_is_none():
     error, level = np.array([np.nan, 1.0, 1.0]), np.array([5.0, np.nan, 5.0])
     assert exceedance(error, level)["exceeded"] == 2
     nothing = exceedance(np.empty(0), np.empty(0))

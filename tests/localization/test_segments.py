@@ -1,4 +1,4 @@
-"""Tests of the division of a log into segments: where they begin and end, and gaps."""
+"""Tests of how a log is divided into segments: where they begin and end, and gaps."""
 
 import numpy as np
 from hypothesis import given, settings
