@@ -44,7 +44,7 @@ def arrays(result):
 
 
 def forward(env, actions):
-    """Return the results of a step and, if autoreset is disabled, of the reset of ended episodes."""
+    """Return the results of a step and, if autoreset is off, of the reset of ended episodes."""
     results = [env.step(actions)]
     over = results[0][2] | results[0][3]
     if env.metadata["autoreset_mode"] == AutoresetMode.DISABLED and over.any():

@@ -104,7 +104,7 @@ def _loaded(model: str) -> tuple[Any, dict[str, Any]]:
 
 
 def _normalization(path: Path | None, box: Any) -> Normalization:
-    """Read the normalization from a file of ``VecNormalize``; without a file, return one that changes nothing."""
+    """Read the normalization of a ``VecNormalize``; without a file, it changes nothing."""
     low, high = box.low.astype(float), box.high.astype(float)
     as_they_are = Normalization(low, high, np.zeros(box.shape), np.ones(box.shape))
     if path is None:

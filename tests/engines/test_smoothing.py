@@ -97,7 +97,7 @@ def mixture(request):
     return request.param, truth, list(imm.run(episodes, *names).values())
 
 
-def test_a_mixture_is_smoothed_as_by_numpy(mixture):
+def test_smoothing_a_mixture_equals_plain_numpy(mixture):
     dt, _, (x, P, x_predicted, P_predicted) = mixture
     time_s = dt * np.arange(x.shape[1])
     found_x, found_P = smooth(x, P, x_predicted, P_predicted, np.diff(time_s))
