@@ -21,7 +21,7 @@ BUDGET = {
     "files of source": 280,
     "lines of tests": 25_100,
     "tokens of tests": 223_000,
-    "words of docs": 38_000,
+    "words of docs": 38_900,
     "pages of docs": 23,
     "tracked files": 620,
     "tracked MB": 8,
