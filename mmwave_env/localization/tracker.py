@@ -16,12 +16,14 @@ from mmwave_env.localization.localizer import (
 )
 from mmwave_env.localization.map_files import geodetic
 from mmwave_env.localization.segments import can_begin
-from mmwave_env.logs.live_log import LiveLog
+from mmwave_env.logs.live_log import LiveEpoch, LiveLog
 from mmwave_env.logs.log import LogBlock
+from mmwave_env.models.layout import Layout
 from mmwave_env.models.prior import GAP_S
-from mmwave_env.models.radio import Radio, radio_from
+from mmwave_env.models.radio import SNR_LIMITS_DB, Radio, radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from mmwave_env.numerics.numbers import Array
+from mmwave_env.world.episode import shown_snr, sigma_bounds, table_of
 
 
 class Position(NamedTuple):
@@ -88,7 +90,7 @@ class Tracker:
         self._filter: Any = None
         self._last_s: float | None = None  # time of the last measurement; None before a track
         # of the last epochs: time, Doppler spread, mode, and what the smoother needs
-        self._late: deque[tuple[float, float, str, Array]] = deque(maxlen=lag + 1)
+        self._late: deque[tuple[float, float, str, dict[str, Array]]] = deque(maxlen=lag + 1)
 
     def update(self, rows: Iterable[Mapping[str, Any]]) -> Position | None:
         """Take the rows of an epoch; return the belief after it.
@@ -103,47 +105,86 @@ class Tracker:
         Raises:
             LogError: a row is damaged or late; the epoch is left out.
         """
-        rows, blocks = list(rows), []
+        rows, epochs = list(rows), []
         if self._log is None:
             names = dict.fromkeys(name for row in rows for name in row)
             self._log = LiveLog(list(names), self._scene, self._snr_db)
         for row in rows:
-            blocks += self._log.add(row)
+            epochs += self._log.add(row)
         position = None
-        for block in [*blocks, *self._log.end_epoch()]:
-            position = self.step(block)
+        for epoch in [*epochs, *self._log.end_epoch()]:
+            position = self.step(epoch)
         return position
 
-    def step(self, block: LogBlock) -> Position | None:
-        """Take an epoch of a log, a block with T = 1; see :meth:`update`."""
-        time_s, layout = float(block.time_s[0]), block.layout
-        spread_hz, self._layout = float(block.doppler_spread_hz[0]), layout
+    def step(self, epoch: LiveEpoch) -> Position | None:
+        """Take an epoch of a log; see :meth:`update`."""
+        time_s = epoch.time_s
         begins = self._last_s is None or time_s - self._last_s > GAP_S
         if begins:
             self._last_s = None
-            if not can_begin(block, 0, self._scene, self._radio):
+            if not can_begin(epoch.block, 0, self._scene, self._radio):
                 return None
-        links = block.visible[0, : layout.anchors].any()
-        if begins or links or (layout.odometry and block.visible[0, -1]):
+            self._prepare(epoch.log.layout)
+        placed = epoch.placed() if self._plain and not begins else None
+        visible, spread_hz = (
+            self._load_placed(*placed, time_s) if placed else self._load(epoch.block, begins)
+        )
+        if begins or any(visible[: self._layout.anchors]) or (self._layout.odometry and visible[-1]):
             self._last_s = time_s
-        episode = episode_from(block, self._scene, self._radio, begins)
-        if self._height_m is not None:
-            episode = episode.on_flat_ground(self._height_m)
-        if self._filter is None:
-            self._filter = self._switching.tracker(layout, self._height_m is not None)
-        self._filter.load([episode], go_on=not begins)
         parts = {name: of[0] for name, of in self._filter.run(*self._switching.parts).items()}
         if begins:
             self._late.clear()
-        mode = self._switching.names[int(parts["memory.mode"][0])]
-        self._late.append((time_s, spread_hz, mode, filtered_of(parts)))
-        visible, names = episode.visible[0], layout.group_names
-        accepted, nis = parts["memory.accepted"][0] > 0.5, parts["memory.nis"][0]
+        mode = self._names[int(parts["memory.mode"][0])]
+        self._late.append((time_s, spread_hz, mode, parts))
+        accepted, nis = parts["memory.accepted"][0].tolist(), parts["memory.nis"][0].tolist()
+        seen = [group for group in zip(self._groups, visible, nis, accepted, strict=True) if group[1]]
         return self._position(
             time_s, parts["x"][0], parts["P"][0], mode,
-            {names[g]: float(nis[g]) for g in np.flatnonzero(visible)},
-            [names[g] for g in np.flatnonzero(visible & ~accepted)], begins,
+            {name: nis for name, _, nis, _ in seen},
+            [name for name, _, _, accepted in seen if accepted < 0.5], begins,
         )  # fmt: skip
+
+    def _prepare(self, layout: Layout) -> None:
+        """Make what all epochs need, once."""
+        if self._filter is not None:
+            return
+        self._filter = self._switching.tracker(layout, self._height_m is not None)
+        self._layout, self._groups, self._names = layout, layout.group_names, self._switching.names
+        self._starts = np.array([group.start for group in layout.groups])
+        self._noise = self._radio.noise(self._scene, layout)
+        ends = np.repeat(np.array([SNR_LIMITS_DB]).T, layout.anchors, axis=1)
+        sigma = self._noise.sigma(ends)
+        self._plain = not any(
+            bound.outside(sigma[:, rows]).any() for rows, bound in sigma_bounds(layout)
+        )
+
+    def _load(self, block: LogBlock, begins: bool) -> tuple[list[bool], float]:
+        """Load an epoch (T = 1); return which groups were seen, and the Doppler spread, Hz."""
+        episode = episode_from(block, self._scene, self._radio, begins)
+        if self._height_m is not None:
+            episode = episode.on_flat_ground(self._height_m)
+        self._filter.load([episode], go_on=not begins)
+        return episode.visible[0].tolist(), float(block.doppler_spread_hz[0])
+
+    def _load_placed(
+        self, placed: Array, doppler_anchor: int, time_s: float
+    ) -> tuple[list[bool], float]:
+        """Load an epoch of sound numbers, as :meth:`_load` does.
+
+        Args:
+            placed, doppler_anchor: as :meth:`LiveEpoch.placed` returns them.
+            time_s: time of the epoch.
+        """
+        layout, size, anchor = self._layout, self._layout.size, np.array([doppler_anchor])
+        measurement, snr = placed[None, :size], placed[None, 2 * size : -1]
+        sigma = self._noise.sigma(snr, anchor, placed[None, size : 2 * size])
+        used = np.isfinite(measurement)
+        visible = np.logical_or.reduceat(used, self._starts, axis=1)
+        spread = placed[-1:] if placed[-1] == placed[-1] else np.zeros(1)
+        links, snr = visible[:, : layout.anchors], shown_snr(snr)
+        table = table_of(layout, used, links, measurement, sigma, snr, spread, anchor)
+        self._filter.load_epoch(table[0], time_s)
+        return visible[0].tolist(), float(spread[0])
 
     def smoothed(self) -> Position | None:
         """Return the position ``lag`` epochs ago, smoothed by the epochs since.
@@ -155,7 +196,7 @@ class Tracker:
         times, spreads, modes, parts = zip(*self._late, strict=True)
         x, P = smoothed(
             self._switching, self._layout, self._height_m is not None, self._scene,
-            np.concatenate(parts)[None], np.array([times]), np.array([spreads]),
+            np.concatenate([filtered_of(of) for of in parts])[None], np.array([times]), np.array([spreads]),
         )  # fmt: skip
         return self._position(times[0], x[0, 0], P[0, 0], modes[0], {}, [], False)
 
@@ -163,13 +204,11 @@ class Tracker:
         self, time_s: float, x: Array, P: Array, mode: str, nis: dict[str, float],
         rejected: list[str], begins: bool,
     ) -> Position:  # fmt: skip
-        row, column = np.tril_indices(3)
-        covariance = np.empty((3, 3))
-        covariance[row, column] = covariance[column, row] = P[:6]
+        xx, yx, yy, zx, zy, zz = P[:6].tolist()
         origin, place = self._scene.origin, None
         if origin is not None:
             place = geodetic(origin, x[None, :3])[0].tolist()
         return Position(
-            time_s, x[:3].tolist(), covariance.tolist(), x[3:6].tolist(), mode, nis, rejected,
+            time_s, x[:3].tolist(), [[xx, yx, zx], [yx, yy, zy], [zx, zy, zz]], x[3:6].tolist(), mode, nis, rejected,
             begins, place,
         )  # fmt: skip

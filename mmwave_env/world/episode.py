@@ -94,8 +94,7 @@ class Episode:
     def _bounded(self) -> Iterator[tuple[str, Array, Bound]]:
         """Yield the name, the values and the bound of every bounded part."""
         mean, deviation = self.prior_mean, np.sqrt(np.diag(self.prior_covariance))
-        sigma, layout = np.where(self._used, self.sigma, np.nan), self.layout
-        lengths = np.setdiff1d(np.arange(layout.size), [*layout.angles, layout.doppler])
+        sigma = np.where(self._used, self.sigma, np.nan)
         yield "hz_per_mps", np.array([self.hz_per_mps]), envelope.HZ_PER_MPS
         yield "time_s, step", np.diff(self.time_s), envelope.STEP_S
         yield "doppler_spread_hz", self.doppler_spread_hz, envelope.DOPPLER_SPREAD_HZ
@@ -106,12 +105,8 @@ class Episode:
         yield "prior_covariance, position", deviation[:3], envelope.POSITION_SIGMA_M
         yield "prior_covariance, velocity", deviation[3:6], envelope.VELOCITY_SIGMA_MPS
         yield "prior_covariance, bias", deviation[6:], envelope.BIAS_SIGMA_HZ
-        for columns, bound in (
-            (lengths, envelope.RANGE_SIGMA_M),
-            (layout.angles, envelope.ANGLE_SIGMA_RAD),
-            ([layout.doppler], envelope.DOPPLER_SIGMA_HZ),
-        ):
-            used = sigma[:, columns]
+        for rows, bound in sigma_bounds(self.layout):
+            used = sigma[:, rows]
             yield "sigma", used[~np.isnan(used)], bound
 
     @classmethod
@@ -144,23 +139,16 @@ class Episode:
             sigma: (T, rows) the receiver's own standard deviations, NaN where it states none.
             position_m, velocity_mps: the truth (T, 3), or None where unknown.
         """
-        known = np.isfinite(snr_db)
-        stated = radio.sigma(snr_db, scene, layout)
+        noise = radio.noise(scene, layout).sigma(snr_db, doppler_anchor, sigma)
         if layout.partial:
-            snr_db = np.where(known, snr_db, NEUTRAL_SNR_DB)  # features, not noise, depend on it
-            if doppler_anchor is not None:
-                shifted = np.repeat(snr_db[np.arange(len(snr_db)), doppler_anchor], layout.anchors)
-                of_doppler = radio.sigma(shifted.reshape(snr_db.shape), scene, layout)
-                stated[:, layout.doppler] = of_doppler[:, layout.doppler]
-        if sigma is not None:
-            stated = np.where(np.isfinite(sigma), sigma, stated)
+            snr_db = shown_snr(snr_db)
         return cls(
             name,
             scene.anchors_m,
             scene.hz_per_mps,
             time_s,
             measurement,
-            stated,
+            noise,
             visible,
             snr_db,
             doppler_spread_hz,
@@ -232,20 +220,17 @@ class Episode:
     def table(self) -> Array:
         """Return the table (T, columns) that engines load; :func:`columns_of` names its columns."""
         at, links = columns_of(self.layout), self.usable[:, : self.layout.anchors]
-        keep = self._used
         position, velocity = self.truth_position_m, self.truth_velocity_mps
-        table = np.empty((len(self), len(flatten(at))))
+        anchor = np.zeros(len(self), np.int64)
+        table = table_of(
+            self.layout, self._used, links, self.measurement, self.sigma, self.snr_db,
+            self.doppler_spread_hz, anchor if self.doppler_anchor is None else self.doppler_anchor,
+        )  # fmt: skip
         table[:, at.dt] = np.diff(self.time_s, prepend=self.time_s[0])
-        table[:, at.z] = np.where(keep, self.measurement, 0.0)
-        table[:, at.signed_sigma] = np.where(keep, self.sigma, -1.0)
-        table[:, at.snr_db] = np.where(links, self.snr_db, 0.0)
-        if self.layout.partial:
-            first = np.zeros(len(self), np.int64)
-            anchor = first if self.doppler_anchor is None else self.doppler_anchor
-            table[:, at.doppler_of] = np.eye(self.layout.anchors)[anchor]
-        table[:, at.doppler_spread_hz] = self.doppler_spread_hz
-        table[:, at.truth[:3]] = np.nan if position is None else position
-        table[:, at.truth[3:]] = np.nan if velocity is None else velocity
+        if position is not None:
+            table[:, at.truth[:3]] = position
+        if velocity is not None:
+            table[:, at.truth[3:]] = velocity
         return table
 
     def site(self) -> Array:
@@ -253,6 +238,21 @@ class Episode:
         packed = self.prior_covariance[np.tril_indices(7)]
         site = Site(self.scene_anchors_m.tolist(), self.hz_per_mps, [*self.prior_mean], [*packed])
         return np.array(flatten(site))
+
+
+def shown_snr(snr_db: Array) -> Array:
+    """Return the SNRs that features show, neutral where none was measured."""
+    return np.where(np.isfinite(snr_db), snr_db, NEUTRAL_SNR_DB)
+
+
+def sigma_bounds(layout: Layout) -> list[tuple[list[int], Bound]]:
+    """Return the rows of each unit, and the bound of their standard deviations."""
+    lengths = np.setdiff1d(np.arange(layout.size), [*layout.angles, layout.doppler]).tolist()
+    return [
+        (lengths, envelope.RANGE_SIGMA_M),
+        (layout.angles, envelope.ANGLE_SIGMA_RAD),
+        ([layout.doppler], envelope.DOPPLER_SIGMA_HZ),
+    ]
 
 
 def shapes_of(layout: Layout, T: int) -> dict[str, tuple[int, ...]]:
@@ -368,6 +368,32 @@ def blank_incoming(layout: Layout) -> Incoming:
 def columns_of(layout: Layout) -> Any:
     """Return the column numbers of :meth:`Episode.table` as an :class:`Incoming`."""
     return indices(blank_incoming(layout))
+
+
+def table_of(
+    layout: Layout, used: Mask, links: Mask, measurement: Array, sigma: Array, snr_db: Array,
+    doppler_spread_hz: Array, doppler_anchor: Index,
+) -> Array:  # fmt: skip
+    """Return the table (T, columns) of epochs without a truth, each 0 s after the one before.
+
+    Args:
+        layout: layout of the measurements.
+        used: (T, rows) whether the row is a measurement.
+        links: (T, L) whether any row of the link is one.
+        measurement, sigma, snr_db, doppler_spread_hz: as in :class:`Episode`.
+        doppler_anchor: (T,) anchor of the Doppler shift, from 0.
+    """
+    T = len(measurement)
+    columns: dict[str, Any] = {
+        "dt": np.zeros((T, 1)),
+        "z": np.where(used, measurement, 0.0),
+        "signed_sigma": np.where(used, sigma, -1.0),
+        "snr_db": np.where(links, snr_db, 0.0),
+        "doppler_spread_hz": doppler_spread_hz[:, None],
+        "truth": np.full((T, 6), np.nan),
+        "doppler_of": doppler_anchor[:, None] == np.arange(layout.anchors * layout.partial),
+    }
+    return np.concatenate(Incoming(**columns), axis=1)
 
 
 class EpisodeSource(Protocol):
