@@ -172,7 +172,9 @@ class Program(Generic[Workspace]):
         Returns:
             Per name, (n, epochs) for a single number, else (n, epochs, numbers).
         """
-        return {name: outputs[..., columns] for name, columns in self._found(tuple(names))[1].items()}
+        return {
+            name: outputs[..., columns] for name, columns in self._found(tuple(names))[1].items()
+        }
 
     def _found(self, names: tuple[str, ...]) -> tuple[Index, dict[str, int | slice]]:
         """Return the rows of parts, and the columns of each in outputs of these rows."""

@@ -98,11 +98,11 @@ class Batch(Generic[Workspace]):
         self.write(site, packed.site, places)
         self.restart(places)
 
-    def load_epoch(self, incoming: Array, gap_s: float) -> None:
+    def load_epoch(self, incoming: Sequence[float], gap_s: float) -> None:
         """Load one more epoch of a single track that was loaded before.
 
         Args:
-            incoming: (columns,) the epoch, a row of :meth:`~mmwave_env.world.episode.Episode.table`.
+            incoming: (columns,) a row of :meth:`~mmwave_env.world.episode.Episode.table`.
             gap_s: seconds since the epoch before.
         """
         self.state.table[0, 0] = incoming

@@ -63,7 +63,7 @@ class PolicyTracker:
         self._engine.batch.load(episodes, gap_s=gap_s)
         self._epochs, self._end_s, self._starts = len(episode), float(episode.time_s[-1]), not go_on
 
-    def load_epoch(self, incoming: Array, time_s: float) -> None:
+    def load_epoch(self, incoming: Sequence[float], time_s: float) -> None:
         """Load one more epoch of the track, as :meth:`EpisodeFilter.load_epoch` does."""
         self._filter.load_epoch(incoming, time_s)
         self._engine.batch.load_epoch(incoming, time_s - self._end_s)

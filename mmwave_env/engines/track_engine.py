@@ -138,7 +138,7 @@ class EpisodeFilter(Generic[Workspace]):
         self._epochs = max(len(episode) for episode in episodes)
         self._end_s = float(episodes[0].time_s[-1])
 
-    def load_epoch(self, incoming: Array, time_s: float) -> None:
+    def load_epoch(self, incoming: Sequence[float], time_s: float) -> None:
         """Load one more epoch of a single track, as :meth:`Batch.load_epoch` takes it."""
         self._batch.load_epoch(incoming, time_s - self._end_s)
         self._epochs, self._end_s = 1, time_s

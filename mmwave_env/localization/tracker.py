@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Iterable, Mapping
+from math import isnan
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,10 +21,11 @@ from mmwave_env.logs.live_log import LiveEpoch, LiveLog
 from mmwave_env.logs.log import LogBlock
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.prior import GAP_S
-from mmwave_env.models.radio import SNR_LIMITS_DB, Radio, radio_from
+from mmwave_env.models.radio import SNR_LIMITS_DB, Radio, deviations, radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.world.episode import shown_snr, sigma_bounds, table_of
+from mmwave_env.numerics.pytree import flatten
+from mmwave_env.world.episode import NEUTRAL_SNR_DB, blank_incoming, columns_of, sigma_bounds
 
 
 class Position(NamedTuple):
@@ -122,14 +124,13 @@ class Tracker:
         begins = self._last_s is None or time_s - self._last_s > GAP_S
         if begins:
             self._last_s = None
-            if not can_begin(epoch.block, 0, self._scene, self._radio):
+            if not can_begin(epoch.block(), 0, self._scene, self._radio):
                 return None
-            self._prepare(epoch.log.layout)
-        placed = epoch.placed() if self._plain and not begins else None
-        visible, spread_hz = (
-            self._load_placed(*placed, time_s) if placed else self._load(epoch.block, begins)
-        )
-        if begins or any(visible[: self._layout.anchors]) or (self._layout.odometry and visible[-1]):
+            if self._filter is None:
+                self._prepare(epoch.block().layout)
+        loaded = None if begins else self._load_quickly(epoch)
+        seen, spread_hz = loaded or self._load(epoch.block(), begins)
+        if begins or any(seen[: self._layout.anchors]) or (self._layout.odometry and seen[-1]):
             self._last_s = time_s
         parts = {name: of[0] for name, of in self._filter.run(*self._switching.parts).items()}
         if begins:
@@ -137,24 +138,22 @@ class Tracker:
         mode = self._names[int(parts["memory.mode"][0])]
         self._late.append((time_s, spread_hz, mode, parts))
         accepted, nis = parts["memory.accepted"][0].tolist(), parts["memory.nis"][0].tolist()
-        seen = [group for group in zip(self._groups, visible, nis, accepted, strict=True) if group[1]]
+        groups = [g for g, is_seen in enumerate(seen) if is_seen]
         return self._position(
-            time_s, parts["x"][0], parts["P"][0], mode,
-            {name: nis for name, _, nis, _ in seen},
-            [name for name, _, _, accepted in seen if accepted < 0.5], begins,
+            time_s, parts["x"][0], parts["P"][0], mode, {self._groups[g]: nis[g] for g in groups},
+            [self._groups[g] for g in groups if accepted[g] < 0.5], begins,
         )  # fmt: skip
 
     def _prepare(self, layout: Layout) -> None:
         """Make what all epochs need, once."""
-        if self._filter is not None:
-            return
         self._filter = self._switching.tracker(layout, self._height_m is not None)
         self._layout, self._groups, self._names = layout, layout.group_names, self._switching.names
-        self._starts = np.array([group.start for group in layout.groups])
-        self._noise = self._radio.noise(self._scene, layout)
+        self._variances = self._radio.variances(self._scene, layout)
+        self._at, self._blank = columns_of(layout), flatten(blank_incoming(layout))
+        self._group_of = np.repeat(np.arange(len(layout.groups)), layout.widths).tolist()
         ends = np.repeat(np.array([SNR_LIMITS_DB]).T, layout.anchors, axis=1)
-        sigma = self._noise.sigma(ends)
-        self._plain = not any(
+        sigma = self._radio.sigma(ends, self._scene, layout)
+        self._sound = not any(
             bound.outside(sigma[:, rows]).any() for rows, bound in sigma_bounds(layout)
         )
 
@@ -166,25 +165,33 @@ class Tracker:
         self._filter.load([episode], go_on=not begins)
         return episode.visible[0].tolist(), float(block.doppler_spread_hz[0])
 
-    def _load_placed(
-        self, placed: Array, doppler_anchor: int, time_s: float
-    ) -> tuple[list[bool], float]:
-        """Load an epoch of sound numbers, as :meth:`_load` does.
-
-        Args:
-            placed, doppler_anchor: as :meth:`LiveEpoch.placed` returns them.
-            time_s: time of the epoch.
-        """
-        layout, size, anchor = self._layout, self._layout.size, np.array([doppler_anchor])
-        measurement, snr = placed[None, :size], placed[None, 2 * size : -1]
-        sigma = self._noise.sigma(snr, anchor, placed[None, size : 2 * size])
-        used = np.isfinite(measurement)
-        visible = np.logical_or.reduceat(used, self._starts, axis=1)
-        spread = placed[-1:] if placed[-1] == placed[-1] else np.zeros(1)
-        links, snr = visible[:, : layout.anchors], shown_snr(snr)
-        table = table_of(layout, used, links, measurement, sigma, snr, spread, anchor)
-        self._filter.load_epoch(table[0], time_s)
-        return visible[0].tolist(), float(spread[0])
+    def _load_quickly(self, epoch: LiveEpoch) -> tuple[list[bool], float] | None:
+        """Do the same for an epoch within a track; None where a number needs a closer look."""
+        if not epoch.placed or not self._sound:
+            return None
+        (numbers, doppler_anchor), layout, at = epoch.placed, self._layout, self._at
+        size, row, seen = layout.size, self._blank.copy(), [False] * len(self._groups)
+        snr = numbers[2 * size : -1]
+        sigma = deviations(*self._variances, snr, layout)
+        if doppler_anchor:
+            shifted = deviations(*self._variances, [snr[doppler_anchor]] * layout.anchors, layout)
+            sigma[layout.doppler] = shifted[layout.doppler]
+        for i, group in enumerate(self._group_of):
+            if not isnan(numbers[i]):
+                own, link = numbers[size + i], doppler_anchor if i == layout.doppler else group
+                if isnan(own) and i <= layout.doppler and isnan(snr[link]):
+                    return None
+                row[at.z[i]] = numbers[i]
+                row[at.signed_sigma[i]] = sigma[i] if isnan(own) else own
+                seen[group] = True
+        for link, snr_db in enumerate(snr):
+            if seen[link]:
+                row[at.snr_db[link]] = NEUTRAL_SNR_DB if isnan(snr_db) else snr_db
+            row[at.doppler_of[link]] = float(link == doppler_anchor)
+        if not isnan(numbers[-1]):
+            row[at.doppler_spread_hz] = numbers[-1]
+        self._filter.load_epoch(row, epoch.time_s)
+        return seen, row[at.doppler_spread_hz]
 
     def smoothed(self) -> Position | None:
         """Return the position ``lag`` epochs ago, smoothed by the epochs since.
@@ -196,7 +203,8 @@ class Tracker:
         times, spreads, modes, parts = zip(*self._late, strict=True)
         x, P = smoothed(
             self._switching, self._layout, self._height_m is not None, self._scene,
-            np.concatenate([filtered_of(of) for of in parts])[None], np.array([times]), np.array([spreads]),
+            np.concatenate(list(map(filtered_of, parts)))[None], np.array([times]),
+            np.array([spreads]),
         )  # fmt: skip
         return self._position(times[0], x[0, 0], P[0, 0], modes[0], {}, [], False)
 
@@ -205,10 +213,11 @@ class Tracker:
         rejected: list[str], begins: bool,
     ) -> Position:  # fmt: skip
         xx, yx, yy, zx, zy, zz = P[:6].tolist()
+        covariance = [[xx, yx, zx], [yx, yy, zy], [zx, zy, zz]]
         origin, place = self._scene.origin, None
         if origin is not None:
             place = geodetic(origin, x[None, :3])[0].tolist()
         return Position(
-            time_s, x[:3].tolist(), [[xx, yx, zx], [yx, yy, zy], [zx, zy, zz]], x[3:6].tolist(), mode, nis, rejected,
-            begins, place,
+            time_s, x[:3].tolist(), covariance, x[3:6].tolist(), mode, nis, rejected, begins,
+            place,
         )  # fmt: skip

@@ -1,70 +1,32 @@
 """A measurement log that arrives row by row; whole epochs leave at once."""
 
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from math import inf, isnan, nan
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mmwave_env.logs.log import LogBlock, block_of, places, require_noise
 from mmwave_env.logs.log_checks import first_damage
-from mmwave_env.logs.log_columns import (
-    BODY,
-    QUANTITIES,
-    ROW_QUANTITIES,
-    SIGMA_OF,
-    STATION,
-    Unit,
-    columns_of,
-)
+from mmwave_env.logs.log_columns import BODY, QUANTITIES, STATION, Unit, columns_of
 from mmwave_env.logs.log_tables import LogError, LogFile, Table, parse_carefully
 from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import Array
 
 _NUMBERS = {float, int, np.float64}  # types whose text is read back as the same number
 _MARGIN = 1e-9  # share of a limit; nearer to it a number needs a closer look
 
 
-@dataclass(frozen=True, eq=False)
-class LiveEpoch:
+class LiveEpoch(NamedTuple):
     """An epoch of a live log."""
 
-    log: "LiveLog"
-    rows: list[list[float]]  # cells of every row, as in the log, NaN where empty
-    numbers: list[int]  # numbers of the rows in their source
     time_s: float
-
-    @cached_property
-    def block(self) -> LogBlock:
-        """Return the epoch as a block, T = 1."""
-        log = self.log
-        return block_of(log.table(self.rows, self.numbers), log.scene, log.layout, True, log.snr_db)
-
-    def placed(self) -> tuple[Array, int] | None:
-        """Return the numbers in their :func:`~mmwave_env.logs.log.places`, NaN where not measured.
-
-        With them comes the anchor of the Doppler shift, from 0. None is returned where more than
-        placing is needed: for angles in other frames, and where noise may be unknown.
-        """
-        log, doppler_anchor = self.log, 0
-        placed = log.blank.copy()
-        for cells in self.rows:
-            anchor = int(cells[log.anchor]) - 1
-            for i, first, step, convert, is_angle in log.slots:
-                cell, place = cells[i], first + step * anchor
-                if cell == cell and (step or placed[place] != placed[place]):
-                    number = convert(cell)
-                    placed[place] = wrapped(number) if is_angle else number
-                    if first == log.layout.doppler:
-                        doppler_anchor = anchor
-            unheard = math.isnan(placed[anchor - log.layout.anchors - 1])
-            if log.turned or (unheard and not log.states_noise(cells)):
-                return None
-        return np.array(placed), doppler_anchor
+    block: Callable[[], LogBlock]  # returns the epoch as a block, T = 1
+    # numbers in their :func:`~mmwave_env.logs.log.places`, NaN where not measured, and the anchor of
+    # the Doppler shift, from 0. None where angles are in other frames than the map's: a block's are
+    placed: tuple[list[float], int] | None
 
 
 class LiveLog:
@@ -80,13 +42,7 @@ class LiveLog:
         source: name of the source, for messages.
 
     Attributes:
-        scene, snr_db: as above.
         layout: layout of the measurements.
-        anchor: place of the anchor's number in a row.
-        slots: place in a row, :func:`~mmwave_env.logs.log.places`, conversion of its unit, and
-            whether it is an angle to wrap, of every quantity but time and anchor.
-        blank: the numbers of an epoch in which nothing is measured.
-        turned: whether angles are in other frames than the map's.
 
     Raises:
         LogError: the columns are not those of a log, or do not state the noise.
@@ -102,26 +58,23 @@ class LiveLog:
         self._log = LogFile(Path(source), columns, len(names))
         if snr_db is None:
             require_noise(self._log)
-        self.scene, self.snr_db = scene, snr_db
+        self._scene, self._snr_db = scene, snr_db
         self.layout = Layout(len(scene.anchors_m), "speed" in columns, partial=True)
-        self.turned = STATION in columns or BODY in columns
-        self._time, self.anchor = columns["time"].number, columns["anchor"].number
-        self.slots = [
+        self._turned = STATION in columns or BODY in columns
+        self._time, self._anchor = columns["time"].number, columns["anchor"].number
+        self._slots = [
             (columns[of].number, *place, columns[of].unit.convert, place[0] in self.layout.angles)
             for of, place in places(self.layout).items()
             if of in columns
         ]
-        snr = [math.nan if snr_db is None else snr_db] * self.layout.anchors
-        self.blank = [math.nan] * 2 * self.layout.size + snr + [math.nan]
-        noise = {of: columns.get(SIGMA_OF[of]) for of in ROW_QUANTITIES if of in columns}
-        self._noise = [(columns[of].number, own and own.number) for of, own in noise.items()]
+        snr = [nan if snr_db is None else snr_db] * self.layout.anchors
+        self._blank = [nan] * 2 * self.layout.size + snr + [nan]
         self._sound = {column.name: _sound(of, column.unit) for of, column in columns.items()}
         self._anchors = set(range(1, self.layout.anchors + 1))
         of_epoch = [of for of in columns if QUANTITIES[of].per_epoch or of == "doppler"]
         self._of_epoch = [(columns[of].number, of == "doppler") for of in of_epoch]
         self._rows: list[list[float]] = []
-        self._numbers: list[int] = []
-        self._last_s = -math.inf
+        self._last_s = -inf
 
     def add(self, row: str | Mapping[str, Any], number: int = 0) -> list[LiveEpoch]:
         """Take a row, as a line of CSV or by the names of columns; return the epochs that are over.
@@ -148,9 +101,8 @@ class LiveLog:
             over = self.end_epoch()
         for before in self._rows:
             if not self._agree(cells, before):
-                self._require_sound(self.table([*self._rows, cells], [*self._numbers, number]))
+                self._require_sound(self._table([*self._rows, cells], number))
         self._rows.append(cells)
-        self._numbers.append(number)
         return [*over, *(self.end_epoch() if len(self._rows) == self.layout.anchors else [])]
 
     def end_epoch(self) -> list[LiveEpoch]:
@@ -158,20 +110,30 @@ class LiveLog:
         if not self._rows:
             return []
         self._last_s = self._time_s(self._rows[0])
-        epoch = LiveEpoch(self, self._rows, self._numbers, self._last_s)
-        self._rows, self._numbers = [], []
-        return [epoch]
+        rows, self._rows = self._rows, []
+        placed = None if self._turned else self._placed(rows)
+        return [LiveEpoch(self._last_s, partial(self._block, rows), placed)]
 
-    def table(self, rows: list[list[float]], numbers: list[int]) -> Table:
-        """Return rows of cells, with their numbers in the source, as a table."""
-        return Table(self._log.columns, np.array(numbers), np.array(rows), 0.0)
+    def _block(self, rows: list[list[float]]) -> LogBlock:
+        return block_of(self._table(rows), self._scene, self.layout, True, self._snr_db)
 
-    def states_noise(self, cells: list[float]) -> bool:
-        """Tell whether a row states the standard deviation of all that it measures."""
-        return all(
-            math.isnan(cells[i]) or (own is not None and not math.isnan(cells[own]))
-            for i, own in self._noise
-        )
+    def _table(self, rows: list[list[float]], number: int = 0) -> Table:
+        """Return rows of cells as a table; ``number`` is that of the last one in the source."""
+        return Table(self._log.columns, np.full(len(rows), number), np.array(rows), 0.0)
+
+    def _placed(self, rows: list[list[float]]) -> tuple[list[float], int]:
+        """Return the numbers of rows of cells, and an anchor, as :class:`LiveEpoch` has them."""
+        placed, doppler_anchor = self._blank.copy(), 0
+        for cells in rows:
+            anchor = int(cells[self._anchor]) - 1
+            for i, first, step, convert, is_angle in self._slots:
+                cell, place = cells[i], first + step * anchor
+                if not isnan(cell) and (step or isnan(placed[place])):
+                    number = convert(cell)
+                    placed[place] = wrapped(number) if is_angle else number
+                    if first == self.layout.doppler:
+                        doppler_anchor = anchor
+        return placed, doppler_anchor
 
     def _time_s(self, cells: list[float]) -> float:
         return float(self._log.columns["time"].unit.convert(cells[self._time]))
@@ -180,9 +142,9 @@ class LiveLog:
         """Tell whether two rows are plainly of one epoch; if not, they need a closer look."""
         for i, once in self._of_epoch:
             a, b = cells[i], before[i]
-            if a == a and b == b and (once or a != b):
+            if not isnan(a) and not isnan(b) and (once or a != b):
                 return False
-        return cells[self.anchor] != before[self.anchor]
+        return cells[self._anchor] != before[self._anchor]
 
     def _quickly(self, row: str | Mapping[str, Any]) -> list[float] | None:
         """Return the cells of a row that is plainly sound, or None for a closer look."""
@@ -198,13 +160,13 @@ class LiveLog:
         for name, (low, high) in self._sound.items():
             cell = row.get(name)
             if cell is None:
-                cells.append(math.nan)
-            elif type(cell) in _NUMBERS and (low <= cell <= high or cell != cell):
+                cells.append(nan)
+            elif type(cell) in _NUMBERS and (low <= cell <= high or isnan(cell)):
                 cells.append(float(cell))
             else:
                 return None
-        known = cells[self.anchor] in self._anchors and row.keys() <= self._sound.keys()
-        return cells if known and not math.isnan(cells[self._time]) else None
+        known = cells[self._anchor] in self._anchors and row.keys() <= self._sound.keys()
+        return cells if known and not isnan(cells[self._time]) else None
 
     def _carefully(self, row: str | Mapping[str, Any], number: int) -> list[float]:
         """Return the cells of a row; no cells of a blank line.

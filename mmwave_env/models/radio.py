@@ -9,7 +9,7 @@ import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from mmwave_env.models import envelope
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import Array, Index, Number, Vector, clip, exp, sqrt
+from mmwave_env.numerics.numbers import Array, Number, Vector, clip, exp, sqrt
 
 SHIPPED = ("handset", "standard", "high")
 DEGREE = math.pi / 180.0
@@ -175,12 +175,8 @@ class Radio:
 
     def sigma(self, snr_db: Array, scene: Scene, layout: Layout) -> Array:
         """Return the standard deviations (T, rows) of every row at SNRs (T, L): m, rad, Hz."""
-        return self.noise(scene, layout).sigma(snr_db)
-
-    def noise(self, scene: Scene, layout: Layout) -> "Noise":
-        """Return the noise of every row as a function of the SNR."""
-        floor, bound = self.variances(scene, layout)
-        return Noise(np.array(floor), np.array(bound), np.array(_links(layout)), layout.doppler)
+        rows = deviations(*self.variances(scene, layout), list(snr_db.T), layout)
+        return np.stack(rows, axis=1)
 
     def prior_covariance(self, scene: Scene) -> Array:
         """Return the covariance P0 (7, 7) of the state at the first epoch."""
@@ -188,33 +184,6 @@ class Radio:
         bias_hz = self.prior_bias_mps * scene.hz_per_mps
         deviations = [p, p, self.prior_height_m, v, v, self.prior_vertical_mps, bias_hz]
         return np.diag(np.square(deviations))
-
-
-class Noise(NamedTuple):
-    """The noise of measurements as a function of the SNR."""
-
-    # floor, bound: (rows,) as :meth:`Radio.variances` gives them
-    floor: Array
-    bound: Array
-    links: Index  # (rows,) the link that gives the SNR of each row
-    doppler: int  # row of the Doppler shift
-
-    def sigma(
-        self, snr_db: Array, doppler_anchor: Index | None = None, stated: Array | None = None
-    ) -> Array:
-        """Return standard deviations (T, rows) at SNRs (T, L): m, rad, Hz.
-
-        Args:
-            snr_db: (T, L) SNRs.
-            doppler_anchor: (T,) anchor of the Doppler shift, from 0; None for the first.
-            stated: (T, rows) the receiver's own, which are taken where they are finite.
-        """
-        of_links = _inverse_snr(snr_db)
-        inverse = of_links.take(self.links, axis=1)
-        if doppler_anchor is not None:
-            inverse[:, self.doppler] = of_links[np.arange(len(inverse)), doppler_anchor]
-        sigma: Array = _deviation(self.floor, self.bound, inverse)
-        return sigma if stated is None else np.where(np.isfinite(stated), stated, sigma)
 
 
 RADIOS: dict[str, Radio] = {
@@ -323,22 +292,10 @@ def deviations(
         snr_db: (L,) SNR per link; the Doppler shift has the SNR of the first link.
         layout: rows of the measurement vector.
     """
-    inverse = [_inverse_snr(snr) for snr in snr_db]
-    per_row = [inverse[link] for link in _links(layout)]
-    return list(map(_deviation, floor_variance, bound_variance, per_row))
-
-
-def _links(layout: Layout) -> list[int]:
-    """Return the link of every row; the Doppler shift and odometry count as the first link's."""
-    links = [link for link in range(layout.anchors) for _ in range(4)]
-    return links + [0] * (layout.size - len(links))
-
-
-def _inverse_snr(snr_db: Number) -> Number:
-    """Return noise power over signal power at an SNR."""
-    return exp(-DECIBEL * clip(snr_db, *SNR_LIMITS_DB))
-
-
-def _deviation(floor_variance: Number, bound_variance: Number, inverse_snr: Number) -> Number:
-    """Return a standard deviation: floor and Cramer-Rao bound at the SNR, in quadrature."""
-    return sqrt(floor_variance + bound_variance * inverse_snr)
+    inverse = [exp(-DECIBEL * clip(snr, *SNR_LIMITS_DB)) for snr in snr_db]
+    per_row = [inverse[a] for a in range(layout.anchors) for _ in range(4)]
+    per_row += [inverse[0]] * (layout.size - len(per_row))
+    return [
+        sqrt(floor + bound * scale)
+        for floor, bound, scale in zip(floor_variance, bound_variance, per_row, strict=True)
+    ]

@@ -31,9 +31,12 @@ def _is_float(a: Number) -> bool:
     return isinstance(a, (float, int))
 
 
-def _function(name: str) -> Callable[[Number], Number]:
-    """Return a function of one number, given its name, which ``math``, numpy and lanes share."""
-    of_float, of_array = getattr(math, name), getattr(np, name)
+def _function(name: str, of: Any = math) -> Callable[[Number], Number]:
+    """Return a function of one number, given its name, which numpy, lanes and ``of`` share.
+
+    On floats it is that of ``of``.
+    """
+    of_float, of_array = getattr(of, name), getattr(np, name)
 
     def function(a: Number) -> Number:
         if _is_float(a):
@@ -43,7 +46,8 @@ def _function(name: str) -> Callable[[Number], Number]:
     return function
 
 
-sqrt, exp, floor = _function("sqrt"), _function("exp"), _function("floor")
+sqrt, floor = _function("sqrt"), _function("floor")
+exp = _function("exp", np)  # noise on floats is that on arrays, to the last bit
 log = _function("log")  # of a positive number
 
 

@@ -139,16 +139,23 @@ class Episode:
             sigma: (T, rows) the receiver's own standard deviations, NaN where it states none.
             position_m, velocity_mps: the truth (T, 3), or None where unknown.
         """
-        noise = radio.noise(scene, layout).sigma(snr_db, doppler_anchor, sigma)
+        known = np.isfinite(snr_db)
+        stated = radio.sigma(snr_db, scene, layout)
         if layout.partial:
-            snr_db = shown_snr(snr_db)
+            snr_db = np.where(known, snr_db, NEUTRAL_SNR_DB)  # features, not noise, depend on it
+            if doppler_anchor is not None:
+                shifted = np.repeat(snr_db[np.arange(len(snr_db)), doppler_anchor], layout.anchors)
+                of_doppler = radio.sigma(shifted.reshape(snr_db.shape), scene, layout)
+                stated[:, layout.doppler] = of_doppler[:, layout.doppler]
+        if sigma is not None:
+            stated = np.where(np.isfinite(sigma), sigma, stated)
         return cls(
             name,
             scene.anchors_m,
             scene.hz_per_mps,
             time_s,
             measurement,
-            noise,
+            stated,
             visible,
             snr_db,
             doppler_spread_hz,
@@ -220,17 +227,20 @@ class Episode:
     def table(self) -> Array:
         """Return the table (T, columns) that engines load; :func:`columns_of` names its columns."""
         at, links = columns_of(self.layout), self.usable[:, : self.layout.anchors]
+        keep = self._used
         position, velocity = self.truth_position_m, self.truth_velocity_mps
-        anchor = np.zeros(len(self), np.int64)
-        table = table_of(
-            self.layout, self._used, links, self.measurement, self.sigma, self.snr_db,
-            self.doppler_spread_hz, anchor if self.doppler_anchor is None else self.doppler_anchor,
-        )  # fmt: skip
+        table = np.empty((len(self), len(flatten(at))))
         table[:, at.dt] = np.diff(self.time_s, prepend=self.time_s[0])
-        if position is not None:
-            table[:, at.truth[:3]] = position
-        if velocity is not None:
-            table[:, at.truth[3:]] = velocity
+        table[:, at.z] = np.where(keep, self.measurement, 0.0)
+        table[:, at.signed_sigma] = np.where(keep, self.sigma, -1.0)
+        table[:, at.snr_db] = np.where(links, self.snr_db, 0.0)
+        if self.layout.partial:
+            first = np.zeros(len(self), np.int64)
+            anchor = first if self.doppler_anchor is None else self.doppler_anchor
+            table[:, at.doppler_of] = np.eye(self.layout.anchors)[anchor]
+        table[:, at.doppler_spread_hz] = self.doppler_spread_hz
+        table[:, at.truth[:3]] = np.nan if position is None else position
+        table[:, at.truth[3:]] = np.nan if velocity is None else velocity
         return table
 
     def site(self) -> Array:
@@ -240,19 +250,12 @@ class Episode:
         return np.array(flatten(site))
 
 
-def shown_snr(snr_db: Array) -> Array:
-    """Return the SNRs that features show, neutral where none was measured."""
-    return np.where(np.isfinite(snr_db), snr_db, NEUTRAL_SNR_DB)
-
-
 def sigma_bounds(layout: Layout) -> list[tuple[list[int], Bound]]:
-    """Return the rows of each unit, and the bound of their standard deviations."""
+    """Return the rows of each unit, with the bound of their standard deviations."""
     lengths = np.setdiff1d(np.arange(layout.size), [*layout.angles, layout.doppler]).tolist()
-    return [
-        (lengths, envelope.RANGE_SIGMA_M),
-        (layout.angles, envelope.ANGLE_SIGMA_RAD),
-        ([layout.doppler], envelope.DOPPLER_SIGMA_HZ),
-    ]
+    angles, doppler = envelope.ANGLE_SIGMA_RAD, envelope.DOPPLER_SIGMA_HZ
+    of_lengths = lengths, envelope.RANGE_SIGMA_M
+    return [of_lengths, (layout.angles, angles), ([layout.doppler], doppler)]
 
 
 def shapes_of(layout: Layout, T: int) -> dict[str, tuple[int, ...]]:
@@ -368,32 +371,6 @@ def blank_incoming(layout: Layout) -> Incoming:
 def columns_of(layout: Layout) -> Any:
     """Return the column numbers of :meth:`Episode.table` as an :class:`Incoming`."""
     return indices(blank_incoming(layout))
-
-
-def table_of(
-    layout: Layout, used: Mask, links: Mask, measurement: Array, sigma: Array, snr_db: Array,
-    doppler_spread_hz: Array, doppler_anchor: Index,
-) -> Array:  # fmt: skip
-    """Return the table (T, columns) of epochs without a truth, each 0 s after the one before.
-
-    Args:
-        layout: layout of the measurements.
-        used: (T, rows) whether the row is a measurement.
-        links: (T, L) whether any row of the link is one.
-        measurement, sigma, snr_db, doppler_spread_hz: as in :class:`Episode`.
-        doppler_anchor: (T,) anchor of the Doppler shift, from 0.
-    """
-    T = len(measurement)
-    columns: dict[str, Any] = {
-        "dt": np.zeros((T, 1)),
-        "z": np.where(used, measurement, 0.0),
-        "signed_sigma": np.where(used, sigma, -1.0),
-        "snr_db": np.where(links, snr_db, 0.0),
-        "doppler_spread_hz": doppler_spread_hz[:, None],
-        "truth": np.full((T, 6), np.nan),
-        "doppler_of": doppler_anchor[:, None] == np.arange(layout.anchors * layout.partial),
-    }
-    return np.concatenate(Incoming(**columns), axis=1)
 
 
 class EpisodeSource(Protocol):
