@@ -12,14 +12,20 @@ import numba
 import numpy as np
 
 from experiments.console.tables import grid
+from experiments.timing.latency import LATENCIES, PERCENTILES
 from experiments.timing.measured import BASES, Measured, Rates, Rounds, quotients
 from experiments.timing.workloads import FILTERS, SYNC, SYNC_NAME
 
-LABELS = {
-    "filterpy": "filterpy loop",
-    "single": "single environment",
-    SYNC_NAME: f"Gymnasium's sync vector of {SYNC}",
-} | {name: name.upper() for name in FILTERS}
+LABELS = (
+    {
+        "filterpy": "filterpy loop",
+        "single": "single environment",
+        SYNC_NAME: f"Gymnasium's sync vector of {SYNC}",
+    }
+    | {name: name.upper() for name in FILTERS}
+    | {"imm-best": "imm-best", "guided": "guided"}
+)
+WAYS = {"python": "in Python", "pipe": "through a pipe"}
 
 
 def label(name: str) -> str:
@@ -84,6 +90,15 @@ def _limits(measured: Measured) -> str:
     return grid(["one thread", "limit of the core, ns a step", "taken, ns", "reached, %"], rows)
 
 
+def _latency(measured: Measured) -> str:
+    rows = []
+    for name in LATENCIES:
+        of, _, way = name.rpartition("_")
+        shown = (spread(measured.latency_us[f"{name}_p{p:g}"]) for p in PERCENTILES)
+        rows.append([f"{label(of)}, {WAYS[way]}", *shown])
+    return grid(["one live epoch", *(f"p{p:g}, µs" for p in PERCENTILES)], rows)
+
+
 def _processes(header: str, rounds: Rounds) -> str:
     rows = [[label(name), spread(values)] for name, values in rounds.items()]
     return grid(["fresh process", header], rows)
@@ -109,6 +124,7 @@ _TABLES: dict[str, Callable[[Measured], str]] = {
     "Steps per second": _rates,
     "Filters alone": _filters,
     "Limit of the core": _limits,
+    "Latency": _latency,
     "Peak memory": lambda m: _processes("peak memory, MiB", m.peak_mb),
     "First step": lambda m: _processes("seconds to the end of the first step", m.cold_start_s),
     "Machine": _machine,

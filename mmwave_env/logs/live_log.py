@@ -24,8 +24,8 @@ class LiveEpoch(NamedTuple):
 
     time_s: float
     block: Callable[[], LogBlock]  # returns the epoch as a block, T = 1
-    # numbers in their :func:`~mmwave_env.logs.log.places`, NaN where not measured, and the anchor of
-    # the Doppler shift, from 0. None where angles are in other frames than the map's: a block's are
+    # numbers in their :func:`~mmwave_env.logs.log.places`, NaN where not measured, and the anchor
+    # of the Doppler shift, from 0; None where a column has angles in another frame than the map's
     placed: tuple[list[float], int] | None
 
 
@@ -161,7 +161,7 @@ class LiveLog:
             cell = row.get(name)
             if cell is None:
                 cells.append(nan)
-            elif type(cell) in _NUMBERS and (low <= cell <= high or isnan(cell)):
+            elif type(cell) in _NUMBERS and not (cell < low or cell > high):  # NaN is an empty cell
                 cells.append(float(cell))
             else:
                 return None
