@@ -1,7 +1,4 @@
-"""Latency of a live track: the time from the rows of an epoch to its position.
-
-It is measured in Python, and through the pipe of a command, in a process of its own.
-"""
+"""Latency of a live track: the time from the rows of an epoch to its position."""
 
 import json
 import os
@@ -9,6 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from math import isnan
 from typing import Any
 
 import numpy as np
@@ -25,60 +23,52 @@ from mmwave_env.world.simulated import SimulatedSource
 
 SCENE, EPOCHS, WARM_UP = "street", 4000, 1000  # epochs of a track; the first are not timed
 PERCENTILES = (50.0, 99.0, 99.9)
-OPTIONS = {  # by which the command runs the same modes
-    "ekf": ("--speed", "1"),
-    "imm-best": ("--imm", "imm-best"),
-    "guided": ("--policy", "guided"),
+PIPE, PYTHON = "through a pipe", "in Python"
+CONTENDERS: dict[str, tuple[tuple[str, str], Callable[[], Switching]]] = {
+    "EKF": (("--speed", "1"), lambda: Switching((named_modes(RADIO)["ekf"],))),
+    "imm-best": (("--imm", "imm-best"), lambda: Switching(imm_banks(RADIO)["imm-best"]())),
+    "guided": (("--policy", "guided"), lambda: learned("guided", RADIO)),
 }
-LATENCIES = [f"{name}_{way}" for name in OPTIONS for way in ("python", "pipe")]
-Rows = list[dict[str, float | None]]
+LATENCIES = [(name, way) for name in CONTENDERS for way in (PYTHON, PIPE)]
 
 
-def latency_us(latency: str) -> list[float]:
+def latency_us(name: str, way: str) -> list[float]:
     """Return percentiles of the time of an epoch, microseconds, of one of :data:`LATENCIES`."""
-    name, _, way = latency.rpartition("_")
-    times = (_in_python if way == "python" else _through_a_pipe)(name, _epochs())
-    return np.percentile(1e6 * np.array(times[WARM_UP:]), PERCENTILES).tolist()  # type: ignore[no-any-return]
-
-
-def _epochs() -> list[Rows]:
-    """Return the rows of every epoch of a simulated user."""
     source = SimulatedSource(scene_from(SCENE), radio_from(RADIO), epochs=EPOCHS)
     columns = log_columns(source.sample(np.random.default_rng(0)))
-    cells = np.stack(list(columns.values()), axis=1)
-    numbers = np.where(np.isnan(cells), None, cells).tolist()  # type: ignore[call-overload]
-    rows: Rows = [dict(zip(columns, row, strict=True)) for row in numbers]
-    return [rows[i : i + source.layout.anchors] for i in range(0, len(rows), source.layout.anchors)]
+    cells = np.stack(list(columns.values()), axis=1).reshape(EPOCHS, -1, len(columns)).tolist()
+    epochs = [
+        [{n: v for n, v in zip(columns, row, strict=True) if not isnan(v)} for row in rows]
+        for rows in cells
+    ]
+    options, make = CONTENDERS[name]
+    if way == PYTHON:
+        times = _timed(Tracker(SCENE, make(), RADIO).update, epochs)
+    else:
+        times = _through_a_pipe(options, epochs)
+    return np.percentile(1e6 * times[WARM_UP:], PERCENTILES).tolist()  # type: ignore[no-any-return]
 
 
-def _in_python(name: str, epochs: list[Rows]) -> list[float]:
-    mode, bank = named_modes(RADIO).get(name), imm_banks(RADIO).get(name)
-    switching = Switching((mode,)) if mode else Switching(bank()) if bank else learned(name, RADIO)
-    return _timed(Tracker(SCENE, switching, RADIO).update, epochs)
-
-
-def _through_a_pipe(name: str, epochs: list[Rows]) -> list[float]:
-    words = ["-m", "experiments.console", "localize", "-", "--live", "--scene"]
+def _through_a_pipe(options: tuple[str, str], epochs: list[Any]) -> Any:
+    words = [sys.executable, "-m", "experiments.console", "localize", "-", "--live", "--scene"]
     packages = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}  # our path
     with subprocess.Popen(
-        [sys.executable, *words, SCENE, "--radio", RADIO, *OPTIONS[name]], env=packages,
+        [*words, SCENE, "--radio", RADIO, *options], env=packages,
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
     ) as child:  # fmt: skip
-        source, sink = child.stdin, child.stdout
-        assert source is not None and sink is not None
 
-        def ask(line: bytes) -> bytes:
-            source.write(line)
-            source.flush()
-            return sink.readline()
+        def ask(line: bytes) -> None:
+            child.stdin.write(line)  # type: ignore[union-attr]
+            child.stdin.flush()  # type: ignore[union-attr]
+            child.stdout.readline()  # type: ignore[union-attr]
 
         return _timed(ask, [json.dumps({"rows": rows}).encode() + b"\n" for rows in epochs])
 
 
-def _timed(call: Callable[[Any], object], arguments: list[Any]) -> list[float]:
-    """Return the seconds of a call with each of the arguments."""
+def _timed(call: Callable[[Any], object], arguments: list[Any]) -> Any:
+    """Return the seconds (n,) of calls with n arguments."""
     times = [time.perf_counter()]
     for argument in arguments:
         call(argument)
         times.append(time.perf_counter())
-    return np.diff(times).tolist()  # type: ignore[no-any-return]
+    return np.diff(times)

@@ -86,7 +86,9 @@ class Measured:
         self.filters = {name: Rates() for name in FILTERS}
         self.operations = kernels()
         self.limits_s: Rounds = {name: [] for name in self.operations}
-        self.latency_us: Rounds = {f"{of}_p{p:g}": [] for of in LATENCIES for p in PERCENTILES}
+        self.latency_us: Rounds = {
+            f"{' '.join(of)}, p{p:g}": [] for of in LATENCIES for p in PERCENTILES
+        }
         self._processes = {"single": (ENVIRONMENT, 0)} | {
             native_name(n): (ENVIRONMENT, n) for n in self.sizes[-FRESH_SIZES:]
         }
@@ -121,9 +123,9 @@ class Measured:
             for name, laps in running.items():
                 rates[name].measure(laps, seconds)
                 yield
-            for name in LATENCIES:
-                for percentile, value in zip(PERCENTILES, latency_us(name), strict=True):
-                    self.latency_us[f"{name}_p{percentile:g}"].append(value)
+            for of in LATENCIES:
+                for percentile, value in zip(PERCENTILES, latency_us(*of), strict=True):
+                    self.latency_us[f"{' '.join(of)}, p{percentile:g}"].append(value)
                 yield
             for name, operations in self.operations.items():
                 self.limits_s[name].append(limit_s(operations) / WIDTH)

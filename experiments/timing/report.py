@@ -16,16 +16,11 @@ from experiments.timing.latency import LATENCIES, PERCENTILES
 from experiments.timing.measured import BASES, Measured, Rates, Rounds, quotients
 from experiments.timing.workloads import FILTERS, SYNC, SYNC_NAME
 
-LABELS = (
-    {
-        "filterpy": "filterpy loop",
-        "single": "single environment",
-        SYNC_NAME: f"Gymnasium's sync vector of {SYNC}",
-    }
-    | {name: name.upper() for name in FILTERS}
-    | {"imm-best": "imm-best", "guided": "guided"}
-)
-WAYS = {"python": "in Python", "pipe": "through a pipe"}
+LABELS = {
+    "filterpy": "filterpy loop",
+    "single": "single environment",
+    SYNC_NAME: f"Gymnasium's sync vector of {SYNC}",
+} | {name: name.upper() for name in FILTERS}
 
 
 def label(name: str) -> str:
@@ -91,12 +86,10 @@ def _limits(measured: Measured) -> str:
 
 
 def _latency(measured: Measured) -> str:
-    rows = []
-    for name in LATENCIES:
-        of, _, way = name.rpartition("_")
-        shown = (spread(measured.latency_us[f"{name}_p{p:g}"]) for p in PERCENTILES)
-        rows.append([f"{label(of)}, {WAYS[way]}", *shown])
-    return grid(["one live epoch", *(f"p{p:g}, µs" for p in PERCENTILES)], rows)
+    times = measured.latency_us
+    names = [" ".join(latency) for latency in LATENCIES]
+    rows = [[name, *(spread(times[f"{name}, p{p:g}"]) for p in PERCENTILES)] for name in names]
+    return grid(["one epoch", *(f"p{p:g}, microseconds" for p in PERCENTILES)], rows)
 
 
 def _processes(header: str, rounds: Rounds) -> str:

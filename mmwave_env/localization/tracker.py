@@ -129,8 +129,12 @@ class Tracker:
             if self._filter is None:
                 self._prepare(epoch.block().layout)
         loaded = None if begins else self._load_quickly(epoch)
-        seen, spread_hz = loaded or self._load(epoch.block(), begins)
-        if begins or any(seen[: self._layout.anchors]) or (self._layout.odometry and seen[-1]):
+        visible, spread_hz = loaded or self._load(epoch.block(), begins)
+        if (
+            begins
+            or any(visible[: self._layout.anchors])
+            or (self._layout.odometry and visible[-1])
+        ):
             self._last_s = time_s
         parts = {name: of[0] for name, of in self._filter.run(*self._switching.parts).items()}
         if begins:
@@ -138,7 +142,7 @@ class Tracker:
         mode = self._names[int(parts["memory.mode"][0])]
         self._late.append((time_s, spread_hz, mode, parts))
         accepted, nis = parts["memory.accepted"][0].tolist(), parts["memory.nis"][0].tolist()
-        groups = [g for g, is_seen in enumerate(seen) if is_seen]
+        groups = [g for g, is_seen in enumerate(visible) if is_seen]
         return self._position(
             time_s, parts["x"][0], parts["P"][0], mode, {self._groups[g]: nis[g] for g in groups},
             [self._groups[g] for g in groups if accepted[g] < 0.5], begins,
@@ -170,7 +174,7 @@ class Tracker:
         if not epoch.placed or not self._sound:
             return None
         (numbers, doppler_anchor), layout, at = epoch.placed, self._layout, self._at
-        size, row, seen = layout.size, self._blank.copy(), [False] * len(self._groups)
+        size, row, visible = layout.size, self._blank.copy(), [False] * len(self._groups)
         snr = numbers[2 * size : -1]
         sigma = deviations(*self._variances, snr, layout)
         if doppler_anchor:
@@ -183,15 +187,15 @@ class Tracker:
                     return None
                 row[at.z[i]] = numbers[i]
                 row[at.signed_sigma[i]] = sigma[i] if isnan(own) else own
-                seen[group] = True
+                visible[group] = True
         for link, snr_db in enumerate(snr):
-            if seen[link]:
+            if visible[link]:
                 row[at.snr_db[link]] = NEUTRAL_SNR_DB if isnan(snr_db) else snr_db
             row[at.doppler_of[link]] = float(link == doppler_anchor)
         if not isnan(numbers[-1]):
             row[at.doppler_spread_hz] = numbers[-1]
         self._filter.load_epoch(row, epoch.time_s)
-        return seen, row[at.doppler_spread_hz]
+        return visible, row[at.doppler_spread_hz]
 
     def smoothed(self) -> Position | None:
         """Return the position ``lag`` epochs ago, smoothed by the epochs since.

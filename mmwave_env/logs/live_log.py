@@ -1,7 +1,6 @@
 """A measurement log that arrives row by row; whole epochs leave at once."""
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from math import inf, isnan, nan
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -111,11 +110,11 @@ class LiveLog:
             return []
         self._last_s = self._time_s(self._rows[0])
         rows, self._rows = self._rows, []
-        placed = None if self._turned else self._placed(rows)
-        return [LiveEpoch(self._last_s, partial(self._block, rows), placed)]
 
-    def _block(self, rows: list[list[float]]) -> LogBlock:
-        return block_of(self._table(rows), self._scene, self.layout, True, self._snr_db)
+        def block() -> LogBlock:
+            return block_of(self._table(rows), self._scene, self.layout, True, self._snr_db)
+
+        return [LiveEpoch(self._last_s, block, None if self._turned else self._placed(rows))]
 
     def _table(self, rows: list[list[float]], number: int = 0) -> Table:
         """Return rows of cells as a table; ``number`` is that of the last one in the source."""
