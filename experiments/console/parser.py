@@ -54,9 +54,7 @@ def parse(arguments: type[T], words: Sequence[str], program: str) -> T:
     try:
         with (
             _columns(width if helped else UNLIMITED),
-            redirect_stdout(
-                sys.stdout if helped else box
-            ),  # tyro reads its encoding
+            redirect_stdout(sys.stdout if helped else box),  # tyro reads its encoding
             redirect_stderr(box),
         ):
             parsed = tyro.cli(read, prog=program, description="", args=words, config=config)

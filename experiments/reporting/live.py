@@ -14,8 +14,7 @@ from mmwave_env.io.files import parse_json
 from mmwave_env.io.lookup import printable, quoted
 from mmwave_env.localization.radio_choice import nearest_radio
 from mmwave_env.localization.tracker import Position, Tracker
-from mmwave_env.logs.live_log import LiveLog
-from mmwave_env.logs.log import LogBlock
+from mmwave_env.logs.live_log import LiveEpoch, LiveLog
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.scene import Scene, scene_from
 
@@ -41,15 +40,15 @@ def run_live(args: LogArgs) -> None:
     require_one_choice(args)
     scene = scene_from(args.scene)
     tracker: Tracker | None = None
-    for block in _epochs(sys.stdin.buffer, scene, args.snr):
+    for epoch in _epochs(sys.stdin.buffer, scene, args.snr):
         if tracker is None:
-            radio = nearest_radio(block, scene) if args.radio == AUTO else args.radio
+            radio = nearest_radio(epoch.block(), scene) if args.radio == AUTO else args.radio
             choice = choice_of(args, radio)
             tracker = Tracker(
                 scene, choice.switching, radio, height_m=args.height, lag=max(args.lag, 1)
             )
             note(f"a new track begins: modes {choice.why}, radio {radio}")
-        position = tracker.step(block)
+        position = tracker.step(epoch)
         if position:
             late = tracker.smoothed() if args.lag else None
             content = _content(position) | ({"smoothed": _content(late)} if late else {})
@@ -61,7 +60,7 @@ def _content(position: Position) -> dict[str, Any]:
     return {name: value for name, value in position._asdict().items() if value is not None}
 
 
-def _epochs(stream: BinaryIO, scene: Scene, snr_db: float | None) -> Iterator[LogBlock]:
+def _epochs(stream: BinaryIO, scene: Scene, snr_db: float | None) -> Iterator[LiveEpoch]:
     """Read rows, CSV below a header or JSON objects; yield the epochs that they form.
 
     A JSON object is a row, or all rows of an epoch as {"rows": [...]}. The first has all columns.

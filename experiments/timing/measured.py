@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from experiments.timing.fresh import fresh
+from experiments.timing.latency import LATENCIES, PERCENTILES, latency_us
 from experiments.timing.operations import Operations, count
 from experiments.timing.roofline import limit_s
 from experiments.timing.workloads import (
@@ -75,6 +76,7 @@ class Measured:
         operations: numbers of operations in the filters' kernels and in the environment's kernel.
         limits_s: minimum time of a step of each kernel on one core, s.
         cold_start_s: seconds from the start of a process to the end of its first step.
+        latency_us: microseconds per live epoch, by contender, interface and percentile.
         peak_mb: peak resident memory of a process, MiB (2^20 bytes).
     """
 
@@ -84,6 +86,9 @@ class Measured:
         self.filters = {name: Rates() for name in FILTERS}
         self.operations = kernels()
         self.limits_s: Rounds = {name: [] for name in self.operations}
+        self.latency_us: Rounds = {
+            f"{' '.join(of)}, p{p:g}": [] for of in LATENCIES for p in PERCENTILES
+        }
         self._processes = {"single": (ENVIRONMENT, 0)} | {
             native_name(n): (ENVIRONMENT, n) for n in self.sizes[-FRESH_SIZES:]
         }
@@ -96,7 +101,8 @@ class Measured:
         Every round runs each workload once, so that a drift of the machine affects all equally.
         """
         starts, workloads = min(FRESH_RUNS, repeats), len(self.rates) + len(self.filters)
-        pieces = starts * len(self._processes) + workloads + repeats * (workloads + 1)
+        pieces = starts * len(self._processes) + workloads
+        pieces += repeats * (workloads + len(LATENCIES) + 1)
         for done, _ in enumerate(self._pieces(seconds, repeats, starts), start=1):
             yield done / pieces
 
@@ -116,6 +122,10 @@ class Measured:
         for _ in range(repeats):
             for name, laps in running.items():
                 rates[name].measure(laps, seconds)
+                yield
+            for of in LATENCIES:
+                for percentile, value in zip(PERCENTILES, latency_us(*of), strict=True):
+                    self.latency_us[f"{' '.join(of)}, p{percentile:g}"].append(value)
                 yield
             for name, operations in self.operations.items():
                 self.limits_s[name].append(limit_s(operations) / WIDTH)
@@ -159,6 +169,7 @@ class Measured:
             "ratios": self.ratios(),
             "limit_fraction": self.fractions(),
             "steps_per_s": {name: rate.steps_per_s for name, rate in rates.items()},
+            "latency_us": self.latency_us,
             "cold_start_s": self.cold_start_s,
             "peak_rss_mb": self.peak_mb,
             "cores_busy": {name: rate.cores for name, rate in rates.items()},

@@ -12,6 +12,7 @@ import numba
 import numpy as np
 
 from experiments.console.tables import grid
+from experiments.timing.latency import LATENCIES, PERCENTILES
 from experiments.timing.measured import BASES, Measured, Rates, Rounds, quotients
 from experiments.timing.workloads import FILTERS, SYNC, SYNC_NAME
 
@@ -84,6 +85,13 @@ def _limits(measured: Measured) -> str:
     return grid(["one thread", "limit, ns per step", "time taken, ns", "limit reached, %"], rows)
 
 
+def _latency(measured: Measured) -> str:
+    times = measured.latency_us
+    names = [" ".join(latency) for latency in LATENCIES]
+    rows = [[name, *(spread(times[f"{name}, p{p:g}"]) for p in PERCENTILES)] for name in names]
+    return grid(["one epoch", *(f"p{p:g}, microseconds" for p in PERCENTILES)], rows)
+
+
 def _processes(header: str, rounds: Rounds) -> str:
     rows = [[label(name), spread(values)] for name, values in rounds.items()]
     return grid(["fresh process", header], rows)
@@ -109,6 +117,7 @@ _TABLES: dict[str, Callable[[Measured], str]] = {
     "Steps per second": _rates,
     "Filters alone": _filters,
     "Limit of the core": _limits,
+    "Latency": _latency,
     "Peak memory": lambda m: _processes("peak memory, MiB", m.peak_mb),
     "First step": lambda m: _processes("seconds to the end of the first step", m.cold_start_s),
     "Machine": _machine,

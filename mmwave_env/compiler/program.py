@@ -158,10 +158,15 @@ class Program(Generic[Workspace]):
         self.size = len(self.start)
         self.index: Workspace = indices(template)
         self._compiled: Any = None
+        self._columns: dict[Sequence[str], tuple[Index, dict[str, int | slice]]] = {}
 
     def parts(self, names: Sequence[str]) -> list[Any]:
         """Return parts of ``index`` by name, such as "x" or "memory.nis"."""
         return [attrgetter(name)(self.index) for name in names]
+
+    def rows(self, names: Sequence[str]) -> Index:
+        """Return the row numbers of :meth:`parts`."""
+        return self._found(tuple(names))[0]
 
     def by_name(self, names: Sequence[str], outputs: Array) -> dict[str, Array]:
         """Split outputs (n, epochs, rows) by name; the rows are those of :meth:`parts`, in order.
@@ -169,13 +174,20 @@ class Program(Generic[Workspace]):
         Returns:
             For each name, (n, epochs) if it is a single number, else (n, epochs, numbers).
         """
-        result, first = {}, 0
-        for name, part in zip(names, self.parts(names), strict=True):
-            width = len(flatten(part))
-            columns = outputs[..., first : first + width]
-            result[name] = columns[..., 0] if isinstance(part, int) else columns
-            first += width
-        return result
+        return {
+            name: outputs[..., columns] for name, columns in self._found(tuple(names))[1].items()
+        }
+
+    def _found(self, names: tuple[str, ...]) -> tuple[Index, dict[str, int | slice]]:
+        """Return the rows of parts, and the columns of each in outputs of these rows."""
+        if names not in self._columns:
+            parts, columns, first = self.parts(names), {}, 0
+            for name, part in zip(names, parts, strict=True):
+                width = len(flatten(part))
+                columns[name] = first if isinstance(part, int) else slice(first, first + width)
+                first += width
+            self._columns[names] = rows_of(parts), columns
+        return self._columns[names]
 
     def run_on_lanes(self, state: BatchState, io: StepIO, blocks: Blocks | None = None) -> None:
         """Run epoch after epoch, eight environments at a time, in some or all blocks."""

@@ -98,6 +98,17 @@ class Batch(Generic[Workspace]):
         self.write(site, packed.site, places)
         self.restart(places)
 
+    def load_epoch(self, incoming: Sequence[float], gap_s: float) -> None:
+        """Load one more epoch of a single track that was loaded before.
+
+        Args:
+            incoming: (columns,) a row of :meth:`~mmwave_env.world.episode.Episode.table`.
+            gap_s: seconds since the epoch before.
+        """
+        self.state.table[0, 0] = incoming
+        self.state.table[0, 0, columns_of(self.layout).dt] = gap_s
+        self.state.length[0], self.state.epoch[0] = 1, 0
+
     def begin(self, source: SimulatedSource, begun: Begun, places: Index) -> None:
         """Start over with episodes that are simulated while the environments step.
 

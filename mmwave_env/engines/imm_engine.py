@@ -156,7 +156,7 @@ class ImmEngine:
         packed, program = EpisodeBatch.of(episodes, self.pipeline.layout), self._program
         n, epochs, _ = packed.table.shape
         rows = fill(blocks_of(self._start, n), rows_of(program.index.site), packed.site)
-        io = StepIO.of(n, epochs, output_rows=rows_of(program.parts(names)))
+        io = StepIO.of(n, epochs, output_rows=program.rows(names))
         state = BatchState.of(packed.table, rows)._replace(length=packed.length)
         program.run_on_lanes(state, io)
         return program.by_name(names, io.outputs)

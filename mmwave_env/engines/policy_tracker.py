@@ -63,6 +63,12 @@ class PolicyTracker:
         self._engine.batch.load(episodes, gap_s=gap_s)
         self._epochs, self._end_s, self._starts = len(episode), float(episode.time_s[-1]), not go_on
 
+    def load_epoch(self, incoming: Sequence[float], time_s: float) -> None:
+        """Load one more epoch of the track, as :meth:`EpisodeFilter.load_epoch` does."""
+        self._filter.load_epoch(incoming, time_s)
+        self._engine.batch.load_epoch(incoming, time_s - self._end_s)
+        self._epochs, self._end_s, self._starts = 1, time_s, False
+
     def run(self, *names: str) -> dict[str, Array]:
         """Filter the loaded episode once, in the same way as :meth:`EpisodeFilter.run`."""
         if self._starts:
@@ -70,6 +76,6 @@ class PolicyTracker:
         actions = np.empty((1, self._epochs), np.int64)
         for t in range(self._epochs):
             # An environment that starts over ignores the action.
-            self._engine.step(np.int64(self._action))
-            (self._action,) = actions[:, t] = self._policy(self._engine.observations())
+            observations, _ = self._engine.step(np.int64(self._action))
+            (self._action,) = actions[:, t] = self._policy(observations)
         return self._filter.run(*names, actions=actions)

@@ -137,6 +137,11 @@ class EpisodeFilter(Generic[Workspace]):
         self._epochs = max(len(episode) for episode in episodes)
         self._end_s = float(episodes[0].time_s[-1])
 
+    def load_epoch(self, incoming: Sequence[float], time_s: float) -> None:
+        """Load one more epoch of a single track, as :meth:`Batch.load_epoch` takes it."""
+        self._batch.load_epoch(incoming, time_s - self._end_s)
+        self._epochs, self._end_s = 1, time_s
+
     def run(self, *names: str, actions: NDArray[np.integer[Any]] | None = None) -> dict[str, Array]:
         """Filter the loaded episodes once.
 
@@ -147,7 +152,7 @@ class EpisodeFilter(Generic[Workspace]):
         Returns:
             For each name, (n, epochs) if it is a single number, else (n, epochs, numbers).
         """
-        io = self._batch.io(self._epochs, rows_of(self.program.parts(names)))
+        io = self._batch.io(self._epochs, self.program.rows(names))
         io.inputs[..., 0] = 0 if actions is None else actions
         self._batch.advance(io)
         return self.program.by_name(names, io.outputs)

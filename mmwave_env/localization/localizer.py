@@ -256,7 +256,7 @@ def _smoothed(
 def filtered_of(parts: Mapping[str, Array]) -> Array:
     """Return what the smoother needs (T, numbers), from parts of the state in T epochs."""
     kept = (values for name, values in parts.items() if name not in _FILTERED)
-    return np.hstack([parts["x"], parts["P"], *kept])
+    return np.concatenate([parts["x"], parts["P"], *kept], axis=1)
 
 
 def smoothed(

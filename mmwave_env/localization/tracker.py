@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Iterable, Mapping
+from math import isnan
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,12 +17,15 @@ from mmwave_env.localization.localizer import (
 )
 from mmwave_env.localization.map_files import geodetic
 from mmwave_env.localization.segments import can_begin
-from mmwave_env.logs.live_log import LiveLog
+from mmwave_env.logs.live_log import LiveEpoch, LiveLog
 from mmwave_env.logs.log import LogBlock
+from mmwave_env.models.layout import Layout
 from mmwave_env.models.prior import GAP_S
-from mmwave_env.models.radio import Radio, radio_from
+from mmwave_env.models.radio import SNR_LIMITS_DB, Radio, deviations, radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from mmwave_env.numerics.numbers import Array
+from mmwave_env.numerics.pytree import flatten
+from mmwave_env.world.episode import NEUTRAL_SNR_DB, blank_incoming, columns_of, sigma_bounds
 
 
 class Position(NamedTuple):
@@ -88,7 +92,7 @@ class Tracker:
         self._filter: Any = None
         self._last_s: float | None = None  # time of the last measurement; None before a track
         # time, Doppler spread, mode, and what the smoother needs, for each of the last epochs
-        self._late: deque[tuple[float, float, str, Array]] = deque(maxlen=lag + 1)
+        self._late: deque[tuple[float, float, str, dict[str, Array]]] = deque(maxlen=lag + 1)
 
     def update(self, rows: Iterable[Mapping[str, Any]]) -> Position | None:
         """Process the rows of an epoch; return the belief after it.
@@ -103,47 +107,95 @@ class Tracker:
         Raises:
             LogError: a row is damaged or late; the epoch is ignored.
         """
-        rows, blocks = list(rows), []
+        rows, epochs = list(rows), []
         if self._log is None:
             names = dict.fromkeys(name for row in rows for name in row)
             self._log = LiveLog(list(names), self._scene, self._snr_db)
         for row in rows:
-            blocks += self._log.add(row)
+            epochs += self._log.add(row)
         position = None
-        for block in [*blocks, *self._log.end_epoch()]:
-            position = self.step(block)
+        for epoch in [*epochs, *self._log.end_epoch()]:
+            position = self.step(epoch)
         return position
 
-    def step(self, block: LogBlock) -> Position | None:
-        """Process an epoch of a log, a block with T = 1, as :meth:`update` does."""
-        time_s, layout = float(block.time_s[0]), block.layout
-        spread_hz, self._layout = float(block.doppler_spread_hz[0]), layout
+    def step(self, epoch: LiveEpoch) -> Position | None:
+        """Process an epoch of a live log, as :meth:`update` does."""
+        time_s = epoch.time_s
         begins = self._last_s is None or time_s - self._last_s > GAP_S
         if begins:
             self._last_s = None
-            if not can_begin(block, 0, self._scene, self._radio):
+            if not can_begin(epoch.block(), 0, self._scene, self._radio):
                 return None
-        links = block.visible[0, : layout.anchors].any()
-        if begins or links or (layout.odometry and block.visible[0, -1]):
+            if self._filter is None:
+                self._prepare(epoch.block().layout)
+        loaded = None if begins else self._load_quickly(epoch)
+        visible, spread_hz = loaded or self._load(epoch.block(), begins)
+        if (
+            begins
+            or any(visible[: self._layout.anchors])
+            or (self._layout.odometry and visible[-1])
+        ):
             self._last_s = time_s
-        episode = episode_from(block, self._scene, self._radio, begins)
-        if self._height_m is not None:
-            episode = episode.on_flat_ground(self._height_m)
-        if self._filter is None:
-            self._filter = self._switching.tracker(layout, self._height_m is not None)
-        self._filter.load([episode], go_on=not begins)
         parts = {name: of[0] for name, of in self._filter.run(*self._switching.parts).items()}
         if begins:
             self._late.clear()
-        mode = self._switching.names[int(parts["memory.mode"][0])]
-        self._late.append((time_s, spread_hz, mode, filtered_of(parts)))
-        visible, names = episode.visible[0], layout.group_names
-        accepted, nis = parts["memory.accepted"][0] > 0.5, parts["memory.nis"][0]
+        mode = self._names[int(parts["memory.mode"][0])]
+        self._late.append((time_s, spread_hz, mode, parts))
+        accepted, nis = parts["memory.accepted"][0].tolist(), parts["memory.nis"][0].tolist()
+        groups = [g for g, is_seen in enumerate(visible) if is_seen]
         return self._position(
-            time_s, parts["x"][0], parts["P"][0], mode,
-            {names[g]: float(nis[g]) for g in np.flatnonzero(visible)},
-            [names[g] for g in np.flatnonzero(visible & ~accepted)], begins,
+            time_s, parts["x"][0], parts["P"][0], mode, {self._groups[g]: nis[g] for g in groups},
+            [self._groups[g] for g in groups if accepted[g] < 0.5], begins,
         )  # fmt: skip
+
+    def _prepare(self, layout: Layout) -> None:
+        """Make what all epochs need, once."""
+        self._filter = self._switching.tracker(layout, self._height_m is not None)
+        self._layout, self._groups, self._names = layout, layout.group_names, self._switching.names
+        self._variances = self._radio.variances(self._scene, layout)
+        self._at, self._blank = columns_of(layout), flatten(blank_incoming(layout))
+        self._group_of = np.repeat(np.arange(len(layout.groups)), layout.widths).tolist()
+        ends = np.repeat(np.array([SNR_LIMITS_DB]).T, layout.anchors, axis=1)
+        sigma = self._radio.sigma(ends, self._scene, layout)
+        self._sound = not any(
+            bound.outside(sigma[:, rows]).any() for rows, bound in sigma_bounds(layout)
+        )
+
+    def _load(self, block: LogBlock, begins: bool) -> tuple[list[bool], float]:
+        """Load an epoch (T = 1); return which groups were seen, and the Doppler spread, Hz."""
+        episode = episode_from(block, self._scene, self._radio, begins)
+        if self._height_m is not None:
+            episode = episode.on_flat_ground(self._height_m)
+        self._filter.load([episode], go_on=not begins)
+        return episode.visible[0].tolist(), float(block.doppler_spread_hz[0])
+
+    def _load_quickly(self, epoch: LiveEpoch) -> tuple[list[bool], float] | None:
+        """Do the same for an epoch within a track; None where a number needs a closer look."""
+        if not epoch.placed or not self._sound:
+            return None
+        (numbers, doppler_anchor), layout, at = epoch.placed, self._layout, self._at
+        size, row, visible = layout.size, self._blank.copy(), [False] * len(self._groups)
+        snr = numbers[2 * size : -1]
+        sigma = deviations(*self._variances, snr, layout)
+        if doppler_anchor:
+            shifted = deviations(*self._variances, [snr[doppler_anchor]] * layout.anchors, layout)
+            sigma[layout.doppler] = shifted[layout.doppler]
+        for i, group in enumerate(self._group_of):
+            if not isnan(numbers[i]):
+                own, link = numbers[size + i], doppler_anchor if i == layout.doppler else group
+                if isnan(own) and i <= layout.doppler and isnan(snr[link]):
+                    return None
+                row[at.z[i]] = numbers[i]
+                row[at.signed_sigma[i]] = sigma[i] if isnan(own) else own
+                visible[group] = True
+        for link, snr_db in enumerate(snr):
+            if visible[link]:
+                row[at.snr_db[link]] = NEUTRAL_SNR_DB if isnan(snr_db) else snr_db
+            row[at.doppler_of[link]] = float(link == doppler_anchor)
+        if not isnan(numbers[-1]):
+            row[at.doppler_spread_hz] = numbers[-1]
+        self._filter.load_epoch(row, epoch.time_s)
+        return visible, row[at.doppler_spread_hz]
 
     def smoothed(self) -> Position | None:
         """Return the position ``lag`` epochs ago, smoothed with the epochs since then.
@@ -155,7 +207,8 @@ class Tracker:
         times, spreads, modes, parts = zip(*self._late, strict=True)
         x, P = smoothed(
             self._switching, self._layout, self._height_m is not None, self._scene,
-            np.concatenate(parts)[None], np.array([times]), np.array([spreads]),
+            np.concatenate(list(map(filtered_of, parts)))[None], np.array([times]),
+            np.array([spreads]),
         )  # fmt: skip
         return self._position(times[0], x[0, 0], P[0, 0], modes[0], {}, [], False)
 
@@ -163,13 +216,12 @@ class Tracker:
         self, time_s: float, x: Array, P: Array, mode: str, nis: dict[str, float],
         rejected: list[str], begins: bool,
     ) -> Position:  # fmt: skip
-        row, column = np.tril_indices(3)
-        covariance = np.empty((3, 3))
-        covariance[row, column] = covariance[column, row] = P[:6]
+        xx, yx, yy, zx, zy, zz = P[:6].tolist()
+        covariance = [[xx, yx, zx], [yx, yy, zy], [zx, zy, zz]]
         origin, place = self._scene.origin, None
         if origin is not None:
             place = geodetic(origin, x[None, :3])[0].tolist()
         return Position(
-            time_s, x[:3].tolist(), covariance.tolist(), x[3:6].tolist(), mode, nis, rejected,
-            begins, place,
+            time_s, x[:3].tolist(), covariance, x[3:6].tolist(), mode, nis, rejected, begins,
+            place,
         )  # fmt: skip

@@ -1,17 +1,31 @@
 """Measurement logs that arrive row by row; every epoch is returned as soon as it is complete."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from math import inf, isnan, nan
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from mmwave_env.logs.log import LogBlock, block_of, require_noise
+from mmwave_env.logs.log import LogBlock, block_of, places, require_noise
 from mmwave_env.logs.log_checks import first_damage
-from mmwave_env.logs.log_columns import columns_of
+from mmwave_env.logs.log_columns import BODY, QUANTITIES, STATION, Unit, columns_of
 from mmwave_env.logs.log_tables import LogError, LogFile, Table, parse_carefully
-from mmwave_env.models.layout import Layout
+from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.scene import Scene
+
+_NUMBERS = {float, int, np.float64}  # types whose text is read back as the same number
+_MARGIN = 1e-9  # share of a limit; nearer to it a number needs a closer look
+
+
+class LiveEpoch(NamedTuple):
+    """An epoch of a live log."""
+
+    time_s: float
+    block: Callable[[], LogBlock]  # returns the epoch as a block, T = 1
+    # numbers in their :func:`~mmwave_env.logs.log.places`, NaN where not measured, and the anchor
+    # of the Doppler shift, from 0; None where a column has angles in another frame than the map's
+    placed: tuple[list[float], int] | None
 
 
 class LiveLog:
@@ -25,6 +39,9 @@ class LiveLog:
         scene: scene whose anchors are measured.
         snr_db: SNR to assume for links without one.
         source: name of the source, for messages.
+
+    Attributes:
+        layout: layout of the measurements.
 
     Raises:
         LogError: the columns are not those of a log, or do not say how large the noise is.
@@ -40,12 +57,25 @@ class LiveLog:
         self._log = LogFile(Path(source), columns, len(names))
         if snr_db is None:
             require_noise(self._log)
-        self._names, self._scene, self._snr_db = tuple(names), scene, snr_db
+        self._scene, self._snr_db = scene, snr_db
         self.layout = Layout(len(scene.anchors_m), "speed" in columns, partial=True)
-        self._rows: list[Table] = []
-        self._last_s = -np.inf
+        self._turned = STATION in columns or BODY in columns
+        self._time, self._anchor = columns["time"].number, columns["anchor"].number
+        self._slots = [
+            (columns[of].number, *place, columns[of].unit.convert, place[0] in self.layout.angles)
+            for of, place in places(self.layout).items()
+            if of in columns
+        ]
+        snr = [nan if snr_db is None else snr_db] * self.layout.anchors
+        self._blank = [nan] * 2 * self.layout.size + snr + [nan]
+        self._sound = {column.name: _sound(of, column.unit) for of, column in columns.items()}
+        self._anchors = set(range(1, self.layout.anchors + 1))
+        of_epoch = [of for of in columns if QUANTITIES[of].per_epoch or of == "doppler"]
+        self._of_epoch = [(columns[of].number, of == "doppler") for of in of_epoch]
+        self._rows: list[list[float]] = []
+        self._last_s = -inf
 
-    def add(self, row: str | Mapping[str, Any], number: int = 0) -> list[LogBlock]:
+    def add(self, row: str | Mapping[str, Any], number: int = 0) -> list[LiveEpoch]:
         """Add a row; return the epochs that are over now.
 
         Args:
@@ -55,43 +85,120 @@ class LiveLog:
         Raises:
             LogError: the row is damaged or late, and is ignored.
         """
-        if not isinstance(row, str):
-            for name in row:
-                if name not in self._names:
-                    raise LogError(
-                        f"{self._log.path}, row {number}, column {name!r}: "
-                        f"found an unknown column, expected one of {', '.join(self._names)}"
-                    )
-            cells = (row.get(name) for name in self._names)
-            row = ",".join("" if cell is None else str(cell) for cell in cells)
-        table = parse_carefully(self._log, [row], number, 0.0)
-        if not len(table):
+        cells = self._quickly(row) or self._carefully(row, number)
+        if not cells:
             return self.end_epoch()
-        anchors = self.layout.anchors
-        _, damage = first_damage(self._log, table, anchors, limits=True)
-        if damage:
-            raise damage
-        time_s = float(table["time"][0])
+        time_s, over = self._time_s(cells), []
         if time_s <= self._last_s:
             problem = f"{time_s:g} s after the epoch of {self._last_s:g} s was over"
             raise self._log.error(number, "time", problem, "times that increase")
-        over = []
-        if self._rows and time_s != self._rows[0]["time"][0]:
-            if time_s < self._rows[0]["time"][0]:
-                problem = f"{time_s:g} s within the epoch of {self._rows[0]['time'][0]:g} s"
+        if self._rows and cells[self._time] != self._rows[0][self._time]:
+            first_s = self._time_s(self._rows[0])
+            if time_s <= first_s:
+                problem = f"{time_s:g} s within the epoch of {first_s:g} s"
                 raise self._log.error(number, "time", problem, "times that increase")
             over = self.end_epoch()
-        both = Table.joined([*self._rows, table])
-        _, damage = first_damage(self._log, both, anchors, limits=True)
-        if damage:  # the row contradicts earlier rows of its epoch
-            raise damage
-        self._rows = [both]
-        return [*over, *(self.end_epoch() if len(both) == anchors else [])]
+        for before in self._rows:
+            if not self._agree(cells, before):
+                self._require_sound(self._table([*self._rows, cells], number))
+        self._rows.append(cells)
+        return [*over, *(self.end_epoch() if len(self._rows) == self.layout.anchors else [])]
 
-    def end_epoch(self) -> list[LogBlock]:
+    def end_epoch(self) -> list[LiveEpoch]:
         """End the current epoch and return it; return nothing if it has no rows yet."""
         if not self._rows:
             return []
-        (rows,), self._rows = self._rows, []
-        self._last_s = float(rows["time"][0])
-        return [block_of(rows, self._scene, self.layout, True, self._snr_db)]
+        self._last_s = self._time_s(self._rows[0])
+        rows, self._rows = self._rows, []
+
+        def block() -> LogBlock:
+            return block_of(self._table(rows), self._scene, self.layout, True, self._snr_db)
+
+        return [LiveEpoch(self._last_s, block, None if self._turned else self._placed(rows))]
+
+    def _table(self, rows: list[list[float]], number: int = 0) -> Table:
+        """Return rows of cells as a table; ``number`` is that of the last one in the source."""
+        return Table(self._log.columns, np.full(len(rows), number), np.array(rows), 0.0)
+
+    def _placed(self, rows: list[list[float]]) -> tuple[list[float], int]:
+        """Return the numbers of rows of cells, and an anchor, as :class:`LiveEpoch` has them."""
+        placed, doppler_anchor = self._blank.copy(), 0
+        for cells in rows:
+            anchor = int(cells[self._anchor]) - 1
+            for i, first, step, convert, is_angle in self._slots:
+                cell, place = cells[i], first + step * anchor
+                if not isnan(cell) and (step or isnan(placed[place])):
+                    number = convert(cell)
+                    placed[place] = wrapped(number) if is_angle else number
+                    if first == self.layout.doppler:
+                        doppler_anchor = anchor
+        return placed, doppler_anchor
+
+    def _time_s(self, cells: list[float]) -> float:
+        return float(self._log.columns["time"].unit.convert(cells[self._time]))
+
+    def _agree(self, cells: list[float], before: list[float]) -> bool:
+        """Tell whether two rows are plainly of one epoch; if not, they need a closer look."""
+        for i, once in self._of_epoch:
+            a, b = cells[i], before[i]
+            if not isnan(a) and not isnan(b) and (once or a != b):
+                return False
+        return cells[self._anchor] != before[self._anchor]
+
+    def _quickly(self, row: str | Mapping[str, Any]) -> list[float] | None:
+        """Return the cells of a row that is plainly sound, or None for a closer look."""
+        if isinstance(row, str):
+            words = row.split(",")
+            if len(words) != len(self._sound) or "_" in row or not row.isascii():
+                return None
+            try:
+                row = dict(zip(self._sound, [float(word or "nan") for word in words], strict=True))
+            except ValueError:
+                return None
+        cells = []
+        for name, (low, high) in self._sound.items():
+            cell = row.get(name)
+            if cell is None:
+                cells.append(nan)
+            elif type(cell) in _NUMBERS and not (cell < low or cell > high):  # NaN is an empty cell
+                cells.append(float(cell))
+            else:
+                return None
+        known = cells[self._anchor] in self._anchors and row.keys() <= self._sound.keys()
+        return cells if known and not isnan(cells[self._time]) else None
+
+    def _carefully(self, row: str | Mapping[str, Any], number: int) -> list[float]:
+        """Return the cells of a row; no cells of a blank line.
+
+        Raises:
+            LogError: the row is damaged.
+        """
+        if not isinstance(row, str):
+            for name in row:
+                if name not in self._sound:
+                    raise LogError(
+                        f"{self._log.path}, row {number}, column {name!r}: found a new column, "
+                        f"expected one of {', '.join(self._sound)}"
+                    )
+            cells = (row.get(name) for name in self._sound)
+            row = ",".join("" if cell is None else str(cell) for cell in cells)
+        table = parse_carefully(self._log, [row], number, 0.0)
+        self._require_sound(table)
+        return [cell for cells in table.cells.tolist() for cell in cells]
+
+    def _require_sound(self, table: Table) -> None:
+        _, damage = first_damage(self._log, table, self.layout.anchors, limits=True)
+        if damage:
+            raise damage
+
+
+def _sound(quantity: str, unit: Unit) -> tuple[float, float]:
+    """Return limits of cells of a quantity that are plainly sound, a little within its own."""
+    limits = QUANTITIES[quantity].limits
+    if not limits:
+        return -1e300, 1e300
+    bound, of = limits
+    assert bound.least is not None and bound.most is not None
+    scale = unit.divide / unit.multiply * (np.pi / 180.0 if of == "degrees" else 1.0)
+    low, high = bound.least * scale, bound.most * scale
+    return low + _MARGIN * abs(low), high - _MARGIN * abs(high)

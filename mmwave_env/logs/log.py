@@ -160,6 +160,21 @@ def _require_measurements(path: Path, blocks: Iterable[LogBlock]) -> Iterator[Lo
         )
 
 
+def places(layout: Layout) -> dict[str, tuple[int, int]]:
+    """Return the place of every quantity among an epoch's numbers, for the first anchor.
+
+    With it comes the distance from anchor to anchor, 0 for quantities of the epoch. The numbers are
+    the rows of the layout, their standard deviations, the SNRs (L,) and the Doppler spread.
+    """
+    rows = {quantity: (row, 4) for row, quantity in enumerate(LINK_QUANTITIES)}
+    rows["doppler"] = layout.doppler, 0
+    sigmas = {SIGMA_OF[of]: (layout.size + row, step) for of, (row, step) in rows.items()}
+    if layout.odometry:
+        rows |= {"speed": (layout.doppler + 1, 0), "heading": (layout.doppler + 2, 0)}
+    more = {"snr": (2 * layout.size, 1), "doppler_spread": (2 * layout.size + layout.anchors, 0)}
+    return rows | sigmas | more
+
+
 def block_of(
     table: Table, scene: Scene, layout: Layout, wrap: bool, snr_db: float | None
 ) -> LogBlock:
@@ -167,23 +182,23 @@ def block_of(
     epoch, links, station = table.epoch, table.links(), scene.anchors_m[0]
     anchor, T = table["anchor"].astype(np.int64) - 1, int(epoch[-1]) + 1
     of_doppler = table.first(np.where(np.isnan(table["doppler"]), np.nan, anchor))
+    size, of_link = layout.size, dict(zip(LINK_QUANTITIES, links.T, strict=True))
     if STATION in table.columns:
         arrivals = [
             seen_from_image(links[:, 1], links[:, 2], station, image) for image in scene.anchors_m
         ]
         links[:, 1:3] = np.array(arrivals)[anchor, :, range(len(epoch))]
-    time, snr = np.empty(T), np.full((T, layout.anchors), np.nan)
-    measurement, sigma = np.full((2, T, layout.size), np.nan)
-    time[epoch], snr[epoch, anchor] = table["time"], table["snr"]
+    time, placed = np.empty(T), np.full((T, 2 * size + layout.anchors + 1), np.nan)
+    time[epoch] = table["time"]
+    for quantity, (first, step) in places(layout).items():
+        numbers = of_link[quantity] if quantity in of_link else table[quantity]
+        some = np.flatnonzero(~np.isnan(numbers))[::-1]  # the first of an epoch is stored last
+        placed[epoch[some], first + step * anchor[some]] = numbers[some]
+    measurement, sigma, snr, spread = np.split(
+        placed, [size, 2 * size, 2 * size + layout.anchors], axis=1
+    )
     if snr_db is not None:
         snr[np.isnan(snr)] = snr_db
-    for row, quantity in enumerate(LINK_QUANTITIES):
-        measurement[epoch, 4 * anchor + row] = links[:, row]
-        sigma[epoch, 4 * anchor + row] = table[SIGMA_OF[quantity]]
-    sigma[:, layout.doppler] = table.first(table[SIGMA_OF["doppler"]])
-    of_epoch = ("doppler", "speed", "heading") if layout.odometry else ("doppler",)
-    for row, quantity in enumerate(of_epoch, start=layout.doppler):
-        measurement[:, row] = table.first(table[quantity])
     if wrap:
         wrap_angles(measurement, layout)
     shifted = np.nan_to_num(of_doppler).astype(np.int64)
@@ -205,7 +220,7 @@ def block_of(
         incomplete=incomplete,
         doppler_anchor=shifted,
         snr_db=np.where(np.isnan(snr), -np.inf, snr),
-        doppler_spread_hz=np.nan_to_num(table.first(table["doppler_spread"])),
+        doppler_spread_hz=np.nan_to_num(spread[:, 0]),
         restarts=np.zeros(T, bool),
         share=table.share,
         whole_columns=all(

@@ -9,6 +9,7 @@ from mmwave_env.io.lookup import quoted
 from mmwave_env.io.records import Bound, between
 from mmwave_env.models import envelope
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
+from mmwave_env.numerics.numbers import Number
 
 
 class Unit(NamedTuple):
@@ -16,6 +17,10 @@ class Unit(NamedTuple):
 
     multiply: float = 1.0
     divide: float = 1.0
+
+    def convert(self, value: Number) -> Number:
+        """Return a value of a column in SI units and dB."""
+        return value * self.multiply / self.divide
 
 
 class Quantity(NamedTuple):

@@ -111,8 +111,7 @@ class Table(Block):
         """Return the numbers (n,) of a quantity in SI units and dB; NaN if the log lacks it."""
         if quantity not in self.columns:
             return np.full(len(self), np.nan)
-        unit = self.columns[quantity].unit
-        return self.raw(quantity) * unit.multiply / unit.divide
+        return self.columns[quantity].unit.convert(self.raw(quantity))  # type: ignore[no-any-return]
 
     @cached_property
     def epoch(self) -> Rows:

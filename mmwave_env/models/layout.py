@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.io.lookup import choose, quoted
-from mmwave_env.numerics.numbers import PI, Number, Vector
+from mmwave_env.numerics.numbers import PI, Number, Vector, where
 
 STATE = ("px", "py", "pz", "vx", "vy", "vz", "b")  # m, m/s, Hz
 STATE_SIZE = len(STATE)
@@ -142,10 +142,10 @@ def wrap_angles(measurement: NDArray[np.float64], layout: Layout) -> None:
     measurement[:, rows] = wrapped(measurement[:, rows])
 
 
-def wrapped(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+def wrapped(angles: Number) -> Number:
     """Return angles of any size moved into [-pi, pi); angles within it keep their value."""
-    moved = np.remainder(angles + PI, 2.0 * PI) - PI
-    return np.where((angles >= -PI) & (angles < PI), angles, moved)
+    moved = (angles + PI) % (2.0 * PI) - PI
+    return where((angles >= -PI) & (angles < PI), angles, moved)
 
 
 def whole_groups(

@@ -31,9 +31,9 @@ def _is_float(a: Number) -> bool:
     return isinstance(a, (float, int))
 
 
-def _function(name: str) -> Callable[[Number], Number]:
-    """Return a function of one number; it has the same name in ``math``, numpy and Lanes."""
-    of_float, of_array = getattr(math, name), getattr(np, name)
+def _function(name: str, of: Any = math) -> Callable[[Number], Number]:
+    """Return a function of one number that numpy, Lanes and ``of``, for floats, have by this name."""
+    of_float, of_array = getattr(of, name), getattr(np, name)
 
     def function(a: Number) -> Number:
         if _is_float(a):
@@ -43,7 +43,8 @@ def _function(name: str) -> Callable[[Number], Number]:
     return function
 
 
-sqrt, exp, floor = _function("sqrt"), _function("exp"), _function("floor")
+sqrt, floor = _function("sqrt"), _function("floor")
+exp = _function("exp", np)  # so that noise computed on floats has the same bits as on arrays
 log = _function("log")  # for positive numbers only
 
 

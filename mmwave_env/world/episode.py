@@ -94,8 +94,7 @@ class Episode:
     def _bounded(self) -> Iterator[tuple[str, Array, Bound]]:
         """Yield the name, the values and the bound of everything that has a bound."""
         mean, deviation = self.prior_mean, np.sqrt(np.diag(self.prior_covariance))
-        sigma, layout = np.where(self._used, self.sigma, np.nan), self.layout
-        lengths = np.setdiff1d(np.arange(layout.size), [*layout.angles, layout.doppler])
+        sigma = np.where(self._used, self.sigma, np.nan)
         yield "hz_per_mps", np.array([self.hz_per_mps]), envelope.HZ_PER_MPS
         yield "time_s, step", np.diff(self.time_s), envelope.STEP_S
         yield "doppler_spread_hz", self.doppler_spread_hz, envelope.DOPPLER_SPREAD_HZ
@@ -106,12 +105,8 @@ class Episode:
         yield "prior_covariance, position", deviation[:3], envelope.POSITION_SIGMA_M
         yield "prior_covariance, velocity", deviation[3:6], envelope.VELOCITY_SIGMA_MPS
         yield "prior_covariance, bias", deviation[6:], envelope.BIAS_SIGMA_HZ
-        for columns, bound in (
-            (lengths, envelope.RANGE_SIGMA_M),
-            (layout.angles, envelope.ANGLE_SIGMA_RAD),
-            ([layout.doppler], envelope.DOPPLER_SIGMA_HZ),
-        ):
-            used = sigma[:, columns]
+        for rows, bound in sigma_bounds(self.layout):
+            used = sigma[:, rows]
             yield "sigma", used[~np.isnan(used)], bound
 
     @classmethod
@@ -253,6 +248,14 @@ class Episode:
         packed = self.prior_covariance[np.tril_indices(7)]
         site = Site(self.scene_anchors_m.tolist(), self.hz_per_mps, [*self.prior_mean], [*packed])
         return np.array(flatten(site))
+
+
+def sigma_bounds(layout: Layout) -> list[tuple[list[int], Bound]]:
+    """Return the rows of each unit, with the bound of their standard deviations."""
+    lengths = np.setdiff1d(np.arange(layout.size), [*layout.angles, layout.doppler]).tolist()
+    angles, doppler = envelope.ANGLE_SIGMA_RAD, envelope.DOPPLER_SIGMA_HZ
+    of_lengths = lengths, envelope.RANGE_SIGMA_M
+    return [of_lengths, (layout.angles, angles), ([layout.doppler], doppler)]
 
 
 def shapes_of(layout: Layout, T: int) -> dict[str, tuple[int, ...]]:

@@ -72,7 +72,7 @@ def measured():
     for rates in (rounds.rates | rounds.filters).values():
         rates.steps_per_s[:] = rng.uniform(1e3, 1e6, 3).tolist()
         rates.cores[:] = [1.0] * 3
-    for table in (rounds.limits_s, rounds.peak_mb, rounds.cold_start_s):
+    for table in (rounds.limits_s, rounds.peak_mb, rounds.cold_start_s, rounds.latency_us):
         for values in table.values():
             values[:] = rng.uniform(1e-9, 1e-8, 3).tolist()
     return rounds

@@ -1,0 +1,74 @@
+"""Latency of a live track: the time from the rows of an epoch to its position."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from math import isnan
+from typing import Any
+
+import numpy as np
+
+from experiments.evaluation.contenders import imm_banks
+from experiments.timing.workloads import RADIO
+from mmwave_env.datasets.log_writer import log_columns
+from mmwave_env.filters.bank import named_modes
+from mmwave_env.localization.localizer import Switching, learned
+from mmwave_env.localization.tracker import Tracker
+from mmwave_env.models.radio import radio_from
+from mmwave_env.models.scene import scene_from
+from mmwave_env.world.simulated import SimulatedSource
+
+SCENE, EPOCHS, WARM_UP = "street", 4000, 1000  # epochs of a track; the first are not timed
+PERCENTILES = (50.0, 99.0, 99.9)
+PIPE, PYTHON = "through a pipe", "in Python"
+CONTENDERS: dict[str, tuple[tuple[str, str], Callable[[], Switching]]] = {
+    "EKF": (("--speed", "1"), lambda: Switching((named_modes(RADIO)["ekf"],))),
+    "imm-best": (("--imm", "imm-best"), lambda: Switching(imm_banks(RADIO)["imm-best"]())),
+    "guided": (("--policy", "guided"), lambda: learned("guided", RADIO)),
+}
+LATENCIES = [(name, way) for name in CONTENDERS for way in (PYTHON, PIPE)]
+
+
+def latency_us(name: str, way: str) -> list[float]:
+    """Return percentiles of the time of an epoch, microseconds, of one of :data:`LATENCIES`."""
+    source = SimulatedSource(scene_from(SCENE), radio_from(RADIO), epochs=EPOCHS)
+    columns = log_columns(source.sample(np.random.default_rng(0)))
+    cells = np.stack(list(columns.values()), axis=1).reshape(EPOCHS, -1, len(columns)).tolist()
+    epochs = [
+        [{n: v for n, v in zip(columns, row, strict=True) if not isnan(v)} for row in rows]
+        for rows in cells
+    ]
+    options, make = CONTENDERS[name]
+    if way == PYTHON:
+        times = _timed(Tracker(SCENE, make(), RADIO).update, epochs)
+    else:
+        times = _through_a_pipe(options, epochs)
+    return np.percentile(1e6 * times[WARM_UP:], PERCENTILES).tolist()  # type: ignore[no-any-return]
+
+
+def _through_a_pipe(options: tuple[str, str], epochs: list[Any]) -> Any:
+    words = [sys.executable, "-m", "experiments.console", "localize", "-", "--live", "--scene"]
+    packages = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}  # our path
+    with subprocess.Popen(
+        [*words, SCENE, "--radio", RADIO, *options], env=packages,
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+    ) as child:  # fmt: skip
+
+        def ask(line: bytes) -> None:
+            child.stdin.write(line)  # type: ignore[union-attr]
+            child.stdin.flush()  # type: ignore[union-attr]
+            child.stdout.readline()  # type: ignore[union-attr]
+
+        return _timed(ask, [json.dumps({"rows": rows}).encode() + b"\n" for rows in epochs])
+
+
+def _timed(call: Callable[[Any], object], arguments: list[Any]) -> Any:
+    """Return the seconds (n,) of calls with n arguments."""
+    times = [time.perf_counter()]
+    for argument in arguments:
+        call(argument)
+        times.append(time.perf_counter())
+    return np.diff(times)

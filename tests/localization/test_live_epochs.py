@@ -1,0 +1,127 @@
+"""Live epochs beside the same rows read as a log: bits, refusals, memory, and work per epoch."""
+
+import cProfile
+import csv
+import os
+import pstats
+import tracemalloc
+from itertools import groupby, product
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+
+from mmwave_env.filters.bank import named_modes
+from mmwave_env.localization.localizer import Switching, TrackBlock, localize
+from mmwave_env.localization.tracker import Tracker
+from mmwave_env.logs.live_log import LiveLog
+from mmwave_env.logs.log import read_log
+from mmwave_env.logs.log_tables import LogError
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import read_scene
+from tests.paths import LOGS
+
+WALK = LOGS / "canyon28_pedestrian"
+SCENE, RADIO, EKF = read_scene(WALK / "scene.json"), RADIOS["standard"], named_modes()["ekf"]
+
+
+def walk(count=60, **changed):
+    """Return the rows of the walk's first epochs; functions replace columns, None drops them."""
+    with (WALK / "log.csv").open() as file:
+        rows = [
+            {k: float(v) if v else None for k, v in row.items()} for row in csv.DictReader(file)
+        ]
+    rows = [row | {name: make and make(row) for name, make in changed.items()} for row in rows]
+    for row, name in product(rows, [name for name, make in changed.items() if make is None]):
+        del row[name]
+    return [list(rows) for _, rows in groupby(rows, lambda row: row["time_s"])][:count]
+
+
+def of(name, function):
+    """Return a function of a row, of one column that is not empty."""
+    return lambda row: None if row[name] is None else function(row[name])
+
+
+OWN = {"range_sigma_m": 0.4, "aoa_azimuth_sigma_deg": 1.0, "aoa_elevation_sigma_rad": 0.02}
+OWN |= {"aod_azimuth_sigma_rad": 0.03, "doppler_sigma_hz": 40.0}
+AZIMUTH, DEPARTURE = "aoa_azimuth_rad", "aod_azimuth_rad"
+UNITS = {AZIMUTH: None, "aoa_azimuth_deg": of(AZIMUTH, lambda a: np.degrees(a) % 360.0)}
+UNITS |= {"toa_s": None, "rtt_ns": of("toa_s", lambda t: 2e9 * t)}
+MOVES = {"speed_mps": lambda row: 1.2, "heading_deg": lambda row: 350.0}
+BODY = MOVES | {DEPARTURE: None, "aod_azimuth_body_rad": of(DEPARTURE, lambda a: a - 6.0)}
+SECOND = {"doppler_hz": lambda row: -20.0 if row["anchor"] == 2 else None}
+LOGGED = {
+    "as it is": ({}, None, True),
+    "other units": (UNITS, None, True),
+    "own noise": ({"snr_db": None} | {k: lambda row, v=v: v for k, v in OWN.items()}, None, True),
+    "a stated SNR": ({"snr_db": None}, 18.0, True),
+    "the second anchor's shift": (SECOND, 20.0, True),
+    "odometry": (MOVES, None, True),
+    "angles of the body": (BODY, None, False),
+}
+
+
+@pytest.mark.parametrize(("changed", "snr_db", "quick"), LOGGED.values(), ids=LOGGED)
+def test_live_epochs_are_those_of_the_log_to_the_last_bit(tmp_path, changed, snr_db, quick):
+    epochs, path = walk(**changed), tmp_path / "log.csv"
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(epochs[0][0]))
+        writer.writeheader()
+        writer.writerows(row for epoch in epochs for row in epoch)
+    blocks = read_log(path, SCENE, partial=True, snr_db=snr_db)
+    track = TrackBlock.joined(list(localize(blocks, SCENE, RADIO, Switching((EKF,)), window=None)))
+    tracker = Tracker(SCENE, Switching((EKF,)), RADIO, snr_db=snr_db)
+    with patch.object(Tracker, "_load", autospec=True, side_effect=Tracker._load) as careful:
+        positions = [tracker.update(epoch) for epoch in epochs]
+    np.testing.assert_array_equal([p.position_m for p in positions if p], track.x[:, :3])
+    assert [len(p.nis) for p in positions if p] == track.visible.sum(axis=1).tolist()
+    assert careful.call_count == (1 if quick else len(epochs))
+
+
+VALUES = [0.0, -1e-9, 1e-7, 89.9999999, 90.0, 90.00009, 90.001, 360.0, 360.00001, 361.0, 1e5, 1e9]
+VALUES += [-90.0, 1.0, 2.0, 1.5, 3.3e-3, 3.34e-3, np.inf, np.nan, None, True, 10**400]
+VALUES += [np.float32(0.1), np.float64(0.1), "1_0", "x"]
+NAMES = ["time_s", "anchor", "toa_s", "aoa_azimuth_deg", "aoa_elevation_rad", "aod_azimuth_deg"]
+NAMES += ["doppler_mps", "snr_db", "doppler_spread_khz", "speed_kmh", "heading_deg", "toa_sigma_ns"]
+ROW = dict(
+    zip(NAMES, [1.0, 1.0, 2e-7, 40.0, -0.1, -140.0, 1.5, 20.0, 0.1, 5.0, 30.0, 2.0], strict=True)
+)
+
+
+def outcome(rows):
+    """Return the numbers of the last epoch of rows, or the message of the first error."""
+    log = LiveLog(NAMES, SCENE)
+    try:
+        block = [*(epoch for row in rows for epoch in log.add(row, 7)), *log.end_epoch()][
+            -1
+        ].block()
+    except LogError as error:
+        return str(error)
+    return repr([block.measurement, block.sigma, block.snr_db, block.doppler_spread_hz])
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("first", [[], [ROW | {"anchor": 2.0}]], ids=["alone", "second"])
+def test_a_quick_look_accepts_and_refuses_what_a_careful_one_does(name, first):
+    for value in VALUES:
+        row = ROW | {name: value}
+        text = {n: "" if v is None else f" {v!s}" for n, v in row.items()}  # never plain
+        line = ",".join(word.strip() for word in text.values())
+        outcomes = {outcome([*first, row]), outcome([*first, text]), outcome([*first, line])}
+        assert len(outcomes) == 1, (value, outcomes)
+
+
+def test_an_epoch_takes_little_work_and_keeps_nothing():
+    tracker, epochs = Tracker(SCENE, "guided", RADIO), walk(300)
+    for epoch in epochs[:100]:
+        tracker.update(epoch)
+    files, profile = len(os.listdir("/dev/fd")), cProfile.Profile()
+    tracemalloc.start()
+    for epoch in epochs[100:200]:
+        tracker.update(epoch)
+    before = tracemalloc.get_traced_memory()[0]
+    profile.runcall(lambda: [tracker.update(epoch) for epoch in epochs[200:250]])
+    assert tracemalloc.get_traced_memory()[0] < before + 100_000
+    tracemalloc.stop()
+    assert pstats.Stats(profile).total_calls < 600 * 50  # 10,000 an epoch would take 1 ms
+    assert len(os.listdir("/dev/fd")) == files
