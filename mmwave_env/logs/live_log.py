@@ -177,8 +177,8 @@ class LiveLog:
             for name in row:
                 if name not in self._sound:
                     raise LogError(
-                        f"{self._log.path}, row {number}, column {name!r}: found a new column, "
-                        f"expected one of {', '.join(self._sound)}"
+                        f"{self._log.path}, row {number}, column {name!r}: "
+                        f"found an unknown column, expected one of {', '.join(self._sound)}"
                     )
             cells = (row.get(name) for name in self._sound)
             row = ",".join("" if cell is None else str(cell) for cell in cells)

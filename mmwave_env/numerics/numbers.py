@@ -32,7 +32,7 @@ def _is_float(a: Number) -> bool:
 
 
 def _function(name: str, of: Any = math) -> Callable[[Number], Number]:
-    """Return a function of one number that numpy, Lanes and ``of``, for floats, have by this name."""
+    """Return a function of one number, by its name in numpy, in Lanes and, for floats, ``of``."""
     of_float, of_array = getattr(of, name), getattr(np, name)
 
     def function(a: Number) -> Number:
