@@ -4,8 +4,7 @@ python examples/raytrace.py way.csv canyon-way
 mmwave-loc compare --policies fixed-ekf fixed-ukf --data canyon-way
 
 The file way.csv describes the user's way in the columns t, x, y, z, in the frame of the geometry.
-Sionna traces lines of sight and paths with one mirror-like reflection, between isotropic antennas
-with vertical polarization.
+Sionna traces lines of sight and single reflections between vertically polarized isotropic antennas.
 """
 
 import argparse

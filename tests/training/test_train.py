@@ -186,7 +186,7 @@ def test_a_bad_hyperparameter_is_refused_in_one_line(change, tmp_path):
         (("--places", "street"), "places: found 'street', expected SCENE:RADIO"),
         (("--radio", "high", "--places", "o1:high"), "radio: cannot be combined with places"),
         (("--beliefs", "permode"), "permode.*--beliefs.*per-mode"),
-        (("--beliefs", "per-mode", "--modes", "ukf"), "modes: found 'ukf' alone"),
+        (("--beliefs", "per-mode", "--modes", "ukf"), "modes: found only 'ukf'"),
         (("--observation", "half"), "observation: found 'half'"),
         (("--reward", "money"), "'money'.*tracking"),
         (("--seeds", 0), "seeds: found 0"),
