@@ -118,7 +118,8 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
 
     * Every step: `position_error_m`, `nees`, `nis`, `accepted`, `rejected` (per anchor, then
       Doppler), `mode`, `gamma`, `truth` (position, velocity), `estimate` (position, velocity,
-      bias), `reward_terms`; with beliefs per mode also `mode_probabilities`.
+      bias; with `clock="offset"` also the range bias, m), `reward_terms`; with beliefs per mode
+      also `mode_probabilities`.
     * `reset`: `episode_name`, `episode_key` (of simulated episodes), `truth`, `estimate`, and
       `nonfinite`: how many links, Doppler shifts and odometry had a NaN or infinity and count as
       missing.
@@ -173,6 +174,9 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
       None (default) for all. The other rows are never measured: gates and `nis` count the rows that
       are there. One of range and azimuths is needed. Truth and remaining values stay those of the
       key or seed.
+    * `clock`: "synchronized" (default), or "offset": the user's clock has an unknown offset, 100 ns
+      (1 sigma, 30 m) at first, which the oscillator's bias drives. The state has its range bias
+      (m) as the eighth component. Truth and all other draws stay those of the key or seed.
     * `terminate_on_divergence`: see Episode End.
     * `render_mode`: "rgb_array" or "human", a window whose title names its keys; needs the extra
       `render`.

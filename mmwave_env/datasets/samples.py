@@ -56,6 +56,7 @@ def source_from(
     radio: str | Radio,
     epochs: int | None = None,
     measurements: Sequence[str] | None = None,
+    clock: bool = False,
 ) -> TrackSource:
     """Return the source for an ``episodes=`` argument, or for ``--data``.
 
@@ -65,15 +66,16 @@ def source_from(
         radio: profile of the receiver.
         epochs: length of an episode, a window drawn at random; None for all epochs.
         measurements: names of what is used of them; None for all.
+        clock: whether the offset of the user's clock is unknown.
 
     Raises:
         ValueError: the name is unknown, the folder is of another kind, or no window fits.
         OSError: a file can't be read.
     """
     if not isinstance(episodes, str | os.PathLike):
-        return TrackSource(episodes, radio, epochs, measurements)
+        return TrackSource(episodes, radio, epochs, measurements, clock)
     if episodes in sample_names():
-        return TrackSource(recording_from(str(episodes)), radio, epochs, measurements)
+        return TrackSource(recording_from(str(episodes)), radio, epochs, measurements, clock)
     folder = Path(episodes)
     if folder.is_file():
         raise ValueError(
@@ -86,4 +88,4 @@ def source_from(
             "or the folder of a measurement log with scene and truth, or of a DeepMIMO scenario"
         )
     read = read_deepmimo if is_scenario(folder) else read_log_folder
-    return TrackSource(read(folder), radio, epochs, measurements)
+    return TrackSource(read(folder), radio, epochs, measurements, clock)

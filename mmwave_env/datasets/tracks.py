@@ -21,7 +21,7 @@ from mmwave_env.models.layout import (
 )
 from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.prior import GAP_S, draw_prior
-from mmwave_env.models.radio import Radio, radio_from
+from mmwave_env.models.radio import Radio, clock_bias, radio_from
 from mmwave_env.models.scene import Scene, scene_of_anchors
 from mmwave_env.numerics.numbers import Array, Index, Mask, wrap
 from mmwave_env.world.checks import refuse, require_epochs, require_increasing, require_name
@@ -34,7 +34,7 @@ _ENOUGH = 20  # epochs for a median
 
 
 class Received(NamedTuple):
-    """The measurements of T epochs, and the oscillator's first bias, or None where unknown.
+    """The measurements of T epochs, and the oscillator's bias, or None where unknown.
 
     The last two are as :meth:`Episode.measured` takes them.
     """
@@ -42,7 +42,7 @@ class Received(NamedTuple):
     measurement: Array  # (T, rows)
     snr_db: Array  # (T, L)
     doppler_spread_hz: Array  # (T,)
-    bias_hz: float | None
+    bias_hz: Array | None  # (T,)
     sigma: Array | None = None
     doppler_anchor: Index | None = None
 
@@ -92,7 +92,11 @@ class Track(ABC):
         """Return what a receiver measures in some epochs."""
 
     def episode(
-        self, radio: str | Radio, rng: np.random.Generator, epochs: slice = slice(None)
+        self,
+        radio: str | Radio,
+        rng: np.random.Generator,
+        epochs: slice = slice(None),
+        clock: bool = False,
     ) -> Episode:
         """Return an episode of the track, or of some of its epochs, in which the truth is known.
 
@@ -103,6 +107,8 @@ class Track(ABC):
             radio: profile of the receiver.
             rng: source of all randomness.
             epochs: consecutive epochs.
+            clock: whether the offset of the user's clock is unknown. Of a recording it is drawn,
+                and other draws do not depend on it; a measured track brings its own.
 
         Raises:
             ValueError: the truth of an epoch is not known.
@@ -110,17 +116,26 @@ class Track(ABC):
         radio = radio_from(radio)
         received = self._received(radio, rng, epochs)
         position, velocity = self.position_m[epochs], self.velocity_mps[epochs]
-        state = np.concatenate([position[0], velocity[0], [received.bias_hz or 0.0]])
+        bias_hz = 0.0 if received.bias_hz is None else received.bias_hz[0]
+        state = np.concatenate([position[0], velocity[0], [bias_hz]])
         mean, covariance = draw_prior(state, radio, self.scene, rng)
         if received.bias_hz is None:
             mean[6] = 0.0
+        layout, measurement = replace(self.layout, clock=clock), received.measurement
+        if clock:
+            mean, covariance = np.append(mean, 0.0), radio.prior_covariance(self.scene, clock)
+            if received.bias_hz is not None:
+                (own,) = rng.spawn(1)
+                drift_mps = received.bias_hz / self.scene.hz_per_mps
+                bias_m = clock_bias(drift_mps, self.time_s[epochs], own)
+                measurement[:, 0 : layout.doppler : 4] += bias_m[:, None]
         return Episode.measured(
             self.name,
             self.scene,
             radio,
-            self.layout,
+            layout,
             time_s=self.time_s[epochs],
-            measurement=received.measurement,
+            measurement=measurement,
             visible=self.visible[epochs],
             snr_db=received.snr_db,
             doppler_spread_hz=received.doppler_spread_hz,
@@ -247,6 +262,7 @@ class TrackSource:
         epochs: length of an episode, a window drawn at random from all stretches; None for
             the longest stretch as a whole.
         measurements: names of what is used of the track's measurements; None for all.
+        clock: as :meth:`Track.episode` takes it.
 
     Raises:
         ValueError: there is no stretch, or no stretch of that length.
@@ -258,12 +274,17 @@ class TrackSource:
         radio: str | Radio,
         epochs: int | None = None,
         measurements: Sequence[str] | None = None,
+        clock: bool = False,
     ) -> None:
-        self.track, self.radio = track, radio_from(radio)
+        self.track, self.radio, self._clock = track, radio_from(radio), clock
         self.layout, self.name, self.scene = track.layout, track.name, track.scene
+        if clock:
+            self.layout = replace(track.layout, clock=True)
+            if not np.isfinite(track.measurement[:, 0 : self.layout.doppler : 4]).any():
+                refuse(track.record, "clock", "offset, but no range", "ranges, or synchronized")
         self._measurements = measurements_from(measurements)
         if self._measurements:
-            self.layout = layout = replace(track.layout, partial=True)
+            self.layout = layout = replace(self.layout, partial=True)
             rows = np.isfinite(track.measurement) & offered_rows(layout, self._measurements)
             if not rows[:, : layout.doppler].any():
                 shown = ", ".join(self._measurements)
@@ -303,7 +324,8 @@ class TrackSource:
     def sample(self, rng: np.random.Generator) -> Episode:
         """Draw an episode; all randomness comes from ``rng``."""
         start = int(rng.choice(self._starts))
-        episode = self.track.episode(self.radio, rng, slice(start, start + self.epochs))
+        epochs = slice(start, start + self.epochs)
+        episode = self.track.episode(self.radio, rng, epochs, self._clock)
         return episode.only(self._measurements) if self._measurements else episode
 
 
