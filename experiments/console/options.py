@@ -57,6 +57,8 @@ class WorldArgs:
     """epochs of an episode (200 where none is given; all of recorded data)"""
     odometry: bool = False
     """the user measures speed and heading, too"""
+    clock: str = "synchronized"
+    """synchronized, or offset: the user's clock has an unknown offset, which ranges see"""
 
 
 @dataclass(kw_only=True)
@@ -168,6 +170,8 @@ class FilterArgs:
     """use speed and heading where the log has them"""
     height: float | None = None
     """flat terrain at this height, m"""
+    clock: str = "synchronized"
+    """of the user; offset where ranges have its unknown offset, which is then estimated, too"""
 
 
 @dataclass(kw_only=True)

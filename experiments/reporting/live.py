@@ -17,6 +17,7 @@ from mmwave_env.localization.tracker import Position, Tracker
 from mmwave_env.logs.live_log import LiveLog
 from mmwave_env.logs.log import LogBlock
 from mmwave_env.logs.log_tables import LogError
+from mmwave_env.models.layout import clock_from
 from mmwave_env.models.scene import Scene, scene_from
 
 LONGEST_LINE = 1 << 16  # bytes; a longer one is no row
@@ -39,9 +40,10 @@ def run_live(args: LogArgs) -> None:
     if args.lag < 0:
         raise ValueError(f"lag: found {args.lag}, expected 0 or more epochs")
     require_one_choice(args)
+    clock = clock_from(args.clock)
     scene = scene_from(args.scene)
     tracker: Tracker | None = None
-    for block in _epochs(sys.stdin.buffer, scene, args.snr):
+    for block in _epochs(sys.stdin.buffer, scene, args.snr, clock):
         if tracker is None:
             radio = nearest_radio(block, scene) if args.radio == AUTO else args.radio
             choice = choice_of(args, radio)
@@ -61,7 +63,9 @@ def _content(position: Position) -> dict[str, Any]:
     return {name: value for name, value in position._asdict().items() if value is not None}
 
 
-def _epochs(stream: BinaryIO, scene: Scene, snr_db: float | None) -> Iterator[LogBlock]:
+def _epochs(
+    stream: BinaryIO, scene: Scene, snr_db: float | None, clock: bool
+) -> Iterator[LogBlock]:
     """Yield the epochs of rows: CSV below a header, or JSON objects.
 
     A JSON object is a row, or {"rows": [...]}, all rows of an epoch. The first one has all columns.
@@ -76,7 +80,7 @@ def _epochs(stream: BinaryIO, scene: Scene, snr_db: float | None) -> Iterator[Lo
         lines = chain([(number, first)], lines)
     else:
         names = dict.fromkeys(name.strip() for name in next(csv.reader([first])))
-    log = LiveLog([*names], scene, snr_db, SOURCE)
+    log = LiveLog([*names], scene, snr_db, SOURCE, clock)
     for number, line in lines:
         try:
             rows, whole = _objects(line, number) if as_json else ([line], False)

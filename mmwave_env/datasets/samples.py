@@ -87,5 +87,5 @@ def source_from(
             f"episodes: found {str(folder)!r}, expected one of {', '.join(sample_names())}, "
             "or the folder of a measurement log with scene and truth, or of a DeepMIMO scenario"
         )
-    read = read_deepmimo if is_scenario(folder) else read_log_folder
-    return TrackSource(read(folder), radio, epochs, measurements, clock)
+    track = read_deepmimo(folder) if is_scenario(folder) else read_log_folder(folder, clock)
+    return TrackSource(track, radio, epochs, measurements, clock)

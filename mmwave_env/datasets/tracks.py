@@ -121,6 +121,7 @@ class Track(ABC):
         mean, covariance = draw_prior(state, radio, self.scene, rng)
         if received.bias_hz is None:
             mean[6] = 0.0
+        clock = clock or self.layout.clock
         layout, measurement = replace(self.layout, clock=clock), received.measurement
         if clock:
             mean, covariance = np.append(mean, 0.0), radio.prior_covariance(self.scene, clock)
@@ -232,6 +233,8 @@ class Track(ABC):
         for a in range(layout.anchors):
             used = self.visible[:, a] & known
             for i, name in enumerate(LINK):
+                if layout.clock and not i:
+                    continue  # an offset is no contradiction
                 error = (self.measurement[:, 4 * a + i] - exact[4 * a + i])[used]
                 error = error[np.isfinite(error)]
                 if len(error) < _ENOUGH:

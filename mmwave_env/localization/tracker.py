@@ -18,6 +18,7 @@ from mmwave_env.localization.map_files import geodetic
 from mmwave_env.localization.segments import can_begin
 from mmwave_env.logs.live_log import LiveLog
 from mmwave_env.logs.log import LogBlock
+from mmwave_env.models.layout import clock_from
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import Scene, scene_from
@@ -37,6 +38,8 @@ class Position(NamedTuple):
         rejected: names of the groups that the gates rejected.
         begins: whether a track begins here, with a first position from the links.
         geodetic: latitude and longitude (degrees) and height (m); None in a scene without origin.
+        clock_m, clock_sigma_m: range bias of the user's clock and its standard deviation; None
+            where clocks are synchronized.
     """
 
     time_s: float
@@ -48,6 +51,8 @@ class Position(NamedTuple):
     rejected: list[str]
     begins: bool
     geodetic: list[float] | None
+    clock_m: float | None = None
+    clock_sigma_m: float | None = None
 
 
 class Tracker:
@@ -68,6 +73,7 @@ class Tracker:
         snr_db: SNR of links without one.
         height_m: height of flat terrain, where it is known.
         lag: epochs by which :meth:`smoothed` is late.
+        clock: "synchronized", or "offset" for a user's clock whose offset is unknown.
     """
 
     def __init__(
@@ -78,7 +84,9 @@ class Tracker:
         snr_db: float | None = None,
         height_m: float | None = None,
         lag: int = 10,
+        clock: str = "synchronized",
     ) -> None:
+        self._clock = clock_from(clock)
         self._scene, self._radio = scene_from(scene), radio_from(radio)
         self._switching = (
             policy if isinstance(policy, Switching) else learned(policy, self._radio.name)
@@ -106,7 +114,7 @@ class Tracker:
         rows, blocks = list(rows), []
         if self._log is None:
             names = dict.fromkeys(name for row in rows for name in row)
-            self._log = LiveLog(list(names), self._scene, self._snr_db)
+            self._log = LiveLog(list(names), self._scene, self._snr_db, clock=self._clock)
         for row in rows:
             blocks += self._log.add(row)
         position = None
@@ -169,7 +177,8 @@ class Tracker:
         origin, place = self._scene.origin, None
         if origin is not None:
             place = geodetic(origin, x[None, :3])[0].tolist()
+        clock = [float(x[7]), float(np.sqrt(P[35]))] if len(x) > 7 else []
         return Position(
             time_s, x[:3].tolist(), covariance.tolist(), x[3:6].tolist(), mode, nis, rejected,
-            begins, place,
+            begins, place, *clock,
         )  # fmt: skip

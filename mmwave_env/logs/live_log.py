@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mmwave_env.logs.log import LogBlock, block_of, require_noise
+from mmwave_env.logs.log import LogBlock, block_of, require_noise, with_clock
 from mmwave_env.logs.log_checks import first_damage
 from mmwave_env.logs.log_columns import columns_of
 from mmwave_env.logs.log_tables import LogError, LogFile, Table, parse_carefully
@@ -25,13 +25,19 @@ class LiveLog:
         scene: scene whose anchors are measured.
         snr_db: SNR of links without one.
         source: name of the source, for messages.
+        clock: whether the user's clock has an offset.
 
     Raises:
         LogError: the columns are not those of a log, or do not state the noise.
     """
 
     def __init__(
-        self, names: Sequence[str], scene: Scene, snr_db: float | None = None, source: str = "rows"
+        self,
+        names: Sequence[str],
+        scene: Scene,
+        snr_db: float | None = None,
+        source: str = "rows",
+        clock: bool = False,
     ) -> None:
         try:
             columns = columns_of(names, scene.hz_per_mps, partial=True)
@@ -40,8 +46,10 @@ class LiveLog:
         self._log = LogFile(Path(source), columns, len(names))
         if snr_db is None:
             require_noise(self._log)
+        if clock:
+            self._log = with_clock(self._log)
         self._names, self._scene, self._snr_db = tuple(names), scene, snr_db
-        self.layout = Layout(len(scene.anchors_m), "speed" in columns, partial=True)
+        self.layout = Layout(len(scene.anchors_m), "speed" in columns, True, clock)
         self._rows: list[Table] = []
         self._last_s = -np.inf
 

@@ -1,4 +1,4 @@
-"""Filters with the range bias of a user's clock against the textbook's, whose state has eight parts."""
+"""Filters with the range bias of a user's clock against the textbook's with a state of eight."""
 
 import numpy as np
 import pytest
@@ -15,8 +15,8 @@ from tests.filters.problems import assert_same, assume_clear_of, problems
 
 OURS = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 GATES = [Gate(None), Gate(0.99), Gate(0.5, force=1.0), Gate(0.99, robust=True)]
-# The state as it is factored. Where velocities are curved, too, a filter with sigma points depends on
-# the factor, so the textbook's state has this order.
+# The state as it is factored. Where odometry is curved in the velocity, a filter with sigma points
+# depends on the factor, so the textbook's state has this order.
 ORDER = [0, 1, 2, 7, 3, 4, 5, 6]
 algorithms = pytest.mark.parametrize("algorithm", OURS)
 with_odometry = pytest.mark.parametrize("odometry", [False, True], ids=["radio", "odometry"])
