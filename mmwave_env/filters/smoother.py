@@ -55,11 +55,12 @@ def track_end(with_covariance: bool, size: int = STATE_SIZE) -> BackwardState:
     return BackwardState(1.0, blank.dt, blank.x_predicted, blank.P_predicted, blank.x, P)
 
 
-def _mean(x: Vector, FP: Matrix, factor: Matrix, after: BackwardState) -> list[Number]:
+def _mean(now: ForwardEpoch, P: Matrix, factor: Matrix, after: BackwardState) -> list[Number]:
     """Return x + P F' P_predicted^-1 (x_after - x_predicted); ``factor`` is of P_predicted."""
+    FP = transition_times(P, after.dt, *now.hz_per_mps)
     step = [a - b for a, b in zip(after.x, after.x_predicted, strict=True)]
     y = backward(factor, forward(factor, step))
-    return [a + dot([row[i] for row in FP], y) for i, a in enumerate(x)]
+    return [a + dot([row[i] for row in FP], y) for i, a in enumerate(now.x)]
 
 
 def smooth_mean(
@@ -71,8 +72,7 @@ def smooth_mean(
     """
     P = unpack(now.P, zero=known_axes)
     factor = cholesky(unpack(after.P_predicted, zero=known_axes))
-    FP = transition_times(P, after.dt, *now.hz_per_mps)
-    x = select(after.is_last > 0.5, now.x, _mean(now.x, FP, factor, after))
+    x = select(after.is_last > 0.5, now.x, _mean(now, P, factor, after))
     return BackwardState(0.0, now.dt, now.x_predicted, now.P_predicted, x, [])
 
 
@@ -97,6 +97,6 @@ def smooth_epoch(
         now.dt,
         now.x_predicted,
         now.P_predicted,
-        select(is_last, now.x, _mean(now.x, FP, factor, after)),
+        select(is_last, now.x, _mean(now, P, factor, after)),
         select(is_last, now.P, pack(smoothed)),
     )

@@ -143,9 +143,9 @@ def with_clock(log: LogFile) -> LogFile:
     """Return a log whose ranges have the offset of the user's clock; refuse one without such."""
     ranges = log.columns.get("toa")
     if ranges is None or ranges.name.startswith("rtt"):
-        found = "no range" if ranges is None else f"{ranges.name}: round-trip times do not see it"
+        problem = "no range" if ranges is None else f"{ranges.name}: round-trip times do not see it"
         raise LogError(
-            f"{log.path}: clock: found offset with {found}, expected one-way times or ranges, such "
+            f"{log.path}: clock: found offset with {problem}, expected one-way times or ranges, such "
             "as toa_s, or synchronized"
         )
     return replace(log, clock=True)
