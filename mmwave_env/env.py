@@ -175,8 +175,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
       are there. One of range and azimuths is needed. Truth and remaining values stay those of the
       key or seed.
     * `clock`: "synchronized" (default), or "offset": the user's clock has an unknown offset, 100 ns
-      (1 sigma, 30 m) at first, which the oscillator's bias drives. The state has its range bias
-      (m) as the eighth component. Truth and all other draws stay those of the key or seed.
+      (1 sigma) at first, which the oscillator's bias drives; the state has its range bias, too.
     * `terminate_on_divergence`: see Episode End.
     * `render_mode`: "rgb_array" or "human", a window whose title names its keys; needs the extra
       `render`.

@@ -92,23 +92,18 @@ class Track(ABC):
         """Return what a receiver measures in some epochs."""
 
     def episode(
-        self,
-        radio: str | Radio,
-        rng: np.random.Generator,
-        epochs: slice = slice(None),
-        clock: bool = False,
+        self, radio: str | Radio, rng: np.random.Generator, epochs: slice = slice(None)
     ) -> Episode:
         """Return an episode of the track, or of some of its epochs, in which the truth is known.
 
         The prior is drawn around the true state. If the bias of the oscillator is unknown, the mean
-        of its prior is 0.
+        of its prior is 0. With a clock in the layout, a recording's offset is drawn, on which other
+        draws do not depend; a measured track brings its own.
 
         Args:
             radio: profile of the receiver.
             rng: source of all randomness.
             epochs: consecutive epochs.
-            clock: whether the offset of the user's clock is unknown. Of a recording it is drawn,
-                and other draws do not depend on it; a measured track brings its own.
 
         Raises:
             ValueError: the truth of an epoch is not known.
@@ -121,22 +116,19 @@ class Track(ABC):
         mean, covariance = draw_prior(state, radio, self.scene, rng)
         if received.bias_hz is None:
             mean[6] = 0.0
-        clock = clock or self.layout.clock
-        layout, measurement = replace(self.layout, clock=clock), received.measurement
-        if clock:
-            mean, covariance = np.append(mean, 0.0), radio.prior_covariance(self.scene, clock)
+        if self.layout.clock:
+            mean, covariance = np.append(mean, 0.0), radio.prior_covariance(self.scene, clock=True)
             if received.bias_hz is not None:
-                (own,) = rng.spawn(1)
-                drift_mps = received.bias_hz / self.scene.hz_per_mps
+                (own,), drift_mps = rng.spawn(1), received.bias_hz / self.scene.hz_per_mps
                 bias_m = clock_bias(drift_mps, self.time_s[epochs], own)
-                measurement[:, 0 : layout.doppler : 4] += bias_m[:, None]
+                received.measurement[:, 0 : self.layout.doppler : 4] += bias_m[:, None]
         return Episode.measured(
             self.name,
             self.scene,
             radio,
-            layout,
+            self.layout,
             time_s=self.time_s[epochs],
-            measurement=measurement,
+            measurement=received.measurement,
             visible=self.visible[epochs],
             snr_db=received.snr_db,
             doppler_spread_hz=received.doppler_spread_hz,
@@ -265,7 +257,7 @@ class TrackSource:
         epochs: length of an episode, a window drawn at random from all stretches; None for
             the longest stretch as a whole.
         measurements: names of what is used of the track's measurements; None for all.
-        clock: as :meth:`Track.episode` takes it.
+        clock: whether the offset of the user's clock is unknown.
 
     Raises:
         ValueError: there is no stretch, or no stretch of that length.
@@ -279,12 +271,12 @@ class TrackSource:
         measurements: Sequence[str] | None = None,
         clock: bool = False,
     ) -> None:
-        self.track, self.radio, self._clock = track, radio_from(radio), clock
-        self.layout, self.name, self.scene = track.layout, track.name, track.scene
         if clock:
-            self.layout = replace(track.layout, clock=True)
-            if not np.isfinite(track.measurement[:, 0 : self.layout.doppler : 4]).any():
+            if not np.isfinite(track.measurement[:, 0 : track.layout.doppler : 4]).any():
                 refuse(track.record, "clock", "offset, but no range", "ranges, or synchronized")
+            track = replace(track, layout=replace(track.layout, clock=True))
+        self.track, self.radio = track, radio_from(radio)
+        self.layout, self.name, self.scene = track.layout, track.name, track.scene
         self._measurements = measurements_from(measurements)
         if self._measurements:
             self.layout = layout = replace(self.layout, partial=True)
@@ -327,8 +319,7 @@ class TrackSource:
     def sample(self, rng: np.random.Generator) -> Episode:
         """Draw an episode; all randomness comes from ``rng``."""
         start = int(rng.choice(self._starts))
-        epochs = slice(start, start + self.epochs)
-        episode = self.track.episode(self.radio, rng, epochs, self._clock)
+        episode = self.track.episode(self.radio, rng, slice(start, start + self.epochs))
         return episode.only(self._measurements) if self._measurements else episode
 
 

@@ -145,8 +145,8 @@ def with_clock(log: LogFile) -> LogFile:
     if ranges is None or ranges.name.startswith("rtt"):
         problem = "no range" if ranges is None else f"{ranges.name}: round-trip times do not see it"
         raise LogError(
-            f"{log.path}: clock: found offset with {problem}, expected one-way times or ranges, such "
-            "as toa_s, or synchronized"
+            f"{log.path}: clock: found offset with {problem}, expected one-way times or ranges, "
+            "such as toa_s, or synchronized"
         )
     return replace(log, clock=True)
 
