@@ -120,7 +120,8 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
 
     * Every step: `position_error_m`, `nees`, `nis`, `accepted`, `rejected` (per anchor, then
       Doppler), `mode`, `gamma`, `truth` (position, velocity), `estimate` (position, velocity,
-      bias), `reward_terms`; with beliefs per mode also `mode_probabilities`.
+      bias; with `clock="offset"` also the range bias, m), `reward_terms`; with beliefs per mode
+      also `mode_probabilities`.
     * `reset`: `episode_name`, `episode_key` (of simulated episodes), `truth`, `estimate`, and
       `nonfinite`: the number of links, Doppler shifts and odometry readings that contain NaN or
       infinity and count as missing.
@@ -174,6 +175,9 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
       and "elevation" (of arrival), "departure" (azimuth) and "doppler"; None (default) for all.
       "range", "azimuth" or "departure" must be among them. Gates and `nis` then count only these
       quantities. The truth and the remaining values of an episode stay the same.
+    * `clock`: "synchronized" (default), or "offset": the user's clock has an unknown offset with a
+      standard deviation of 100 ns at first, which the oscillator's bias drives. Ranges contain it,
+      and the state has the range bias as its eighth component.
     * `terminate_on_divergence`: see Episode End.
     * `render_mode`: "rgb_array" or "human", a window whose title lists its keyboard keys; needs
       the extra `render`.

@@ -19,7 +19,7 @@ from mmwave_env.interface.observation import BELIEFS
 from mmwave_env.interface.reward import PairedReward, Reward, reward_from
 from mmwave_env.io.lookup import choose, did_you_mean
 from mmwave_env.io.records import require
-from mmwave_env.models.layout import measurements_from
+from mmwave_env.models.layout import clock_from, measurements_from
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.random_scene import RandomScene, scenes_from
 from mmwave_env.models.scene import Scene, Streets
@@ -128,6 +128,7 @@ class TaskArguments:
     planar: bool = False
     odometry: bool = False
     measurements: Sequence[str] | None = None
+    clock: str = "synchronized"
     terminate_on_divergence: bool = False
 
 
@@ -199,6 +200,7 @@ def bank_and_modes(
 def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
     """Return the source of episodes, and the radio with which they were received."""
     measurements = measurements_from(asked.measurements)
+    clock = clock_from(asked.clock, measurements)
     if asked.episodes is None:
         simulated = SimulatedSource(
             scenes_from("street" if asked.scene is None else asked.scene),
@@ -208,6 +210,7 @@ def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
             EPISODE_STEPS if asked.episode_steps is None else asked.episode_steps,
             asked.odometry,
             measurements,
+            clock,
         )
         if asked.episode_steps is not None and simulated.epochs < asked.episode_steps:
             raise ValueError(
@@ -218,7 +221,7 @@ def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
     for name in ("scenario", "scene", "dt", "odometry"):
         if (value := getattr(asked, name)) is not None and value is not False:
             raise ValueError(f"{name}: found {value!r}, but recorded episodes have their own")
-    source = _recorded(asked.episodes, radio, asked.episode_steps, measurements)
+    source = _recorded(asked.episodes, radio, asked.episode_steps, measurements, clock)
     return source, getattr(source, "radio", radio)
 
 
@@ -227,16 +230,19 @@ def _recorded(
     radio: Radio,
     steps: int | None,
     measurements: tuple[str, ...] | None,
+    clock: bool,
 ) -> EpisodeSource:
     """Return the source for an ``episodes=`` argument."""
     if isinstance(episodes, str | os.PathLike | Recording | MeasuredTrack):
-        return source_from(episodes, radio, steps, measurements)
+        return source_from(episodes, radio, steps, measurements, clock)
     if not hasattr(episodes, "layout") or not hasattr(episodes, "sample"):
         raise ValueError(
             f"episodes: found {episodes!r}, expected a name, a folder, a recording, a measured "
             "track, or a source with layout and sample(rng)"
         )
-    for name, value in (("episode_steps", steps), ("measurements", measurements)):
+    drift = "offset" if clock else None
+    own = {"episode_steps": steps, "measurements": measurements, "clock": drift}
+    for name, value in own.items():
         if value is not None:
             raise ValueError(f"{name}: found {value}, but the source in episodes= has its own")
     return episodes

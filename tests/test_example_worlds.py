@@ -63,7 +63,12 @@ def write_traffic(path):
 def test_trips_become_ways_from_which_episodes_are_drawn(tmp_path, name):
     write_traffic(tmp_path / name)
     text = run("sumo", name, "ways.csv", "--shift", 0, -140, cwd=tmp_path)
-    for part in ("4 trips", "left out: lost, row 34", "1 trips left out", "2 ways written to ways.csv"):
+    for part in (
+        "4 trips",
+        "left out: lost, row 34",
+        "1 trips left out",
+        "2 ways written to ways.csv",
+    ):
         assert part in text
     car, walker = read_ways(tmp_path / "ways.csv").trajectories
     np.testing.assert_array_equal(car.time_s, np.arange(91.0))

@@ -56,6 +56,8 @@ class WorldArgs:
     """number of epochs of an episode (default: 200, or all epochs of recorded data)"""
     odometry: bool = False
     """the user also measures speed and heading"""
+    clock: str = "synchronized"
+    """synchronized, or offset: the user's clock has an unknown offset, which ranges contain"""
 
 
 @dataclass(kw_only=True)
@@ -169,6 +171,8 @@ class FilterArgs:
     """use speed and heading if the log has them"""
     height: float | None = None
     """known height of a user on flat terrain, m"""
+    clock: str = "synchronized"
+    """synchronized, or offset: estimate the unknown offset of the user's clock in ranges"""
 
 
 @dataclass(kw_only=True)

@@ -16,6 +16,7 @@ from mmwave_env.localization.radio_choice import nearest_radio
 from mmwave_env.localization.tracker import Position, Tracker
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog
 from mmwave_env.logs.log_tables import LogError
+from mmwave_env.models.layout import clock_from
 from mmwave_env.models.scene import Scene, scene_from
 
 LONGEST_LINE = 1 << 16  # bytes; a longer line is not a row
@@ -38,9 +39,10 @@ def run_live(args: LogArgs) -> None:
     if args.lag < 0:
         raise ValueError(f"lag: found {args.lag}, expected 0 or more epochs")
     require_one_choice(args)
+    clock = clock_from(args.clock)
     scene = scene_from(args.scene)
     tracker: Tracker | None = None
-    for epoch in _epochs(sys.stdin.buffer, scene, args.snr):
+    for epoch in _epochs(sys.stdin.buffer, scene, args.snr, clock):
         if tracker is None:
             radio = nearest_radio(epoch.block(), scene) if args.radio == AUTO else args.radio
             choice = choice_of(args, radio)
@@ -60,7 +62,9 @@ def _content(position: Position) -> dict[str, Any]:
     return {name: value for name, value in position._asdict().items() if value is not None}
 
 
-def _epochs(stream: BinaryIO, scene: Scene, snr_db: float | None) -> Iterator[LiveEpoch]:
+def _epochs(
+    stream: BinaryIO, scene: Scene, snr_db: float | None, clock: bool
+) -> Iterator[LiveEpoch]:
     """Read rows, CSV below a header or JSON objects; yield the epochs that they form.
 
     A JSON object is a row, or all rows of an epoch as {"rows": [...]}. The first has all columns.
@@ -75,7 +79,7 @@ def _epochs(stream: BinaryIO, scene: Scene, snr_db: float | None) -> Iterator[Li
         lines = chain([(number, first)], lines)
     else:
         names = dict.fromkeys(name.strip() for name in next(csv.reader([first])))
-    log = LiveLog([*names], scene, snr_db, SOURCE)
+    log = LiveLog([*names], scene, snr_db, SOURCE, clock)
     for number, line in lines:
         try:
             rows, whole = _objects(line, number) if as_json else ([line], False)

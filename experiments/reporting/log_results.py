@@ -33,6 +33,7 @@ from mmwave_env.logs.clock import clock_offset, keeping
 from mmwave_env.logs.log import LogBlock, read_log, read_paths
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.truth import Truth
+from mmwave_env.models.layout import clock_from
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from mmwave_env.world.episode import NEUTRAL_SNR_DB
@@ -79,6 +80,9 @@ def _check(args: LogArgs, files: Inputs) -> None:
             raise ValueError(
                 "diagnose: cannot be combined with --associate, as it needs anchor numbers"
             )
+    for name in ("diagnose", "associate"):
+        if getattr(args, name) and args.clock != "synchronized":
+            raise ValueError(f"clock: {args.clock} cannot be combined with --{name}")
     require_one_choice(args)
     if not 2 <= args.window <= LONGEST_WINDOW:
         raise ValueError(
@@ -132,8 +136,9 @@ def _work(args: LogArgs, files: Inputs, scene: Scene, epochs_per_block: int) -> 
         first = next(blocks)
     else:
         blocks = read_log(
-            files.log, scene, epochs_per_block, args.odometry, partial=True, snr_db=args.snr
-        )
+            files.log, scene, epochs_per_block, args.odometry, partial=True, snr_db=args.snr,
+            clock=clock_from(args.clock),
+        )  # fmt: skip
         first = next(blocks)
         name = nearest_radio(first, scene) if args.radio == AUTO else args.radio
     if args.follow == "odometry" and not first.layout.odometry:

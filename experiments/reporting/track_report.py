@@ -12,6 +12,7 @@ from experiments.figures.trajectory import DrawnTrack
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
 from mmwave_env.localization.localizer import TrackBlock
 from mmwave_env.metrics import HEADERS, INFO_KEYS
+from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.numerics.numbers import Array
 
@@ -82,6 +83,11 @@ def _course(figures: dict[str, Any]) -> list[str]:
     shares = ", ".join(f"{escaped(name)} {_percent(n / epochs)}" for name, n in f["modes"].items())
     switches = f", switched {_times(f['switches'])}" if len(f["modes"]) > 1 else ""
     lines.append(f"modes {escaped(f['rule'])}: {shares} of the epochs{switches}")
+    if "clock" in f:
+        keys = "range_bias_m", "deviation_m"
+        ahead, deviation = (f["clock"][key] / SPEED_OF_LIGHT * 1e9 for key in keys)
+        side = "behind" if ahead < 0.0 else "ahead"
+        lines.append(f"in the end the user's clock is {abs(ahead):.1f} ± {deviation:.1f} ns {side}")
     fast = speed["epochs_above_design_limit"]
     if not f["imm"] and len(f["modes"]) > 1 and fast:
         lines.append(

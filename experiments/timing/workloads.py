@@ -101,7 +101,7 @@ def filterpy_episode(twin: Pipeline, episode: Episode) -> float:
         for mode in twin.modes:
             noise = process_noise(mode.tuning, epoch, site.hz_per_mps, 1.0, twin.planar)
             measurement = measurement_of(mode, memory, epoch, site, layout)
-            prior = twin.predict(mode, x, P, noise, epoch.dt)
+            prior = twin.predict(mode, x, P, noise, epoch.dt, site.hz_per_mps)
             posterior = twin.update(mode)(*prior, measurement, Gate(mode.gate))
         x, P = posterior.x, posterior.P
         paid += total(terms_of(reward, Belief(x, P), incoming.truth))

@@ -23,7 +23,7 @@ LOG, SCENE, TRUTH = "log.csv", "scene.json", "truth.tum"
 _LOGS = tuple(f"log{suffix}" for suffix in SUFFIXES)
 
 
-def read_log_folder(folder: Path) -> MeasuredTrack:
+def read_log_folder(folder: Path, clock: bool = False) -> MeasuredTrack:
     """Read a folder with a log, its scene and its true track, completely into memory.
 
     :class:`~mmwave_env.logs.truth.Truth` interpolates the true positions at the times of the
@@ -33,6 +33,7 @@ def read_log_folder(folder: Path) -> MeasuredTrack:
 
     Args:
         folder: contains ``log.csv`` (or ``.csv.gz``, ``.parquet``), ``scene.json``, ``truth.tum``.
+        clock: whether ranges have the offset of the user's clock.
 
     Raises:
         ValueError: a file is missing, damaged or not of the expected kind, or the true position
@@ -42,7 +43,7 @@ def read_log_folder(folder: Path) -> MeasuredTrack:
     """
     path = log_of(folder)
     scene, truth = read_scene(folder / SCENE), Truth(folder / TRUTH)
-    log = LogBlock.joined(list(read_log(path, scene, partial=True)))
+    log = LogBlock.joined(list(read_log(path, scene, partial=True, clock=clock)))
     whole = log.whole()
     if np.array_equal(whole.visible, log.visible) and not np.isfinite(log.sigma).any():
         log = whole
@@ -52,9 +53,9 @@ def read_log_folder(folder: Path) -> MeasuredTrack:
     if not matched:
         raise truth.no_match(*ends)
     truth.warn_if_few(matched, len(log), *ends)
-    clock = clock_offset(log, scene, lambda time_s: Truth(truth.path).at(time_s))
-    if clock and clock.matters:
-        warnings.warn(f"{truth.path}: {clock.advice}", stacklevel=2)
+    ahead = clock_offset(log, scene, lambda time_s: Truth(truth.path).at(time_s))
+    if ahead and ahead.matters:
+        warnings.warn(f"{truth.path}: {ahead.advice}", stacklevel=2)
     return MeasuredTrack(
         name=as_name(folder.resolve().name),
         scene=scene,

@@ -105,4 +105,4 @@ class Recording(Track):
         wrap_angles(measurement, layout)
         speed = np.linalg.norm(self.velocity_mps[epochs], axis=1)
         spread_hz = doppler_spread(radio, scene.hz_per_mps, speed, rng)
-        return Received(measurement, snr, spread_hz, bias[0])
+        return Received(measurement, snr, spread_hz, bias)

@@ -56,6 +56,7 @@ def source_from(
     radio: str | Radio,
     epochs: int | None = None,
     measurements: Sequence[str] | None = None,
+    clock: bool = False,
 ) -> TrackSource:
     """Return the source for an ``episodes=`` argument, or for ``--data``.
 
@@ -66,6 +67,7 @@ def source_from(
         epochs: length of an episode, which is a window drawn at random; None for the longest
             stretch of epochs with known positions.
         measurements: names of the measurements to use; None for all.
+        clock: whether the user's clock has an unknown offset.
 
     Raises:
         ValueError: the name is unknown, the folder contains something else, or the data are
@@ -73,9 +75,9 @@ def source_from(
         OSError: a file can't be read.
     """
     if not isinstance(episodes, str | os.PathLike):
-        return TrackSource(episodes, radio, epochs, measurements)
+        return TrackSource(episodes, radio, epochs, measurements, clock)
     if episodes in sample_names():
-        return TrackSource(recording_from(str(episodes)), radio, epochs, measurements)
+        return TrackSource(recording_from(str(episodes)), radio, epochs, measurements, clock)
     folder = Path(episodes)
     if folder.is_file():
         raise ValueError(
@@ -87,5 +89,5 @@ def source_from(
             f"episodes: found {str(folder)!r}, expected one of {', '.join(sample_names())}, "
             "or a folder with a measurement log, its scene and its truth, or a DeepMIMO scenario"
         )
-    read = read_deepmimo if is_scenario(folder) else read_log_folder
-    return TrackSource(read(folder), radio, epochs, measurements)
+    track = read_deepmimo(folder) if is_scenario(folder) else read_log_folder(folder, clock)
+    return TrackSource(track, radio, epochs, measurements, clock)

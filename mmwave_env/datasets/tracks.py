@@ -21,7 +21,7 @@ from mmwave_env.models.layout import (
 )
 from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.prior import GAP_S, draw_prior
-from mmwave_env.models.radio import Radio, radio_from
+from mmwave_env.models.radio import Radio, clock_bias, radio_from
 from mmwave_env.models.scene import Scene, scene_of_anchors
 from mmwave_env.numerics.numbers import Array, Index, Mask, wrap
 from mmwave_env.world.checks import refuse, require_epochs, require_increasing, require_name
@@ -40,7 +40,7 @@ class Received(NamedTuple):
     measurement: Array  # (T, rows)
     snr_db: Array  # (T, L)
     doppler_spread_hz: Array  # (T,)
-    bias_hz: float | None  # the oscillator's bias in the first epoch, None if unknown
+    bias_hz: Array | None  # (T,) the oscillator's bias, None if unknown
     sigma: Array | None = None
     doppler_anchor: Index | None = None
 
@@ -95,7 +95,8 @@ class Track(ABC):
         """Return the epochs of the track, all or some, as an episode with known true positions.
 
         The prior is drawn around the true state. If the bias of the oscillator is unknown, the mean
-        of its prior is 0.
+        of its prior is 0. With a clock in the layout, a recording's offset is drawn, on which other
+        draws do not depend; a measured track brings its own.
 
         Args:
             radio: profile of the receiver.
@@ -108,10 +109,17 @@ class Track(ABC):
         radio = radio_from(radio)
         received = self._received(radio, rng, epochs)
         position, velocity = self.position_m[epochs], self.velocity_mps[epochs]
-        state = np.concatenate([position[0], velocity[0], [received.bias_hz or 0.0]])
+        bias_hz = 0.0 if received.bias_hz is None else received.bias_hz[0]
+        state = np.concatenate([position[0], velocity[0], [bias_hz]])
         mean, covariance = draw_prior(state, radio, self.scene, rng)
         if received.bias_hz is None:
             mean[6] = 0.0
+        if self.layout.clock:
+            mean, covariance = np.append(mean, 0.0), radio.prior_covariance(self.scene, clock=True)
+            if received.bias_hz is not None:
+                (own,), drift_mps = rng.spawn(1), received.bias_hz / self.scene.hz_per_mps
+                bias_m = clock_bias(drift_mps, self.time_s[epochs], own)
+                received.measurement[:, 0 : self.layout.doppler : 4] += bias_m[:, None]
         return Episode.measured(
             self.name,
             self.scene,
@@ -215,6 +223,8 @@ class Track(ABC):
         for a in range(layout.anchors):
             used = self.visible[:, a] & known
             for i, name in enumerate(LINK):
+                if layout.clock and not i:
+                    continue  # an offset is no contradiction
                 error = (self.measurement[:, 4 * a + i] - exact[4 * a + i])[used]
                 error = error[np.isfinite(error)]
                 if len(error) < _ENOUGH:
@@ -245,6 +255,7 @@ class TrackSource:
         epochs: length of an episode, which is a window drawn at random from all stretches; None
             for the complete longest stretch.
         measurements: names of the measurements to use; None for all.
+        clock: whether the user's clock has an unknown offset.
 
     Raises:
         ValueError: there is no stretch, or no stretch is that long.
@@ -256,12 +267,17 @@ class TrackSource:
         radio: str | Radio,
         epochs: int | None = None,
         measurements: Sequence[str] | None = None,
+        clock: bool = False,
     ) -> None:
+        if clock:
+            if not np.isfinite(track.measurement[:, 0 : track.layout.doppler : 4]).any():
+                refuse(track.record, "clock", "offset, but no range", "ranges, or synchronized")
+            track = replace(track, layout=replace(track.layout, clock=True))
         self.track, self.radio = track, radio_from(radio)
         self.layout, self.name, self.scene = track.layout, track.name, track.scene
         self._measurements = measurements_from(measurements)
         if self._measurements:
-            self.layout = layout = replace(track.layout, partial=True)
+            self.layout = layout = replace(self.layout, partial=True)
             rows = np.isfinite(track.measurement) & offered_rows(layout, self._measurements)
             if not rows[:, : layout.doppler].any():
                 shown = ", ".join(self._measurements)

@@ -86,7 +86,7 @@ def _program(pipeline: Pipeline, reward: Reward, acted: bool) -> Program[ImmStat
         now = imm_epoch(pipeline, w.settings, mixture, coming, w.site)
         mixture = trusting(now.mixture, w.action, coming.dt) if acted else now.mixture
         x, P = estimate(mixture)
-        x_predicted, P_predicted = prediction(now, coming.dt)
+        x_predicted, P_predicted = prediction(now, coming.dt, w.site.hz_per_mps)
         belief = Belief(x, P, pipeline.position_axes)
         truth = w.incoming.truth
         return w._replace(

@@ -21,7 +21,6 @@ import numpy as np
 from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.imm import begin, over_step
 from mmwave_env.filters.pipeline import Pipeline, predict
-from mmwave_env.models.layout import STATE_SIZE
 from mmwave_env.models.measurement import Epoch
 from mmwave_env.models.motion import transition_times
 from mmwave_env.numerics.linalg import unpack
@@ -83,15 +82,16 @@ def smooth_modes(
         after = _backwards(pipeline, now, gamma[:, t], after, coming, hz_per_mps, matrix)
         smoothed.append(merged(after))
     x, P = (np.stack(parts[::-1], axis=1) for parts in zip(*smoothed, strict=True))
-    return x, P[..., *np.tril_indices(STATE_SIZE)]
+    return x, P[..., *np.tril_indices(P.shape[-1])]
 
 
 def _beliefs(mixtures: Array, pipeline: Pipeline) -> tuple[ModeBeliefs, Array]:
     """Return the beliefs of the modes and the scales (N, T, modes) of their noise."""
-    at = indices(begin(pipeline, [0.0] * STATE_SIZE, [0.0] * 28))
+    n, triangle = pipeline.layout.state_size, pipeline.layout.triangle
+    at = indices(begin(pipeline, [0.0] * n, [0.0] * triangle))
     packed = mixtures[..., np.array([track.P for track in at.tracks])]
-    P = np.empty((*packed.shape[:-1], STATE_SIZE, STATE_SIZE))
-    row, column = np.tril_indices(STATE_SIZE)
+    P = np.empty((*packed.shape[:-1], n, n))
+    row, column = np.tril_indices(n)
     P[..., row, column] = P[..., column, row] = packed
     x = mixtures[..., np.array([track.x for track in at.tracks])]
     gamma = mixtures[..., np.array([track.memory.gamma for track in at.tracks])]
@@ -117,10 +117,10 @@ def _backwards(
         hz_per_mps: carrier frequency divided by the speed of light.
         transition: (N, modes, modes) probabilities (from, to) over the step.
     """
-    known = list(pipeline.known_axes)
-    x_now = [now.x[..., i] for i in range(STATE_SIZE)]  # each an array (N, modes now)
-    packed = [now.P[..., i, j] for i in range(STATE_SIZE) for j in range(i + 1)]
-    FP = _matrix(transition_times(unpack(packed), coming.dt), now.x.shape[:-1])
+    known, n = list(pipeline.known_axes), now.x.shape[-1]
+    x_now = [now.x[..., i] for i in range(n)]  # each an array (N, modes now)
+    packed = [now.P[..., i, j] for i in range(n) for j in range(i + 1)]
+    FP = _matrix(transition_times(unpack(packed), coming.dt, hz_per_mps), now.x.shape[:-1])
     x, P, weight = [], [], []
     for i, mode in enumerate(pipeline.modes):
         mean, covariance = predict(

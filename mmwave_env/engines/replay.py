@@ -56,23 +56,25 @@ class BackwardPass(NamedTuple):
     smoothed_error: list[Number]  # (3,) position error of the current epoch's smoothed mean, m
 
 
-def _replayed(track: TrackState | ImmState) -> ReplayedEpoch:
+def _replayed(track: TrackState | ImmState, clock: bool) -> ReplayedEpoch:
+    carrier = [track.site.hz_per_mps] if clock else ()
     filtered = ForwardEpoch(
-        track.incoming.dt, track.x, track.P, track.x_predicted, track.P_predicted
+        track.incoming.dt, track.x, track.P, track.x_predicted, track.P_predicted, carrier
     )
     return ReplayedEpoch(filtered, track.error, track.nees)
 
 
-@lru_cache(maxsize=2)
-def _backward_program(known_axes: tuple[int, ...]) -> Program[BackwardPass]:
+@lru_cache(maxsize=4)
+def _backward_program(known_axes: tuple[int, ...], size: int) -> Program[BackwardPass]:
     def function(w: BackwardPass) -> BackwardPass:
         (filtered, error, _), after = w.incoming, w.after
         after = smooth_mean(filtered, after, known_axes)
         moved = [e + (after.x[i] - filtered.x[i]) for i, e in enumerate(error)]
         return BackwardPass(w.incoming, after, moved)
 
-    blank = ReplayedEpoch(blank_epoch(), [0.0] * AXES, 0.0)
-    return Program(function, BackwardPass(blank, track_end(with_covariance=False), blank.error))
+    blank = ReplayedEpoch(blank_epoch(size), [0.0] * AXES, 0.0)
+    end = track_end(with_covariance=False, size=size)
+    return Program(function, BackwardPass(blank, end, blank.error))
 
 
 class Replay:
@@ -93,11 +95,12 @@ class Replay:
             self._forward = program_of(pipeline)
             tuned = self._forward.index.tunings
             numbers = flatten([mode.tuning for mode in pipeline.modes])
-        self._backward = _backward_program(pipeline.known_axes)
+        layout = pipeline.layout
+        self._backward = _backward_program(pipeline.known_axes, layout.state_size)
         at = self._backward.index
         self._start = self._forward.start.copy()
         self._start[rows_of(tuned)] = numbers
-        self._keep = rows_of(_replayed(self._forward.index))
+        self._keep = rows_of(_replayed(self._forward.index, layout.clock))
         self._show = rows_of([at.incoming.error, at.incoming.nees, at.smoothed_error])
 
     def run(self, episodes: EpisodeBatch, actions: Actions) -> tuple[Array, ...]:
@@ -181,16 +184,23 @@ class SmoothingState(NamedTuple):
     after: BackwardState  # the following epoch, smoothed
 
 
-@lru_cache(maxsize=2)
-def _program(known_axes: tuple[int, ...]) -> Program[SmoothingState]:
+@lru_cache(maxsize=4)
+def _program(known_axes: tuple[int, ...], size: int) -> Program[SmoothingState]:
     def function(w: SmoothingState) -> SmoothingState:
         return w._replace(after=smooth_epoch(w.incoming, w.after, known_axes))
 
-    return Program(function, SmoothingState(blank_epoch(), track_end(with_covariance=True)))
+    end = track_end(with_covariance=True, size=size)
+    return Program(function, SmoothingState(blank_epoch(size), end))
 
 
 def smooth(
-    x: Array, P: Array, x_predicted: Array, P_predicted: Array, dt: Array, planar: bool = False
+    x: Array,
+    P: Array,
+    x_predicted: Array,
+    P_predicted: Array,
+    dt: Array,
+    planar: bool = False,
+    hz_per_mps: float = np.nan,
 ) -> tuple[Array, Array]:
     """Return smoothed means (N, T, 7) and packed covariances (N, T, 28) of finished tracks.
 
@@ -201,15 +211,17 @@ def smooth(
             update.
         dt: (T - 1,) seconds from each epoch to the next, or (N, T - 1) for each track.
         planar: whether z and vz are known exactly.
+        hz_per_mps: carrier frequency over the speed of light; only a clock needs it.
     """
-    program = _program(VERTICAL if planar else ())
-    N, T, _ = x.shape
+    N, T, size = x.shape
+    program = _program(VERTICAL if planar else (), size)
     since = np.ones((N, T))
     since[:, 1:] = dt
-    forwards = np.concatenate([since[..., None], x, P, x_predicted, P_predicted], axis=2)
+    carrier = np.full((N, T, size - STATE_SIZE), hz_per_mps)
+    forwards = np.concatenate([since[..., None], x, P, x_predicted, P_predicted, carrier], axis=2)
     rows = blocks_of(program.start, N)
     io = StepIO.of(N, T, output_rows=rows_of([program.index.after.x, program.index.after.P]))
     backwards = np.ascontiguousarray(forwards[:, ::-1])
     program.run_on_lanes(BatchState.of(backwards, rows), io)
     smoothed = io.outputs[:, ::-1]
-    return smoothed[..., :STATE_SIZE].copy(), smoothed[..., STATE_SIZE:].copy()
+    return smoothed[..., :size].copy(), smoothed[..., size:].copy()

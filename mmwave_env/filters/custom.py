@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.modes import ALGORITHMS, Mode
 from mmwave_env.filters.update import Posterior
-from mmwave_env.models.layout import STATE_SIZE, Layout
+from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Measurement, exact_rows
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Number
@@ -75,14 +75,18 @@ def _trials(layout: Layout) -> Iterator[_Trial]:
     """
     hz_per_mps, scale = 93.4, [2.0, 1.5, 0.5, 1.0, 0.8, 0.2, 30.0]
     x = [12.0, -7.0, 1.5, 3.0, -2.0, 0.1, 20.0]
+    if layout.clock:
+        x, scale = [*x, 4.0], [*scale, 10.0]
     truth = [m + 0.5 * s for m, s in zip(x, scale, strict=True)]
-    entries = [(i, j) for i in range(STATE_SIZE) for j in range(i + 1)]
+    entries = [(i, j) for i in range(len(x)) for j in range(i + 1)]
     P = [scale[i] * scale[j] * (1.0 if i == j else 0.2) for i, j in entries]
     angles = [0.4 + 2.0 * math.pi * a / layout.anchors for a in range(layout.anchors)]
     anchors = [[60.0 * math.cos(a), 60.0 * math.sin(a), 10.0 + 3.0 * a] for a in angles]
     sigma = [1.0, 0.05, 0.05, 0.05] * layout.anchors + [30.0] + [0.5, 0.1] * layout.odometry
     exact = exact_rows(truth[:3], truth[3:6], anchors, hz_per_mps, layout)
     exact[layout.doppler] += truth[6]
+    for a in range(layout.anchors):
+        exact[4 * a] += sum(truth[7:])
     z = [h + 0.3 * s for h, s in zip(exact, sigma, strict=True)]
     variance = [s * s for s in sigma]
 
@@ -208,8 +212,8 @@ def _wrong_shapes(layout: Layout, result: Any) -> Iterator[str]:
     if not isinstance(result, Posterior):
         yield f"{_kind(result)}, expected a Posterior from mmwave_env.filters.update"
         return
-    state, groups = [0.0] * STATE_SIZE, [0.0] * len(layout.groups)
-    expected = Posterior(state, [state] * STATE_SIZE, groups, groups, 0.0)
+    state, groups = [0.0] * layout.state_size, [0.0] * len(layout.groups)
+    expected = Posterior(state, [state] * len(state), groups, groups, 0.0)
     for parts in zip(Posterior._fields, result, expected, strict=True):
         yield from _wrong_parts(*parts)
 
@@ -249,7 +253,7 @@ def _unsound(trial: _Trial, result: Posterior, on_lanes: Posterior) -> Iterator[
         if not math.isfinite(number):
             yield f"{place}: {number}, expected a finite number"
     P = result.P
-    for i in range(STATE_SIZE):
+    for i in range(len(P)):
         for j in range(i):
             if abs(P[i][j] - P[j][i]) > 1e-9 * math.sqrt(abs(P[i][i] * P[j][j])):
                 yield (

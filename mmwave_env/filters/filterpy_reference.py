@@ -37,14 +37,14 @@ from mmwave_env.models.motion import ProcessNoise
 from mmwave_env.numerics.numbers import Array, Matrix, Vector
 
 Rows = NDArray[np.int64]
-_STATES = 7
 
 
 def full_noise(noise: ProcessNoise) -> Array:
-    """Return Q (7, 7), given its non-zero entries."""
+    """Return Q (7, 7), given its non-zero entries; (8, 8) with a clock."""
     Q = np.diag(np.array(noise.diagonal, float))
-    for axis, covariance in enumerate(noise.coupling):
-        Q[axis, axis + 3] = Q[axis + 3, axis] = covariance
+    pairs = [(0, 3), (1, 4), (2, 5), (7, 6)]
+    for (i, j), covariance in zip(pairs, noise.coupling, strict=False):
+        Q[i, j] = Q[j, i] = covariance
     return Q
 
 
@@ -55,7 +55,7 @@ class _Relative:
         layout, anchors = measurement.layout, np.array(measurement.anchors, float)
         shifted = int(np.argmax(measurement.doppler_of)) if len(measurement.doppler_of) else 0
         self._sensor = textbook.Sensor(
-            anchors, float(measurement.hz_per_mps), layout.odometry, shifted
+            anchors, float(measurement.hz_per_mps), layout.odometry, shifted, layout.clock
         )
         self._mean, self._at_mean = mean, self._sensor.h(mean)
         self.innovation = self._difference(np.array(measurement.z, float))
@@ -88,18 +88,18 @@ class _Ekf:
     ``update`` conditions N(0, P) on the chosen rows, with their noise covariance R.
     """
 
-    def __init__(self) -> None:
-        self._filter: Any = ExtendedKalmanFilter(_STATES, 1)
+    def __init__(self, size: int) -> None:
+        self._filter: Any = ExtendedKalmanFilter(size, 1)
 
-    def predict(self, x: Array, P: Array, Q: Array, dt: float) -> tuple[Array, Array]:
+    def predict(self, x: Array, P: Array, Q: Array, F: Array) -> tuple[Array, Array]:
         f = self._filter
-        f.x, f.P, f.F, f.Q = x, P, textbook.F(dt), Q
+        f.x, f.P, f.F, f.Q = x, P, F, Q
         f.predict()
         return f.x, f.P
 
     def update(self, P: Array, relative: _Relative, rows: Rows, R: Array) -> _Filtered:
         f = self._filter
-        f.x, f.P = np.zeros(_STATES), P
+        f.x, f.P = np.zeros(len(P)), P
         f.update(
             relative.innovation[rows],
             HJacobian=lambda _: relative.jacobian()[rows],
@@ -114,21 +114,21 @@ class _PointFilter:
 
     _filter: Any
 
-    def predict(self, x: Array, P: Array, Q: Array, dt: float) -> tuple[Array, Array]:
-        f, F = self._filter, textbook.F(dt)
+    def predict(self, x: Array, P: Array, Q: Array, F: Array) -> tuple[Array, Array]:
+        f = self._filter
         f.x, f.P, f.Q, f.fx = np.zeros_like(f.x), P, Q, lambda dx, _: F @ (x + dx) - x
         f.predict()
         return x + f.x.ravel(), f.P
 
 
 class _Ukf(_PointFilter):
-    def __init__(self) -> None:
-        self._points: Any = MerweScaledSigmaPoints(_STATES, alpha=1.0, beta=2.0, kappa=0.0)
-        self._filter = UnscentedKalmanFilter(_STATES, 1, 1.0, None, None, self._points)
+    def __init__(self, size: int) -> None:
+        self._points: Any = MerweScaledSigmaPoints(size, alpha=1.0, beta=2.0, kappa=0.0)
+        self._filter = UnscentedKalmanFilter(size, 1, 1.0, None, None, self._points)
 
     def update(self, P: Array, relative: _Relative, rows: Rows, R: Array) -> _Filtered:
         f = self._filter
-        f.x, f.P = np.zeros(_STATES), P
+        f.x, f.P = np.zeros(len(P)), P
         f.sigmas_f = self._points.sigma_points(f.x, P)
         f.update(relative.innovation[rows], R=R, hx=lambda dx: relative.change(dx)[rows])
         return _Filtered(f.x, f.P, f.y, f.S)
@@ -137,21 +137,21 @@ class _Ukf(_PointFilter):
 class _Ckf(_PointFilter):
     """The CKF of filterpy; its caller must set its points and arrays, and pass column vectors."""
 
-    def __init__(self) -> None:
-        self._filter = CubatureKalmanFilter(_STATES, 1, 1.0, None, None)
+    def __init__(self, size: int) -> None:
+        self._filter = CubatureKalmanFilter(size, 1, 1.0, None, None)
 
     def update(self, P: Array, relative: _Relative, rows: Rows, R: Array) -> _Filtered:
         f = self._filter
-        f.x, f.P = np.zeros((_STATES, 1)), P
+        f.x, f.P = np.zeros((len(P), 1)), P
         f.sigmas_f = spherical_radial_sigmas(f.x, P)
-        f.sigmas_h = np.zeros((2 * _STATES, len(R)))
+        f.sigmas_h = np.zeros((2 * len(P), len(R)))
         f.hx = lambda dx: relative.change(dx)[rows]
         f.update(relative.innovation[rows, None], R=R)
         return _Filtered(f.x.ravel(), f.P, f.y.ravel(), f.S)
 
 
 _Filter = _Ekf | _Ukf | _Ckf
-_FILTERS: dict[str, Callable[[], _Filter]] = {"ekf": _Ekf, "ukf": _Ukf, "ckf": _Ckf}
+_FILTERS: dict[str, Callable[[int], _Filter]] = {"ekf": _Ekf, "ukf": _Ukf, "ckf": _Ckf}
 
 
 def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
@@ -167,14 +167,15 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
             "planar=False or this package's own filters"
         )
     # There is one filter per algorithm; every step sets its state.
-    filters = {mode.algorithm: _filter_of(mode) for mode in pipeline.modes}
+    clock, size = pipeline.layout.clock, pipeline.layout.state_size
+    filters = {mode.algorithm: _filter_of(mode, size) for mode in pipeline.modes}
 
     def predict(
-        mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: float
+        mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: float, hz_per_mps: float
     ) -> tuple[list[float], list[list[float]]]:
-        mean, covariance = filters[mode.algorithm].predict(
-            np.array(x, float), np.array(P, float), full_noise(noise), float(dt)
-        )
+        belief = np.array(x, float), np.array(P, float)
+        F = textbook.F(float(dt), float(hz_per_mps) if clock else None)
+        mean, covariance = filters[mode.algorithm].predict(*belief, full_noise(noise), F)
         return mean.tolist(), _symmetric(covariance).tolist()
 
     def update(mode: Mode) -> Algorithm:
@@ -183,9 +184,9 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
     return replace(pipeline, predict=predict, update=update)
 
 
-def _filter_of(mode: Mode) -> _Filter:
+def _filter_of(mode: Mode, size: int) -> _Filter:
     name: Any = mode.algorithm  # a function is refused like an unknown name
-    return choose(_FILTERS, name, f"algorithm of mode {mode.name!r} on filterpy")()
+    return choose(_FILTERS, name, f"algorithm of mode {mode.name!r} on filterpy")(size)
 
 
 def _update(

@@ -15,7 +15,6 @@ from mmwave_env.filters.memory import Memory, initial_memory, memory_after, memo
 from mmwave_env.filters.modes import Tuning
 from mmwave_env.filters.pipeline import Pipeline, predict_update
 from mmwave_env.filters.update import ModeResult, limited_likelihood
-from mmwave_env.models.layout import STATE_SIZE
 from mmwave_env.models.measurement import Epoch, Site
 from mmwave_env.models.motion import move
 from mmwave_env.numerics.linalg import dot, unpack
@@ -78,10 +77,11 @@ def moments(
 
 def spread(weights: Sequence[Number], x: Sequence[Vector]) -> tuple[list[Number], list[Number]]:
     """Return the mean (7,) and the packed covariance (28,) of weighted points."""
-    mean = [dot(weights, [xi[i] for xi in x]) for i in range(STATE_SIZE)]
-    offset = [[xi[i] - mean[i] for i in range(STATE_SIZE)] for xi in x]
+    n = len(x[0])
+    mean = [dot(weights, [xi[i] for xi in x]) for i in range(n)]
+    offset = [[xi[i] - mean[i] for i in range(n)] for xi in x]
     return mean, [
-        dot(weights, [d[i] * d[j] for d in offset]) for i in range(STATE_SIZE) for j in range(i + 1)
+        dot(weights, [d[i] * d[j] for d in offset]) for i in range(n) for j in range(i + 1)
     ]
 
 
@@ -207,7 +207,7 @@ def estimate(mixture: Mixture) -> tuple[list[Number], list[list[Number]]]:
     return x, unpack(P)
 
 
-def prediction(now: ImmEpoch, dt: Number) -> tuple[list[Number], list[Number]]:
+def prediction(now: ImmEpoch, dt: Number, hz_per_mps: Number) -> tuple[list[Number], list[Number]]:
     """Return the mixture's mean (7,) and packed covariance (28,) before an epoch's update.
 
     The Rauch-Tung-Striebel smoother assumes x_predicted = F x + noise, where the noise does not
@@ -217,8 +217,9 @@ def prediction(now: ImmEpoch, dt: Number) -> tuple[list[Number], list[Number]]:
     Args:
         now: the epoch.
         dt: the epoch's step, seconds.
+        hz_per_mps: carrier frequency over the speed of light.
     """
-    moved = [move(x, dt) for x in now.mixed]
+    moved = [move(x, dt, hz_per_mps) for x in now.mixed]
     shifts = [
         [a - b for a, b in zip(result.x_predicted, x, strict=True)]
         for result, x in zip(now.results, moved, strict=True)

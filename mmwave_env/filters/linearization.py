@@ -11,7 +11,9 @@ V_kappa_j = up + down, because the 2n + 1 points' covariance is exactly V cov(et
 cov(kappa) = (w / 2) I + bend w^2 1 1'. So one computation serves both filters.
 
 Only columns 0 to 2 of L move the position, so latents are kept in the order
-[xi_0..2, kappa, xi_3..6]: the links depend only on the first 3 + len(kappa) latents.
+[xi_0..2, kappa, xi_3..6]: the links depend only on the first 3 + len(kappa) latents. With a clock
+they also depend on its range bias, which column 3 moves then (:func:`factor_of`):
+[xi_0..3, kappa, xi_4..7].
 
 Source: Julier and Uhlmann 2004, Sec. IV (scaled sigma points as in van der Merwe 2004).
 The cubature filter (Arasaratnam and Haykin 2009) is alpha = 1, beta = 0, kappa = 0. The textbook
@@ -33,9 +35,9 @@ from mmwave_env.numerics.numbers import Matrix, Number, Vector
 class Tangent:
     """The first-order expansion at the prior mean, which the extended Kalman filter uses."""
 
-    def latents(self, curved: int) -> "Latents":
+    def latents(self, curved: int, size: int = STATE_SIZE) -> "Latents":
         """Return the moments of the latents; the tangent has no curvature latents."""
-        return Latents(0, 0.0, 0.0)
+        return Latents(0, 0.0, 0.0, size)
 
     def rows(self, group: Group, L: Matrix, latents: "Latents") -> list[list[Number]]:
         """Return V (k, 7), the Jacobian along each column of L."""
@@ -45,7 +47,7 @@ class Tangent:
 
 @dataclass(frozen=True)
 class SigmaPoints:
-    """Scaled symmetric sigma points (2 n + 1 of them, n = 7).
+    """Scaled symmetric sigma points (2 n + 1 of them, n = 7, or 8 with a clock).
 
     Attributes:
         alpha, beta, kappa: the usual parameters; alpha^2 (n + kappa) must be positive.
@@ -69,18 +71,17 @@ class SigmaPoints:
                 f"{self.kappa}, so that the curvature has a covariance"
             )
 
-    @property
-    def reach(self) -> float:
+    def reach(self, size: int = STATE_SIZE) -> float:
         """Return the distance of the points from the mean, as a multiple of the columns of L."""
-        return self.alpha * float((STATE_SIZE + self.kappa) ** 0.5)
+        return self.alpha * float((size + self.kappa) ** 0.5)
 
-    def latents(self, curved: int) -> "Latents":
+    def latents(self, curved: int, size: int = STATE_SIZE) -> "Latents":
         """Return the moments of the latents, with one curvature latent per curved column."""
-        return Latents(curved, 0.5 / self.reach**2, self.beta - self.alpha**2)
+        return Latents(curved, 0.5 / self.reach(size) ** 2, self.beta - self.alpha**2, size)
 
     def rows(self, group: Group, L: Matrix, latents: "Latents") -> list[list[Number]]:
         """Return V (k, 7 + curvatures) from central and second differences along columns of L."""
-        s, columns = self.reach, list(zip(*L, strict=True))
+        s, columns, first = self.reach(len(L)), list(zip(*L, strict=True)), latents.linear
         curved, rest = columns[: group.curved], columns[group.curved :]
         up = [group.change([s * c for c in column]) for column in curved]
         down = [group.change([-s * c for c in column]) for column in curved]
@@ -89,7 +90,7 @@ class SigmaPoints:
         for i, gradient in enumerate(group.jacobian):
             pairs = [(u[i], d[i]) for u, d in zip(up, down, strict=True)]
             xi = [(u - d) * (0.5 / s) for u, d in pairs] + [dot(gradient, c) for c in rest]
-            rows.append(xi[:3] + [u + d for u, d in pairs] + flat + xi[3:])
+            rows.append(xi[:first] + [u + d for u, d in pairs] + flat + xi[first:])
         return rows
 
 
@@ -98,21 +99,27 @@ Linearization = Tangent | SigmaPoints
 
 @dataclass(frozen=True)
 class Latents:
-    """The moments of the latents eta = [xi_0..2, kappa, xi_3..6]."""
+    """The moments of the latents eta = [xi_0..2, kappa, xi_3..6]; the module has the clock's."""
 
     curvatures: int  # number of curvature latents
     weight: float  # w, the weight of an outer sigma point
     bend: float  # weight of the outer product of the mean shift, beta - alpha^2
+    size: int = STATE_SIZE  # number of components of the state
+
+    @property
+    def linear(self) -> int:
+        """Return the number of columns of L that the links depend on: the first 3, or 4."""
+        return self.size - 4
 
     @property
     def coupled(self) -> int:
-        """Return the number of latents that the links depend on: the first 3 + curvatures."""
-        return 3 + self.curvatures
+        """Return the number of latents that the links depend on, curvatures included."""
+        return self.linear + self.curvatures
 
     @property
     def variance(self) -> list[float]:
         """Return the variances of eta without the part of kappa that ``bend`` adds."""
-        return [1.0] * 3 + [self.weight / 2] * self.curvatures + [1.0] * 4
+        return [1.0] * self.linear + [self.weight / 2] * self.curvatures + [1.0] * 4
 
     @property
     def precision(self) -> list[list[float]]:
@@ -122,15 +129,15 @@ class Latents:
         if m:
             own, shared = self.weight / 2, self.bend * self.weight**2
             correction = -shared / own**2 / (1.0 + m * shared / own)
-            for i in range(3, n):
-                for j in range(3, n):
+            for i in range(self.linear, n):
+                for j in range(self.linear, n):
                     result[i][j] = correction + (1.0 / own if i == j else 0.0)
         return result
 
     def shift(self, row: Vector) -> Number:
         """Return the mean shift of a row, the weighted sum of its curvatures."""
         total: Number = 0.0
-        for v in row[3 : self.coupled]:
+        for v in row[self.linear : self.coupled]:
             total = total + v
         return self.weight * total
 
@@ -138,17 +145,30 @@ class Latents:
 class Prior(NamedTuple):
     """A measurement, linearized at the prior."""
 
-    L: Matrix  # (7, 7) lower Cholesky factor of the prior covariance
+    L: Matrix  # (7, 7) factor of the prior covariance, :func:`factor_of`
     latents: Latents  # moments of eta
     groups: Sequence[Group]  # groups of the measurement, expanded at the prior mean
     V: Sequence[Matrix]  # per group, (k, 7 + curvatures) coefficients of its rows on eta
+
+
+def factor_of(P: Matrix) -> list[list[Number]]:
+    """Return L (n, n) with L L' = P, its rows in the order of the state.
+
+    Without a clock it is lower triangular. With one, P is factored in an order in which the range
+    bias follows the position, so that the links depend on the first four columns alone.
+    """
+    if len(P) == STATE_SIZE:
+        return cholesky(P)
+    order = [0, 1, 2, STATE_SIZE, *range(3, STATE_SIZE)]
+    factor = cholesky([[P[i][j] for j in order] for i in order])
+    return [factor[order.index(i)] for i in range(len(P))]
 
 
 def linearize(
     x: Vector, P: Matrix, measurement: Measurement, linearization: Linearization
 ) -> Prior:
     """Linearize a measurement at the prior N(x, P); x is (7,), P (7, 7)."""
-    L = cholesky(P)
-    latents = linearization.latents(6 if measurement.layout.odometry else 3)
+    L, n = factor_of(P), len(P)
+    latents = linearization.latents(n - 1 if measurement.layout.odometry else 3, n)
     groups = groups_of(x, measurement)
     return Prior(L, latents, groups, [linearization.rows(group, L, latents) for group in groups])

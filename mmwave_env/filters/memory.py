@@ -122,7 +122,7 @@ def memory_after(
     # A forced update does not end a lock-out: it corrects the position, but the velocity may still
     # be wrong. Links stay accepted until one of them passes its gate again.
     lockout = where(links > 0.5, memory.lockout + 1.0, memory.lockout)
-    predicted = move(before, dt)
+    predicted = move(before[:6], dt)
     step = [chosen.x[i] - predicted[i] for i in range(2)]
     v = predicted[3:5]
     speed = sqrt(v[0] * v[0] + v[1] * v[1] + 1e-6)

@@ -25,6 +25,7 @@ from mmwave_env.models.motion import (
     predict_covariance,
     turn,
     white_noise_acceleration,
+    with_clock,
 )
 from mmwave_env.numerics.linalg import dot, pack, unpack
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, clip, where
@@ -32,14 +33,16 @@ from mmwave_env.numerics.numbers import Matrix, Number, Vector, clip, where
 BLOCKAGE_ONSET_DB, BLOCKAGE_SLOPE_DB, BLOCKAGE_DEPTH, BLOCKAGE_GAIN = 6.0, 6.0, 3.0, 3.0
 VERTICAL = (2, 5)  # z and vz, which are fixed on flat terrain
 
-Predictor = Callable[[Mode, Vector, Matrix, ProcessNoise, Number], tuple[list[Number], Matrix]]
+Predictor = Callable[
+    [Mode, Vector, Matrix, ProcessNoise, Number, Number], tuple[list[Number], Matrix]
+]
 
 
 def _linear_prediction(
-    mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: Number
+    mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: Number, hz_per_mps: Number
 ) -> tuple[list[Number], Matrix]:
     """Return the Kalman prediction, exact for every algorithm because the motion is linear."""
-    return move(x, dt), predict_covariance(P, noise, dt)
+    return move(x, dt, hz_per_mps), predict_covariance(P, noise, dt, hz_per_mps)
 
 
 @dataclass(frozen=True)
@@ -141,8 +144,10 @@ def predict(
     """
     scale, tuning = gamma if mode.adaptive else 1.0, tuning or mode.tuning
     noise = process_noise(tuning, epoch, hz_per_mps, scale, pipeline.planar)
+    if pipeline.layout.clock:
+        noise = with_clock(noise, hz_per_mps, epoch.dt, tuning.coupling)
     x_predicted, P_predicted = pipeline.predict(
-        mode, x, unpack(P, zero=pipeline.known_axes), noise, epoch.dt
+        mode, x, unpack(P, zero=pipeline.known_axes), noise, epoch.dt, hz_per_mps
     )
     x_predicted = [x[i] if i in pipeline.known_axes else v for i, v in enumerate(x_predicted)]
     if mode.acceleration_mps2:

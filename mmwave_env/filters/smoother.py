@@ -25,6 +25,7 @@ class ForwardEpoch(NamedTuple):
     # x_predicted, P_predicted: (7,), (28,) belief predicted for the epoch, before its update
     x_predicted: list[Number]
     P_predicted: list[Number]
+    hz_per_mps: Vector = ()  # (1,) carrier frequency over the speed of light, with a clock; else ()
 
 
 class BackwardState(NamedTuple):
@@ -40,26 +41,26 @@ class BackwardState(NamedTuple):
     P: list[Number]
 
 
-def blank_epoch() -> ForwardEpoch:
+def blank_epoch(size: int = STATE_SIZE) -> ForwardEpoch:
     """Return a placeholder epoch with valid numbers, to be overwritten."""
-    identity = [float(i == j) for i in range(STATE_SIZE) for j in range(i + 1)]
-    nothing = [0.0] * STATE_SIZE
-    return ForwardEpoch(1.0, nothing, identity, nothing, identity)
+    identity = [float(i == j) for i in range(size) for j in range(i + 1)]
+    nothing, carrier = [0.0] * size, [1.0] * (size - STATE_SIZE)
+    return ForwardEpoch(1.0, nothing, identity, nothing, identity, carrier)
 
 
-def track_end(with_covariance: bool) -> BackwardState:
+def track_end(with_covariance: bool, size: int = STATE_SIZE) -> BackwardState:
     """Return the state from which the backward pass begins."""
-    blank = blank_epoch()
+    blank = blank_epoch(size)
     P = blank.P if with_covariance else []
     return BackwardState(1.0, blank.dt, blank.x_predicted, blank.P_predicted, blank.x, P)
 
 
-def _mean(x: Vector, P: Matrix, factor: Matrix, after: BackwardState) -> list[Number]:
+def _mean(now: ForwardEpoch, P: Matrix, factor: Matrix, after: BackwardState) -> list[Number]:
     """Return x + P F' P_predicted^-1 (x_after - x_predicted); P_predicted = factor factor'."""
-    FP = transition_times(P, after.dt)
+    FP = transition_times(P, after.dt, *now.hz_per_mps)
     step = [a - b for a, b in zip(after.x, after.x_predicted, strict=True)]
     y = backward(factor, forward(factor, step))
-    return [a + dot([row[i] for row in FP], y) for i, a in enumerate(x)]
+    return [a + dot([row[i] for row in FP], y) for i, a in enumerate(now.x)]
 
 
 def smooth_mean(
@@ -71,7 +72,7 @@ def smooth_mean(
     """
     P = unpack(now.P, zero=known_axes)
     factor = cholesky(unpack(after.P_predicted, zero=known_axes))
-    x = select(after.is_last > 0.5, now.x, _mean(now.x, P, factor, after))
+    x = select(after.is_last > 0.5, now.x, _mean(now, P, factor, after))
     return BackwardState(0.0, now.dt, now.x_predicted, now.P_predicted, x, [])
 
 
@@ -80,24 +81,22 @@ def smooth_epoch(
 ) -> BackwardState:
     """Smooth the belief: :func:`smooth_mean`, and P + C (P_after - P_predicted) C'."""
     P, P_predicted = unpack(now.P, zero=known_axes), unpack(after.P_predicted, zero=known_axes)
-    factor, FP = cholesky(P_predicted), transition_times(P, after.dt)
+    factor, FP = cholesky(P_predicted), transition_times(P, after.dt, *now.hz_per_mps)
+    n = len(P)
     # Row i of the gain is P_predicted^-1 times column i of F P.
-    gain = [
-        backward(factor, forward(factor, [FP[k][i] for k in range(STATE_SIZE)]))
-        for i in range(STATE_SIZE)
-    ]
+    gain = [backward(factor, forward(factor, [FP[k][i] for k in range(n)])) for i in range(n)]
     change = [
         [a - b for a, b in zip(u, v, strict=True)]
         for u, v in zip(unpack(after.P, zero=known_axes), P_predicted, strict=True)
     ]
     half = [[dot(row, column) for column in zip(*change, strict=True)] for row in gain]
-    smoothed = symmetric(STATE_SIZE, lambda i, j: P[i][j] + dot(half[i], gain[j]))
+    smoothed = symmetric(n, lambda i, j: P[i][j] + dot(half[i], gain[j]))
     is_last = after.is_last > 0.5
     return BackwardState(
         0.0,
         now.dt,
         now.x_predicted,
         now.P_predicted,
-        select(is_last, now.x, _mean(now.x, P, factor, after)),
+        select(is_last, now.x, _mean(now, P, factor, after)),
         select(is_last, now.P, pack(smoothed)),
     )

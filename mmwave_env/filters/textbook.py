@@ -7,7 +7,8 @@ numbers are the paper's (Sec. III); the IMM is from Bar-Shalom, Li and Kirubaraj
 
 The state x (7,) is position (m), velocity (m/s) and oscillator bias (Hz). The rows of a
 measurement z are range (m), azimuth and elevation of arrival and azimuth of departure (rad) of
-each anchor, then the Doppler shift of anchor 1 (Hz), then, optionally, speed and heading.
+each anchor, then the Doppler shift of anchor 1 (Hz), then, optionally, speed and heading. With a
+clock that is not synchronized, the state (8,) ends with its range bias (m), for which read 8 for 7.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -21,14 +22,25 @@ from mmwave_env.numerics.numbers import Array, Mask
 NEAREST_M = 1e-3  # closer to an anchor, or to the vertical through it, angles say nothing
 
 
-def F(dt: float) -> Array:
-    """Return the constant-velocity transition matrix over dt seconds: eqs. (2) and (3)."""
-    return np.eye(7) + dt * np.eye(7, k=3) * (np.arange(7) < 3)[:, None]
+def F(dt: float, hz_per_mps: float | None = None) -> Array:
+    """Return the constant-velocity transition matrix over dt seconds: eqs. (2) and (3).
+
+    With ``hz_per_mps``, f_c / c, the state (8,) includes the range bias of the user's clock, which
+    the oscillator's bias drives: Groves 2013, Sec. 9.4.2.
+    """
+    if hz_per_mps is None:
+        return np.eye(7) + dt * np.eye(7, k=3) * (np.arange(7) < 3)[:, None]
+    transition = np.eye(8)
+    transition[:7, :7], transition[7, 6] = F(dt), dt / hz_per_mps
+    return transition
 
 
-def predict(x: Array, P: Array, Q: Array, dt: float) -> tuple[Array, Array]:
+def predict(
+    x: Array, P: Array, Q: Array, dt: float, hz_per_mps: float | None = None
+) -> tuple[Array, Array]:
     """Predict the belief: F x, F P F' + Q, eqs. (10) to (12)."""
-    return F(dt) @ x, F(dt) @ P @ F(dt).T + Q
+    transition = F(dt, hz_per_mps)
+    return transition @ x, transition @ P @ transition.T + Q
 
 
 class Model(Protocol):
@@ -165,6 +177,7 @@ def rts(
     time_s: Array,
     free: Sequence[int] = range(7),
     x_predicted: Iterable[Array] | None = None,
+    hz_per_mps: float | None = None,
 ) -> tuple[Array, Array]:
     """Smooth one track with the Rauch-Tung-Striebel smoother: eqs. (17) and (18).
 
@@ -174,13 +187,14 @@ def rts(
         time_s: (T,) times of the epochs.
         free: indices of the uncertain components of x; on flat terrain there are five.
         x_predicted: (T, 7) predicted means; None for F x.
+        hz_per_mps: as :func:`F` takes it.
     """
     if x_predicted is None:
         steps = zip(np.diff(time_s, prepend=np.nan), np.roll(x, 1, axis=0), strict=True)
-        x_predicted = [F(dt) @ before for dt, before in steps]
+        x_predicted = [F(dt, hz_per_mps) @ before for dt, before in steps]
     means, x, P, block = list(x_predicted), x.copy(), P.copy(), np.ix_(free, free)
     for t in reversed(range(len(x) - 1)):
-        Ft, gain = F(time_s[t + 1] - time_s[t]), np.zeros((7, 7))
+        Ft, gain = F(time_s[t + 1] - time_s[t], hz_per_mps), np.zeros_like(P[t])
         gain[block] = (P[t] @ Ft.T)[block] @ np.linalg.inv(P_predicted[t + 1][block])
         x[t] += gain @ (x[t + 1] - means[t + 1])
         P[t] += gain @ (P[t + 1] - P_predicted[t + 1]) @ gain.T
@@ -196,12 +210,14 @@ class Sensor:
         hz_per_mps: f_c / c.
         odometry: whether speed and heading are measured, too.
         shifted: number of the anchor whose Doppler shift is measured, from 0.
+        clock: whether ranges include the range bias of the user's clock.
     """
 
     anchors: Array
     hz_per_mps: float
     odometry: bool = False
     shifted: int = 0
+    clock: bool = False
 
     def h(self, x: Array) -> Array:
         """Return the measurement (rows,) that is expected in a state."""
@@ -210,7 +226,8 @@ class Sensor:
             east, north, up = x[:3] - anchor
             azimuth = np.arctan2(north, east)
             elevation = np.arctan2(up, np.hypot(east, north))
-            z += [np.sqrt(east**2 + north**2 + up**2), azimuth, elevation, azimuth + np.pi]
+            distance = np.sqrt(east**2 + north**2 + up**2) + (x[7] if self.clock else 0.0)
+            z += [distance, azimuth, elevation, azimuth + np.pi]
         d = x[:3] - self.anchors[self.shifted]
         z.append(self.hz_per_mps * (d @ x[3:6]) / max(np.sqrt(d @ d), NEAREST_M) + x[6])
         if self.odometry:
@@ -237,6 +254,9 @@ class Sensor:
             vx, vy, _ = v
             H.append([0, 0, 0, *(v / np.sqrt(v @ v)), 0])
             H.append([0, 0, 0, -vy / (vx**2 + vy**2), vx / (vx**2 + vy**2), 0, 0])
+        if self.clock:
+            doppler = 4 * self.links
+            return np.column_stack([H, [float(i < doppler and i % 4 == 0) for i in range(len(H))]])
         return np.array(H)
 
     @property

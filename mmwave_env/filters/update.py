@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 from mmwave_env.filters.gating import Gate, at_degrees, chi_square_limits, gate_groups
 from mmwave_env.filters.linearization import Linearization, SigmaPoints, Tangent, linearize
-from mmwave_env.models.layout import STATE_SIZE
 from mmwave_env.models.measurement import Measurement
 from mmwave_env.numerics.linalg import cholesky, dot, forward, symmetric
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, maximum
@@ -42,7 +41,7 @@ class _Row(NamedTuple):
     """A scalar row that depends on all latents, conditioned on the links and the rows before it."""
 
     white: list[Number]  # C^-1 times the row's coefficients on the coupled latents
-    free: list[Number]  # coefficients on xi_3..6
+    free: list[Number]  # coefficients on the free latents, xi_3..6
     links: list[Number]  # conditional covariances with the earlier rows
     cross: list[Number]  # conditional covariance with xi
     innovation: Number
@@ -99,11 +98,11 @@ def update(
 ) -> Posterior:
     """Gate every group at the prior N(x, P), then condition on the groups that passed.
 
-    The links depend only on the first three columns of the factor L of P and their curvatures, the
-    *coupled latents*. So they add up to a small information matrix B over these latents, with
-    posterior covariance B^-1; the rows that depend on the velocity follow one by one. The new
-    covariance is L B^-1 L' + sum over free columns L_j L_j' - sum gain c c', a sum of squares
-    except for the last term, which comes from the rows that follow one by one.
+    The links depend only on the first three columns of the factor L of P (four with a clock) and
+    their curvatures, the *coupled latents*. So they add up to a small information matrix B over
+    these latents, with posterior covariance B^-1; the rows that depend on the velocity follow one
+    by one. The new covariance is L B^-1 L' + sum over free columns L_j L_j' - sum gain c c', a sum
+    of squares except for the last term, which comes from the rows that follow one by one.
 
     The result equals the textbook update with all rows at once, K = P H' S^-1, x + K y,
     P - K S K' (:func:`mmwave_env.filters.textbook.update`).
@@ -128,13 +127,14 @@ def update(
         B, b = _inform(B, rows, innovation, noise, accepted, b)
     C = cholesky(B)
     information = forward(C, b)
-    unit = [forward(C, [float(i == c) for i in range(n)]) for c in range(3)]
+    linear = latents.linear
+    unit = [forward(C, [float(i == c) for i in range(n)]) for c in range(linear)]
     scalars: list[_Row] = []
     for rows, innovation, noise, accepted in gated[anchors:]:
         for row, y, variance in zip(rows, innovation, noise, strict=True):
             scalars.append(_condition(row, variance, y, accepted, scalars, C, information, unit))
     mean = [dot(u, information) for u in unit]
-    covariance = symmetric(3, lambda i, j: dot(unit[i], unit[j]))
+    covariance = symmetric(linear, lambda i, j: dot(unit[i], unit[j]))
     new_x, new_P = _recompose(x, L, mean, covariance, scalars)
     return Posterior(new_x, new_P, gates.nis, gates.accepted, gates.log_likelihood)
 
@@ -143,22 +143,23 @@ def _recompose(
     x: Vector, L: Matrix, mean: Vector, covariance: Matrix, rows: list[_Row]
 ) -> tuple[list[Number], list[list[Number]]]:
     """Return the state's mean and covariance, given those of xi_0..2 and the scalar rows."""
-    spread = [[dot(L[i][:3], covariance[c]) for c in range(3)] for i in range(STATE_SIZE)]
-    moves = [[dot(L[i][: i + 1], row.cross) for i in range(STATE_SIZE)] for row in rows]
+    k, n = len(mean), len(x)
+    spread = [[dot(row[:k], column) for column in covariance] for row in L]
+    moves = [[dot(line, row.cross) for line in L] for row in rows]
     new_x = []
-    for i in range(STATE_SIZE):
-        value = x[i] + dot(L[i][:3], mean)
+    for i in range(n):
+        value = x[i] + dot(L[i][:k], mean)
         for row, step in zip(rows, moves, strict=True):
             value = value + step[i] * (row.gain * row.innovation)
         new_x.append(value)
 
     def entry(i: int, j: int) -> Number:
-        value = dot(spread[i], L[j][:3]) + dot(L[i][3:], L[j][3:])
+        value = dot(spread[i], L[j][:k]) + dot(L[i][k:], L[j][k:])
         for row, step in zip(rows, moves, strict=True):
             value = value - row.gain * (step[i] * step[j])
         return value
 
-    return new_x, symmetric(STATE_SIZE, entry)
+    return new_x, symmetric(n, entry)
 
 
 def ekf(x: Vector, P: Matrix, measurement: Measurement, gate: Gate) -> Posterior:
@@ -183,7 +184,7 @@ class ModeResult(NamedTuple):
     """The result of a mode in an epoch."""
 
     x: list[Number]  # (7,) posterior mean
-    P: list[Number]  # (28,) packed posterior covariance
+    P: list[Number]  # (28,) packed posterior covariance; (36,) with a clock
     # x_predicted, P_predicted: (7,), (28,) belief before the update, for smoothing
     x_predicted: list[Number]
     P_predicted: list[Number]

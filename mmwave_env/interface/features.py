@@ -148,7 +148,7 @@ def _last_epoch(layout: Layout) -> list[Feature]:
 
 
 def _distance(view: View, anchor: int) -> Number:
-    predicted = move(view.x, view.epoch.dt)
+    predicted = move(view.x[:7], view.epoch.dt)
     step = [predicted[i] - view.site.anchors[anchor][i] for i in range(3)]
     return sqrt(dot(step, step))
 
@@ -245,7 +245,8 @@ def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
 
 def _doppler_innovation(view: View, layout: Layout) -> Number:
     """Compute the measured minus the predicted radial velocity, m/s; 0 if it was not measured."""
-    x, base = move(view.x, view.epoch.dt), doppler_anchor(view.site.anchors, view.epoch.doppler_of)
+    x = move(view.x[:7], view.epoch.dt)
+    base = doppler_anchor(view.site.anchors, view.epoch.doppler_of)
     step = [x[i] - base[i] for i in range(3)]
     measured = (view.epoch.z[layout.doppler] - x[6]) / view.site.hz_per_mps
     innovation = measured - range_rate(step, x[3:6])
@@ -272,7 +273,7 @@ def _mean_nis(layout: Layout, candidate: ModeResult, epoch: Epoch) -> Number:
 
 def _correction(view: View, mode: int, first: int, across: bool) -> Number:
     """Compute a mode's correction of position or velocity, along the velocity or to its left."""
-    predicted, candidate = move(view.x, view.epoch.dt), view.candidates[mode]
+    predicted, candidate = move(view.x[:7], view.epoch.dt), view.candidates[mode]
     step = [candidate.x[i] - predicted[i] for i in (first, first + 1)]
     v = predicted[3:5]
     speed = sqrt(v[0] * v[0] + v[1] * v[1] + 1e-6)

@@ -27,7 +27,7 @@ from mmwave_env.interface.observation import Observation
 from mmwave_env.localization.segments import first_fix, segments
 from mmwave_env.logs.log import LogBlock
 from mmwave_env.logs.log_tables import LogError, in_windows
-from mmwave_env.models.layout import STATE_SIZE, Layout
+from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Mask
@@ -214,7 +214,8 @@ def episode_from(block: LogBlock, scene: Scene, radio: Radio, begins: bool = Tru
             it are then not visible, so that they are not used twice. Otherwise the prior has no
             meaning.
     """
-    prior, visible = (np.zeros(7), np.eye(7)), block.visible
+    n = block.layout.state_size
+    prior, visible = (np.zeros(n), np.eye(n)), block.visible
     if begins:
         fix = first_fix(block, 0, scene, radio)
         assert fix is not None  # segments begin with one
@@ -275,9 +276,10 @@ def smoothed(
         filtered: (N, T, numbers) rows that :func:`filtered_of` returned.
         time_s, spread_hz: (N, T) times and Doppler spreads.
     """
-    dt, ends = np.diff(time_s), [STATE_SIZE, STATE_SIZE + 28]
+    n = layout.state_size
+    dt, ends = np.diff(time_s), [n, n + layout.triangle]
     x, P, kept = np.split(filtered, ends, axis=2)
     if switching.bank:
         steps, pipeline = np.pad(dt, ((0, 0), (1, 0))), switching.pipeline(layout, planar)
         return smooth_modes(switching.bank, pipeline, kept, steps, spread_hz, scene.hz_per_mps)
-    return smooth(x, P, kept[..., :STATE_SIZE], kept[..., STATE_SIZE:], dt, planar)
+    return smooth(x, P, kept[..., :n], kept[..., n:], dt, planar, scene.hz_per_mps)

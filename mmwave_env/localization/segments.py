@@ -18,9 +18,9 @@ import numpy as np
 from mmwave_env.logs.log import LogBlock
 from mmwave_env.logs.log_columns import RANGE_LIMITS_M
 from mmwave_env.logs.log_tables import LogError
-from mmwave_env.models.measurement import Measurement, groups_of
+from mmwave_env.models.measurement import SPEED_OF_LIGHT, Measurement, groups_of
 from mmwave_env.models.prior import GAP_S, STEEPEST_FIX_RAD, UNKNOWN_VELOCITY_MPS, prior_from_fix
-from mmwave_env.models.radio import Radio
+from mmwave_env.models.radio import CLOCK_OFFSET_S, Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Mask
 
@@ -29,6 +29,7 @@ from mmwave_env.numerics.numbers import Array, Mask
 HEIGHT_SIGMA_M, _FARTHEST_M = 2.0, 1e3
 _WORST_FIX_M = 50.0  # maximum horizontal standard deviation of a position to begin a track with
 _AMBIGUOUS = 12.0  # if the squared errors of two solutions differ by less, either may be right
+_UNKNOWN = [0, 1, 2, 7]  # components of the state: the position, and the range bias of a clock
 _DIRECTIONS, _STARTS_M, _ROUNDS = 12, (10.0, 40.0, 160.0), 15
 
 
@@ -53,28 +54,28 @@ def first_fix(block: LogBlock, epoch: int, scene: Scene, radio: Radio) -> Fix | 
     row = block.part(slice(epoch, epoch + 1))
     sigma = radio.sigma(row.snr_db, scene, row.layout)
     sigma = np.where(np.isfinite(row.sigma), row.sigma, sigma)[0]
-    link = row.measurement[0, :4]
+    link, clock = row.measurement[0, :4], row.layout.clock
     used = np.zeros(len(row.layout.groups), np.bool_)
-    if row.visible[0, 0] and np.isfinite(link).all():
+    if row.visible[0, 0] and np.isfinite(link).all() and not clock:
         used[0] = True
         return Fix(prior_from_fix(scene.anchors_m[0], link, sigma[:4], radio, scene), used)
-    if row.whole_columns:
+    if _direct(row):
         return None
     used[: row.layout.anchors] = row.visible[0, : row.layout.anchors]
     solved = _least_squares(row, sigma, scene)
     if solved is None:
         return None
-    position, covariance = solved
-    P = radio.prior_covariance(scene)
-    P[:3, :3] = covariance
+    unknown, covariance = solved
+    P, among = radio.prior_covariance(scene, clock), _UNKNOWN[: len(unknown)]
+    P[np.ix_(among, among)] = covariance
     P[3, 3] = P[4, 4] = UNKNOWN_VELOCITY_MPS**2
-    return Fix((np.concatenate([position, np.zeros(4)]), P), used)
+    return Fix((np.array(_state(unknown)), P), used)
 
 
 def can_begin(block: LogBlock, epoch: int, scene: Scene, radio: Radio) -> bool:
     """Tell whether an epoch of a block determines a position that a track can begin with."""
     link = block.measurement[epoch : epoch + 1, :4]
-    if block.visible[epoch, 0] and np.isfinite(link).all():
+    if block.visible[epoch, 0] and np.isfinite(link).all() and not block.layout.clock:
         return bool(gives_fix(link)[0])
     return first_fix(block, epoch, scene, radio) is not None
 
@@ -82,6 +83,7 @@ def can_begin(block: LogBlock, epoch: int, scene: Scene, radio: Radio) -> bool:
 def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Array] | None:
     """Return the position (3,) and its covariance from all links of an epoch (T = 1), or None.
 
+    With a clock, its range bias is a fourth unknown, whose prior is that of the filters.
     The search starts around every anchor, in all directions, because ranges and angles alone have
     several minima. The result is None if two of them explain the links, or the best is uncertain.
     """
@@ -94,15 +96,16 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
         anchors.tolist(), scene.hz_per_mps, values, noise, visible, layout, measured.tolist(),
         np.eye(layout.anchors)[0].tolist(),
     )  # fmt: skip
-    center = np.array([*anchors[:, :2].mean(axis=0), scene.streets.height_m])
-    weight = 1.0 / np.array([_FARTHEST_M, _FARTHEST_M, HEIGHT_SIGMA_M]) ** 2
+    n = 3 + layout.clock
+    center = np.array([*anchors[:, :2].mean(axis=0), scene.streets.height_m, 0.0][:n])
+    deviation = [_FARTHEST_M, _FARTHEST_M, HEIGHT_SIGMA_M, SPEED_OF_LIGHT * CLOCK_OFFSET_S]
+    weight, unknown = 1.0 / np.array(deviation[:n]) ** 2, _UNKNOWN[:n]
 
     def normal(position: Array) -> tuple[float, Array, Array]:
         """Return the squared error, its gradient and the information matrix at a position."""
-        x = [*position.tolist(), 0.0, 0.0, 0.0, 0.0]
-        links = groups_of(x, epoch)[: layout.anchors]
+        links = groups_of(_state(position), epoch)[: layout.anchors]
         e = np.array([value for link in links for value in link.innovation])
-        H = np.array([gradient[:3] for link in links for gradient in link.jacobian])
+        H = np.array([[g[i] for i in unknown] for link in links for g in link.jacobian])
         w = 1.0 / np.array([value for link in links for value in link.variance])
         spare = sum(float(link.spare_nis) for link in links)
         away = center - position
@@ -121,6 +124,11 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
     return position, covariance
 
 
+def _state(unknown: Array) -> list[float]:
+    """Return the state (7,) at rest at a position (3,); with a clock (8,) of four unknowns."""
+    return [*unknown[:3].tolist(), *[0.0] * 4, *unknown[3:].tolist()]
+
+
 def _cost(solution: tuple[float, Array, Array]) -> float:
     return solution[0]
 
@@ -132,7 +140,7 @@ def _starts(anchors: Array, center: Array) -> Iterator[Array]:
         for distance in _STARTS_M:
             for turn in turns:
                 aside = distance * np.array([np.cos(turn), np.sin(turn)])
-                yield np.array([*(anchor[:2] + aside), center[2]])
+                yield np.array([*(anchor[:2] + aside), *center[2:]])
 
 
 def _descend(
@@ -211,15 +219,20 @@ def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator
         )
         raise ValueError(
             f"log: found {skipped} epochs, none of which determines a position, expected "
-            f"{sight if block.whole_columns else 'one with links that have a unique solution'}, to "
+            f"{sight if _direct(block) else 'one with links that have a unique solution'}, to "
             f"begin the track ({incomplete} lack some numbers)"
         )
     yield held
 
 
+def _direct(block: LogBlock) -> bool:
+    """Tell whether only a whole link of the base station begins a track."""
+    return block.whole_columns and not block.layout.clock
+
+
 def _first_fix(block: LogBlock, scene: Scene, radio: Radio) -> int:
     """Return the index of the first epoch that gives a prior, or the number of epochs if none."""
-    if block.whole_columns:
+    if _direct(block):
         whole = np.isfinite(block.measurement[:, :4]).all(axis=1)
         fixes = np.flatnonzero(block.visible[:, 0] & whole & gives_fix(block.measurement))
         return int(fixes[0]) if len(fixes) else len(block)

@@ -246,6 +246,7 @@ class Course:
         self._skipped = self._restarts = self._dropped = self._switches = self._fast = 0
         self._modes = dict.fromkeys(modes, 0)
         self._last_mode = -1
+        self._clock: dict[str, Any] = {}  # of the last epoch
         self._speed = self._fastest = 0.0
 
     def add(self, block: TrackBlock) -> None:
@@ -265,6 +266,9 @@ class Course:
         self._skipped, self._restarts, self._dropped = block.skipped, block.segment, block.dropped
         self.last_s = float(block.time_s[-1])
         self.epochs += len(block)
+        if block.layout.clock:
+            bias, deviation = float(block.x[-1, 7]), float(np.sqrt(block.P[-1, 35]))
+            self._clock = {"clock": {"range_bias_m": bias, "deviation_m": deviation}}
 
     def figures(self) -> dict[str, Any]:
         """Return the statistics as a dictionary."""
@@ -282,4 +286,5 @@ class Course:
             },
             "modes": self._modes,
             "switches": self._switches,
+            **self._clock,
         }

@@ -19,7 +19,7 @@ from mmwave_env.localization.map_files import geodetic
 from mmwave_env.localization.segments import can_begin
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog
 from mmwave_env.logs.log import LogBlock
-from mmwave_env.models.layout import Layout
+from mmwave_env.models.layout import Layout, clock_from
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import SNR_LIMITS_DB, Radio, deviations, radio_from
 from mmwave_env.models.scene import Scene, scene_from
@@ -41,6 +41,8 @@ class Position(NamedTuple):
         rejected: names of the groups that the gates rejected.
         begins: whether a track begins here, with a first position from the links.
         geodetic: latitude and longitude (degrees) and height (m); None in a scene without origin.
+        clock_m, clock_sigma_m: range bias of the user's clock and its standard deviation; None
+            if clocks are synchronized.
     """
 
     time_s: float
@@ -52,6 +54,8 @@ class Position(NamedTuple):
     rejected: list[str]
     begins: bool
     geodetic: list[float] | None
+    clock_m: float | None = None
+    clock_sigma_m: float | None = None
 
 
 class Tracker:
@@ -72,6 +76,7 @@ class Tracker:
         snr_db: SNR to assume for links without one.
         height_m: height of flat terrain, if it is known.
         lag: number of epochs by which :meth:`smoothed` lags behind.
+        clock: "synchronized", or "offset" if the offset of the user's clock is unknown.
     """
 
     def __init__(
@@ -82,7 +87,9 @@ class Tracker:
         snr_db: float | None = None,
         height_m: float | None = None,
         lag: int = 10,
+        clock: str = "synchronized",
     ) -> None:
+        self._clock = clock_from(clock)
         self._scene, self._radio = scene_from(scene), radio_from(radio)
         self._switching = (
             policy if isinstance(policy, Switching) else learned(policy, self._radio.name)
@@ -110,7 +117,7 @@ class Tracker:
         rows, epochs = list(rows), []
         if self._log is None:
             names = dict.fromkeys(name for row in rows for name in row)
-            self._log = LiveLog(list(names), self._scene, self._snr_db)
+            self._log = LiveLog(list(names), self._scene, self._snr_db, clock=self._clock)
         for row in rows:
             epochs += self._log.add(row)
         position = None
@@ -221,7 +228,8 @@ class Tracker:
         origin, place = self._scene.origin, None
         if origin is not None:
             place = geodetic(origin, x[None, :3])[0].tolist()
+        clock = [float(x[7]), float(np.sqrt(P[35]))] if len(x) > 7 else []
         return Position(
             time_s, x[:3].tolist(), covariance, x[3:6].tolist(), mode, nis, rejected, begins,
-            place,
+            place, *clock,
         )  # fmt: skip

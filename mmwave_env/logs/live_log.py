@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mmwave_env.logs.log import LogBlock, block_of, places, require_noise
+from mmwave_env.logs.log import LogBlock, block_of, places, require_noise, with_clock
 from mmwave_env.logs.log_checks import first_damage
 from mmwave_env.logs.log_columns import BODY, QUANTITIES, STATION, Unit, columns_of
 from mmwave_env.logs.log_tables import LogError, LogFile, Table, parse_carefully
@@ -39,6 +39,7 @@ class LiveLog:
         scene: scene whose anchors are measured.
         snr_db: SNR to assume for links without one.
         source: name of the source, for messages.
+        clock: whether the user's clock has an offset.
 
     Attributes:
         layout: layout of the measurements.
@@ -48,7 +49,12 @@ class LiveLog:
     """
 
     def __init__(
-        self, names: Sequence[str], scene: Scene, snr_db: float | None = None, source: str = "rows"
+        self,
+        names: Sequence[str],
+        scene: Scene,
+        snr_db: float | None = None,
+        source: str = "rows",
+        clock: bool = False,
     ) -> None:
         try:
             columns = columns_of(names, scene.hz_per_mps, partial=True)
@@ -57,8 +63,10 @@ class LiveLog:
         self._log = LogFile(Path(source), columns, len(names))
         if snr_db is None:
             require_noise(self._log)
+        if clock:
+            self._log = with_clock(self._log)
         self._scene, self._snr_db = scene, snr_db
-        self.layout = Layout(len(scene.anchors_m), "speed" in columns, partial=True)
+        self.layout = Layout(len(scene.anchors_m), "speed" in columns, True, clock)
         self._turned = STATION in columns or BODY in columns
         self._time, self._anchor = columns["time"].number, columns["anchor"].number
         self._slots = [

@@ -92,6 +92,7 @@ def read_log(
     limits: bool = True,
     partial: bool = False,
     snr_db: float | None = None,
+    clock: bool = False,
 ) -> Iterator[LogBlock]:
     """Read the epochs of a log, ``epochs_per_block`` at a time; the last block may be shorter.
 
@@ -113,6 +114,7 @@ def read_log(
         partial: whether a link may lack some of its numbers, in some epochs or everywhere, and
             any anchor may have the Doppler shift.
         snr_db: SNR to assume for links without one.
+        clock: whether the user's clock has an unknown offset; ``layout`` then has a clock.
 
     Raises:
         LogError: at once if the file or its header is not that of a log; later for a damaged row,
@@ -125,7 +127,9 @@ def read_log(
     log = open_log(path, scene.hz_per_mps, odometry, partial=partial)
     if partial and snr_db is None:
         require_noise(log)
-    layout = Layout(len(scene.anchors_m), "speed" in log.columns, partial)
+    if clock:
+        log = with_clock(log)
+    layout = Layout(len(scene.anchors_m), "speed" in log.columns, partial, clock)
     tables = whole_epochs(log, layout.anchors, limits)
     blocks = (block_of(table, scene, layout, limits, snr_db) for table in tables)
     return (
@@ -133,6 +137,18 @@ def read_log(
         for windows in in_windows(_require_measurements(path, blocks), epochs_per_block)
         for first in range(0, len(windows), epochs_per_block)
     )
+
+
+def with_clock(log: LogFile) -> LogFile:
+    """Return a log whose ranges have the offset of the user's clock; refuse one without such."""
+    ranges = log.columns.get("toa")
+    if ranges is None or ranges.name.startswith("rtt"):
+        problem = "no range" if ranges is None else f"{ranges.name}: round-trip times do not see it"
+        raise LogError(
+            f"{log.path}: clock: found offset with {problem}, expected one-way times or ranges, "
+            "such as toa_s, or synchronized"
+        )
+    return replace(log, clock=True)
 
 
 def require_noise(log: LogFile) -> None:

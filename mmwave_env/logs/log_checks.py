@@ -63,7 +63,7 @@ def first_damage(
     if not n:
         return first, error
     with np.errstate(invalid="ignore", over="ignore"):  # times and ranges may be infinite
-        for check in chain(_checks(table, anchors), _limits(table) if limits else ()):
+        for check in chain(_checks(table, anchors, log.clock), _limits(table) if limits else ()):
             row = int(np.argmax(check.wrong))
             if check.wrong[row] and row < first:
                 number = _show(table.raw(check.quantity)[row])
@@ -73,7 +73,7 @@ def first_damage(
     return first, error
 
 
-def _checks(table: Table, anchors: int | None) -> Iterator[_Check]:
+def _checks(table: Table, anchors: int | None, clock: bool) -> Iterator[_Check]:
     """Yield the checks that every log must pass."""
     time, epoch = table.raw("time"), table.epoch
     for quantity in table.columns:
@@ -98,7 +98,7 @@ def _checks(table: Table, anchors: int | None) -> Iterator[_Check]:
         yield from _anchor_checks(table, anchors)
     for quantity in table.columns:
         limits = QUANTITIES[quantity].limits
-        if limits and limits[0].least == 0.0:
+        if limits and limits[0].least == 0.0 and not (clock and quantity == "toa"):
             yield _Check(quantity, table.raw(quantity) < 0.0, "at least 0")
     for quantity in table.columns:
         if QUANTITIES[quantity].per_epoch:

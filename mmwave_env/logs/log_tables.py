@@ -145,6 +145,7 @@ class LogFile:
     path: Path  # path of the file
     columns: dict[str, Column]  # the columns that are used, by quantity
     width: int  # number of columns in the file
+    clock: bool = False  # whether the user's clock has an offset: a range may then be negative
 
     def error(self, row: int, quantity: str, problem: str, expected: str) -> LogError:
         """Return an error that names a cell; rows of a CSV file are counted like its lines."""

@@ -7,6 +7,9 @@ elevation of arrival, azimuth of departure]; then the Doppler shift; then, optio
 Each *group* of rows (a link, the Doppler shift, the odometry) is gated separately. It is present or
 missing as a whole, except in a *partial* layout: there each row may be missing alone, and the
 Doppler shift may belong to any anchor instead of anchor 1.
+
+With a *clock* that is not synchronized, the state has an eighth component: the range bias B of the
+user's clock, the speed of light times its offset, which is added to every range.
 """
 
 from collections.abc import Iterable, Sequence
@@ -24,6 +27,7 @@ STATE_SIZE = len(STATE)
 LINK = ("range_m", "aoa_azimuth_rad", "aoa_elevation_rad", "aod_azimuth_rad")
 # Names of what a receiver may measure: the four rows of every link, and the Doppler shift.
 MEASUREMENTS = ("range", "azimuth", "elevation", "departure", "doppler")
+CLOCKS = {"synchronized": "that of the anchors", "offset": "with an unknown offset, which drifts"}
 _HORIZONTAL = {"range", "azimuth", "departure"}  # a horizontal position needs one of these
 
 
@@ -36,11 +40,23 @@ class Layout:
         odometry: whether two rows of odometry follow the Doppler shift.
         partial: whether each row may be missing alone, and the Doppler shift may belong to any
             anchor; otherwise groups are present or missing as a whole.
+        clock: whether the state includes the range bias of the user's clock.
     """
 
     anchors: int = 3
     odometry: bool = False
     partial: bool = False
+    clock: bool = False
+
+    @property
+    def state_size(self) -> int:
+        """Return the number of components of the state: 7, or 8 with a clock's range bias (m)."""
+        return STATE_SIZE + self.clock
+
+    @property
+    def triangle(self) -> int:
+        """Return the number of entries of a packed covariance of the state: 28, or 36."""
+        return self.state_size * (self.state_size + 1) // 2
 
     @property
     def size(self) -> int:
@@ -114,6 +130,21 @@ def measurements_from(names: Sequence[str] | None) -> tuple[str, ...] | None:
             "as the others do not measure the horizontal position"
         )
     return tuple(name for name in MEASUREMENTS if name in names)
+
+
+def clock_from(clock: str, measurements: Sequence[str] | None = None) -> bool:
+    """Tell whether a ``clock=`` argument asks for a clock with an offset.
+
+    Raises:
+        ValueError: the name is unknown, or no range among the measurements tells of the offset.
+    """
+    choose(CLOCKS, clock, "clock")
+    if clock == "offset" and measurements is not None and "range" not in measurements:
+        raise ValueError(
+            f"clock: found offset with measurements {', '.join(measurements)}, none of which it "
+            "changes, expected range among them, or synchronized"
+        )
+    return clock == "offset"
 
 
 def offered_rows(layout: Layout, measurements: Sequence[str] | None) -> list[bool]:

@@ -73,9 +73,11 @@ class Group(NamedTuple):
     Attributes:
         innovation: (k,) z - h(x), angles wrapped.
         variance: (k,) noise variances.
-        jacobian: (k, 7) dh/dx; structural zeros where h does not depend on the state.
+        jacobian: (k, 7) dh/dx, (k, 8) with a clock; structural zeros where h does not depend on
+            the state.
         change: function that returns the exact h(x + step) - h(x) for a step of the state (7,).
-        curved: h is nonlinear only in the first ``curved`` components of the state.
+        curved: h is nonlinear only along the first ``curved`` columns of the covariance's factor
+            (:func:`~mmwave_env.filters.linearization.factor_of`).
         spare_nis, spare_determinant: NIS and variance of the row that :func:`link_group` drops.
     """
 
@@ -191,7 +193,8 @@ def link_group(
     across = inverse_horizontal * inverse_horizontal
     east, north = where(aside, d[0], 0.0), where(aside, d[1], 0.0)
     level, up = where(apart, horizontal, 0.0), where(apart, d[2], 0.0)
-    still = [0.0] * 4
+    still, clock = [0.0] * (len(x) - 3), list(x[STATE_SIZE:])
+    slow = [*[0.0] * 4, *[1.0] * len(clock)]  # a clock's bias is added to the range as it is
 
     def change(step: Vector) -> list[Number]:
         q = [d[i] + step[i] for i in range(3)]
@@ -199,13 +202,17 @@ def link_group(
         vertical = all(isinstance(s, float) and s == 0.0 for s in step[:2])
         turn = 0.0 if vertical else atan2(q[1] * east - q[0] * north, q[0] * east + q[1] * north)
         rise = atan2(q[2] * level - q_horizontal * up, q_horizontal * level + q[2] * up)
-        return [q_distance - distance, turn, rise]
+        return [sum(step[STATE_SIZE:], q_distance - distance), turn, rise]
 
     group = Group(
-        innovation=[z[0] - distance, bearing, where(apart, wrap(z[2] - elevation), 0.0)],
+        innovation=[
+            z[0] - sum(clock, distance),
+            bearing,
+            where(apart, wrap(z[2] - elevation), 0.0),
+        ],
         variance=[range_variance, bearing_variance, elevation_variance],
         jacobian=[
-            [d[0] * inverse, d[1] * inverse, d[2] * inverse, *still],
+            [d[0] * inverse, d[1] * inverse, d[2] * inverse, *slow],
             [-d[1] * across, d[0] * across, 0.0, *still],
             [-d[0] * slope, -d[1] * slope, horizontal * inverse * inverse, *still],
         ],
@@ -257,7 +264,7 @@ def doppler_group(
     return Group(
         innovation=[defined * (z[0] - (hz_per_mps * rate + x[6]))],
         variance=variance,
-        jacobian=[[*transverse, *radial, defined]],
+        jacobian=[[*transverse, *radial, defined, *[0.0] * len(x[STATE_SIZE:])]],
         change=change,
         curved=3,
     )
@@ -281,16 +288,16 @@ def odometry_group(x: Vector, z: Vector, variance: Vector) -> Group:
         turn = atan2(q[1] * ahead[0] - q[0] * ahead[1], q[0] * ahead[0] + q[1] * ahead[1])
         return [norms(q)[1] - speed, turn]
 
-    fixed = [0.0] * 3
+    fixed, others = [0.0] * 3, [0.0] * (len(x) - 6)
     return Group(
         innovation=[z[0] - speed, wrap(z[1] - atan2(ahead[1], ahead[0]))],
         variance=variance,
         jacobian=[
-            [*fixed, *(v[i] * speed_inverse for i in range(3)), 0.0],
-            [*fixed, -v[1] * across, v[0] * across, 0.0, 0.0],
+            [*fixed, *(v[i] * speed_inverse for i in range(3)), *others],
+            [*fixed, -v[1] * across, v[0] * across, 0.0, *others],
         ],
         change=change,
-        curved=6,
+        curved=len(x) - 1,
     )
 
 
@@ -335,12 +342,13 @@ class Site(NamedTuple):
 
     anchors: list[list[Number]]  # (L, 3) positions, m
     hz_per_mps: Number  # carrier frequency divided by the speed of light
-    prior_x: list[Number]  # (7,) mean at the first epoch
-    prior_P: list[Number]  # (28,) packed covariance at the first epoch
+    prior_x: list[Number]  # (7,) mean at the first epoch; (8,) with a clock
+    prior_P: list[Number]  # (28,) packed covariance at the first epoch; (36,) with a clock
 
 
 def blank_site(layout: Layout) -> Site:
     """Return a placeholder site with valid numbers, to be overwritten."""
-    prior = [float(i == j) for i in range(STATE_SIZE) for j in range(i + 1)]
+    n = layout.state_size
+    prior = [float(i == j) for i in range(n) for j in range(i + 1)]
     anchors = [[0.0, 0.0, 10.0 + a] for a in range(layout.anchors)]
-    return Site(anchors, 1.0, [1.0] * STATE_SIZE, prior)
+    return Site(anchors, 1.0, [1.0] * n, prior)

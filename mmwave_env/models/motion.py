@@ -7,6 +7,9 @@ from mmwave_env.numerics.linalg import symmetric
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, cos_sin, maximum, sqrt, where
 
 STANDING_MPS = 0.2  # much below this speed a user has no direction in which to accelerate
+# White noise of a user's clock, m / sqrt(s), in addition to what the oscillator's bias drives:
+# 0.01 m^2/s, as for a temperature-compensated crystal (Groves 2013, Sec. 9.4.2).
+CLOCK_SIGMA_M = 0.1
 _SHORTEST_S = 1e-9
 _LEAST_RAD = 1e-9  # the arc of a smaller angle is straight, except for rounding
 
@@ -14,8 +17,11 @@ _LEAST_RAD = 1e-9  # the arc of a smaller angle is straight, except for rounding
 class ProcessNoise(NamedTuple):
     """The non-zero entries of the process noise covariance Q."""
 
-    diagonal: list[Number]  # (7,) variances, m^2, (m/s)^2 and Hz^2
-    coupling: list[Number]  # (3,) covariances of position and velocity per axis, m^2/s
+    # (7,) variances, m^2, (m/s)^2 and Hz^2; with a clock (8,), m^2
+    diagonal: list[Number]
+    # (3,) covariances of position and velocity per axis, m^2/s; with a clock (4,), the last of its
+    # range bias and the oscillator's bias, m Hz
+    coupling: list[Number]
 
 
 def white_noise_acceleration(
@@ -42,9 +48,31 @@ def white_noise_acceleration(
     return ProcessNoise([*spread, *q, bias * dt], [v * half for v in q])
 
 
-def move(x: Vector, dt: Number) -> list[Number]:
-    """Return F x, the mean one step later; F is the transition matrix for constant velocity."""
-    return [x[i] + dt * x[i + 3] if i < 3 else x[i] for i in range(STATE_SIZE)]
+def with_clock(
+    noise: ProcessNoise, hz_per_mps: Number, dt: Number, coupling: Number
+) -> ProcessNoise:
+    """Add the noise of the range bias B of the user's clock to the process noise.
+
+    One oscillator makes the carrier and the clock. Its bias b therefore drives B at b / hz_per_mps,
+    like a velocity, and the noise of b moves B within the step as velocity noise moves the position
+    in :func:`white_noise_acceleration`; the clock's own noise comes on top (Groves 2013, Sec.
+    9.4.2; Brown and Hwang 2012, Sec. 9.3).
+
+    Args:
+        noise: process noise without the clock.
+        hz_per_mps: carrier frequency over the speed of light.
+        dt: step, seconds.
+        coupling: as in :func:`white_noise_acceleration`.
+    """
+    half, drift = coupling * (0.5 * dt) / hz_per_mps, noise.diagonal[-1]
+    own = CLOCK_SIGMA_M**2 * dt + drift * (half * half)
+    return ProcessNoise([*noise.diagonal, own], [*noise.coupling, drift * half])
+
+
+def move(x: Vector, dt: Number, hz_per_mps: Number | None = None) -> list[Number]:
+    """Return F x, the mean one step later; a clock, x (8,), needs f_c / c."""
+    moved = [x[i] + dt * x[i + 3] if i < 3 else x[i] for i in range(min(len(x), STATE_SIZE))]
+    return moved + [bias + (dt / hz_per_mps) * x[6] for bias in x[STATE_SIZE:]]
 
 
 def accelerate(x: Vector, acceleration: Number, dt: Number) -> list[Number]:
@@ -86,20 +114,31 @@ def turn(x: Vector, rate: Number, dt: Number) -> list[Number]:
     return [x[0] + ahead * vx - aside * vy, x[1] + ahead * vy + aside * vx, x[2], *velocity, *x[5:]]
 
 
-def transition_times(P: Matrix, dt: Number) -> list[list[Number]]:
-    """Return F P, with the transition matrix F for constant velocity."""
-    n = STATE_SIZE
-    return [[P[i][j] + dt * P[i + 3][j] if i < 3 else P[i][j] for j in range(n)] for i in range(n)]
+def transition_times(P: Matrix, dt: Number, hz_per_mps: Number | None = None) -> list[list[Number]]:
+    """Return F P, with the transition matrix F of :func:`move`."""
+    n = len(P)
+    FP = [[P[i][j] + dt * P[i + 3][j] if i < 3 else P[i][j] for j in range(n)] for i in range(n)]
+    FP[STATE_SIZE:] = [
+        [a + (dt / hz_per_mps) * b for a, b in zip(row, P[6], strict=True)]
+        for row in FP[STATE_SIZE:]
+    ]
+    return FP
 
 
-def predict_covariance(P: Matrix, noise: ProcessNoise, dt: Number) -> list[list[Number]]:
+def predict_covariance(
+    P: Matrix, noise: ProcessNoise, dt: Number, hz_per_mps: Number | None = None
+) -> list[list[Number]]:
     """Return F P F' + Q, the covariance one step later."""
-    FP = transition_times(P, dt)
+    FP = transition_times(P, dt, hz_per_mps)
 
     def entry(i: int, j: int) -> Number:
         value = FP[i][j] + FP[i][j + 3] * dt if j < 3 else FP[i][j]
+        if j == STATE_SIZE:
+            value = value + FP[i][6] * (dt / hz_per_mps)
         if i == j:
             return value + noise.diagonal[i]
+        if (i, j) == (STATE_SIZE, 6):
+            return value + noise.coupling[3]
         return value + noise.coupling[j] if i == j + 3 and j < 3 else value
 
-    return symmetric(STATE_SIZE, entry)
+    return symmetric(len(P), entry)

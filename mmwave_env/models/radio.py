@@ -28,11 +28,13 @@ from mmwave_env.io.records import (
 from mmwave_env.models import envelope
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
+from mmwave_env.models.motion import CLOCK_SIGMA_M
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Number, Vector, clip, exp, sqrt
 
 SHIPPED = ("handset", "standard", "high")
 DEGREE = math.pi / 180.0
+CLOCK_OFFSET_S = 1e-7  # prior deviation of the offset of a user's clock that is not synchronized
 DECIBEL = math.log(10.0) / 10.0  # natural logarithm of 1 dB
 Elements = Annotated[int, counts(1, 1024)]
 AngleFloor = Annotated[
@@ -187,11 +189,12 @@ class Radio:
         rows = deviations(*self.variances(scene, layout), list(snr_db.T), layout)
         return np.stack(rows, axis=1)
 
-    def prior_covariance(self, scene: Scene) -> Array:
-        """Return the covariance P0 (7, 7) of the state at the first epoch."""
+    def prior_covariance(self, scene: Scene, clock: bool = False) -> Array:
+        """Return the covariance P0 (7, 7) of the state at the first epoch, (8, 8) with a clock."""
         p, v = self.prior_position_m, self.prior_velocity_mps
         bias_hz = self.prior_bias_mps * scene.hz_per_mps
         deviations = [p, p, self.prior_height_m, v, v, self.prior_vertical_mps, bias_hz]
+        deviations += [SPEED_OF_LIGHT * CLOCK_OFFSET_S] * clock
         return np.diag(np.square(deviations))
 
 
@@ -280,6 +283,15 @@ def oscillator_bias(
     first = radio.prior_bias_mps * rng.standard_normal()
     steps = radio.drift_mps * np.sqrt(np.diff(time_s)) * rng.standard_normal(len(time_s) - 1)
     return hz_per_mps * (first + np.concatenate([[0.0], np.cumsum(steps)]))
+
+
+def clock_bias(drift_mps: Array, time_s: Array, rng: np.random.Generator) -> Array:
+    """Draw the range bias (T,) of a user's clock, m, that its drift (T,), m/s, and noise drive."""
+    step = np.diff(time_s)
+    first = SPEED_OF_LIGHT * CLOCK_OFFSET_S * rng.standard_normal()
+    noise = CLOCK_SIGMA_M * np.sqrt(step) * rng.standard_normal(len(step))
+    driven = 0.5 * step * (drift_mps[1:] + drift_mps[:-1])
+    return first + np.concatenate([[0.0], np.cumsum(driven + noise)])
 
 
 def doppler_spread(

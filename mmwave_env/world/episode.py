@@ -43,8 +43,8 @@ class Episode:
         visible: (T, groups) whether the group was measured.
         snr_db: (T, L) SNR of each link.
         doppler_spread_hz: (T,) measured Doppler spread.
-        prior_mean: (7,) state at the first epoch.
-        prior_covariance: (7, 7) covariance at the first epoch, positive definite.
+        prior_mean: (7,) state at the first epoch; (8,) with a clock.
+        prior_covariance: (7, 7) covariance at the first epoch, positive definite; (8, 8) with one.
         truth_position_m: (T, 3) true positions; None if unknown.
         truth_velocity_mps: (T, 3) true velocities; None if unknown.
         layout: rows and groups.
@@ -75,8 +75,8 @@ class Episode:
             "sigma": (T, layout.size),
             "snr_db": (T, layout.anchors),
             "doppler_spread_hz": (T,),
-            "prior_mean": (7,),
-            "prior_covariance": (7, 7),
+            "prior_mean": (layout.state_size,),
+            "prior_covariance": (layout.state_size, layout.state_size),
             "truth_position_m": (T, 3),
             "truth_velocity_mps": (T, 3),
             "doppler_anchor": (T,),
@@ -101,10 +101,12 @@ class Episode:
         yield "scene_anchors_m", self.scene_anchors_m, envelope.POSITION_M
         yield "prior_mean, position", mean[:3], envelope.POSITION_M
         yield "prior_mean, velocity", mean[3:6], envelope.VELOCITY_MPS
-        yield "prior_mean, bias", mean[6:], envelope.BIAS_HZ
+        yield "prior_mean, bias", mean[6:7], envelope.BIAS_HZ
+        yield "prior_mean, clock", mean[7:], envelope.POSITION_M
         yield "prior_covariance, position", deviation[:3], envelope.POSITION_SIGMA_M
         yield "prior_covariance, velocity", deviation[3:6], envelope.VELOCITY_SIGMA_MPS
-        yield "prior_covariance, bias", deviation[6:], envelope.BIAS_SIGMA_HZ
+        yield "prior_covariance, bias", deviation[6:7], envelope.BIAS_SIGMA_HZ
+        yield "prior_covariance, clock", deviation[7:], envelope.POSITION_SIGMA_M
         for rows, bound in sigma_bounds(self.layout):
             used = sigma[:, rows]
             yield "sigma", used[~np.isnan(used)], bound
@@ -245,7 +247,7 @@ class Episode:
 
     def site(self) -> Array:
         """Return anchors, carrier and prior as a row of numbers, as engines load them."""
-        packed = self.prior_covariance[np.tril_indices(7)]
+        packed = self.prior_covariance[np.tril_indices(self.layout.state_size)]
         site = Site(self.scene_anchors_m.tolist(), self.hz_per_mps, [*self.prior_mean], [*packed])
         return np.array(flatten(site))
 

@@ -25,8 +25,9 @@ from mmwave_env.compiler.program import (
 from mmwave_env.compiler.threads import share, spans
 from mmwave_env.models.channel import channel_of
 from mmwave_env.models.envelope import STEP_S
-from mmwave_env.models.layout import STATE_SIZE, Layout, offered_rows
+from mmwave_env.models.layout import Layout, offered_rows
 from mmwave_env.models.measurement import Site
+from mmwave_env.models.motion import CLOCK_SIGMA_M
 from mmwave_env.models.radio import SNR_LIMITS_DB, Radio
 from mmwave_env.models.random_scene import RandomScene
 from mmwave_env.models.scene import Scene
@@ -91,6 +92,7 @@ class SimulatedSource:
         odometry: whether the user also reports speed and heading.
         measurements: names of the quantities that the receiver measures, some of
             :data:`~mmwave_env.models.layout.MEASUREMENTS`; None for all.
+        clock: whether the user's clock has an unknown offset, which drifts.
     """
 
     scene: Scene | RandomScene
@@ -100,6 +102,7 @@ class SimulatedSource:
     epochs: int = 200
     odometry: bool = False
     measurements: tuple[str, ...] | None = None
+    clock: bool = False
 
     def __post_init__(self) -> None:
         if not STEP_S.holds(self.dt):
@@ -126,14 +129,18 @@ class SimulatedSource:
             visible=np.ones((2, len(self.layout.groups)), np.bool_),
             snr_db=snr_db,
             doppler_spread_hz=np.array([0.0, scene.hz_per_mps * spread_mps]),
-            prior=(np.zeros(STATE_SIZE), radio.prior_covariance(scene)),
+            prior=(np.zeros(self.layout.state_size), self._prior_covariance),
         )
 
     @cached_property
     def layout(self) -> Layout:
         """Return the rows of every episode's measurements."""
         partial = self.measurements is not None
-        return Layout(len(self._example.anchors_m), self.odometry, partial)
+        return Layout(len(self._example.anchors_m), self.odometry, partial, self.clock)
+
+    @property
+    def _prior_covariance(self) -> Array:
+        return self.radio.prior_covariance(self._example, self.clock)
 
     @cached_property
     def _example(self) -> Scene:
@@ -183,7 +190,7 @@ class SimulatedSource:
             z = np.where(measured, rows.z, np.nan) if partial else rows.z
             sigma = np.abs(rows.signed_sigma)
             received = z, sigma, visible, rows.snr_db, rows.doppler_spread_hz
-            prior = site[index.prior_x], self.radio.prior_covariance(scene)
+            prior = site[index.prior_x], self._prior_covariance
             truth = rows.truth[:, :3], rows.truth[:, 3:]
             episodes.append(Episode(name, *where, *received, *prior, *truth, self.layout))
         return episodes
@@ -319,7 +326,7 @@ class SimulatedSource:
             plans=self._plans,
             scene=scene.numbers,
             duration_s=self.epochs * self.dt,
-            prior_deviation=np.sqrt(np.diag(radio.prior_covariance(scene))).tolist(),
+            prior_deviation=np.sqrt(np.diag(self._prior_covariance)).tolist(),
             first_bias_hz=scene.hz_per_mps * radio.prior_bias_mps,
         )
         return np.array(flatten(filled), float)
@@ -337,6 +344,9 @@ class SimulatedSource:
             offered=[*map(float, offered_rows(self.layout, self.measurements))]
             if self.layout.partial
             else (),
+            clock=[0.5 * self.dt / scene.hz_per_mps, CLOCK_SIGMA_M * self.dt**0.5]
+            if self.clock
+            else (),
         )
         return np.repeat(np.array(flatten(settings), float)[:, None], WIDTH, axis=1)
 
@@ -344,8 +354,7 @@ class SimulatedSource:
     def _site(self) -> tuple[Array, Any]:
         """Return :meth:`Episode.site` of the example scene, and the index of each number in it."""
         scene = self._example
-        covariance = self.radio.prior_covariance(scene)[np.tril_indices(STATE_SIZE)]
-        site = Site(
-            scene.anchors_m.tolist(), scene.hz_per_mps, [0.0] * STATE_SIZE, covariance.tolist()
-        )
+        n = self.layout.state_size
+        covariance = self._prior_covariance[np.tril_indices(n)]
+        site = Site(scene.anchors_m.tolist(), scene.hz_per_mps, [0.0] * n, covariance.tolist())
         return np.array(flatten(site)), indices(site)

@@ -24,7 +24,7 @@ from mmwave_env.models.channel import (
     draw_channel,
     initial_state,
 )
-from mmwave_env.models.layout import STATE_SIZE, Layout
+from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.radio import Radio, deviations
 from mmwave_env.models.random_scene import RandomScene
@@ -55,6 +55,16 @@ class WorldSettings(NamedTuple):
     step_s: Number  # length of a substep
     stride: Number  # number of substeps in an epoch
     offered: Vector = ()  # (rows,) 1 if the receiver measures the row; empty if it measures all
+    # (2,) half a step over ``hz_per_mps``, and deviation of the clock's own noise over a step, m;
+    # empty if the user's clock is synchronized
+    clock: Vector = ()
+
+
+class Clock(NamedTuple):
+    """The state of the user's clock between two epochs."""
+
+    dice: list[Number]  # (4,) state of its own random generator
+    bias_m: Number  # range bias in the coming epoch: the speed of light times the clock's offset
 
 
 class ReceiverState(NamedTuple):
@@ -65,6 +75,7 @@ class ReceiverState(NamedTuple):
     is_first: Number  # 1 before the first epoch
     channel: ChannelState  # state of the links
     bias_hz: Number  # oscillator bias in the coming epoch
+    clock: Clock | tuple[()] = ()  # empty unless the user has a clock
 
 
 class UserState(NamedTuple):
@@ -106,6 +117,9 @@ def measure(
     sigma = deviations(radio.floor_variance, radio.bound_variance, reception.snr_db, layout)
     added = [value for link in reception.bias for value in link] + [receiver.bias_hz]
     added += [0.0] * (layout.size - len(added))
+    if isinstance(receiver.clock, Clock):
+        for a in range(layout.anchors):
+            added[4 * a] = added[4 * a] + receiver.clock.bias_m
     z = [e + s * dice.normal() + b for e, s, b in zip(exact, sigma, added, strict=True)]
     z = [wrap(wrap(v)) if row in layout.angles else v for row, v in enumerate(z)]
     visible = [*reception.detected, reception.detected[0]]
@@ -127,8 +141,19 @@ def measure(
     )
     bias_hz = receiver.bias_hz + settings.drift_hz * dice.normal()
     return measured, receiver._replace(
-        dice=dice.state, is_first=0.0, channel=channel, bias_hz=bias_hz
-    )
+        dice=dice.state, is_first=0.0, channel=channel, bias_hz=bias_hz,
+        clock=_run_on(receiver, bias_hz, settings.clock),
+    )  # fmt: skip
+
+
+def _run_on(receiver: ReceiverState, bias_hz: Number, clock: Vector) -> Clock | tuple[()]:
+    """Return the clock an epoch later: the mean of the oscillator's biases drives it, and noise."""
+    if not isinstance(receiver.clock, Clock):
+        return ()
+    (half_step, sigma_m), dice = clock, Dice(receiver.clock.dice)
+    bias_m = receiver.clock.bias_m + half_step * (receiver.bias_hz + bias_hz)
+    bias_m = bias_m + sigma_m * dice.normal()
+    return Clock(dice.state, bias_m)
 
 
 def _where_measured(measured: Vector, rows: Vector, otherwise: float) -> list[Number]:
@@ -167,12 +192,19 @@ def blank_world(layout: Layout, phases: int, gaits: int) -> WorldState:
     phase = Phase(1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, [gait] * gaits)
     channel = channel_of(Radio("blank"), Scene("blank", (0.0, 0.0, 10.0)), layout, 1.0)
     anchors, dice = [[0.0, 0.0, 10.0 + a] for a in range(layout.anchors)], [0.0] * STATE_WORDS
+    clock = Clock(dice, 0.0) if layout.clock else ()
     return WorldState(
         measured=blank_incoming(layout),
         settings=WorldSettings(
-            1.0, channel, 1.0, 1.0, 1.0, [1.0] * layout.size if layout.partial else ()
+            1.0,
+            channel,
+            1.0,
+            1.0,
+            1.0,
+            [1.0] * layout.size if layout.partial else (),
+            [1.0, 1.0] if layout.clock else (),
         ),
-        receiver=ReceiverState(dice, anchors, 1.0, initial_state(layout.anchors), 0.0),
+        receiver=ReceiverState(dice, anchors, 1.0, initial_state(layout.anchors), 0.0, clock),
         user=UserState(dice, Net(1.0, 1.0, 1.0, 0.0, 0.0, 1.5), [phase] * phases, still),
     )
 
@@ -280,9 +312,9 @@ def as_measured(layout: Layout) -> Program[AsMeasured]:
 
 # --- the beginning of an episode: everything that is drawn before its first epoch
 
-# Each key seeds two streams of random numbers, so that a user's way depends neither on the receiver
-# nor on the rate of epochs.
-USER, RECEIVER = 0, 1
+# Each key seeds three streams of random numbers, so that a user's way depends neither on the
+# receiver nor on the rate of epochs, and neither depends on the user's clock.
+USER, RECEIVER, CLOCK = 0, 1, 2
 
 
 class FirstDraws(NamedTuple):
@@ -292,7 +324,7 @@ class FirstDraws(NamedTuple):
     user: UserState  # not used if a way is given
     choice: Number  # number of the kind of user; or uniform in [0, 1), to choose a given way
     first: list[Number]  # (7,) true state at the first epoch; 0 if a way is given
-    prior_noise: list[Number]  # (7,) error of the prior's mean
+    prior_noise: list[Number]  # (7,) error of the prior's mean, in which a clock's bias is 0
 
 
 class Beginning(NamedTuple):
@@ -326,9 +358,14 @@ def begin(w: Beginning, streets: RandomScene | None) -> Beginning:
     else:
         choice = dice.uniform()
     bias_hz = w.first_bias_hz * others.normal()
-    noise = [deviation * others.normal() for deviation in w.prior_deviation]
+    noise = [deviation * others.normal() for deviation in w.prior_deviation[:7]]
     first = [*position, user.net.height, *velocity, 0.0, bias_hz]
     receiver = w.begun.receiver._replace(dice=others.state, anchors=scene.anchors, bias_hz=bias_hz)
+    for deviation in w.prior_deviation[7:]:
+        own = Dice(seeded(w.key[0], CLOCK))
+        bias_m = deviation * own.normal()
+        receiver = receiver._replace(clock=Clock(own.state, bias_m))
+        first, noise = [*first, bias_m], [*noise, 0.0 - bias_m]
     return w._replace(begun=FirstDraws(receiver, user, choice, first, noise))
 
 
@@ -345,7 +382,7 @@ def beginning(
         streets: the random scene to draw scenes from; None for a fixed scene.
     """
     world = blank_world(layout, phases, gaits)
-    state = [0.0] * STATE_SIZE
+    state = [0.0] * layout.state_size
     template = Beginning(
         key=[0.0],
         plans=[blank_plan(phases, gaits)] * kinds,

@@ -35,7 +35,7 @@ class Problem(NamedTuple):
 
     def ours(self, algorithm, gate, P=None):
         partial = self.measured is not None
-        layout = Layout(self.sensor.links, self.sensor.odometry, partial)
+        layout = Layout(self.sensor.links, self.sensor.odometry, partial, self.sensor.clock)
         rows = self.z.tolist(), self.R.tolist(), self.visible.astype(float).tolist()
         if partial:
             shifted = np.eye(self.sensor.links)[self.sensor.shifted].tolist()
@@ -64,28 +64,31 @@ def numbers(low, high, shape=()):
 
 
 @st.composite
-def problems(draw, odometry=False, anchors=None, outliers=True, partial=False):
+def problems(draw, odometry=False, anchors=None, outliers=True, partial=False, clock=False):
     """Draw an update with all anchors at least 20 m away horizontally: nothing is singular."""
     L = draw(st.integers(1, 5)) if anchors is None else anchors
     position = draw(numbers(-200, 200, (3,)))
     heading, speed = draw(numbers(-3.14, 3.14)), draw(numbers(3.0 if odometry else 0.0, 20))
     velocity = [speed * np.cos(heading), speed * np.sin(heading), draw(numbers(-1, 1))]
     x = np.array([*position, *velocity, draw(numbers(-300, 300))])
+    if clock:
+        x = np.append(x, draw(numbers(-100, 100)))
     azimuth, distance = draw(numbers(-3.14, 3.14, (L,))), draw(numbers(20, 300, (L,)))
     height = draw(numbers(-20, 40, (L,)))
     offset = np.stack([distance * np.cos(azimuth), distance * np.sin(azimuth), height], axis=1)
     shifted = draw(st.integers(0, L - 1)) if partial else 0
-    sensor = textbook.Sensor(position + offset, HZ_PER_MPS, odometry, shifted)
+    sensor = textbook.Sensor(position + offset, HZ_PER_MPS, odometry, shifted, clock)
 
-    scale = np.array([3, 3, 1, 1, 1, 0.3, 50]) * draw(numbers(0.05, 1, (7,)))
-    correlated = np.eye(7) + np.tril(draw(numbers(-0.5, 0.5, (7, 7))), -1)
+    n = len(x)
+    scale = np.array([3, 3, 1, 1, 1, 0.3, 50, 30])[:n] * draw(numbers(0.05, 1, (n,)))
+    correlated = np.eye(n) + np.tril(draw(numbers(-0.5, 0.5, (n, n))), -1)
     factor = scale[:, None] * correlated * (0.3 if odometry else 1.0)
 
     sigma = np.tile([1.0, 0.05, 0.05, 0.05], L).tolist() + [50.0] + [0.5, 0.1] * odometry
     sigma = np.array(sigma) * draw(numbers(0.05, 2, (len(sigma),)))
     wrong = st.sampled_from([0.0, 0.0, 0.0, 5.0] if outliers else [0.0])
     error = draw(numbers(-2, 2, sigma.shape)) + [draw(wrong) for _ in sigma]
-    truth = x + factor @ draw(numbers(-2, 2, (7,)))
+    truth = x + factor @ draw(numbers(-2, 2, (n,)))
     angles = sensor.angles
     z = sensor.h(truth) + sigma * error
     z[angles] = (z[angles] + np.pi) % (2 * np.pi) - np.pi

@@ -231,7 +231,7 @@ def test_the_prediction_of_a_mixture_has_the_moments_of_its_modes_and_their_mane
     (episode,) = simulated(1, epochs=5)
     modes = [Mode("a", sigma_v=0.3), Mode("b", acceleration_mps2=2.0)]
     for now, dt in run_imm(modes, episode, [[0.8, 0.2], [0.3, 0.7]]):
-        x, P = imm.prediction(now, dt)
+        x, P = imm.prediction(now, dt, HZ_PER_MPS)
         weights, F = np.array(now.predicted), textbook.F(dt)
         moved = np.array([F @ mixed for mixed in now.mixed])
         shifts = np.array([result.x_predicted for result in now.results]) - moved

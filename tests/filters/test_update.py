@@ -184,6 +184,6 @@ def test_sigma_points_without_reach_or_with_an_indefinite_covariance_are_refused
             SigmaPoints(alpha, 2.0, kappa)
     for alpha, kappa, least in ((1.0, 7.0, -1.0), (0.5, 21.0, -0.75)):
         near = SigmaPoints(alpha, least + 0.01, kappa)
-        assert near.reach == pytest.approx(alpha * np.sqrt(7.0 + kappa))
+        assert near.reach() == pytest.approx(alpha * np.sqrt(7.0 + kappa))
         with refuses("beta"):
             SigmaPoints(alpha, least - 0.01, kappa)

@@ -1,0 +1,282 @@
+"""The argument ``clock="offset"``: a user's clock that is not synchronized."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from mmwave_env.datasets.samples import recording_from, sample_folder, source_from
+from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.mode_smoothing import smooth_modes
+from mmwave_env.engines.replay import smooth
+from mmwave_env.filters import textbook
+from mmwave_env.filters.bank import Bank, best_bank, modes_from
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters.update import ekf
+from mmwave_env.interface.reward import TrackingReward
+from mmwave_env.localization.localizer import Switching, localize
+from mmwave_env.localization.tracker import Tracker
+from mmwave_env.logs.log import read_log
+from mmwave_env.models.measurement import SPEED_OF_LIGHT
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
+from mmwave_env.task import task_from
+from mmwave_env.world.keys import keys_of
+from mmwave_env.world.simulated import SimulatedSource
+from tests.cli import command, succeed
+from tests.filters.tracks import around_a_block, replay
+from tests.refusals import refuses
+
+STREET = SCENES["street"]
+SIGMA_M = 1e-7 * SPEED_OF_LIGHT
+SOURCES = {
+    "simulated": {},
+    "some rows": {"measurements": ["range", "azimuth", "doppler"]},
+    "fast": {"dt": 0.1},
+    "odometry": {"odometry": True},
+    "random streets": {"scene": "random"},
+    "a way": {"scenario": around_a_block()},
+    "recorded": {"episodes": "canyon28_vehicle"},
+}
+
+
+def pair(**arguments):
+    """The same episode with either clock."""
+    return [
+        task_from(episode_steps=40, radio="standard", clock=clock, **arguments).draw(
+            np.random.default_rng(4)
+        )
+        for clock in ("synchronized", "offset")
+    ]
+
+
+def bias_of(synchronized, offset):
+    """The range bias (T,), from episodes that differ in nothing else; NaN without a link."""
+    ranges = slice(0, offset.layout.doppler, 4)
+    change = (offset.measurement - synchronized.measurement)[:, ranges]
+    seen = synchronized.usable[:, : offset.layout.anchors] & np.isfinite(change)
+    largest = np.where(seen, change, -np.inf).max(axis=1)
+    np.testing.assert_allclose(change[seen], np.broadcast_to(largest[:, None], seen.shape)[seen])
+    return np.where(seen.any(axis=1), largest, np.nan)
+
+
+@pytest.mark.parametrize("arguments", SOURCES.values(), ids=SOURCES)
+def test_ranges_have_one_bias_and_all_else_stays_as_it_is(arguments):
+    synchronized, offset = pair(**arguments)
+    bias, layout = bias_of(synchronized, offset), offset.layout
+    assert 1.0 < abs(bias[np.isfinite(bias)][0]) < 5.0 * SIGMA_M
+    others = np.setdiff1d(np.arange(layout.size), np.arange(0, layout.doppler, 4))
+    for field in ("measurement", "sigma"):
+        pairs = (getattr(episode, field)[:, others] for episode in (offset, synchronized))
+        np.testing.assert_array_equal(*pairs)
+    for field in ("visible", "snr_db", "truth_position_m", "doppler_spread_hz"):
+        np.testing.assert_array_equal(getattr(offset, field), getattr(synchronized, field))
+    np.testing.assert_array_equal(offset.prior_mean, [*synchronized.prior_mean, 0.0])
+    P = np.diag([*np.diag(synchronized.prior_covariance), SIGMA_M**2])
+    np.testing.assert_allclose(offset.prior_covariance, P)
+
+
+def test_a_measured_track_brings_its_own_offset():
+    synchronized, offset = pair(episodes=sample_folder("canyon28_vehicle"))
+    np.testing.assert_array_equal(offset.measurement, synchronized.measurement)
+    np.testing.assert_array_equal(offset.prior_mean, [*synchronized.prior_mean, 0.0])
+
+
+def tables(clock, n, **arguments):
+    task = task_from(clock=clock, **arguments)
+    return task, task.tables(keys_of(range(n)))
+
+
+def biases(n, **arguments):
+    """Range biases (n, T) of simulated episodes, NaN without a link, and their tables."""
+    (task, plain), (_, shifted) = (tables(c, n, **arguments) for c in ("synchronized", "offset"))
+    rows = 1 + 4 * np.arange(task.pipeline.layout.anchors)
+    seen = plain.table[:, :, rows + task.pipeline.layout.size] > 0.0
+    change = np.where(seen, shifted.table[:, :, rows] - plain.table[:, :, rows], -np.inf)
+    bias = change.max(axis=2)
+    return np.where(np.isfinite(bias), bias, np.nan), shifted
+
+
+def test_the_offset_is_drawn_and_the_oscillator_drives_it():
+    """The Doppler shift that motion does not explain, over f_c / c, is the rate of the bias."""
+    bias, shifted = biases(400, radio="standard", episode_steps=60, scenario="pedestrian")
+    first = bias[:, 0][np.isfinite(bias[:, 0])]
+    assert abs(first.mean()) < 4.0 * SIGMA_M / 20.0
+    assert first.std() == pytest.approx(SIGMA_M, rel=0.15)
+    position = shifted.table[..., -6:-3] - STREET.anchors_m[0]
+    rate = (position * shifted.table[..., -3:]).sum(2) / np.linalg.norm(position, axis=2)
+    doppler, seen = shifted.table[..., 13], shifted.table[..., 13 + 13] > 0.0
+    drift = np.where(seen, doppler / STREET.hz_per_mps - rate, np.nan)
+    explained = 59.0 * np.nanmean(drift, axis=1)
+    grown = bias[:, -1] - bias[:, 0]
+    left = (grown - explained)[np.isfinite(grown)]
+    assert left.std() < 0.15 * grown[np.isfinite(grown)].std()
+
+
+def test_the_offset_is_found_and_the_filter_knows_how_well():
+    bias, episodes = biases(120, radio="high")
+    task, bank = task_from(radio="high", clock="offset"), best_bank("high")
+    pipeline = Pipeline(bank.modes, task.pipeline.layout)
+    imm = ImmEngine(pipeline, task.reward, bank.transition, bank.nis_quantile)
+    run = imm.run(episodes, "x", "P", "nees")
+    late = np.isfinite(bias) & (np.arange(200) >= 20)
+    error, sigma = (run["x"][..., 7] - bias)[late], np.sqrt(run["P"][..., 35])[late]
+    assert np.sqrt(np.median(error**2)) < 0.5
+    assert 0.93 < (abs(error) < 1.96 * sigma).mean() < 0.97
+    assert np.median(run["nees"][:, 20:]) == pytest.approx(2.37, rel=0.2)  # chi-square of 3
+
+
+@pytest.mark.parametrize("planar", [False, True], ids=["height", "planar"])
+def test_tracks_are_smoothed_as_by_the_textbook(planar):
+    source = SimulatedSource(STREET, RADIOS["standard"], epochs=50, clock=True)
+    bank = Bank(modes_from(["ukf"], "standard"))
+    pipeline = Pipeline(bank.modes, source.layout, planar)
+    batch = source.sample_batch(keys_of(range(3)))
+    imm = ImmEngine(pipeline, TrackingReward())
+    names = ("x", "P", "x_predicted", "P_predicted")
+    kept = imm.run(batch.on_flat_ground() if planar else batch, *names, "mixture")
+    x, P, x_predicted, P_predicted = (kept[name] for name in names)
+    free = [0, 1, 3, 4, 6, 7] if planar else list(range(8))
+    hz_per_mps, time_s = STREET.hz_per_mps, np.arange(50.0)
+    found = smooth(x, P, x_predicted, P_predicted, np.diff(time_s), planar, hz_per_mps)
+    steps = np.tile(np.diff(time_s, prepend=0.0), (3, 1))
+    spread = batch.table[:, :, -7]
+    by_modes = smooth_modes(bank, pipeline, kept["mixture"], steps, spread, hz_per_mps)
+    for e in range(3):
+        expected_x, expected_P = textbook.rts(
+            x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s, free, None, hz_per_mps
+        )
+        for smoothed_x, smoothed_P in (found, by_modes):
+            np.testing.assert_allclose(smoothed_x[e], expected_x, rtol=1e-7, atol=1e-7)
+            np.testing.assert_allclose(unpacked(smoothed_P[e]), expected_P, rtol=1e-6, atol=1e-7)
+
+
+def unpacked(P):
+    """Symmetric matrices (T, 8, 8) from packed triangles (T, 36)."""
+    row, column = np.tril_indices(8)
+    full = np.zeros((len(P), 8, 8))
+    full[:, row, column] = full[:, column, row] = P
+    return full
+
+
+def played(seed=3, **arguments):
+    """The rewards of an episode of the first mode, or of the IMM, and the last info."""
+    env = gym.make("mmwave_env:MmWaveLoc-v0", clock="offset", **arguments)
+    env.reset(seed=seed)
+    over, rewards = False, []
+    while not over:
+        _, reward, _, over, info = env.step(0)
+        rewards.append(reward)
+    return np.array(rewards), info
+
+
+@pytest.mark.parametrize("beliefs", ["shared", "per-mode"])
+def test_vector_and_single_environments_agree(beliefs):
+    arguments = {"beliefs": beliefs, "episode_steps": 30, "smoothed": True}
+    envs = gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=3, clock="offset", **arguments)
+    envs.reset(seed=7)
+    together = np.array([envs.step(np.zeros(3, np.int64))[1] for _ in range(29)])
+    _, last, *_, infos = envs.step(np.zeros(3, np.int64))
+    for i in range(3):
+        rewards, info = played(7 + i, **arguments)
+        np.testing.assert_array_equal([*together[:, i], last[i]], rewards)
+        np.testing.assert_array_equal(infos["estimate"][i], info["estimate"])
+        assert infos["smoothed_ate_m"][i] == info["smoothed_ate_m"]
+    assert infos["estimate"].shape == (3, 8)
+
+
+def test_own_algorithms_filterpy_and_paired_rewards_run():
+    def mine(x, P, measurement, gate):
+        return ekf(x, P, measurement, gate)
+
+    for odometry in (False, True):
+        asked = {"episode_steps": 20, "odometry": odometry}
+        modes = ["ekf", "ckf"] if not odometry else ["ekf"]
+        lanes, twin = (played(**asked, modes=modes, backend=b)[0] for b in ("lanes", "filterpy"))
+        np.testing.assert_allclose(twin, lanes, rtol=1e-6, atol=1e-6)
+    own, ours = (played(**asked, modes=[Mode("mine", a)])[0] for a in (mine, "ekf"))
+    np.testing.assert_array_equal(own, ours)
+    assert np.isfinite(played(episode_steps=20, reward="paired")[0]).all()
+
+
+def test_a_clock_that_nothing_tells_of_and_unknown_ones_are_refused():
+    for arguments in (
+        {"clock": "late"},
+        {"clock": "offset", "measurements": ["azimuth", "doppler"]},
+        {"clock": "offset", "episodes": replay(SimulatedSource(STREET, RADIOS["high"]).episode(1))},
+    ):
+        with refuses("clock"):
+            task_from(**arguments)
+    track = recording_from("canyon28_vehicle")
+    track.measurement[:, : track.layout.doppler : 4] = np.nan
+    with refuses("clock"):
+        source_from(track, RADIOS["standard"], clock=True)
+
+
+# --- logs
+
+
+@pytest.fixture(scope="module")
+def ride(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("ride")
+    succeed("simulate", "--seed", 2, "--radio", "standard", "--clock", "offset", "--out", folder)
+    return folder
+
+
+def words_of(folder):
+    return folder / "log.csv", "--scene", folder / "scene.json", "--radio", "standard"
+
+
+def test_localize_estimates_the_offset(ride):
+    truth = ("--truth", ride / "truth.tum")
+    out = succeed("localize", *words_of(ride), *truth, "--clock", "offset")
+    smoothed = next(line for line in out.splitlines() if line.startswith("| smoothed |"))
+    assert float(smoothed.split("|")[2]) < 1.0
+    source = [
+        SimulatedSource(STREET, RADIOS["standard"], clock=clock).episode(int(keys_of([2])[0]))
+        for clock in (False, True)
+    ]
+    said = next(line for line in out.splitlines() if "clock is" in line)
+    ns, deviation = (float(said.split(" ± ")[i].split()[-1 if i == 0 else 0]) for i in range(2))
+    true_ns = bias_of(*source)[-1] / SPEED_OF_LIGHT * 1e9
+    assert ns * (-1.0 if "behind" in said else 1.0) == pytest.approx(true_ns, abs=4.0 * deviation)
+
+
+@pytest.mark.parametrize("modes", [modes_from(["ukf"], "standard"), best_bank("standard")])
+def test_a_live_track_is_that_of_the_whole_log(ride, modes):
+    blocks = list(read_log(ride / "log.csv", STREET, partial=True, clock=True))
+    switching = Switching(modes)
+    whole = list(localize(blocks, STREET, RADIOS["standard"], switching, None))
+    tracker = Tracker(STREET, switching, "standard", clock="offset", lag=3)
+    live = [
+        tracker.step(block.part(slice(t, t + 1))) for block in blocks for t in range(len(block))
+    ]
+    x = np.concatenate([block.x for block in whole])
+    found = [[*p.position_m, *p.velocity_mps, p.clock_m] for p in live if p]
+    np.testing.assert_array_equal(found, x[:, [0, 1, 2, 3, 4, 5, 7]])
+    assert tracker.smoothed().clock_sigma_m < live[-1].clock_sigma_m
+
+
+def test_ranges_below_zero_are_those_of_a_clock_that_is_behind(tmp_path, ride):
+    lines = (ride / "log.csv").read_text().splitlines()
+    rows = [line.split(",") for line in lines[1:]]
+    moved = [[*row[:2], repr(float(row[2]) - 1e-6) if row[2] else "", *row[3:]] for row in rows]
+    log = tmp_path / "log.csv"
+    log.write_text("\n".join([lines[0], *map(",".join, moved)]) + "\n")
+    words = log, *words_of(ride)[1:]
+    assert "at least 0" in command("localize", *words).stderr
+    assert "behind" in succeed("localize", *words, "--clock", "offset")
+
+
+def test_logs_that_do_not_see_the_clock_are_refused(tmp_path, ride):
+    text = (ride / "log.csv").read_text()
+    header = text.splitlines()[0]
+    for own in (header.replace("toa_s", "rtt_s"), header.replace("toa_s", "aoa_azimuth_sigma_deg")):
+        log = tmp_path / "log.csv"
+        log.write_text(text.replace(header, own))
+        words = log, *words_of(ride)[1:], "--clock", "offset"
+        done = command("localize", *words)
+        assert done.returncode == 2 and "clock: found offset with" in done.stderr
+    for name in ("--associate", "--diagnose"):
+        done = command("localize", *words_of(ride), "--clock", "offset", name)
+        assert done.returncode == 2 and done.stderr.count("clock: found offset") == 1
