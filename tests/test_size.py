@@ -16,12 +16,12 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 32_100,
-    "tokens of source": 210_500,
+    "lines of source": 32_600,
+    "tokens of source": 214_500,
     "files of source": 280,
-    "lines of tests": 25_100,
-    "tokens of tests": 223_000,
-    "words of docs": 38_900,
+    "lines of tests": 25_700,
+    "tokens of tests": 229_000,
+    "words of docs": 39_300,
     "pages of docs": 23,
     "tracked files": 620,
     "tracked MB": 8,
@@ -36,9 +36,9 @@ ROOMS = {  # maximum lines of source in a folder
     "experiments/reporting/webpage": 1_100,
     "mmwave_env/datasets": 1_800,
     "mmwave_env/engines": 2_100,
-    "mmwave_env/filters": 2_400,
-    "mmwave_env/localization": 2_500,
-    "mmwave_env/world": 2_200,
+    "mmwave_env/filters": 2_450,
+    "mmwave_env/localization": 2_560,
+    "mmwave_env/world": 2_260,
 }
 SOURCE = ("mmwave_env", "experiments", "policies")
 FOR_DEVELOPERS = {"dev", "docs", "lint"}  # extras that users do not need
