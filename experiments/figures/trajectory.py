@@ -117,7 +117,7 @@ def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
     middle = 0.5 * (low + high)
     for number, anchor in enumerate(anchors_m[:, :2], start=1):
         if ((anchor > low - reach) & (anchor < high + reach)).all():
-            name = "gNB" if number == 1 else f"virtual anchor {number}"
+            name = "gNB" if number == 1 else f"anchor {number}"
             marker, fill = ("^", "black") if number == 1 else ("v", "white")
             axes.plot(*anchor, marker, color="black", ms=8, mfc=fill)
             # Names of anchors in the right half are to the left, so that they stay in the picture.

@@ -44,8 +44,9 @@ def run_live(args: LogArgs) -> None:
     tracker: Tracker | None = None
     for epoch in _epochs(sys.stdin.buffer, scene, args.snr, clock):
         if tracker is None:
-            radio = nearest_radio(epoch.block(), scene) if args.radio == AUTO else args.radio
-            choice = choice_of(args, radio)
+            block = epoch.block()
+            radio = nearest_radio(block, scene) if args.radio == AUTO else args.radio
+            choice = choice_of(args, radio, block)
             tracker = Tracker(
                 scene, choice.switching, radio, height_m=args.height, lag=max(args.lag, 1)
             )

@@ -4,6 +4,8 @@ import warnings
 from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
+
 from experiments.console.options import LogArgs
 from experiments.evaluation.contenders import contender_from, imm_banks
 from mmwave_env.engines.track_engine import Rule
@@ -12,9 +14,12 @@ from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
 from mmwave_env.io.lookup import choose
 from mmwave_env.localization.localizer import Switching
 from mmwave_env.logs.lines import number
+from mmwave_env.logs.log import LogBlock
 from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
 
 DEFAULT_POLICY = "guided"
+# Without elevations guided trusts wrong modes more often than it gains (docs/learning.md).
+WITHOUT_ELEVATIONS = "imm-best"
 RULES: dict[str, tuple[Rule, str]] = {  # each rule, and its speed's name in messages
     "prediction": (by_predicted_speed, "the predicted"),
     "odometry": (by_odometry_speed, "odometry's"),
@@ -58,12 +63,13 @@ def require_one_choice(args: LogArgs) -> None:
         raise ValueError("follow: odometry needs --speed auto, and cannot be combined with --imm")
 
 
-def choice_of(args: LogArgs, radio: str) -> Choice:
-    """Return the choice that options ask for; by default the learned policy.
+def choice_of(args: LogArgs, radio: str, block: LogBlock) -> Choice:
+    """Return the choice that options ask for; by default the learned policy, or an IMM.
 
     Args:
         args: options of the command.
         radio: radio profile, a name or a JSON file.
+        block: first epochs of the log.
 
     Raises:
         ValueError: a policy, a bank or a mode is unknown or does not fit.
@@ -73,6 +79,10 @@ def choice_of(args: LogArgs, radio: str) -> Choice:
         bank = replace(bank, modes=_as_asked(args, bank.modes))
         return Choice(Switching(bank), f"of {args.imm}, weighted by their probability")
     if args.policy is not None or not is_algorithm_1(args):
+        elevations = block.measurement[:, 2 : block.layout.doppler : 4]
+        if args.policy is None and not np.isfinite(elevations).any():
+            why = f"of {WITHOUT_ELEVATIONS}, as there are no elevations, weighted by their probability"
+            return Choice(Switching(_bank(WITHOUT_ELEVATIONS, radio)), why)
         name = args.policy or DEFAULT_POLICY
         contender = contender_from(name, radio)
         bank_or_modes = contender.bank or contender.modes

@@ -78,8 +78,12 @@ def diagnosed(args: LogArgs, log: Path, scene: Scene, truth_file: Path | None) -
 
     Raises:
         LogError: the log is damaged.
+        ValueError: the log lacks columns.
     """
-    blocks = read_log(log, scene, odometry=False, limits=False)
+    try:
+        blocks = read_log(log, scene, odometry=False, limits=False)
+    except LogError as error:
+        raise ValueError(f"diagnose: needs ranges, all angles and SNRs: {error}") from error
     first = next(blocks)
     radio = nearest_radio(first, scene) if args.radio == AUTO else args.radio
     with progress("trying likely mistakes"):

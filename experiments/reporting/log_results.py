@@ -15,7 +15,13 @@ from experiments.console.provenance import provenance
 from experiments.console.tables import show
 from experiments.figures.canvas import require_picture
 from experiments.figures.trajectory import draw_trajectory
-from experiments.reporting.log_choice import Choice, choice_of, require_none, require_one_choice
+from experiments.reporting.log_choice import (
+    Choice,
+    choice_of,
+    is_algorithm_1,
+    require_none,
+    require_one_choice,
+)
 from experiments.reporting.log_diagnosis import diagnosed
 from experiments.reporting.track_report import TrackSampler, track_markdown
 from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
@@ -145,7 +151,7 @@ def _work(args: LogArgs, files: Inputs, scene: Scene, epochs_per_block: int) -> 
         raise ValueError(
             f"follow: found odometry, but no speed in {files.log}; use --follow prediction"
         )
-    choice = choice_of(args, name)
+    choice = choice_of(args, name, first)
     if choice.switching.policy and not np.isfinite(first.snr_db).any():
         warnings.warn(
             f"{files.log}: found no SNR, so the policy gets {NEUTRAL_SNR_DB:g} dB for every link",
@@ -248,6 +254,7 @@ def localized(args: LogArgs) -> None:
         "radio": f"{work.radio.name}, chosen by auto" if args.radio == AUTO else args.radio,
         "imm": args.imm,
         "rule": work.choice.why,
+        "algorithm_1": args.imm is None and args.policy is None and is_algorithm_1(args),
         **figures,
         "contradictions": [d._asdict() for d in doubts],
         "written": {content: str(path) for content, path in written.items() if path},

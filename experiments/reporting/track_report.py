@@ -83,13 +83,14 @@ def _course(figures: dict[str, Any]) -> list[str]:
     shares = ", ".join(f"{escaped(name)} {_percent(n / epochs)}" for name, n in f["modes"].items())
     switches = f", switched {_times(f['switches'])}" if len(f["modes"]) > 1 else ""
     lines.append(f"modes {escaped(f['rule'])}: {shares} of the epochs{switches}")
+    lines.append(f"noise of radio {escaped(f['radio'])}")
     if "clock" in f:
         keys = "range_bias_m", "deviation_m"
         ahead, deviation = (f["clock"][key] / SPEED_OF_LIGHT * 1e9 for key in keys)
         side = "behind" if ahead < 0.0 else "ahead"
         lines.append(f"in the end the user's clock is {abs(ahead):.1f} ± {deviation:.1f} ns {side}")
     fast = speed["epochs_above_design_limit"]
-    if not f["imm"] and len(f["modes"]) > 1 and fast:
+    if f["algorithm_1"] and len(f["modes"]) > 1 and fast:
         lines.append(
             f"warning: {fast} epochs are above {DESIGN_LIMIT_MPS:g} m/s, outside the design window "
             f"of the speed rule; {escaped(list(f['modes'])[1])} ran in them"

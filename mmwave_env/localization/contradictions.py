@@ -89,9 +89,9 @@ def impossible(block: LogBlock) -> Iterator[Contradiction]:
     if len(ranges) and not least <= np.median(ranges) <= most:
         yield Contradiction("range", f"{np.median(ranges):.3g} m", f"{least:g} to {most:g} m")
     elevations = np.degrees(abs(block.measurement[:, 2 : block.layout.doppler : 4][visible]))
-    if (elevations > WIDEST_ELEVATION_DEG).mean() > 0.5:
+    if 2 * (elevations > WIDEST_ELEVATION_DEG).sum() > np.isfinite(elevations).sum():
         expected = f"up to {WIDEST_ELEVATION_DEG:g}"
-        yield Contradiction("elevation", f"{elevations.max():.3g} degrees", expected)
+        yield Contradiction("elevation", f"{np.nanmax(elevations):.3g} degrees", expected)
 
 
 def _oddities(block: LogBlock, scene: Scene, radio: Radio) -> Iterator[Contradiction]:

@@ -49,6 +49,7 @@ def _ellipses(origin: Origin, x: Array, P: Array) -> Array:
     """Return the corners (n, corners, 2) of the 95 % ellipses, longitude and latitude."""
     variance = np.array([[P[:, 0], P[:, 1]], [P[:, 1], P[:, 2]]]).transpose(2, 0, 1)
     size, axes = np.linalg.eigh(variance)
+    axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]  # rings are counterclockwise (RFC 7946)
     angle = np.linspace(0.0, 2.0 * np.pi, _CORNERS, endpoint=False)
     circle = np.stack([np.cos(angle), np.sin(angle)])
     radius = np.sqrt(_ELLIPSE_NIS * np.maximum(size, 0.0))

@@ -1,0 +1,144 @@
+"""Logs of receivers that measure some quantities and state their noise, against a textbook EKF."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from mmwave_env.filters import textbook
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.textbook import Sensor, tangent
+from mmwave_env.localization.localizer import Switching, TrackBlock, localize
+from mmwave_env.logs.log import LogBlock, read_log
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import scene_of_anchors
+from mmwave_env.numerics.linalg import unpack
+from tests.cli import succeed
+
+ANCHORS = np.array([[0.0, 0.0, 10.0], [0.0, 70.0, 10.0], [-90.0, 0.0, 12.0], [60.0, -50.0, 8.0]])
+ROWS = {  # column: (row of a link, unit, standard deviation in that unit)
+    "range": (0, "m", 0.3),
+    "aoa_azimuth": (1, "deg", 1.0),
+    "aoa_elevation": (2, "deg", 1.0),
+    "aod_azimuth": (3, "deg", 2.0),
+    "doppler": (4, "hz", 25.0),
+}
+RANGE_AZIMUTH, ANGLES = ("range", "aoa_azimuth"), ("aoa_azimuth", "aoa_elevation", "aod_azimuth")
+RECEIVERS = {  # what is measured, step in s, number of anchors
+    "all, 1 s": (tuple(ROWS), 1.0, 3),
+    "all, 0.1 s": (tuple(ROWS), 0.1, 3),
+    "all, one anchor": (tuple(ROWS), 0.5, 1),
+    "range and azimuth, one anchor": (RANGE_AZIMUTH, 0.5, 1),
+    "range and azimuth, four anchors": (RANGE_AZIMUTH, 0.2, 4),
+    "range and both azimuths": ((*RANGE_AZIMUTH, "aod_azimuth"), 0.5, 2),
+    "no Doppler shift": ((*ANGLES, "range"), 0.25, 3),
+    "angles": (ANGLES, 0.5, 3),
+    "range and elevation, four anchors": (("range", "aoa_elevation"), 1.0, 4),
+    "range, azimuth and Doppler shift": ((*RANGE_AZIMUTH, "doppler"), 0.1, 2),
+}
+MODE = Mode("plain", gate=None, adaptive=False, recovery=None, sigma_v=0.3, sigma_vz=0.05)
+RADIO, WALKS, EPOCHS, SETTLED = RADIOS["standard"], 12, 120, 20
+
+
+def noise(dt, hz_per_mps):
+    """Return Q (7, 7) of a step by the tuning of the mode: white-noise acceleration."""
+    velocity = np.square([MODE.sigma_v, MODE.sigma_v, MODE.sigma_vz]) * dt
+    position = np.square([MODE.sigma_p, MODE.sigma_p, MODE.sigma_pz]) * dt
+    drift = (MODE.sigma_b_mps * hz_per_mps) ** 2 * dt
+    coupled = np.diag([*(velocity * dt / 2), 0.0], k=3)
+    return np.diag([*(position + velocity * dt**2 / 4), *velocity, drift]) + coupled + coupled.T
+
+
+def walk(path, receiver, seed):
+    """Write a log of a user who moves as the filter assumes; return its scene and true track."""
+    measured, dt, anchors = RECEIVERS[receiver]
+    scene = scene_of_anchors("receiver", ANCHORS[:anchors], 28e9, 100e6)
+    rng, sensor = np.random.default_rng(seed), Sensor(ANCHORS[:anchors], scene.hz_per_mps)
+    x = np.array([25.0, 30.0, 1.5, *rng.uniform(-0.8, 0.8, 2), 0.0, rng.normal(0.0, 50.0)])
+    root = np.linalg.cholesky(noise(dt, scene.hz_per_mps))
+    truth, names = [], [f"{name}_{ROWS[name][1]}" for name in measured]
+    sigmas = {f"{name}_sigma_{ROWS[name][1]}": ROWS[name][2] for name in measured}
+    with path.open("w", newline="") as file:
+        table = csv.DictWriter(file, ["time_s", "anchor", *names, *sigmas])
+        table.writeheader()
+        for epoch in range(EPOCHS):
+            truth.append(x[:3])
+            exact = sensor.h(x)
+            for anchor in range(anchors):
+                row = {"time_s": epoch * dt, "anchor": anchor + 1, **sigmas}
+                for name, column in zip(measured, names, strict=True):
+                    place, unit, sigma = ROWS[name]
+                    value = exact[4 * anchors if place == 4 else 4 * anchor + place]
+                    value = np.degrees(value) if unit == "deg" else value
+                    if rng.random() < 0.9 and (place < 4 or not anchor):
+                        row[column] = value + sigma * rng.standard_normal()
+                table.writerow(row)
+            x = textbook.F(dt) @ x + root @ rng.standard_normal(7)
+    return scene, np.array(truth)
+
+
+def by_textbook(log, scene, x, P):
+    """Run a textbook EKF on a log from the belief at its first epoch; return the means (T, 3)."""
+    sensor, means = Sensor(scene.anchors_m, scene.hz_per_mps), [x[:3]]
+    for t in range(1, len(log)):
+        dt, z = log.time_s[t] - log.time_s[t - 1], log.measurement[t]
+        x, P = textbook.predict(x, P, noise(dt, scene.hz_per_mps), dt)
+        keep = np.isfinite(z)
+        R = np.where(keep, log.sigma[t], 1.0) ** 2
+        x, P = textbook.update(tangent, sensor, x, P, np.where(keep, z, 0.0), R, keep)
+        means.append(x[:3])
+    return np.array(means)
+
+
+@pytest.mark.parametrize("receiver", RECEIVERS)
+def test_the_track_of_any_receiver_is_that_of_a_textbook_ekf_and_consistent(tmp_path, receiver):
+    ours, expected, nees = [], [], []
+    for seed in range(WALKS):
+        scene, truth = walk(tmp_path / "log.csv", receiver, seed)
+        log = LogBlock.joined(list(read_log(tmp_path / "log.csv", scene, partial=True)))
+        blocks = localize([log], scene, RADIO, Switching((MODE,)), window=None)
+        track = TrackBlock.joined(list(blocks))
+        begins, P = EPOCHS - len(track), [np.array(unpack(list(p)), float) for p in track.P]
+        plain = by_textbook(log.part(slice(begins, None)), scene, track.x[0], P[0])
+        np.testing.assert_allclose(track.x[:, :3], plain, atol=1e-6)
+        error = track.x[:, :3] - truth[begins:]
+        ours.append(np.linalg.norm(error[SETTLED:], axis=1).mean())
+        expected.append(np.linalg.norm((plain - truth[begins:])[SETTLED:], axis=1).mean())
+        blocks = [p[:3, :3] for p in P]
+        nees.append(
+            [e @ np.linalg.solve(S, e) for e, S in zip(error, blocks, strict=True)][SETTLED:]
+        )
+    assert np.mean(ours) == pytest.approx(np.mean(expected), rel=0.05)
+    assert np.mean([np.mean(walk) for walk in nees]) == pytest.approx(3.0, rel=0.15)
+
+
+def test_standing_places_with_range_and_azimuth_of_one_anchor_at_the_height_of_the_user(tmp_path):
+    """Localize 45 places 0.5 m apart, as a survey with a 60 GHz access point measures them."""
+    rng, anchor = np.random.default_rng(3), np.array([0.0, 0.0, 1.5])
+    line = 0.5 * np.arange(15)
+    places = np.concatenate(
+        [
+            np.column_stack([3.0 + line, np.full(15, 2.0)]),
+            np.column_stack([np.full(15, 10.5), 2.0 + line]),
+            np.column_stack([10.5 - line, np.full(15, 9.5)]),
+        ]
+    )
+    scene = {"anchors": [anchor.tolist()], "carrier_hz": 60e9, "bandwidth_hz": 2e9}
+    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    lines = ["time_s,anchor,range_m,aoa_azimuth_deg,range_sigma_m,aoa_azimuth_sigma_deg"]
+    for t, (x, y) in enumerate(places):
+        distance = np.hypot(x, y) + 0.15 * rng.standard_normal()
+        azimuth = np.degrees(np.arctan2(y, x)) + 2.5 * rng.standard_normal()
+        lines.append(f"{t},1,{distance},{azimuth},0.15,2.5")
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    poses = [f"{t} {x} {y} 1.5 0 0 0 1" for t, (x, y) in enumerate(places)]
+    (tmp_path / "truth.tum").write_text("\n".join(poses) + "\n")
+    words = ["--scene", tmp_path / "scene.json", "--truth", tmp_path / "truth.tum"]
+    succeed(
+        "localize", tmp_path / "log.csv", *words, "--height", 1.5, "--json", tmp_path / "r.json"
+    )
+    tracks = json.loads((tmp_path / "r.json").read_text())["truth"]["tracks"]
+    assert tracks["smoothed"]["ate_m"] < tracks["filtered"]["ate_m"] < 0.35
+    assert 1.0 < tracks["filtered"]["mean_nees"] < 3.0  # 2 for two free axes
+    assert tracks["filtered"]["nees_in_bounds"] > 0.85
