@@ -42,7 +42,7 @@ def read_ways(path: str | os.PathLike[str]) -> Ways:
 
 
 def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
-    """Read the trajectory from a CSV file that has only one, as :func:`read_ways` does.
+    """Read the only trajectory in a CSV file of the format of :func:`read_ways`.
 
     Raises:
         ValueError, FileNotFoundError: as for :func:`read_ways`; or there are several trajectories.

@@ -134,7 +134,7 @@ def _anchors(order: Sequence[int], reading: Reading) -> Reading:
 
 
 def _orders(anchors: int) -> list[tuple[int, ...]]:
-    """Return the orders with two anchors exchanged, or with all numbers shifted by one."""
+    """Return the orders with two anchors exchanged, or with all anchors shifted by one."""
     right = list(range(anchors))
     orders = [tuple(right[1:] + right[:1]), tuple(right[-1:] + right[:-1])]
     for i, j in combinations(right, 2):
@@ -206,7 +206,7 @@ def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Fi
         If only pairs of hypotheses make it consistent, the most likely pair comes first.
 
     Raises:
-        ValueError: there is no line of sight to begin with.
+        ValueError: there is no line of sight with which a track could begin.
     """
     fixes = np.flatnonzero(block.visible[:, 0] & (block.measurement[:, 0] > 0.0))
     if not len(fixes):

@@ -74,7 +74,7 @@ class LogBlock(Block):
     # whether the segment begins here, with a first fix that gives its prior
     begins: bool = False
     skipped: int = 0  # number of epochs of the log before the first segment
-    dropped: int = 0  # number of epochs dropped between segments, before the next block
+    dropped: int = 0  # number of epochs dropped between segments so far, up to the next block
 
     def whole(self) -> "LogBlock":
         """Return the block with only the groups that were measured completely and with an SNR."""
@@ -140,10 +140,13 @@ def read_log(
 
 
 def with_clock(log: LogFile) -> LogFile:
-    """Return a log whose ranges have the offset of the user's clock; refuse one without such."""
+    """Return a log whose ranges have the offset of the user's clock; refuse one without ranges.
+
+    Ranges from round-trip times don't count, because they do not contain the offset.
+    """
     ranges = log.columns.get("toa")
     if ranges is None or ranges.name.startswith("rtt"):
-        problem = "no range" if ranges is None else f"{ranges.name}: round-trip times do not see it"
+        problem = "no range" if ranges is None else f"{ranges.name}, which does not contain it"
         raise LogError(
             f"{log.path}: clock: found offset with {problem}, expected one-way times or ranges, "
             "such as toa_s, or synchronized"
@@ -152,7 +155,7 @@ def with_clock(log: LogFile) -> LogFile:
 
 
 def require_noise(log: LogFile) -> None:
-    """Refuse a log that states the noise of a measurement neither directly nor by an SNR."""
+    """Refuse a log with measurements that lack both a standard deviation and an SNR."""
     for quantity in (*ROW_QUANTITIES, STATION, BODY) if "snr" not in log.columns else ():
         if quantity in log.columns and SIGMA_OF[quantity] not in log.columns:
             own = next(iter(QUANTITIES[SIGMA_OF[quantity]].columns))
@@ -177,10 +180,10 @@ def _require_measurements(path: Path, blocks: Iterable[LogBlock]) -> Iterator[Lo
 
 
 def places(layout: Layout) -> dict[str, tuple[int, int]]:
-    """Return the place of every quantity among an epoch's numbers, for the first anchor.
+    """Return, by quantity, the index of the first anchor's value and the step per anchor.
 
-    With it comes the distance from anchor to anchor, 0 for quantities of the epoch. The numbers are
-    the rows of the layout, their standard deviations, the SNRs (L,) and the Doppler spread.
+    The array with all values of an epoch contains the rows of the layout, their standard
+    deviations, the SNRs (L,) and the Doppler spread. The step is 0 for quantities of the epoch.
     """
     rows = {quantity: (row, 4) for row, quantity in enumerate(LINK_QUANTITIES)}
     rows["doppler"] = layout.doppler, 0
@@ -208,7 +211,7 @@ def block_of(
     time[epoch] = table["time"]
     for quantity, (first, step) in places(layout).items():
         numbers = of_link[quantity] if quantity in of_link else table[quantity]
-        some = np.flatnonzero(~np.isnan(numbers))[::-1]  # the first of an epoch is stored last
+        some = np.flatnonzero(~np.isnan(numbers))[::-1]  # so that the first value remains
         placed[epoch[some], first + step * anchor[some]] = numbers[some]
     measurement, sigma, snr, spread = np.split(
         placed, [size, 2 * size, 2 * size + layout.anchors], axis=1

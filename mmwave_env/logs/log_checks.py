@@ -51,7 +51,7 @@ class _Check(NamedTuple):
     quantity: str
     wrong: Mask
     expected: str
-    words: Callable[[int], str] | None = None  # words for the error in a row; None for its number
+    words: Callable[[int], str] | None = None  # words for the error in a row; None to show the cell
 
 
 def first_damage(

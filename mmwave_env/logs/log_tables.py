@@ -1,7 +1,7 @@
 """Measurement logs as tables of numbers, the same for CSV and Parquet.
 
 A table is a few thousand consecutive rows. Only the names of the columns, the shape of the file
-and whether cells are numbers are checked here; `log.py` interprets the numbers.
+and whether cells are numbers are checked here; ``log.py`` interprets the numbers.
 """
 
 import csv

@@ -96,7 +96,7 @@ class Recorder:
         self._scenery = Scenery(name, anchors_m, streets)
         self._epochs = {key: [] for key in (*self._rows, "time_s", "mode")}
         self._append(workspace, 0.0, NO_MODE)
-        self._epochs["nees"][0] = np.array([np.nan])  # replaces that of the previous episode
+        self._epochs["nees"][0] = np.array([np.nan])  # replaces the previous episode's NEES
 
     def add(self, workspace: Array, mode: int) -> None:
         """Record the epoch that a mode just processed."""

@@ -233,7 +233,7 @@ def draw_strips(
 
 
 def _times(history: History, rows: slice) -> tuple[float, float]:
-    """Return the times at the left and right edge of the strips, at least ``_WINDOW`` epochs."""
+    """Return the times at the left and right edge of the strips, which fit ``_WINDOW`` epochs."""
     time_s = history.time_s[rows]
     step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
     first = float(time_s[0]) if len(time_s) else 0.0
@@ -262,7 +262,7 @@ def _nees(history: History, rows: slice) -> Strip:
 
 
 def _top(values: Array) -> float:
-    """Return a round number of at least 2 above values (n,), for the upper edge of a strip."""
+    """Return a round number, >= 2 and above all values (n,), for the upper edge of a strip."""
     known = values[np.isfinite(values)]
     largest = max(2.0, 1.05 * float(known.max(initial=0.0)))
     below = nice(largest)

@@ -20,7 +20,7 @@ _LAST_S = 2.0  # time for which a GIF shows its last picture, before it repeats
 
 
 def require_video(option: str, path: Path) -> None:
-    """Refuse a video file that could not be written, before any work; ``option`` names the file.
+    """Refuse, before any work, a file that could not be written; messages begin with ``option``.
 
     Raises:
         ValueError: the name does not end with .gif or .mp4.
