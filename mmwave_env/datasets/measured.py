@@ -104,7 +104,7 @@ class MeasuredTrack(Track):
         Raises:
             ValueError: an array has the wrong shape, times do not increase, standard deviations
                 are not positive, no array contains information about the horizontal position, or
-                neither standard deviations nor an SNR are given; the message names the array.
+                an array has no standard deviations and no SNR; the message names the array.
         """
         record = f"{cls.KIND} {name!r}"
         links = (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad)

@@ -60,7 +60,7 @@ def _way(name: str, lines: list[int], values: Sequence[float]) -> Trajectory:
 
 
 def _rows(file: Path) -> Iterator[tuple[int, str, list[float]]]:
-    """Yield the line number, the id ("" without that column) and the numbers of every row."""
+    """Yield the line number, the id ("" without that column) and the values of every row."""
     reader = csv.DictReader(StringIO(read_text(file, "CSV"), newline=""), skipinitialspace=True)
     try:
         header = reader.fieldnames or ()

@@ -1,7 +1,7 @@
-"""Contradictions between a log and its scene, which wrong units, signs or frames cause.
+"""Contradictions between a log and its scene, caused by wrong units, signs or frames.
 
-Most mistakes can't be seen in a single row, but a track made from wrong rows does not fit them, or
-its geometry is impossible. The limits are wide: at most 10 of 1000 correct logs are flagged
+Most mistakes can't be seen in a single row, but a track made from wrong rows does not fit the rows,
+or its geometry is impossible. The limits are wide: at most 10 of 1000 correct logs are flagged
 (``tests/localization/test_contradictions.py``).
 """
 

@@ -43,8 +43,8 @@ class Fix(NamedTuple):
 def gives_fix(links: Array) -> Mask:
     """Tell which links (n, 4 or more), m and rad, give a prior.
 
-    Straight above or below an anchor the azimuth is undefined. Close to this vertical line, the
-    uncertainty of the direction grows with the elevation, which a Gaussian does not describe.
+    Straight above or below an anchor, the azimuth is undefined. Close to this vertical line, the
+    uncertainty of the direction grows with the elevation; a Gaussian does not describe this.
     """
     return (links[:, 0] >= RANGE_LIMITS_M[0]) & (abs(links[:, 2]) <= STEEPEST_FIX_RAD)
 

@@ -80,7 +80,7 @@ def track_files(track: Path, modes: Sequence[str], scene: Scene) -> Iterator[Wri
         track: file for the smoothed track; its ending determines the format. What a TUM file has
             no columns for is written to the file that :func:`table_beside` returns.
         modes: names of the modes.
-        scene: scene, whose origin files for maps need.
+        scene: the scene; files for maps need its origin.
 
     Raises:
         ValueError: the file is for a map, but the scene has no origin.

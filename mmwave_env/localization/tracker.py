@@ -105,8 +105,8 @@ class Tracker:
         """Process the rows of an epoch; return the belief after it.
 
         Args:
-            rows: one mapping per anchor, from names of columns (docs/data.md) to numbers. If a
-                number was not measured, it is None or its key is missing.
+            rows: one mapping per anchor, from names of columns (docs/data.md) to values. If a
+                value was not measured, it is None or its key is missing.
 
         Returns:
             The belief; None before the first epoch that determines a position, and in long gaps.

@@ -57,7 +57,7 @@ class ClockOffset(NamedTuple):
         return abs(self.seconds) > self.limit * self.deviation_s and self.part > _PART
 
     def figures(self) -> dict[str, float]:
-        """Return the numbers that are written to results."""
+        """Return the values that are written to results."""
         return {"ahead_s": self.seconds, "deviation_s": self.deviation_s}
 
     @property

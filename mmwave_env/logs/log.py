@@ -55,12 +55,12 @@ class LogBlock(Block):
     time_s: Array  # (T,) increasing, also across blocks
     measurement: Array  # (T, rows) m, rad, Hz, m/s; angles in [-pi, pi)
     sigma: Array  # (T, rows) the receiver's own standard deviations; NaN where it states none
-    # (T, groups) whether every number of the group was measured. Links and the Doppler shift need
-    # the SNR, too, because their noise follows from it. In a partial layout, whether any number
-    # was measured whose noise is known
+    # (T, groups) whether every value of the group was measured. Links and the Doppler shift need
+    # the SNR, too, because their noise follows from it. In a partial layout, whether any value
+    # with known noise was measured
     visible: Mask
-    # (T, groups) whether the group is lost because only some of its numbers were measured. In a
-    # partial layout, whether a number is lost because its noise is unknown
+    # (T, groups) whether the group is lost because only some of its values were measured. In a
+    # partial layout, whether a value is lost because its noise is unknown
     incomplete: Mask
     doppler_anchor: Index  # (T,) anchor of the Doppler shift, from 0
     snr_db: Array  # (T, L); -inf (no signal) where no SNR was measured
@@ -69,7 +69,7 @@ class LogBlock(Block):
     # the epochs before. It is never set in a log with anchor numbers
     restarts: Mask
     share: float  # share of the file read so far, 0 to 1
-    whole_columns: bool = True  # whether the log has a column for each number of a link
+    whole_columns: bool = True  # whether the log has a column for each value of a link
     segment: int = 0  # number of the segment of the track, from 0, that all epochs belong to
     # whether the segment begins here, with a first fix that gives its prior
     begins: bool = False
@@ -111,7 +111,7 @@ def read_log(
             if the log has it.
         limits: False to accept ranges and angles of any size, and not to wrap angles, for
             a diagnosis.
-        partial: whether a link may lack some of its numbers, in some epochs or everywhere, and
+        partial: whether a link may lack some of its values, in some epochs or everywhere, and
             any anchor may have the Doppler shift.
         snr_db: SNR to assume for links without one.
         clock: whether the user's clock has an unknown offset; ``layout`` then has a clock.
@@ -175,7 +175,7 @@ def _require_measurements(path: Path, blocks: Iterable[LogBlock]) -> Iterator[Lo
     if not measured:
         raise LogError(
             f"{path}: found {epochs} epochs without a measurement, and {incomplete} groups with "
-            "only some of their numbers, expected at least one measurement"
+            "only some of their values, expected at least one measurement"
         )
 
 
@@ -253,14 +253,14 @@ def block_of(
 
 
 class PathEpoch(NamedTuple):
-    """The n paths of an epoch; all numbers were measured, except perhaps the Doppler shift."""
+    """The n paths of an epoch; all values were measured, except perhaps the Doppler shift."""
 
     layout: Layout  # layout of the scene's anchors, with or without odometry
     time_s: float
     measurement: Array  # (n, 5) rows of a link, m and rad, and its Doppler shift, Hz, or NaN
     at_station: bool  # whether arrivals are those at the base station, not at its mirror image
     snr_db: Array  # (n,)
-    incomplete: int  # number of paths that are left out because some of their numbers are missing
+    incomplete: int  # number of paths that are left out because some of their values are missing
     doppler_spread_hz: float  # 0 where none was measured
     odometry: Array  # (2,) speed, m/s, and heading, rad; NaN where not measured
     share: float  # share of the file read so far, 0 to 1

@@ -24,7 +24,7 @@ class Unit(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """A quantity in a log; its numbers are converted to s, m, rad, Hz, dB or m/s."""
+    """A quantity in a log; its values are converted to s, m, rad, Hz, dB or m/s."""
 
     columns: dict[str, Unit]  # names of the columns that may hold the quantity, with their units
     meaning: str  # the quantity in words, for messages

@@ -13,7 +13,7 @@ from mmwave_env.numerics.numbers import Array, Index
 
 NO_MODE = -1  # for the prior, which no mode computed
 GATE = 0.99  # chi-square quantile for the NIS in pictures; most modes have gates at this quantile
-POSITION_NUMBERS = 6  # the first numbers of a packed covariance belong to the position
+POSITION_NUMBERS = 6  # the first values of a packed covariance belong to the position
 
 
 class Scenery(NamedTuple):
@@ -76,7 +76,7 @@ class History:
 
 
 class Recorder:
-    """Recorder of an environment's epochs, from its workspace (all its numbers in one array).
+    """Recorder of an environment's epochs, from its workspace (all its values in one array).
 
     Args:
         rows: slices of the workspace that contain ``anchors``, ``dt`` of the next epoch, ``truth``,

@@ -81,7 +81,7 @@ class Picture:
         return canvas.finish()
 
     def _draw_header(self, history: History, y: float) -> None:
-        """Draw the numbers of the epoch in one line."""
+        """Draw the episode's name and the epoch's values in one line."""
         canvas, theme, pad = self._canvas, self._theme, 8.0 * self._canvas.unit
         error = f"error {history.error_m[-1]:.2f} m"
         if history.epochs == 0:
