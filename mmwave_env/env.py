@@ -77,8 +77,8 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
     each mode keeps its own, and they interact as in an IMM (Blom and Bar-Shalom 1988):
 
     * Action space: `Discrete(len(modes) + 1)`. Action 0 trusts no mode: an agent that always takes
-      it is the IMM itself. Action k multiplies the probability of the k-th mode by e^3 over a
-      second before the beliefs are combined and mixed again; the mode's `cost` is subtracted.
+      it is the IMM itself. Action k multiplies the probability of the k-th mode by e^3 per second;
+      then the beliefs are combined and mixed again. The mode's `cost` is subtracted.
     * Observation space: as above without distances and the previous mode, but with the log-odds of
       each mode before and after the coming measurement, the mode's speed and velocity variance,
       and more averages of the Doppler spread. `env.unwrapped.observation.table()` shows them all.
@@ -87,7 +87,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
       the most probable mode. `reward="paired"` subtracts the reward of always taking action 0.
     * `modes=None` selects the bank (modes and transition probabilities) of the radio's strongest
       IMM, `mmwave_env.filters.bank.best_bank`. A mode file for a bank may also contain
-      "transition" (probabilities over a second) and "nis_quantile".
+      "transition" (probabilities over one second) and "nis_quantile".
 
     ## Rewards
 
@@ -127,8 +127,8 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
       infinity and count as missing.
     * The last step adds `ate_m`, `rmse_m`, `rpe_m`, `mean_nees`, `in_bounds`, `divergence` (all
       without the first 10 epochs); with `smoothed=True` also `smoothed_ate_m`, for which the
-      episode is run again and smoothed (Rauch-Tung-Striebel). If beliefs were NaN or infinite, it
-      warns and adds `nonfinite_beliefs`, the number of epochs after which they were.
+      episode is run again and smoothed (Rauch-Tung-Striebel). If beliefs were NaN or infinite,
+      there is a warning, and `nonfinite_beliefs` counts the epochs after which they were.
     * To save time, `infos="episode"` fills infos only at resets and last steps, and `infos="none"`
       never. `infos="fixed"` has the same keys at every reset and step, for libraries that need
       this (docs/own-agent.md): only numbers, without `episode_name` and `episode_key`; unknown
@@ -175,9 +175,9 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
       and "elevation" (of arrival), "departure" (azimuth) and "doppler"; None (default) for all.
       "range", "azimuth" or "departure" must be among them. Gates and `nis` then count only these
       quantities. The truth and the remaining values of an episode stay the same.
-    * `clock`: "synchronized" (default), or "offset": the user's clock has an unknown offset with a
-      standard deviation of 100 ns at first, which the oscillator's bias drives. Ranges contain it,
-      and the state has the range bias as its eighth component.
+    * `clock`: "synchronized" (default), or "offset": the user's clock has an unknown offset,
+      at first with a standard deviation of 100 ns; the oscillator's bias makes it drift. Ranges
+      contain the offset, and the state has the range bias as its eighth component.
     * `terminate_on_divergence`: see Episode End.
     * `render_mode`: "rgb_array" or "human", a window whose title lists its keyboard keys; needs
       the extra `render`.
@@ -276,8 +276,8 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
     def spec(self, spec: EnvSpec | None) -> None:
         epochs = getattr(self.source, "epochs", None)
         self._spec = spec and replace(spec, max_episode_steps=epochs)
-        # If `gym.make` cuts episodes from outside, their last step has no metrics. It keeps the
-        # limit only in a local variable, which is read here.
+        # If `gym.make` cuts episodes from outside, their last step has no metrics. `gym.make`
+        # keeps the limit only in a local variable, which is read here.
         make = sys._getframe(1).f_locals
         limit = make.get("max_episode_steps") or getattr(
             make.get("env_spec"), "max_episode_steps", None

@@ -35,7 +35,7 @@ def rmse(error: Array) -> Array:
 
 
 def rpe(error: Array, delta: int = 1) -> Array:
-    """Compute the relative pose error (...,): mean |e_k - e_(k - delta)| of (..., T, 3), m.
+    """Compute the relative pose error (...,): mean |e_k - e_(k - delta)| of errors (..., T, 3), m.
 
     It is zero for tracks of at most ``delta`` epochs.
     """
@@ -46,7 +46,7 @@ def rpe(error: Array, delta: int = 1) -> Array:
 
 
 def nees_interval(axes: int = 3, share: float = 0.95) -> tuple[float, float]:
-    """Return the two-sided interval that contains ``share`` of a consistent filter's NEES."""
+    """Return the two-sided interval that contains a share of the NEES of a consistent filter."""
     from scipy.special import chdtri
 
     tail = (1.0 - share) / 2.0

@@ -43,7 +43,7 @@ class Task:
             if modes share a belief.
         reward: function of (belief, truth).
         baseline: bank of the IMM whose reward is subtracted; None without a paired reward.
-        worst: reward for every remaining epoch of a diverged episode; None if it does not end.
+        worst: reward for every remaining epoch of a diverged episode; None if it continues.
     """
 
     source: EpisodeSource
@@ -105,7 +105,7 @@ class Task:
 
     @property
     def simulated(self) -> SimulatedSource:
-        """Return the source if episodes have keys."""
+        """Return the source as a simulated one, which it is if episodes have keys."""
         return cast(SimulatedSource, self.source)
 
 
@@ -165,7 +165,7 @@ def task_from(**arguments: Any) -> Task:
     if asked.terminate_on_divergence:
         if getattr(pays, "worst", None) is None:
             raise ValueError(
-                "terminate_on_divergence: needs a reward with an attribute worst, its lowest value"
+                "terminate_on_divergence: needs a reward with its lowest value as attribute worst"
             )
         worst = pays.worst - max(mode.cost for mode in pipeline.modes)  # type: ignore[attr-defined]
     return Task(source, radio, pipeline, bank, pays, baseline, worst)

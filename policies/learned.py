@@ -84,8 +84,8 @@ class LearnedSwitch(Policy):
         """Return the bank to use with a radio, for a policy with a belief per mode.
 
         Args:
-            radio: name or file of the radio profile. If training did not include it, the bank is
-                the first that exists of those for its base, for "standard", and for any radio.
+            radio: name or file of the radio profile. If training did not include it, the bank of
+                its base is used, or else the bank of "standard", or else the first bank.
 
         Raises:
             ValueError: the policy was trained with a shared belief.
@@ -151,7 +151,7 @@ class LearnedSwitch(Policy):
         return f'gym.make("MmWaveLoc-v0", {arguments}, observation={self.card.observation!r})'
 
     def __call__(self, observation: Array) -> NDArray[np.int64]:
-        """Return actions (n,) for observations (n, features); :meth:`logits` explains errors."""
+        """Return actions (n,) for observations (n, features); errors as in :meth:`logits`."""
         actions: NDArray[np.int64] = self.logits(observation).argmax(axis=1)
         return actions
 
@@ -167,8 +167,8 @@ class LearnedSwitch(Policy):
         if observation.ndim != 2 or observation.shape[1] != self._width:
             raise ValueError(
                 f"observation: found shape {observation.shape}, expected (n, {self._width}); for a "
-                "single environment pass observation[None]; if it has more features than "
-                f"{self._made_with}, use LearnedSwitch({str(self._path)!r}, "
+                "single environment pass observation[None]; if an observation has more features "
+                f"than those of {self._made_with}, use LearnedSwitch({str(self._path)!r}, "
                 "env.unwrapped.observation)"
             )
         if self._columns is not None:

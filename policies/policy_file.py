@@ -42,7 +42,7 @@ Tensors = dict[str, NDArray[np.float32]]
 
 @dataclass(frozen=True)
 class Card:
-    """The description of a policy and its training, which its file contains.
+    """The description of a policy and its training, stored in the policy's file.
 
     Raises:
         ValueError: a field is invalid; the message says what is wrong.
@@ -165,7 +165,7 @@ def _names(modes: Iterable[Mode]) -> str:
 
 
 def to_bytes(tensors: Tensors, card: Card) -> bytes:
-    """Return a policy file's content, which is the same for the same tensors and card.
+    """Return a policy file's content; it depends only on the tensors and the card.
 
     Raises:
         ValueError: :func:`read_policy` would refuse the content.

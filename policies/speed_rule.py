@@ -60,6 +60,6 @@ class SpeedRule(Policy):
                 "rule (speed-rule), which then chooses its mode for high mobility",
                 stacklevel=2,
             )
-        # Observations are float32: a speed at the threshold may be rounded to one above it.
+        # Observations are float32: a speed at the threshold may be rounded to a value above it.
         threshold = min(self.threshold, DESIGN_LIMIT_MPS)
         return mode_at(speed, threshold * (1.0 + 1e-6)).astype(np.int64)  # type: ignore[no-any-return]

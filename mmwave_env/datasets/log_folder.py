@@ -28,8 +28,8 @@ def read_log_folder(folder: Path, clock: bool = False) -> MeasuredTrack:
 
     :class:`~mmwave_env.logs.truth.Truth` interpolates the true positions at the times of the
     epochs; true velocities are computed from their differences. The layout is partial if a link
-    lacks some of its numbers or has its own standard deviations, or if an anchor other than the
-    base station has the Doppler shift. There is a warning if the clocks of log and track differ.
+    lacks some of its measurements or has its own standard deviations, or if an anchor other than
+    the base station has the Doppler shift. A warning follows if the clocks of log and track differ.
 
     Args:
         folder: contains ``log.csv`` (or ``.csv.gz``, ``.parquet``), ``scene.json``, ``truth.tum``.
@@ -73,7 +73,7 @@ def read_log_folder(folder: Path, clock: bool = False) -> MeasuredTrack:
 
 
 def log_of(folder: Path) -> Path:
-    """Return the log of a folder; refuse the folder if a file is missing."""
+    """Return the log of a folder; refuse a folder that lacks a file or has several logs."""
     logs = [name for name in _LOGS if (folder / name).exists()]
     missing = [] if logs else [LOG]
     missing += [name for name in (SCENE, TRUTH) if not (folder / name).exists()]

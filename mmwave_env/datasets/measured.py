@@ -76,10 +76,10 @@ class MeasuredTrack(Track):
         bandwidth_hz: float = 100e6,
         name: str = "own",
     ) -> "MeasuredTrack":
-        """Return a track made from arrays, in which NaN marks numbers that are not known.
+        """Return a track made from arrays, in which NaN marks values that are not known.
 
-        A link may lack some of its numbers. A number with neither an SNR nor a standard deviation
-        counts as not measured, because its noise is unknown. Angles are in the frame of the map:
+        A link may lack some of its values. A value that has no SNR and no standard deviation is
+        treated as not measured, because its noise is unknown. Angles are in the frame of the map:
         arrival is the direction anchor -> user, azimuth ``atan2(dy, dx)`` and elevation
         ``atan2(dz, hypot(dx, dy))``; departure is the azimuth user -> anchor. Angles of a virtual
         anchor are seen from the mirror image. docs/data.md, "Angles", explains how to convert
@@ -104,7 +104,7 @@ class MeasuredTrack(Track):
         Raises:
             ValueError: an array has the wrong shape, times do not increase, standard deviations
                 are not positive, no array contains information about the horizontal position, or
-                neither standard deviations nor an SNR are given; the message names the array.
+                an array has no standard deviations and no SNR; the message names the array.
         """
         record = f"{cls.KIND} {name!r}"
         links = (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad)
@@ -154,7 +154,7 @@ def _require_noise(
 def _as_partial(
     record: str, fields: dict[str, Any], heard: Mask, deviations: dict[str, ArrayLike | None]
 ) -> dict[str, Any]:
-    """Return the fields of a track that change in a partial layout; none if it isn't needed.
+    """Return the fields of a track that change in a partial layout; {} if none is needed.
 
     Args:
         record: name of the track, for messages.

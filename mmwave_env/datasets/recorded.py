@@ -27,7 +27,7 @@ class Recording(Track):
     """T epochs of one user, as a perfect receiver would measure them.
 
     Attributes:
-        path_gain_db: (T, L) gain of every link, negative; without meaning if it is not visible.
+        path_gain_db: (T, L) gain of every link, negative; meaningless if the link is not visible.
     """
 
     KIND: ClassVar[str] = "recording"
@@ -72,8 +72,8 @@ class Recording(Track):
         The Doppler shift is computed from the true velocity wherever there is a line of sight.
 
         Raises:
-            ValueError: an array has the wrong shape, or its numbers are invalid; the message
-                names the array.
+            ValueError: an array has the wrong shape or invalid values; the message names the
+                array.
         """
         links = (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad)
         strength, signal = ("path_gain_db", path_gain_db), (carrier_hz, bandwidth_hz)

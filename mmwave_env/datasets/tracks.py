@@ -55,7 +55,7 @@ class Track(ABC):
         layout: rows and groups of the measurements.
         time_s: (T,) times, increasing.
         measurement: (T, rows) in the order of ``layout``: m, rad, Hz, m/s.
-        visible: (T, groups) whether each group was measured; if not, its numbers have no meaning.
+        visible: (T, groups) whether each group was measured; if not, its values are meaningless.
         position_m: (T, 3) true positions, NaN in epochs where unknown.
         velocity_mps: (T, 3) true velocities, NaN in epochs where unknown.
     """
@@ -95,8 +95,8 @@ class Track(ABC):
         """Return the epochs of the track, all or some, as an episode with known true positions.
 
         The prior is drawn around the true state. If the bias of the oscillator is unknown, the mean
-        of its prior is 0. With a clock in the layout, a recording's offset is drawn, on which other
-        draws do not depend; a measured track brings its own.
+        of its prior is 0. With a clock in the layout, the clock offset of a recording is
+        drawn, without changing the other draws; a measured track already contains its own.
 
         Args:
             radio: profile of the receiver.
@@ -271,7 +271,7 @@ class TrackSource:
     ) -> None:
         if clock:
             if not np.isfinite(track.measurement[:, 0 : track.layout.doppler : 4]).any():
-                refuse(track.record, "clock", "offset, but no range", "ranges, or synchronized")
+                refuse(track.record, "clock", "offset, but no range", "a range, or synchronized")
             track = replace(track, layout=replace(track.layout, clock=True))
         self.track, self.radio = track, radio_from(radio)
         self.layout, self.name, self.scene = track.layout, track.name, track.scene

@@ -42,7 +42,7 @@ def read_ways(path: str | os.PathLike[str]) -> Ways:
 
 
 def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
-    """Read the trajectory from a CSV file that has only one, as :func:`read_ways` does.
+    """Read the only trajectory in a CSV file of the format of :func:`read_ways`.
 
     Raises:
         ValueError, FileNotFoundError: as for :func:`read_ways`; or there are several trajectories.
@@ -60,7 +60,7 @@ def _way(name: str, lines: list[int], values: Sequence[float]) -> Trajectory:
 
 
 def _rows(file: Path) -> Iterator[tuple[int, str, list[float]]]:
-    """Yield the line number, the id ("" without that column) and the numbers of every row."""
+    """Yield the line number, the id ("" without that column) and the values of every row."""
     reader = csv.DictReader(StringIO(read_text(file, "CSV"), newline=""), skipinitialspace=True)
     try:
         header = reader.fieldnames or ()

@@ -24,7 +24,7 @@ from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, log, maximum, sqrt, where
 
 MISSING_SNR_DB = -20.0
-# values that the features of an anchor, by kind, have for an anchor that is never visible
+# kind of an anchor's feature -> the feature's value if the anchor is never visible
 UNSEEN = {"NIS": 0.0, "verdict": 0.0, "SNR": MISSING_SNR_DB, "SNR drop": 0.0, "coming NIS": 0.0}
 _LEAST = 1e-9  # lower limit of a probability in a logarithm
 _WAYS = {
@@ -154,7 +154,7 @@ def _distance(view: View, anchor: int) -> Number:
 
 
 def _links(layout: Layout, distances: bool) -> list[Feature]:
-    """Return features of the coming epoch's links, with either distances or the number of links."""
+    """Return features of the coming epoch's links, and either distances or a count of links."""
     table = []
     for a in range(layout.anchors):
         table += [

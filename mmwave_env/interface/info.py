@@ -24,7 +24,7 @@ NONFINITE_KEY = "nonfinite_beliefs"  # in the info of the last step if there are
 LAST_KEYS = (*INFO_KEYS.values(), SMOOTHED_KEY)  # in the info of the last step
 INFOS = {
     "all": "everything that is known",
-    "fixed": "the same numbers at every reset and step",
+    "fixed": "the same keys at every reset and step, with numbers only",
     "episode": "everything that is known, at the first and last step of episodes",
     "none": "nothing",
 }
@@ -100,7 +100,7 @@ def worded(
     """Return an info in the form that ``infos`` selects.
 
     "fixed" infos always have the same keys, types and shapes: all numbers that an info may contain,
-    in numpy's types; NaN, False or -1 stand for unknown numbers.
+    in numpy's types; NaN, False or -1 stand for unknown values.
 
     Args:
         info: everything that is known.
@@ -133,8 +133,8 @@ def warn_of_nonfinite(stacklevel: int = 3) -> None:
     """Warn that an episode ended with beliefs that were not finite; Python shows this once."""
     warnings.warn(
         "an episode ended in which the belief was NaN or infinite, so its metrics are NaN; "
-        f"info[{NONFINITE_KEY!r}] is the number of epochs after which it was "
-        "(docs/reliability.md)",
+        f"info[{NONFINITE_KEY!r}] is the number of epochs after which it was not "
+        "finite (docs/reliability.md)",
         RuntimeWarning,
         stacklevel,
     )

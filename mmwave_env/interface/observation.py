@@ -55,7 +55,7 @@ def feature_scales() -> dict[str, Scale]:
     """Read mean and deviation of every kind of feature from data/feature_scales.json."""
     # Measured 2026-11-23 (code at commit 476d657): 24 episodes with random actions in each
     # combination of scene, radio, kind of beliefs and one of four sets of modes (two, two with
-    # odometry, eight, the radio's bank); each number is the median over combinations, not clipped.
+    # odometry, eight, the radio's bank); values are medians over combinations, without clipping.
     text = files("mmwave_env").joinpath("data/feature_scales.json").read_text(encoding="utf-8")
     return {kind: Scale(**scale) for kind, scale in json.loads(text)["kinds"].items()}
 

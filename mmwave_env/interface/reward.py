@@ -81,10 +81,11 @@ class LogScore:
 class PairedReward:
     """The agent's reward minus that of an IMM, in the same epoch of the same episode.
 
-    With a shared belief the IMM mixes the two default modes of the radio, and otherwise the modes
-    of the agent's bank. Actions do not change what the IMM earns, so the best policy stays the
-    same; the difficulty of an episode cancels out, so the variance is smaller. If an episode ends
-    early because of divergence, what the IMM earns in the remaining epochs is also subtracted.
+    With a shared belief, the IMM mixes the two default modes of the radio; with a belief per mode,
+    the modes of the agent's bank. Actions do not change what the IMM earns, so the best policy
+    stays the same; the difficulty of an episode cancels out, so the variance is smaller. If an
+    episode ends early because of divergence, what the IMM earns in the remaining epochs is also
+    subtracted.
 
     Attributes:
         reward: function of (belief, truth).

@@ -193,7 +193,7 @@ def _target_of(path: Path) -> Path:
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """Yield a temporary file next to ``path``, with its endings; in the end it replaces ``path``.
+    """Yield a temporary file with the same folder and endings, which replaces ``path`` at the end.
 
     If the block fails, the temporary file is removed and ``path`` stays as it was. Missing folders
     are created. The permissions of a new file follow the umask; those of a replaced file are kept.

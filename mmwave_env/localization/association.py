@@ -5,7 +5,8 @@ state, and paths are assigned to anchors by global nearest neighbor at that pred
 is an ordinary log, so all code that localizes a log can localize this one.
 
 A track begins with the hypothesis that some path is the line of sight, if this explains enough
-paths of the coming epochs. A new track begins if this one is lost or another explains more.
+paths of the coming epochs. A new track begins if the track is lost, or explains fewer paths than
+another hypothesis.
 """
 
 from collections.abc import Iterable, Iterator
@@ -39,7 +40,7 @@ class Association:
         self._associated, self._missed = np.zeros((2, anchors), np.int64)
 
     def add(self, paths: PathEpoch, labels: Index | None, begins: bool) -> None:
-        """Add an epoch; ``labels`` is the path of every anchor (L,), or None without a track."""
+        """Add an epoch; ``labels`` (L,) are the anchors' paths, or None without a track."""
         self.epochs += 1
         self.starts += begins
         self._paths += len(paths.snr_db)
@@ -95,7 +96,7 @@ def associate(
 def _labelled(
     epochs: Iterable[PathEpoch], scene: Scene, radio: Radio, mode: Mode, tally: Association
 ) -> Iterator[LogBlock]:
-    """Yield every epoch with measurements of anchors, or without measurements between tracks."""
+    """Yield every epoch with its paths assigned to anchors; with no paths if there is no track."""
     track: PathTrack | None = None
     tracker: PathTracker | None = None
     for window in _windows(epochs, LOOK_AHEAD):

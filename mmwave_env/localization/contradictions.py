@@ -1,7 +1,7 @@
-"""Contradictions between a log and its scene, which wrong units, signs or frames cause.
+"""Contradictions between a log and its scene, caused by wrong units, signs or frames.
 
-Most mistakes can't be seen in a single row, but a track made from wrong rows does not fit them, or
-its geometry is impossible. The limits are wide: at most 10 of 1000 correct logs are flagged
+Most mistakes can't be seen in a single row, but a track made from wrong rows does not fit the rows,
+or its geometry is impossible. The limits are wide: at most 10 of 1000 correct logs are flagged
 (``tests/localization/test_contradictions.py``).
 """
 
@@ -22,7 +22,7 @@ NIS_LIMITS = (0.2, 5.0)  # per degree of freedom
 SNR_LIMITS_DB = (-60.0, 90.0)
 REJECTED_LIMIT = 1.0 / 3.0
 _ENOUGH = 20  # minimum number of epochs for a conclusion
-_ENOUGH_IF_BLOCKED = 100  # minimum if links may be blocked, because these errors last for seconds
+_ENOUGH_IF_BLOCKED = 100  # minimum if links may be blocked, which causes errors for seconds
 _WINDOW_S = 30.0  # the oscillator's offset hardly changes over this time
 _MOST_APART_S = 3.0  # longest gap over which the Doppler shift is integrated
 _SLOPE_LIMITS = (0.5, 1.5)

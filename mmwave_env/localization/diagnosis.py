@@ -1,9 +1,9 @@
 """Diagnosis of a log: the search for a likely mistake that, once undone, makes it consistent.
 
-A hypothesis is a way to read the numbers of the file. For every hypothesis, the same filter
+A hypothesis is a way to read the values in the file. For every hypothesis, the same filter
 without gates computes a track from the first epochs. A hypothesis fits if NIS / dof is near 1 and
 :mod:`~mmwave_env.localization.contradictions` finds nothing against it. Hypotheses that make the
-log consistent are ranked by the likelihood of the file's own numbers, so that different units can
+log consistent are ranked by the likelihood of the file's own values, so that different units can
 be compared. If no single mistake explains the log, pairs are tried. The log is never changed.
 """
 
@@ -56,8 +56,8 @@ class Reading(NamedTuple):
     # scene, radio: scene and radio of the measurements
     scene: Scene
     radio: Radio
-    # sum of the logarithms of the factors between these numbers and those of the file; adding it to
-    # the log-likelihood of these numbers gives that of the numbers of the file
+    # sum of the logarithms of the factors by which values of the file were multiplied; added to the
+    # log-likelihood of the new values, it gives the log-likelihood of the values in the file
     log_scale: float = 0.0
 
 
@@ -78,7 +78,7 @@ class Finding(NamedTuple):
     # name of a group -> median of its NIS over epochs (robust to outliers), divided by the median
     # of chi-square: 1 if the hypothesis is right; None if the group was not measured or tracked
     nis_per_dof: dict[str, float | None]
-    # mean over epochs of the log-likelihood of the file's numbers; None if there is no track
+    # mean over epochs of the log-likelihood of the file's values; None if there is no track
     log_likelihood: float | None
     # what contradicts the hypothesis; empty if the log is consistent with it
     contradictions: list[Contradiction]
@@ -134,7 +134,7 @@ def _anchors(order: Sequence[int], reading: Reading) -> Reading:
 
 
 def _orders(anchors: int) -> list[tuple[int, ...]]:
-    """Return the orders with two anchors exchanged, or with all numbers shifted by one."""
+    """Return the orders with two anchors exchanged, or with all anchors shifted by one."""
     right = list(range(anchors))
     orders = [tuple(right[1:] + right[:1]), tuple(right[-1:] + right[:-1])]
     for i, j in combinations(right, 2):
@@ -206,7 +206,7 @@ def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Fi
         If only pairs of hypotheses make it consistent, the most likely pair comes first.
 
     Raises:
-        ValueError: there is no line of sight to begin with.
+        ValueError: there is no line of sight with which a track could begin.
     """
     fixes = np.flatnonzero(block.visible[:, 0] & (block.measurement[:, 0] > 0.0))
     if not len(fixes):

@@ -1,8 +1,9 @@
 """Localization of a measurement log, block by block (paper, Algorithm 1, Step 3; or an IMM).
 
 A track begins with a first position, which gives its prior, and begins anew after a long gap
-(``segments.py``). Counted from there, every ``window`` epochs are smoothed together. A log may be
-larger than memory, and its track does not depend on how it is cut into blocks.
+(``segments.py``). Every ``window`` epochs, counted from the beginning of a track, are smoothed
+together. A log may be larger than memory, and its track does not depend on how it is cut into
+blocks.
 """
 
 import os
@@ -158,7 +159,7 @@ def localize(
 
     Raises:
         LogError: from ``blocks``.
-        ValueError: no epoch determines a position to begin with.
+        ValueError: no epoch determines a position with which a track could begin.
     """
     track = _filtered(segments(blocks, scene, radio), scene, radio, switching, height_m)
     return track if window is None else _smoothed(track, window, scene, switching)
@@ -189,7 +190,7 @@ def _filtered(
 
 
 def _while_finite(track: TrackBlock) -> Iterator[TrackBlock]:
-    """Yield the track before the first state that is not finite; then raise an error, if any."""
+    """Yield the track; at the first state that is not finite, stop and raise a LogError."""
     lost = np.flatnonzero(~np.isfinite(track.x).all(axis=1) | ~np.isfinite(track.P).all(axis=1))
     if not len(lost):
         yield track
@@ -211,8 +212,8 @@ def episode_from(block: LogBlock, scene: Scene, radio: Radio, begins: bool = Tru
         scene: scene whose anchors were measured.
         radio: profile of the receiver, for the prior and for standard deviations by SNR.
         begins: whether a track begins here, with a prior from the first epoch; the links that gave
-            it are then not visible, so that they are not used twice. Otherwise the prior has no
-            meaning.
+            it are then not visible, so that they are not used twice. Otherwise the prior is
+            meaningless.
     """
     n = block.layout.state_size
     prior, visible = (np.zeros(n), np.eye(n)), block.visible
@@ -243,7 +244,7 @@ def episode_from(block: LogBlock, scene: Scene, radio: Radio, begins: bool = Tru
 def _smoothed(
     blocks: Iterable[TrackBlock], window: int, scene: Scene, switching: Switching
 ) -> Iterator[TrackBlock]:
-    """Yield the track with smoothed windows, of which the last one in a segment may be shorter."""
+    """Yield the track, smoothed window by window; a segment's last window may be shorter."""
     for block in in_windows(blocks, window, lambda block: block.segment):
         epochs = min(window, len(block))
         parts, time_s, spread_hz = (

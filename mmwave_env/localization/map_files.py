@@ -173,7 +173,7 @@ def _degrees(angle: float, digits: int, sides: str) -> str:
 
 
 def _sentence(text: str) -> str:
-    """Return a sentence with its checksum, the exclusive or of its letters."""
+    """Return a sentence with its checksum, the exclusive or of its characters."""
     return f"${text}*{reduce(xor, text.encode()):02X}\r\n"
 
 

@@ -108,7 +108,7 @@ class _Links(NamedTuple):
     # z, sigma: (L, n, 4) rows of the links and their standard deviations, m and rad
     z: Array
     sigma: Array
-    # (n,) standard deviations, Hz, of the paths' Doppler shifts, if they are the base station's
+    # (n,) standard deviation, Hz, of each path's Doppler shift, if the path is the base station's
     doppler_sigma: Array
 
 
@@ -127,7 +127,7 @@ class PathTracker:
         self._memory = initial_memory(layout, 1)
         self._gate = float(chdtri(4, 1.0 - GATE_QUANTILE))
         self._disagreement = float(chdtri(1, 1.0 - GATE_QUANTILE))
-        unheard = np.zeros((1, layout.anchors))  # SNRs, on which odometry does not depend
+        unheard = np.zeros((1, layout.anchors))  # any SNRs; odometry does not need them
         self._odometry_sigma = radio.sigma(unheard, scene, layout)[0, layout.doppler + 1 :].tolist()
 
     def follow(self, track: PathTrack, paths: PathEpoch) -> PathTrack:
@@ -140,10 +140,10 @@ class PathTracker:
         return self._updated(track._replace(labels=labels, epoch=epoch), paths)
 
     def rival(self, track: PathTrack | None, window: Sequence[PathEpoch]) -> PathTrack | None:
-        """Return a track that begins here and explains more of the coming epochs, if there is one.
+        """Return a track that begins here and explains more paths than ``track``, or None.
 
-        The result is also None if a track that begins later explains more: during a blockage, a
-        track that began here would mistake a reflection for the line of sight.
+        The result is also None if a track that begins later explains even more: during a blockage,
+        a track that began here would mistake a reflection for the line of sight.
         """
         horizon = window[0].time_s + GAP_S
         paths, *coming = (epoch for epoch in window if epoch.time_s <= horizon)
@@ -192,7 +192,7 @@ class PathTracker:
                 yield begun
 
     def _begin(self, paths: PathEpoch, links: _Links, path: int) -> PathTrack | None:
-        """Return a track whose line of sight is this path; None if it would be behind a wall."""
+        """Return a track with this path as line of sight; None for a user behind a wall."""
         anchors, fix = self._scene.anchors_m, (links.z[0, path], links.sigma[0, path])
         mean, covariance = prior_from_fix(anchors[0], *fix, self._radio, self._scene)
         distance = np.linalg.norm(mean[:3] - anchors, axis=1)
@@ -233,7 +233,7 @@ class PathTracker:
         return Epoch(dt, z, sigma, visible, snr, paths.doppler_spread_hz)
 
     def _with_labels(self, epoch: Epoch, paths: PathEpoch, links: _Links, labels: Index) -> Epoch:
-        """Return the epoch with the numbers of each anchor's path in the rows of this anchor."""
+        """Return the epoch with the values of each anchor's path in the rows of that anchor."""
         layout = self._layout
         z, sigma, visible, snr = (list(part) for part in epoch[1:5])
         for anchor in np.flatnonzero(labels != NO_PATH).tolist():

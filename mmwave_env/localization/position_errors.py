@@ -1,8 +1,9 @@
 """Statistics of position errors: percentiles, shares of epochs and protection levels.
 
-Errors are horizontal (the length in x and y) and vertical (the absolute value of z). Errors are
-counted within the distances of 3GPP TS 22.261, Table 7.3.2.2-1, for positioning services. A track
-may be larger than memory, so errors are kept in temporary files, 16 bytes per epoch and kind.
+Errors are horizontal (the length in x and y) and vertical (the absolute value of z). Shares are
+those of errors within the distances that 3GPP TS 22.261, Table 7.3.2.2-1, defines for positioning
+services. A track may be larger than memory, so errors are kept in temporary files, 16 bytes per
+epoch and kind.
 
 A protection level is a bound that an error exceeds with a stated risk if the covariance is right.
 With position errors e ~ N(0, P), the level at risk r is the distance that |e| exceeds with
@@ -85,7 +86,7 @@ def exceedance(error: Array, level: Array) -> dict[str, Any]:
     the share in another track may well lie outside of the interval.
 
     Returns:
-        "exceeded", the count; "share" and its interval "ci95", both None without errors.
+        "exceeded", the count; "share" and its interval "ci95", both None if n is 0.
     """
     from scipy.stats import binomtest
 
@@ -118,7 +119,7 @@ def vertical(error: Array) -> Array:
 def percentiles(sizes: Array) -> dict[str, float | None]:
     """Compute percentiles of errors (n,), m, as :func:`numpy.quantile` interpolates them.
 
-    A percentile is None if it is not finite: there are no errors, or too many errors are NaN.
+    A percentile is None if it is not finite: if n is 0, or if too many errors are NaN.
     """
     largest = np.where(np.isnan(sizes), np.inf, sizes)
     with np.errstate(invalid="ignore"):  # interpolation between two infinities is invalid

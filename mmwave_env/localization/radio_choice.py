@@ -16,7 +16,7 @@ _ROBUST = 1.4826 / np.sqrt(6.0)  # standard deviation / median absolute second d
 def nearest_radio(block: LogBlock, scene: Scene) -> str:
     """Return the name of the shipped profile whose standard deviations are nearest to a log's.
 
-    A row's standard deviation is the median of those that the receiver states, if it does;
+    A row's standard deviation is the median of those that the receiver states, if it states any;
     otherwise it follows from second differences in time, in which a steady motion cancels. Nearest
     means the least mean squared difference of logarithms, over the rows that were measured.
 

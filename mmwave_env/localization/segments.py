@@ -43,8 +43,8 @@ class Fix(NamedTuple):
 def gives_fix(links: Array) -> Mask:
     """Tell which links (n, 4 or more), m and rad, give a prior.
 
-    Straight above or below an anchor the azimuth is undefined. Close to this vertical line, the
-    uncertainty of the direction grows with the elevation, which a Gaussian does not describe.
+    Straight above or below an anchor, the azimuth is undefined. Close to this vertical line, the
+    uncertainty of the direction grows with the elevation; a Gaussian does not describe this.
     """
     return (links[:, 0] >= RANGE_LIMITS_M[0]) & (abs(links[:, 2]) <= STEEPEST_FIX_RAD)
 
@@ -84,8 +84,8 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
     """Return the position (3,) and its covariance from all links of an epoch (T = 1), or None.
 
     With a clock, its range bias is a fourth unknown, whose prior is that of the filters.
-    The search starts around every anchor, in all directions, because ranges and angles alone have
-    several minima. The result is None if two of them explain the links, or the best is uncertain.
+    The search starts around every anchor, in all directions, because there may be several minima.
+    The result is None if two minima explain the links, or if the best one is too uncertain.
     """
     layout, anchors = row.layout, scene.anchors_m
     measured = np.isfinite(row.measurement[0]).astype(float)
@@ -125,7 +125,7 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
 
 
 def _state(unknown: Array) -> list[float]:
-    """Return the state (7,) at rest at a position (3,); with a clock (8,) of four unknowns."""
+    """Return the state (7,) of a user at rest at a position (3,); with a clock, (8,) from (4,)."""
     return [*unknown[:3].tolist(), *[0.0] * 4, *unknown[3:].tolist()]
 
 
@@ -175,7 +175,7 @@ def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator
 
     Raises:
         LogError: from ``blocks``, after the epochs before the damage.
-        ValueError: no epoch determines a position to begin with.
+        ValueError: no epoch determines a position with which a track could begin.
     """
     held: LogBlock | None = None  # held until its number of dropped epochs is known
     skipped, incomplete = 0, 0
@@ -220,13 +220,13 @@ def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator
         raise ValueError(
             f"log: found {skipped} epochs, none of which determines a position, expected "
             f"{sight if _direct(block) else 'one with links that have a unique solution'}, to "
-            f"begin the track ({incomplete} lack some numbers)"
+            f"begin the track (the link of anchor 1 is incomplete in {incomplete})"
         )
     yield held
 
 
 def _direct(block: LogBlock) -> bool:
-    """Tell whether only a whole link of the base station begins a track."""
+    """Tell whether a track can begin only with a complete link of the base station."""
     return block.whole_columns and not block.layout.clock
 
 

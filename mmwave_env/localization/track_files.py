@@ -27,7 +27,7 @@ _TABLE_HEADER = (
 
 
 def table_beside(track: Path) -> Path | None:
-    """Return the path of the table with the standard deviations of a TUM file; None for others.
+    """Return the path of the table with the standard deviations of a TUM file; else None.
 
     Raises:
         ValueError: the ending of the file is not that of a track file.
@@ -41,7 +41,7 @@ def table_beside(track: Path) -> Path | None:
 
 
 def require_own_files(track: Path) -> None:
-    """Refuse to replace any file that is neither an earlier track nor its table.
+    """Refuse to replace a file, unless it is an earlier track or the table of one.
 
     A track and its table can be made again from their log. Any other file may be the only copy:
     a ground-truth track is a TUM file, too, and the user never typed the name of the table.
@@ -80,7 +80,7 @@ def track_files(track: Path, modes: Sequence[str], scene: Scene) -> Iterator[Wri
         track: file for the smoothed track; its ending determines the format. What a TUM file has
             no columns for is written to the file that :func:`table_beside` returns.
         modes: names of the modes.
-        scene: scene, whose origin files for maps need.
+        scene: the scene; files for maps need its origin.
 
     Raises:
         ValueError: the file is for a map, but the scene has no origin.
@@ -124,7 +124,7 @@ def _table_file(path: Path, modes: Sequence[str]) -> Iterator[Write]:
 
         def write(block: TrackBlock) -> None:
             x = block.smooth_x
-            # Rounding may make a variance that is known to be 0 negative.
+            # Because of rounding, a variance that is known to be 0 may be negative.
             sigma = np.sqrt(np.maximum(block.smooth_P[:, _VARIANCES], 0.0))
             numbers = np.column_stack(
                 [block.time_s, x[:, :3], sigma[:, :3], x[:, 3:6], sigma[:, 3:]]

@@ -47,7 +47,7 @@ class Accuracy:
         self._waiting = np.concatenate([self._waiting, error])
 
     def pair(self, first: Index, second: Index, done: int) -> None:
-        """Add the changes between pairs of errors (indices); then drop the ``done`` oldest ones."""
+        """Add the changes between pairs of errors (indices); drop the ``done`` oldest errors."""
         change = self._waiting[second] - self._waiting[first]
         self._change += float(np.linalg.norm(change, axis=1).sum())
         self._pairs += len(change)
@@ -66,7 +66,7 @@ class Accuracy:
 
 
 class Pairs:
-    """Pairs of scored epochs that are a second apart, or one time step if this is longer.
+    """Pairs of scored epochs that are a second apart, or a time step if a step is longer.
 
     Attributes:
         apart_s: time between the epochs of a pair: the multiple of the time step that is nearest to
@@ -246,7 +246,7 @@ class Course:
         self._skipped = self._restarts = self._dropped = self._switches = self._fast = 0
         self._modes = dict.fromkeys(modes, 0)
         self._last_mode = -1
-        self._clock: dict[str, Any] = {}  # of the last epoch
+        self._clock: dict[str, Any] = {}  # the clock in the last epoch
         self._speed = self._fastest = 0.0
 
     def add(self, block: TrackBlock) -> None:

@@ -105,8 +105,8 @@ class Tracker:
         """Process the rows of an epoch; return the belief after it.
 
         Args:
-            rows: one mapping per anchor, from names of columns (docs/data.md) to numbers. If a
-                number was not measured, it is None or its key is missing.
+            rows: one mapping per anchor, from names of columns (docs/data.md) to values. If a
+                value was not measured, it is None or its key is missing.
 
         Returns:
             The belief; None before the first epoch that determines a position, and in long gaps.
@@ -156,7 +156,7 @@ class Tracker:
         )  # fmt: skip
 
     def _prepare(self, layout: Layout) -> None:
-        """Make what all epochs need, once."""
+        """Create the filter and everything else that all epochs share."""
         self._filter = self._switching.tracker(layout, self._height_m is not None)
         self._layout, self._groups, self._names = layout, layout.group_names, self._switching.names
         self._variances = self._radio.variances(self._scene, layout)
@@ -177,7 +177,7 @@ class Tracker:
         return episode.visible[0].tolist(), float(block.doppler_spread_hz[0])
 
     def _load_quickly(self, epoch: LiveEpoch) -> tuple[list[bool], float] | None:
-        """Do the same for an epoch within a track; None where a number needs a closer look."""
+        """Do the same faster within a track; return None if a value needs the full checks."""
         if not epoch.placed or not self._sound:
             return None
         (numbers, doppler_anchor), layout, at = epoch.placed, self._layout, self._at

@@ -57,7 +57,7 @@ class ClockOffset(NamedTuple):
         return abs(self.seconds) > self.limit * self.deviation_s and self.part > _PART
 
     def figures(self) -> dict[str, float]:
-        """Return the numbers that are written to results."""
+        """Return the values that are written to results."""
         return {"ahead_s": self.seconds, "deviation_s": self.deviation_s}
 
     @property
@@ -128,7 +128,7 @@ def _linear(log: LogBlock, scene: Scene, truth: TrueEpochs) -> tuple[ClockOffset
 
     p, v = truth.position_m, truth.velocity_mps
     error = difference(log.measurement[:, : layout.doppler], exact(p))
-    if log.layout.clock:  # its drift looks like one of the truth
+    if log.layout.clock:  # its drift would look like an offset of the track
         error[:, 0::4] = np.nan
     error[~np.repeat(log.visible[:, : layout.anchors], 4, axis=1)] = np.nan
     middle, deviation = np.full((2, layout.doppler), np.nan)

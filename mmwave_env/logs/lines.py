@@ -88,7 +88,7 @@ def _decode(content: bytes, at_start: bool) -> list[str]:
 
 
 def number(word: str) -> float:
-    """Parse a number that numpy can read; return NaN for others, such as 1_0 and ١."""
+    """Parse a number that numpy can read; return NaN for other words, such as 1_0 and ١."""
     try:
         return float(word) if word.isascii() and "_" not in word else math.nan
     except ValueError:

@@ -15,7 +15,7 @@ from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.scene import Scene
 
 _NUMBERS = {float, int, np.float64}  # types whose text is read back as the same number
-_MARGIN = 1e-9  # share of a limit; nearer to it a number needs a closer look
+_MARGIN = 1e-9  # share of a limit; values this near to it need the full checks
 
 
 class LiveEpoch(NamedTuple):
@@ -23,8 +23,8 @@ class LiveEpoch(NamedTuple):
 
     time_s: float
     block: Callable[[], LogBlock]  # returns the epoch as a block, T = 1
-    # numbers in their :func:`~mmwave_env.logs.log.places`, NaN where not measured, and the anchor
-    # of the Doppler shift, from 0; None where a column has angles in another frame than the map's
+    # values at their :func:`~mmwave_env.logs.log.places`, NaN where not measured; and the anchor
+    # of the Doppler shift, from 0. None if a column has angles in a frame other than the map's
     placed: tuple[list[float], int] | None
 
 
@@ -125,11 +125,11 @@ class LiveLog:
         return [LiveEpoch(self._last_s, block, None if self._turned else self._placed(rows))]
 
     def _table(self, rows: list[list[float]], number: int = 0) -> Table:
-        """Return rows of cells as a table; ``number`` is that of the last one in the source."""
+        """Return rows of cells as a table; ``number`` is the last row's in the source."""
         return Table(self._log.columns, np.full(len(rows), number), np.array(rows), 0.0)
 
     def _placed(self, rows: list[list[float]]) -> tuple[list[float], int]:
-        """Return the numbers of rows of cells, and an anchor, as :class:`LiveEpoch` has them."""
+        """Return ``placed`` of a :class:`LiveEpoch`, from the cells of its rows."""
         placed, doppler_anchor = self._blank.copy(), 0
         for cells in rows:
             anchor = int(cells[self._anchor]) - 1
@@ -146,7 +146,7 @@ class LiveLog:
         return float(self._log.columns["time"].unit.convert(cells[self._time]))
 
     def _agree(self, cells: list[float], before: list[float]) -> bool:
-        """Tell whether two rows are plainly of one epoch; if not, they need a closer look."""
+        """Tell whether two rows plainly fit into one epoch; if not, they need the full checks."""
         for i, once in self._of_epoch:
             a, b = cells[i], before[i]
             if not isnan(a) and not isnan(b) and (once or a != b):
@@ -154,7 +154,7 @@ class LiveLog:
         return cells[self._anchor] != before[self._anchor]
 
     def _quickly(self, row: str | Mapping[str, Any]) -> list[float] | None:
-        """Return the cells of a row that is plainly sound, or None for a closer look."""
+        """Return the cells of a row that is plainly sound; None if it needs the full checks."""
         if isinstance(row, str):
             words = row.split(",")
             if len(words) != len(self._sound) or "_" in row or not row.isascii():
@@ -176,7 +176,7 @@ class LiveLog:
         return cells if known and not isnan(cells[self._time]) else None
 
     def _carefully(self, row: str | Mapping[str, Any], number: int) -> list[float]:
-        """Return the cells of a row; no cells of a blank line.
+        """Return the cells of a row; an empty list for a blank line.
 
         Raises:
             LogError: the row is damaged.
@@ -201,7 +201,7 @@ class LiveLog:
 
 
 def _sound(quantity: str, unit: Unit) -> tuple[float, float]:
-    """Return limits of cells of a quantity that are plainly sound, a little within its own."""
+    """Return the limits of plainly sound cells, a little tighter than the quantity's own."""
     limits = QUANTITIES[quantity].limits
     if not limits:
         return -1e300, 1e300

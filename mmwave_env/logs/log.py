@@ -55,12 +55,12 @@ class LogBlock(Block):
     time_s: Array  # (T,) increasing, also across blocks
     measurement: Array  # (T, rows) m, rad, Hz, m/s; angles in [-pi, pi)
     sigma: Array  # (T, rows) the receiver's own standard deviations; NaN where it states none
-    # (T, groups) whether every number of the group was measured. Links and the Doppler shift need
-    # the SNR, too, because their noise follows from it. In a partial layout, whether any number
-    # was measured whose noise is known
+    # (T, groups) whether every value of the group was measured. Links and the Doppler shift need
+    # the SNR, too, because their noise follows from it. In a partial layout, whether any value
+    # with known noise was measured
     visible: Mask
-    # (T, groups) whether the group is lost because only some of its numbers were measured. In a
-    # partial layout, whether a number is lost because its noise is unknown
+    # (T, groups) whether the group is lost because only some of its values were measured. In a
+    # partial layout, whether a value is lost because its noise is unknown
     incomplete: Mask
     doppler_anchor: Index  # (T,) anchor of the Doppler shift, from 0
     snr_db: Array  # (T, L); -inf (no signal) where no SNR was measured
@@ -69,12 +69,12 @@ class LogBlock(Block):
     # the epochs before. It is never set in a log with anchor numbers
     restarts: Mask
     share: float  # share of the file read so far, 0 to 1
-    whole_columns: bool = True  # whether the log has a column for each number of a link
+    whole_columns: bool = True  # whether the log has a column for each value of a link
     segment: int = 0  # number of the segment of the track, from 0, that all epochs belong to
     # whether the segment begins here, with a first fix that gives its prior
     begins: bool = False
     skipped: int = 0  # number of epochs of the log before the first segment
-    dropped: int = 0  # number of epochs dropped between segments, before the next block
+    dropped: int = 0  # number of epochs dropped between segments so far, up to the next block
 
     def whole(self) -> "LogBlock":
         """Return the block with only the groups that were measured completely and with an SNR."""
@@ -111,7 +111,7 @@ def read_log(
             if the log has it.
         limits: False to accept ranges and angles of any size, and not to wrap angles, for
             a diagnosis.
-        partial: whether a link may lack some of its numbers, in some epochs or everywhere, and
+        partial: whether a link may lack some of its values, in some epochs or everywhere, and
             any anchor may have the Doppler shift.
         snr_db: SNR to assume for links without one.
         clock: whether the user's clock has an unknown offset; ``layout`` then has a clock.
@@ -140,10 +140,13 @@ def read_log(
 
 
 def with_clock(log: LogFile) -> LogFile:
-    """Return a log whose ranges have the offset of the user's clock; refuse one without such."""
+    """Return a log whose ranges have the offset of the user's clock; refuse one without ranges.
+
+    Ranges from round-trip times don't count, because they do not contain the offset.
+    """
     ranges = log.columns.get("toa")
     if ranges is None or ranges.name.startswith("rtt"):
-        problem = "no range" if ranges is None else f"{ranges.name}: round-trip times do not see it"
+        problem = "no range" if ranges is None else f"{ranges.name}, which does not contain it"
         raise LogError(
             f"{log.path}: clock: found offset with {problem}, expected one-way times or ranges, "
             "such as toa_s, or synchronized"
@@ -152,7 +155,7 @@ def with_clock(log: LogFile) -> LogFile:
 
 
 def require_noise(log: LogFile) -> None:
-    """Refuse a log that states the noise of a measurement neither directly nor by an SNR."""
+    """Refuse a log with measurements that lack both a standard deviation and an SNR."""
     for quantity in (*ROW_QUANTITIES, STATION, BODY) if "snr" not in log.columns else ():
         if quantity in log.columns and SIGMA_OF[quantity] not in log.columns:
             own = next(iter(QUANTITIES[SIGMA_OF[quantity]].columns))
@@ -172,15 +175,15 @@ def _require_measurements(path: Path, blocks: Iterable[LogBlock]) -> Iterator[Lo
     if not measured:
         raise LogError(
             f"{path}: found {epochs} epochs without a measurement, and {incomplete} groups with "
-            "only some of their numbers, expected at least one measurement"
+            "only some of their values, expected at least one measurement"
         )
 
 
 def places(layout: Layout) -> dict[str, tuple[int, int]]:
-    """Return the place of every quantity among an epoch's numbers, for the first anchor.
+    """Return, by quantity, the index of the first anchor's value and the step per anchor.
 
-    With it comes the distance from anchor to anchor, 0 for quantities of the epoch. The numbers are
-    the rows of the layout, their standard deviations, the SNRs (L,) and the Doppler spread.
+    The array with all values of an epoch contains the rows of the layout, their standard
+    deviations, the SNRs (L,) and the Doppler spread. The step is 0 for quantities of the epoch.
     """
     rows = {quantity: (row, 4) for row, quantity in enumerate(LINK_QUANTITIES)}
     rows["doppler"] = layout.doppler, 0
@@ -208,7 +211,7 @@ def block_of(
     time[epoch] = table["time"]
     for quantity, (first, step) in places(layout).items():
         numbers = of_link[quantity] if quantity in of_link else table[quantity]
-        some = np.flatnonzero(~np.isnan(numbers))[::-1]  # the first of an epoch is stored last
+        some = np.flatnonzero(~np.isnan(numbers))[::-1]  # so that the first value remains
         placed[epoch[some], first + step * anchor[some]] = numbers[some]
     measurement, sigma, snr, spread = np.split(
         placed, [size, 2 * size, 2 * size + layout.anchors], axis=1
@@ -250,14 +253,14 @@ def block_of(
 
 
 class PathEpoch(NamedTuple):
-    """The n paths of an epoch; all numbers were measured, except perhaps the Doppler shift."""
+    """The n paths of an epoch; all values were measured, except perhaps the Doppler shift."""
 
     layout: Layout  # layout of the scene's anchors, with or without odometry
     time_s: float
     measurement: Array  # (n, 5) rows of a link, m and rad, and its Doppler shift, Hz, or NaN
     at_station: bool  # whether arrivals are those at the base station, not at its mirror image
     snr_db: Array  # (n,)
-    incomplete: int  # number of paths that are left out because some of their numbers are missing
+    incomplete: int  # number of paths that are left out because some of their values are missing
     doppler_spread_hz: float  # 0 where none was measured
     odometry: Array  # (2,) speed, m/s, and heading, rad; NaN where not measured
     share: float  # share of the file read so far, 0 to 1

@@ -25,7 +25,7 @@ def whole_epochs(log: LogFile, anchors: int | None, limits: bool) -> Iterator[Ta
     Args:
         log: the file.
         anchors: number of anchors in the scene; None if rows are paths without anchor numbers.
-        limits: whether to refuse numbers beyond physical limits.
+        limits: whether to refuse values beyond physical limits.
 
     Raises:
         LogError: for the first damaged row.
@@ -51,7 +51,7 @@ class _Check(NamedTuple):
     quantity: str
     wrong: Mask
     expected: str
-    words: Callable[[int], str] | None = None  # words for the error in a row; None for its number
+    words: Callable[[int], str] | None = None  # words for the error in a row; None to show the cell
 
 
 def first_damage(
@@ -138,7 +138,7 @@ def _one_value(table: Table, quantity: str) -> _Check:
 
 
 def _limits(table: Table) -> Iterator[_Check]:
-    """Yield the checks that numbers are within physical limits."""
+    """Yield the checks that values are within physical limits."""
     for quantity in table.columns:
         limits = QUANTITIES[quantity].limits
         if limits:
@@ -154,7 +154,7 @@ def _limits(table: Table) -> Iterator[_Check]:
 
 
 def _limit(table: Table, quantity: str, bound: Bound, unit: str) -> _Check:
-    """Return the check that the numbers of a column are within the limits of their quantity."""
+    """Return the check that the values of a column are within the limits of their quantity."""
     values, most = table[quantity], bound.most or 0.0
     if unit == "degrees":
         values, most = np.degrees(values), most + _ROUNDING_DEG

@@ -24,7 +24,7 @@ class Unit(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """A quantity in a log; its numbers are converted to s, m, rad, Hz, dB or m/s."""
+    """A quantity in a log; its values are converted to s, m, rad, Hz, dB or m/s."""
 
     columns: dict[str, Unit]  # names of the columns that may hold the quantity, with their units
     meaning: str  # the quantity in words, for messages
@@ -76,7 +76,7 @@ QUANTITIES = {
     "time": Quantity(_in("time", _TIME), "the time of the epoch"),
     "anchor": Quantity(
         {"anchor": Unit()},
-        "the number in the scene, unless mmwave-loc localize --associate finds it (docs/data.md)",
+        "its number in the scene; if unknown, use mmwave-loc localize --associate (docs/data.md)",
     ),
     "toa": Quantity(_flight(""), "the time of flight (rtt: round trip), or the range", _RANGE),
     "aoa_azimuth": Quantity(
@@ -119,7 +119,7 @@ SIGMA_OF |= {STATION: "aoa_azimuth_sigma", BODY: "aod_azimuth_sigma"}
 ROW_QUANTITIES = (*LINK_QUANTITIES, "doppler")  # quantities that belong to an anchor
 HORIZONTAL = ("toa", "aoa_azimuth", STATION, "aod_azimuth", BODY)  # at least one is required
 _WHOLE = (*LINK_QUANTITIES, "snr")  # required in a log that is not partial
-_OTHER_FRAMES = {  # quantity -> a quantity that may replace it, and a quantity that this requires
+_OTHER_FRAMES = {  # quantity -> its replacement, and a quantity that the replacement requires
     "aoa_azimuth": (STATION, STATION),
     "aod_azimuth": (BODY, "heading"),
 }

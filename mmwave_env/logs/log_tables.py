@@ -1,7 +1,7 @@
 """Measurement logs as tables of numbers, the same for CSV and Parquet.
 
 A table is a few thousand consecutive rows. Only the names of the columns, the shape of the file
-and whether cells are numbers are checked here; `log.py` interprets the numbers.
+and whether cells are numbers are checked here; ``log.py`` interprets the numbers.
 """
 
 import csv
@@ -97,7 +97,7 @@ class Table(Block):
     """Consecutive rows of a log."""
 
     columns: dict[str, Column]  # the columns that are used, by quantity
-    rows: Rows  # (n,) numbers of the rows in the file, for messages
+    rows: Rows  # (n,) row numbers in the file, for messages
     cells: Array  # (n, columns) as in the file, NaN where empty
     share: float  # share of the file read so far, 0 to 1
     # damage in the last row, after which nothing follows; cells that can't be read are NaN there
@@ -108,7 +108,7 @@ class Table(Block):
         return self.cells[:, list(self.columns).index(quantity)]  # type: ignore[no-any-return]
 
     def __getitem__(self, quantity: str) -> Array:
-        """Return the numbers (n,) of a quantity in SI units and dB; NaN if the log lacks it."""
+        """Return the values (n,) of a quantity in SI units and dB; NaN if the log lacks it."""
         if quantity not in self.columns:
             return np.full(len(self), np.nan)
         return self.columns[quantity].unit.convert(self.raw(quantity))  # type: ignore[no-any-return]

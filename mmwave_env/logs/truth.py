@@ -78,7 +78,7 @@ class Truth:
             self.last_s = float(poses.time_s[-1])
 
     def no_match(self, first_s: float, last_s: float) -> ValueError:
-        """Return the error for a track that matches no epoch of a log, which has these ends."""
+        """Return the error for a track without a match in a log from ``first_s`` to ``last_s``."""
         self.read_on()
         return ValueError(
             f"{self.path}: found times from {self.first_s!r} to {self.last_s!r} s, expected some "

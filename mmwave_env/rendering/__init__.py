@@ -1,1 +1,1 @@
-"""Rendering of an episode as pictures, which needs the extra ``render``."""
+"""Rendering of episodes as pictures; needs the extra ``render``."""

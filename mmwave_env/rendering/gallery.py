@@ -50,7 +50,7 @@ class Gallery:
         streets: Callable[[int], Streets | None],
         workspace: Callable[[int], Array],
     ) -> None:
-        """Start over in some environments, with the prior in their workspaces.
+        """Start the recordings of some environments over, with the prior in their workspaces.
 
         Args:
             indices: indices of the environments.
@@ -67,7 +67,7 @@ class Gallery:
             self.recorders[index].add(workspace(index), int(actions[index]))
 
     def draw(self) -> tuple[NDArray[np.uint8], ...]:
-        """Draw a picture of each of the N environments; those not recorded share a black one."""
+        """Draw N pictures, one per environment; those without a recorder share a black one."""
         if self._picture is None:
             from mmwave_env.rendering.picture import Picture
 

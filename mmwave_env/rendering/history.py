@@ -13,7 +13,7 @@ from mmwave_env.numerics.numbers import Array, Index
 
 NO_MODE = -1  # for the prior, which no mode computed
 GATE = 0.99  # chi-square quantile for the NIS in pictures; most modes have gates at this quantile
-POSITION_NUMBERS = 6  # the first numbers of a packed covariance belong to the position
+POSITION_NUMBERS = 6  # the first values of a packed covariance belong to the position
 
 
 class Scenery(NamedTuple):
@@ -76,7 +76,7 @@ class History:
 
 
 class Recorder:
-    """Recorder of an environment's epochs, from its workspace (all its numbers in one array).
+    """Recorder of an environment's epochs, from its workspace (all its values in one array).
 
     Args:
         rows: slices of the workspace that contain ``anchors``, ``dt`` of the next epoch, ``truth``,
@@ -96,7 +96,7 @@ class Recorder:
         self._scenery = Scenery(name, anchors_m, streets)
         self._epochs = {key: [] for key in (*self._rows, "time_s", "mode")}
         self._append(workspace, 0.0, NO_MODE)
-        self._epochs["nees"][0] = np.array([np.nan])  # replaces that of the previous episode
+        self._epochs["nees"][0] = np.array([np.nan])  # replaces the previous episode's NEES
 
     def add(self, workspace: Array, mode: int) -> None:
         """Record the epoch that a mode just processed."""

@@ -81,7 +81,7 @@ class Picture:
         return canvas.finish()
 
     def _draw_header(self, history: History, y: float) -> None:
-        """Draw the numbers of the epoch in one line."""
+        """Draw the episode's name and the epoch's values in one line."""
         canvas, theme, pad = self._canvas, self._theme, 8.0 * self._canvas.unit
         error = f"error {history.error_m[-1]:.2f} m"
         if history.epochs == 0:
@@ -233,7 +233,7 @@ def draw_strips(
 
 
 def _times(history: History, rows: slice) -> tuple[float, float]:
-    """Return the times at the left and right edge of the strips, at least ``_WINDOW`` epochs."""
+    """Return the times at the left and right edge of the strips, which fit ``_WINDOW`` epochs."""
     time_s = history.time_s[rows]
     step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
     first = float(time_s[0]) if len(time_s) else 0.0
@@ -262,7 +262,7 @@ def _nees(history: History, rows: slice) -> Strip:
 
 
 def _top(values: Array) -> float:
-    """Return a round number of at least 2 above values (n,), for the upper edge of a strip."""
+    """Return a round number, >= 2 and above all values (n,), for the upper edge of a strip."""
     known = values[np.isfinite(values)]
     largest = max(2.0, 1.05 * float(known.max(initial=0.0)))
     below = nice(largest)

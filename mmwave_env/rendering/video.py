@@ -20,7 +20,7 @@ _LAST_S = 2.0  # time for which a GIF shows its last picture, before it repeats
 
 
 def require_video(option: str, path: Path) -> None:
-    """Refuse a video file that could not be written, before any work; ``option`` names the file.
+    """Refuse, before any work, a file that could not be written; messages begin with ``option``.
 
     Raises:
         ValueError: the name does not end with .gif or .mp4.
@@ -42,7 +42,7 @@ def write_video(
     Args:
         path: path of the file, checked by :func:`require_video`.
         draw: returns the picture (height, width, 3) with a given number.
-        numbers: numbers of the pictures, at least one.
+        numbers: number of each picture, in order; at least one.
         fps: pictures per second.
         report: receives the share that is done.
     """

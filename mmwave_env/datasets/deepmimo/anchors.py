@@ -12,8 +12,8 @@ direction of departure is measured at the station, before the bounce, so it is m
 Other paths (two bounces, diffraction, scattering, transmission) are left out: they have no fixed
 image, or their image can't be computed from their first point of interaction.
 
-Paths are given as :class:`StationPaths`, which does not depend on the file format: its numbers
-mean the same as those in the files, but are in SI units.
+Paths are given as :class:`StationPaths`, which does not depend on the file format. Its values mean
+the same as those in the files, but angles are in radians.
 """
 
 from collections.abc import Callable
@@ -39,8 +39,8 @@ LINE_OF_SIGHT, REFLECTION = 0.0, 1.0
 class StationPaths:
     """The paths between one base station and E receivers, at most P for each receiver.
 
-    All numbers of a path are finite if ``interactions`` is 1; if it is 0, all except the bounce.
-    The numbers of other paths have no meaning.
+    If ``interactions`` of a path is 1, all its values are finite; if it is 0, all except the bounce
+    are finite. The values of other paths are meaningless.
 
     Attributes:
         name: name of the station in the files.
@@ -51,7 +51,7 @@ class StationPaths:
         delay_s: (E, P) absolute delay.
         arrival, departure: (E, P, 2) azimuth and zenith angle at the receiver and at the station,
             rad, either along propagation or against it (see :func:`propagation`).
-        source: function from a key and an epoch to the file of the key, and the receiver's row.
+        source: function (key, epoch) -> (file of the key, row of the receiver in it).
     """
 
     name: str
@@ -74,7 +74,7 @@ def propagation(angles: Array, sight: Array, direct: Mask) -> Array:
     """Compute unit vectors (E, P, 3) along propagation from azimuths and zenith angles (E, P, 2).
 
     Some converters store the direction of propagation, others its opposite. The paths that are a
-    line of sight (``direct``), whose direction ``sight`` is known, show which one it is.
+    line of sight (``direct``) show which one is stored, because ``sight`` is their true direction.
     """
     azimuth, zenith = np.moveaxis(angles, -1, 0)
     horizontal = np.sin(zenith)
@@ -133,17 +133,17 @@ def find_links(paths: StationPaths, position_m: Array) -> StationLinks:
         position_m: (E, 3) positions of the receivers.
 
     Raises:
-        ValueError: the numbers of a path contradict the positions of receiver and anchor, or it
-            receives more power than was sent; the message names the file.
+        ValueError: a path contradicts the positions of receiver and anchor, or has a gain above
+            0 dB, or there is no line of sight; the message names the file.
     """
     anchors, member = _anchors(paths, position_m)
-    with np.errstate(all="ignore"):  # numbers beyond all bounds are refused below
+    with np.errstate(all="ignore"):  # values that overflow are refused below
         rows = _measure(paths, position_m, anchors, member)
         _require_geometry(paths, position_m, anchors, member, rows)
     gain = (member >= 0) & (paths.gain_db > 0.0)
     if gain.any():
         n, p = np.argwhere(gain)[0].tolist()
-        expected = "a gain of at most 0 dB: are the numbers linear powers instead of dB?"
+        expected = "a gain of at most 0 dB: are the values linear powers instead of dB?"
         paths.refuse("power", n, f"{paths.gain_db[n, p]:.4g} dB on path {p}", expected)
     return StationLinks(paths, anchors, member, rows)
 
@@ -204,7 +204,7 @@ def _require_geometry(
     exact = np.stack([distance, azimuth, elevation, wrap(azimuth + PI)], axis=-1)
     error = np.abs(rows - exact)
     error[..., 1:] = np.abs(wrap(rows[..., 1:] - exact[..., 1:]))
-    error[..., [1, 3]] *= np.cos(elevation)[..., None]  # at the zenith azimuths are undefined
+    error[..., [1, 3]] *= np.cos(elevation)[..., None]  # azimuths are undefined at the zenith
     wrong = (member >= 0)[..., None] & ~(error <= _TOLERANCES)
     if wrong.any():
         n, p, row = np.argwhere(wrong)[0].tolist()

@@ -145,7 +145,7 @@ def _way_of(scenario: Scenario, epochs: NDArray[np.int_], dt_s: float | None) ->
 def _links(
     stations: list[StationPaths], position_m: Array, virtual_anchors: int
 ) -> list[tuple[StationLinks, int]]:
-    """Return, for each anchor of a recording, the links of its station and its index in them."""
+    """Return, for each anchor of a recording, the links of its station and the anchor's index."""
     if len(stations) == 1:
         links = find_links(stations[0], position_m)
         images = np.flatnonzero(~links.is_ground)[1:].tolist()

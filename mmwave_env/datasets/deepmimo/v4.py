@@ -1,9 +1,9 @@
-"""Reader of DeepMIMO v4 scenario folders, which also checks the paths in their files.
+"""Reader of DeepMIMO v4 scenario folders; it also checks the propagation paths in the files.
 
 A scenario is a folder with ``params.json`` and one array per file, named
 ``{key}_t{txset}_tx{tx}_r{rxset}.npz`` (or ``.npy``). A dynamic scenario has one sub-folder with
-such files per scene; sorted by name, they are in order of time. Times and velocities are not
-stored.
+such files per scene; sorted by name, the sub-folders are in order of time. Times and velocities
+are not stored.
 """
 
 import re
@@ -57,7 +57,7 @@ class Scenario:
         return self.scenes != (self.folder,)
 
     def name_of(self, epoch: NDArray[np.int_]) -> str:
-        """Return a name, for messages, for the receiver that has this scene and row (2,)."""
+        """Return the name, for messages, of the receiver with this scene and row (2,)."""
         scene, row = epoch.tolist()
         return f"receiver {row}" + (f" in {self.scenes[scene].name}" if self.is_dynamic else "")
 
@@ -281,7 +281,7 @@ def _finite(
 ) -> Array:
     """Refuse an array with NaN or infinity, or return it.
 
-    If ``used`` (R, P) is given, only these numbers are checked, and all others become NaN.
+    If ``used`` (R, P) is given, only the values it marks are checked; all others become NaN.
     """
     if used is not None:
         used = used.reshape(used.shape + (1,) * (array.ndim - 2))
