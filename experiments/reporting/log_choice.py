@@ -81,7 +81,7 @@ def choice_of(args: LogArgs, radio: str, block: LogBlock) -> Choice:
     if args.policy is not None or not is_algorithm_1(args):
         elevations = block.measurement[:, 2 : block.layout.doppler : 4]
         if args.policy is None and not np.isfinite(elevations).any():
-            why = f"of {WITHOUT_ELEVATIONS}, as there are no elevations, weighted by their probability"
+            why = f"of {WITHOUT_ELEVATIONS} (no elevations), weighted by their probability"
             return Choice(Switching(_bank(WITHOUT_ELEVATIONS, radio)), why)
         name = args.policy or DEFAULT_POLICY
         contender = contender_from(name, radio)

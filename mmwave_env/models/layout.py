@@ -141,8 +141,8 @@ def clock_from(clock: str, measurements: Sequence[str] | None = None) -> bool:
     choose(CLOCKS, clock, "clock")
     if clock == "offset" and measurements is not None and "range" not in measurements:
         raise ValueError(
-            f"clock: found offset with measurements {', '.join(measurements)}, expected range among "
-            "them, as only ranges depend on the clock"
+            f"clock: found offset with measurements {', '.join(measurements)}, expected range "
+            "among them, as only ranges depend on the clock"
         )
     return clock == "offset"
 
