@@ -41,7 +41,7 @@ BANK = json.loads((ROOT / "mmwave_env" / "data" / "banks" / "handset.json").read
 RUN = ROOT / "docs" / "learning" / "ppo-standard"
 SUMMARY = json.loads((RUN / "summary.json").read_text())
 TENSORS, CARD = actor(3), card_of(features=TABLE.columns[:3]).as_json()
-CASES = 50  # number, for each file and kind of damage
+CASES = 50  # number of random cases for each file and kind of damage
 SLOWEST_S = 20  # longest time that reading may take
 
 

@@ -40,7 +40,7 @@ from tests.paths import representative
 
 
 class Many(NamedTuple):
-    """A workspace of more numbers than a processor has registers."""
+    """A workspace of more values than a processor has registers."""
 
     incoming: list
     x: list

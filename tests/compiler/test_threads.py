@@ -65,8 +65,8 @@ def test_an_error_in_another_thread_is_raised_and_later_jobs_run():
     assert share(lambda i: i, [(i,) for i in range(9)], 2) == list(range(9))
 
 
-def test_jobs_can_share_jobs_of_their_own():
-    """Run more jobs than threads, each of which waits for its own jobs, without a deadlock."""
+def test_jobs_can_share_jobs_of_their_own_among_threads():
+    """Run more jobs than threads, where each job waits for its own jobs, without a deadlock."""
 
     def job(i):
         return share(lambda j: i + j, [(j,) for j in range(4)], 4)

@@ -46,7 +46,7 @@ def test_starting_some_environments_does_not_change_the_others(on_floats):
 
 
 @ON
-def test_loaded_episodes_start_at_the_next_step_without_a_start(on_floats):
+def test_loaded_episodes_start_at_the_next_step_without_a_call_of_start(on_floats):
     episodes, others = simulated(N, epochs=T), simulated(2, epochs=T)
     engine, places = engine_of(episodes, on_floats), np.array([0, 9])
     engine.step(np.int64(0))

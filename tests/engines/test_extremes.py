@@ -27,7 +27,7 @@ from tests.refusals import refuses
 
 ASIDE = 0.01  # distance to an end of the envelope, relative to the end
 FAR = (1e30, 1e150, 1e300, np.nan)  # without inf: an infinite sigma means a missing row
-SEEDS = (0, 5)  # of the episodes that get extreme values
+SEEDS = (0, 5)  # seeds of the episodes that get extreme values
 NOISES = ("sigma_p", "sigma_v", "sigma_pz", "sigma_vz", "sigma_b_mps")
 
 
@@ -181,7 +181,7 @@ def test_an_episode_beyond_the_envelope_is_refused_by_name(quantity, value, epis
 
 
 def numbers_of(record):
-    """Yield name, bound and a function from a number to a value, for fields that hold numbers."""
+    """Yield name and bound of each numeric field, and a function from a number to its value."""
     for name, hint in hints_of(type(record)).items():
         hint = next(iter(get_args(hint)), hint) if NoneType in get_args(hint) else hint
         inside = get_args(hint)[:1] if get_origin(hint) is Annotated else ()

@@ -40,7 +40,7 @@ def test_an_agent_that_always_chooses_the_second_mode_scores_as_fixed_ukf_does()
     assert "| mine | -" in str(comparison) and "minus fixed-ukf" in str(comparison)
 
 
-def test_known_contenders_are_paired_as_by_the_command():
+def test_known_contenders_are_paired_as_the_command_pairs_them():
     def act(observations):
         return np.ones(len(observations), int)
 

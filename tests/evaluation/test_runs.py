@@ -19,7 +19,7 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_a_run_has_its_seeds_best_first_and_a_median(folder):
+def test_a_run_lists_its_seeds_best_first_and_has_a_median(folder):
     run = Run.read(str(folder))
     assert (run.name, run.seeds, run.median) == (str(folder), (2, 0, 1), 0)
     assert run.policies == [str(folder / f"seed-{i}" / "policy.safetensors") for i in (2, 0, 1)]

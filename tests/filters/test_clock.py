@@ -1,4 +1,4 @@
-"""Filters with the range bias of a user's clock against the textbook's with a state of eight."""
+"""Tests of filters with the range bias of a user's clock, against the textbook's with 8 states."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def test_update_equals_textbook(algorithm, odometry, partial, gate, data):
 
 
 def in_order(problem, moments, gate):
-    """The textbook's update of the state in that order."""
+    """Return the textbook's update, computed with the state in the order ORDER."""
     groups, links, x, P, *measured = problem.update
     model = gated_textbook.Restricted(problem.seen, x, ORDER)
     prior, rule = (x[ORDER], P[np.ix_(ORDER, ORDER)]), (gate.quantile, gate.force, gate.robust)
@@ -70,7 +70,7 @@ def test_scaled_sigma_points_equal_textbook(odometry, data):
 )
 @given(data=st.data())
 @settings(max_examples=10, deadline=None)
-def test_planar_update_is_that_of_the_six_free_states(algorithm, moments, data):
+def test_planar_update_equals_that_of_the_six_free_states(algorithm, moments, data):
     problem, free, known = data.draw(problems(clock=True)), [0, 1, 3, 4, 6, 7], [2, 5]
     P = problem.P.copy()
     P[known, :] = P[:, known] = 0.0

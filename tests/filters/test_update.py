@@ -40,7 +40,7 @@ def test_an_update_equals_the_textbook(algorithm, odometry, gate, data):
 @given(data=st.data())
 @settings(max_examples=15, deadline=None)
 def test_an_update_with_missing_rows_equals_the_textbook(algorithm, odometry, gate, data):
-    """Gates use the quantile for the measured rows; the Doppler shift may be of any anchor."""
+    """Gates use the quantile for the number of measured rows; any anchor may have the shift."""
     problem = data.draw(problems(odometry, partial=True))
     expected = problem.textbook(textbook.METHODS[algorithm], gate, gate.force)
     if gate.quantile is not None:
@@ -127,7 +127,7 @@ def test_an_update_without_visible_groups_leaves_the_prior_unchanged(algorithm, 
 @algorithms
 @given(data=st.data())
 @settings(max_examples=12, deadline=None)
-def test_numbers_of_a_missing_group_do_not_matter(algorithm, data):
+def test_values_of_a_missing_group_do_not_matter(algorithm, data):
     problem = data.draw(problems(odometry=True, anchors=3))
     missing = ~np.repeat(problem.visible, [g.stop - g.start for g in problem.sensor.groups])
     blanked = problem._replace(

@@ -14,7 +14,7 @@ from tests.paths import ROOT
 from tests.reporting import results
 from tests.reporting.results import HOSTILE, Read, write
 
-NONE = ("--episodes", 0)  # play none again
+NONE = ("--episodes", 0)  # options with which no episode is played again
 
 
 @pytest.fixture(scope="module")

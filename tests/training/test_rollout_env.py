@@ -23,7 +23,7 @@ from tests.training.test_train import HYPER
 pytestmark = pytest.mark.torch
 
 SEED, DISCOUNT, HORIZON = 10_000_000, 0.9, 5
-WALKED = 20  # epochs before all actions are tried
+WALKED = 20  # number of epochs before the one in which all actions are tried
 TUNED = Bank(tuple(replace(mode, sigma_v=1.5 * mode.sigma_v) for mode in MODES), nis_quantile=0.99)
 BANKS = {"handset": Bank(MODES), "standard": TUNED}
 PLACES = (Place("street", "handset"), Place("o1", "standard", 0.5))
@@ -76,7 +76,7 @@ def by_hand(place, seed, first_episode, actions, first, act, beliefs):
     ("beliefs", "places"),
     [("per-mode", PLACES), ("shared", (PLACES[0], replace(PLACES[1], radio="handset")))],
 )
-def test_an_action_earns_what_it_earns_in_a_separate_environment(beliefs, places):
+def test_a_tried_action_earns_what_it_earns_in_a_separate_environment(beliefs, places):
     env = environment(task(beliefs, places, {p.radio: BANKS[p.radio] for p in places}))
     actions, count = walked(env), len(env.observation.actions)
     tried = env.try_all(chaotic(count))

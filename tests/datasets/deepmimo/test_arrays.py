@@ -58,7 +58,7 @@ def test_an_npz_file_is_preferred_to_an_npy_file(tmp_path):
 
 
 def npy_header(shape, descr="<f4", claimed=None):
-    """Return the header of an .npy file; ``claimed`` is the length of the header that it states."""
+    """Return the header of an .npy file; ``claimed`` is the length that it states, true or not."""
     text = repr({"descr": descr, "fortran_order": False, "shape": shape}).encode() + b"\n"
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", claimed or len(text)) + text
 
