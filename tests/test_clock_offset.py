@@ -101,7 +101,7 @@ def biases(n, **arguments):
 
 
 def test_the_offset_is_drawn_and_the_oscillator_drives_it():
-    """Check that the Doppler shift that motion doesn't explain is the bias's rate times f_c / c."""
+    """Compare the bias's rate with the Doppler shift that motion does not explain, over f_c / c."""
     bias, shifted = biases(400, radio="standard", episode_steps=60, scenario="pedestrian")
     first = bias[:, 0][np.isfinite(bias[:, 0])]
     assert abs(first.mean()) < 4.0 * SIGMA_M / 20.0

@@ -101,7 +101,7 @@ def test_draws_do_not_depend_on_the_thread():
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=20)
 
     def draw(seed):
-        time.sleep(0.001)  # otherwise the first thread may do all
+        time.sleep(0.001)  # otherwise one thread might do all jobs
         episode = source.sample(np.random.default_rng(seed))
         return threading.get_ident(), (episode.name, episode.table(), episode.prior_mean)
 

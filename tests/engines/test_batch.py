@@ -92,7 +92,7 @@ def test_the_action_history_keeps_the_last_actions_while_it_grows(modes):
 @pytest.mark.parametrize("epochs", [1, 5, 10, 11, 12, 25, 200])
 def test_an_episode_ends_with_the_metrics_of_its_track(epochs, dt, axes):
     rng, tally, where = np.random.default_rng(epochs), Tally(3, axes), np.array([1])
-    for _ in range(2):  # the first does not affect the second
+    for _ in range(2):  # the first episode does not affect the second
         tally.begin(where, np.array([dt]), np.array([epochs]))
         errors = rng.normal(0.0, 20.0, (epochs, 3))
         nees = rng.chisquare(axes, epochs)

@@ -73,6 +73,6 @@ def test_a_shipped_policy_is_the_median_of_its_five_trainings(name):
     assert shipped.read_bytes() == Path(run.policy).read_bytes()
     cards = [LearnedSwitch(path).card for path in run.policies]
     assert [card.seed for card in cards] == list(run.seeds)
-    assert all(card.evaluation["seed"] >= 5_000_000 for card in cards)  # no test seeds
+    assert all(card.evaluation["seed"] >= 5_000_000 for card in cards)  # none is a test seed
     rewards = [card.evaluation["reward"] for card in cards]
     assert rewards == sorted(rewards, reverse=True)

@@ -15,8 +15,8 @@ from tests.filters.problems import assert_same, assume_clear_of, problems
 
 OURS = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 GATES = [Gate(None), Gate(0.99), Gate(0.5, force=1.0), Gate(0.99, robust=True)]
-# The state as it is factored. Where odometry is curved in the velocity, a filter with sigma points
-# depends on the factor, so the textbook's state has this order.
+# Order of the states when our filters factor P. With odometry, which is nonlinear in the velocity,
+# results of sigma points depend on the factor, so the textbook's state gets the same order.
 ORDER = [0, 1, 2, 7, 3, 4, 5, 6]
 algorithms = pytest.mark.parametrize("algorithm", OURS)
 with_odometry = pytest.mark.parametrize("odometry", [False, True], ids=["radio", "odometry"])

@@ -105,7 +105,7 @@ def test_trying_actions_does_not_change_the_environment():
 
 
 def test_states_near_the_end_of_an_episode_are_left_out():
-    """The first eight environments begin an episode at once, which ends after 200 epochs."""
+    """The first eight environments begin an episode at once; it ends after 200 epochs."""
     env = environment()
     walked(env, 200 - HORIZON + 1)
     assert len(env.try_all(chaotic(4)).values) == 16
@@ -153,7 +153,7 @@ def test_the_normalization_is_measured_on_observations_of_the_environment():
 PAIR = MODES[:2]  # quick to compile
 SLOWER = Bank(tuple(replace(mode, sigma_v=0.5 * mode.sigma_v) for mode in PAIR), None, 0.99)
 TASK = task(banks={"handset": Bank(PAIR), "standard": SLOWER})
-PAIRED = replace(HYPER, num_envs=5, paired=True)  # three environments and two
+PAIRED = replace(HYPER, num_envs=5, paired=True)  # 3 environments at one place, 2 at the other
 
 
 def alone(place, n):

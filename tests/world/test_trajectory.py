@@ -108,7 +108,7 @@ def test_impossible_velocities_are_refused(tmp_path):
     rows[3][4] = 720.0
     with refuses("line 5: vx, vy, vz"):
         read_trajectory(write(tmp_path, rows, "t,x,y,z,vx,vy,vz"))
-    rows = [[*row, 3.6 * 2.0, 0.0, 0.0] for row in straight()]  # km/h
+    rows = [[*row, 3.6 * 2.0, 0.0, 0.0] for row in straight()]  # velocity in km/h
     with refuses("way.csv: vx, vy, vz"):
         read_trajectory(write(tmp_path, rows, "t,x,y,z,vx,vy,vz"))
 
