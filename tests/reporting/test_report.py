@@ -26,7 +26,7 @@ def track(tmp_path_factory):
 
 
 def report(tmp_path, *words):
-    """Return the parsed page of results."""
+    """Return the parsed page that the command makes of results."""
     out = tmp_path / "report.html"
     succeed("report", *words, "--out", out)
     return Read(out.read_text(encoding="utf-8"))
