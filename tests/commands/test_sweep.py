@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc sweep``, which stores one result per cell; `make ray` runs all of them."""
+"""Tests of ``mmwave-loc sweep``, which stores one result per cell; `make ray` runs all tests."""
 
 import os
 import re

@@ -40,7 +40,7 @@ def layout_of(problem):
 
 
 def noise_of(mode, spread_hz, dt, gamma):
-    """Return Q (7, 7) of a step as the tuning is documented: discrete white-noise acceleration."""
+    """Return Q (7, 7) of a step, computed as documented: discrete white-noise acceleration."""
     velocity = np.array([mode.sigma_v**2 + mode.spread_gain * spread_hz] * 2 + [mode.sigma_vz**2])
     position = np.array([mode.sigma_p**2] * 2 + [mode.sigma_pz**2])
     q, half = velocity * dt, 0.5 * dt * mode.coupling
