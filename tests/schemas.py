@@ -127,7 +127,7 @@ def log():
             needed = quantity is QUANTITIES["time"]
             kind = "number" if needed else ["number", "null"]  # null: not measured
             part = {"type": kind, "description": quantity.meaning}
-            if quantity.limits and not name.endswith("_mps"):  # a shift's depend on the carrier
+            if quantity.limits and not name.endswith("_mps"):  # a shift's limits vary by carrier
                 bound, of = quantity.limits
                 scale = (
                     (math.radians(1.0) if of == "degrees" else 1.0) * unit.divide / unit.multiply

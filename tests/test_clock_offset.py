@@ -1,4 +1,4 @@
-"""The argument ``clock="offset"``: a user's clock that is not synchronized."""
+"""Tests of the argument ``clock="offset"``: a user's clock that is not synchronized."""
 
 from csv import DictReader
 from itertools import groupby
@@ -44,7 +44,7 @@ SOURCES = {
 
 
 def pair(**arguments):
-    """The same episode with either clock."""
+    """Return the same episode with a synchronized clock and with an offset."""
     return [
         task_from(episode_steps=40, radio="standard", clock=clock, **arguments).draw(
             np.random.default_rng(4)
@@ -54,7 +54,7 @@ def pair(**arguments):
 
 
 def bias_of(synchronized, offset):
-    """The range bias (T,), from episodes that differ in nothing else; NaN without a link."""
+    """Return the range bias (T,) by which two episodes differ; NaN in epochs without a link."""
     ranges = slice(0, offset.layout.doppler, 4)
     change = (offset.measurement - synchronized.measurement)[:, ranges]
     seen = synchronized.usable[:, : offset.layout.anchors] & np.isfinite(change)
@@ -91,7 +91,7 @@ def tables(clock, n, **arguments):
 
 
 def biases(n, **arguments):
-    """Range biases (n, T) of simulated episodes, NaN without a link, and their tables."""
+    """Return range biases (n, T) of simulated episodes (NaN without a link), and their tables."""
     (task, plain), (_, shifted) = (tables(c, n, **arguments) for c in ("synchronized", "offset"))
     rows = 1 + 4 * np.arange(task.pipeline.layout.anchors)
     seen = plain.table[:, :, rows + task.pipeline.layout.size] > 0.0
@@ -101,7 +101,7 @@ def biases(n, **arguments):
 
 
 def test_the_offset_is_drawn_and_the_oscillator_drives_it():
-    """The Doppler shift that motion does not explain, over f_c / c, is the rate of the bias."""
+    """Compare the bias's rate with the Doppler shift that motion does not explain, over f_c / c."""
     bias, shifted = biases(400, radio="standard", episode_steps=60, scenario="pedestrian")
     first = bias[:, 0][np.isfinite(bias[:, 0])]
     assert abs(first.mean()) < 4.0 * SIGMA_M / 20.0
@@ -155,7 +155,7 @@ def test_tracks_are_smoothed_as_by_the_textbook(planar):
 
 
 def unpacked(P):
-    """Symmetric matrices (T, 8, 8) from packed triangles (T, 36)."""
+    """Return symmetric matrices (T, 8, 8) from packed triangles (T, 36)."""
     row, column = np.tril_indices(8)
     full = np.zeros((len(P), 8, 8))
     full[:, row, column] = full[:, column, row] = P
@@ -163,7 +163,7 @@ def unpacked(P):
 
 
 def played(seed=3, **arguments):
-    """The rewards of an episode of the first mode, or of the IMM, and the last info."""
+    """Return the rewards of an episode with action 0, and its last info."""
     env = gym.make("mmwave_env:MmWaveLoc-v0", clock="offset", **arguments)
     env.reset(seed=seed)
     over, rewards = False, []
@@ -202,7 +202,7 @@ def test_own_algorithms_filterpy_and_paired_rewards_run():
     assert np.isfinite(played(episode_steps=20, reward="paired")[0]).all()
 
 
-def test_a_clock_that_nothing_tells_of_and_unknown_ones_are_refused():
+def test_a_clock_that_cannot_be_estimated_or_is_unknown_is_refused():
     for arguments in (
         {"clock": "late"},
         {"clock": "offset", "measurements": ["azimuth", "doppler"]},
@@ -263,7 +263,7 @@ def test_a_live_track_is_that_of_the_whole_log(ride, modes):
     assert tracker.smoothed().clock_sigma_m < live[-1].clock_sigma_m
 
 
-def test_ranges_below_zero_are_those_of_a_clock_that_is_behind(tmp_path, ride):
+def test_ranges_below_zero_are_accepted_if_the_clock_may_be_behind(tmp_path, ride):
     lines = (ride / "log.csv").read_text().splitlines()
     rows = [line.split(",") for line in lines[1:]]
     moved = [[*row[:2], repr(float(row[2]) - 1e-6) if row[2] else "", *row[3:]] for row in rows]
@@ -274,7 +274,7 @@ def test_ranges_below_zero_are_those_of_a_clock_that_is_behind(tmp_path, ride):
     assert "behind" in succeed("localize", *words, "--clock", "offset")
 
 
-def test_logs_that_do_not_see_the_clock_are_refused(tmp_path, ride):
+def test_logs_that_do_not_determine_the_clock_are_refused(tmp_path, ride):
     text = (ride / "log.csv").read_text()
     header = text.splitlines()[0]
     for own in (header.replace("toa_s", "rtt_s"), header.replace("toa_s", "aoa_azimuth_sigma_deg")):

@@ -41,7 +41,7 @@ BANK = json.loads((ROOT / "mmwave_env" / "data" / "banks" / "handset.json").read
 RUN = ROOT / "docs" / "learning" / "ppo-standard"
 SUMMARY = json.loads((RUN / "summary.json").read_text())
 TENSORS, CARD = actor(3), card_of(features=TABLE.columns[:3]).as_json()
-CASES = 50  # number, for each file and kind of damage
+CASES = 50  # number of random cases for each file and kind of damage
 SLOWEST_S = 20  # longest time that reading may take
 
 
@@ -49,7 +49,7 @@ class Reader(NamedTuple):
     """A reader of files from outside the project, and intact files to damage."""
 
     files: Callable[[], dict[str, Any]]  # by name: bytes, or content to write as JSON
-    read: Callable[[Path], Any]  # gets the folder of the files
+    read: Callable[[Path], Any]  # its argument is the folder of the files
     write: Callable[[Any], bytes] = lambda content: json.dumps(content).encode()
 
 
@@ -146,7 +146,7 @@ def numbers_in(content):
         yield from numbers_in(vars(content))
 
 
-# Most of these are only shown, not used in computations. In a log of paths, NaN means missing.
+# Most of these values are shown, not computed with. In a log of paths, NaN means missing.
 MAY_BE_NAN = (
     "results",
     "run",

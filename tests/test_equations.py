@@ -9,7 +9,7 @@ import pytest
 
 from tests.paths import ROOT
 
-PAPER = range(1, 19)  # numbers of its equations
+PAPER = range(1, 19)  # numbers of the paper's equations
 PAGE = (ROOT / "docs" / "equations.md").read_text(encoding="utf-8")
 CELLS = [re.split(r"(?<!\\)\|", line)[1:-1] for line in PAGE.splitlines() if line.startswith("| ")]
 ROWS = [row for row in CELLS[1:] if not row[0].startswith(" **")]  # equation, words, function, test

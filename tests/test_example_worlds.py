@@ -104,7 +104,7 @@ USERS = np.column_stack([np.linspace(0.0, 20.0, 21), np.full(21, -2.0), np.full(
 def sionna_paths(users_m, hidden=()):
     """Return the parts of Sionna RT's paths that the example reads, for a street with one wall.
 
-    Axes are [receiver, transmitter, path]; arrays of interactions have one more before, the depth.
+    Axes are [receiver, transmitter, path]; arrays of interactions have a depth axis before these.
     The line of sight is the second path, and hidden receivers have none.
     """
     image = STATION * [1, -1, 1] + [0, 2 * WALL_Y, 0]

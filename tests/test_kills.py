@@ -21,7 +21,7 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork"),
 ]
-HITS, TRIES = 3, 15  # wanted interruptions, and maximum tries, of a command in each way
+HITS, TRIES = 3, 15  # interruptions wanted, and most tries, per command and way
 TOLD = "told.txt"  # output of a command, next to the command's folder
 LOG, SCENE = (str(LOGS / "canyon28_vehicle" / name) for name in ("log.csv", "scene.json"))
 FEW = ("--episodes", "4", "--episode-steps", "30")

@@ -41,7 +41,7 @@ ROOMS = {  # maximum lines of source in a folder
     "mmwave_env/world": 2_260,
 }
 SOURCE = ("mmwave_env", "experiments", "policies")
-FOR_DEVELOPERS = {"dev", "docs", "lint"}  # extras that users do not need
+FOR_DEVELOPERS = {"dev", "docs", "lint"}  # extras for developers only
 NO_TOKENS = {getattr(tokenize, name) for name in ["COMMENT", "NL", "NEWLINE", "INDENT", "DEDENT"]}
 
 

@@ -1,4 +1,4 @@
-"""Tests that the vector environment follows Gymnasium's rules and gives single ones' results."""
+"""Tests that the vector environment follows Gymnasium's rules and equals single environments."""
 
 import tracemalloc
 from dataclasses import replace
@@ -121,7 +121,7 @@ def test_a_vector_environment_can_be_made_from_its_specification_in_json():
     assert same(rollout(env, seed=1, steps=9), rollout(again, seed=1, steps=9))
 
 
-# --- the numbers of single environments
+# --- equal to single environments
 
 
 @pytest.mark.parametrize("mode", MODES)

@@ -63,7 +63,7 @@ def test_environments_continue_from_a_state_saved_at_any_step(mode, configuratio
 @pytest.mark.parametrize("mode", AUTORESET)
 def test_a_reset_after_a_restore_draws_the_same_episodes(mode):
     env, other = make(mode), make(mode)
-    env.reset(seed=[None, *range(8)])  # one stream without a seed
+    env.reset(seed=[None, *range(8)])  # the first environment has no seed
     go_on(env, 3, actions=0)
     other.restore(env.state())
     assert same(env.reset(), other.reset())

@@ -10,7 +10,7 @@ STEPS = 40  # number of steps in the longest check; some episodes must end withi
 
 
 def check_vector_env(make):
-    """Check all rules, on new environments from ``make()`` with episodes of less than 40 steps."""
+    """Check all rules, on new environments from ``make()`` with episodes of fewer than 40 steps."""
     for check in (check_description, check_types, check_seeds, check_memory):
         check(make)
     for check in (check_autoreset, check_masked_resets, check_close):

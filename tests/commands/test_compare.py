@@ -50,7 +50,7 @@ def run(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_run_is_compared_with_results_for_each_training_seed(run, tmp_path):
+def test_comparing_a_run_gives_results_for_each_training_seed(run, tmp_path):
     policies = (run, run / "seed-1" / ".." / "seed-1" / "policy.safetensors", "fixed-ukf", "imm")
     median, single, *_ = names = [str(policy) for policy in policies]
     file = tmp_path / "all.json"
@@ -129,7 +129,7 @@ def test_a_mistake_ends_with_one_clear_line(run, tmp_path, mistake):
 
 
 @pytest.mark.slow
-def test_errors_and_consistency_are_drawn_in_one_comparison(tmp_path):
+def test_one_comparison_can_draw_both_errors_and_consistency(tmp_path):
     pictures = [tmp_path / "errors.svg", tmp_path / "nees.pdf"]
     files = ("--errors", pictures[0], "--consistency", pictures[1])
     succeed("compare", "--policies", "fixed-ukf", "imm", "--episodes", 3, *files)

@@ -80,7 +80,7 @@ def test_a_diagnosis_reports_facts_about_the_log(tmp_path):
     assert (facts["first_s"], facts["last_s"]) == (times[0], times[-1])
     assert facts["step_s"] == pytest.approx(np.median(np.diff(times)))
     for anchor, fact in enumerate(facts["anchors"], start=1):
-        of = columns["anchor"] == anchor  # a row without numbers was not measured
+        of = columns["anchor"] == anchor  # links that were not measured have empty cells
         assert fact["seen"] == np.isfinite(columns["snr_db"][of]).sum()
     poses = read_tum(RIDE / "truth.tum")
     moved = np.linalg.norm(np.diff(poses.position_m, axis=0), axis=1) / np.diff(poses.time_s)

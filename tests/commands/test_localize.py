@@ -134,7 +134,7 @@ def test_a_truth_with_another_clock_causes_a_warning(tmp_path):
     assert f"The truth's clock is {1e3 * clock['ahead_s']:.0f} ± " in shown.stdout
     assert "ms ahead of the log's." in shown.stdout
     assert f"{truth}: found its clock {1e3 * clock['ahead_s']:.0f} ± " in shown.stderr
-    assert results["truth"]["tracks"]["smoothed"]["ate_m"] > 0.7  # the truth was not shifted
+    assert results["truth"]["tracks"]["smoothed"]["ate_m"] > 0.7  # times were not corrected
 
 
 def test_the_printed_figures_equal_those_in_the_json_file(capsys, tmp_path):
@@ -145,13 +145,13 @@ def test_the_printed_figures_equal_those_in_the_json_file(capsys, tmp_path):
         assert len(numbers) == 5 and " | ".join(f"{value:.3f}" for value in numbers) in shown
     groups = results["groups"]
     assert list(groups) == ["anchor 1", "anchor 2", "anchor 3", "Doppler", "all"]
-    assert groups["anchor 1"]["seen"] == 399  # one epoch gave the prior
+    assert groups["anchor 1"]["seen"] == 399  # the link of one epoch gave the prior
     assert results["error"] is None
     assert all(abs(groups[f"anchor {a}"]["nis_in_bounds"] - 0.95) < 0.03 for a in (1, 2, 3))
 
 
 def test_the_json_file_records_the_command_that_makes_the_figures_again(tmp_path):
-    """Run the recorded command, which leaves out the options for output files, again."""
+    """Run the recorded command again; it leaves out the options for output files."""
     file, again = tmp_path / "figures.json", tmp_path / "again.json"
     words = ["--sample", RIDE.name, "--speed", "9", "--no-gating"]
     run("localize", [*words, "--json", str(file), "--out", str(tmp_path / "track.tum")])
@@ -182,7 +182,7 @@ def test_epochs_before_the_first_line_of_sight_are_counted(capsys, tmp_path):
     assert results["skipped"] == 20 and results["epochs"] == 380 == results["truth"]["scored"]
 
 
-@pytest.mark.filterwarnings("ignore:Doppler")  # too large for the slowed walk
+@pytest.mark.filterwarnings("ignore:Doppler")  # shifts are too large for the slowed walk
 def test_a_restart_or_an_end_at_a_long_gap_is_reported(capsys, tmp_path):
     """Use the walk at a tenth of its rate, without the epochs from 100 to 129 s.
 

@@ -238,7 +238,7 @@ def test_quiet_shows_nothing_but_writes_the_results(tmp_path):
     done = command("compare", *options, "--quiet", "--json", tmp_path / "all.json")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     assert list(json.loads((tmp_path / "all.json").read_text())["policies"]) == ["fixed-ukf", "imm"]
-    assert "fixed-ukf" in command("compare", *options).stdout  # only once
+    assert "fixed-ukf" in command("compare", *options).stdout  # --quiet affects only one command
     assert_one_clear_line(command("evaluate", "--quiet", "--radio", "lab"), "'lab'.*handset")
 
 

@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc speed``, and of pages whose tables commands renew."""
+"""Tests of ``mmwave-loc speed``, and of renewing tables in pages."""
 
 import json
 import re

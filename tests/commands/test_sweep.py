@@ -1,4 +1,4 @@
-"""Tests that ``mmwave-loc sweep`` keeps the result of every cell once; `make ray` runs them all."""
+"""Tests of ``mmwave-loc sweep``, which stores one result per cell; `make ray` runs all tests."""
 
 import os
 import re
@@ -75,7 +75,7 @@ def exits(values):
 
 
 def second_time(values):
-    """Raise the error of a full disk for number 1, but only the first time."""
+    """Raise the error of a full disk in the first call with number 1; return a row otherwise."""
     if values["number"] == 1 and not os.path.exists(values["mark"]):
         open(values["mark"], "x").close()
         raise OSError(28, "No space left on device")

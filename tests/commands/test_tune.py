@@ -1,4 +1,4 @@
-"""Tests that tuning finds the noise that made the data, and the same modes as the shipped ones."""
+"""Tests that tuning finds the noise with which data were made, and finds the shipped modes."""
 
 import json
 import shlex
@@ -121,6 +121,6 @@ def test_tuning_on_the_original_episodes_finds_the_shipped_modes(file):
         source = SimulatedSource(SCENES["street"], RADIOS[radio], scenario)
         objective = objective_of("likelihood", shipped, source.episodes(keys))
         made = tune(shipped, ["sigma_v", "sigma_p"], objective)
-        # The optimum is flat, so the modes are equally likely, but their digits differ.
+        # The optimum is flat: modes found now are as likely as the shipped ones, but digits differ.
         assert objective(shipped).mean() == pytest.approx(objective(made).mean(), abs=0.002)
         assert made.sigma_v == pytest.approx(shipped.sigma_v, rel=0.05)

@@ -32,7 +32,7 @@ def picture(path, number):
 
 @pytest.fixture
 def window(monkeypatch):
-    """Return a list of the pictures that a window shows, which needs no display."""
+    """Return a list of the pictures that a window would show; no display is needed."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     from mmwave_env.rendering.window import Window
 

@@ -65,7 +65,7 @@ def run(package, **variables):
 
 
 def block(path):
-    """Put a file where a folder would be made, so that not even root can make it."""
+    """Put a file where a folder would be made, so that not even root can make the folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("")
 
@@ -93,7 +93,7 @@ def test_after_an_edit_old_code_is_never_used(package):
     edit(package / "callee.py", "x * 2", "x * 3")
     assert run(package) == (62, 0)
     edit(package / "callee.py", "x * 3", "x * 2")
-    assert run(package) == (42, 1)  # a version from before, read from disk
+    assert run(package) == (42, 1)  # an earlier version, read from disk
 
 
 EDITED = """

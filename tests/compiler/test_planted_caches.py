@@ -1,6 +1,6 @@
-"""Tests that a command replaces damaged or planted files of compiled functions and runs no plant.
+"""Tests that a command replaces damaged or planted compiled functions, and never runs planted code.
 
-The single checks of such files are tested in test_disk_cache.py, with a small package.
+test_disk_cache.py tests each check of such files by itself, with a small package.
 """
 
 import os

@@ -65,8 +65,8 @@ def test_an_error_in_another_thread_is_raised_and_later_jobs_run():
     assert share(lambda i: i, [(i,) for i in range(9)], 2) == list(range(9))
 
 
-def test_jobs_can_share_jobs_of_their_own():
-    """Run more jobs than threads, each of which waits for its own jobs, without a deadlock."""
+def test_jobs_can_share_jobs_of_their_own_among_threads():
+    """Run more jobs than threads, where each job waits for its own jobs, without a deadlock."""
 
     def job(i):
         return share(lambda j: i + j, [(j,) for j in range(4)], 4)
@@ -101,7 +101,7 @@ def test_draws_do_not_depend_on_the_thread():
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=20)
 
     def draw(seed):
-        time.sleep(0.001)  # otherwise the first thread may do all
+        time.sleep(0.001)  # otherwise one thread might do all jobs
         episode = source.sample(np.random.default_rng(seed))
         return threading.get_ident(), (episode.name, episode.table(), episode.prior_mean)
 

@@ -126,7 +126,7 @@ def out_of(function, kind):
 
 
 @pytest.mark.slow
-def test_functions_kept_by_two_processes_work_in_a_third(tmp_path):
+def test_functions_stored_by_two_processes_work_in_a_third(tmp_path):
     """Use functions with equal symbols: numba numbers its functions anew in each process."""
     (tmp_path / "users.py").write_text(USERS)
     site = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])

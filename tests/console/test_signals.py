@@ -120,7 +120,7 @@ def test_closing_the_terminal_ends_a_command_with_the_code_of_sighup():
         os.execve(sys.executable, [sys.executable, *words], environment())
     output = b""
     while b"%" not in (output := output + os.read(terminal, 1000)):
-        pass  # until there is a progress bar
+        pass  # wait until there is a progress bar
     os.close(terminal)
     _, status = os.waitpid(child, 0)
     assert os.waitstatus_to_exitcode(status) == 128 + signal.SIGHUP

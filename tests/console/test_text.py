@@ -25,7 +25,7 @@ def test_printable_text_has_no_control_characters(text):
     assert printable(text) == text or not text.isprintable()
 
 
-def test_escape_sequences_line_ends_and_broken_letters_are_spelled_out():
+def test_escape_sequences_line_ends_and_invalid_characters_are_spelled_out():
     assert printable("a\x1b[31m\n\u202eb\udcff") == r"a\x1b[31m\n\u202eb\udcff"
     assert printable("прогулка 漢字 é") == "прогулка 漢字 é"
 
@@ -70,7 +70,7 @@ def test_unescaping_markdown_gives_the_printable_text(name):
     "name",
     ["a|b", "$x$", "<script>", "*bold*", "__init__", r"back\slash", "`code`", "&lt;", "~~gone~~"],
 )
-def test_markdown_shows_a_name_letter_by_letter(name):
+def test_markdown_shows_names_literally(name):
     console = Console(width=200, no_color=True)
     with console.capture() as shown:
         console.print(Markdown(escaped(name)))
@@ -108,7 +108,7 @@ def test_say_prints_one_line_for_each_text(capsys):
     assert capsys.readouterr().out == f"written to {SPELLED}\ndone\n"
 
 
-def test_bars_show_names_letter_by_letter(screen):
+def test_bars_show_names_literally(screen):
     with progress(AWKWARD) as report:
         report(0.5)
     assert list(tracked([1, 2], AWKWARD)) == [1, 2]
@@ -178,7 +178,7 @@ def test_names_with_special_characters_are_escaped_in_tables(shown, capsys, name
     plain = name.encode("unicode_escape").decode() if not name.isprintable() else name
     rows = [line for line in lines if line.endswith(("-1.5", "-1.0"))]
     assert [row.rpartition("  ")[0].rstrip() for row in rows] == [plain, "imm"]
-    assert len({cell_len(row) for row in rows}) == 1  # columns are aligned, wide letters or not
+    assert len({cell_len(row) for row in rows}) == 1  # columns are aligned, wide characters or not
 
 
 def test_text_outside_tables_is_shown_without_control_characters(monkeypatch, capsys):

@@ -100,7 +100,7 @@ def test_a_wrong_clock_of_the_truth_is_reported_but_not_corrected(sample):
     np.testing.assert_allclose(position[2:-1], track.position_m[1:-2], atol=1e-3)
 
 
-def test_a_log_of_some_rows_with_its_own_noise_can_be_played_and_written_again(folder):
+def test_a_log_that_lacks_rows_and_states_its_noise_can_be_played_and_written_again(folder):
     """Write a log with Doppler shifts in the rows of anchor 2; written again, it reads the same."""
     lines = (folder / "log.csv").read_text().splitlines()
     rows = [dict(zip(lines[0].split(","), line.split(","), strict=True)) for line in lines[1:]]

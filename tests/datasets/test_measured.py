@@ -183,7 +183,7 @@ MISTAKES = {  # by name: the changed arrays, and the column that the warning nam
 
 
 @pytest.mark.parametrize("name", MISTAKES)
-def test_contradictions_to_the_truth_cause_a_warning(name):
+def test_arrays_that_contradict_the_truth_cause_a_warning(name):
     change, column = MISTAKES[name]
     with pytest.warns(UserWarning, match=f"track 'own': .*{column}"):
         track(**change(arrays(simulated(radio=RADIOS["standard"]))))
@@ -197,12 +197,12 @@ def quiet(seeds):
                 MeasuredTrack.from_arrays(**arrays(simulated(seed, 200, radio, "mixed")))
 
 
-def test_right_tracks_cause_no_warning():
+def test_correct_tracks_cause_no_warning():
     quiet(range(20))
 
 
 @pytest.mark.slow
-def test_a_thousand_right_tracks_cause_no_warning():
+def test_a_thousand_correct_tracks_cause_no_warning():
     quiet(range(20, 354))
 
 

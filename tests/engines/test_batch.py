@@ -46,7 +46,7 @@ def test_starting_some_environments_does_not_change_the_others(on_floats):
 
 
 @ON
-def test_loaded_episodes_start_at_the_next_step_without_a_start(on_floats):
+def test_loaded_episodes_start_at_the_next_step_without_a_call_of_start(on_floats):
     episodes, others = simulated(N, epochs=T), simulated(2, epochs=T)
     engine, places = engine_of(episodes, on_floats), np.array([0, 9])
     engine.step(np.int64(0))
@@ -92,7 +92,7 @@ def test_the_action_history_keeps_the_last_actions_while_it_grows(modes):
 @pytest.mark.parametrize("epochs", [1, 5, 10, 11, 12, 25, 200])
 def test_an_episode_ends_with_the_metrics_of_its_track(epochs, dt, axes):
     rng, tally, where = np.random.default_rng(epochs), Tally(3, axes), np.array([1])
-    for _ in range(2):  # the first does not affect the second
+    for _ in range(2):  # the first episode does not affect the second
         tally.begin(where, np.array([dt]), np.array([epochs]))
         errors = rng.normal(0.0, 20.0, (epochs, 3))
         nees = rng.chisquare(axes, epochs)

@@ -27,7 +27,7 @@ from tests.refusals import refuses
 
 ASIDE = 0.01  # distance to an end of the envelope, relative to the end
 FAR = (1e30, 1e150, 1e300, np.nan)  # without inf: an infinite sigma means a missing row
-SEEDS = (0, 5)  # of the episodes that get extreme values
+SEEDS = (0, 5)  # seeds of the episodes that get extreme values
 NOISES = ("sigma_p", "sigma_v", "sigma_pz", "sigma_vz", "sigma_b_mps")
 
 
@@ -63,7 +63,7 @@ def mean(states):
 def deviation(states):
     def put(episode, value):
         P = episode.prior_covariance.copy()
-        P[states, states] = value * value if abs(value) < 1e150 else value  # it is diagonal
+        P[states, states] = value * value if abs(value) < 1e150 else value  # P is diagonal
         return replace(episode, prior_covariance=P)
 
     return put
@@ -135,7 +135,7 @@ def sound(x, P):
     full[..., i, j] = full[..., j, i] = np.where(finite[:, None, None], P, np.eye(7)[i, j])
     scale = np.sqrt(np.maximum(np.einsum("...ii->...i", full), 1e-300))
     least = np.linalg.eigvalsh(full / scale[..., :, None] / scale[..., None, :])[..., 0]
-    return finite & (least > -1e-9).all(axis=1)  # for rounding errors of eigenvalues
+    return finite & (least > -1e-9).all(axis=1)  # eigenvalues have rounding errors
 
 
 @pytest.mark.slow
@@ -181,7 +181,7 @@ def test_an_episode_beyond_the_envelope_is_refused_by_name(quantity, value, epis
 
 
 def numbers_of(record):
-    """Yield name, bound and a function from a number to a value, for fields that hold numbers."""
+    """Yield name and bound of each numeric field, and a function from a number to its value."""
     for name, hint in hints_of(type(record)).items():
         hint = next(iter(get_args(hint)), hint) if NoneType in get_args(hint) else hint
         inside = get_args(hint)[:1] if get_origin(hint) is Annotated else ()
@@ -247,7 +247,7 @@ def test_a_setting_at_its_bounds_gives_sound_beliefs_or_is_refused(record, name,
     of, arguments = RECORDS[record]
     for value in (bound.least, bound.most):
         env = None
-        with suppress(ValueError):  # with the other settings unchanged
+        with suppress(ValueError):  # may not fit the other settings
             changed = arguments(replace(of, **{name: shape(value)}))
             env = MmWaveLocEnv(episode_steps=24, dt=0.5, **changed)
         if env is not None:

@@ -1,4 +1,4 @@
-"""Tests of smoothing interacting modes, against the smoother of one mode and against the truth."""
+"""Tests of the smoother for interacting modes, against the single-mode smoother and the truth."""
 
 import numpy as np
 import pytest

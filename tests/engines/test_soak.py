@@ -25,7 +25,7 @@ pytestmark = pytest.mark.slow
 
 N = 128  # number of environments, for 384,000 steps with all users and radios
 PARTS = ("x", "P", "memory", "candidates", "observation", "reward", "nees", "distance")
-STAY = (0.0, 0.95, 1.0)  # probabilities of keeping the mode; each environment has one
+STAY = (0.0, 0.95, 1.0)  # probabilities of keeping the mode; each environment uses one
 
 
 def damaged(episode, rng):

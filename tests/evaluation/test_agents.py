@@ -149,7 +149,7 @@ def test_compare_accepts_objects_modules_files_and_loaded_policies(tmp_path):
     assert all(begins.all() for begins in mine.told) and len(mine.told[-1]) == 2
 
 
-def test_a_policy_for_beliefs_per_mode_plays_the_same_from_a_file_and_loaded(tmp_path):
+def test_a_policy_for_beliefs_per_mode_plays_the_same_as_a_file_and_as_an_object(tmp_path):
     file = write_per_mode(tmp_path / "trust.safetensors")
     for radio in ("handset", "standard"):  # each has its own bank
         agents = {"file": file, "loaded": LearnedSwitch(file)}

@@ -36,11 +36,11 @@ def test_an_agent_that_always_chooses_the_second_mode_scores_as_fixed_ukf_does()
         nothing = comparison.paired["mine - fixed-ukf"][metric]
         assert (nothing.mean, nothing.low, nothing.high) == (0.0, 0.0, 0.0)
     assert all(o.shape == observed[0].shape and o.dtype == np.float32 for o in observed)
-    assert len(observed) == 201 and len(observed[0]) == 3  # 200 steps and a trial
+    assert len(observed) == 201 and len(observed[0]) == 3  # 200 steps and a trial call
     assert "| mine | -" in str(comparison) and "minus fixed-ukf" in str(comparison)
 
 
-def test_known_contenders_are_paired_as_by_the_command():
+def test_known_contenders_are_paired_as_the_command_pairs_them():
     def act(observations):
         return np.ones(len(observations), int)
 

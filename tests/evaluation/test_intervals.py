@@ -33,7 +33,7 @@ def test_intervals_agree_with_scipy_s_bootstrap(n):
     values = np.random.default_rng(0).exponential(2.0, (n, 2))
     ours = bootstrap(values)
     # Monte-Carlo error of a 2.5 % quantile from R resamples of a nearly normal mean, in
-    # standard errors of the mean. The difference of two exceeds 4.5 of those once in 10^5.
+    # standard errors of the mean. Two results differ by 4.5 sqrt(2) errors once in 10^5.
     quantile_error = np.sqrt(0.025 * 0.975 / RESAMPLES) / norm.pdf(norm.ppf(0.025))
     for column, interval in zip(values.T, ours, strict=True):
         same = {"n_resamples": RESAMPLES, "method": "percentile", "rng": np.random.default_rng(0)}
@@ -76,7 +76,7 @@ def test_each_column_has_a_ratio_which_is_nan_if_the_denominator_is_zero():
     (once,) = bootstrap_ratio(over[:, :1], np.eye(50)[:, :1])
     assert (
         once.mean == pytest.approx(over[:, 0].sum()) and not once.known
-    )  # some resamples have only 0 below
+    )  # some resamples have only zeros in the denominator
 
 
 # --- over training seeds
@@ -121,7 +121,7 @@ def test_if_only_seeds_differ_the_interval_is_that_of_student_s_t(K):
     seeds = np.random.default_rng(1).normal(size=K)
     interval = crossed_bootstrap(np.tile(seeds[:, None], (1, 10)))
     half = t.ppf(0.975, K - 1) * seeds.std(ddof=1) / np.sqrt(K)
-    # The bootstrap distribution of few seeds is as skewed as they are, and not quite normal.
+    # The bootstrap distribution of few seeds is as skewed as the seeds, and not quite normal.
     assert interval.mean == pytest.approx(seeds.mean())
     assert interval.high - interval.low == pytest.approx(2.0 * half, rel=0.06)
 

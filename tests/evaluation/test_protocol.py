@@ -56,7 +56,7 @@ def test_a_contender_is_compared_with_every_imm_on_the_same_episodes():
 @pytest.mark.parametrize(
     ("gains", "expected"), [((0.1, 0.2), "above"), ((0.1, 0.0), "level"), ((0.1, -0.2), "below")]
 )
-def test_an_entry_stands_above_level_with_or_below_the_imms(gains, expected):
+def test_an_entry_is_above_or_below_the_imms_or_level_with_them(gains, expected):
     rng = np.random.default_rng(0)
     base, noise = rng.normal(size=400), rng.normal(0.0, 0.1, 400)
     noise -= noise.mean()

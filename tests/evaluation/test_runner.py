@@ -142,7 +142,7 @@ def shipped(monkeypatch, file):
 @pytest.mark.usefixtures("shipped")
 def test_shipped_policies_are_contenders_of_their_radio():
     assert list(contenders("handset"))[-1] == "ppo" and "ppo" not in contenders("standard")
-    assert "ppo" not in contenders("handset", MODES)  # it has its own modes
+    assert "ppo" not in contenders("handset", MODES)  # ppo has its own modes
     assert contender_from("ppo", "handset").modes == MODES
     assert "guided" not in contenders("handset")
     named = contender_from("ppo-handset", "standard")
@@ -163,7 +163,7 @@ def test_a_policy_shipped_for_all_radios_is_a_contender_for_each_with_its_bank(
         assert (guided.name, guided.modes, guided.beliefs) == ("guided", modes, "per-mode")
     assert contenders("standard")["guided"]().beliefs == "shared"  # the radio's own is preferred
     assert list(contenders("high"))[-2:] == ["imm-best", "guided"]
-    assert contender_from("guided", "high", MODES).bank == STANDARD  # modes are ignored
+    assert contender_from("guided", "high", MODES).bank == STANDARD  # MODES is ignored
 
 
 @pytest.mark.usefixtures("shipped")

@@ -19,7 +19,7 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_a_run_has_its_seeds_best_first_and_a_median(folder):
+def test_a_run_lists_its_seeds_best_first_and_has_a_median(folder):
     run = Run.read(str(folder))
     assert (run.name, run.seeds, run.median) == (str(folder), (2, 0, 1), 0)
     assert run.policies == [str(folder / f"seed-{i}" / "policy.safetensors") for i in (2, 0, 1)]
@@ -73,6 +73,6 @@ def test_a_shipped_policy_is_the_median_of_its_five_trainings(name):
     assert shipped.read_bytes() == Path(run.policy).read_bytes()
     cards = [LearnedSwitch(path).card for path in run.policies]
     assert [card.seed for card in cards] == list(run.seeds)
-    assert all(card.evaluation["seed"] >= 5_000_000 for card in cards)  # no test seeds
+    assert all(card.evaluation["seed"] >= 5_000_000 for card in cards)  # none is a test seed
     rewards = [card.evaluation["reward"] for card in cards]
     assert rewards == sorted(rewards, reverse=True)

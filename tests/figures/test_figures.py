@@ -56,7 +56,7 @@ def test_pictures_with_any_name_are_valid_files(name, tmp_path):
     assert len(list(tmp_path.iterdir())) == 5
 
 
-def test_names_are_shown_unchanged_except_letters_that_cannot_be_shown():
+def test_names_are_shown_unchanged_except_characters_that_cannot_be_shown():
     assert caption("a$b_{^$ | <b>") == "a$b_{^$ | <b>"
     assert caption("\x1b[31m\n") == r"\x1b[31m\n"
     assert caption("漢") == r"\u6f22"  # not in matplotlib's font

@@ -57,7 +57,7 @@ def test_no_other_assignment_is_better(data):
     assert cost(np.where(assigned == NO_PATH, n, assigned)) == pytest.approx(best)
 
 
-def test_the_best_assignment_overall_may_not_give_each_anchor_its_nearest_path():
+def test_the_best_assignment_overall_need_not_give_each_anchor_its_nearest_path():
     nis = np.array([[1.0, 2.0], [1.1, 12.0]])  # the first path fits both anchors best
     assert assign(nis, 13.0).tolist() == [1, 0]
     assert assign(nis, 1.5).tolist() == [0, NO_PATH]

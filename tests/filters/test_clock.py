@@ -1,4 +1,4 @@
-"""Filters with the range bias of a user's clock against the textbook's with a state of eight."""
+"""Tests of filters with the range bias of a user's clock, against the textbook's with 8 states."""
 
 import numpy as np
 import pytest
@@ -15,8 +15,8 @@ from tests.filters.problems import assert_same, assume_clear_of, problems
 
 OURS = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 GATES = [Gate(None), Gate(0.99), Gate(0.5, force=1.0), Gate(0.99, robust=True)]
-# The state as it is factored. Where odometry is curved in the velocity, a filter with sigma points
-# depends on the factor, so the textbook's state has this order.
+# Order of the states when our filters factor P. With odometry, which is nonlinear in the velocity,
+# results of sigma points depend on the factor, so the textbook's state gets the same order.
 ORDER = [0, 1, 2, 7, 3, 4, 5, 6]
 algorithms = pytest.mark.parametrize("algorithm", OURS)
 with_odometry = pytest.mark.parametrize("odometry", [False, True], ids=["radio", "odometry"])
@@ -38,7 +38,7 @@ def test_update_equals_textbook(algorithm, odometry, partial, gate, data):
 
 
 def in_order(problem, moments, gate):
-    """The textbook's update of the state in that order."""
+    """Return the textbook's update, computed with the state in the order ORDER."""
     groups, links, x, P, *measured = problem.update
     model = gated_textbook.Restricted(problem.seen, x, ORDER)
     prior, rule = (x[ORDER], P[np.ix_(ORDER, ORDER)]), (gate.quantile, gate.force, gate.robust)
@@ -70,7 +70,7 @@ def test_scaled_sigma_points_equal_textbook(odometry, data):
 )
 @given(data=st.data())
 @settings(max_examples=10, deadline=None)
-def test_planar_update_is_that_of_the_six_free_states(algorithm, moments, data):
+def test_planar_update_equals_that_of_the_six_free_states(algorithm, moments, data):
     problem, free, known = data.draw(problems(clock=True)), [0, 1, 3, 4, 6, 7], [2, 5]
     P = problem.P.copy()
     P[known, :] = P[:, known] = 0.0

@@ -40,7 +40,7 @@ def layout_of(problem):
 
 
 def noise_of(mode, spread_hz, dt, gamma):
-    """Return Q (7, 7) of a step by the documented tuning: discrete white-noise acceleration."""
+    """Return Q (7, 7) of a step, computed as documented: discrete white-noise acceleration."""
     velocity = np.array([mode.sigma_v**2 + mode.spread_gain * spread_hz] * 2 + [mode.sigma_vz**2])
     position = np.array([mode.sigma_p**2] * 2 + [mode.sigma_pz**2])
     q, half = velocity * dt, 0.5 * dt * mode.coupling
@@ -202,7 +202,7 @@ def run_imm(modes, episode, transition, limits=(np.inf,) * 4, rates=None):
 
 @pytest.mark.parametrize(("nis_quantile", "off_m"), [(1.0, 0.0), (0.9, 0.0), (1.0, 90.0)])
 def test_a_mixture_equals_the_textbook(nis_quantile, off_m):
-    """With a range off by 90 m, which no mode explains, likelihoods would underflow."""
+    """Without logarithms, likelihoods would underflow if a range is off by 90 m for all modes."""
     (episode,) = simulated(1, epochs=8)
     episode.measurement[:, 4] += off_m
     plain = {"gate": None, "adaptive": False, "coupling": False}

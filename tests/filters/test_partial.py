@@ -1,4 +1,4 @@
-"""Tests of tracks in partial layouts: plain tracks if no row is missing, otherwise consistent."""
+"""Tests of tracks in partial layouts: equal to plain ones if no row is missing, else consistent."""
 
 from dataclasses import replace
 

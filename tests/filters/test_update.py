@@ -40,7 +40,7 @@ def test_an_update_equals_the_textbook(algorithm, odometry, gate, data):
 @given(data=st.data())
 @settings(max_examples=15, deadline=None)
 def test_an_update_with_missing_rows_equals_the_textbook(algorithm, odometry, gate, data):
-    """Gates use the quantile for the measured rows; the Doppler shift may be of any anchor."""
+    """Gates use the quantile for the number of measured rows; any anchor may have the shift."""
     problem = data.draw(problems(odometry, partial=True))
     expected = problem.textbook(textbook.METHODS[algorithm], gate, gate.force)
     if gate.quantile is not None:
@@ -127,7 +127,7 @@ def test_an_update_without_visible_groups_leaves_the_prior_unchanged(algorithm, 
 @algorithms
 @given(data=st.data())
 @settings(max_examples=12, deadline=None)
-def test_numbers_of_a_missing_group_do_not_matter(algorithm, data):
+def test_values_of_a_missing_group_do_not_matter(algorithm, data):
     problem = data.draw(problems(odometry=True, anchors=3))
     missing = ~np.repeat(problem.visible, [g.stop - g.start for g in problem.sensor.groups])
     blanked = problem._replace(
@@ -152,7 +152,7 @@ def link_to_the_east(azimuth_of_arrival, azimuth_of_departure):
 @algorithms
 @pytest.mark.parametrize("arrival", [3.1, -3.1, np.pi, -np.pi])
 @pytest.mark.parametrize("departure", [0.05, -0.05, 0.0])
-def test_fused_azimuths_keep_the_nis_of_all_rows_across_the_cut(algorithm, arrival, departure):
+def test_fused_azimuths_have_the_nis_of_all_rows_even_across_the_cut(algorithm, arrival, departure):
     problem = link_to_the_east(arrival, departure)
     ours = problem.ours(OURS[algorithm], Gate(None))
     mean, S, _ = textbook.METHODS[algorithm](problem.sensor, problem.x, problem.P)

@@ -94,7 +94,7 @@ def with_anchors(episode, anchors):
 
 
 def process_noise(mode):
-    """Return Q (7, 7) of one second, by the mode's documented tuning."""
+    """Return Q (7, 7) of one second, computed as the documentation of modes says."""
     velocity = np.square([mode.sigma_v, mode.sigma_v, mode.sigma_vz])
     position = np.square([mode.sigma_p, mode.sigma_p, mode.sigma_pz])
     drift = (mode.sigma_b_mps * HZ_PER_MPS) ** 2
@@ -106,9 +106,9 @@ def process_noise(mode):
 class OwnModel:
     """Model of users who start, move and are measured exactly as a filter assumes.
 
-    ``start`` (7,) and ``prior`` (7,) are mean and standard deviations of the first state, Q
-    (7, 7) is the process noise of one second, ``sigma`` (rows,) the measurement noise, times a
-    lognormal factor (spread ``fading``) per row and epoch; ``detection`` is per group.
+    ``start`` (7,) and ``prior`` (7,) are mean and standard deviations of the first state, Q (7, 7)
+    is the process noise of one second, ``sigma`` (rows,) the measurement noise, times a lognormal
+    factor (spread ``fading``) per row and epoch; groups are visible with probability ``detection``.
     """
 
     sensor: textbook.Sensor

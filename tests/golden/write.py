@@ -1,4 +1,4 @@
-"""Write the golden traces (``make golden``), or with ``--check`` only show what would change.
+"""Program that writes the golden traces (``make golden``); ``--check`` only shows differences.
 
 The last bits of results depend on the processor, because compilers and libraries choose other
 instructions on each. Tests therefore allow differences of 1e-9, and 1e-5 in observations (single

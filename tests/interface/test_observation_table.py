@@ -49,7 +49,7 @@ def test_the_table_defines_the_observation_space(pipeline, kind):
 
 
 @every_pipeline
-def test_the_prior_observation_leaves_out_how_modes_explain_the_coming_epoch(pipeline):
+def test_the_observation_called_prior_leaves_out_how_modes_explain_the_coming_epoch(pipeline):
     full, prior = names(Observation(pipeline)), names(Observation(pipeline, "prior"))
     assert prior == [name for name in full if not name.startswith(COMING)]
     assert len(prior) < len(full)

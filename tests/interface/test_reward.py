@@ -49,7 +49,7 @@ def pays(reward, belief):
     return total(terms_of(reward, belief, ORIGIN))
 
 
-def test_a_shipped_reward_has_its_own_name_and_others_that_of_their_class_or_function():
+def test_shipped_rewards_have_names_and_others_are_named_after_their_class_or_function():
     for name, reward in REWARDS.items():
         assert reward_name(reward) == name
     assert reward_name(TrackingReward(error_limit_m=5.0)) == "TrackingReward"
@@ -274,7 +274,7 @@ def test_paired_rewards_are_rewards_minus_those_of_the_imm_on_the_same_episodes(
     assert np.abs(baseline).min() > 0.0
 
 
-def test_a_paired_return_is_minus_that_of_the_imm_even_if_an_episode_ends_early():
+def test_a_paired_return_is_the_return_minus_that_of_the_imm_even_if_an_episode_ends_early():
     ended = 0
     for seed in range(12):
         returns = []

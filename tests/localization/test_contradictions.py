@@ -72,7 +72,7 @@ def test_a_group_that_does_not_fit_the_track_causes_a_warning(block, group, valu
     assert [(d.group, d.found) for d in doubts] == ([("anchor 1", value)] if value else [])
 
 
-def test_a_doppler_shift_may_fit_better_but_not_worse_than_its_noise(block):
+def test_a_doppler_shift_may_fit_better_but_not_worse_than_its_noise_predicts(block):
     for nis, doubted in ((0.01, False), (5.1, True)):
         groups = {"Doppler": FINE | {"nis_per_dof": nis}}
         assert bool(contradictions(block, SCENE, RADIO, groups)) == doubted

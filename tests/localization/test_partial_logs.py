@@ -146,7 +146,7 @@ def test_a_log_that_cannot_give_a_track_is_refused(tmp_path, field, columns, cha
 
 
 def test_the_nearest_radio_is_the_profile_with_the_noise_of_the_log(tmp_path):
-    assert nearest_radio(read(WALK / "log.csv"), SCENE) == "standard"  # which made the log
+    assert nearest_radio(read(WALK / "log.csv"), SCENE) == "standard"  # it made the log
     coarse = {"range_sigma_m": 0.9, "aoa_azimuth_sigma_deg": 4.0}
     path = written(tmp_path / "log.csv", ("time_s", "anchor", "toa_s", "aoa_azimuth_rad"), **coarse)
     assert nearest_radio(read(path), SCENE) == "handset"

@@ -1,4 +1,4 @@
-"""Tests of tracks whose modes a policy chooses, of logs and live, against the engine."""
+"""Tests of tracks (live and of logs) whose modes a policy chooses, against the engine."""
 
 import csv
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Tests of how a log is divided into segments: where they begin and end, and gaps."""
+"""Tests of the segments of a log: where they begin and end, and how gaps are handled."""
 
 import numpy as np
 from hypothesis import given, settings

@@ -20,7 +20,7 @@ SCENE = SCENES["street"]
 
 
 def some_track(epochs, seed=0):
-    """Return a track of random numbers, with only the shapes of a real one."""
+    """Return a track of random numbers whose arrays have the shapes of a real track."""
     rng = np.random.default_rng(seed)
     x = 100.0 * rng.standard_normal((epochs, 7))
     root = rng.standard_normal((epochs, 7, 7))

@@ -181,7 +181,7 @@ def test_a_link_that_lacks_one_of_its_numbers_is_incomplete(tmp_path, column, em
     block = read(store(tmp_path, text(lines)))
     wrong = np.zeros((2, 4), bool)
     wrong[0, 0] = wrong[1, 1] = True
-    wrong[0, 3] = column == SNR  # the noise of the Doppler shift follows from it
+    wrong[0, 3] = column == SNR  # the Doppler shift's noise follows from the SNR
     np.testing.assert_array_equal(block.incomplete, wrong)
     np.testing.assert_array_equal(block.visible, ~wrong)
 

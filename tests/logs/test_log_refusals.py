@@ -136,7 +136,7 @@ def test_numbers_beyond_the_limits_are_kept_if_limits_are_off(tmp_path):
         ("heading_rad", ["", "x", ""], 3),
     ],
 )
-def test_wrong_numbers_of_an_epoch_are_refused(tmp_path, column, cells, line):
+def test_wrong_values_that_apply_to_a_whole_epoch_are_refused(tmp_path, column, cells, line):
     columns = ["doppler_spread_hz", "speed_mps", "heading_rad"]
     lines = [
         [*row, *(cell if name == column else "" for name in columns)]

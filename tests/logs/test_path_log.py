@@ -57,7 +57,7 @@ def test_a_path_with_only_some_of_its_numbers_is_left_out(tmp_path):
     assert len(epoch.snr_db) == 1 and epoch.incomplete == 2
 
 
-def test_numbers_of_an_epoch_may_stand_in_any_of_its_rows(tmp_path):
+def test_values_that_apply_to_a_whole_epoch_may_stand_in_any_of_its_rows(tmp_path):
     header = HEADER + ",doppler_spread_hz,speed_mps,heading_deg"
     lines = [f"0,{PATH},,,", f"0,{PATH},7,,190", f"0,{PATH},,2.5,", f"1,{PATH},,,"]
     first, second = read_paths(store(tmp_path, *lines, header=header), SCENE)

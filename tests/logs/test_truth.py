@@ -143,7 +143,7 @@ def compared(log, seconds, shift=(0.0, 0.0, 0.0)):
 
 
 def late(time_s, seconds, shift=(0.0, 0.0, 0.0)):
-    """Return the true track with a clock that is ahead and in a frame that is shifted."""
+    """Return the true track with a clock ahead by ``seconds`` and a frame moved by ``shift``."""
     p, v = user(time_s - seconds)
     return TrueEpochs(p + shift, v, np.zeros(len(time_s)))
 
@@ -220,7 +220,7 @@ def test_a_short_log_or_an_unknown_ground_truth_gives_no_offset():
 
 
 @pytest.mark.parametrize("late_s", [-1.0, -0.5, -0.2, 0.2, 0.5, 1.0])
-def test_an_offset_is_found_even_if_measurements_are_not_linear_over_it(tmp_path, late_s):
+def test_an_offset_is_found_even_if_it_is_too_large_for_linear_measurements(tmp_path, late_s):
     folder, path = sample_folder("canyon28_vehicle"), tmp_path / "truth.tum"
     poses = read_tum(folder / "truth.tum")
     path.write_text(tum_lines(poses.time_s + late_s, poses.position_m))

@@ -132,7 +132,7 @@ def test_a_mode_with_a_maneuver_predicts_it_and_nothing_else_changes(field, valu
         runs.append(tracker.run("x", "x_predicted", "P_predicted"))
     plain, driven = runs
     np.testing.assert_allclose(plain["P_predicted"][:, 0], driven["P_predicted"][:, 0])
-    np.testing.assert_array_equal(plain["x_predicted"][:, 0], driven["x_predicted"][:, 0])  # dt 0
+    np.testing.assert_array_equal(plain["x_predicted"][:, 0], driven["x_predicted"][:, 0])  # dt = 0
     for e in range(3):
         moved = textbook.F(1.0) @ driven["x"][e, 0]
         np.testing.assert_allclose(

@@ -263,7 +263,7 @@ def views(seed, action, **arguments):
 
 @pytest.mark.parametrize(("seed", "scenario"), [(0, "mixed"), (3, "mixed"), (0, "vehicle")])
 def test_user_and_estimate_are_always_in_the_frame(seed, scenario):
-    """The track of the vehicle is lost, but stays in the frame."""
+    """The filter loses the vehicle, but even then both stay in the frame."""
     worst = 0.0
     for so_far, _, pixels in views(seed, 0, scenario=scenario):
         worst = max(worst, so_far.error_m[-1])

@@ -45,7 +45,7 @@ def test_an_episode_plays_stops_and_is_moved_by_keys(opened):
     assert slider.input_value() == "1" and now.inner_text() != first
     page.locator("#play").focus()
     page.keyboard.press("Enter")
-    playwright.expect(slider).not_to_have_value("1")  # the page's policy blocks wait_for_function
+    playwright.expect(slider).not_to_have_value("1")  # the page's CSP forbids wait_for_function
     page.keyboard.press("Enter")
     assert page.locator("#play").inner_text() == "Play"
     stopped = slider.input_value()

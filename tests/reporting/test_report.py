@@ -14,7 +14,7 @@ from tests.paths import ROOT
 from tests.reporting import results
 from tests.reporting.results import HOSTILE, Read, write
 
-NONE = ("--episodes", 0)  # play none again
+NONE = ("--episodes", 0)  # options with which no episode is played again
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def track(tmp_path_factory):
 
 
 def report(tmp_path, *words):
-    """Return the parsed page of results."""
+    """Return the parsed page that the command makes of results."""
     out = tmp_path / "report.html"
     succeed("report", *words, "--out", out)
     return Read(out.read_text(encoding="utf-8"))

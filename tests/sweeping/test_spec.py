@@ -1,4 +1,4 @@
-"""Tests of reading sweep files, whose combinations of values are cells, and kept results."""
+"""Tests of reading sweep files (each combination of values is a cell) and of keeping results."""
 
 import pytest
 

@@ -95,7 +95,7 @@ def forge(path, content):
     path.write_bytes(sha256(content).digest() + content)
 
 
-def test_a_checkpoint_that_unpacks_to_more_than_its_size_is_refused(tmp_path):
+def test_a_checkpoint_that_is_larger_when_unpacked_is_refused(tmp_path):
     path = tmp_path / "checkpoint.pt"
     write_checkpoint(path, STATE | {"zeros": np.zeros(1_000_000)})
     packed = io.BytesIO()

@@ -23,7 +23,7 @@ from tests.training.test_train import HYPER
 pytestmark = pytest.mark.torch
 
 SEED, DISCOUNT, HORIZON = 10_000_000, 0.9, 5
-WALKED = 20  # epochs before all actions are tried
+WALKED = 20  # number of epochs before the one in which all actions are tried
 TUNED = Bank(tuple(replace(mode, sigma_v=1.5 * mode.sigma_v) for mode in MODES), nis_quantile=0.99)
 BANKS = {"handset": Bank(MODES), "standard": TUNED}
 PLACES = (Place("street", "handset"), Place("o1", "standard", 0.5))
@@ -76,7 +76,7 @@ def by_hand(place, seed, first_episode, actions, first, act, beliefs):
     ("beliefs", "places"),
     [("per-mode", PLACES), ("shared", (PLACES[0], replace(PLACES[1], radio="handset")))],
 )
-def test_an_action_earns_what_it_earns_in_a_separate_environment(beliefs, places):
+def test_a_tried_action_earns_what_it_earns_in_a_separate_environment(beliefs, places):
     env = environment(task(beliefs, places, {p.radio: BANKS[p.radio] for p in places}))
     actions, count = walked(env), len(env.observation.actions)
     tried = env.try_all(chaotic(count))
@@ -105,7 +105,7 @@ def test_trying_actions_does_not_change_the_environment():
 
 
 def test_states_near_the_end_of_an_episode_are_left_out():
-    """The first eight environments begin an episode at once, which ends after 200 epochs."""
+    """The first eight environments begin an episode at once; it ends after 200 epochs."""
     env = environment()
     walked(env, 200 - HORIZON + 1)
     assert len(env.try_all(chaotic(4)).values) == 16
@@ -153,7 +153,7 @@ def test_the_normalization_is_measured_on_observations_of_the_environment():
 PAIR = MODES[:2]  # quick to compile
 SLOWER = Bank(tuple(replace(mode, sigma_v=0.5 * mode.sigma_v) for mode in PAIR), None, 0.99)
 TASK = task(banks={"handset": Bank(PAIR), "standard": SLOWER})
-PAIRED = replace(HYPER, num_envs=5, paired=True)  # three environments and two
+PAIRED = replace(HYPER, num_envs=5, paired=True)  # 3 environments at one place, 2 at the other
 
 
 def alone(place, n):

@@ -60,7 +60,7 @@ def interrupt_after(news):
 
 
 def test_an_interrupted_training_continues_to_the_same_result(tmp_path):
-    """It is interrupted repeatedly, even at an evaluation, and its memory of states overflows."""
+    """Interrupt it repeatedly, even at an evaluation, and let its memory of states overflow."""
     whole, job = job_of(tmp_path / "whole"), job_of(tmp_path / "part", checkpoint_every=2)
     train(whole)
     for news in (3, 2, 4):
@@ -95,7 +95,7 @@ QUICK = replace(LARGE, batch_size=1024, learning_rate=0.002, hidden=(32, 32), fi
 
 @pytest.mark.slow
 def test_a_short_training_beats_the_rule_and_the_imm_from_scratch(tmp_path):
-    """It has the modes of the rule, and starts as good as the IMM of these modes."""
+    """The policy has the modes of the rule, and starts as good as the IMM of these modes."""
     modes = Bank(default_modes("handset"))
     street = TrainingTask(
         "mixed", PLACES[:1], {"handset": modes}, "full", TrackingReward(), "per-mode"
@@ -165,7 +165,7 @@ def test_sampled_actions_follow_the_probabilities_of_the_network():
 
 
 def test_the_learner_forgets_the_oldest_states():
-    """States with the other best action replace a full memory in unequal portions."""
+    """Replace a full memory, in unequal portions, by states in which the other action is best."""
     model, (fresh, best) = learner(), states(1000, 9, turned=True)
     model.remember(states(512, 0)[0])
     for seed, n in enumerate((300, 200, 12), start=1):

@@ -95,7 +95,7 @@ def test_the_exported_actor_chooses_the_actions_of_the_trained_one(tmp_path):
 
 
 def test_a_training_reports_its_periodic_evaluations(tmp_path):
-    """The outcome has the best of them; a search uses them to stop early."""
+    """The outcome has the best evaluation; a search uses all of them to stop early."""
     heard = []
     outcome = train(job_of(tmp_path), heard.append)
     rewards = {news.timesteps: news.evaluation["reward"] for news in heard if news.evaluation}

@@ -227,7 +227,7 @@ def until_replaced(path, process):
 
 
 def test_an_interrupted_command_ends_at_once_and_continues_when_resumed(tmp_path, started):
-    """It is killed, one of its trainings is killed, or it receives Ctrl-C or other signals."""
+    """Kill the command, kill one of its trainings, or send Ctrl-C or other signals."""
     task = replace(TASK, banks={"handset": Bank(default_modes("handset"))})
     job = job_of(tmp_path / "whole", task=task)
     # The training must take seconds, so that it can be interrupted.
@@ -259,7 +259,7 @@ def test_an_interrupted_command_ends_at_once_and_continues_when_resumed(tmp_path
 
     command = started(*words, "--resume")
     until_replaced(checkpoint, command)
-    os.killpg(command.pid, signal.SIGINT)  # as a terminal does
+    os.killpg(command.pid, signal.SIGINT)  # as Ctrl-C in a terminal does
     output = command.communicate(timeout=600)
     assert command.returncode == 130 and output[0] == ""
     assert output[1].splitlines()[-1] == "mmwave-loc train: interrupted"

@@ -93,7 +93,7 @@ def run_one(name, seed, dt, epochs):
 
 @every_mobility
 def test_acceleration_and_braking_are_bounded(tracks, name):
-    """So are jerk and speed, which also comes near its bound."""
+    """Check the bounds of jerk and speed, too; the speed also comes near its bound."""
     speed, bounds = tracks(name).speed, BOUNDS[name]
     assert 0.8 * bounds.speed < speed.max() <= bounds.speed + 1e-9
     change = np.diff(speed) / STEP_S
@@ -163,7 +163,7 @@ def test_most_users_stop_for_a_while(tracks, name):
     assert (standing.mean(axis=1) < 0.95).all()  # and all of them move again
 
 
-def test_users_of_walk_ride_walk_then_ride_then_walk(tracks):
+def test_users_of_walk_ride_walk_first_walk_then_ride_then_walk(tracks):
     speed = tracks("walk-ride").speed
     on_foot = BOUNDS["pedestrian"].speed
     first, last = round(45.0 / STEP_S), round(35.0 / STEP_S)  # braking to a walk takes up to 10 s

@@ -35,7 +35,7 @@ SOURCES = {
     ),
 }
 KEYS = np.random.default_rng(0).integers(0, 2**64, 20, np.uint64)
-# For two in a thousand other keys, the trajectories of both simulations diverge: sums round
+# For two in a thousand other keys, the trajectories of the simulations differ: sums round
 # differently, so that an event, such as the end of a gait, is one substep later in one of them.
 
 

@@ -60,7 +60,7 @@ def test_velocities_in_a_file_are_used(tmp_path):
     v=st.lists(st.floats(-9.0, 9.0), min_size=3, max_size=3),
 )
 def test_constant_acceleration_is_resampled_exactly(dt, steps, a, v):
-    """Differences give its velocities, except at the ends, and cubics its positions."""
+    """Differences give exact velocities, except at the ends; cubics give exact positions."""
     t = np.cumsum(steps)
     position = np.outer(t, v) + 0.5 * np.outer(t * t, a)
     velocity = v + np.outer(t, a)
@@ -108,7 +108,7 @@ def test_impossible_velocities_are_refused(tmp_path):
     rows[3][4] = 720.0
     with refuses("line 5: vx, vy, vz"):
         read_trajectory(write(tmp_path, rows, "t,x,y,z,vx,vy,vz"))
-    rows = [[*row, 3.6 * 2.0, 0.0, 0.0] for row in straight()]  # km/h
+    rows = [[*row, 3.6 * 2.0, 0.0, 0.0] for row in straight()]  # velocity in km/h
     with refuses("way.csv: vx, vy, vz"):
         read_trajectory(write(tmp_path, rows, "t,x,y,z,vx,vy,vz"))
 

@@ -58,7 +58,7 @@ def test_an_npz_file_is_preferred_to_an_npy_file(tmp_path):
 
 
 def npy_header(shape, descr="<f4", claimed=None):
-    """Return the header of an .npy file; ``claimed`` is the length of the header that it states."""
+    """Return the header of an .npy file; ``claimed`` is the length that it states, true or not."""
     text = repr({"descr": descr, "fortran_order": False, "shape": shape}).encode() + b"\n"
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", claimed or len(text)) + text
 
@@ -105,14 +105,14 @@ def test_a_forged_header_is_refused_without_allocating_memory(tmp_path, name):
     suffix, content = FORGED[name]
     file = tmp_path / f"delay{suffix}"
     SAVE[suffix](file, "delay", np.zeros((4, 3)))
-    read_array(file, "delay", (4, "P"))  # imports modules
+    read_array(file, "delay", (4, "P"))  # imports modules before memory is measured
     file.write_bytes(content)
     tracemalloc.start()
     with refuses(file, "delay"):
         read_array(file, "delay", (4, "P"))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    # For the packed one, numpy allocates all the memory that is claimed, but does not touch it.
+    # For the packed file, numpy allocates all the memory that is claimed, but does not touch it.
     assert peak < SMALL or name == "1e12 rows, packed"
 
 

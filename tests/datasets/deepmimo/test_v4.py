@@ -130,7 +130,7 @@ def test_positions_of_a_grid_are_read_without_its_paths(static):
 
 def test_a_grid_that_is_too_large_is_refused_before_it_is_read(tmp_path, monkeypatch):
     static = shortened(tmp_path / "grid", 12, ".npy")
-    monkeypatch.setattr(arrays, "MOST_BYTES", 12 * 4 * 8)  # fits paths, not bounces
+    monkeypatch.setattr(arrays, "MOST_BYTES", 12 * 4 * 8)  # enough for paths, not for bounces
     with refuses("inter_pos"):
         read_deepmimo(static)
 
