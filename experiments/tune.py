@@ -47,7 +47,7 @@ Content = dict[str, Any]  # content of a JSON file
 
 
 def _tuned_bank(args: Args) -> tuple[Content, Content]:
-    """Tune a bank, and print its reward; return the content of the mode file, and no figures."""
+    """Tune a bank, and print its reward; return the content of the mode file, and {}."""
     from experiments.console.progress import say
     from experiments.evaluation.intervals import Interval
     from experiments.training.tune_banks import tuned_bank
@@ -59,12 +59,12 @@ def _tuned_bank(args: Args) -> tuple[Content, Content]:
     name = radio_from(args.radio).name
     bank = tuned_bank(args.radio, args.episodes, args.seed, args.evaluations)
     reward, gain = (Interval.of(bank["held_out"][column]) for column in ("reward", "minus imm"))
-    say(f"{name}: reward {reward}, minus imm's {gain}, on the same number of other episodes")
+    say(f"{name}: reward {reward}, its difference from imm's {gain}, on as many other episodes")
     return bank, {}
 
 
 def _tuned_modes(args: Args) -> tuple[Content, Content]:
-    """Tune modes one by one, and print them; return the content of the mode file, and figures."""
+    """Tune modes one by one, and print them; return the content of the mode file, and results."""
     from experiments.console.progress import say
     from experiments.evaluation.asked import source_of
     from experiments.evaluation.intervals import bootstrap

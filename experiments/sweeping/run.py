@@ -65,7 +65,7 @@ def _failures(spec: Spec, folder: Path, done: Collection[str]) -> Iterator[str]:
 
 
 def _table(spec: Spec, rows: Mapping[str, Values]) -> str:
-    """Return a table of varied axes and metrics, in file order; for a search, best first."""
+    """Return a table of varied axes and metrics, in the file's order; for a search, best first."""
     axes = [axis for axis, values in spec.axes.items() if len(values) > 1]
     names = [name for name in spec.cells if name in rows]
     if spec.free:

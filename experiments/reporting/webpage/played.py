@@ -62,7 +62,7 @@ def play(source: Source, most: int, watched: int) -> Played:
     Args:
         source: results whose episodes or log to run.
         most: maximum number of episodes of a comparison.
-        watched: number of these whose results to keep for every epoch.
+        watched: number of these episodes whose results are kept for every epoch.
     """
     if source.kind == "run":
         return Played()
