@@ -47,7 +47,7 @@ Content = dict[str, Any]  # content of a JSON file
 
 
 def _tuned_bank(args: Args) -> tuple[Content, Content]:
-    """Tune a bank, and print its reward; return the content of the mode file, and {}."""
+    """Tune a bank, and print its reward; return the mode file's content and an empty dict."""
     from experiments.console.progress import say
     from experiments.evaluation.intervals import Interval
     from experiments.training.tune_banks import tuned_bank
@@ -64,7 +64,7 @@ def _tuned_bank(args: Args) -> tuple[Content, Content]:
 
 
 def _tuned_modes(args: Args) -> tuple[Content, Content]:
-    """Tune modes one by one, and print them; return the content of the mode file, and results."""
+    """Tune modes one by one, and print them; return the mode file's content and more results."""
     from experiments.console.progress import say
     from experiments.evaluation.asked import source_of
     from experiments.evaluation.intervals import bootstrap

@@ -125,7 +125,7 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
         with stopped_at_once():
             warnings.showwarning = _show_warning
             for stream in (sys.stdout, sys.stderr):
-                if isinstance(stream, TextIOWrapper):  # its encoding may lack characters
+                if isinstance(stream, TextIOWrapper):  # its encoding may lack some characters
                     stream.reconfigure(errors="backslashreplace")
             args, command = read_arguments(name, words), importlib.import_module(page_of(name))
             importlib.import_module("experiments.evaluation.asked")  # slow; all commands need it

@@ -126,7 +126,7 @@ class TaskArgs:
     coming epoch"""
     reward: str = "tracking"
     """tracking or log-score (minus the IMM's reward if the hyperparameters ask for paired), or
-    paired: the tracking reward minus the IMM's; with --beliefs per-mode, it is the bank's IMM"""
+    paired: the tracking reward minus the IMM's (the bank's IMM with --beliefs per-mode)"""
     nees_weight: float = 0.2
     """weight of the NEES in the tracking reward"""
 

@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 # Those signals that the system has; Windows has no SIGHUP.
 ENDING = tuple(getattr(signal, n) for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n))
 SOON_S = 0.01  # delay after which a signal that could not be handled is sent again
-SAME_S = 1.0  # within this time, a repetition is the same signal, sent to process and group
+SAME_S = 1.0  # a repetition within this time is one signal, sent to the process and its group
 
 
 class Ended(SystemExit):
@@ -31,7 +31,7 @@ def _told(number: int) -> str:
 def answered(
     numbers: Sequence[int], answer: Callable[[int, Any], None] | signal.Handlers
 ) -> Iterator[None]:
-    """Handle signals with a function in the block, but leave ignored ones so (as under nohup)."""
+    """Handle signals with a function in the block; ignored ones stay ignored (as under nohup)."""
     before = {number: signal.getsignal(number) for number in numbers}
     heeded = {number: old for number, old in before.items() if old is not signal.SIG_IGN}
     for number in heeded:

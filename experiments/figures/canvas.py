@@ -22,7 +22,7 @@ LEGEND_COLUMNS = 2  # number of columns in a legend below panels
 
 
 def require_picture(option: str, path: Path) -> None:
-    """Refuse, before any work, a picture file that can't be written; ``option`` is its option.
+    """Refuse, before any work, a picture file that can't be written; errors name ``option``.
 
     Raises:
         ValueError: the name does not end with .png, .svg or .pdf.
@@ -108,7 +108,7 @@ def legend_of(figure: Any, axes: Any, narrow: bool, handles: Sequence[Any]) -> N
 
 
 def plain_numbers(axis: Any) -> None:
-    """Label a logarithmic axis with plain powers of ten and, if short, 2 and 5 times these."""
+    """Label a logarithmic axis with plain numbers: powers of ten, perhaps 2 and 5 times these."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     low, high = axis.get_view_interval()

@@ -82,7 +82,7 @@ def _draw_above(axes: Any, track: DrawnTrack) -> None:
 
 
 def _add_steps(axes: Any, track: DrawnTrack, chosen: Array, look: dict[str, Any]) -> None:
-    """Draw the ``chosen`` (T - 1,) steps between epochs, except from segment to segment."""
+    """Draw the ``chosen`` (T - 1,) steps between epochs, but none between segments."""
     from matplotlib.collections import LineCollection
 
     position = track.position_m[:, :2]

@@ -29,7 +29,7 @@ class Choice(NamedTuple):
 
 
 def is_algorithm_1(args: LogArgs) -> bool:
-    """Return whether options ask for the paper's Algorithm 1, by any option that only it has."""
+    """Return whether any option is set that only the paper's Algorithm 1 has."""
     asked = (args.speed, args.modes, args.follow != "prediction" or None, args.robust or None)
     return any(option is not None for option in asked) or not (args.gating and args.adaptive)
 

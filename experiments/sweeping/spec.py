@@ -39,7 +39,7 @@ class Evaluation(ModeArgs):
 
 @dataclass(kw_only=True)
 class Training(TaskArgs):
-    """Keys of a table [train] that are options of train, thus all except hyperparameters."""
+    """Keys of a table [train] without its hyperparameters; these keys are options of train."""
 
     total_timesteps: Count
     seed: Seed = 0  # number of the training
@@ -89,7 +89,7 @@ class Spec:
         return values
 
     def _digest(self, values: Values) -> str:
-        """Return a name that depends on version, values, and contents of files that they name."""
+        """Return a name that depends on the values, the version and the content of named files."""
         words = itertools.chain(*(v if isinstance(v, tuple) else (v,) for v in values.values()))
         paths = (Path(word) for word in words if isinstance(word, str) and os.path.isfile(word))
         files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]

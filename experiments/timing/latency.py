@@ -51,7 +51,8 @@ def latency_us(name: str, way: str) -> list[float]:
 
 def _through_a_pipe(options: tuple[str, str], epochs: list[Any]) -> Any:
     words = [sys.executable, "-m", "experiments.console", "localize", "-", "--live", "--scene"]
-    packages = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}  # as here
+    # the child finds the same packages as this process
+    packages = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     with subprocess.Popen(
         [*words, SCENE, "--radio", RADIO, *options], env=packages,
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,

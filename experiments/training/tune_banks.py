@@ -1,6 +1,6 @@
 """Tuning of the bank of imm-best: modes for users who stand, cruise, turn, accelerate or brake.
 
-All its parameters are tuned together, for the mean reward in all shipped scenes at two rates.
+The bank's parameters are tuned together, for the mean reward in all shipped scenes at two rates.
 """
 
 from collections.abc import Callable, Sequence
