@@ -39,7 +39,7 @@ class Args(JsonArgs):
     evaluations: int = 1000
     """with --bank, maximum number of evaluations"""
     out: Path | None = None
-    """write the tuned modes to this mode file, for --modes and modes="""
+    """write the tuned modes to this mode file, to use as --modes or modes="""
 
 
 OF_MODES = ("modes", "scenarios", "free", "objective", "diagonal")  # meaningless with --bank

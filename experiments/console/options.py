@@ -11,7 +11,7 @@ from typing import Literal
 from tyro.conf import Positional
 
 USUAL_EPISODES = 1000
-AUTO = "auto"  # choose the radio whose noise is nearest to a log's
+AUTO = "auto"  # choose the radio whose noise is nearest to that of a log
 TUNING_SEED = 5_000_000  # first of the seeds for tuning
 
 
@@ -114,7 +114,7 @@ class TaskArgs:
     places: tuple[str, ...] = ()
     """places to train at, instead of --radio: each is SCENE:RADIO or SCENE:RADIO:DT, such as
     street:handset or o1:standard:0.1, with names or JSON files and the seconds between epochs
-    (default: 1); environments, and episodes for judging policies, are spread over them evenly"""
+    (default: 1); environments are spread evenly over places, as are episodes to judge policies"""
     beliefs: Literal["shared", "per-mode"] = "shared"
     """shared: all modes work on one belief; per-mode: every mode keeps its own belief, and the
     agent says which one to trust"""

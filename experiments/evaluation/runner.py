@@ -94,7 +94,7 @@ def run_contender(
 
     Returns:
         "reward" and "nees" (n, T); "error" (n, T, 3) in m; for a policy also "mode" (n, T), its
-        actions; and an array (n, T, numbers) for each part in ``shown`` and ``after``. Without
+        actions; and an array (n, T, values) for each part in ``shown`` and ``after``. Without
         ground truth, the first three are NaN.
     """
     packed = EpisodeBatch.of(episodes) if not scoring.planar else _packed(episodes, scoring)

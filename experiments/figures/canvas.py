@@ -108,7 +108,7 @@ def legend_of(figure: Any, axes: Any, narrow: bool, handles: Sequence[Any]) -> N
 
 
 def plain_numbers(axis: Any) -> None:
-    """Label a logarithmic axis with plain numbers: powers of ten, perhaps 2 and 5 times these."""
+    """Label a logarithmic axis with plain numbers: powers of ten, maybe also 2 and 5 times them."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     low, high = axis.get_view_interval()

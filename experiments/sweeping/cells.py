@@ -1,4 +1,4 @@
-"""Rows of a sweep in a folder of Parquet files: one per cell, which is a combination of values."""
+"""Rows of a sweep in a folder of Parquet files: one for each cell, a combination of values."""
 
 import tempfile
 import warnings

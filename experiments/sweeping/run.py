@@ -24,7 +24,7 @@ SHOWN = ("reward", "ate_m", "rmse_m", "nees", "divergence_rate")
 
 
 def sweep(file: Path, folder: Path, address: str | None, workers: int | None) -> None:
-    """Compute on Ray the cells of a sweep file whose rows a folder lacks, and show all rows.
+    """Compute, on Ray, the cells of a sweep that have no row in the folder yet; show all rows.
 
     Raises:
         ValueError: the file is not valid, the folder has rows of another sweep, or a cell failed.

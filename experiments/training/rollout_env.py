@@ -60,7 +60,7 @@ class RolloutEnv:
         observations: (n, features) latest observations, which need an action.
 
     Raises:
-        ValueError: n is not a multiple of eight or too small, or banks need different programs.
+        ValueError: n is too small or no multiple of eight, or banks need different programs.
     """
 
     def __init__(
@@ -135,7 +135,7 @@ class RolloutEnv:
         return Normalization.clipped(mean, sigma, clip)
 
     def try_all(self, act: Act) -> Tried:
-        """Try every action in all states whose episode lasts for at least the horizon.
+        """Try every action in all states whose episode goes on for at least the horizon.
 
         Args:
             act: function that chooses the actions after the first, for observations

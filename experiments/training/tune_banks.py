@@ -201,7 +201,7 @@ def _written(transition: Array) -> tuple[tuple[float, ...], ...]:
 
 
 def best_bank_of(space: SearchSpace, value: Value, evaluations: int) -> Bank:
-    """Return the bank at the mean center of the second half of the search.
+    """Return the bank at the mean of the centers in the second half of the search.
 
     Points are compared only within a generation, so each generation may have its own episodes. The
     center of the search then wanders around the optimum of all episodes, and the mean of the

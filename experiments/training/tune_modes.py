@@ -62,7 +62,7 @@ OBJECTIVES = {
 
 
 def objective_of(name: str, mode: Mode, episodes: Sequence[Episode]) -> Objective:
-    """Return the objective per episode as a function of a mode that has ``mode``'s algorithm."""
+    """Return the objective (episodes,) as a function of modes with the algorithm of ``mode``."""
     function, names, _ = OBJECTIVES[name]
     layout = episodes[0].layout
     tracker = Tracker(Pipeline((mode,), layout), len(episodes))

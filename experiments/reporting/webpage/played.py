@@ -217,9 +217,8 @@ def _course(results: Mapping[str, Any], modes: Sequence[str], weighed: bool) -> 
     return {
         "x": _numbers(results["x"][:, 0], ".2f"),
         "y": _numbers(results["x"][:, 1], ".2f"),
-        "ellipse": [
-            _numbers(values) for values in (*axes, turn)
-        ],  # ellipse of two standard deviations
+        # ellipse of two standard deviations
+        "ellipse": [_numbers(values) for values in (*axes, turn)],
         "speed_mps": _numbers(np.linalg.norm(results["x"][:, 3:6], axis=1), ".2f"),
         "error_m": _numbers(np.linalg.norm(results["error"], axis=1), ".2f"),
         "nees": _numbers(results["nees"]),
