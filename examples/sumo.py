@@ -39,7 +39,7 @@ def read_trips(path):
 
 
 def ways_in(scene, trips, least_s, shift_m=None):
-    """Return trips that are not behind walls as trajectories; print why others are left out.
+    """Return the trips, except short ones and ones behind walls; print why they are left out.
 
     Without a shift, the middle of the traffic is moved to the middle of the streets.
     """
@@ -105,9 +105,9 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("traffic", type=Path, help="file of floating-car data, .xml or .xml.gz")
     parser.add_argument("ways", type=Path, help="CSV file to write")
-    parser.add_argument("--scene", default="street", help="scene to whose streets traffic is moved")
+    parser.add_argument("--scene", default="street", help="scene into which traffic is moved")
     parser.add_argument("--least", type=float, default=60.0, help="minimum duration of trips, s")
-    shift = "shift of all positions in x and y, m; by default from middle to middle"
+    shift = "shift of all positions in x and y, m; by default to the middle of the streets"
     parser.add_argument("--shift", type=float, nargs=2, help=shift)
     make = "first make traffic that lasts this long, and write it to the file of floating-car data"
     parser.add_argument("--make", type=int, metavar="SECONDS", help=make)

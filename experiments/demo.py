@@ -22,7 +22,7 @@ class Args(JsonArgs):
     percentiles: bool = False
     """also write percentiles of errors and protection levels to the files"""
     out: Path = Path("results")
-    """folder for tables.md, one JSON file per comparison, and report.html, a web page of all"""
+    """folder for tables.md, one JSON file per comparison, and report.html, a web page"""
 
 
 def main(args: Args) -> None:

@@ -32,7 +32,7 @@ class Args:
     """with samples: copy their files to this folder, each sample to logs/NAME or recordings/NAME
     in it"""
     copy: str | None = None
-    """name of a single sample to copy, directly to --out; its log if it has one"""
+    """name of a sample to copy directly into --out: its log if it has one, else its recording"""
 
 
 COLUMN = 25  # column in which the descriptions of names begin

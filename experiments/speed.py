@@ -1,4 +1,4 @@
-"""mmwave-loc speed: steps per second, compared with filterpy's and a processor core's limit.
+"""mmwave-loc speed: steps per second, compared with filterpy and with the limit of a core.
 
 One run does the same work with a loop over filterpy's filters, a single environment, Gymnasium's
 synchronous vector environment and the native one. It also measures the filters alone, the limit of
@@ -25,7 +25,7 @@ class Args(JsonArgs):
     seconds: float = 0.5
     """minimum time per measurement; complete episodes are measured"""
     repeats: int = 5
-    """number of rounds, in each of which everything is measured once; prints medians and ranges"""
+    """number of rounds; each measures everything once, and the tables show medians and ranges"""
     docs: Path | None = None
     """also update the tables in this page, between its `<!-- table: ... -->` and end lines"""
 

@@ -39,7 +39,7 @@ class Args(JsonArgs):
     evaluations: int = 1000
     """with --bank, maximum number of evaluations"""
     out: Path | None = None
-    """write the tuned modes to this mode file, for --modes and modes="""
+    """write the tuned modes to this mode file, to use as --modes or modes="""
 
 
 OF_MODES = ("modes", "scenarios", "free", "objective", "diagonal")  # meaningless with --bank
@@ -47,7 +47,7 @@ Content = dict[str, Any]  # content of a JSON file
 
 
 def _tuned_bank(args: Args) -> tuple[Content, Content]:
-    """Tune a bank, and print its reward; return the content of the mode file, and no figures."""
+    """Tune a bank, and print its reward; return the mode file's content and an empty dict."""
     from experiments.console.progress import say
     from experiments.evaluation.intervals import Interval
     from experiments.training.tune_banks import tuned_bank
@@ -59,12 +59,12 @@ def _tuned_bank(args: Args) -> tuple[Content, Content]:
     name = radio_from(args.radio).name
     bank = tuned_bank(args.radio, args.episodes, args.seed, args.evaluations)
     reward, gain = (Interval.of(bank["held_out"][column]) for column in ("reward", "minus imm"))
-    say(f"{name}: reward {reward}, minus imm's {gain}, on the same number of other episodes")
+    say(f"{name}: reward {reward}, its difference from imm's {gain}, on as many other episodes")
     return bank, {}
 
 
 def _tuned_modes(args: Args) -> tuple[Content, Content]:
-    """Tune modes one by one, and print them; return the content of the mode file, and figures."""
+    """Tune modes one by one, and print them; return the mode file's content and more results."""
     from experiments.console.progress import say
     from experiments.evaluation.asked import source_of
     from experiments.evaluation.intervals import bootstrap

@@ -24,7 +24,7 @@ def page_to_renew(path: Path) -> str:
 
 
 def renewed(page: str, tables: Mapping[str, str]) -> str:
-    """Return a page with each table between its marks replaced by the table of that title.
+    """Return a page in which every marked table is replaced by the new table of the same title.
 
     Args:
         page: Markdown, with lines that mark where its tables begin and end.

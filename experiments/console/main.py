@@ -29,7 +29,7 @@ GROUPS = {
         "compare": "compare policies on the same episodes, with paired differences",
         "evaluate": "same as compare",
         "tables": "reproduce the paper's tables and test its claims",
-        "leaderboard": "judge entries of the benchmark and rank them",
+        "leaderboard": "judge contenders by the benchmark, and rank all entries",
         "watch": "play an episode with some policies, in a window or as a video",
         "report": "make one self-contained web page of results",
     },
@@ -125,7 +125,7 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
         with stopped_at_once():
             warnings.showwarning = _show_warning
             for stream in (sys.stdout, sys.stderr):
-                if isinstance(stream, TextIOWrapper):  # its encoding may lack letters of names
+                if isinstance(stream, TextIOWrapper):  # its encoding may lack some characters
                     stream.reconfigure(errors="backslashreplace")
             args, command = read_arguments(name, words), importlib.import_module(page_of(name))
             importlib.import_module("experiments.evaluation.asked")  # slow; all commands need it
@@ -134,7 +134,7 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
             command.main(args)
         print(end="", flush=True)
     except BrokenPipeError:  # the reader closed the pipe
-        _leave(141)  # as a shell reports a program that SIGPIPE ended
+        _leave(141)  # the code that shells give to a program ended by SIGPIPE
     except Exception as error:
         _complain(program, error, debug)
         _leave(2 if isinstance(error, (ValueError, OSError)) else 1)
@@ -149,7 +149,7 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
 
 def _require_results_can_be_written(args: Any) -> None:
     for name, ending in {"json": ".json", "episodes_csv": ".csv"}.items():
-        path = getattr(args, name, None)  # not every command has figures to write
+        path = getattr(args, name, None)  # not every command has this option
         if path is None:
             continue
         if path.suffix != ending:

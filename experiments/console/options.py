@@ -11,7 +11,7 @@ from typing import Literal
 from tyro.conf import Positional
 
 USUAL_EPISODES = 1000
-AUTO = "auto"  # choose the radio whose noise is nearest to a log's
+AUTO = "auto"  # choose the radio whose noise is nearest to that of a log
 TUNING_SEED = 5_000_000  # first of the seeds for tuning
 
 
@@ -57,7 +57,7 @@ class WorldArgs:
     odometry: bool = False
     """the user also measures speed and heading"""
     clock: str = "synchronized"
-    """synchronized, or offset: the user's clock has an unknown offset, which ranges contain"""
+    """synchronized, or offset: the user's clock has an unknown offset, which shifts all ranges"""
 
 
 @dataclass(kw_only=True)
@@ -114,7 +114,7 @@ class TaskArgs:
     places: tuple[str, ...] = ()
     """places to train at, instead of --radio: each is SCENE:RADIO or SCENE:RADIO:DT, such as
     street:handset or o1:standard:0.1, with names or JSON files and the seconds between epochs
-    (default: 1); environments, and episodes for judging policies, are spread over them evenly"""
+    (default: 1); environments are spread evenly over places, as are episodes to judge policies"""
     beliefs: Literal["shared", "per-mode"] = "shared"
     """shared: all modes work on one belief; per-mode: every mode keeps its own belief, and the
     agent says which one to trust"""
@@ -126,7 +126,7 @@ class TaskArgs:
     coming epoch"""
     reward: str = "tracking"
     """tracking or log-score (minus the IMM's reward if the hyperparameters ask for paired), or
-    paired: the tracking reward minus the IMM's; with --beliefs per-mode, the IMM is the bank's"""
+    paired: the tracking reward minus the IMM's (the bank's IMM with --beliefs per-mode)"""
     nees_weight: float = 0.2
     """weight of the NEES in the tracking reward"""
 
@@ -212,10 +212,10 @@ class LogArgs(AlgorithmArgs, FilterArgs, IntegrityArgs, TrackOutputArgs):
     """read rows from standard input (log -) as CSV or JSON lines, and print one JSON line for each
     epoch at once"""
     lag: int = 0
-    """with --live, also print the position this many epochs ago, smoothed with the epochs since"""
+    """with --live, also print the position this many epochs ago, smoothed with all later epochs"""
     associate: bool = False
-    """rows are paths without anchor numbers: assign each path to an anchor, or reject it as
-    false"""
+    """the log's rows are paths without anchor numbers: assign each path to an anchor, or reject it
+    as false"""
     truth: Path | None = None
     """ground-truth track in TUM format, to score the track; the filters never see it"""
 

@@ -30,7 +30,7 @@ class Everywhere:
     quiet: bool = False
     """show neither tables nor progress, only warnings and errors"""
     debug: bool = False
-    """if something fails, show the place in the program"""
+    """if something fails, show where in the program (a traceback)"""
 
 
 def parse(arguments: type[T], words: Sequence[str], program: str) -> T:
@@ -54,7 +54,7 @@ def parse(arguments: type[T], words: Sequence[str], program: str) -> T:
     try:
         with (
             _columns(width if helped else UNLIMITED),
-            redirect_stdout(sys.stdout if helped else box),  # tyro reads its encoding
+            redirect_stdout(sys.stdout if helped else box),  # tyro needs its encoding
             redirect_stderr(box),
         ):
             parsed = tyro.cli(read, prog=program, description="", args=words, config=config)

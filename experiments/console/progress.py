@@ -13,7 +13,7 @@ from mmwave_env.io.lookup import printable
 
 T = TypeVar("T")
 
-QUIET: ContextVar[bool] = ContextVar("quiet", default=False)  # neither bars nor tables
+QUIET: ContextVar[bool] = ContextVar("quiet", default=False)  # True: show neither bars nor tables
 
 
 class _Description(TextColumn):
@@ -45,7 +45,7 @@ def terminal_width() -> int | None:
 
 
 def say(*lines: str) -> None:
-    """Print lines in printable characters: a line break within a name is spelled out."""
+    """Print lines in printable characters: a line break in a name becomes an escape code."""
     print(*map(printable, lines), sep="\n", flush=True)
 
 
@@ -56,7 +56,7 @@ def note(text: str) -> None:
 
 @contextmanager
 def progress(label: str) -> Iterator[Callable[[float], None]]:
-    """Show a bar that pulses until the yielded function is called with the share done."""
+    """Show a bar that pulses until the yielded function is called with the share that is done."""
     with bars() as shown:
         task = shown.add_task(label, total=None)
         yield lambda share: shown.update(task, completed=share, total=1.0)

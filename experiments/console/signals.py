@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 # Those signals that the system has; Windows has no SIGHUP.
 ENDING = tuple(getattr(signal, n) for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n))
 SOON_S = 0.01  # delay after which a signal that could not be handled is sent again
-SAME_S = 1.0  # a repetition within this time is the same signal, sent to process and group
+SAME_S = 1.0  # a repetition within this time is one signal, sent to the process and its group
 
 
 class Ended(SystemExit):
@@ -31,7 +31,7 @@ def _told(number: int) -> str:
 def answered(
     numbers: Sequence[int], answer: Callable[[int, Any], None] | signal.Handlers
 ) -> Iterator[None]:
-    """Handle signals with a function in the block, except those ignored, such as under nohup."""
+    """Handle signals with a function in the block; ignored ones stay ignored (as under nohup)."""
     before = {number: signal.getsignal(number) for number in numbers}
     heeded = {number: old for number, old in before.items() if old is not signal.SIG_IGN}
     for number in heeded:
@@ -80,7 +80,7 @@ def ended_by_the_system() -> Iterator[None]:
 
 
 def _in_callback(frame: FrameType | None) -> bool:
-    """Return whether C code called the running Python code: it would drop an exception."""
+    """Return whether C code called the running Python code; C code would drop an exception."""
     while frame is not None:
         if frame.f_code.co_name.startswith("_raw_object_cache"):  # a callback of llvmlite
             return True

@@ -1,4 +1,4 @@
-"""Tables of figures as Markdown and on a terminal."""
+"""Tables of results, as Markdown and on a terminal."""
 
 import re
 import textwrap

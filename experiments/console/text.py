@@ -4,7 +4,7 @@ import re
 
 from mmwave_env.io.lookup import printable
 
-# What Markdown and HTML read as markup; an underscore within a word or < before a number is not.
+# Characters that are markup in Markdown or HTML; _ within a word and < before a number are not.
 _READ = re.compile(
     r"[\\`*|$~]|<(?=[A-Za-z/!?])|&(?=[A-Za-z#])|\](?=[(\[:])"
     r"|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])"

@@ -63,13 +63,13 @@ def self_test() -> list[dict[str, Any]]:
 
 
 def _deviation(computed: Array, expected: Array) -> float:
-    """Return the largest difference, relative to the largest number in its column."""
+    """Return the largest difference, relative to the largest absolute value in its column."""
     size = np.maximum(np.abs(expected).max(axis=tuple(range(expected.ndim - 1))), 1.0)
     return float((np.abs(computed - expected) / size).max())
 
 
 def _episodes(task: Task, episodes: EpisodeBatch) -> float:
-    """Return the deviation of epochs drawn by compiled code from the same equations on floats."""
+    """Return the deviation of epochs drawn by compiled code from epochs drawn on floats."""
     source = task.simulated
     begun, world = source.begin(_KEYS), source.world
     settings, blank = source.feed(begun.worlds).settings[:, 0], np.zeros(world.ends[0])
@@ -85,7 +85,7 @@ def _episodes(task: Task, episodes: EpisodeBatch) -> float:
 
 
 def _stepped(task: Task, episodes: EpisodeBatch, on_floats: bool) -> Array:
-    """Return the estimates (epochs, n, 7) if every action is the first."""
+    """Return the estimates (epochs, n, 7) of episodes in which every action is 0."""
     engine = Engine(
         task.pipeline, len(_KEYS), TrackingReward(), bank=task.bank, on_floats=on_floats
     )

@@ -68,7 +68,7 @@ def compare(
         modes, observation, beliefs: settings that agents were trained with, as in the environment;
             policy files hold their own. An "imm" among the policies uses these modes, and the
             transition and quantile of a bank or mode file that defines them.
-        data: recorded episodes or your own, same as the environment's ``episodes``.
+        data: recorded episodes or episodes of your own, as in the environment's ``episodes``.
         world: further arguments of the environment: ``scene``, ``dt``, ``episode_steps``,
             ``planar``, ``odometry``, ``reward``.
 
@@ -80,7 +80,7 @@ def compare(
     Raises:
         ValueError: ``policies`` is not a dict; ``episodes`` is not a number; a scenario, radio or
             contender is unknown; a name occurs twice; or an agent fails to load, raises, or does
-            not return actions. Except for an agent that fails later, no episode has run then.
+            not return actions. Only an agent that fails later is found after episodes have run.
         FileNotFoundError: there is no such file.
     """
     if not isinstance(policies, Mapping):

@@ -174,7 +174,7 @@ def shipped_for(radio: str) -> dict[str, str]:
 
 
 def _of_any_modes(bank: Bank) -> dict[str, Make]:
-    """Return the contenders that exist for any modes: each mode alone, rules and the IMM."""
+    """Return the contenders that any modes allow: each mode alone, rules and the IMM."""
     names = [mode.name for mode in bank.modes]
     policies: dict[str, Callable[[Observation], Policy]] = {
         f"fixed-{name}": _fixed(i) for i, name in enumerate(names)
@@ -215,7 +215,7 @@ def contender_from(
 
     Args:
         name: name of a contender or shipped policy, a policy file (``.safetensors``), the folder
-            of a run, which stands for its median training, or module:function, as in
+            of a run (its median training is used), or module:function, as in
             :func:`~experiments.evaluation.agents.agent_from`.
         radio, modes: same as in :func:`contenders`.
         observation, beliefs: settings of a user's agent, as in :meth:`Contender.own`.

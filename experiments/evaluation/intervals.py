@@ -103,7 +103,7 @@ def _intervals(*columns: Array) -> list[Interval]:
 def bootstrap_ratio(over: Array, under: Array) -> list[Interval]:
     """Return ratios of the column means of two arrays (episodes, k), with 95 % intervals.
 
-    A ratio is NaN if its denominator is 0; its interval is NaN if that is so in any resample.
+    A ratio is NaN if its denominator is 0, its interval if the denominator is 0 in any resample.
     """
 
     def ratios(means: Array) -> Array:
@@ -121,7 +121,7 @@ def few_seeds_factor(seeds: int) -> float:
     """Return the factor by which a percentile interval over few seeds is too narrow.
 
     Resampling K of K seeds narrows an interval by sqrt((K - 1) / K), and percentiles assume a
-    normal instead of a t distribution: with 5 seeds, a 95 % interval would only be one of 85 %
+    normal instead of a t distribution: with 5 seeds, a nominal 95 % interval would only cover 85 %
     (Hesterberg 2015).
     """
     if seeds == 1:

@@ -111,7 +111,7 @@ class Judged:
 
 
 def require_contenders(names: Sequence[str]) -> None:
-    """Check, before any episode runs, that every site has the contenders.
+    """Check, before any episode runs, that the contenders exist at every site.
 
     Raises:
         ValueError, FileNotFoundError: same as from

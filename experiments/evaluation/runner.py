@@ -87,14 +87,14 @@ def run_contender(
     Args:
         contender, policy, episodes, scoring: same as in :func:`score`, except that episodes need
             ground truth only if ``scoring.planar``.
-        shown: parts of the environment's state, such as "mixture.probability", whose values at the
-            time of every choice of the policy are returned; ignored for an IMM.
-        after: parts of the state whose values after every epoch are returned; every contender has
-            "x", "P", "memory.nis", "memory.accepted" and "memory.rejected".
+        shown: parts of the environment's state, such as "mixture.probability", to return with the
+            values that they have whenever the policy chooses; ignored for an IMM.
+        after: parts of the state to return with the values that they have after every epoch; every
+            contender has "x", "P", "memory.nis", "memory.accepted" and "memory.rejected".
 
     Returns:
         "reward" and "nees" (n, T); "error" (n, T, 3) in m; for a policy also "mode" (n, T), its
-        actions; and an array (n, T, numbers) for each part in ``shown`` and ``after``. Without
+        actions; and an array (n, T, values) for each part in ``shown`` and ``after``. Without
         ground truth, the first three are NaN.
     """
     packed = EpisodeBatch.of(episodes) if not scoring.planar else _packed(episodes, scoring)
@@ -206,12 +206,12 @@ def score_contenders(
     """Compute the scores of contenders on the same episodes.
 
     Args:
-        names: names as in :func:`contender_from`, or contenders themselves.
+        names: contenders, or names as in :func:`contender_from`.
         source: source of the episodes.
         radio: radio profile.
         selection: episodes to run, by seeds or keys.
-        modes: same as in :func:`contenders`.
-        watch: functions called with each contender, times (T,) of epochs and its epoch results.
+        modes: same as in :func:`~experiments.evaluation.contenders.contenders`.
+        watch: functions that are called with a contender, the times (T,) and its epoch results.
         scoring: scoring of all contenders.
         after: parts of the state for ``watch``, as in :func:`run_contender`.
 

@@ -48,7 +48,7 @@ class Run:
     """The trainings of a run, ordered by their reward on tuning seeds, best first."""
 
     name: str  # the folder, as on the command line and in results
-    seeds: tuple[int, ...]  # training seeds, which number the trainings
+    seeds: tuple[int, ...]  # training seeds, which identify the trainings
     median: int  # seed of the training with the median reward, which stands for the run
     # outcome of each training, as the training wrote it
     outcomes: tuple[Mapping[str, Any], ...] = field(default=(), repr=False, compare=False)
@@ -102,10 +102,10 @@ def trainings(names: Sequence[str], runs: Mapping[str, Run]) -> list[str]:
 
 
 def curves_of(log: Path) -> dict[str, tuple[list[float], list[float]]]:
-    """Read learning curves from a progress log: steps, and reward minus each rival's.
+    """Read learning curves from a progress log: by rival, steps and reward minus the rival's.
 
     Raises:
-        ValueError: the log is not CSV, or a value is not a number; names the line.
+        ValueError: the log is not CSV, or a value is not a number; the message names the line.
     """
     curves: dict[str, tuple[list[float], list[float]]] = {}
     rows = csv.DictReader(StringIO(read_text(log, "the progress log of a training"), newline=""))

@@ -22,7 +22,7 @@ LEGEND_COLUMNS = 2  # number of columns in a legend below panels
 
 
 def require_picture(option: str, path: Path) -> None:
-    """Refuse a picture file that could not be written, before any work; ``option`` names the file.
+    """Refuse, before any work, a picture file that can't be written; errors name ``option``.
 
     Raises:
         ValueError: the name does not end with .png, .svg or .pdf.
@@ -58,7 +58,7 @@ def picture(path: Path, width_in: float, height_in: float) -> Iterator[Any]:
 
 
 def caption(name: str) -> str:
-    """Return a name in which characters that are invisible or not in the font are spelled out."""
+    """Return a name with escape codes for characters that are invisible or not in the font."""
     from matplotlib.font_manager import findfont, get_font
 
     font = get_font(findfont("DejaVu Sans"))  # the font that comes with matplotlib
@@ -88,7 +88,7 @@ def legend_beside(axes: Any, **options: Any) -> None:
 def panels(path: Path, count: int, entries: int, narrow: bool) -> Iterator[tuple[Any, list[Any]]]:
     """Yield a picture and its ``count`` panels, side by side or (``narrow``) stacked, for a phone.
 
-    It has room for a legend of ``entries``, to the right or below; :func:`legend_of` draws it.
+    There is room for a legend of ``entries``, to the right or below; :func:`legend_of` draws it.
     """
     if narrow:
         size = 4.6, 2.9 * count + 0.3 + 0.2 * (-(-entries // LEGEND_COLUMNS))
@@ -108,7 +108,7 @@ def legend_of(figure: Any, axes: Any, narrow: bool, handles: Sequence[Any]) -> N
 
 
 def plain_numbers(axis: Any) -> None:
-    """Label a logarithmic axis with plain numbers: powers of ten, and 2 and 5 if there is room."""
+    """Label a logarithmic axis with plain numbers: powers of ten, maybe also 2 and 5 times them."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     low, high = axis.get_view_interval()

@@ -14,7 +14,7 @@ from experiments.figures.timeline import mode_ribbon
 from mmwave_env.numerics.numbers import Array, Index
 
 ELLIPSES = 15  # maximum number of ellipses along a track
-TITLE_LETTERS = 80  # maximum number of letters in a line of the title
+TITLE_LETTERS = 80  # maximum number of characters in a line of the title
 _ENLARGED = (1, 2, 5, 10, 20, 50, 100)  # factors by which ellipses may be enlarged to be visible
 _VISIBLE = 0.02  # smallest visible size, as a share of the track's extent
 
@@ -82,7 +82,7 @@ def _draw_above(axes: Any, track: DrawnTrack) -> None:
 
 
 def _add_steps(axes: Any, track: DrawnTrack, chosen: Array, look: dict[str, Any]) -> None:
-    """Draw lines to the next epoch where ``chosen`` (T - 1,), but not from segment to segment."""
+    """Draw the ``chosen`` (T - 1,) steps between epochs, but none between segments."""
     from matplotlib.collections import LineCollection
 
     position = track.position_m[:, :2]

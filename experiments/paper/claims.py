@@ -173,7 +173,7 @@ def process_noise(bench: Bench) -> Iterator[Row]:
     "Doppler in hertz, or as printed",
     "Filtered ATE in m, tuned modes. As printed: the filter predicts v'(p - p1)/|p - p1| in m/s "
     "plus b in Hz for a shift that the receiver measures in Hz (93 Hz for 1 m/s at 28 GHz). Read "
-    "as m/s: the filter takes the number of Hz for m/s, and also assumes noise that is 93 times "
+    "as m/s: the filter takes the value in Hz for m/s, and also assumes noise that is 93 times "
     "smaller.",
     "user | radio | gates: in hertz | as printed | no gates: in hertz | as printed | read as m/s",
     labels=2,
@@ -201,7 +201,7 @@ def _drifting_in_hz(mode: Mode, episode: Episode) -> Mode:
 
 
 def _read_as_mps(episode: Episode) -> Episode:
-    """Return the episode with the Doppler shift's number of Hz taken for m/s, and noise in m/s."""
+    """Return the episode with the Doppler shift's value in Hz taken as m/s, and noise in m/s."""
     sigma = episode.sigma.copy()
     sigma[:, episode.layout.doppler] /= episode.hz_per_mps
     return replace(episode, hz_per_mps=1.0, sigma=sigma)
@@ -246,8 +246,8 @@ def consistency_gate(bench: Bench) -> Iterator[Row]:
 
 @section(
     "Printed figures against each other",
-    "No track has an RMSE below its ATE, because the mean of a square is at least the square of "
-    "the mean, nor an RPE over one epoch above twice its ATE (except for effects of its ends).",
+    "The RMSE of a track is at least its ATE, because the mean of a square is at least the square "
+    "of the mean. The RPE over one epoch is at most twice the ATE, except for effects of its ends.",
     "row | ATE m | RMSE m | RPE m | contradiction",
 )
 def contradictions(_: Bench) -> Iterator[Row]:

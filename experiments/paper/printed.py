@@ -1,4 +1,4 @@
-"""Tables I, II and III with the numbers printed in the paper (arXiv 2510.06861) and ours."""
+"""Tables I, II and III with the values printed in the paper (arXiv 2510.06861) and ours."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -14,7 +14,7 @@ from mmwave_env.models.radio import RADIOS
 
 
 class Published(NamedTuple):
-    """The numbers of a row of the paper's Table I or II, in the printed order."""
+    """The values in a row of the paper's Table I or II, in the printed order."""
 
     ate_m: float
     rpe_m: float
@@ -50,7 +50,7 @@ def untuned(algorithm: str, coupling: bool) -> Mode:
 
 
 def _row(name: str, printed: Published | None, forms: Sequence[Scores]) -> Row:
-    """Return a row: per metric the paper's number, then ours for each form of process noise."""
+    """Return a row: per metric the paper's value, then ours for each form of process noise."""
     ours = iter(bootstrap(np.stack([scores[m] for m in PRINTED for scores in forms], axis=1)))
     row: Row = [name]
     for metric in PRINTED:
@@ -89,7 +89,7 @@ def tables_one_and_two(bench: Bench) -> Iterator[Section]:
             "smoothed."
         )
         if scenario == "pedestrian":
-            note += " With odometry the tracks are the same, but the noise is not."
+            note += " Rows with odometry have the same true tracks, but other noise."
         for radio in RADIOS:
             rows = _rows(bench, Setting(scenario, radio), printed)
             yield Section(f"Table {number}: {scenario}, {radio}", note, header, rows=[*rows])

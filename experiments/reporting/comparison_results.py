@@ -29,7 +29,7 @@ from mmwave_env.localization.position_errors import require_risk
 
 
 class Results(NamedTuple):
-    """Results of a comparison: tables, numbers, and pictures to draw."""
+    """Results of a comparison: tables, values, and pictures to draw."""
 
     comparison: Comparison
     text: str  # all tables as Markdown
@@ -57,7 +57,7 @@ def results(
 
     Args:
         args: options that choose the episodes and the tables.
-        names: contenders to run; the folder of a run stands for its median training.
+        names: contenders to run; for the folder of a run, its median training is shown.
         pictures: files to draw, by option: "errors" and "consistency".
 
     Raises:

@@ -68,7 +68,7 @@ def _epochs(
 ) -> Iterator[LiveEpoch]:
     """Read rows, CSV below a header or JSON objects; yield the epochs that they form.
 
-    A JSON object is a row, or all rows of an epoch as {"rows": [...]}. The first has all columns.
+    An object is a row, or all rows of an epoch: {"rows": [...]}. The first object has all columns.
     """
     lines = _lines(stream)
     number, first = next(lines, (0, ""))

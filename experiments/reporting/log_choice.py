@@ -20,7 +20,7 @@ from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed,
 DEFAULT_POLICY = "guided"
 # Without elevations guided trusts wrong modes more often than it gains (docs/learning.md).
 WITHOUT_ELEVATIONS = "imm-best"
-RULES: dict[str, tuple[Rule, str]] = {  # each rule, and its speed's name in messages
+RULES: dict[str, tuple[Rule, str]] = {  # each rule, and the name of its speed in messages
     "prediction": (by_predicted_speed, "the predicted"),
     "odometry": (by_odometry_speed, "odometry's"),
 }
@@ -34,13 +34,13 @@ class Choice(NamedTuple):
 
 
 def is_algorithm_1(args: LogArgs) -> bool:
-    """Return whether options ask for the paper's Algorithm 1: any option that only it has."""
+    """Return whether any option is set that only the paper's Algorithm 1 has."""
     asked = (args.speed, args.modes, args.follow != "prediction" or None, args.robust or None)
     return any(option is not None for option in asked) or not (args.gating and args.adaptive)
 
 
 def require_none(beside: str, **options: object) -> None:
-    """Refuse options that mean nothing together with the option ``beside``."""
+    """Refuse options that can't be combined with the option ``beside``."""
     for name, value in options.items():
         if value is not None:
             raise ValueError(f"{name}: cannot be combined with {beside}; use only one of the two")
@@ -55,7 +55,7 @@ def require_one_choice(args: LogArgs) -> None:
         require_none("--policy", speed=args.speed, modes=args.modes)
         raise ValueError(
             "policy: cannot be combined with an option of Algorithm 1 (--follow, --robust, "
-            "--no-gating or --no-adaptive), because it was trained with its own modes"
+            "--no-gating or --no-adaptive), because a policy is trained with its own modes"
         )
     if not by_speed and args.outside == "abort":
         raise ValueError("outside: abort needs --speed with a number of m/s")

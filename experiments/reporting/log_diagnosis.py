@@ -1,4 +1,4 @@
-"""Report that localize --diagnose prints about a log: facts on its epochs, likely mistakes."""
+"""Report that localize --diagnose prints about a log: facts, and likely mistakes."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -62,7 +62,7 @@ class _Sums:
             f"steps of the ground truth faster than {FASTEST_MPS:g} m/s": speed > FASTEST_MPS,
             "epochs in which no anchor was measured": ~links.any(axis=1),
         } | {
-            f"epochs with only some numbers of {name}, which counts as missing there": incomplete
+            f"epochs with only some values of {name}, which counts as missing in them": incomplete
             for name, incomplete in zip(block.layout.group_names, block.incomplete.T, strict=True)
         }
         self.irregular.update({words: int(epochs.sum()) for words, epochs in counted.items()})

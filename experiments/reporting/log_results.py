@@ -167,7 +167,7 @@ def _track(args: LogArgs, work: Work, window: int | None) -> Iterator[TrackBlock
 
 
 def beginning(args: LogArgs, epochs: int) -> tuple[TrackBlock, Work]:
-    """Filter the first epochs of a log; return their track and what it was made with.
+    """Filter the first epochs of a log; return their track and the work that made it.
 
     Raises:
         ValueError: same as from ``mmwave-loc localize``.

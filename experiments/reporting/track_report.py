@@ -132,7 +132,7 @@ def _association(counts: dict[str, Any]) -> list[str]:
         f"{counts['paths']} paths, {counts['false']} of them false; the track was found {starts}"
     ]
     if counts["incomplete"]:
-        lines.append(f"{counts['incomplete']} paths with only some of their numbers were left out")
+        lines.append(f"{counts['incomplete']} paths with only some of their values were left out")
     if between["epochs"]:
         lines.append(
             f"{between['epochs']} epochs without a track, whose {between['paths']} paths were "
@@ -158,7 +158,7 @@ def _accuracy(truth: dict[str, Any], epochs: int) -> str:
 
 
 def track_markdown(figures: dict[str, Any]) -> str:
-    """Return the results about a track, as ``localize`` collects them, as Markdown."""
+    """Return the results that ``localize`` collects about a track as Markdown."""
     counts = figures.get("association")
     lines = _course(figures) + (_association(counts) if counts else [])
     parts = ["".join(f"- {line}\n" for line in lines)]

@@ -1,4 +1,4 @@
-"""Rows of a sweep in a folder of Parquet files: one per cell, which is a combination of values."""
+"""Rows of a sweep in a folder of Parquet files: one for each cell, a combination of values."""
 
 import tempfile
 import warnings
@@ -48,10 +48,10 @@ def evaluated(values: Values) -> Row:
 
 
 def trained(values: Values, tell: Callable[[Row], None] = lambda row: None) -> Row:
-    """Train a policy; return the metrics of the best one on tuning seeds, and its file.
+    """Train a policy; return the tuning metrics of the best version, and its policy file.
 
     Args:
-        values: value of every axis, which is a key of the sweep's file.
+        values: value of every axis; the axes are keys of the sweep's file.
         tell: function called with a row for each evaluation during the training.
     """
     from experiments.training.job import Job, News

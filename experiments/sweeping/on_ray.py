@@ -41,8 +41,8 @@ def connected(address: str | None, workers: int | None) -> Iterator[None]:
 
     options: dict[str, Any] = {
         "num_cpus": workers,
-        "object_store_memory": 100 << 20,
-    }  # small rows
+        "object_store_memory": 100 << 20,  # rows are small
+    }
     if address is not None:
         root = Path(__file__).resolve().parents[2]
         folders = [str(root / package) for package in ("mmwave_env", "policies", "experiments")]

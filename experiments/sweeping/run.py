@@ -24,7 +24,7 @@ SHOWN = ("reward", "ate_m", "rmse_m", "nees", "divergence_rate")
 
 
 def sweep(file: Path, folder: Path, address: str | None, workers: int | None) -> None:
-    """Compute on Ray the cells of a sweep file whose rows a folder lacks, and show all rows.
+    """Compute, on Ray, the cells of a sweep that have no row in the folder yet; show all rows.
 
     Raises:
         ValueError: the file is not valid, the folder has rows of another sweep, or a cell failed.
@@ -65,7 +65,7 @@ def _failures(spec: Spec, folder: Path, done: Collection[str]) -> Iterator[str]:
 
 
 def _table(spec: Spec, rows: Mapping[str, Values]) -> str:
-    """Return a table of varied axes and metrics, in file order; for a search, best first."""
+    """Return a table of varied axes and metrics, in the file's order; for a search, best first."""
     axes = [axis for axis, values in spec.axes.items() if len(values) > 1]
     names = [name for name in spec.cells if name in rows]
     if spec.free:

@@ -39,7 +39,7 @@ class Evaluation(ModeArgs):
 
 @dataclass(kw_only=True)
 class Training(TaskArgs):
-    """Keys of a table [train] except for hyperparameters, which are options of train."""
+    """Keys of a table [train] without its hyperparameters; these keys are options of train."""
 
     total_timesteps: Count
     seed: Seed = 0  # number of the training
@@ -89,7 +89,7 @@ class Spec:
         return values
 
     def _digest(self, values: Values) -> str:
-        """Return a name that depends on values, version and the content of files named there."""
+        """Return a name that depends on the values, the version and the content of named files."""
         words = itertools.chain(*(v if isinstance(v, tuple) else (v,) for v in values.values()))
         paths = (Path(word) for word in words if isinstance(word, str) and os.path.isfile(word))
         files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
@@ -98,7 +98,7 @@ class Spec:
 
 
 def plain(value: Any) -> Any:
-    """Return a value as columns and Optuna accept it: numbers and text, anything else as JSON."""
+    """Return a number or text as it is, and anything else as JSON, for columns and Optuna."""
     return json.dumps(value) if isinstance(value, (bool, tuple)) else value
 
 
@@ -132,7 +132,7 @@ def _spec(content: Any) -> Spec:
     if len(spec) > MOST_CELLS:
         raise ValueError(f"{kind}: found {len(spec)} cells, expected at most {MOST_CELLS}")
     if kind == "search" and not (free and all(len(values) == 1 for values in axes.values())):
-        raise ValueError("search: expected hyperparameters to try, and one value for other keys")
+        raise ValueError("search: expected hyperparameters to try, and one value per other key")
     return spec
 
 

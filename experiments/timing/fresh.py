@@ -22,8 +22,8 @@ def fresh(name: str, n: int) -> tuple[float, float]:
         n: number of environments in a vector environment; 0 for a single environment.
 
     Returns:
-        Seconds from Python's start to the end of the first step, and peak resident memory, beyond
-        the ends of episodes, MiB (2^20 bytes).
+        Seconds from Python's start to the end of the first step; and peak resident memory, MiB
+        (2^20 bytes), in a run that is longer than an episode.
     """
     words = [sys.executable, "-m", __name__, name, str(n)]
     # the child finds the same packages as this process

@@ -33,7 +33,7 @@ LATENCIES = [(name, way) for name in CONTENDERS for way in (PYTHON, PIPE)]
 
 
 def latency_us(name: str, way: str) -> list[float]:
-    """Return percentiles of the time of an epoch, microseconds, of one of :data:`LATENCIES`."""
+    """Return percentiles of the time per epoch, microseconds, for one of :data:`LATENCIES`."""
     source = SimulatedSource(scene_from(SCENE), radio_from(RADIO), epochs=EPOCHS)
     columns = log_columns(source.sample(np.random.default_rng(0)))
     cells = np.stack(list(columns.values()), axis=1).reshape(EPOCHS, -1, len(columns)).tolist()
@@ -51,7 +51,8 @@ def latency_us(name: str, way: str) -> list[float]:
 
 def _through_a_pipe(options: tuple[str, str], epochs: list[Any]) -> Any:
     words = [sys.executable, "-m", "experiments.console", "localize", "-", "--live", "--scene"]
-    packages = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}  # our path
+    # the child finds the same packages as this process
+    packages = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     with subprocess.Popen(
         [*words, SCENE, "--radio", RADIO, *options], env=packages,
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
@@ -66,7 +67,7 @@ def _through_a_pipe(options: tuple[str, str], epochs: list[Any]) -> Any:
 
 
 def _timed(call: Callable[[Any], object], arguments: list[Any]) -> Any:
-    """Return the seconds (n,) of calls with n arguments."""
+    """Return the seconds (n,) that a call takes with each of n arguments."""
     times = [time.perf_counter()]
     for argument in arguments:
         call(argument)

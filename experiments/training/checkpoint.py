@@ -1,4 +1,4 @@
-"""Checkpoints of a training, written in one step and read without running code in them."""
+"""Checkpoints of a training, written atomically and read without running code in them."""
 
 import io
 from collections.abc import Iterator
@@ -70,7 +70,7 @@ def read_stand(path: Path, begin: dict[str, Any]) -> dict[str, Any]:
 
     Args:
         path: file of the checkpoint.
-        begin: state at the beginning of a training; it has the same keys.
+        begin: state at the beginning of a training, with the keys that are required.
 
     Raises:
         ValueError: the file is damaged, or is not a checkpoint of a training.

@@ -27,7 +27,7 @@ MOMENTS = ("mean", "var", "count")  # attributes that hold the moments of all ob
 
 
 class PpoTraining(BaseCallback):
-    """A training in progress; Stable-Baselines3 calls it before and after it collects epochs.
+    """A training in progress; Stable-Baselines3 calls it before and after collecting epochs.
 
     Args:
         job: training to run; continues from a checkpoint in its folder, if any.
@@ -139,7 +139,7 @@ class PpoTraining(BaseCallback):
         }
 
     def _restore(self, state: dict[str, Any], env: dict[str, Any]) -> None:
-        """Restore the state of a training, bit by bit, so that it continues exactly."""
+        """Restore the state of a training, bit for bit, as if it had not been interrupted."""
         model = self.model
         model._setup_learn(0)
         model.num_timesteps, model._n_updates = state["timesteps"], state["updates"]

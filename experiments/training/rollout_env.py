@@ -24,7 +24,7 @@ from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.world.keys import Streams
 
 STATE = ("rows", "table", "length", "epoch")  # arrays of a batch that determine its future
-CONSTANT = 1e-4  # added to standard deviations, as a feature that never changes has none
+CONSTANT = 1e-4  # added to standard deviations, which are 0 for a feature that never changes
 
 Observations = NDArray[np.float32]
 Act = Callable[[Observations], Index]
@@ -52,7 +52,7 @@ class RolloutEnv:
         task: task of the training.
         n: number of environments, a multiple of eight.
         horizon: length of a rollout, epochs.
-        discount: factor by which a reward one second later counts less.
+        discount: weight of a reward that comes one second later, 0 to 1.
         seed: seed of the first environment; the other seeds count up from it.
 
     Attributes:
@@ -60,7 +60,7 @@ class RolloutEnv:
         observations: (n, features) latest observations, which need an action.
 
     Raises:
-        ValueError: n is not a multiple of eight or too small, or banks need different programs.
+        ValueError: n is too small or no multiple of eight, or banks need different programs.
     """
 
     def __init__(
@@ -121,7 +121,7 @@ class RolloutEnv:
         self.observations[places] = begun[places]
 
     def measured_normalization(self, clip: float) -> Normalization:
-        """Measure mean and deviation of observations, with action 0 over the longest episode.
+        """Measure mean and deviation of observations, with action 0, for an episode's length.
 
         Args:
             clip: number of deviations from the mean at which observations are clipped.
@@ -135,12 +135,12 @@ class RolloutEnv:
         return Normalization.clipped(mean, sigma, clip)
 
     def try_all(self, act: Act) -> Tried:
-        """Try every action in all states whose episode lasts for at least the horizon.
+        """Try every action in all states whose episode goes on for at least the horizon.
 
         Args:
             act: function that chooses the actions after the first, for observations
-                (actions * n, features): first those of all environments in the copies that began
-                with action 0, then of the copies that began with action 1, and so on.
+                (actions * n, features): first the n copies that began with action 0, then the n
+                copies that began with action 1, and so on.
         """
         n, actions = len(self._everyone), len(self.observation.actions)
         self._copy()
@@ -188,7 +188,7 @@ def _one_pipeline(task: TrainingTask, layout: Layout) -> Pipeline:
     """Return the pipeline that runs all banks of a task.
 
     Raises:
-        ValueError: the banks differ in more than their tuned numbers.
+        ValueError: the banks differ in more than their tuned values.
     """
     pipeline = Pipeline(task.bank.modes, layout)
     for radio, bank in task.banks.items():

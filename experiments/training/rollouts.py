@@ -132,7 +132,7 @@ class RolloutLearner:
     def restore(self, state: dict[str, Any]) -> None:
         """Restore the exact :meth:`state` of another learner."""
         self.network.load_state_dict(state["network"])
-        self._optimizer.load_state_dict(deepcopy(state["optimizer"]))  # it would keep the tensors
+        self._optimizer.load_state_dict(deepcopy(state["optimizer"]))  # it would share the tensors
         self._observations[:], self._gains[:] = state["observations"], state["gains"]
         self._seen = state["seen"]
 

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 SMOKE_EPISODES = 20  # number of episodes to judge the policy of a smoke run on
 TIMESTEPS = {"ppo": 4_000_000, "rollouts": 1_200_000}  # default length of a training
 
-# Options that do not affect a policy; the command that its file records leaves them out.
+# Options that do not affect a policy; the command in a policy file leaves them out.
 ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")
 
 

@@ -100,7 +100,7 @@ def require_environments(count: int, places: int, together: int = 1) -> None:
         together: number of adjacent environments that must share a place.
 
     Raises:
-        ValueError: it can't be; the message says which numbers are possible.
+        ValueError: this is impossible; the message says which numbers are possible.
     """
     if count % together or count < together * places:
         multiple = f"a multiple of {together}, " if together > 1 else ""

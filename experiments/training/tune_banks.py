@@ -1,6 +1,6 @@
 """Tuning of the bank of imm-best: modes for users who stand, cruise, turn, accelerate or brake.
 
-All numbers of the bank are tuned together, for the mean reward in all shipped scenes at two rates.
+The bank's parameters are tuned together, for the mean reward in all shipped scenes at two rates.
 """
 
 from collections.abc import Callable, Sequence
@@ -57,7 +57,7 @@ def tuned_bank(radio: str, episodes: int, seed: int, evaluations: int) -> dict[s
 
     Raises:
         ValueError: there are too few episodes.
-        ModuleNotFoundError: the extra "tune" is not installed.
+        MissingExtraError: the extra "tune" is not installed.
     """
     require_extra("cmaes", "tune", "tune --bank")
     sources = [
@@ -130,7 +130,7 @@ SEED = 0  # seed of the search
 Value = Callable[[Bank, int], float]
 
 # Ranges to search:
-ODDS = (-14.0, 8.0)  # log of a mode's probability to change over its probability to stay
+ODDS = (-14.0, 8.0)  # log(probability to change to another mode / probability to stay)
 # Less velocity noise earns a slightly higher reward, but only because simulated users walk so
 # straight. A user who weaves by a few degrees, as in a recording, would escape such a filter.
 FREE = {
@@ -201,7 +201,7 @@ def _written(transition: Array) -> tuple[tuple[float, ...], ...]:
 
 
 def best_bank_of(space: SearchSpace, value: Value, evaluations: int) -> Bank:
-    """Return the bank at the mean center of the second half of the search.
+    """Return the bank at the mean of the centers in the second half of the search.
 
     Points are compared only within a generation, so each generation may have its own episodes. The
     center of the search then wanders around the optimum of all episodes, and the mean of the

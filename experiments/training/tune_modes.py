@@ -31,7 +31,7 @@ RANGES = {
 # own model, 0.99 would bias sigma_v by -6 %, 0.999 by less than 1 %.
 CAP = 0.999
 POINTS = (6, 11)  # number of grid points along the second and the first parameter
-STEP = 0.3  # size of the first simplex in the logarithm, about a third of a parameter
+STEP = 0.3  # size of the first simplex in logarithms: changes a parameter by about a third
 
 
 def likelihood(history: dict[str, Array], layout: Layout) -> Array:
@@ -62,7 +62,7 @@ OBJECTIVES = {
 
 
 def objective_of(name: str, mode: Mode, episodes: Sequence[Episode]) -> Objective:
-    """Return the objective per episode as a function of a mode that has ``mode``'s algorithm."""
+    """Return the objective (episodes,) as a function of modes with the algorithm of ``mode``."""
     function, names, _ = OBJECTIVES[name]
     layout = episodes[0].layout
     tracker = Tracker(Pipeline((mode,), layout), len(episodes))
@@ -78,8 +78,8 @@ def objective_of(name: str, mode: Mode, episodes: Sequence[Episode]) -> Objectiv
 def tune(mode: Mode, free: Sequence[str], objective: Objective) -> Mode:
     """Return the mode with the best values of its free parameters.
 
-    A Nelder-Mead search over all of them starts at the best point of a logarithmic grid over the
-    first two.
+    A Nelder-Mead search over all free parameters starts at the best point of a logarithmic grid
+    over the first two.
     """
     axes = [np.geomspace(*RANGES[name], POINTS[-1 - i]) for i, name in enumerate(free[:2])]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))

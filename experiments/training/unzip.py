@@ -32,8 +32,8 @@ def unzipped(model: Path, normalize: Path | None) -> tuple[dict[str, NDArray[Any
         normalize: file that ``VecNormalize.save`` wrote, if the model was trained with it.
 
     Returns:
-        The tensors of a policy file; also "shown" (n, features) and "chosen" (n,), observations
-        and the actions that the model chose. The facts are the model's seed, timesteps and the
+        The tensors of a policy file; also "shown" (n, features), random observations, and "chosen"
+        (n,), the model's actions for them. The facts are the model's seed, timesteps and the
         name of its network.
 
     Raises:
@@ -104,7 +104,7 @@ def _loaded(model: str) -> tuple[Any, dict[str, Any]]:
 
 
 def _normalization(path: Path | None, box: Any) -> Normalization:
-    """Read the normalization of a ``VecNormalize``; without a file, it changes nothing."""
+    """Read the normalization in a file of ``VecNormalize``; if None, return one without effect."""
     low, high = box.low.astype(float), box.high.astype(float)
     as_they_are = Normalization(low, high, np.zeros(box.shape), np.ones(box.shape))
     if path is None:

@@ -42,7 +42,7 @@ const largest = (values, least) => values.reduce((a, b) => Math.max(a, b ?? 0), 
 
 const shown = (value) => (Math.abs(value) >= 1e4 ? value.toExponential(1) : String(Number(value.toPrecision(3))));
 
-// Returns the d of a path through points, with a gap where a number is missing.
+// Returns the attribute d of a path through points, with a gap where a value is missing.
 function path(xs, ys) {
   let d = "";
   xs.forEach((x, i) => {

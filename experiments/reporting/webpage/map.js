@@ -72,7 +72,7 @@ function drawStreets(svg, episode, toX, toY, perMeter) {
   }
 }
 
-// An anchor outside the map is drawn as an arrow at the rim that points to it. Names are placed where they cover neither symbols nor other names.
+// An anchor outside the map is drawn as an arrow at the rim, which points to the anchor. Names are placed where they cover neither symbols nor other names.
 function drawAnchors(svg, episode, toX, toY, width, height) {
   const margin = 14;
   const signs = episode.anchors.map(([x, y], i) => {

@@ -62,7 +62,7 @@ def play(source: Source, most: int, watched: int) -> Played:
     Args:
         source: results whose episodes or log to run.
         most: maximum number of episodes of a comparison.
-        watched: number of these whose results to keep for every epoch.
+        watched: number of these episodes whose results are kept for every epoch.
     """
     if source.kind == "run":
         return Played()
@@ -217,9 +217,8 @@ def _course(results: Mapping[str, Any], modes: Sequence[str], weighed: bool) -> 
     return {
         "x": _numbers(results["x"][:, 0], ".2f"),
         "y": _numbers(results["x"][:, 1], ".2f"),
-        "ellipse": [
-            _numbers(values) for values in (*axes, turn)
-        ],  # ellipse of two standard deviations
+        # ellipse of two standard deviations
+        "ellipse": [_numbers(values) for values in (*axes, turn)],
         "speed_mps": _numbers(np.linalg.norm(results["x"][:, 3:6], axis=1), ".2f"),
         "error_m": _numbers(np.linalg.norm(results["error"], axis=1), ".2f"),
         "nees": _numbers(results["nees"]),

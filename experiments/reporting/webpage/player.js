@@ -157,7 +157,7 @@ function drawStrips(place, episode, chosen) {
   });
   top += 4;
   const known = episode.speed_mps.some((v) => v !== null); // a log may have no ground truth
-  const most = known ? 2 * Math.max(1, ...episode.speed_mps) : Infinity; // higher ones are drawn at the edge
+  const most = known ? 2 * Math.max(1, ...episode.speed_mps) : Infinity; // higher speeds are drawn at the edge
   const speeds = courses.map((course) => course.speed_mps.map((v) => (v === null ? null : Math.min(v, most))));
   const speed = fromZero(46, "speed m/s", [...episode.speed_mps, ...speeds.flat()]);
   speeds.forEach((values, i) => line(values, speed, i));
@@ -207,7 +207,7 @@ function drawNis(svg, ts, episode, course, y, left, right) {
 
 const groupColor = (number) => `var(--mode-${number % GROUPS})`;
 
-// Calls take for every run of equal values, with its first epoch and the epoch where the next one begins.
+// Calls the function take for every run of equal values, with its first epoch and the epoch where the next one begins.
 function runs(values, take) {
   let begin = 0;
   for (let k = 1; k <= values.length; k += 1) {
