@@ -12,9 +12,9 @@ compiled again. A checksum detects a damaged file before its content is run. A p
 are edited while it runs does not use files, because it may run either version of the sources.
 
 The files are pickles, like numba's own, and reading a pickle runs code of whoever wrote it. So
-folders and files are private to this user: the cache uses neither links nor anything that another
-user owns or may write to, and goes on to the next possible folder. The parent folder may be shared,
-like ``/tmp``: a folder that another user created there fails the check of the owner.
+folders and files are private to this user: the cache rejects links and anything that another user
+owns or may write to, and then tries the next possible folder. The parent folder may be shared, like
+``/tmp``: a folder that another user created there fails the check of the owner.
 """
 
 import os

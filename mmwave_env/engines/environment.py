@@ -1,6 +1,6 @@
 """The base classes of environments: their engine, copies, and states as plain arrays.
 
-An environment that continues from a copy or a state computes exactly the same numbers.
+An environment that continues from a copy or a state computes exactly what the original would.
 """
 
 from collections.abc import Callable
@@ -31,7 +31,7 @@ from mmwave_env.task import Task
 from mmwave_env.world.episode import EpisodeBatch
 from mmwave_env.world.keys import Streams
 
-REPLAYED, FILTERED = 64, 256  # number of episodes at once; more would need much memory
+REPLAYED, FILTERED = 64, 256  # episodes that one job processes; more would need much memory
 
 
 class Baseline:
@@ -179,7 +179,7 @@ class Environment:
             rewards[places] -= self._baseline.rest(places)
 
     def _set_up_noting(self) -> None:
-        """Set up, and remember which attributes this creates, because copies create them, too."""
+        """Set up, and remember which attributes this creates, because a copy creates its own."""
         attributes = set(vars(self))
         self._set_up()
         self._remade = frozenset(vars(self)) - attributes

@@ -60,7 +60,7 @@ def begin(pipeline: Pipeline, x: Vector, P: Vector) -> Mixture:
 
 
 def stay_matrix(modes: int, stay: float = DEFAULT_STAY) -> tuple[tuple[float, ...], ...]:
-    """Return transition probabilities (from, to), which are equal for all other modes."""
+    """Return transition probabilities (from, to): ``stay``, and equal ones to the other modes."""
     if modes == 1:
         return ((1.0,),)
     move = (1.0 - stay) / (modes - 1)

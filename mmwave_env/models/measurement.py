@@ -302,7 +302,7 @@ def odometry_group(x: Vector, z: Vector, variance: Vector) -> Group:
 
 
 def doppler_anchor(anchors: Matrix, doppler_of: Vector) -> Vector:
-    """Return the anchor (3,) of the Doppler shift; ``doppler_of`` is as in :class:`Measurement`."""
+    """Return the position (3,) of the Doppler shift's anchor; see :class:`Measurement`."""
     if not len(doppler_of):
         return anchors[0]
     return [dot(doppler_of, list(column)) for column in zip(*anchors, strict=True)]

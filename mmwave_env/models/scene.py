@@ -198,9 +198,9 @@ class Scene:
             )
 
     def behind_walls(self, points_m: NDArray[np.float64]) -> Iterator[tuple[int, Wall]]:
-        """Yield (number, wall) for each wall that has one of the points (n, 3) behind or in it.
+        """Yield (index, wall) for each wall with at least one of the points (n, 3) behind or in it.
 
-        The number is that of the first such point.
+        The index is that of the first such point.
         """
         for wall in self.walls:
             side = wall.signed_distance(self.base_station_m)
