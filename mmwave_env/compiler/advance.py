@@ -208,8 +208,8 @@ def advance(begin, end, run, blank, state, io):  # type: ignore[no-untyped-def]
         begin, end: first block, and the block after the last.
         run: address of the program, as ``Program.on_lanes`` returns it.
         blank: (incoming,) the epoch that is loaded past the end of an episode.
-        state, io: the tracks, their inputs and outputs: a :class:`BatchState` and a :class:`StepIO`
-            of :mod:`mmwave_env.compiler.program`.
+        state, io: the tracks (:class:`~mmwave_env.compiler.program.BatchState`), and their inputs
+            and outputs (:class:`~mmwave_env.compiler.program.StepIO`).
     """
     epochs, some = io.outputs.shape[1], np.empty(min(TOGETHER, end - begin), np.int64)
     before = np.empty((len(some), state.rows.shape[1], WIDTH))

@@ -289,6 +289,6 @@ class RestorableEnvironment(Environment):
     def _require_simulated(self, call: str) -> None:
         if not self._task.has_keys:
             raise ValueError(
-                f"{call}: found episodes of a source of your own, or recorded ones, expected "
+                f"{call}: found episodes from your own source or a recording, expected "
                 "simulated ones, because the state of another source is not known here"
             )

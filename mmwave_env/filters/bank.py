@@ -29,7 +29,7 @@ _ROUNDING = 1e-6  # tolerance of the sum of a row of probabilities
 NOTES = {
     "about": "what the modes are for",
     "command": "the command that made the file",
-    "numbers": "how many numbers were tuned",
+    "numbers": "how many parameters were tuned",
     "seconds": "the time that tuning took on one core",
     "held_out": "figures on episodes that were not used for tuning",
 }

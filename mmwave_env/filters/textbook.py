@@ -1,7 +1,7 @@
 """Kalman filters as textbooks write them, in one file: plain numpy, all rows at once.
 
 Read this file first. The filters that run (:mod:`~mmwave_env.filters.update`,
-:mod:`~mmwave_env.filters.imm`, :mod:`~mmwave_env.filters.smoother`) compute the same numbers in
+:mod:`~mmwave_env.filters.imm`, :mod:`~mmwave_env.filters.smoother`) compute the same values in
 forms that compile to SIMD lanes, and tests check that both agree except for rounding. Equation
 numbers are the paper's (Sec. III); the IMM is from Bar-Shalom, Li and Kirubarajan 2001, 11.6.6.
 

@@ -1,4 +1,4 @@
-"""The layout of the state and of a measurement vector: which number is in which row.
+"""The layout of the state and of a measurement vector: which quantity is in which row.
 
 The measurement vector contains, for each anchor l = 1..L, a *link* of four rows [range, azimuth and
 elevation of arrival, azimuth of departure]; then the Doppler shift; then, optionally, odometry
@@ -33,7 +33,7 @@ _HORIZONTAL = {"range", "azimuth", "departure"}  # a horizontal position needs o
 
 @dataclass(frozen=True)
 class Layout:
-    """The layout of a measurement vector: which number is in which row.
+    """The layout of a measurement vector: which quantity is in which row.
 
     Attributes:
         anchors: number of anchors L >= 1, the physical gNB first.

@@ -6,8 +6,8 @@ and the Doppler shift is in hertz:
     d = (f_c / c) v . (p - p1) / |p - p1| + b
 
 The paper prints the first term in m/s and adds b in hertz; we scale it to hertz and keep
-its sign (positive while the range grows). :mod:`mmwave_env.models.layout` says which number is in
-which row.
+its sign (positive while the range grows). :mod:`mmwave_env.models.layout` says which quantity is
+in which row.
 
 A group is described by three things: its value, its Jacobian, and its exact change under a finite
 step of the state. Filters with sigma points need the change; it does not jump where angles wrap.
@@ -52,7 +52,7 @@ class Measurement(NamedTuple):
         z: (rows,) measured values; any finite number where missing.
         variance: (rows,) noise variances in squared units of z; positive even where missing.
         visible: (groups,) 1 where the group was measured, else 0.
-        layout: which number is in which row.
+        layout: which quantity is in which row.
         measured: (rows,) 1 where the row was measured, else 0; empty unless the layout is partial.
         doppler_of: (L,) 1 for the anchor of the Doppler shift, else 0; also empty unless partial.
     """

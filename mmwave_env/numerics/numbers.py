@@ -1,9 +1,10 @@
 """Elementary functions of numbers, where a number is a float, an array or eight SIMD lanes.
 
 The mathematics of this package is written once, as plain functions of numbers. Called with floats,
-they are the reference for tests; with arrays, they test signal paths and score complete tracks;
-with :class:`~mmwave_env.compiler.lanes.Lanes`, they become one SIMD kernel. Python's operators
-work on all three; this module contains the few functions that depend on the kind of number.
+they are the reference for tests; with arrays, they check recorded signal paths and score complete
+tracks; with :class:`~mmwave_env.compiler.lanes.Lanes`, they become one SIMD kernel. Python's
+operators work on all three; this module contains the few functions that depend on the kind of
+number.
 
 The description of an array argument or attribute begins with its shape. Functions of numbers follow
 three rules: they do not branch on a value (use :func:`where`), they use lists instead of arrays,
@@ -32,7 +33,7 @@ def _is_float(a: Number) -> bool:
 
 
 def _function(name: str, of: Any = math) -> Callable[[Number], Number]:
-    """Return the function of a name: that of numpy for arrays, Lanes for lanes, ``of`` for floats."""
+    """Return a function that calls numpy's for arrays, Lanes' for lanes and ``of``'s for floats."""
     of_float, of_array = getattr(of, name), getattr(np, name)
 
     def function(a: Number) -> Number:

@@ -30,7 +30,7 @@ class Episode:
 
     Missing groups (a link, the Doppler shift or odometry) are marked in ``visible``; where it is
     False the values are meaningless. Measurements that are NaN or infinite count as missing.
-    In a partial layout, rows that were not measured are NaN; a group is visible if any row was.
+    In a partial layout, rows that were not measured are NaN; one measured row makes a group visible.
     Values that the filters cannot handle are refused (:mod:`~mmwave_env.models.envelope`).
 
     Attributes:
@@ -44,7 +44,7 @@ class Episode:
         snr_db: (T, L) SNR of each link.
         doppler_spread_hz: (T,) measured Doppler spread.
         prior_mean: (7,) state at the first epoch; (8,) with a clock.
-        prior_covariance: (7, 7) covariance of ``prior_mean``, positive definite; (8, 8) with a clock.
+        prior_covariance: (7, 7) positive definite covariance of the mean; (8, 8) with a clock.
         truth_position_m: (T, 3) true positions; None if unknown.
         truth_velocity_mps: (T, 3) true velocities; None if unknown.
         layout: rows and groups.
