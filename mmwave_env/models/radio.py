@@ -168,7 +168,7 @@ class Radio:
         return self.link_budget_db + path_gain_db - self.thermal_noise_dbm(bandwidth_hz)
 
     def variances(self, scene: Scene, layout: Layout) -> tuple[list[float], list[float]]:
-        """Return the noise floor and the Cramer-Rao bound at 0 dB of rows, as variances (m^2, ...)."""
+        """Return every row's noise floor and Cramer-Rao bound at 0 dB, both in squared units."""
         range_bound = SPEED_OF_LIGHT / (2.0 * math.pi * scene.bandwidth_hz / math.sqrt(12.0))
         elements = self.ue_elements, self.gnb_elements
         arrival, departure = (6.0 / ((max(n, 2) ** 2 - 1.0) * math.pi**2) for n in elements)

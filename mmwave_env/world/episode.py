@@ -30,7 +30,7 @@ class Episode:
 
     Missing groups (a link, the Doppler shift or odometry) are marked in ``visible``; where it is
     False the values are meaningless. Measurements that are NaN or infinite count as missing.
-    In a partial layout, rows that were not measured are NaN; one measured row makes a group visible.
+    In a partial layout, unmeasured rows are NaN; one measured row makes a group visible.
     Values that the filters cannot handle are refused (:mod:`~mmwave_env.models.envelope`).
 
     Attributes:
