@@ -27,7 +27,7 @@ Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
 Blocks = tuple[int, int]  # first block, and the block after the last
 
 NO_ROWS = np.empty(0, np.int64)
-# Number of epochs of a block that run as plain Python first; compiling takes as long as 4000.
+# Number of a block's epochs that run as plain Python; compiling takes as long as 4000 of them.
 PLAIN_BLOCK_EPOCHS = 1000
 
 # numba's own lock guards every compilation. A child forked while another thread holds the lock

@@ -7,7 +7,7 @@ because the observation shows the result of each mode. No action changes the wor
 If the modes share a belief, their results are *candidates*, and the action chooses one. If every
 mode keeps its own, the modes interact as in an IMM (:mod:`mmwave_env.filters.imm`), and an action
 is the mode to trust in the epoch that was just filtered: the probability of that mode is raised
-before the beliefs are combined, scored and mixed again. Action 0 trusts no mode: the IMM itself.
+before the beliefs are combined, scored and mixed again. Action 0 trusts no mode, as in the IMM.
 """
 
 from functools import lru_cache, partial

@@ -1,7 +1,7 @@
 """Filtering of whole tracks with one mode, with given modes, or with a rule that picks modes.
 
 Without an agent, filtering need not stop after every epoch: compiled code runs from the first epoch
-of an episode to the last. Process noise is part of its data, so the same code runs any tuning.
+of an episode to the last. Process noise is an input, so the same code runs any tuning.
 """
 
 from collections.abc import Callable, Sequence

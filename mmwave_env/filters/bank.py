@@ -2,7 +2,7 @@
 
 A mode is a filter with its tuning. A bank is a set of modes with the parameters of an IMM
 (interacting multiple models) over them. A mode file contains a bank; if the modes share a belief
-(mean and covariance), only its modes are used.
+(mean and covariance), only the bank's modes are used.
 """
 
 import os

@@ -45,7 +45,7 @@ class AlgorithmError(TypeError):
 
 
 class Line(NamedTuple):
-    """A line of a user's function; ``function`` is its name."""
+    """A line of a user's function; ``function`` is the function's name."""
 
     file: str
     number: int

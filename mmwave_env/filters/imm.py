@@ -32,7 +32,7 @@ class ImmSettings(NamedTuple):
     transition: list[list[Number]]  # (modes, modes) probabilities (from, to) over a second
     tunings: list[Tuning]  # motion model of every mode
     # (groups,) limits for :func:`~mmwave_env.filters.update.limited_likelihood`; infinite in the
-    # textbook. In a partial layout (4,), limits for groups with 1 to 4 measured rows
+    # textbook. In a partial layout, (4,) limits for groups with 1 to 4 measured rows
     limits: list[Number]
 
 

@@ -8,7 +8,7 @@ numbers are the paper's (Sec. III); the IMM is from Bar-Shalom, Li and Kirubaraj
 The state x (7,) is position (m), velocity (m/s) and oscillator bias (Hz). The rows of a
 measurement z are range (m), azimuth and elevation of arrival and azimuth of departure (rad) of
 each anchor, then the Doppler shift of anchor 1 (Hz), then, optionally, speed and heading. With a
-clock that is not synchronized, the state (8,) ends with its range bias (m); read 8 for 7 below.
+clock that is not synchronized, the state (8,) ends with its range bias (m); replace 7 by 8 below.
 """
 
 from collections.abc import Callable, Iterable, Sequence

@@ -13,10 +13,10 @@ A group is described by three things: its value, its Jacobian, and its exact cha
 step of the state. Filters with sigma points need the change; it does not jump where angles wrap.
 
 Straight below or above an anchor the azimuth is undefined, and at the anchor itself the elevation
-is, too. Close by, the gradient of the azimuth grows as 1 / (horizontal distance), and the
-information that a filter takes from it as the square. Lengths up to :data:`NEAREST_M` therefore
-count as 0, and an undefined angle carries no information: its rows have innovation, gradient and
-change 0.
+is, too. Near there, the gradient of the azimuth grows as 1 / (horizontal distance), and the
+information that it gives to a filter grows as the square of that. Lengths up to :data:`NEAREST_M`
+therefore count as 0, and an undefined angle carries no information: its rows have innovation,
+gradient and change 0.
 """
 
 from collections.abc import Callable

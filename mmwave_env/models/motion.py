@@ -17,7 +17,7 @@ _LEAST_RAD = 1e-9  # the arc of a smaller angle is straight, except for rounding
 class ProcessNoise(NamedTuple):
     """The non-zero entries of the process noise covariance Q."""
 
-    # (7,) variances, m^2, (m/s)^2 and Hz^2; with a clock (8,), m^2
+    # (7,) variances, m^2, (m/s)^2 and Hz^2; with a clock (8,), the last in m^2
     diagonal: list[Number]
     # (3,) covariances of position and velocity per axis, m^2/s; with a clock (4,), the last is that
     # of its range bias and the oscillator's bias, m Hz

@@ -78,7 +78,7 @@ class Radio:
         reflection_loss_db: loss on a virtual anchor's path.
         blockage_loss_db: loss while a link is blocked.
         shadowing_db: standard deviation of log-normal shadowing.
-        shadowing_correlation: correlation after one second of shadowing, which is an AR(1) process.
+        shadowing_correlation: correlation of shadowing values one second apart, an AR(1) process.
         detection_snr_db: SNR at which a link is detected with probability 0.5.
         detection_slope_db: scale of the logistic curve of detection probability against SNR.
         doppler_window_s: coherent processing interval T for the Doppler shift.
@@ -89,7 +89,7 @@ class Radio:
         blockage_angle_rad: standard deviation of the angle biases during a blockage.
         multipath_rate_hz: rate at which spells of multipath begin, per link.
         multipath_mean_s: mean length of a spell of multipath.
-        multipath_range_m: range bias during multipath: constant, and mean of an exponential part.
+        multipath_range_m: range bias during multipath: constant part, mean of the exponential part.
         multipath_angle_rad: standard deviation of the angle biases during multipath.
         outage_rate_hz: rate at which outages begin; in an outage all links are lost.
         outage_mean_s: mean length of an outage.

@@ -227,7 +227,7 @@ class Episode:
         return replace(self, measurement=measurement, visible=visible, layout=layout)
 
     def table(self) -> Array:
-        """Return the table (T, columns) that engines load; :func:`columns_of` has the columns."""
+        """Return the table (T, columns) that engines load; :func:`columns_of` gives the columns."""
         at, links = columns_of(self.layout), self.usable[:, : self.layout.anchors]
         keep = self._used
         position, velocity = self.truth_position_m, self.truth_velocity_mps

@@ -172,7 +172,7 @@ class Streams:
         self._generators: list[np.random.Generator | None] = [None] * len(states)
 
     def keys(self, places: Index) -> Keys:
-        """Draw the key of the next episode of each environment in ``places``, all different."""
+        """Draw the next episode's key for each environment in ``places``, which has no repeats."""
         keys = keys_at(*self._states[places].T)
         self._states[places, 1] += np.uint64(1)
         return keys

@@ -97,7 +97,7 @@ def state_of(t: Traveler) -> tuple[list[Number], list[Number]]:
 
 
 def wanted_acceleration(t: Traveler, net: Net) -> Number:
-    """Return the acceleration, m/s^2, that a traveler wants for its target speed or what is ahead.
+    """Return the acceleration, m/s^2, that a traveler wants, given its target and what is ahead.
 
     Two things ahead limit the speed. A turn at a crossing limits it to v_c with v_c^2 = lateral
     acceleration times radius; a red light limits it to v_c = 0 one meter before the crossing.
