@@ -268,11 +268,11 @@ def read_scene(path: Path) -> Scene:
     """Read a scene from a JSON file in one of two forms.
 
     A scene with walls contains base_station_m [x, y, z]; and, if they differ from the defaults,
-    name, walls (a list of {"normal": [x, y], "offset_m": d}), streets, carrier_hz, bandwidth_hz
-    and virtual_anchors_m (a list of [x, y, z]).
+    name, walls (a list of {"normal": [x, y], "offset_m": d}), streets, carrier_hz, bandwidth_hz,
+    virtual_anchors_m (a list of [x, y, z]) and origin.
 
     A scene of anchors contains anchors (a list of [x, y, z], the physical gNB first), carrier_hz
-    and bandwidth_hz; and, if they differ from the defaults, name and streets.
+    and bandwidth_hz; and, if they differ from the defaults, name, streets and origin.
 
     Raises:
         ValueError: the file is wrong; the message names the file and the error.
