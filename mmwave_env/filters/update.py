@@ -100,8 +100,8 @@ def update(
 
     The links depend only on the first three columns of the factor L of P (four with a clock) and
     their curvatures, the *coupled latents*. So they add up to a small information matrix B over
-    these latents, with posterior covariance B^-1; the rows that depend on the velocity are added one
-    by one. The new covariance is L B^-1 L' + sum over free columns L_j L_j' - sum gain c c', a sum
+    these latents, with posterior covariance B^-1; rows that depend on the velocity are added one by
+    one. The new covariance is L B^-1 L' + sum over free columns L_j L_j' - sum gain c c', a sum
     of squares except for the last term, which comes from the rows that are added one by one.
 
     The result equals the textbook update with all rows at once, K = P H' S^-1, x + K y,
