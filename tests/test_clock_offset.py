@@ -57,10 +57,12 @@ def bias_of(synchronized, offset):
     """Return the range bias (T,) by which two episodes differ; NaN in epochs without a link."""
     ranges = slice(0, offset.layout.doppler, 4)
     change = (offset.measurement - synchronized.measurement)[:, ranges]
-    seen = synchronized.usable[:, : offset.layout.anchors] & np.isfinite(change)
-    largest = np.where(seen, change, -np.inf).max(axis=1)
-    np.testing.assert_allclose(change[seen], np.broadcast_to(largest[:, None], seen.shape)[seen])
-    return np.where(seen.any(axis=1), largest, np.nan)
+    measured = synchronized.usable[:, : offset.layout.anchors] & np.isfinite(change)
+    largest = np.where(measured, change, -np.inf).max(axis=1)
+    np.testing.assert_allclose(
+        change[measured], np.broadcast_to(largest[:, None], measured.shape)[measured]
+    )
+    return np.where(measured.any(axis=1), largest, np.nan)
 
 
 @pytest.mark.parametrize("arguments", SOURCES.values(), ids=SOURCES)
@@ -94,8 +96,8 @@ def biases(n, **arguments):
     """Return range biases (n, T) of simulated episodes (NaN without a link), and their tables."""
     (task, plain), (_, shifted) = (tables(c, n, **arguments) for c in ("synchronized", "offset"))
     rows = 1 + 4 * np.arange(task.pipeline.layout.anchors)
-    seen = plain.table[:, :, rows + task.pipeline.layout.size] > 0.0
-    change = np.where(seen, shifted.table[:, :, rows] - plain.table[:, :, rows], -np.inf)
+    measured = plain.table[:, :, rows + task.pipeline.layout.size] > 0.0
+    change = np.where(measured, shifted.table[:, :, rows] - plain.table[:, :, rows], -np.inf)
     bias = change.max(axis=2)
     return np.where(np.isfinite(bias), bias, np.nan), shifted
 
@@ -108,8 +110,8 @@ def test_the_offset_is_drawn_and_the_oscillator_drives_it():
     assert first.std() == pytest.approx(SIGMA_M, rel=0.15)
     position = shifted.table[..., -6:-3] - STREET.anchors_m[0]
     rate = (position * shifted.table[..., -3:]).sum(2) / np.linalg.norm(position, axis=2)
-    doppler, seen = shifted.table[..., 13], shifted.table[..., 13 + 13] > 0.0
-    drift = np.where(seen, doppler / STREET.hz_per_mps - rate, np.nan)
+    doppler, measured = shifted.table[..., 13], shifted.table[..., 13 + 13] > 0.0
+    drift = np.where(measured, doppler / STREET.hz_per_mps - rate, np.nan)
     explained = 59.0 * np.nanmean(drift, axis=1)
     grown = bias[:, -1] - bias[:, 0]
     left = (grown - explained)[np.isfinite(grown)]
@@ -141,7 +143,7 @@ def test_tracks_are_smoothed_as_by_the_textbook(planar):
     x, P, x_predicted, P_predicted = (kept[name] for name in names)
     free = [0, 1, 3, 4, 6, 7] if planar else list(range(8))
     hz_per_mps, time_s = STREET.hz_per_mps, np.arange(50.0)
-    found = smooth(x, P, x_predicted, P_predicted, np.diff(time_s), planar, hz_per_mps)
+    smoothed = smooth(x, P, x_predicted, P_predicted, np.diff(time_s), planar, hz_per_mps)
     steps = np.tile(np.diff(time_s, prepend=0.0), (3, 1))
     spread = batch.table[:, :, -7]
     by_modes = smooth_modes(bank, pipeline, kept["mixture"], steps, spread, hz_per_mps)
@@ -149,7 +151,7 @@ def test_tracks_are_smoothed_as_by_the_textbook(planar):
         expected_x, expected_P = textbook.rts(
             x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s, free, None, hz_per_mps
         )
-        for smoothed_x, smoothed_P in (found, by_modes):
+        for smoothed_x, smoothed_P in (smoothed, by_modes):
             np.testing.assert_allclose(smoothed_x[e], expected_x, rtol=1e-7, atol=1e-7)
             np.testing.assert_allclose(unpacked(smoothed_P[e]), expected_P, rtol=1e-6, atol=1e-7)
 
@@ -258,8 +260,8 @@ def test_a_live_track_is_that_of_the_whole_log(ride, modes):
     epochs = groupby(cells, key=lambda row: row["time_s"])
     live = [tracker.update(rows) for _, rows in epochs]
     x = np.concatenate([block.x for block in whole])
-    found = [[*p.position_m, *p.velocity_mps, p.clock_m] for p in live if p]
-    np.testing.assert_array_equal(found, x[:, [0, 1, 2, 3, 4, 5, 7]])
+    positions = [[*p.position_m, *p.velocity_mps, p.clock_m] for p in live if p]
+    np.testing.assert_array_equal(positions, x[:, [0, 1, 2, 3, 4, 5, 7]])
     assert tracker.smoothed().clock_sigma_m < live[-1].clock_sigma_m
 
 

@@ -20,7 +20,7 @@ TOGETHER = 8  # a feed runs for this many blocks before the program runs for the
 
 
 def call(run: int, block: Array) -> None:
-    """Run a program on a block (size, 8); ``Program.on_lanes`` returned its address ``run``."""
+    """Run the program at the address ``run``, from ``Program.on_lanes``, on a block (size, 8)."""
     ctypes.CFUNCTYPE(None, ctypes.c_int64)(run)(block.ctypes.data)
 
 
@@ -82,7 +82,7 @@ def _make(block, b, here, step, blank, state):  # type: ignore[no-untyped-def]
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _aim(targets, first, here, step, running, out, nowhere):  # type: ignore[no-untyped-def]
-    """Set each lane's target address; lanes without a running track get that of ``nowhere``."""
+    """Set each lane's target address; lanes without a running track get ``nowhere``."""
     for lane in range(WIDTH):
         e = first + lane
         runs = lane < here and running[e]
@@ -171,7 +171,7 @@ def _finish(b, state, before, kept_before, epochs):  # type: ignore[no-untyped-d
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _some_blocks(b, end, state, before, kept_before, some):  # type: ignore[no-untyped-def]
-    """Find the next blocks with a running track; copy those in which another track is idle.
+    """Find the next blocks with a running track; copy those that also have an idle track.
 
     Returns:
         The number of blocks found, and the block to continue with.
@@ -194,8 +194,8 @@ def _some_blocks(b, end, state, before, kept_before, some):  # type: ignore[no-u
 def advance(begin, end, run, blank, state, io):  # type: ignore[no-untyped-def]
     """Run the tracks of blocks ``begin`` to ``end``.
 
-    Ignore the returned number: without it the compiler would drop the reads that bring rows into
-    the caches.
+    Callers ignore the returned number: it only keeps the compiler from dropping the reads that
+    bring rows into the caches.
 
     A program reads its rows in an order that hardware prefetchers cannot guess. If the blocks of
     all environments do not fit into the core's own caches, reading the rows once in order halves
@@ -208,8 +208,8 @@ def advance(begin, end, run, blank, state, io):  # type: ignore[no-untyped-def]
         begin, end: first block, and the block after the last.
         run: address of the program, as ``Program.on_lanes`` returns it.
         blank: (incoming,) the epoch that is loaded past the end of an episode.
-        state, io: the tracks, their inputs and outputs: a :class:`BatchState` and a :class:`StepIO`
-            of :mod:`mmwave_env.compiler.program`.
+        state, io: the tracks (:class:`~mmwave_env.compiler.program.BatchState`), and their inputs
+            and outputs (:class:`~mmwave_env.compiler.program.StepIO`).
     """
     epochs, some = io.outputs.shape[1], np.empty(min(TOGETHER, end - begin), np.int64)
     before = np.empty((len(some), state.rows.shape[1], WIDTH))

@@ -11,10 +11,10 @@ sources and writes each compiled function to one file; after any error with a fi
 compiled again. A checksum detects a damaged file before its content is run. A process whose sources
 are edited while it runs does not use files, because it may run either version of the sources.
 
-The files are pickles, like numba's own, and reading a pickle runs code of whoever wrote it. So
-folders and files are private to this user: the cache uses neither links nor anything that another
-user owns or may write to, and goes on to the next possible folder. The parent folder may be shared,
-like ``/tmp``: a folder that another user created there fails the check of the owner.
+The files are pickles, like numba's own, and reading a pickle runs code that its author chose. So
+folders and files are private to this user: the cache rejects links and anything that another user
+owns or may write to, and then tries the next possible folder. The parent folder may be shared, like
+``/tmp``: a folder that another user created there fails the check of the owner.
 """
 
 import os
@@ -49,7 +49,7 @@ _CHECKSUM = sha256().digest_size  # number of bytes at the beginning of each fil
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """Compile a function of a module with numba, to run without the interpreter's lock.
+    """Compile a module's function with numba, so that it runs without the interpreter's lock.
 
     This is for functions that Python calls; ``register_jitable`` is enough for all others.
     """

@@ -1,4 +1,4 @@
-"""Fingerprints: names for what functions of numbers compute.
+"""Fingerprints: names that identify what a function of numbers computes.
 
 To get its name, a function runs once on numbers that record every operation. Two functions share a
 name only if they use the same operations on the same rows and constants, so each can run the

@@ -151,7 +151,7 @@ class Lanes(_Value, Tracer):
         return where(odd, sine, cosine)._negated(after), where(odd, cosine, sine)._negated(quarters)
 
     def _negated(self, quarters: Any) -> "Lanes":
-        """Negate the lanes in which an integer has its second bit set."""
+        """Negate the lanes in which the integer ``quarters`` has its second bit set."""
         b = self.builder
         sign = b.shl(b.and_(quarters, _bits(2)), _bits(62))
         return Lanes(b, b.bitcast(b.xor(b.bitcast(self.value, _BITS), sign), _VECTOR))
@@ -231,7 +231,7 @@ def _align_stack(builder: Any) -> None:
     vector = cgutils.alloca_once(builder, _VECTOR)  # type: ignore[no-untyped-call]
     vector.align = 8 * WIDTH
     use = ir.FunctionType(ir.VoidType(), [vector.type])
-    builder.asm(use, "", "r", [vector], side_effect=True)  # a vector without use is optimized away
+    builder.asm(use, "", "r", [vector], side_effect=True)  # an unused vector is optimized away
 
 
 def kernel(function: Callable[[Any], None], ends: Sequence[int]) -> Any:
@@ -245,7 +245,7 @@ def kernel(function: Callable[[Any], None], ends: Sequence[int]) -> Any:
         ends: the row where each part ends.
 
     Returns:
-        A function whose argument is a tuple: the address of each part, (rows, 8) doubles.
+        A function of one tuple: the address of each part, (rows, 8) doubles.
     """
 
     @intrinsic  # type: ignore[untyped-decorator]

@@ -1,8 +1,8 @@
 """Programs: functions of numbers, compiled to run epoch after epoch for many environments.
 
-A program maps a workspace tree to a workspace tree. Its leaves are rows of an array
-(blocks, rows, 8), eight environments to a block. The first field of a workspace,
-``incoming``, is loaded before each run from a table of whole tracks.
+A program maps a workspace tree to a workspace tree. The leaves of a workspace are the rows of an
+array (blocks, rows, 8), eight environments to a block. The first field of a workspace,
+``incoming``, is set before each run, from a table of whole tracks or by a :class:`Feed`.
 """
 
 import os
@@ -27,7 +27,7 @@ Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
 Blocks = tuple[int, int]  # first block, and the block after the last
 
 NO_ROWS = np.empty(0, np.int64)
-# Epochs of a block that run as plain Python first; compiling takes as long as 4000 of them.
+# Number of a block's epochs that run as plain Python; compiling takes as long as 4000 of them.
 PLAIN_BLOCK_EPOCHS = 1000
 
 # numba's own lock guards every compilation. A child forked while another thread holds the lock
@@ -67,7 +67,7 @@ class Feed(NamedTuple):
     run: int
     settings: Array  # (rows, 8) read only, the same for all blocks
     kept: Array  # (blocks, rows, 8) the feed's workspace, changed in place
-    timed: int  # the incoming row that is set from ``times`` instead
+    timed: int  # the one incoming row that ``run`` does not compute; it is set from ``times``
     times: Array  # (epochs,) the value of that row in each epoch
 
     @classmethod
@@ -210,7 +210,7 @@ class Program(Generic[Workspace]):
             state.epoch[e] += io.outputs.shape[1]
 
     def on_lanes(self) -> int:
-        """Return the address of a C function that runs the program on a block, for :func:`call`.
+        """Return the address of a C function that runs the program on a block (``advance.call``).
 
         The function is compiled here, once, and kept with the program. Loops take the address
         as an argument, so a loop is not compiled anew for every program. The address is a number
@@ -246,7 +246,7 @@ class Repeated:
         self._unchecked: Callable[..., Any] | None = None
 
     def __call__(self, work: int, jobs: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """Do an amount of work in one thread per job, and return the results of the jobs."""
+        """Run each job in its own thread and return the results; ``work`` is their total work."""
         run: Any = self._unchecked or self._function.choice(work, *jobs[0])
         results = share(run, jobs, len(jobs))
         if run is self._function.compiled:

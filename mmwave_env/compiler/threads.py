@@ -1,4 +1,4 @@
-"""Threads that share jobs, in parallel because compiled code releases the interpreter's lock."""
+"""Threads that share jobs; they run in parallel, as compiled code releases Python's lock."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -60,11 +60,11 @@ def share(
 
 
 def spans(count: int, parts: int) -> list[tuple[int, int]]:
-    """Split ``count`` things into nearly equal ``parts``; return the first and end of each."""
+    """Split ``count`` things into nearly equal ``parts``; return (first, end) of each."""
     return list(pairwise(count * i // parts for i in range(parts + 1)))
 
 
 def portions(count: int, threads: int, most: int) -> list[slice]:
-    """Return slices of ``count`` things: complete blocks of lanes, at most ``most`` things each."""
+    """Divide ``count`` things into slices of complete blocks of lanes, at most ``most`` in each."""
     size = min(most, -(-count // (threads * WIDTH)) * WIDTH)
     return [slice(first, first + size) for first in range(0, count, size)]

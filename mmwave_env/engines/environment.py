@@ -1,6 +1,6 @@
 """The base classes of environments: their engine, copies, and states as plain arrays.
 
-An environment that continues from a copy or a state computes exactly the same numbers.
+An environment that continues from a copy or a state computes exactly what the original would.
 """
 
 from collections.abc import Callable
@@ -31,7 +31,7 @@ from mmwave_env.task import Task
 from mmwave_env.world.episode import EpisodeBatch
 from mmwave_env.world.keys import Streams
 
-REPLAYED, FILTERED = 64, 256  # number of episodes at once; more would need much memory
+REPLAYED, FILTERED = 64, 256  # episodes that one job processes; more would need much memory
 
 
 class Baseline:
@@ -74,7 +74,7 @@ class Baseline:
         """Subtract from rewards (N,) the IMM's rewards in the epoch that was just processed.
 
         The result is rounded to single precision, in which agents receive rewards, so that
-        trainings on record can be repeated exactly.
+        recorded trainings can be repeated exactly.
 
         Args:
             rewards: (N,) rewards of all environments, changed in place.
@@ -179,7 +179,7 @@ class Environment:
             rewards[places] -= self._baseline.rest(places)
 
     def _set_up_noting(self) -> None:
-        """Set up, and remember which attributes this creates, because copies create them, too."""
+        """Set up, and remember which attributes this creates, because a copy creates its own."""
         attributes = set(vars(self))
         self._set_up()
         self._remade = frozenset(vars(self)) - attributes
@@ -289,6 +289,6 @@ class RestorableEnvironment(Environment):
     def _require_simulated(self, call: str) -> None:
         if not self._task.has_keys:
             raise ValueError(
-                f"{call}: found episodes of a source of your own, or recorded ones, expected "
+                f"{call}: found episodes from your own source or a recording, expected "
                 "simulated ones, because the state of another source is not known here"
             )

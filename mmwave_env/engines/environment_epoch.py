@@ -4,10 +4,10 @@ A step takes the result that the action chose as the new belief (mean and covari
 against the truth, loads the next epoch and runs every mode on it. All modes run before the action,
 because the observation shows the result of each mode. No action changes the world.
 
-If the modes share a belief, the action chooses the result of a mode, its candidate. If every mode
-keeps its own, the modes interact as in an IMM (:mod:`mmwave_env.filters.imm`), and an action is the
-mode to trust in the epoch that was just filtered: the probability of that mode is raised before the
-beliefs are combined, scored and mixed again. Action 0, which trusts no mode, gives the IMM itself.
+If the modes share a belief, their results are *candidates*, and the action chooses one. If every
+mode keeps its own, the modes interact as in an IMM (:mod:`mmwave_env.filters.imm`), and an action
+is the mode to trust in the epoch that was just filtered: the probability of that mode is raised
+before the beliefs are combined, scored and mixed again. Action 0 trusts no mode, as in the IMM.
 """
 
 from functools import lru_cache, partial

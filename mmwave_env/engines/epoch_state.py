@@ -57,7 +57,7 @@ def blank_environment(layout: Layout, modes: int, reward: Reward, features: int)
 def begun(
     w: Any, x: list[Number], P: list[Number], memory: Memory, pipeline: Pipeline
 ) -> tuple[list[Number], list[Number], Memory]:
-    """Return the belief (7,), (28,) and the memory; if a track starts over, from the prior."""
+    """Return the belief (7,), (28,) and memory, or those at the prior if the track starts over."""
     blank, first = initial_memory(pipeline.layout, len(pipeline.modes)), w.is_first > 0.5
     x, P = select(first, w.site.prior_x, x), select(first, w.site.prior_P, P)
     return x, P, select(first, blank, memory)

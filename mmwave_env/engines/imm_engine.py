@@ -1,8 +1,8 @@
 """Interacting multiple models (IMM) instead of an agent: whole episodes in one call.
 
 Without an agent, compiled code need not stop between epochs. Everything that can be
-tuned (transition probabilities, process noise, the weight of outliers) is part of its data, so one
-compiled program runs any tuning.
+tuned (transition probabilities, process noise, the weight of outliers) is part of a program's data,
+so one compiled program runs any tuning.
 """
 
 from collections.abc import Sequence

@@ -56,7 +56,7 @@ class PolicyTracker:
         self._starts = True
 
     def load(self, episodes: Sequence[Episode], go_on: bool = False) -> None:
-        """Load one episode, in the same way as :meth:`EpisodeFilter.load`."""
+        """Load one episode, in the same way as :meth:`Tracker.load`."""
         (episode,) = episodes
         self._filter.load(episodes, go_on)
         gap_s = float(episode.time_s[0]) - self._end_s if go_on else None
@@ -64,13 +64,13 @@ class PolicyTracker:
         self._epochs, self._end_s, self._starts = len(episode), float(episode.time_s[-1]), not go_on
 
     def load_epoch(self, incoming: Sequence[float], time_s: float) -> None:
-        """Load one more epoch of the track, as :meth:`EpisodeFilter.load_epoch` does."""
+        """Load one more epoch of the track, as :meth:`Tracker.load_epoch` does."""
         self._filter.load_epoch(incoming, time_s)
         self._engine.batch.load_epoch(incoming, time_s - self._end_s)
         self._epochs, self._end_s, self._starts = 1, time_s, False
 
     def run(self, *names: str) -> dict[str, Array]:
-        """Filter the loaded episode once, in the same way as :meth:`EpisodeFilter.run`."""
+        """Filter the loaded episode once, in the same way as :meth:`Tracker.run`."""
         if self._starts:
             self._policy.reset(np.array([True]))
         actions = np.empty((1, self._epochs), np.int64)

@@ -1,4 +1,4 @@
-"""Replays of finished episodes with the modes that were chosen, forwards and backwards.
+"""Replays of finished episodes, forwards and backwards, with the modes that were chosen.
 
 An environment does not store its track. To get it, a finished episode is run again with the same
 actions. The forward pass gives errors and NEES, the backward pass gives smoothed errors (paper,
@@ -211,7 +211,7 @@ def smooth(
             update.
         dt: (T - 1,) seconds from each epoch to the next, or (N, T - 1) for each track.
         planar: whether z and vz are known exactly.
-        hz_per_mps: carrier frequency over the speed of light; only a clock needs it.
+        hz_per_mps: carrier frequency over the speed of light; needed only with a clock.
     """
     N, T, size = x.shape
     program = _program(VERTICAL if planar else (), size)

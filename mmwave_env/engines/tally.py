@@ -25,7 +25,7 @@ class Counts(NamedTuple):
 
 
 class Tally:
-    """Sums over the epochs that metrics count.
+    """Sums over the epochs that count in the metrics.
 
     Args:
         n: number of environments.

@@ -1,7 +1,7 @@
 """Filtering of whole tracks with one mode, with given modes, or with a rule that picks modes.
 
 Without an agent, filtering need not stop after every epoch: compiled code runs from the first epoch
-of an episode to the last. Process noise is part of its data, so the same code runs any tuning.
+of an episode to the last. Process noise is an input, so the same code runs any tuning.
 """
 
 from collections.abc import Callable, Sequence
@@ -112,7 +112,7 @@ class EpisodeFilter(Generic[Workspace]):
     """N tracks of a program, each filtered from the first epoch of an episode to the last.
 
     Args:
-        batch: batch of N environments; all values that episodes do not contain must be set.
+        batch: batch of N environments; values that episodes do not contain must be set before.
 
     Attributes:
         program: the program of an epoch.
@@ -166,7 +166,7 @@ class Tracker(EpisodeFilter[TrackState]):
         n: number of tracks.
         rule: function of the state (7,) after the previous epoch, and of the coming epoch, that
             returns the number of the mode; None for one mode, or to pass the modes to :meth:`run`.
-        on_floats: whether to run in plain Python, slowly, for reference, not on SIMD lanes.
+        on_floats: whether to run in plain Python (slow, for reference) instead of on SIMD lanes.
     """
 
     def __init__(

@@ -74,7 +74,7 @@ class StepResult(NamedTuple):
 
 
 class StepColumns(NamedTuple):
-    """The numbers of the output columns that a step reads; of adjacent columns, the first one."""
+    """The indices of the output columns that a step reads: the first of those for each field."""
 
     reward: int
     nees: int
@@ -128,7 +128,7 @@ class Stepper:
         history.make_room(1)
 
     def step(self, actions: Index) -> tuple[StepResult, int, Infos]:
-        """Apply every environment's action and consider the next epoch; see `Engine.step`.
+        """Apply every environment's action and consider the next epoch; see :meth:`Engine.step`.
 
         Args:
             actions: (n,) numbers of the modes; infos keep this array.

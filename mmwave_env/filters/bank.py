@@ -2,7 +2,7 @@
 
 A mode is a filter with its tuning. A bank is a set of modes with the parameters of an IMM
 (interacting multiple models) over them. A mode file contains a bank; if the modes share a belief
-(mean and covariance), only its modes are used.
+(mean and covariance), only the bank's modes are used.
 """
 
 import os
@@ -29,7 +29,7 @@ _ROUNDING = 1e-6  # tolerance of the sum of a row of probabilities
 NOTES = {
     "about": "what the modes are for",
     "command": "the command that made the file",
-    "numbers": "how many numbers were tuned",
+    "numbers": "how many parameters were tuned",
     "seconds": "the time that tuning took on one core",
     "held_out": "figures on episodes that were not used for tuning",
 }
@@ -41,8 +41,8 @@ class Bank:
 
     Attributes:
         modes: one or more modes with different names.
-        transition: (modes, modes) probabilities (from, to) over a second; None for modes that
-            stay with probability 0.95.
+        transition: (modes, modes) probabilities (from, to) over a second; None for a
+            probability of 0.95 of staying in the same mode.
         nis_quantile: chi-square quantile that caps the NIS of each group of measurements in a
             mode's likelihood; 1 for no cap, as in the textbook.
 
@@ -173,7 +173,7 @@ def default_modes(radio: str | Radio = "handset") -> tuple[Mode, Mode]:
 
 
 def named_modes(radio: str | Radio = "handset") -> dict[str, Mode]:
-    """Return modes by name: "ekf", "ukf" (the default two), "ckf" (tuned as "ukf"), robust ones."""
+    """Return modes by name: the default "ekf" and "ukf", "ckf" (tuned like "ukf"), robust ones."""
     low, high = default_modes(radio)
     modes = (low, high, replace(high, name="ckf", algorithm="ckf"), robust(low), robust(high))
     return {mode.name: mode for mode in modes}

@@ -41,11 +41,11 @@ _LIBRARIES = (
 
 
 class AlgorithmError(TypeError):
-    """An error in a user's algorithm; it says where, why, and what to write instead."""
+    """An error in a user's algorithm; the message says where, why, and what to write instead."""
 
 
 class Line(NamedTuple):
-    """A line of a user's function; ``function`` is its name."""
+    """A line of a user's function; ``function`` is the function's name."""
 
     file: str
     number: int
@@ -70,8 +70,8 @@ class _Trial(NamedTuple):
 def _trials(layout: Layout) -> Iterator[_Trial]:
     """Yield an epoch that measures everything, and one with an outlier and missing groups.
 
-    In a partial layout, also yield an epoch that measures only some rows, and the Doppler shift at
-    another anchor.
+    In a partial layout, also yield an epoch in which only some rows are measured and the Doppler
+    shift belongs to another anchor.
     """
     hz_per_mps, scale = 93.4, [2.0, 1.5, 0.5, 1.0, 0.8, 0.2, 30.0]
     x = [12.0, -7.0, 1.5, 3.0, -2.0, 0.1, 20.0]
@@ -197,7 +197,7 @@ def _run(mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial)
         advice = f"{type(error).__name__}: {error}"
         if isinstance(force, FloatTracer) and isinstance(error, TypeError | AttributeError):
             advice = f"{advice}\n{_LANES_KNOW}"
-        line = line_of(error, mode.update) or begin_of(mode.update)  # it was not entered
+        line = line_of(error, mode.update) or begin_of(mode.update)  # the function was not entered
         raise _error(mode, "failed on trial", line, advice) from error
     for name, argument, old in zip(("x", "P", "measurement"), arguments, before, strict=True):
         new = flatten(argument)
@@ -247,7 +247,7 @@ def _kind(value: Any) -> str:
 
 
 def _unsound(trial: _Trial, result: Posterior, on_lanes: Posterior) -> Iterator[str]:
-    """Yield what is wrong: not finite, asymmetric, different on lanes, or using missing groups."""
+    """Yield faults: not finite, asymmetric, using missing groups, or different on lanes."""
     values = [pair for field in result._asdict().items() for pair in _numbers(*field)]
     for place, number in values:
         if not math.isfinite(number):

@@ -3,7 +3,7 @@
 Prediction, sigma points, innovation, gain and covariance come from filterpy; the measurement
 function and its Jacobian come from :class:`~mmwave_env.filters.textbook.Sensor`, row by row,
 without fused azimuths or latents. Tests, the benchmark and users in doubt compare the two
-implementations. Run it on floats: ``Engine(filterpy_pipeline(pipeline), ..., on_floats=True)``.
+implementations. Run such modes on floats: ``Engine(filterpy_pipeline(...), on_floats=True)``.
 
 An update works in coordinates relative to the prior mean, dx = x - m and dz = z - h(m): angle
 differences stay far from +-pi, so filterpy's plain subtraction is right, and no digits
@@ -135,7 +135,7 @@ class _Ukf(_PointFilter):
 
 
 class _Ckf(_PointFilter):
-    """The CKF of filterpy; its caller must set its points and arrays, and pass column vectors."""
+    """The CKF of filterpy, which expects column vectors, and points and arrays set by its user."""
 
     def __init__(self, size: int) -> None:
         self._filter = CubatureKalmanFilter(size, 1, 1.0, None, None)
@@ -192,7 +192,7 @@ def _filter_of(mode: Mode, size: int) -> _Filter:
 def _update(
     filter_: _Filter, mean: Vector, covariance: Matrix, measurement: Measurement, gate: Gate
 ) -> Posterior:
-    """Update with all visible groups; if the gates change them, update again with the result."""
+    """Update with all visible groups; if gates reject some or inflate noise, update once more."""
     x, P = np.array(mean, float), np.array(covariance, float)
     layout, relative = measurement.layout, _Relative(x, measurement)
     R = np.diag(np.array(measurement.variance, float))
@@ -226,7 +226,7 @@ def _update(
 
 
 def _measured_rows(measurement: Measurement) -> list[Rows]:
-    """Return the numbers of the measured rows of each group."""
+    """Return the indices of the measured rows of each group."""
     layout = measurement.layout
     measured = measurement.measured if layout.partial else [1.0] * layout.size
     return [

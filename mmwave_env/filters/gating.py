@@ -1,4 +1,4 @@
-"""Gates, which decide which groups of a measurement to use, and their noise (paper, Sec. III-D).
+"""Gates: which groups of a measurement to use, and with how much noise (paper, Sec. III-D).
 
 The normalized innovation squared (NIS) of a group is tested against a chi-square quantile.
 """
@@ -32,7 +32,7 @@ class Gate(NamedTuple):
 def innovation_statistics(group: Group, V: Matrix, latents: Latents) -> tuple[Number, Number]:
     """Return NIS y' S^-1 y and determinant of S, a group's innovation covariance, at the prior.
 
-    In latents, S is V cov(eta) V' + R; in :mod:`~mmwave_env.filters.textbook`, it is H P H' + R.
+    With latents, S is V cov(eta) V' + R; in :mod:`~mmwave_env.filters.textbook`, it is H P H' + R.
     """
     shift = [latents.shift(row) for row in V]
     variance = latents.variance

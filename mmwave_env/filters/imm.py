@@ -32,7 +32,7 @@ class ImmSettings(NamedTuple):
     transition: list[list[Number]]  # (modes, modes) probabilities (from, to) over a second
     tunings: list[Tuning]  # motion model of every mode
     # (groups,) limits for :func:`~mmwave_env.filters.update.limited_likelihood`; infinite in the
-    # textbook. In a partial layout (4,), limits for groups with 1 to 4 measured rows
+    # textbook. In a partial layout, (4,) limits for groups with 1 to 4 measured rows
     limits: list[Number]
 
 
@@ -60,7 +60,7 @@ def begin(pipeline: Pipeline, x: Vector, P: Vector) -> Mixture:
 
 
 def stay_matrix(modes: int, stay: float = DEFAULT_STAY) -> tuple[tuple[float, ...], ...]:
-    """Return transition probabilities (from, to), which are equal for all other modes."""
+    """Return transition probabilities (from, to): ``stay``, and equal ones to the other modes."""
     if modes == 1:
         return ((1.0,),)
     move = (1.0 - stay) / (modes - 1)

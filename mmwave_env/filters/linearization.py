@@ -12,7 +12,7 @@ cov(kappa) = (w / 2) I + bend w^2 1 1'. So one computation serves both filters.
 
 Only columns 0 to 2 of L move the position, so latents are kept in the order
 [xi_0..2, kappa, xi_3..6]: the links depend only on the first 3 + len(kappa) latents. With a clock
-they also depend on its range bias, which column 3 moves then (:func:`factor_of`):
+they also depend on its range bias, which column 3 then moves (:func:`factor_of`):
 [xi_0..3, kappa, xi_4..7].
 
 Source: Julier and Uhlmann 2004, Sec. IV (scaled sigma points as in van der Merwe 2004).
@@ -68,7 +68,7 @@ class SigmaPoints:
             raise ValueError(
                 f"beta: found {self.beta}, expected at least "
                 f"{self.alpha**2 - spread / STATE_SIZE:g} for alpha {self.alpha} and kappa "
-                f"{self.kappa}, so that the curvature has a covariance"
+                f"{self.kappa}, so that the curvature has a valid covariance"
             )
 
     def reach(self, size: int = STATE_SIZE) -> float:
@@ -99,7 +99,7 @@ Linearization = Tangent | SigmaPoints
 
 @dataclass(frozen=True)
 class Latents:
-    """The moments of the latents eta = [xi_0..2, kappa, xi_3..6]; the module has the clock's."""
+    """The moments of the latents eta, in the order that the module's docstring gives."""
 
     curvatures: int  # number of curvature latents
     weight: float  # w, the weight of an outer sigma point

@@ -41,7 +41,7 @@ class Mode:
     the paper's dt = 1 s the figures are the standard deviations per epoch.
 
     Attributes:
-        name: name to show in tables and messages; up to 80 letters.
+        name: name to show in tables and messages; up to 80 characters.
         algorithm: "ekf", "ukf", "ckf", or a function with the signature of
             :data:`~mmwave_env.filters.update.Algorithm` (docs/own-filters.md).
         sigma_p: extra horizontal position noise, m / sqrt(s).

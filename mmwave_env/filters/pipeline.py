@@ -57,8 +57,8 @@ class Pipeline:
         predict, update: the filter's two steps, which the filterpy reference replaces.
 
     Raises:
-        AlgorithmError: a user's algorithm cannot run, on SIMD lanes or at all; the message names
-            the line and says what to write instead.
+        AlgorithmError: a user's algorithm cannot run at all, or cannot run on SIMD lanes; the
+            message names the line and says what to write instead.
     """
 
     modes: tuple[Mode, ...]
@@ -78,7 +78,7 @@ class Pipeline:
 
     @property
     def position_axes(self) -> tuple[int, ...]:
-        """Return the position components that are estimated: 3, or 2 on flat terrain."""
+        """Return the position components that are estimated: all, or x and y on flat terrain."""
         return (0, 1) if self.planar else (0, 1, 2)
 
 

@@ -1,14 +1,14 @@
 """Kalman filters as textbooks write them, in one file: plain numpy, all rows at once.
 
 Read this file first. The filters that run (:mod:`~mmwave_env.filters.update`,
-:mod:`~mmwave_env.filters.imm`, :mod:`~mmwave_env.filters.smoother`) compute the same numbers in
+:mod:`~mmwave_env.filters.imm`, :mod:`~mmwave_env.filters.smoother`) compute the same values in
 forms that compile to SIMD lanes, and tests check that both agree except for rounding. Equation
 numbers are the paper's (Sec. III); the IMM is from Bar-Shalom, Li and Kirubarajan 2001, 11.6.6.
 
 The state x (7,) is position (m), velocity (m/s) and oscillator bias (Hz). The rows of a
 measurement z are range (m), azimuth and elevation of arrival and azimuth of departure (rad) of
 each anchor, then the Doppler shift of anchor 1 (Hz), then, optionally, speed and heading. With a
-clock that is not synchronized, the state (8,) ends with its range bias (m), for which read 8 for 7.
+clock that is not synchronized, the state (8,) ends with its range bias (m); replace 7 by 8 below.
 """
 
 from collections.abc import Callable, Iterable, Sequence

@@ -1,6 +1,6 @@
 """The measurement update shared by EKF, UKF and CKF (paper, Sec. III-C).
 
-This is a reduced form of the update, which is exact. :mod:`~mmwave_env.filters.textbook` has the
+This reduced form of the update is exact. :mod:`~mmwave_env.filters.textbook` has the
 usual form, K = P H' S^-1 with all rows at once; ``tests/filters/test_update.py`` compares the two.
 :mod:`~mmwave_env.filters.linearization` explains *latents*.
 """
@@ -100,9 +100,9 @@ def update(
 
     The links depend only on the first three columns of the factor L of P (four with a clock) and
     their curvatures, the *coupled latents*. So they add up to a small information matrix B over
-    these latents, with posterior covariance B^-1; the rows that depend on the velocity follow one
-    by one. The new covariance is L B^-1 L' + sum over free columns L_j L_j' - sum gain c c', a sum
-    of squares except for the last term, which comes from the rows that follow one by one.
+    these latents, with posterior covariance B^-1; rows that depend on the velocity are added one by
+    one. The new covariance is L B^-1 L' + sum over free columns L_j L_j' - sum gain c c', a sum
+    of squares except for the last term, which comes from the rows that are added one by one.
 
     The result equals the textbook update with all rows at once, K = P H' S^-1, x + K y,
     P - K S K' (:func:`mmwave_env.filters.textbook.update`).
@@ -196,7 +196,7 @@ class ModeResult(NamedTuple):
 
 
 def limited_likelihood(candidate: ModeResult, limits: Vector) -> Number:
-    """Return the log-likelihood in which the NIS of each group counts up to its limit (groups,).
+    """Return the log-likelihood with the NIS of each group counted only up to its limit (groups,).
 
     Without limits the tail of a Gaussian falls so fast that a single link off the line of sight
     would decide which mode is right, in favor of the mode that believes the outlier.
@@ -210,7 +210,7 @@ def capped_log_likelihood(candidate: ModeResult, degrees: Sequence[Number]) -> N
 
     Args:
         candidate: result of a mode.
-        degrees: (groups,) degrees of freedom, :meth:`Layout.degrees`.
+        degrees: (groups,) degrees of freedom, :meth:`~mmwave_env.models.layout.Layout.degrees`.
     """
     limits = chi_square_limits(CAP_QUANTILE)
     return limited_likelihood(candidate, [at_degrees(limits, rows) for rows in degrees])

@@ -1,7 +1,7 @@
 """Effects of the channel on the links: shadowing, blockage, multipath and detection.
 
 Like the filters, the channel is written as functions of plain numbers, so that it can also be
-compiled to simulate eight episodes at once on SIMD lanes. Random numbers are drawn elsewhere and
+compiled to simulate eight episodes at once on SIMD lanes. Random numbers are drawn beforehand and
 passed in; a :class:`ChannelState` carries what persists from one epoch to the next.
 """
 
@@ -17,7 +17,7 @@ from mmwave_env.numerics.random import Dice
 
 
 class SpellParams(NamedTuple):
-    """Parameters of a link's spells (periods of blockage or multipath), and of biases in them."""
+    """Parameters of a link's spells (periods of blockage or multipath) and of their biases."""
 
     end: Number  # probability that a spell ends within a step
     # constant_m, mean_m: the range bias is the constant plus an exponential number with this mean

@@ -1,4 +1,4 @@
-"""The layout of the state and of a measurement vector: which number is in which row.
+"""The layout of the state and of a measurement vector: which quantity is in which row.
 
 The measurement vector contains, for each anchor l = 1..L, a *link* of four rows [range, azimuth and
 elevation of arrival, azimuth of departure]; then the Doppler shift; then, optionally, odometry
@@ -33,7 +33,7 @@ _HORIZONTAL = {"range", "azimuth", "departure"}  # a horizontal position needs o
 
 @dataclass(frozen=True)
 class Layout:
-    """The layout of a measurement vector: which number is in which row.
+    """The layout of a measurement vector: which quantity is in which row.
 
     Attributes:
         anchors: number of anchors L >= 1, the physical gNB first.
@@ -136,7 +136,7 @@ def clock_from(clock: str, measurements: Sequence[str] | None = None) -> bool:
     """Tell whether a ``clock=`` argument asks for a clock with an offset.
 
     Raises:
-        ValueError: the name is unknown, or no range among the measurements tells of the offset.
+        ValueError: the name is unknown, or the clock has an offset but no range is measured.
     """
     choose(CLOCKS, clock, "clock")
     if clock == "offset" and measurements is not None and "range" not in measurements:
@@ -182,7 +182,7 @@ def wrapped(angles: Number) -> Number:
 def whole_groups(
     measurement: NDArray[np.float64], heard: NDArray[np.bool_], layout: Layout
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return which groups (T, groups) count as measured, and which are lost for lack of a row.
+    """Return which groups (T, groups) are measured, and which are lost because a row is missing.
 
     In a partial layout one measured row is enough, and no group is lost.
 
@@ -217,7 +217,7 @@ def without_noise(
         sigma: (T, rows) stated standard deviations, NaN where none is stated.
         doppler_anchor: (T,) anchor of the Doppler shift.
     """
-    known = np.ones(measurement.shape, np.bool_)  # remains so for odometry
+    known = np.ones(measurement.shape, np.bool_)  # stays True for odometry
     known[:, : layout.doppler] = np.repeat(heard, 4, axis=1)
     known[:, layout.doppler] = heard[np.arange(len(heard)), doppler_anchor]
     return np.isfinite(measurement) & ~known & ~np.isfinite(sigma)

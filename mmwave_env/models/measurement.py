@@ -6,17 +6,17 @@ and the Doppler shift is in hertz:
     d = (f_c / c) v . (p - p1) / |p - p1| + b
 
 The paper prints the first term in m/s and adds b in hertz; we scale it to hertz and keep
-its sign (positive while the range grows). :mod:`mmwave_env.models.layout` says which number is in
-which row.
+its sign (positive while the range grows). :mod:`mmwave_env.models.layout` says which quantity is
+in which row.
 
 A group is described by three things: its value, its Jacobian, and its exact change under a finite
 step of the state. Filters with sigma points need the change; it does not jump where angles wrap.
 
 Straight below or above an anchor the azimuth is undefined, and at the anchor itself the elevation
-is, too. Close by, the gradient of the azimuth grows as 1 / (horizontal distance), and the
-information that a filter takes from it as the square. Lengths up to :data:`NEAREST_M` therefore
-count as 0, and an undefined angle carries no information: its rows have innovation, gradient and
-change 0.
+is, too. Near there, the gradient of the azimuth grows as 1 / (horizontal distance), and the
+information that it gives to a filter grows as the square of that. Lengths up to :data:`NEAREST_M`
+therefore count as 0, and an undefined angle carries no information: its rows have innovation,
+gradient and change 0.
 """
 
 from collections.abc import Callable
@@ -52,7 +52,7 @@ class Measurement(NamedTuple):
         z: (rows,) measured values; any finite number where missing.
         variance: (rows,) noise variances in squared units of z; positive even where missing.
         visible: (groups,) 1 where the group was measured, else 0.
-        layout: which number is in which row.
+        layout: which quantity is in which row.
         measured: (rows,) 1 where the row was measured, else 0; empty unless the layout is partial.
         doppler_of: (L,) 1 for the anchor of the Doppler shift, else 0; also empty unless partial.
     """
@@ -302,7 +302,7 @@ def odometry_group(x: Vector, z: Vector, variance: Vector) -> Group:
 
 
 def doppler_anchor(anchors: Matrix, doppler_of: Vector) -> Vector:
-    """Return the anchor (3,) of the Doppler shift; ``doppler_of`` is as in :class:`Measurement`."""
+    """Return the position (3,) of the Doppler shift's anchor; see :class:`Measurement`."""
     if not len(doppler_of):
         return anchors[0]
     return [dot(doppler_of, list(column)) for column in zip(*anchors, strict=True)]

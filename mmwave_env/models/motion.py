@@ -7,7 +7,7 @@ from mmwave_env.numerics.linalg import symmetric
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, cos_sin, maximum, sqrt, where
 
 STANDING_MPS = 0.2  # much below this speed a user has no direction in which to accelerate
-# White noise of a user's clock, m / sqrt(s), in addition to what the oscillator's bias drives:
+# White noise of a user's clock, m / sqrt(s), besides the drift due to the oscillator's bias:
 # 0.01 m^2/s, as for a temperature-compensated crystal (Groves 2013, Sec. 9.4.2).
 CLOCK_SIGMA_M = 0.1
 _SHORTEST_S = 1e-9
@@ -17,10 +17,10 @@ _LEAST_RAD = 1e-9  # the arc of a smaller angle is straight, except for rounding
 class ProcessNoise(NamedTuple):
     """The non-zero entries of the process noise covariance Q."""
 
-    # (7,) variances, m^2, (m/s)^2 and Hz^2; with a clock (8,), m^2
+    # (7,) variances, m^2, (m/s)^2 and Hz^2; with a clock (8,), the last in m^2
     diagonal: list[Number]
-    # (3,) covariances of position and velocity per axis, m^2/s; with a clock (4,), the last of its
-    # range bias and the oscillator's bias, m Hz
+    # (3,) covariances of position and velocity per axis, m^2/s; with a clock (4,), the last is that
+    # of its range bias and the oscillator's bias, m Hz
     coupling: list[Number]
 
 
@@ -53,10 +53,10 @@ def with_clock(
 ) -> ProcessNoise:
     """Add the noise of the range bias B of the user's clock to the process noise.
 
-    One oscillator makes the carrier and the clock. Its bias b therefore drives B at b / hz_per_mps,
-    like a velocity, and the noise of b moves B within the step as velocity noise moves the position
-    in :func:`white_noise_acceleration`; the clock's own noise comes on top (Groves 2013, Sec.
-    9.4.2; Brown and Hwang 2012, Sec. 9.3).
+    One oscillator drives the carrier and the clock. Its bias b therefore changes B at the rate
+    b / hz_per_mps, like a velocity, and the noise of b moves B within the step as velocity noise
+    moves the position in :func:`white_noise_acceleration`; the clock's own noise is added to this
+    (Groves 2013, Sec. 9.4.2; Brown and Hwang 2012, Sec. 9.3).
 
     Args:
         noise: process noise without the clock.
@@ -70,7 +70,7 @@ def with_clock(
 
 
 def move(x: Vector, dt: Number, hz_per_mps: Number | None = None) -> list[Number]:
-    """Return F x, the mean one step later; a clock, x (8,), needs f_c / c."""
+    """Return F x, the mean one step later; with a clock, x is (8,) and f_c / c is required."""
     moved = [x[i] + dt * x[i + 3] if i < 3 else x[i] for i in range(min(len(x), STATE_SIZE))]
     return moved + [bias + (dt / hz_per_mps) * x[6] for bias in x[STATE_SIZE:]]
 

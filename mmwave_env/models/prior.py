@@ -8,8 +8,8 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI, Array, wrap
 
-GAP_S = 15.0  # longest gap to bridge: of 100 vehicles, none is lost in 10 s, but some in 20 s
-STEEPEST_FIX_RAD = math.radians(85.0)  # 2.5 standard deviations of a handset from the vertical
+GAP_S = 15.0  # longest gap to bridge: of 100 vehicles, 10 s loses none and 20 s loses some
+STEEPEST_FIX_RAD = math.radians(85.0)  # 5 degrees (2.5 sigma of a handset) off the vertical
 # Deviation per horizontal axis of an unknown velocity: twice this is the filters' limit, 20 m/s.
 UNKNOWN_VELOCITY_MPS = 10.0
 
@@ -25,7 +25,7 @@ def draw_prior(
 def prior_from_fix(
     anchor: Array, link: Array, sigma: Array, radio: Radio, scene: Scene
 ) -> tuple[Array, Array]:
-    """Return mean (7,), at rest, and covariance (7, 7) from one link (4,) to an anchor (3,).
+    """Return a mean (7,) at rest and its covariance (7, 7), from one link (4,) to an anchor (3,).
 
     The position is a + r (cos el cos az, cos el sin az, sin el); its covariance is linearized.
     """

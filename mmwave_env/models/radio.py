@@ -2,7 +2,7 @@
 
 The noise is a floor (calibration, array errors) plus the Cramer-Rao bound at the link's SNR, in
 quadrature. Blockage lowers the SNR of a link and biases its measurements; multipath biases them
-without changing the SNR. The filters know about neither.
+without changing the SNR. The filters are not told of either.
 """
 
 import math
@@ -73,14 +73,14 @@ class Radio:
         prior_velocity_mps: standard deviation of the prior's horizontal velocity, per axis.
         prior_vertical_mps: standard deviation of the prior's vertical velocity.
         prior_bias_mps: standard deviation of the prior's oscillator bias.
-        transmit_dbm, gnb_gain_db, ue_gain_db, implementation_loss_db: part of the link budget.
+        transmit_dbm, gnb_gain_db, ue_gain_db, implementation_loss_db: parts of the link budget.
         noise_figure_db: noise figure of the receiver.
         reflection_loss_db: loss on a virtual anchor's path.
         blockage_loss_db: loss while a link is blocked.
         shadowing_db: standard deviation of log-normal shadowing.
-        shadowing_correlation: correlation of shadowing after one second, an AR(1) process.
+        shadowing_correlation: correlation of shadowing values one second apart, an AR(1) process.
         detection_snr_db: SNR at which a link is detected with probability 0.5.
-        detection_slope_db: scale of the logistic curve of the detection probability over the SNR.
+        detection_slope_db: scale of the logistic curve of detection probability against SNR.
         doppler_window_s: coherent processing interval T for the Doppler shift.
         blockage_scale, blockage_base, blockage_per_100m, blockage_limit: stationary probability of
             blockage at distance d: scale * min(limit, base + per_100m d / 100 m).
@@ -89,9 +89,9 @@ class Radio:
         blockage_angle_rad: standard deviation of the angle biases during a blockage.
         multipath_rate_hz: rate at which spells of multipath begin, per link.
         multipath_mean_s: mean length of a spell of multipath.
-        multipath_range_m: range bias during multipath: constant, and mean of an exponential part.
+        multipath_range_m: range bias during multipath: constant part, mean of the exponential part.
         multipath_angle_rad: standard deviation of the angle biases during multipath.
-        outage_rate_hz: rate at which outages begin, in which all links are lost.
+        outage_rate_hz: rate at which outages begin; in an outage all links are lost.
         outage_mean_s: mean length of an outage.
         spread_gain, spread_sigma, spread_floor_mps: Doppler spread = gain * speed *
             lognormal(sigma) + |N(0, floor)|, m/s.
@@ -168,7 +168,7 @@ class Radio:
         return self.link_budget_db + path_gain_db - self.thermal_noise_dbm(bandwidth_hz)
 
     def variances(self, scene: Scene, layout: Layout) -> tuple[list[float], list[float]]:
-        """Return every row's noise floor, and its Cramer-Rao bound at 0 dB: m^2, rad^2, Hz^2."""
+        """Return every row's noise floor and Cramer-Rao bound at 0 dB, both in squared units."""
         range_bound = SPEED_OF_LIGHT / (2.0 * math.pi * scene.bandwidth_hz / math.sqrt(12.0))
         elements = self.ue_elements, self.gnb_elements
         arrival, departure = (6.0 / ((max(n, 2) ** 2 - 1.0) * math.pi**2) for n in elements)
@@ -286,7 +286,7 @@ def oscillator_bias(
 
 
 def clock_bias(drift_mps: Array, time_s: Array, rng: np.random.Generator) -> Array:
-    """Draw the range bias (T,) of a user's clock, m, that its drift (T,), m/s, and noise drive."""
+    """Draw the range bias (T,), m, of a user's clock: the integral of its drift (m/s) and noise."""
     step = np.diff(time_s)
     first = SPEED_OF_LIGHT * CLOCK_OFFSET_S * rng.standard_normal()
     noise = CLOCK_SIGMA_M * np.sqrt(step) * rng.standard_normal(len(step))

@@ -30,13 +30,13 @@ class RandomScene:
     """A random scene: a grid of streets, a base station at one of its crossings and two walls.
 
     One wall closes the grid to the north or south, the other to the east or west, so that every
-    scene has three anchors, like the named scenes. Numbers are drawn uniformly from their ranges.
+    scene has three anchors, like the named scenes. Values are drawn uniformly from their ranges.
 
     Attributes:
         name: name to show in results.
         block_m: distance between parallel streets.
-        blocks: maximum number of blocks in each direction; with 0 in one, there is one street.
-        beside_m: distance of the base station from its crossing, to a random side of each street.
+        blocks: maximum number of blocks in each direction; with 0 in one, the grid is one street.
+        beside_m: distance of the base station from each street of its crossing, on a random side.
         height_m: height of the base station.
         behind_m: distance from a wall to the last street, or to the base station if that is
             farther out.
@@ -64,9 +64,9 @@ class RandomScene:
         return self.scene_of(self.draw_numbers(Dice(seeded(0.0, 0))))
 
     def draw_numbers(self, dice: Dice) -> SceneNumbers:
-        """Draw the numbers of a scene; a key's scene depends on the order of these draws."""
+        """Draw the numbers of a scene; another order of draws would change every key's scene."""
         block, each = dice.uniform(*self.block_m), float(self.blocks + 1)
-        counts = floor(1.0 + (each * each - 1.0) * dice.uniform())  # not 0 blocks in both
+        counts = floor(1.0 + (each * each - 1.0) * dice.uniform())  # excludes 0 x 0 blocks
         east = floor((counts + 0.5) * (1.0 / each))
         extent, base, walls = [], [], []
         for count in (east, counts - each * east):
@@ -102,7 +102,7 @@ def _either(dice: Dice) -> Number:
 
 
 def scenes_from(scene: str | Path | Scene | RandomScene) -> Scene | RandomScene:
-    """Return the source of episodes' scenes for a ``scene=`` argument: "random", or one scene.
+    """Return the scene of a ``scene=`` argument, or the source of random scenes for "random".
 
     Raises:
         ValueError: the name is unknown, or a field of the file is missing or wrong.

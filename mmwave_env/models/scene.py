@@ -198,9 +198,9 @@ class Scene:
             )
 
     def behind_walls(self, points_m: NDArray[np.float64]) -> Iterator[tuple[int, Wall]]:
-        """Yield (number, wall) for each wall that has one of the points (n, 3) behind or in it.
+        """Yield (index, wall) for each wall with at least one of the points (n, 3) behind or in it.
 
-        The number is that of the first such point.
+        The index is that of the first such point.
         """
         for wall in self.walls:
             side = wall.signed_distance(self.base_station_m)
@@ -268,11 +268,11 @@ def read_scene(path: Path) -> Scene:
     """Read a scene from a JSON file in one of two forms.
 
     A scene with walls contains base_station_m [x, y, z]; and, if they differ from the defaults,
-    name, walls (a list of {"normal": [x, y], "offset_m": d}), streets, carrier_hz, bandwidth_hz
-    and virtual_anchors_m (a list of [x, y, z]).
+    name, walls (a list of {"normal": [x, y], "offset_m": d}), streets, carrier_hz, bandwidth_hz,
+    virtual_anchors_m (a list of [x, y, z]) and origin.
 
     A scene of anchors contains anchors (a list of [x, y, z], the physical gNB first), carrier_hz
-    and bandwidth_hz; and, if they differ from the defaults, name and streets.
+    and bandwidth_hz; and, if they differ from the defaults, name, streets and origin.
 
     Raises:
         ValueError: the file is wrong; the message names the file and the error.

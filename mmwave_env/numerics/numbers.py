@@ -1,9 +1,10 @@
 """Elementary functions of numbers, where a number is a float, an array or eight SIMD lanes.
 
 The mathematics of this package is written once, as plain functions of numbers. Called with floats,
-they are the reference for tests; with arrays, they test signal paths and score complete tracks;
-with :class:`~mmwave_env.compiler.lanes.Lanes`, they become one SIMD kernel. Python's operators
-work on all three; this module contains the few functions that depend on the kind of number.
+they are the reference for tests; with arrays, they check recorded signal paths and score complete
+tracks; with :class:`~mmwave_env.compiler.lanes.Lanes`, they become one SIMD kernel. Python's
+operators work on all three; this module contains the few functions that depend on the kind of
+number.
 
 The description of an array argument or attribute begins with its shape. Functions of numbers follow
 three rules: they do not branch on a value (use :func:`where`), they use lists instead of arrays,
@@ -32,7 +33,7 @@ def _is_float(a: Number) -> bool:
 
 
 def _function(name: str, of: Any = math) -> Callable[[Number], Number]:
-    """Return a function of one number, by its name in numpy, in Lanes and, for floats, ``of``."""
+    """Return a function that calls numpy's for arrays, Lanes' for lanes and ``of``'s for floats."""
     of_float, of_array = getattr(of, name), getattr(np, name)
 
     def function(a: Number) -> Number:
@@ -58,7 +59,7 @@ def atan2(y: Number, x: Number) -> Number:
 
 
 def cos_sin(angle: Number) -> tuple[Number, Number]:
-    """Return cosine and sine of an angle in radians, which must be below 1e5 in size on lanes."""
+    """Return cosine and sine of an angle in radians; on lanes, its size must be below 1e5."""
     if _is_float(angle):
         return math.cos(angle), math.sin(angle)
     if isinstance(angle, np.ndarray):
@@ -92,7 +93,7 @@ def clip(a: Number, low: float, high: float) -> Number:
 
 
 def wrap(angle: Number) -> Number:
-    """Wrap the difference of two angles, which is in (-3 pi, 3 pi), into [-pi, pi]."""
+    """Wrap an angle in (-3 pi, 3 pi), such as a difference of two angles, into [-pi, pi]."""
     angle = where(angle > PI, angle - 2 * PI, angle)
     return where(angle < -PI, angle + 2 * PI, angle)
 

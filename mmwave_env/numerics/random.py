@@ -23,7 +23,7 @@ def _bitwise(operation: Callable[[int, int], int]) -> Any:
 
 
 class Word:
-    """An unsigned integer of 64 bits, which wraps around."""
+    """An unsigned integer of 64 bits, whose arithmetic wraps around."""
 
     __slots__ = ("value",)
 
@@ -50,7 +50,7 @@ def word_of(number: Number) -> Any:
 
 
 def next_word(state: Sequence[Any]) -> tuple[Any, list[Any]]:
-    """Return the next word of SFC64 and the new state; the words belong to floats or to lanes."""
+    """Return the next word of SFC64 and the new state; words are Word or WordLanes."""
     a, b, c, counter = state
     word = a + b + counter
     rotated = (c << 24) | (c >> 40)
@@ -61,7 +61,7 @@ def seeded(key: Number, stream: int) -> list[Number]:
     """Return the generator's state (4,) for a key.
 
     Args:
-        key: a number, whose 64 bits are the key.
+        key: a float, or lanes of floats; its 64 bits are the key.
         stream: number of the stream; different streams of one key are independent.
     """
     word = word_of(key)
@@ -89,7 +89,7 @@ class Dice:
         return [word.as_number() for word in self._words]
 
     def uniform(self, low: Number = 0.0, high: Number = 1.0) -> Number:
-        """Draw uniformly from [low, high); from [0, 1) it is the number that numpy would draw."""
+        """Draw uniformly from [low, high); by default, draw the number that numpy would draw."""
         word, self._words = next_word(self._words)
         return low + (high - low) * (word >> 11).scaled(2.0**-53)
 

@@ -2,8 +2,9 @@
 
 A function that runs on such numbers can be compiled for SIMD lanes, which stand for eight
 environments at once, because it never asks for a value. An operation that needs the value is
-refused, and the message says what to write instead. There are two kinds of these numbers: lanes,
-and probes, which are floats that hide their value. A function is tried on probes before compiling.
+refused, and the message says what to write instead. There are three kinds of these numbers: lanes;
+probes, floats that hide their value, on which a function is tried before it is compiled; and the
+numbers of :mod:`mmwave_env.compiler.fingerprint`, which record operations.
 """
 
 import operator

@@ -49,14 +49,14 @@ def require_increasing(record: str, time_s: Array) -> None:
 
 
 def require_within(record: str, field: str, values: Array, bound: Bound) -> None:
-    """Refuse numbers of a field, an array of any shape, that are NaN or outside a bound."""
+    """Refuse values (of any shape) of a field if one of them is NaN or outside a bound."""
     wrong = bound.outside(values)
     if wrong.any():
         refuse(record, field, f"{values[wrong].flat[0]:g}", bound.expected)
 
 
 def require_finite(record: str, epochs: Any, fields: Iterable[str]) -> None:
-    """Refuse NaN and infinity in the arrays ``fields``; see :func:`require_epochs`."""
+    """Refuse NaN and infinity in these fields of ``epochs``; see :func:`require_epochs`."""
     for field in fields:
         value = getattr(epochs, field)
         if value is not None and not np.isfinite(value).all():

@@ -29,9 +29,9 @@ class Episode:
     """The data of T epochs of one user.
 
     Missing groups (a link, the Doppler shift or odometry) are marked in ``visible``; where it is
-    False the numbers are meaningless. Measurements that are NaN or infinite count as missing.
-    In a partial layout, rows that were not measured are NaN; a group is visible if any row was.
-    Numbers that the filters cannot handle are refused (:mod:`~mmwave_env.models.envelope`).
+    False the values are meaningless. Measurements that are NaN or infinite count as missing.
+    In a partial layout, unmeasured rows are NaN; one measured row makes a group visible.
+    Values that the filters cannot handle are refused (:mod:`~mmwave_env.models.envelope`).
 
     Attributes:
         name: name of the episode, for results and messages.
@@ -44,7 +44,7 @@ class Episode:
         snr_db: (T, L) SNR of each link.
         doppler_spread_hz: (T,) measured Doppler spread.
         prior_mean: (7,) state at the first epoch; (8,) with a clock.
-        prior_covariance: (7, 7) covariance at the first epoch, positive definite; (8, 8) with one.
+        prior_covariance: (7, 7) positive definite covariance of the mean; (8, 8) with a clock.
         truth_position_m: (T, 3) true positions; None if unknown.
         truth_velocity_mps: (T, 3) true velocities; None if unknown.
         layout: rows and groups.
@@ -133,8 +133,8 @@ class Episode:
         """Return the episode of measured arrays; noise that is not stated follows from the radio.
 
         Args:
-            name, layout, time_s, measurement, visible, snr_db, doppler_spread_hz: attributes.
-            doppler_anchor: attribute.
+            name, layout, time_s, measurement, visible, snr_db, doppler_spread_hz, doppler_anchor:
+                same as the attributes.
             scene: scene whose anchors were measured.
             radio: profile of the receiver.
             prior: mean (7,) and covariance (7, 7) at the first epoch.
@@ -191,7 +191,7 @@ class Episode:
 
     @property
     def _used(self) -> Mask:
-        """Return which rows (T, rows) are measured, in usable groups."""
+        """Return which rows (T, rows) are measured and belong to usable groups."""
         groups = np.repeat(self.usable, self.layout.widths, axis=1)
         return groups & self._finite if self.layout.partial else groups
 
@@ -210,7 +210,7 @@ class Episode:
             raise ValueError(f"{self._record}: found no truth, which reward and metrics need")
 
     def on_flat_ground(self, height_m: float | None = None) -> "Episode":
-        """Return the episode with vz 0 and a known height, by default the first true height."""
+        """Return the episode with vz 0 and a known height in its prior, by default the true one."""
         if height_m is None:
             self.require_truth()
             height_m = self.truth_position_m[0, 2]  # type: ignore[index]
@@ -227,7 +227,7 @@ class Episode:
         return replace(self, measurement=measurement, visible=visible, layout=layout)
 
     def table(self) -> Array:
-        """Return the table (T, columns) that engines load; :func:`columns_of` has the columns."""
+        """Return the table (T, columns) that engines load; :func:`columns_of` gives the columns."""
         at, links = columns_of(self.layout), self.usable[:, : self.layout.anchors]
         keep = self._used
         position, velocity = self.truth_position_m, self.truth_velocity_mps
@@ -291,7 +291,7 @@ class EpisodeBatch(NamedTuple):
         """Return a batch of episodes.
 
         Raises:
-            ValueError: an episode has another layout than ``layout``, or than the first episode.
+            ValueError: an episode's layout differs from ``layout``, or from the first episode's.
         """
         if isinstance(episodes, EpisodeBatch):
             layouts = [(episodes.names[0], episodes.layout)]
@@ -318,7 +318,7 @@ class EpisodeBatch(NamedTuple):
         )
 
     def on_flat_ground(self) -> "EpisodeBatch":
-        """Return the batch with known heights, as :meth:`Episode.on_flat_ground` by default."""
+        """Return the batch with :meth:`Episode.on_flat_ground` applied to every episode."""
         height_m = self.table[:, 0, columns_of(self.layout).truth[2]]
         return self._replace(site=level(self.site, height_m, self.layout))
 

@@ -17,7 +17,7 @@ from mmwave_env.numerics.numbers import Index
 
 Keys = NDArray[np.uint64]
 
-_STRIDE = np.uint64(0x9E3779B97F4A7C15)  # 2**64 divided by the golden ratio, rounded to odd
+_STRIDE = np.uint64(0x9E3779B97F4A7C15)  # 2**64 over the golden ratio, rounded to an odd number
 
 
 def keys_at(streams: NDArray[np.uint64], episodes: NDArray[np.uint64]) -> Keys:
@@ -140,7 +140,7 @@ class Streams:
         """Start the streams of some environments, as a vector environment's ``reset`` does.
 
         Args:
-            seed: s to seed environment i with s + i; or one seed per environment, None to continue.
+            seed: s to seed environment i with s + i, or one seed each; None continues a stream.
             places: the environments to start.
 
         Raises:
@@ -172,7 +172,7 @@ class Streams:
         self._generators: list[np.random.Generator | None] = [None] * len(states)
 
     def keys(self, places: Index) -> Keys:
-        """Draw the key of the next episode of each environment in ``places``, without repeats."""
+        """Draw the next episode's key for each environment in ``places``, which has no repeats."""
         keys = keys_at(*self._states[places].T)
         self._states[places, 1] += np.uint64(1)
         return keys

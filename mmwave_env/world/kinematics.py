@@ -97,14 +97,14 @@ def state_of(t: Traveler) -> tuple[list[Number], list[Number]]:
 
 
 def wanted_acceleration(t: Traveler, net: Net) -> Number:
-    """Return the acceleration, m/s^2, that a traveler wants for its target speed or what is ahead.
+    """Return the acceleration, m/s^2, that a traveler wants, given its target and what is ahead.
 
     Two things ahead limit the speed. A turn at a crossing limits it to v_c with v_c^2 = lateral
     acceleration times radius; a red light limits it to v_c = 0 one meter before the crossing.
     Braking at b over a distance d reduces v to v_c, where v^2 = v_c^2 + 2 b d. Travelers plan with
     half of their b, so they aim at a speed of v^2 = v_c^2 + b d. From v they would need a braking
     of (v^2 - v_c^2) / 2 d, where d leaves out the distance traveled until braking has built up; if
-    that exceeds 0.7 b, they brake as hard as needed, up to b.
+    this braking exceeds 0.7 b, they brake as hard as needed, up to b.
     """
     left, turns, turns_after = t.stretch - t.traveled, t.arc > 0.0, abs(t.turn_after) > 0.5
     beyond = left + net.block - where(turns_after, t.radius, 0.0)
@@ -116,7 +116,7 @@ def wanted_acceleration(t: Traveler, net: Net) -> Number:
     aim = minimum(cornering + t.braking * maximum(corner, 0.0), t.braking * light)
     aim = sqrt(minimum(t.target * t.target, aim))
     pull = clip((aim - t.v) * 2.0, -t.braking, t.acceleration)
-    built_up = 0.6 / t.jerk * (maximum(t.a, 0.0) + t.braking) * t.v  # distance until it has, m
+    built_up = 0.6 / t.jerk * (maximum(t.a, 0.0) + t.braking) * t.v  # distance to build up, m
     need = maximum(
         where(corner > 0.0, squared - cornering, 0.0) / (2.0 * maximum(corner - built_up, 0.5)),
         where(light > 0.0, squared, 0.0) / (2.0 * maximum(light - built_up, 0.5)),

@@ -89,7 +89,7 @@ class Phase:
     Attributes:
         limits: limits of the motion.
         gaits: target speeds, one of which is chosen at a time.
-        duration_s: range of its duration; by default the phase lasts until the episode ends.
+        duration_s: range of the phase's duration; by default it lasts until the episode ends.
     """
 
     limits: Limits

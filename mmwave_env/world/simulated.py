@@ -114,7 +114,7 @@ class SimulatedSource:
             object.__setattr__(self, "epochs", self.ways.epochs)
 
     def _require_envelope(self) -> None:
-        """Refuse a radio and scene if their numbers are outside the range that filters accept."""
+        """Refuse a radio and scene if their values are outside the range that filters accept."""
         scene, radio, anchors = self._example, self.radio, self.layout.anchors
         snr_db = np.repeat(np.array(SNR_LIMITS_DB)[:, None], anchors, axis=1)
         rarely = math.exp(RARE * radio.spread_sigma)
@@ -144,7 +144,7 @@ class SimulatedSource:
 
     @cached_property
     def _example(self) -> Scene:
-        """Return the scene, or an example of the random scene with its carrier and anchor count."""
+        """Return the scene; for a random scene, an example with its carrier and anchor count."""
         return self.scene.example if isinstance(self.scene, RandomScene) else self.scene
 
     @property
@@ -224,7 +224,7 @@ class SimulatedSource:
         )
 
     def feed(self, worlds: Array) -> Feed:
-        """Return the feed that simulates epochs, from the users' first worlds (n, numbers)."""
+        """Return the feed that simulates epochs, given ``worlds`` (n, numbers) of a ``Begun``."""
         _, _, receiver, user = self.world.template  # fills unused lanes
         kept = blocks_of(np.array(flatten([receiver, user]), float), len(worlds))
         fill(kept, np.arange(kept.shape[1]), worlds)

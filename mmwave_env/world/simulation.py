@@ -75,7 +75,7 @@ class ReceiverState(NamedTuple):
     is_first: Number  # 1 before the first epoch
     channel: ChannelState  # state of the links
     bias_hz: Number  # oscillator bias in the coming epoch
-    clock: Clock | tuple[()] = ()  # empty unless the user has a clock
+    clock: Clock | tuple[()] = ()  # empty if the user's clock is synchronized
 
 
 class UserState(NamedTuple):
@@ -147,7 +147,7 @@ def measure(
 
 
 def _run_on(receiver: ReceiverState, bias_hz: Number, clock: Vector) -> Clock | tuple[()]:
-    """Return the clock an epoch later: the mean of the oscillator's biases drives it, and noise."""
+    """Return the clock an epoch later, driven by the mean of the oscillator's biases, and noise."""
     if not isinstance(receiver.clock, Clock):
         return ()
     (half_step, sigma_m), dice = clock, Dice(receiver.clock.dice)
@@ -312,8 +312,8 @@ def as_measured(layout: Layout) -> Program[AsMeasured]:
 
 # --- the beginning of an episode: everything that is drawn before its first epoch
 
-# Each key seeds three streams of random numbers, so that a user's way depends neither on the
-# receiver nor on the rate of epochs, and neither depends on the user's clock.
+# Each key seeds three streams of random numbers. So the receiver and the rate of epochs do not
+# affect a user's way, and the user's clock affects neither the way nor the receiver's noise.
 USER, RECEIVER, CLOCK = 0, 1, 2
 
 
@@ -324,7 +324,7 @@ class FirstDraws(NamedTuple):
     user: UserState  # not used if a way is given
     choice: Number  # number of the kind of user; or uniform in [0, 1), to choose a given way
     first: list[Number]  # (7,) true state at the first epoch; 0 if a way is given
-    prior_noise: list[Number]  # (7,) error of the prior's mean, in which a clock's bias is 0
+    prior_noise: list[Number]  # (7,) error of the prior's mean; the mean of a clock's bias is 0
 
 
 class Beginning(NamedTuple):

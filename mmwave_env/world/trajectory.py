@@ -121,7 +121,9 @@ class Trajectory:
         """
         way = self.resampled(dt)
         if len(way) < 2:
-            raise ValueError(f"{self.name}: found {np.ptp(self.time_s):g} s, expected {dt:g} (dt)")
+            raise ValueError(
+                f"{self.name}: found {np.ptp(self.time_s):g} s, expected at least {dt:g} s (dt)"
+            )
         position = way[:, :3]
 
         def refuse(epoch: int, expected: str) -> None:
@@ -171,7 +173,7 @@ class Ways:
         if len(kept) < len(tables):
             warnings.warn(
                 f"{self.name}: found {len(tables) - len(kept)} of {len(tables)} ways shorter than "
-                f"{dt * (epochs - 1):g} s, an episode; they are left out (a smaller episode_steps "
+                f"an episode ({dt * (epochs - 1):g} s); they are left out (a smaller episode_steps "
                 "includes them)",
                 stacklevel=2,
             )
