@@ -112,7 +112,7 @@ MISTAKES = {
     "no file": (None, ("never.safetensors",), "never.safetensors: found no such file"),
     "not a picture": (None, ("--errors", "f.gif"), "found f.gif.*ends with .png, .svg, .pdf"),
     "one file for two": (
-        None, ("--errors", "f.png", "--consistency", "f.png"), "consistency: .*f.png.*another",
+        None, ("--errors", "f.png", "--consistency", "f.png"), "consistency: .*f.png.*other than",
     ),
 }  # fmt: skip
 

@@ -209,7 +209,7 @@ def test_without_smoothing_the_track_is_the_filtered_track(block):
 @pytest.mark.parametrize(
     ("modes", "rule"), [((EKF, UKF), by_predicted_speed), (BANK, None)], ids=["rule", "imm"]
 )
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(sizes=st.lists(st.integers(1, T), min_size=1, max_size=5), window=st.integers(2, 300))
 def test_a_track_does_not_depend_on_the_sizes_of_blocks(folder, modes, rule, sizes, window):
     block = log(folder)

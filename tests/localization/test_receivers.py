@@ -39,7 +39,7 @@ RECEIVERS = {  # what is measured, step in s, number of anchors
     "range, azimuth and Doppler shift": ((*RANGE_AZIMUTH, "doppler"), 0.1, 2),
 }
 MODE = Mode("plain", gate=None, adaptive=False, recovery=None, sigma_v=0.3, sigma_vz=0.005)
-RADIO, WALKS, EPOCHS, SETTLED = RADIOS["standard"], 12, 120, 20
+RADIO, WALKS, EPOCHS, SETTLED = RADIOS["standard"], 8, 120, 20
 
 
 def noise(dt, hz_per_mps, flat):
