@@ -1,4 +1,4 @@
-"""Tests of the paper's claims, one section for each claim."""
+"""Checks of the paper's claims by experiments, one section for each claim."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -173,7 +173,7 @@ def process_noise(bench: Bench) -> Iterator[Row]:
     "Doppler in hertz, or as printed",
     "Filtered ATE in m, tuned modes. As printed: the filter predicts v'(p - p1)/|p - p1| in m/s "
     "plus b in Hz for a shift that the receiver measures in Hz (93 Hz for 1 m/s at 28 GHz). Read "
-    "as m/s: the filter takes the value in Hz for m/s, and also assumes noise that is 93 times "
+    "as m/s: the filter reads the value in Hz as m/s, and also assumes noise that is 93 times "
     "smaller.",
     "user | radio | gates: in hertz | as printed | no gates: in hertz | as printed | read as m/s",
     labels=2,
@@ -247,7 +247,7 @@ def consistency_gate(bench: Bench) -> Iterator[Row]:
 @section(
     "Printed figures against each other",
     "The RMSE of a track is at least its ATE, because the mean of a square is at least the square "
-    "of the mean. The RPE over one epoch is at most twice the ATE, except for effects of its ends.",
+    "of the mean. The RPE over one epoch is at most twice the ATE, except for effects at the ends of a track.",
     "row | ATE m | RMSE m | RPE m | contradiction",
 )
 def contradictions(_: Bench) -> Iterator[Row]:

@@ -42,7 +42,7 @@ class _Instruction:
 
 
 class _Recorder:
-    """A replacement of an LLVM builder; it records repeated instructions only once."""
+    """A replacement for an LLVM builder; it records repeated instructions only once."""
 
     def __init__(self) -> None:
         self.module = ir.Module()

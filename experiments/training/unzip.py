@@ -37,7 +37,7 @@ def unzipped(model: Path, normalize: Path | None) -> tuple[dict[str, NDArray[Any
         name of its network.
 
     Raises:
-        ValueError: the model can't be loaded, or does not fit into a policy file.
+        ValueError: the model can't be loaded, or can't be written as a policy file.
     """
     with TemporaryDirectory() as folder:
         out = Path(folder) / "model.safetensors"

@@ -180,7 +180,7 @@ def _show(value: float) -> str:
 
 
 def _end_of_epochs(time: Array, damaged: int, anchors: int | None) -> int:
-    """Return the number of rows before a damaged row that are in epochs known to be complete."""
+    """Return how many rows before a damaged one are in epochs known to be complete."""
     if damaged == 0:
         return 0
     last = time[damaged - 1]

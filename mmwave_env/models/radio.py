@@ -38,7 +38,10 @@ CLOCK_OFFSET_S = 1e-7  # prior deviation of the offset of a user's clock that is
 DECIBEL = math.log(10.0) / 10.0  # natural logarithm of 1 dB
 Elements = Annotated[int, counts(1, 1024)]
 AngleFloor = Annotated[
-    float, Bound("1e-05 to pi / 4 (or degrees, as ..._deg)", least=1e-5, most=45.0 * DEGREE)
+    float,
+    Bound(
+        "1e-05 to pi / 4 rad (in degrees if the name ends in _deg)", least=1e-5, most=45.0 * DEGREE
+    ),
 ]
 RangeFloor = Annotated[float, between(1e-9, 1e4, "m")]
 Speed = Annotated[float, between(1e-4, 100.0, "m/s")]
@@ -48,7 +51,9 @@ Decibel = Annotated[float, between(-300.0, 300.0, "dB")]
 Spell = Annotated[float, between(1e-3, 1e6, "s")]  # mean length of a spell
 Rate = Annotated[float, between(0.0, 1e3, "Hz")]
 RangeBias = Annotated[float, between(0.0, 1e5, "m")]
-AngleBias = Annotated[float, Bound("0 to pi (or degrees, as ..._deg)", least=0.0, most=math.pi)]
+AngleBias = Annotated[
+    float, Bound("0 to pi rad (in degrees if the name ends in _deg)", least=0.0, most=math.pi)
+]
 Factor = Annotated[float, between(0.0, 100.0)]
 SNR_LIMITS_DB = (-30.0, 80.0)  # beyond these limits, noise no longer depends on the SNR
 
@@ -97,7 +102,7 @@ class Radio:
             lognormal(sigma) + |N(0, floor)|, m/s.
         drift_mps: random walk of the oscillator bias, (m/s) / sqrt(s).
         odometry_speed_mps, odometry_heading_rad: standard deviation of the odometry's noise.
-        odometry_slowest_mps: below this speed odometry has no heading and is missing.
+        odometry_slowest_mps: below this speed there is no odometry, because the heading is undefined.
         base: shipped profile whose modes, banks and policies this radio uses; only the shipped
             profiles have their own.
     """

@@ -23,7 +23,7 @@ def entries(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_entries_are_ranked_and_a_page_is_renewed(entries, tmp_path):
+def test_entries_are_ranked_and_a_page_is_updated(entries, tmp_path):
     page = tmp_path / "page.md"
     page.write_text(
         "<!-- table: leaderboard -->\n<!-- end -->\n<!-- table: sites -->\n<!-- end -->\n"

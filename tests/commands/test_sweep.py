@@ -176,7 +176,7 @@ def test_a_search_can_be_continued_and_writes_the_best_hyperparameters(tmp_path)
         file = written(tmp_path, text.replace("trials = 2", f"trials = {trials}"))
         done = command("sweep", file, "--out", out)
         assert done.returncode == 0, done.stderr
-        assert f"{trials} cells, {kept} of them kept" in done.stderr
+        assert f"{trials} cells, {kept} of them already" in done.stderr
         table = dataset.dataset(out, format="parquet", exclude_invalid_files=True).to_table()
         tried = {row[axis]: row["reward_mean"] for row in table.to_pylist()}
         assert len(tried) == trials and all(1e-4 <= rate <= 1e-2 for rate in tried)

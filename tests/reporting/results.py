@@ -18,7 +18,7 @@ def interval(mean):
 
 
 def metrics(mean):
-    """Return all metrics; their means count up from this one."""
+    """Return all metrics; their means are this one and the following integers."""
     return {metric: interval(mean + i) for i, metric in enumerate(METRICS)}
 
 
@@ -28,7 +28,7 @@ def comparison(names=("imm", "speed-rule"), **more):
     content = {"scenario": "mixed", "radio": "handset", "episodes": 2, "seed": 0}
     content |= {
         "command": "mmwave-loc compare --episodes 2 --episode-steps 30",
-        "options": {"episode_steps": 30, "policies": list(names), "json": "no output is read"},
+        "options": {"episode_steps": 30, "policies": list(names), "json": "ignored.json"},
         "versions": {"mmwave-loc": __version__, "python": "3.12.0"},
         "policies": {name: metrics(-1.0 - i) for i, name in enumerate(names)},
         "paired": {f"{name} - {first}": metrics(-0.5) for name in others},
@@ -37,7 +37,7 @@ def comparison(names=("imm", "speed-rule"), **more):
 
 
 def run(folder: Path, over=2):
-    """Make a folder like those of train, with two trainings, of which ``over`` have ended."""
+    """Make a folder like those that train makes, with two trainings, of which ``over`` have ended."""
     log = "timesteps,tuning/reward,tuning/minus imm\n1000,,\n2000,-1.5,0.25\n4000,-1.4,0.3\n"
     for seed in range(2):
         training = folder / f"seed-{seed}"

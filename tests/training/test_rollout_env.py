@@ -105,7 +105,7 @@ def test_trying_actions_does_not_change_the_environment():
 
 
 def test_states_near_the_end_of_an_episode_are_left_out():
-    """The first eight environments begin an episode at once; it ends after 200 epochs."""
+    """The first eight environments begin an episode immediately; it ends after 200 epochs."""
     env = environment()
     walked(env, 200 - HORIZON + 1)
     assert len(env.try_all(chaotic(4)).values) == 16
@@ -172,7 +172,7 @@ def assert_same_ends(infos, expected):
 
 @pytest.mark.slow
 def test_several_places_together_equal_each_place_alone():
-    """Seeds are counted across places; the second place is ahead, to end at other times."""
+    """Seeds are counted across places; the second place is 100 steps ahead, so that its episodes end at other times."""
     together = PlacesVecEnv(TASK, PAIRED)
     first, second = alone(PLACES[0], 3), alone(PLACES[1], 2)
     together.seed(10_000_000)

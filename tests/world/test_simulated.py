@@ -182,7 +182,7 @@ def plain(source, key):
 
 
 def wrapped(table, layout):
-    """Wrap the angles of a table into [-pi, pi); column 0 is dt, then follow the rows."""
+    """Wrap the angles of a table into [-pi, pi); column 0 is dt; the rows follow."""
     columns = 1 + np.array(layout.angles)
     table[..., columns] = np.remainder(table[..., columns] + np.pi, 2 * np.pi) - np.pi
     return table

@@ -35,7 +35,7 @@ def find_array(folder: Path, name: str) -> Path:
 
 
 def read_array(file: Path, key: str, shape: Shape, rows: NDArray[np.int_] | None = None) -> Array:
-    """Read the array of a key in double precision.
+    """Read the array stored under a key, in double precision.
 
     Args:
         file: file of the array, as :func:`find_array` returns it.
