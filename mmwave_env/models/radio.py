@@ -102,7 +102,7 @@ class Radio:
             lognormal(sigma) + |N(0, floor)|, m/s.
         drift_mps: random walk of the oscillator bias, (m/s) / sqrt(s).
         odometry_speed_mps, odometry_heading_rad: standard deviation of the odometry's noise.
-        odometry_slowest_mps: below this speed there is no odometry, because the heading is undefined.
+        odometry_slowest_mps: speed below which there is no odometry, as the heading is undefined.
         base: shipped profile whose modes, banks and policies this radio uses; only the shipped
             profiles have their own.
     """

@@ -79,7 +79,7 @@ def _player(verdicts: Sequence[Verdict], played: Sequence[Played]) -> str:
 
 
 def _html(verdicts: Sequence[Verdict], sections: Mapping[str, str], data: Any) -> str:
-    """Return the complete page; text inserted into the template is not itself searched for placeholders."""
+    """Return the complete page; placeholders in inserted text are not replaced."""
     titles = {re.sub(r"\W+", "-", t.lower()): t for t, section in sections.items() if section}
     parts = {
         "title": text(verdicts[0].title),
