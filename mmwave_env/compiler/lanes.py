@@ -245,7 +245,7 @@ def kernel(function: Callable[[Any], None], ends: Sequence[int]) -> Any:
         ends: the row where each part ends.
 
     Returns:
-        A function of one tuple: the address of each part, (rows, 8) doubles.
+        A function of one argument: a tuple with the address of each part, (rows, 8) doubles.
     """
 
     @intrinsic  # type: ignore[untyped-decorator]

@@ -34,7 +34,7 @@ from mmwave_env.numerics.numbers import Array, Number, Vector, clip, exp, sqrt
 
 SHIPPED = ("handset", "standard", "high")
 DEGREE = math.pi / 180.0
-CLOCK_OFFSET_S = 1e-7  # prior deviation of the offset of a user's clock that is not synchronized
+CLOCK_OFFSET_S = 1e-7  # prior standard deviation of an unsynchronized clock's offset
 DECIBEL = math.log(10.0) / 10.0  # natural logarithm of 1 dB
 Elements = Annotated[int, counts(1, 1024)]
 AngleFloor = Annotated[
@@ -102,7 +102,7 @@ class Radio:
             lognormal(sigma) + |N(0, floor)|, m/s.
         drift_mps: random walk of the oscillator bias, (m/s) / sqrt(s).
         odometry_speed_mps, odometry_heading_rad: standard deviation of the odometry's noise.
-        odometry_slowest_mps: below this speed there is no odometry, because the heading is undefined.
+        odometry_slowest_mps: below this speed there is no odometry, as the heading is undefined.
         base: shipped profile whose modes, banks and policies this radio uses; only the shipped
             profiles have their own.
     """
