@@ -107,7 +107,7 @@ def _folder() -> Path | None:
 
 
 def _places() -> list[Path]:
-    """Return the possible parents of the cache folder, the first choice first."""
+    """Return the possible parents of the cache folder, in order of preference."""
     places = [_PACKAGE / "__pycache__", Path(user_cache_dir("mmwave-env", appauthor=False))]
     return [*([Path(numba.config.CACHE_DIR).absolute()] * bool(numba.config.CACHE_DIR)), *places]
 

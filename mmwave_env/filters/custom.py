@@ -134,7 +134,7 @@ def _check(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> None:
 def _uses_missing_rows(
     mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial, result: Posterior
 ) -> Iterator[str]:
-    """Yield numbers of a partial epoch's result that depend on rows that were not measured."""
+    """Yield faults: values of a partial epoch's result that depend on rows not measured."""
     if not trial.rows:
         return
     anchors, hz_per_mps, z, *rest = trial.measured

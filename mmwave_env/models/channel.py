@@ -119,7 +119,7 @@ class SpellDraws(NamedTuple):
     """Random numbers for a link's spell in an epoch."""
 
     uniform: Number  # in [0, 1)
-    length: Number  # exponential with mean 1
+    length: Number  # exponential with mean 1, for the range bias
     angles: list[Number]  # (3,) normals
 
 

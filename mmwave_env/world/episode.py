@@ -130,7 +130,7 @@ class Episode:
         position_m: Array | None = None,
         velocity_mps: Array | None = None,
     ) -> "Episode":
-        """Return the episode of measured arrays; noise that is not stated follows from the radio.
+        """Return an episode of measured arrays; noise that is not stated follows from the radio.
 
         Args:
             name, layout, time_s, measurement, visible, snr_db, doppler_spread_hz, doppler_anchor:
