@@ -1,4 +1,4 @@
-"""A disk cache of compiled functions for later processes, which is never out of date.
+"""A disk cache that keeps compiled functions for later processes and is never out of date.
 
 A process that steps one environment a few hundred times would spend most of its time compiling, so
 small amounts of work run as plain Python (:class:`LazyJit`).
@@ -49,7 +49,7 @@ _CHECKSUM = sha256().digest_size  # number of bytes at the beginning of each fil
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """Compile a module's function with numba, so that it runs without the interpreter's lock.
+    """Compile a module-level function with numba, so that it runs without the interpreter's lock.
 
     This is for functions that Python calls; ``register_jitable`` is enough for all others.
     """
@@ -60,7 +60,8 @@ def compiled_callback(signature: Any, function: Callable[..., Any]) -> Any:
     """Compile a function as ``numba.cfunc`` does, with the disk cache.
 
     Code may differ between processes without a change in the sources, for example if it calls a
-    user's function. The qualified name must then differ, too, since it names files and symbols.
+    user's function. The function's qualified name must then differ, too, because files and symbols
+    are named after it.
     """
     arguments, returned = normalize_signature(signature)
     callback = _with_cache(CFunc(function, (arguments, returned), {}, {}), function)
@@ -80,7 +81,7 @@ def is_compiled(function: Any, arguments: tuple[Any, ...]) -> bool:
     return signature in function.overloads or (isinstance(cache, _Kept) and cache.has(signature))
 
 
-@cache  # the answer is for the sources as this process has read them
+@cache  # an edit while the process runs does not change its folder
 def _folder() -> Path | None:
     """Return the folder for functions of this version of the sources; None if no place is writable.
 
@@ -106,7 +107,7 @@ def _folder() -> Path | None:
 
 
 def _places() -> list[Path]:
-    """Return the possible parents of the cache folder, the first choice first."""
+    """Return the possible parents of the cache folder, in order of preference."""
     places = [_PACKAGE / "__pycache__", Path(user_cache_dir("mmwave-env", appauthor=False))]
     return [*([Path(numba.config.CACHE_DIR).absolute()] * bool(numba.config.CACHE_DIR)), *places]
 
@@ -134,7 +135,7 @@ def _prune(place: Path) -> None:
 
 
 def _version() -> str | None:
-    """Return a hash of everything compiled code depends on; None if the sources are not files."""
+    """Return a hash of all that compiled code depends on; None if the sources are not files."""
     sources = sorted(_PACKAGE.rglob("*.py"))
     if not sources:
         return None

@@ -2,8 +2,8 @@
 
 To get its name, a function runs once on numbers that record every operation. Two functions share a
 name only if they use the same operations on the same rows and constants, so each can run the
-compiled code of the other. A user's code in a mode or reward needs no other name, and a change in
-it is never missed. Recording takes a hundredth of the time that compiling takes.
+compiled code of the other. So a user's function in a mode or reward needs no name of its own, and a
+change in it is never missed. Recording takes a hundredth of the time that compiling takes.
 """
 
 from collections.abc import Callable, Sequence
@@ -36,7 +36,7 @@ class _Recorded:
 
 
 def _references(operands: Sequence[Any]) -> list[int | float]:
-    """Return the operands' numbers on the tape as integers, and constants as floats."""
+    """Return each operand as its number on the tape (an integer), or a constant as a float."""
     return [a.number if isinstance(a, _Recorded) else float(a) for a in operands]
 
 

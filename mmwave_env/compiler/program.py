@@ -27,7 +27,7 @@ Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
 Blocks = tuple[int, int]  # first block, and the block after the last
 
 NO_ROWS = np.empty(0, np.int64)
-# Number of a block's epochs that run as plain Python; compiling takes as long as 4000 of them.
+# Number of epochs of a block to run as plain Python before compiling, which takes as long as 4000.
 PLAIN_BLOCK_EPOCHS = 1000
 
 # numba's own lock guards every compilation. A child forked while another thread holds the lock
@@ -179,7 +179,7 @@ class Program(Generic[Workspace]):
         }
 
     def _found(self, names: tuple[str, ...]) -> tuple[Index, dict[str, int | slice]]:
-        """Return the rows of parts, and the columns of each in outputs of these rows."""
+        """Return the rows of some parts, and each part's columns in outputs of these rows."""
         if names not in self._columns:
             parts, columns, first = self.parts(names), {}, 0
             for name, part in zip(names, parts, strict=True):

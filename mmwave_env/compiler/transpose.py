@@ -104,7 +104,7 @@ def _compiled_scatter(kind: ir.Type) -> Callable[..., Any]:
                 first = min(tile, count - WIDTH)
                 turn_out(block.ctypes.data, rows.ctypes.data, targets.ctypes.data, first)
 
-        # Code cached by two processes is linked by name: equal names would mix up the two kinds.
+        # Code cached by two processes is linked by name: equal names would mix up the precisions.
         compiled.__qualname__ += f".{kind}"
         return compiled
 

@@ -103,7 +103,7 @@ class Batch(Generic[Workspace]):
 
         Args:
             incoming: (columns,) a row of :meth:`~mmwave_env.world.episode.Episode.table`.
-            gap_s: seconds since the epoch before.
+            gap_s: seconds since the previous epoch.
         """
         self.state.table[0, 0] = incoming
         self.state.table[0, 0, columns_of(self.layout).dt] = gap_s

@@ -58,7 +58,7 @@ class Baseline:
 
         Args:
             places: numbers of these environments.
-            episodes: function that returns the episodes of some of them, given their numbers.
+            episodes: function that returns the episodes of environments, given their numbers.
         """
         missing = self._batch.state.length.max() - self._rewards.shape[1]
         self._rewards = np.pad(self._rewards, ((0, 0), (0, max(0, missing))))

@@ -43,7 +43,7 @@ AXES = 3
 class ReplayedEpoch(NamedTuple):
     """The parts of an epoch that the backward pass needs."""
 
-    filtered: ForwardEpoch  # the epoch after the filter's update
+    filtered: ForwardEpoch  # the epoch's step, and its predicted and filtered beliefs
     error: list[Number]  # (3,) position error, m
     nees: Number  # NEES of the position
 

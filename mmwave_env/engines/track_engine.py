@@ -112,7 +112,7 @@ class EpisodeFilter(Generic[Workspace]):
     """N tracks of a program, each filtered from the first epoch of an episode to the last.
 
     Args:
-        batch: batch of N environments; values that episodes do not contain must be set before.
+        batch: batch of N environments; values that episodes do not contain must be set beforehand.
 
     Attributes:
         program: the program of an epoch.
@@ -138,7 +138,7 @@ class EpisodeFilter(Generic[Workspace]):
         self._end_s = float(episodes[0].time_s[-1])
 
     def load_epoch(self, incoming: Sequence[float], time_s: float) -> None:
-        """Load one more epoch of a single track, as :meth:`Batch.load_epoch` takes it."""
+        """Load one more epoch of a single track; see :meth:`Batch.load_epoch`."""
         self._batch.load_epoch(incoming, time_s - self._end_s)
         self._epochs, self._end_s = 1, time_s
 

@@ -45,7 +45,7 @@ class ActionHistory:
             self.set_all(np.pad(self.all(), ((missing, 0), (0, 0))))
 
     def next(self) -> None:
-        """Go on to the next row after the modes of a step."""
+        """Go on to the next row, once the modes of a step are in the current one."""
         self.turn = (self.turn + 1) % len(self.rows)
 
     def of(self, places: Index, steps: int) -> Modes:
@@ -66,7 +66,7 @@ class StepResult(NamedTuple):
 
     observations: NDArray[np.float32]  # (n, features)
     rewards: Array  # (n,) results of the reward function
-    terminated: Mask  # (n,) False, because a step does not know how episodes end
+    terminated: Mask  # (n,) False; the caller sets it where a track diverges
     truncated: Mask  # (n,) whether the episode has no epoch left
     # accepted, rejected: (n, groups); (n, 0) if steps return no infos
     accepted: Mask
@@ -74,7 +74,7 @@ class StepResult(NamedTuple):
 
 
 class StepColumns(NamedTuple):
-    """The indices of the output columns that a step reads: the first of those for each field."""
+    """The output columns that a step reads: for each field, the index of its first column."""
 
     reward: int
     nees: int

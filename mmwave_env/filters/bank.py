@@ -173,7 +173,7 @@ def default_modes(radio: str | Radio = "handset") -> tuple[Mode, Mode]:
 
 
 def named_modes(radio: str | Radio = "handset") -> dict[str, Mode]:
-    """Return modes by name: the default "ekf" and "ukf", "ckf" (tuned like "ukf"), robust ones."""
+    """Return modes by name: the default "ekf" and "ukf", "ckf" (tuned like "ukf"), robust forms."""
     low, high = default_modes(radio)
     modes = (low, high, replace(high, name="ckf", algorithm="ckf"), robust(low), robust(high))
     return {mode.name: mode for mode in modes}

@@ -134,7 +134,7 @@ def _check(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> None:
 def _uses_missing_rows(
     mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial, result: Posterior
 ) -> Iterator[str]:
-    """Yield numbers of a partial epoch's result that depend on rows that were not measured."""
+    """Yield faults: values of a partial epoch's result that depend on rows not measured."""
     if not trial.rows:
         return
     anchors, hz_per_mps, z, *rest = trial.measured
@@ -219,7 +219,7 @@ def _wrong_shapes(layout: Layout, result: Any) -> Iterator[str]:
 
 
 def _wrong_parts(name: str, value: Any, like: Any) -> Iterator[str]:
-    """Yield the parts of a value that differ in type or shape from lists of numbers."""
+    """Yield the parts of a value that differ in type or shape from those of ``like``."""
     if isinstance(like, list):
         if not isinstance(value, list) or len(value) != len(like):
             parts = "rows" if isinstance(like[0], list) else "numbers"
@@ -247,7 +247,7 @@ def _kind(value: Any) -> str:
 
 
 def _unsound(trial: _Trial, result: Posterior, on_lanes: Posterior) -> Iterator[str]:
-    """Yield faults: not finite, asymmetric, using missing groups, or different on lanes."""
+    """Yield faults: infinity, NaN, asymmetry, use of missing groups, other values on lanes."""
     values = [pair for field in result._asdict().items() for pair in _numbers(*field)]
     for place, number in values:
         if not math.isfinite(number):

@@ -135,7 +135,7 @@ class _Ukf(_PointFilter):
 
 
 class _Ckf(_PointFilter):
-    """The CKF of filterpy, which expects column vectors, and points and arrays set by its user."""
+    """The CKF of filterpy, which needs column vectors, and whose points and arrays are set here."""
 
     def __init__(self, size: int) -> None:
         self._filter = CubatureKalmanFilter(size, 1, 1.0, None, None)
@@ -192,7 +192,7 @@ def _filter_of(mode: Mode, size: int) -> _Filter:
 def _update(
     filter_: _Filter, mean: Vector, covariance: Matrix, measurement: Measurement, gate: Gate
 ) -> Posterior:
-    """Update with all visible groups; if gates reject some or inflate noise, update once more."""
+    """Update with all visible groups, and again if gates reject some or inflate their noise."""
     x, P = np.array(mean, float), np.array(covariance, float)
     layout, relative = measurement.layout, _Relative(x, measurement)
     R = np.diag(np.array(measurement.variance, float))

@@ -31,8 +31,8 @@ class ImmSettings(NamedTuple):
 
     transition: list[list[Number]]  # (modes, modes) probabilities (from, to) over a second
     tunings: list[Tuning]  # motion model of every mode
-    # (groups,) limits for :func:`~mmwave_env.filters.update.limited_likelihood`; infinite in the
-    # textbook. In a partial layout, (4,) limits for groups with 1 to 4 measured rows
+    # (groups,) limits for :func:`~mmwave_env.filters.update.limited_likelihood`; infinite for the
+    # textbook's IMM. In a partial layout, (4,) limits for groups with 1 to 4 measured rows
     limits: list[Number]
 
 
@@ -100,8 +100,8 @@ def mix(mixture: Mixture, transition: Matrix) -> tuple[list[Number], list[tuple[
 def over_step(transition: Matrix, dt: Number) -> list[list[Number]]:
     """Return transition probabilities (from, to) over a step, given the probabilities per second.
 
-    Mode i is left at a rate of 1 - p_ii per second. A step above a second counts as one second, so
-    that rows stay probabilities. So does the first epoch of an episode, whose step is 0.
+    Mode i is left at a rate of 1 - p_ii per second. A step longer than a second counts as one
+    second, so that rows stay probabilities; so does the step 0 of an episode's first epoch.
     """
     step = step_weight(dt)
     return [

@@ -104,7 +104,7 @@ def memory_after(
 
     Args:
         layout: rows of the measurement vector.
-        mode, chosen: the candidate's number, and the candidate.
+        mode, chosen: the number of the candidate's mode, and the candidate.
         before: (7,) mean before the epoch and its prediction.
         memory: the memory that :func:`memory_before` returned.
         dt, visible: the epoch's step, seconds, and its visible groups (groups,).

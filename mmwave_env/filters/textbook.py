@@ -118,7 +118,7 @@ METHODS: dict[str, Method] = {"ekf": tangent, "ukf": unscented(1.0, 2.0, 0.0), "
 def update(
     method: Method, model: Model, x: Array, P: Array, z: Array, R: Array, keep: Mask
 ) -> tuple[Array, Array]:
-    """Condition on the rows to keep: x + K y, K = C S^-1, eqs. (13) to (16).
+    """Condition the belief on the rows to keep: x + K y, K = C S^-1, eqs. (13) to (16).
 
     Args:
         method: one of :data:`METHODS`.
@@ -187,7 +187,7 @@ def rts(
         time_s: (T,) times of the epochs.
         free: indices of the uncertain components of x; on flat terrain there are five.
         x_predicted: (T, 7) predicted means; None for F x.
-        hz_per_mps: as :func:`F` takes it.
+        hz_per_mps: same as for :func:`F`.
     """
     if x_predicted is None:
         steps = zip(np.diff(time_s, prepend=np.nan), np.roll(x, 1, axis=0), strict=True)

@@ -58,7 +58,7 @@ def _condition(
     information: Vector,
     unit: Matrix,
 ) -> _Row:
-    """Condition on one scalar row, given the links and the rows before it."""
+    """Condition the belief on one scalar row, given the links and the rows before it."""
     n = len(information)
     white, free = forward(C, row[:n]), list(row[n:])
     cross = [dot(u, white) for u in unit] + free

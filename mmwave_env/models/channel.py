@@ -102,7 +102,7 @@ class Spell(NamedTuple):
 class ChannelState(NamedTuple):
     """The part of the channel that persists from one epoch to the next."""
 
-    shadowing: list[Number]  # (L,) shadowing in standard deviations
+    shadowing: list[Number]  # (L,) shadowing, in units of its standard deviation
     # blockage, multipath: (L,) spell of each link
     blockage: list[Spell]
     multipath: list[Spell]
@@ -119,7 +119,7 @@ class SpellDraws(NamedTuple):
     """Random numbers for a link's spell in an epoch."""
 
     uniform: Number  # in [0, 1)
-    length: Number  # exponential with mean 1
+    length: Number  # exponential with mean 1, for the range bias
     angles: list[Number]  # (3,) normals
 
 

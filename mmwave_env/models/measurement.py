@@ -160,9 +160,9 @@ def link_group(
     """Return the group of a link, its four rows fused to three: range, azimuth and elevation.
 
     The azimuths of arrival and departure (which differ by pi, paper Sec. II-B) both measure one
-    bearing; fused, they are one row with variance ra rd / (ra + rd). Fusing drops their difference,
-    which has variance ra + rd and does not depend on the state. ``Sensor`` in
-    :mod:`mmwave_env.filters.textbook` keeps all four rows.
+    bearing, with variances ra and rd; fused, they are one row with variance ra rd / (ra + rd).
+    Fusing drops their difference, which has variance ra + rd and does not depend on the state.
+    ``Sensor`` in :mod:`mmwave_env.filters.textbook` keeps all four rows.
 
     Args:
         x: (7,) prior mean.
@@ -194,7 +194,7 @@ def link_group(
     east, north = where(aside, d[0], 0.0), where(aside, d[1], 0.0)
     level, up = where(apart, horizontal, 0.0), where(apart, d[2], 0.0)
     still, clock = [0.0] * (len(x) - 3), list(x[STATE_SIZE:])
-    slow = [*[0.0] * 4, *[1.0] * len(clock)]  # a clock's bias is added to the range as it is
+    slow = [*[0.0] * 4, *[1.0] * len(clock)]  # the range contains a clock's bias as a summand
 
     def change(step: Vector) -> list[Number]:
         q = [d[i] + step[i] for i in range(3)]
@@ -273,7 +273,7 @@ def doppler_group(
 def odometry_group(x: Vector, z: Vector, variance: Vector) -> Group:
     """Return the group of the user's odometry: speed |v| (m/s) and heading atan2(vy, vx) (rad).
 
-    At rest, where the heading is undefined, it counts as 0.
+    At rest, the heading is undefined and counts as 0.
     """
     v = x[3:6]
     horizontal, speed = norms(v)

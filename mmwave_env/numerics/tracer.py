@@ -26,7 +26,7 @@ _REFUSALS = {  # key: (the operation in words, what to write instead)
         f"maximum(a, b) and minimum(a, b) for max and min; these functions are in {_NUMBERS}",
     ),
     "value": ("float(...) or math", f"the functions of {_NUMBERS} instead"),
-    "integer": ("an integer", "a constant that is known before the function runs"),
+    "integer": ("use as an integer", "a constant that is known before the function runs"),
     "numpy": ("numpy", f"lists and the functions of {_NUMBERS} and mmwave_env.numerics.linalg"),
     "equality": ("a comparison by == or !=", "where(abs(a - b) < tolerance, ...)"),
     "power": ("a power", "a * a for a ** 2, sqrt(a) for a ** 0.5, exp(p * log(a)) for a ** p"),

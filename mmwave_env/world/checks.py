@@ -45,7 +45,7 @@ def require_epochs(record: str, epochs: Any, shapes: Mapping[str, tuple[int, ...
 def require_increasing(record: str, time_s: Array) -> None:
     """Refuse times (T,) of epochs that do not increase."""
     if len(time_s) < 1 or not (np.diff(time_s) > 0.0).all():
-        refuse(record, "time_s", "times that do not increase", "at least one, increasing")
+        refuse(record, "time_s", "times that do not increase", "one or more increasing times")
 
 
 def require_within(record: str, field: str, values: Array, bound: Bound) -> None:

@@ -130,7 +130,7 @@ class Episode:
         position_m: Array | None = None,
         velocity_mps: Array | None = None,
     ) -> "Episode":
-        """Return the episode of measured arrays; noise that is not stated follows from the radio.
+        """Return an episode of measured arrays; noise that is not stated follows from the radio.
 
         Args:
             name, layout, time_s, measurement, visible, snr_db, doppler_spread_hz, doppler_anchor:
@@ -144,7 +144,7 @@ class Episode:
         known = np.isfinite(snr_db)
         stated = radio.sigma(snr_db, scene, layout)
         if layout.partial:
-            snr_db = np.where(known, snr_db, NEUTRAL_SNR_DB)  # features, not noise, depend on it
+            snr_db = np.where(known, snr_db, NEUTRAL_SNR_DB)  # for features only, not for noise
             if doppler_anchor is not None:
                 shifted = np.repeat(snr_db[np.arange(len(snr_db)), doppler_anchor], layout.anchors)
                 of_doppler = radio.sigma(shifted.reshape(snr_db.shape), scene, layout)
@@ -270,8 +270,9 @@ class EpisodeBatch(NamedTuple):
 
     Attributes:
         names: (n,) names of the episodes.
-        nonfinite: (n,) numbers of groups that contain NaN or infinity and count as missing.
-        length: (n,) numbers of epochs.
+        nonfinite: (n,) number of groups in each episode that contain NaN or infinity and count as
+            missing.
+        length: (n,) number of epochs in each episode.
         table: (n, epochs, columns) :meth:`Episode.table` of each; rows after the length are unused.
         site: (n, numbers) anchors, carrier and prior from :meth:`Episode.site`.
         layout: layout of all episodes.

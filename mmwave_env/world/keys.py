@@ -46,7 +46,7 @@ def keys_of(seeds: Iterable[int]) -> Keys:
 
 
 def draw_key(rng: np.random.Generator) -> int:
-    """Draw a key from a generator, without a seed."""
+    """Draw a key at random, for use where no seed is given."""
     return int(rng.integers(0, 2**64, dtype=np.uint64))
 
 

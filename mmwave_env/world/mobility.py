@@ -110,7 +110,7 @@ class Mobility:
         phases: phases in order of time. All but the last need a ``duration_s``; the last must not
             have one, unless ``ends_as_it_began``.
         blocks: factor by which this user's crossings are closer together than the scene's.
-        ends_as_it_began: whether the episode ends with its first phase again.
+        ends_as_it_began: whether the first phase is repeated at the end of the episode.
     """
 
     name: Name

@@ -159,7 +159,7 @@ class SimulatedSource:
 
     @property
     def name(self) -> str:
-        """Return the name of the scenario, with the scene's unless that is the default street."""
+        """Return the scenario's name, with the scene's name unless that is the default "street"."""
         users, scene = self._users, self.scene.name
         if not isinstance(users, tuple):
             name = users.name

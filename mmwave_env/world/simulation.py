@@ -147,7 +147,7 @@ def measure(
 
 
 def _run_on(receiver: ReceiverState, bias_hz: Number, clock: Vector) -> Clock | tuple[()]:
-    """Return the clock an epoch later, driven by the mean of the oscillator's biases, and noise."""
+    """Return the clock an epoch later, moved by noise and by both epochs' mean oscillator bias."""
     if not isinstance(receiver.clock, Clock):
         return ()
     (half_step, sigma_m), dice = clock, Dice(receiver.clock.dice)
@@ -157,7 +157,7 @@ def _run_on(receiver: ReceiverState, bias_hz: Number, clock: Vector) -> Clock | 
 
 
 def _where_measured(measured: Vector, rows: Vector, otherwise: float) -> list[Number]:
-    """Return the rows (rows,) with ``otherwise`` where ``measured`` (rows,) is 0."""
+    """Return the values (rows,), but ``otherwise`` where ``measured`` (rows,) is 0."""
     return [where(s > 0.5, value, otherwise) for s, value in zip(measured, rows, strict=True)]
 
 

@@ -68,7 +68,7 @@ class Trajectory:
         step = np.diff(t, prepend=t[0] - 1.0)
         moved = np.diff(p, axis=0, prepend=p[:1])
         self._require(step > 0.0, t, "t", "more than in the row before")
-        near = f"at most {GAP_S:g} s after the row before; split the trajectory there, if t is in s"
+        near = f"at most {GAP_S:g} s after the row before; if t is in s, split the trajectory there"
         self._require(step <= GAP_S, t, "t", near)
         speed = np.linalg.norm(moved, axis=1) / step
         most = f"at most {FASTEST_MPS:g} m/s"

@@ -37,7 +37,7 @@ REFUSED = {
     "c = where(a > 0.0 and b > 0.0, 1.0, 0.0)": ("a branch", "& and | for 'and'"),
     "c = max(a, b)": ("a branch", "maximum(a, b)"),
     "c = math.sqrt(b)": ("float(...) or math", "the functions of mmwave_env.numerics.numbers"),
-    "c = TABLE[a]": ("an integer", "a constant"),
+    "c = TABLE[a]": ("use as an integer", "a constant"),
     "c = np.linalg.inv(P)": ("numpy", "mmwave_env.numerics.linalg"),
     "c = np.float64(2.0) * a": ("numpy", "mmwave_env.numerics.linalg"),
     "c = a == b": ("a comparison by == or !=", "write where(abs(a - b) < tolerance, ...)"),
