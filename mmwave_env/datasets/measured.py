@@ -154,7 +154,7 @@ def _require_noise(
 def _as_partial(
     record: str, fields: dict[str, Any], heard: Mask, deviations: dict[str, ArrayLike | None]
 ) -> dict[str, Any]:
-    """Return the fields of a track that change in a partial layout; {} if none is needed.
+    """Return the fields of a track that a partial layout changes; {} if no such layout is needed.
 
     Args:
         record: name of the track, for messages.

@@ -224,7 +224,7 @@ class Track(ABC):
             used = self.visible[:, a] & known
             for i, name in enumerate(LINK):
                 if layout.clock and not i:
-                    continue  # an offset is no contradiction
+                    continue  # a clock offset is no contradiction
                 error = (self.measurement[:, 4 * a + i] - exact[4 * a + i])[used]
                 error = error[np.isfinite(error)]
                 if len(error) < _ENOUGH:
