@@ -271,7 +271,9 @@ class TrackSource:
     ) -> None:
         if clock:
             if not np.isfinite(track.measurement[:, 0 : track.layout.doppler : 4]).any():
-                refuse(track.record, "clock", "offset, but no range", "a range, or synchronized")
+                refuse(
+                    track.record, "clock", "offset, but no range", "ranges or a synchronized clock"
+                )
             track = replace(track, layout=replace(track.layout, clock=True))
         self.track, self.radio = track, radio_from(radio)
         self.layout, self.name, self.scene = track.layout, track.name, track.scene

@@ -150,7 +150,7 @@ def with_clock(log: LogFile) -> LogFile:
         problem = "no range" if ranges is None else f"{ranges.name}, which does not contain it"
         raise LogError(
             f"{log.path}: clock: found offset with {problem}, expected one-way times or ranges, "
-            "such as toa_s, or the clock synchronized"
+            "such as toa_s, or a synchronized clock"
         )
     return replace(log, clock=True)
 
