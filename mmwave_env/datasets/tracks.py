@@ -272,7 +272,7 @@ class TrackSource:
         if clock:
             if not np.isfinite(track.measurement[:, 0 : track.layout.doppler : 4]).any():
                 refuse(
-                    track.record, "clock", "offset, but no range", "ranges or a synchronized clock"
+                    track.record, "clock", "offset, but no range", "ranges or synchronized clocks"
                 )
             track = replace(track, layout=replace(track.layout, clock=True))
         self.track, self.radio = track, radio_from(radio)
@@ -324,7 +324,7 @@ class TrackSource:
 
 
 def numbers(record: str, field: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    """Return a copy as an array of numbers with this shape; None stands for any length but 0."""
+    """Return ``values`` as a new array of this shape, in which None stands for any length but 0."""
     try:
         array = np.array(values, float)
     except (TypeError, ValueError) as error:
