@@ -271,9 +271,7 @@ class TrackSource:
     ) -> None:
         if clock:
             if not np.isfinite(track.measurement[:, 0 : track.layout.doppler : 4]).any():
-                refuse(
-                    track.record, "clock", "offset, but no range", "ranges or synchronized clocks"
-                )
+                refuse(track.record, "clock", "offset, but no range", "ranges, or no offset")
             track = replace(track, layout=replace(track.layout, clock=True))
         self.track, self.radio = track, radio_from(radio)
         self.layout, self.name, self.scene = track.layout, track.name, track.scene
