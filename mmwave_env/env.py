@@ -43,9 +43,9 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
 
     A pedestrian or a vehicle moves through a street with three 28 GHz anchors: a base station
     (gNB) and its mirror images in two building walls. In every epoch (1 s) the time of arrival,
-    the azimuth and elevation of arrival and the azimuth of departure are measured for each anchor,
-    and one Doppler shift. The agent chooses which Kalman filter pipeline, or *mode*, processes the
-    epoch. Its choice changes the estimate, never the world.
+    the azimuth and elevation of arrival and the azimuth of departure are measured for each anchor;
+    one Doppler shift is measured, too. The agent chooses which Kalman filter pipeline, or *mode*,
+    processes the epoch. Its choice changes the estimate, never the world.
 
     Source: "Mobility-Aware Localization in mmWave Channel: Adaptive Hybrid Filtering Approach".
     The paper uses an extended Kalman filter (EKF) up to 2 m/s and an unscented one (UKF) above.

@@ -43,7 +43,7 @@ class Task:
             if modes share a belief.
         reward: function of (belief, truth).
         baseline: bank of the IMM whose reward is subtracted; None without a paired reward.
-        worst: reward for every remaining epoch of a diverged episode; None if it continues.
+        worst: reward for every remaining epoch of a diverged episode; None if it goes on instead.
     """
 
     source: EpisodeSource

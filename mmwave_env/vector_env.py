@@ -53,8 +53,8 @@ class MmWaveLocVectorEnv(
             resets), "SameStep" (the step that ends an episode also resets; the results of the old
             episode are in ``final_obs`` and ``final_info``) or "Disabled" (call
             ``reset(options={"reset_mask": mask})`` with a bool array (N,) to reset only some).
-        threads: maximum number of threads, used only where they pay, from N = 1024 on; results do
-            not depend on it.
+        threads: maximum number of threads, used only where they save time, from N = 1024 on;
+            results do not depend on it.
         max_episode_steps: None or the length of the episodes, which Gymnasium may pass; it must
             agree with ``episode_steps``.
         infos: "all", "episode" (at the first and last step of episodes) or "none" (except the last
@@ -152,7 +152,7 @@ class MmWaveLocVectorEnv(
         return self._gallery.draw()
 
     def _begin_pictures(self, places: Index) -> None:
-        """Clear the pictures of environments whose episodes just began; places: their indices."""
+        """Clear the pictures of the environments ``places``, whose episodes have just begun."""
         if self._gallery:
             names, engine = self._names.tolist(), self._engine
             self._gallery.begin(places, names, self._streets_of, engine.column)

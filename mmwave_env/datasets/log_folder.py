@@ -36,8 +36,8 @@ def read_log_folder(folder: Path, clock: bool = False) -> MeasuredTrack:
         clock: whether ranges have the offset of the user's clock.
 
     Raises:
-        ValueError: a file is missing, damaged or not of the expected kind, or the true position
-            is known at no epoch; the message names file and row, what was found and what
+        ValueError: a file is missing, damaged or not of the expected kind, or no epoch
+            has a known true position; the message names file and row, what was found and what
             was expected.
         OSError: a file can't be read.
     """

@@ -95,7 +95,7 @@ class MeasuredTrack(Track):
             snr_db: (T, L) SNR of links, dB; with the radio profile it determines the noise.
             range_sigma_m, aoa_azimuth_sigma_rad, aoa_elevation_sigma_rad, aod_azimuth_sigma_rad:
                 (T, L) the receiver's own standard deviations, which replace the profile's.
-            doppler_sigma_hz: (T,) standard deviation of the Doppler shift, likewise.
+            doppler_sigma_hz: (T,) the receiver's own standard deviation of the Doppler shift.
             doppler_spread_hz: (T,) Doppler spread; None and NaN stand for 0.
             velocity_mps: (T, 3) true velocities, m/s; None to compute them from the positions.
             carrier_hz, bandwidth_hz: frequencies of the signal.
@@ -154,7 +154,7 @@ def _require_noise(
 def _as_partial(
     record: str, fields: dict[str, Any], heard: Mask, deviations: dict[str, ArrayLike | None]
 ) -> dict[str, Any]:
-    """Return the fields of a track that change in a partial layout; {} if none is needed.
+    """Return the fields of a track that a partial layout changes; {} if no such layout is needed.
 
     Args:
         record: name of the track, for messages.

@@ -65,11 +65,11 @@ class Recording(Track):
         bandwidth_hz: float = 100e6,
         name: str = "own",
     ) -> "Recording":
-        """Return a recording from the paths of a ray tracer or survey; NaN where there is no path.
+        """Return a recording of the paths of a ray tracer or survey; NaN stands for a missing path.
 
         Arguments are as in :meth:`~mmwave_env.datasets.measured.MeasuredTrack.from_arrays`, but
-        free of noise. The radio profile converts ``path_gain_db``, (T, L) and negative, to an SNR.
-        The Doppler shift is computed from the true velocity wherever there is a line of sight.
+        must not contain noise. The radio profile converts ``path_gain_db``, (T, L) and negative, to
+        an SNR. The Doppler shift is computed from the true velocity if there is a line of sight.
 
         Raises:
             ValueError: an array has the wrong shape or invalid values; the message names the

@@ -224,7 +224,7 @@ class Track(ABC):
             used = self.visible[:, a] & known
             for i, name in enumerate(LINK):
                 if layout.clock and not i:
-                    continue  # an offset is no contradiction
+                    continue  # a clock offset is no contradiction
                 error = (self.measurement[:, 4 * a + i] - exact[4 * a + i])[used]
                 error = error[np.isfinite(error)]
                 if len(error) < _ENOUGH:
@@ -271,7 +271,7 @@ class TrackSource:
     ) -> None:
         if clock:
             if not np.isfinite(track.measurement[:, 0 : track.layout.doppler : 4]).any():
-                refuse(track.record, "clock", "offset, but no range", "a range, or synchronized")
+                refuse(track.record, "clock", "offset, but no range", "ranges, or no offset")
             track = replace(track, layout=replace(track.layout, clock=True))
         self.track, self.radio = track, radio_from(radio)
         self.layout, self.name, self.scene = track.layout, track.name, track.scene
@@ -322,7 +322,7 @@ class TrackSource:
 
 
 def numbers(record: str, field: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    """Return a copy as an array of numbers with this shape; None stands for any length but 0."""
+    """Return ``values`` as a new array of this shape, in which None stands for any length but 0."""
     try:
         array = np.array(values, float)
     except (TypeError, ValueError) as error:

@@ -24,7 +24,7 @@ def read_ways(path: str | os.PathLike[str]) -> Ways:
     """Read trajectories from a CSV file with columns t, x, y, z; vx, vy, vz and id are optional.
 
     Units are s, m and m/s, in the frame of the scene. Rows with the same id belong to one user, in
-    order of time; without this column, all rows belong to one user. Other columns are ignored.
+    order of time; without a column id, all rows belong to one user. Other columns are ignored.
 
     Raises:
         ValueError: the file is invalid; the message names the file, the row and the error.

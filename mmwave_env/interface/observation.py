@@ -25,7 +25,7 @@ from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.numerics.numbers import Number, clip
 
-LIMIT = 10.0  # maximum deviations of a feature from its mean
+LIMIT = 10.0  # maximum distance of a feature from its mean, in standard deviations
 
 OBSERVATIONS = {
     "full": "all features",

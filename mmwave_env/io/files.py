@@ -85,7 +85,7 @@ def read_bounded(path: Path, most: int, expected: str = "a file") -> bytes:
         expected: words for the expected file, for the message.
 
     Raises:
-        OSError: as for :func:`open_regular`, or the file is larger.
+        OSError: as for :func:`open_regular`, or the file is larger than ``most``.
     """
     with open_regular(path, expected) as file, naming(path):
         size = os.fstat(file.fileno()).st_size

@@ -88,7 +88,7 @@ def require_extra(package: str, extra: str, user: str) -> None:
     Args:
         package: name of the package, as it is imported.
         extra: extra of mmwave-loc that installs it.
-        user: what needs the package, for the message.
+        user: name of what needs the package, for the message.
 
     Raises:
         MissingExtraError: the package is not installed; the message says how to get it.

@@ -84,7 +84,7 @@ def associate(
         radio: profile of the receiver: standard deviations by SNR, oscillator, prior.
         mode: filter mode that follows the user during association; choose one for high mobility,
             because its predictions are uncertain enough for any user.
-        tally: counts the associations.
+        tally: counter of the associations.
         epochs_per_block: number of epochs in a block; the last block may be shorter.
 
     Raises:

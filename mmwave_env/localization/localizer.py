@@ -1,4 +1,4 @@
-"""Localization of a measurement log, block by block (paper, Algorithm 1, Step 3; or an IMM).
+"""Localization of a measurement log, block by block (paper, Algorithm 1, Step 3; or by an IMM).
 
 A track begins with a first position, which gives its prior, and begins anew after a long gap
 (``segments.py``). Every ``window`` epochs, counted from the beginning of a track, are smoothed
@@ -48,8 +48,8 @@ class TrackBlock(LogBlock):
         planar: whether z and vz are known exactly.
         x, P: (T, 7), (T, 28) filtered belief after each epoch; covariances are packed. With an IMM
             they are the moments of its mixture.
-        filtered: (T, numbers) what the smoother needs: x, P, and the belief that was predicted for
-            the epoch or, with an IMM, its mixture.
+        filtered: (T, values) input of the smoother: x, P, and the belief that was predicted for
+            the epoch or, with an IMM, the mixture of beliefs.
         smooth_x, smooth_P: (T, 7), (T, 28) smoothed belief; without smoothing, the filtered one.
         mode: (T,) number of the mode that ran; with an IMM, the most probable mode.
         nis: (T, groups) NIS in that mode; 0 where not visible.
@@ -76,8 +76,8 @@ class Switching:
         modes: one mode, or the modes to choose from; or a bank, whose modes interact.
         rule: function that chooses a mode in every epoch, as
             :class:`~mmwave_env.engines.track_engine.Tracker` takes it.
-        policy: function from an observation's table of features to a policy, which chooses the mode
-            to run or, with a bank, the mode to trust.
+        policy: function that makes a policy from an observation's table of features. The policy
+            chooses the mode to run or, with a bank, the mode to trust.
         observation: observation of the policy, "full" or "prior".
 
     Raises:
@@ -105,7 +105,7 @@ class Switching:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Return names of the parts of the state to keep; the last are for the smoother."""
+        """Return names of the parts of the state to keep; the last ones are for the smoother."""
         return (*_FILTERED, "mixture") if self.bank else (*_FILTERED, *_PREDICTED)
 
     def pipeline(self, layout: Layout, planar: bool) -> Pipeline:
@@ -158,7 +158,7 @@ def localize(
         height_m: height of flat terrain, if it is known (paper, Sec. II-A).
 
     Raises:
-        LogError: from ``blocks``.
+        LogError: from ``blocks``; or a belief became NaN or infinite.
         ValueError: no epoch determines a position with which a track could begin.
     """
     track = _filtered(segments(blocks, scene, radio), scene, radio, switching, height_m)
@@ -256,7 +256,7 @@ def _smoothed(
 
 
 def filtered_of(parts: Mapping[str, Array]) -> Array:
-    """Return what the smoother needs (T, numbers), from parts of the state in T epochs."""
+    """Return the input (T, values) of the smoother, from parts of the state in T epochs."""
     kept = (values for name, values in parts.items() if name not in _FILTERED)
     return np.concatenate([parts["x"], parts["P"], *kept], axis=1)
 
@@ -274,7 +274,7 @@ def smoothed(
 
     Args:
         switching, layout, planar, scene: those that were used to compute the track.
-        filtered: (N, T, numbers) rows that :func:`filtered_of` returned.
+        filtered: (N, T, values) rows that :func:`filtered_of` returned.
         time_s, spread_hz: (N, T) times and Doppler spreads.
     """
     n = layout.state_size

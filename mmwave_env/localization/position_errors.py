@@ -81,9 +81,9 @@ def _multiples(risk: float) -> Array:
 def exceedance(error: Array, level: Array) -> dict[str, Any]:
     """Count how often errors (n,) exceed their levels (n,).
 
-    An error or a level that is NaN counts as exceeded. The interval is that of Clopper and Pearson
-    (1934) with :data:`CONFIDENCE`, for independent epochs. Epochs of a track are correlated, so
-    the share in another track may well lie outside of the interval.
+    If an error or its level is NaN, the level counts as exceeded. The interval is that of Clopper
+    and Pearson (1934) with :data:`CONFIDENCE`, for independent epochs. Epochs of a track are
+    correlated, so the share in another track may well lie outside of the interval.
 
     Returns:
         "exceeded", the count; "share" and its interval "ci95", both None if n is 0.

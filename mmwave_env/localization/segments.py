@@ -170,7 +170,7 @@ def _descend(
 def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator[LogBlock]:
     """Yield the epochs of the segments of a log, in blocks that each belong to one segment.
 
-    A segment ends if there is neither a link nor odometry for more than ``GAP_S``, or if the
+    A segment ends if all links and odometry are missing for more than ``GAP_S``, or if the
     log says that a track must begin anew. The next segment begins with the next first fix.
 
     Raises:
@@ -243,12 +243,12 @@ def _first_fix(block: LogBlock, scene: Scene, radio: Radio) -> int:
 
 
 def _end(block: LogBlock, last_s: float, begins: bool) -> tuple[int, float | None]:
-    """Count the block's epochs in the segment; also return the time of its last measurement.
+    """Count the block's epochs that are in the segment; also return its last measurement's time.
 
     The time is None if the segment ends in this block; ``begins`` says whether it starts here.
     """
     measured = block.visible[:, : block.layout.anchors].any(axis=1)
-    if block.layout.odometry:  # dead reckoning bridges two minutes as well as ten seconds
+    if block.layout.odometry:  # its dead reckoning bridges even two minutes
         measured |= block.visible[:, -1]
     latest = np.maximum.accumulate(np.where(measured, block.time_s, last_s))
     before = np.concatenate([[last_s], latest[:-1]])

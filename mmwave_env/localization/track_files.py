@@ -77,8 +77,8 @@ def track_files(track: Path, modes: Sequence[str], scene: Scene) -> Iterator[Wri
     """Yield a function that writes the next block of a track; at the end, put the files in place.
 
     Args:
-        track: file for the smoothed track; its ending determines the format. What a TUM file has
-            no columns for is written to the file that :func:`table_beside` returns.
+        track: file for the smoothed track; its ending determines the format. Values for which a
+            TUM file has no column are written to the file that :func:`table_beside` returns.
         modes: names of the modes.
         scene: the scene; files for maps need its origin.
 

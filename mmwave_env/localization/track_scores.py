@@ -36,7 +36,7 @@ class Accuracy:
         self._sums = np.zeros(4)  # distance, its square, NEES, share in the interval
         self._scored = self._pairs = 0
         self._change = 0.0
-        self._waiting = np.empty((0, 3))  # errors that wait for the error a second later
+        self._waiting = np.empty((0, 3))  # errors not yet paired with the error a second later
 
     def add(self, error: Array, nees: Array) -> None:
         """Add scored epochs: errors (n, 3), m, and NEES (n,)."""

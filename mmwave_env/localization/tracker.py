@@ -1,4 +1,4 @@
-"""Live localization: every epoch that goes in gives a position at once."""
+"""Live localization: a position for every epoch as soon as its rows have arrived."""
 
 from collections import deque
 from collections.abc import Iterable, Mapping
@@ -177,7 +177,7 @@ class Tracker:
         return episode.visible[0].tolist(), float(block.doppler_spread_hz[0])
 
     def _load_quickly(self, epoch: LiveEpoch) -> tuple[list[bool], float] | None:
-        """Do the same faster within a track; return None if a value needs the full checks."""
+        """Do as :meth:`_load`, but faster, within a track; None if full checks are needed."""
         if not epoch.placed or not self._sound:
             return None
         (numbers, doppler_anchor), layout, at = epoch.placed, self._layout, self._at

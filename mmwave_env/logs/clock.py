@@ -82,7 +82,7 @@ def keeping(blocks: Iterable[LogBlock], kept: list[LogBlock]) -> Iterator[LogBlo
 def clock_offset(
     log: LogBlock, scene: Scene, truth_at: Callable[[Array], TrueEpochs]
 ) -> ClockOffset | None:
-    """Estimate the offset; return None if data are too few or the velocity never changes.
+    """Estimate the offset; return None if there are too few data or the velocity never changes.
 
     Args:
         log: first epochs of the log.

@@ -14,7 +14,7 @@ from mmwave_env.logs.log_tables import LogError, LogFile, Table, parse_carefully
 from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.scene import Scene
 
-_NUMBERS = {float, int, np.float64}  # types whose text is read back as the same number
+_NUMBERS = {float, int, np.float64}  # types whose text form is parsed to the same number
 _MARGIN = 1e-9  # share of a limit; values this near to it need the full checks
 
 
@@ -98,12 +98,12 @@ class LiveLog:
             return self.end_epoch()
         time_s, over = self._time_s(cells), []
         if time_s <= self._last_s:
-            problem = f"{time_s:g} s after the epoch of {self._last_s:g} s was over"
+            problem = f"time {time_s:g} s although the epoch of {self._last_s:g} s is over"
             raise self._log.error(number, "time", problem, "times that increase")
         if self._rows and cells[self._time] != self._rows[0][self._time]:
             first_s = self._time_s(self._rows[0])
             if time_s <= first_s:
-                problem = f"{time_s:g} s within the epoch of {first_s:g} s"
+                problem = f"time {time_s:g} s although the epoch of {first_s:g} s has begun"
                 raise self._log.error(number, "time", problem, "times that increase")
             over = self.end_epoch()
         for before in self._rows:
@@ -125,7 +125,7 @@ class LiveLog:
         return [LiveEpoch(self._last_s, block, None if self._turned else self._placed(rows))]
 
     def _table(self, rows: list[list[float]], number: int = 0) -> Table:
-        """Return rows of cells as a table; ``number`` is the last row's in the source."""
+        """Return rows of cells as a table; ``number`` is the last row's number in the source."""
         return Table(self._log.columns, np.full(len(rows), number), np.array(rows), 0.0)
 
     def _placed(self, rows: list[list[float]]) -> tuple[list[float], int]:

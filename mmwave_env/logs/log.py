@@ -62,7 +62,7 @@ class LogBlock(Block):
     # (T, groups) whether the group is lost because only some of its values were measured. In a
     # partial layout, whether a value is lost because its noise is unknown
     incomplete: Mask
-    doppler_anchor: Index  # (T,) anchor of the Doppler shift, from 0
+    doppler_anchor: Index  # (T,) index, from 0, of the anchor with the Doppler shift
     snr_db: Array  # (T, L); -inf (no signal) where no SNR was measured
     doppler_spread_hz: Array  # (T,); 0 where none was measured
     # (T,) whether a track must begin anew here, because its association with anchors contradicts
@@ -74,10 +74,11 @@ class LogBlock(Block):
     # whether the segment begins here, with a first fix that gives its prior
     begins: bool = False
     skipped: int = 0  # number of epochs of the log before the first segment
-    dropped: int = 0  # number of epochs dropped between segments so far, up to the next block
+    # number of epochs dropped between segments so far, including those just after this block
+    dropped: int = 0
 
     def whole(self) -> "LogBlock":
-        """Return the block with only the groups that were measured completely and with an SNR."""
+        """Return the block with only those groups that were measured completely and with an SNR."""
         layout = replace(self.layout, partial=False)
         visible, _ = whole_groups(self.measurement, np.isfinite(self.snr_db), layout)
         visible[:, layout.anchors] &= self.doppler_anchor == 0
@@ -149,7 +150,7 @@ def with_clock(log: LogFile) -> LogFile:
         problem = "no range" if ranges is None else f"{ranges.name}, which does not contain it"
         raise LogError(
             f"{log.path}: clock: found offset with {problem}, expected one-way times or ranges, "
-            "such as toa_s, or synchronized"
+            "such as toa_s, or a synchronized clock"
         )
     return replace(log, clock=True)
 
@@ -180,7 +181,7 @@ def _require_measurements(path: Path, blocks: Iterable[LogBlock]) -> Iterator[Lo
 
 
 def places(layout: Layout) -> dict[str, tuple[int, int]]:
-    """Return, by quantity, the index of the first anchor's value and the step per anchor.
+    """Return, for every quantity, the index of the first anchor's value and the step per anchor.
 
     The array with all values of an epoch contains the rows of the layout, their standard
     deviations, the SNRs (L,) and the Doppler spread. The step is 0 for quantities of the epoch.

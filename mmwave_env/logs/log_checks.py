@@ -109,7 +109,7 @@ def _anchor_checks(table: Table, anchors: int) -> Iterator[_Check]:
     """Yield the checks of rows that belong to an anchor."""
     time, anchor = table.raw("time"), table.raw("anchor")
     known = np.isin(anchor, np.arange(1, anchors + 1))
-    expected = f"the number of an anchor of the scene, 1 to {anchors}, 1 being the physical one"
+    expected = f"the number of an anchor of the scene, 1 (the physical one) to {anchors}"
     yield _Check("anchor", ~known, expected)
     link = table.epoch * anchors + np.where(known, anchor, 1.0).astype(np.int64) - 1
     _, first, number = np.unique(link, return_index=True, return_inverse=True)

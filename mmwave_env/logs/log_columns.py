@@ -56,7 +56,7 @@ def _flight(name: str) -> dict[str, Unit]:
 
 _SPEED = {"speed_mps": Unit(), "speed_kmh": Unit(1.0, 3.6)}
 
-RANGE_LIMITS_M = (1e-3, 1e6)  # limits of all real ranges; ranges in a wrong unit exceed them
+RANGE_LIMITS_M = (1e-3, 1e6)  # real ranges are within these limits; ranges in a wrong unit are not
 WIDEST_ELEVATION_DEG = 90.0
 _RANGE = between(0.0, RANGE_LIMITS_M[1], "m"), "m"
 _TURN = between(-360.0, 360.0, "degrees (docs/data.md, Angles)"), "degrees"
@@ -142,7 +142,7 @@ def columns_of(
 ) -> dict[str, Column]:
     """Return the columns of a log by quantity, from the names of all its columns.
 
-    If ``odometry`` is False, its columns are ignored, except a heading that angles need; if
+    If ``odometry`` is False, columns of odometry are ignored, except a heading that angles need; if
     ``associated`` is False, a column of anchors is ignored. A Doppler shift in m/s is multiplied by
     ``hz_per_mps``, f_c / c. If ``partial`` is True, any of the horizontal measurements is enough;
     otherwise all rows of a link and the SNR are required.

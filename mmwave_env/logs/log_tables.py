@@ -34,7 +34,7 @@ class LogError(ValueError):
 
 
 class Block:
-    """Base class for consecutive rows or epochs: dataclasses of arrays (n, ...) and values."""
+    """Base class of dataclasses of n rows or epochs: arrays (n, ...) and values shared by all."""
 
     arrays: ClassVar[tuple[str, ...]] = ()  # names of the arrays; the first gives the length
 
@@ -123,7 +123,7 @@ class Table(Block):
         """Return, for every epoch, the first of its values (n,) that is not NaN; else NaN."""
         first = np.full(self.epoch[-1] + 1, np.nan)
         some = np.flatnonzero(~np.isnan(values))[::-1]
-        first[self.epoch[some]] = values[some]  # backwards, so the first row remains
+        first[self.epoch[some]] = values[some]  # backwards, so that the first row's value remains
         return first
 
     def links(self) -> Array:
@@ -148,7 +148,7 @@ class LogFile:
     clock: bool = False  # whether the user's clock has an offset: a range may then be negative
 
     def error(self, row: int, quantity: str, problem: str, expected: str) -> LogError:
-        """Return an error that names a cell; rows of a CSV file are counted like its lines."""
+        """Return an error that names a cell; in a CSV file, the row number is the line number."""
         place = f"{'row' if _is_parquet(self.path) else 'line'} {row}"
         if quantity:
             place += f", column {self.columns[quantity].name!r}"

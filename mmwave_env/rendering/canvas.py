@@ -68,7 +68,7 @@ class Canvas:
             self.line(start + np.outer(shares, way), color, width)
 
     def disc(self, center: Point, radius: float, color: Color) -> None:
-        """Draw a filled circle, with the radius in units."""
+        """Draw a filled circle, whose radius is given in units."""
         (middle,) = _large(np.array([center])).tolist()
         pygame.draw.circle(self._large, color, middle, radius * self.unit * _TIMES)
 
@@ -78,7 +78,7 @@ class Canvas:
         """Write a line centered vertically at a point; return the part of the picture it covers.
 
         Args:
-            text: the line; text from users must be made :func:`~mmwave_env.io.lookup.printable`.
+            text: the line; pass text from users through :func:`~mmwave_env.io.lookup.printable`.
             at: left end of the line, or its right end with ``align`` 1, or its middle with 0.5.
             color: color of the letters.
             size: size of the font in units.

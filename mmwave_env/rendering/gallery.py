@@ -14,7 +14,7 @@ DRAWN = 16  # more pictures would be too small to read, and would need too much 
 
 
 class Gallery:
-    """Recorder and painter of the first :data:`DRAWN` of N environments, or of all if N is less.
+    """Recorder and painter of the first :data:`DRAWN` of N environments, or of all if N is smaller.
 
     Args:
         n: number of environments N.

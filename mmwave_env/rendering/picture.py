@@ -233,7 +233,7 @@ def draw_strips(
 
 
 def _times(history: History, rows: slice) -> tuple[float, float]:
-    """Return the times at the left and right edge of the strips, which fit ``_WINDOW`` epochs."""
+    """Return the times at the left and right edge of strips with room for ``_WINDOW`` epochs."""
     time_s = history.time_s[rows]
     step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
     first = float(time_s[0]) if len(time_s) else 0.0

@@ -15,7 +15,7 @@ from mmwave_env.rendering.canvas import Canvas, Point, Rect, ellipse
 from mmwave_env.rendering.history import History
 from mmwave_env.rendering.theme import Color, Theme
 
-_MEMORY_S, _LAG_S = 20.0, 4.0  # averages cover this time, with weights of this time constant
+_MEMORY_S, _LAG_S = 20.0, 4.0  # period of averages, and time constant of their weights
 _AHEAD_S = 4.0  # time in which the user would travel from the center to the edge
 _LEAST_M = 25.0  # minimum distance from the center to the upper edge
 _INNER = 0.5  # share of the picture's height and width in which user and estimate stay
@@ -197,7 +197,7 @@ def _draw_ways(canvas: Canvas, view: View, history: History, theme: Theme) -> No
 
 
 def draw_by_mode(canvas: Canvas, points: Array, modes: Index, theme: Theme, width: float) -> None:
-    """Draw a line (n, 2); the part up to a point has the color of that point's mode (n,)."""
+    """Draw a line (n, 2); each piece has the color of the mode (n,) at its end point."""
     for begin, end in runs(modes[1:]):
         color = theme.mode(int(modes[begin + 1]))
         canvas.line(points[begin : end + 1], color, width)
@@ -262,7 +262,7 @@ def _draw_arrow(canvas: Canvas, start: Point, tip: Point, color: Color) -> None:
 def _label(
     canvas: Canvas, text: str, at: Point, frame: Rect, theme: Theme, taken: list[Rect]
 ) -> None:
-    """Draw a name near a point, inside the frame and, if possible, not over ``taken`` parts."""
+    """Draw a name near a point, inside the frame and, if possible, not over the parts ``taken``."""
     unit = canvas.unit
     width, height, gap = canvas.width_of(text, 14) + 6.0 * unit, 15.0 * unit, 10.0 * unit
     places = [

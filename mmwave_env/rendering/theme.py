@@ -71,7 +71,7 @@ class Theme(NamedTuple):
         )
 
     def mode(self, number: int) -> Color:
-        """Return the color of a mode; the colors repeat if there are more modes."""
+        """Return the color of a mode; the colors repeat if there are more modes than colors."""
         return self.modes[number % len(self.modes)]
 
 

@@ -42,7 +42,7 @@ def write_video(
     Args:
         path: path of the file, checked by :func:`require_video`.
         draw: returns the picture (height, width, 3) with a given number.
-        numbers: number of each picture, in order; at least one.
+        numbers: numbers of the pictures to draw, in order; at least one.
         fps: pictures per second.
         report: receives the share that is done.
     """

@@ -86,8 +86,8 @@ def propagation(angles: Array, sight: Array, direct: Mask) -> Array:
 
 
 _FLAT = 0.7  # a mirror is the ground, not a wall, if its normal is steeper than 45 degrees
-_ROW_KEYS = ("delay", "aoa_az", "aoa_el", "aod_az")  # names of the arrays behind the rows of a link
-_TOLERANCES = (2.0 * TOLERANCE_M, 0.02, 0.02, 0.02)  # m, rad; wrong conventions exceed them
+_ROW_KEYS = ("delay", "aoa_az", "aoa_el", "aod_az")  # arrays that give the rows of a link
+_TOLERANCES = (2.0 * TOLERANCE_M, 0.02, 0.02, 0.02)  # m, rad; wrong conventions cause larger errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +155,7 @@ def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, NDArray[np.
     station, q = paths.position_m, paths.bounce_m
     member = np.where(paths.interactions == LINE_OF_SIGHT, 0, -1)
     if not (member == 0).any():
-        none = "no line of sight (0) in any epoch, beginning with that"
+        none = "no line of sight (0) in any epoch; the first epoch is that"
         paths.refuse("inter", 0, none, "at least one")
     reflected = paths.interactions == REFLECTION
     back = q - position_m[:, None]

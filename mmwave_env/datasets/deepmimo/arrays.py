@@ -76,7 +76,7 @@ def _stored(file: Path, key: str) -> NDArray[Any]:
             raise ValueError(f"it contains {', '.join(names[:5]) or 'nothing'}, but not {key}")
         size = archive.getinfo(f"{key}.npy").file_size
     if size > MOST_BYTES:
-        raise ValueError(f"{size} bytes, more than {MOST_BYTES}: use .npy, which may be larger")
+        raise ValueError(f"{size} bytes, more than {MOST_BYTES}: use an .npy file instead")
     with np.load(file, allow_pickle=False) as arrays:
         return np.asarray(arrays[key])
 

@@ -27,7 +27,7 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.checks import refuse_in
 from mmwave_env.world.trajectory import Trajectory
 
-SIDECAR = "trajectory.csv"  # not a file of DeepMIMO: times and positions, one row per epoch
+SIDECAR = "trajectory.csv"  # times and positions; the user adds this file to those of DeepMIMO
 
 
 def read_deepmimo(
@@ -43,7 +43,8 @@ def read_deepmimo(
     """Read a scenario folder as a recording.
 
     The epochs of a static scenario are its receivers; the epochs of a dynamic scenario are its
-    scenes. Times and velocities come from ``trajectory.csv`` in the folder, one row per epoch.
+    scenes. Times and velocities come from ``trajectory.csv`` in the folder, which has one row for
+    each receiver or, if the scenario is dynamic, for each scene.
 
     If there is one station, or ``base_station`` selects one, the anchors are this station and
     its images. Otherwise the anchors are all stations that are in sight in some epoch, the one
@@ -122,8 +123,8 @@ def _way_of(scenario: Scenario, epochs: NDArray[np.int_], dt_s: float | None) ->
     if not file.exists():
         raise FileNotFoundError(
             f"{file}: found no such file, expected the times and velocities that DeepMIMO does "
-            f"not store: a row {','.join(COLUMNS)} for each epoch; or pass dt_s=, the time "
-            "between epochs, to read_deepmimo"
+            f"not store: a row {','.join(COLUMNS)} for each receiver (in a dynamic scenario: for "
+            "each scene); or pass dt_s=, the time between epochs, to read_deepmimo"
         )
     way = read_trajectory(file)
     rows = len(scenario.scenes) if scenario.is_dynamic else scenario.receivers
@@ -153,7 +154,7 @@ def _links(
         return [(links, k) for k in [0, *images[:virtual_anchors]]]
     in_sight = [s for s in stations if (s.interactions == LINE_OF_SIGHT).any()]
     if not in_sight:
-        none = "no line of sight (0) to any station in any epoch, beginning with that"
+        none = "no line of sight (0) to any station in any epoch; the first epoch is that"
         stations[0].refuse("inter", 0, none, "at least one")
     by_station = [find_links(station, position_m) for station in in_sight]
     return [(links, 0) for links in sorted(by_station, key=lambda links: -links.epochs_seen[0])]
