@@ -247,7 +247,8 @@ def consistency_gate(bench: Bench) -> Iterator[Row]:
 @section(
     "Printed figures against each other",
     "The RMSE of a track is at least its ATE, because the mean of a square is at least the square "
-    "of the mean. The RPE over one epoch is at most twice the ATE, except for effects at the ends of a track.",
+    "of the mean. The RPE over one epoch is at most twice the ATE, except for effects at the ends "
+    "of a track.",
     "row | ATE m | RMSE m | RPE m | contradiction",
 )
 def contradictions(_: Bench) -> Iterator[Row]:

@@ -207,7 +207,7 @@ function drawNis(svg, ts, episode, course, y, left, right) {
 
 const groupColor = (number) => `var(--mode-${number % GROUPS})`;
 
-// Calls the function take for every run of equal values, with its first epoch and the epoch where the next one begins.
+// Calls the function `take` for every run of equal values, with its first epoch and the epoch where the next one begins.
 function runs(values, take) {
   let begin = 0;
   for (let k = 1; k <= values.length; k += 1) {
