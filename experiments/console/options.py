@@ -114,7 +114,7 @@ class TaskArgs:
     places: tuple[str, ...] = ()
     """places to train at, instead of --radio: each is SCENE:RADIO or SCENE:RADIO:DT, such as
     street:handset or o1:standard:0.1, with names or JSON files and the seconds between epochs
-    (default: 1); environments, and the episodes that judge policies, are spread evenly over them"""
+    (default: 1); environments, and episodes that judge policies, are spread evenly over places"""
     beliefs: Literal["shared", "per-mode"] = "shared"
     """shared: all modes work on one belief; per-mode: every mode keeps its own belief, and the
     agent says which one to trust"""

@@ -53,7 +53,7 @@ class Positions:
 
 
 def positions_markdown(title: str, rows: Mapping[str, Any], risk: float) -> str:
-    """Return a table of errors and protection levels, with a note on its last columns.
+    """Return a table of errors and protection levels, with a note on the columns.
 
     Args:
         title: header of the column with the names.

@@ -19,7 +19,7 @@ MOST_BYTES = 1 << 30  # size limit of a checkpoint; stored states of rollouts ta
 
 
 def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
-    """Write numbers, strings, arrays and tensors in lists, tuples and dicts."""
+    """Write a state of numbers, strings, arrays and tensors in nested lists, tuples and dicts."""
     memory = io.BytesIO()
     torch.save(_with_tensors(state), memory)
     content = memory.getvalue()
