@@ -53,7 +53,7 @@ def main(args: Args) -> None:
     page = ""
     if args.docs:
         page = page_to_renew(args.docs)
-        # raises before the work if the page names an unknown table
+        # fails early, before measuring, if the page names an unknown table
         renewed(page, dict.fromkeys(TITLES, ""))
     measured = Measured(args.sizes)
     with progress("speed") as tell:

@@ -85,7 +85,7 @@ def read_arguments(name: str, words: Sequence[str]) -> Any:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Suppress progress bars and all printing except warnings and errors in the block."""
+    """Suppress, within the block, progress bars and all printing but warnings and errors."""
     from experiments.console.progress import QUIET
 
     token = QUIET.set(True)

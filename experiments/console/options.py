@@ -114,7 +114,7 @@ class TaskArgs:
     places: tuple[str, ...] = ()
     """places to train at, instead of --radio: each is SCENE:RADIO or SCENE:RADIO:DT, such as
     street:handset or o1:standard:0.1, with names or JSON files and the seconds between epochs
-    (default: 1); environments are spread evenly over places, as are episodes to judge policies"""
+    (default: 1); environments, and episodes that judge policies, are spread evenly over places"""
     beliefs: Literal["shared", "per-mode"] = "shared"
     """shared: all modes work on one belief; per-mode: every mode keeps its own belief, and the
     agent says which one to trust"""
@@ -125,7 +125,7 @@ class TaskArgs:
     """what the agent observes: full, or prior, which leaves out how well each mode explains the
     coming epoch"""
     reward: str = "tracking"
-    """tracking or log-score (minus the IMM's reward if the hyperparameters ask for paired), or
+    """tracking or log-score (minus the IMM's reward if the hyperparameters set "paired"), or
     paired: the tracking reward minus the IMM's (the bank's IMM with --beliefs per-mode)"""
     nees_weight: float = 0.2
     """weight of the NEES in the tracking reward"""

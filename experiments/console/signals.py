@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 # Those signals that the system has; Windows has no SIGHUP.
 ENDING = tuple(getattr(signal, n) for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n))
 SOON_S = 0.01  # delay after which a signal that could not be handled is sent again
-SAME_S = 1.0  # a repetition within this time is one signal, sent to the process and its group
+SAME_S = 1.0  # repeats within this time are one signal, sent both to the process and to its group
 
 
 class Ended(SystemExit):

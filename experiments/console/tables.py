@@ -12,7 +12,7 @@ from rich.markdown import Markdown
 from experiments.console.text import escaped, printable_lines, unescaped
 
 TABLE = re.compile(r"((?:^\|.*\n?)+)", re.MULTILINE)
-CELL = re.compile(r"((?:\\.|[^|\\])*)\|")  # with the | that ends the cell
+CELL = re.compile(r"((?:\\.|[^|\\])*)\|")  # a cell, with the | that ends it
 UNIT = re.compile(r" (?=(?:m|s|%)(?: |$))")  # the space before a unit, where a line must not break
 GLUED = "\u00a0"  # a space where :mod:`textwrap` does not break
 GAP = 2  # spaces between columns

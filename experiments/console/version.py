@@ -30,7 +30,7 @@ _EPOCHS = 25
 
 
 def about() -> dict[str, Any]:
-    """Return the report as JSON; compiling kernels that are not cached takes about a minute."""
+    """Return the report for JSON; compiling kernels that are not cached takes about a minute."""
     with ended_by_the_system():  # Python handles no signals during the compiler's long calls
         tests = self_test()
     return {
@@ -63,7 +63,7 @@ def self_test() -> list[dict[str, Any]]:
 
 
 def _deviation(computed: Array, expected: Array) -> float:
-    """Return the largest difference, relative to the largest absolute value in its column."""
+    """Return the largest difference relative to its column's largest absolute value (1 or more)."""
     size = np.maximum(np.abs(expected).max(axis=tuple(range(expected.ndim - 1))), 1.0)
     return float((np.abs(computed - expected) / size).max())
 

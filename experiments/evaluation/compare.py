@@ -58,7 +58,7 @@ def compare(
             observations (n, features), float32, of ``n`` episodes to ``n`` integer actions, or
             anything that ``mmwave-loc compare --policies`` accepts: a policy file,
             "module:function", the folder of a run, or a name. A function may have a method
-            ``reset(begins)``, with bool (n,) that says where an episode begins, and attributes
+            ``reset(begins)``, whose bool (n,) marks the episodes that begin, and attributes
             ``modes``, ``observation`` and ``beliefs``, which override the arguments here.
         beside: names of known contenders to compare with, from
             :func:`~experiments.evaluation.contenders.contenders`.
@@ -66,8 +66,8 @@ def compare(
         episodes: number of episodes, 200 by default; results to publish need 1000 or more.
         seed: seed of the first episode, 0 by default; seeds for training start far above.
         modes, observation, beliefs: settings that agents were trained with, as in the environment;
-            policy files hold their own. An "imm" among the policies uses these modes, and the
-            transition and quantile of a bank or mode file that defines them.
+            policy files hold their own. An "imm" among the policies uses these modes, and their
+            transition and quantile if they come from a bank or mode file that states both.
         data: recorded episodes or episodes of your own, as in the environment's ``episodes``.
         world: further arguments of the environment: ``scene``, ``dt``, ``episode_steps``,
             ``planar``, ``odometry``, ``reward``.

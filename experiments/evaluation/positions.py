@@ -53,12 +53,12 @@ class Positions:
 
 
 def positions_markdown(title: str, rows: Mapping[str, Any], risk: float) -> str:
-    """Return a table of errors and protection levels, with a note on its last columns.
+    """Return a table of errors and protection levels, with a note on the columns.
 
     Args:
         title: header of the column with the names.
         rows: figures of :class:`~mmwave_env.localization.position_errors.PositionErrors` by name.
-        risk: probability that the levels are for.
+        risk: probability with which an error may exceed its protection level.
     """
     cells = [
         [f"{name}, {kind}", *row_of(errors)]

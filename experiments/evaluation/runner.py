@@ -54,7 +54,7 @@ class Scoring(NamedTuple):
 PLAIN = Scoring()
 Scores = dict[str, Array]  # metric -> (episodes,)
 
-# "reward", "nees" (n, T), "error" (n, T, 3); for policies also "mode"
+# results by name: "reward" and "nees" (n, T), "error" (n, T, 3); for policies also "mode" (n, T)
 EpochResults = dict[str, NDArray[Any]]
 
 PARTS = ("reward", "nees", "error")

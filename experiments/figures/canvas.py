@@ -88,7 +88,7 @@ def legend_beside(axes: Any, **options: Any) -> None:
 def panels(path: Path, count: int, entries: int, narrow: bool) -> Iterator[tuple[Any, list[Any]]]:
     """Yield a picture and its ``count`` panels, side by side or (``narrow``) stacked, for a phone.
 
-    There is room for a legend of ``entries``, to the right or below; :func:`legend_of` draws it.
+    There is room for a legend with ``entries`` labels, which :func:`legend_of` draws.
     """
     if narrow:
         size = 4.6, 2.9 * count + 0.3 + 0.2 * (-(-entries // LEGEND_COLUMNS))

@@ -11,7 +11,7 @@ from experiments.figures.canvas import COLORS, caption, contenders, legend_of, p
 from mmwave_env.localization.position_errors import SHARES, horizontal, vertical
 from mmwave_env.numerics.numbers import Array
 
-SMALLEST_M = 1e-3  # smaller errors are drawn as this, because the axis is logarithmic
+SMALLEST_M = 1e-3  # smaller errors are drawn at this value, since the axis is logarithmic
 BOUNDS = "95 % bounds if consistent"
 _SHARES = np.linspace(0.0, 0.999, 400)
 Line = tuple[Sequence[float], Sequence[float]]  # steps, values
@@ -29,7 +29,7 @@ def draw_error_cdf(errors_m: Mapping[str, Array], path: Path, narrow: bool = Fal
         for number, (name, errors) in enumerate(errors_m.items()):
             look = _style(number) | {"label": labels[name]}
             for axes, sizes in ((left, horizontal(errors)), (right, vertical(errors))):
-                values = np.maximum(sizes, SMALLEST_M)  # where the height is known, errors are 0
+                values = np.maximum(sizes, SMALLEST_M)  # a known height has an error of 0
                 axes.plot(np.quantile(values, _SHARES), _SHARES, **look)
                 axes.plot(np.quantile(values, SHARES), SHARES, "o", ms=3.5, color=look["color"])
         for axes, kind in ((left, "horizontal"), (right, "vertical")):

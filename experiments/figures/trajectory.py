@@ -111,7 +111,7 @@ def _draw_ellipses(axes: Any, track: DrawnTrack) -> None:
 
 
 def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
-    """Draw the anchors that are not farther from the track than its extent (or 30 m)."""
+    """Draw the anchors whose distance from the track is at most its extent (or 30 m)."""
     low, high = position.min(axis=0), position.max(axis=0)
     reach = max(float((high - low).max()), 30.0)
     middle = 0.5 * (low + high)
@@ -120,7 +120,7 @@ def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
             name = "gNB" if number == 1 else f"anchor {number}"
             marker, fill = ("^", "black") if number == 1 else ("v", "white")
             axes.plot(*anchor, marker, color="black", ms=8, mfc=fill)
-            # Names of anchors in the right half are to the left, so that they stay in the picture.
+            # In the right half, a name is to the left of its anchor, so that it is not cut off.
             offset, side = (-7, "right") if anchor[0] > middle[0] else (7, "left")
             place = {"textcoords": "offset points", "va": "center", "ha": side}
             axes.annotate(name, anchor, (offset, 0), **place)

@@ -44,7 +44,7 @@ UNTUNED_SIGMA_V = 1.0  # m/s, our choice, because the paper does not state its o
 
 
 def untuned(algorithm: str, coupling: bool) -> Mode:
-    """Return a filter of the tables' first rows: without tuning, gates, scaling and smoothing."""
+    """Return a filter of the tables' first rows: without tuning, gates, scaling or smoothing."""
     off = {"gate": None, "recovery": None, "adaptive": False}
     return Mode(algorithm, algorithm, sigma_v=UNTUNED_SIGMA_V, coupling=coupling, **off)  # type: ignore[arg-type]
 

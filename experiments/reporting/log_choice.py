@@ -18,7 +18,7 @@ from mmwave_env.logs.log import LogBlock
 from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
 
 DEFAULT_POLICY = "guided"
-# Without elevations guided trusts wrong modes more often than it gains (docs/learning.md).
+# Without elevations, "guided" trusts wrong modes too often to be useful (docs/learning.md).
 WITHOUT_ELEVATIONS = "imm-best"
 RULES: dict[str, tuple[Rule, str]] = {  # each rule, and the name of its speed in messages
     "prediction": (by_predicted_speed, "the predicted"),
@@ -64,7 +64,7 @@ def require_one_choice(args: LogArgs) -> None:
 
 
 def choice_of(args: LogArgs, radio: str, block: LogBlock) -> Choice:
-    """Return the choice that options ask for; by default the learned policy, or an IMM.
+    """Return the choice that options ask for; by default a policy, or without elevations an IMM.
 
     Args:
         args: options of the command.
@@ -124,7 +124,7 @@ def _as_asked(args: LogArgs, modes: tuple[Mode, ...]) -> tuple[Mode, ...]:
 
 
 def _algorithm_1(args: LogArgs, modes: tuple[Mode, ...]) -> Choice:
-    """Return the pipelines of Algorithm 1, Step 3."""
+    """Return the pipelines of Algorithm 1, Step 3, and the rule that chooses one, if any."""
     if args.speed in (None, "auto"):
         rule, followed = RULES[args.follow]
         why = f"chosen by whether {followed} speed is above {SLOW_MPS:g} m/s"

@@ -131,7 +131,7 @@ class Work(NamedTuple):
 
 
 def _work(args: LogArgs, files: Inputs, scene: Scene, epochs_per_block: int) -> Work:
-    """Open the log, and the ground truth if there is one."""
+    """Open the log and, if there is one, the ground truth; choose the modes."""
     association = None
     if args.associate:
         association = Association(len(scene.anchors_m))
@@ -149,7 +149,7 @@ def _work(args: LogArgs, files: Inputs, scene: Scene, epochs_per_block: int) -> 
         name = nearest_radio(first, scene) if args.radio == AUTO else args.radio
     if args.follow == "odometry" and not first.layout.odometry:
         raise ValueError(
-            f"follow: found odometry, but no speed in {files.log}; use --follow prediction"
+            f"follow: odometry needs speeds, and {files.log} has none; use --follow prediction"
         )
     choice = choice_of(args, name, first)
     if choice.switching.policy and not np.isfinite(first.snr_db).any():

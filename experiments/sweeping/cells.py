@@ -30,7 +30,7 @@ Row = dict[str, Any]
 
 
 def evaluated(values: Values) -> Row:
-    """Evaluate a policy; return the mean, 95 % interval and episodes' values of each metric."""
+    """Evaluate a policy; return each metric's mean, 95 % interval and values per episode."""
     args = Evaluation(**values)
     selection = Selection(range(args.seed, args.seed + args.episodes))
     with warnings.catch_warnings(record=True) as warned:

@@ -36,7 +36,7 @@ from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.world.travel import stride_of
 
 FRESH_RUNS = 3  # maximum number of runs in new processes, since each takes seconds
-FRESH_SIZES = 3  # number of largest sizes that run in new processes; smaller ones need as much
+FRESH_SIZES = 3  # how many of the largest sizes run in new processes; smaller ones differ little
 STEP = "step"  # name of the kernel that makes a complete step of the environment
 BASES = ("filterpy", SYNC_NAME)  # workloads with which ours are compared
 
@@ -64,7 +64,7 @@ class Rates:
 
 
 class Measured:
-    """The measured rates, limits, times and memory; every list has one entry per round.
+    """The measured rates, limits, times and memory; a list has one entry per round or process.
 
     Args:
         sizes: numbers of environments in the native vector environment.

@@ -20,7 +20,7 @@ from mmwave_env.compiler.lanes import WIDTH, kernel
 from mmwave_env.numerics.numbers import sqrt, where
 
 CHAINS = (8, 16, 24)  # numbers of chains to try: the best depends on registers and latencies
-LENGTH = 480  # operations of a timed kernel: many per loop, but few enough for any cache
+LENGTH = 480  # operations per pass of a timed loop: many, but their code fits into any cache
 BLOCKS, ROWS = 4, 64  # 16 KiB, which fits into any first-level cache
 CALLS, TRIES = 1000, 10
 

@@ -1,9 +1,9 @@
 """Timed workloads, which do the same work per step as far as possible.
 
-The work is the step of an environment: a loop over filterpy's filters, our single environment and
-our vector environments compute both modes' predictions, gates, innovations and posteriors and the
-chosen mode's reward, and draw episodes when needed. The action is always mode 1. The filterpy loop
-leaves out observations, adaptive noise, recovery, and the metrics of an episode.
+The work is the step of an environment. The loop over filterpy's filters, our single environment and
+our vector environments all compute both modes' predictions, gates, innovations and posteriors and
+the chosen mode's reward, and draw episodes when needed. The action is always mode 1. The filterpy
+loop leaves out observations, adaptive noise, recovery, and the metrics of an episode.
 """
 
 from collections.abc import Callable, Iterator, Sequence

@@ -15,11 +15,11 @@ from experiments.evaluation.runs import require_outcome
 from mmwave_env.io.files import first_line, read_bounded, write_bytes
 from mmwave_env.io.lookup import quoted
 
-MOST_BYTES = 1 << 30  # size limit of a checkpoint; the memory of rollouts takes most of it
+MOST_BYTES = 1 << 30  # size limit of a checkpoint; stored states of rollouts take up most of it
 
 
 def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
-    """Write numbers, strings, arrays and tensors in lists, tuples and dicts."""
+    """Write a state of numbers, strings, arrays and tensors in nested lists, tuples and dicts."""
     memory = io.BytesIO()
     torch.save(_with_tensors(state), memory)
     content = memory.getvalue()
@@ -51,7 +51,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
 
 @contextmanager
 def going_on_from(path: Path) -> Iterator[None]:
-    """Name the checkpoint in any exception raised in the block, which uses the checkpoint.
+    """Convert any exception raised while a checkpoint is used into one that names its file.
 
     Raises:
         ValueError: names the file.

@@ -131,8 +131,8 @@ Value = Callable[[Bank, int], float]
 
 # Ranges to search:
 ODDS = (-14.0, 8.0)  # log(probability to change to another mode / probability to stay)
-# Less velocity noise earns a slightly higher reward, but only because simulated users walk so
-# straight. A user who weaves by a few degrees, as in a recording, would escape such a filter.
+# A sigma_v below its range earns a slightly higher reward, but only because simulated users walk
+# so straight. A user who weaves by a few degrees, as in a recording, would escape such a filter.
 FREE = {
     "sigma_p": (0.005, 2.0),
     "sigma_v": (0.04, 6.0),
@@ -147,7 +147,7 @@ _PROBABILITY_STEP, _NOISE_STEP, _NINES_STEP = 0.6, 0.25, 0.3
 
 
 def rows_as_softmax(odds: Array) -> Array:
-    """Return transition probabilities p (modes, modes), (from, to), as a softmax of log odds.
+    """Return transition probabilities p[from, to] (modes, modes) as a softmax of log odds.
 
     Args:
         odds: (modes * (modes - 1),) log(p_ij / p_ii), row by row without the diagonal.

@@ -118,7 +118,7 @@ def test_odometry_is_used_if_the_log_has_it(capsys, driven):
     for log, more in ((driven, ["--no-odometry"]), (RIDE, [])):
         words = ["--speed", "auto", "--follow", "odometry", *more]
         _, line = refused(capsys, options(log / "log.csv", *words, folder=log))
-        assert "follow: found odometry, but no speed in" in line
+        assert "follow: odometry needs speeds" in line
 
 
 CONTRADICTIONS = {

@@ -22,7 +22,7 @@ def page_of(args: PageArgs) -> str:
     """Return the web page of results.
 
     Args:
-        args: results to read, and numbers of episodes to run again.
+        args: results to read, and how many episodes to run again and to show.
 
     Raises:
         ValueError: the results can't be read.
@@ -35,7 +35,7 @@ def page_of(args: PageArgs) -> str:
             verdict, tables = results_of(source)
             command, versions = source.content["command"], source.content.get("versions", {})
             origins.append(origin_of(source.path, command, versions))
-            list(errors_of(source, Played()))  # raises before the work if results can't be shown
+            list(errors_of(source, Played()))  # fails early, before episodes are run
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ValueError(f"{source.path}: {first_line(error)}, expected {READ}") from error
         verdicts.append(verdict)

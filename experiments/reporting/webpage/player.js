@@ -4,7 +4,7 @@ const FRAME_MS = 60;
 const RULE = "speed-rule";
 const FATES = { a: "accepted", r: "rejected", m: "missing" };
 const FILLS = { a: "var(--accepted)", r: "var(--rejected)", m: "var(--missing)" };
-const GROUPS = 9; // number of colors for kinds of measurements, which are the colors of modes
+const GROUPS = 9; // number of colors of modes; kinds of measurements have the same colors
 
 function player(place, episodes) {
   const state = { episode: 0, main: null, beside: null, at: 0, timer: null };
@@ -207,7 +207,7 @@ function drawNis(svg, ts, episode, course, y, left, right) {
 
 const groupColor = (number) => `var(--mode-${number % GROUPS})`;
 
-// Calls the function take for every run of equal values, with its first epoch and the epoch where the next one begins.
+// Calls the function `take` for every run of equal values, with its first epoch and the epoch where the next one begins.
 function runs(values, take) {
   let begin = 0;
   for (let k = 1; k <= values.length; k += 1) {
