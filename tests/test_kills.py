@@ -22,7 +22,7 @@ pytestmark = [
     pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork"),
 ]
 HITS, TRIES = 3, 15  # required interruptions, and maximum number of tries, per command and way
-TOLD = "told.txt"  # output of a command, next to the command's folder
+TOLD = "told.txt"  # file with a command's output, next to the command's folder
 LOG, SCENE = (str(LOGS / "canyon28_vehicle" / name) for name in ("log.csv", "scene.json"))
 FEW = ("--episodes", "4", "--episode-steps", "30")
 COMMANDS = {

@@ -1,4 +1,4 @@
-"""Tests of filters with the range bias of a user's clock, against textbook filters with 8 states."""
+"""Tests of filters that estimate the range bias of a clock, against textbook filters (8 states)."""
 
 import numpy as np
 import pytest

@@ -44,7 +44,7 @@ from tests.refusals import refuses
 
 
 def edit(row, column, value):
-    """Return a change of one cell; rows count from 0, so row r is line r + 2."""
+    """Return a function that changes a cell; rows are counted from 0, so row r is line r + 2."""
 
     def change(lines):
         lines[row][column] = value

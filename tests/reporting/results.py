@@ -37,7 +37,7 @@ def comparison(names=("imm", "speed-rule"), **more):
 
 
 def run(folder: Path, over=2):
-    """Make a folder like those that train makes, with two trainings, of which ``over`` have ended."""
+    """Make a folder like that of a run, with two trainings, of which ``over`` have ended."""
     log = "timesteps,tuning/reward,tuning/minus imm\n1000,,\n2000,-1.5,0.25\n4000,-1.4,0.3\n"
     for seed in range(2):
         training = folder / f"seed-{seed}"

@@ -52,7 +52,7 @@ def walked(env, epochs=WALKED, seed=0):
 
 
 def by_hand(place, seed, first_episode, actions, first, act, beliefs):
-    """Return the discounted rewards from an action on, played in a separate environment."""
+    """Return the discounted sum of rewards from action ``first`` on, in a separate environment."""
     bank = BANKS[place.radio]
     modes = bank if beliefs == "per-mode" else bank.modes
     at = {"scene": place.scene, "radio": place.radio, "dt": place.dt}
@@ -105,7 +105,7 @@ def test_trying_actions_does_not_change_the_environment():
 
 
 def test_states_near_the_end_of_an_episode_are_left_out():
-    """The first eight environments begin an episode immediately; it ends after 200 epochs."""
+    """Use 16 environments, of which the first eight begin an episode of 200 epochs immediately."""
     env = environment()
     walked(env, 200 - HORIZON + 1)
     assert len(env.try_all(chaotic(4)).values) == 16
@@ -172,7 +172,7 @@ def assert_same_ends(infos, expected):
 
 @pytest.mark.slow
 def test_several_places_together_equal_each_place_alone():
-    """Seeds are counted across places; the second place is 100 steps ahead, so that its episodes end at other times."""
+    """Check this even where only one place's episodes end: the second is 100 steps ahead."""
     together = PlacesVecEnv(TASK, PAIRED)
     first, second = alone(PLACES[0], 3), alone(PLACES[1], 2)
     together.seed(10_000_000)
