@@ -1,4 +1,4 @@
-"""Tests that live epochs equal those of a log with these rows, and take little work and memory."""
+"""Tests that live epochs equal those of a log of the same rows, with little work and memory."""
 
 import cProfile
 import csv

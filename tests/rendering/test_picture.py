@@ -24,7 +24,7 @@ NOTHING = np.zeros(GROUPS, bool)
 
 
 def near(picture, color):
-    """Return a mask of the pixels with nearly this color, because edges are smoothed."""
+    """Return a mask of the pixels that have about this color (edges are smoothed)."""
     return (abs(picture.astype(int) - color) < 12).all(axis=-1)
 
 
