@@ -99,9 +99,8 @@ def undisturbed(tmp_path_factory):
             )
             succeed(*COMMANDS[name], cwd=made)
             begin = time.monotonic()
-            succeed(
-                *COMMANDS[name], cwd=again
-            )  # everything is compiled by now in this process, so in its forks, too
+            # By now everything is compiled in this process, and thus in its forks.
+            succeed(*COMMANDS[name], cwd=again)
             known[name] = inputs, contents(made), time.monotonic() - begin
             assert contents(again) == contents(made)
         return known[name]

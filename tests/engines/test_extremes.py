@@ -247,7 +247,7 @@ def test_a_setting_at_its_bounds_gives_sound_beliefs_or_is_refused(record, name,
     of, arguments = RECORDS[record]
     for value in (bound.least, bound.most):
         env = None
-        with suppress(ValueError):  # may not fit the other settings
+        with suppress(ValueError):  # the value may not fit the other settings
             changed = arguments(replace(of, **{name: shape(value)}))
             env = MmWaveLocEnv(episode_steps=24, dt=0.5, **changed)
         if env is not None:

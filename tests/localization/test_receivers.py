@@ -96,9 +96,7 @@ def by_textbook(log, scene, x, P, flat):
 
 
 @pytest.mark.parametrize("receiver", RECEIVERS)
-def test_the_track_of_any_receiver_equals_that_of_a_textbook_ekf_and_is_consistent(
-    tmp_path, receiver
-):
+def test_a_track_equals_that_of_a_textbook_ekf_and_is_consistent(tmp_path, receiver):
     ours, expected, nees, flat = [], [], [], "height" in receiver
     height_m, axes = (1.5, 2) if flat else (None, 3)
     for seed in range(WALKS):

@@ -234,9 +234,7 @@ def test_missing_files_and_files_that_do_not_match_their_ending_are_refused(tmp_
 
 
 @pytest.mark.parametrize("left", [0.2, 0.5, 0.99])
-def test_the_complete_epochs_of_a_gzip_file_that_ends_early_are_returned_before_its_error(
-    tmp_path, left
-):
+def test_the_epochs_of_a_gzip_file_that_ends_early_are_returned_before_its_error(tmp_path, left):
     true = episode(epochs=2000)
     packed = gzip.compress(log_text(log_columns(true)).encode(), mtime=0)
     path = store(tmp_path, packed[: int(left * len(packed))], "log.csv.gz")
@@ -322,9 +320,7 @@ class TestParquet:
         with refuses("log.parquet", error=LogError):
             read_log(path, SCENE)
 
-    def test_the_epochs_before_a_broken_page_are_returned_before_its_error(
-        self, tmp_path, monkeypatch
-    ):
+    def test_epochs_before_a_broken_page_are_returned_before_its_error(self, tmp_path, monkeypatch):
         monkeypatch.setattr("mmwave_env.logs.log_tables._BATCH_ROWS", 30)
         true = episode(epochs=200)
         path = tmp_path / "log.parquet"
