@@ -94,7 +94,7 @@ def test_the_notebook_runs_and_its_agent_beats_the_rules():
     nbclient, nbformat = map(pytest.importorskip, ("nbclient", "nbformat"))
     notebook = nbformat.read(PATH, as_version=4)
     nbformat.validate(notebook)
-    folder = {"metadata": {"path": PATH.parent}}  # Jupyter runs it there
+    folder = {"metadata": {"path": PATH.parent}}  # where Jupyter runs it
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
         nbclient.NotebookClient(notebook, resources=folder, timeout=600).execute()

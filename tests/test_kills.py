@@ -22,7 +22,7 @@ pytestmark = [
     pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork"),
 ]
 HITS, TRIES = 3, 15  # required interruptions, and maximum number of tries, per command and way
-TOLD = "told.txt"  # output of a command, next to the command's folder
+TOLD = "told.txt"  # file with a command's output, next to the command's folder
 LOG, SCENE = (str(LOGS / "canyon28_vehicle" / name) for name in ("log.csv", "scene.json"))
 FEW = ("--episodes", "4", "--episode-steps", "30")
 COMMANDS = {
@@ -99,9 +99,8 @@ def undisturbed(tmp_path_factory):
             )
             succeed(*COMMANDS[name], cwd=made)
             begin = time.monotonic()
-            succeed(
-                *COMMANDS[name], cwd=again
-            )  # everything is compiled by now in this process, so in its forks, too
+            # By now everything is compiled in this process, and thus in its forks.
+            succeed(*COMMANDS[name], cwd=again)
             known[name] = inputs, contents(made), time.monotonic() - begin
             assert contents(again) == contents(made)
         return known[name]

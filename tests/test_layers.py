@@ -30,8 +30,8 @@ SEES = {
     "localization": ENVIRONMENT | {"logs", "policies"},
     "sb3": {"vector_env"},
     **dict.fromkeys(EVERYBODY, frozenset({"numerics"})),
-    "rendering": {"numerics", "models"},  # draws numbers, without filters and episodes
-    # The folders of experiments may all import the library, and the console, which comes first.
+    "rendering": {"numerics", "models"},  # draws arrays, and needs no filters or episodes
+    # All folders of experiments may import the library and, except the console, the console.
     "experiments.console": LIBRARY,
     "experiments.evaluation": LIBRARY | {"experiments.console"},
     **dict.fromkeys(
@@ -43,7 +43,7 @@ SEES = {
     ),
     "experiments.sweeping": LIBRARY | {"experiments.training", *BELOW},
 }
-SEES["experiments"] = frozenset({*SEES, *LIBRARY})  # the commands, a module each
+SEES["experiments"] = frozenset({*SEES, *LIBRARY})  # the commands, one module each
 ROOMS, ARROWS_BETWEEN_ROOMS = 28, 200  # maximum numbers; an arrow is an import
 
 

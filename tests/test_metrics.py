@@ -68,7 +68,7 @@ def test_metrics_accept_leading_axes(tracks):
         np.testing.assert_allclose(metric(batch), [metric(error), 2.0 * metric(error)])
 
 
-def test_the_rpe_of_a_track_no_longer_than_its_interval_is_zero():
+def test_the_rpe_of_a_track_of_at_most_one_interval_is_zero():
     np.testing.assert_array_equal(rpe(np.ones((2, 5, 3)), 5), [0.0, 0.0])
 
 

@@ -67,7 +67,7 @@ def test_a_reset_after_a_restore_draws_the_same_episodes(mode):
     go_on(env, 3, actions=0)
     other.restore(env.state())
     assert same(env.reset(), other.reset())
-    assert other.np_random_seed == (-1,) * 9  # as in Gymnasium, if it is unknown
+    assert other.np_random_seed == (-1,) * 9  # as in Gymnasium, if seeds are unknown
 
 
 @pytest.mark.slow

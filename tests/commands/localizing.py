@@ -51,7 +51,7 @@ def lines_of(name="log.csv"):
 
 
 def with_line(number, change):
-    """Return the log of the walk with one line, counted from 1, changed."""
+    """Return the log of the walk with one line changed; lines are counted from 1."""
     lines = lines_of()
     lines[number - 1] = change(lines[number - 1])
     return "\n".join(lines) + "\n"

@@ -16,7 +16,7 @@ RIDE = LOGS / "canyon28_vehicle"
 
 @pytest.fixture(scope="module")
 def hidden(tmp_path_factory):
-    """Return a folder with a log of paths without anchor numbers, some of which are false."""
+    """Return a folder with a log of paths, some of them false, without anchor numbers."""
     folder = tmp_path_factory.mktemp("hidden")
     for name in ("scene.json", "truth.tum"):
         (folder / name).write_bytes((RIDE / name).read_bytes())

@@ -56,7 +56,7 @@ def test_all_samples_or_one_can_be_copied(tmp_path):
     assert not (tmp_path / "walk" / "log.csv").exists()
 
 
-def test_copying_an_unknown_sample_or_without_naming_a_folder_is_refused(tmp_path):
+def test_copying_an_unknown_sample_or_naming_no_folder_is_refused(tmp_path):
     for words in (["--out", tmp_path], ["samples", "--copy", "canyon28_vehicle"]):
         assert_one_clear_line(command("list", *words), "expected: list samples --copy NAME --out")
     done = command("list", "samples", "--copy", "canyon29", "--out", tmp_path / "new")

@@ -40,7 +40,9 @@ def as_json(lines, whole):
 def test_every_epoch_has_a_line_and_the_last_position_is_that_of_the_track_file(tmp_path):
     content = (WALK / "log.csv").read_bytes()
     positions, errors, code = live(content, "--speed", "1")
-    assert code == 0 and len(positions) == 400 and len(errors) == 1  # a note: what chooses modes
+    assert (
+        code == 0 and len(positions) == 400 and len(errors) == 1
+    )  # the note on what chooses modes
     figures(
         WALK, "--speed", "1", "--radio", "standard", "--no-smoothing", "--out", tmp_path / "t.tum"
     )

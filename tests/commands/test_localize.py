@@ -36,7 +36,7 @@ def test_a_speed_chooses_the_pipeline(folder, speed, mode):
     assert smoothed["rmse_m"] < 0.1 and filtered["in_bounds"] > 0.85
 
 
-def test_a_speed_above_the_design_window_is_refused_with_outside_abort(capsys, tmp_path):
+def test_a_speed_above_the_design_window_is_refused_if_outside_is_abort(capsys, tmp_path):
     out = tmp_path / "track.tum"
     _, line = refused(
         capsys,

@@ -233,7 +233,7 @@ def test_a_deleted_working_folder_is_named(tmp_path):
     assert_one_clear_line(done, "the working folder|log.csv: found no such file")
 
 
-def test_quiet_shows_nothing_but_writes_the_results(tmp_path):
+def test_quiet_shows_nothing_and_still_writes_the_results(tmp_path):
     options = ("--policies", "fixed-ukf", "imm", "--episodes", 2)
     done = command("compare", *options, "--quiet", "--json", tmp_path / "all.json")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

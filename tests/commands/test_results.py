@@ -86,7 +86,7 @@ def test_recorded_episodes_have_seeds_but_no_keys(tmp_path):
     assert content["scenario"] == "canyon28_vehicle" and list(content["policies"]) == ["fixed-ukf"]
 
 
-def test_a_table_that_cannot_be_written_is_refused_before_the_episodes(tmp_path):
+def test_a_table_that_cannot_be_written_is_refused_before_episodes_are_played(tmp_path):
     (tmp_path / "a.csv").mkdir()
     done = command("evaluate", "--episodes", 10**9, "--episodes-csv", tmp_path / "a.csv")
     assert_one_clear_line(done, "a.csv: found a folder")

@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc sweep``, which stores one result per cell; `make ray` runs all tests."""
+"""Tests of ``mmwave-loc sweep``, which stores one result per cell; they need the extra ``ray``."""
 
 import os
 import re

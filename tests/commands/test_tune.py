@@ -79,7 +79,7 @@ def test_the_command_writes_a_mode_file_that_environments_and_commands_accept(tm
 
 
 @pytest.mark.slow
-def test_a_tuned_bank_is_written_with_its_held_out_results(tmp_path):
+def test_a_tuned_bank_is_written_with_its_results_on_held_out_episodes(tmp_path):
     options = ["--bank", "--radio", "high", "--episodes", 18, "--evaluations", 30]
     done = command("tune", *options, "--out", tmp_path / "bank.json")
     assert done.returncode == 0, done.stderr

@@ -115,7 +115,7 @@ def test_a_mistake_ends_with_one_clear_line(mistake, tmp_path):
 @pytest.mark.skipif(
     not sys.platform.startswith("linux"), reason="other systems need no display variable"
 )
-def test_without_a_display_the_variables_and_the_option_out_are_named(monkeypatch):
+def test_the_error_without_a_display_names_the_variables_and_the_option_out(monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER", "SDL_VIDEO_DRIVER"):
         monkeypatch.delenv(name, raising=False)
     done = command("watch", "--policies", "fixed-ukf")

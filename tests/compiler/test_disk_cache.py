@@ -45,7 +45,7 @@ def started(package, script=SCRIPT, **variables):
     """Start a process that imports the package; its home is the folder that contains ``site``."""
     home = package.parent.parent
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "XDG"))}
-    # Python checks its bytecode by time and size, which edits keep here, so it must write none.
+    # Edits here keep time and size, by which Python checks its bytecode, so it must write none.
     own = {"PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1", "HOME": str(home)}
     every = {name: value for name, value in (clean | own | variables).items() if value is not None}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -106,7 +106,7 @@ source.write_text(source.read_text().replace("x * 2", "x * 3"))
 
 @pytest.mark.slow
 def test_a_process_whose_sources_change_stores_nothing(package):
-    """Check this because such a process may store the old code under the name of the new."""
+    """Check this because such a process may store old code under the name of the new code."""
     finished(started(package, EDITED + SCRIPT))
     assert kept(package) == []
     assert run(package) == (61, 0)
@@ -128,7 +128,7 @@ def whole(tmp_path_factory):
 
 @pytest.mark.parametrize("room", [*ROOMS, "filters/own/deeper"])
 def test_an_edit_in_any_folder_makes_a_new_version(whole, monkeypatch, room):
-    assert disk_cache._PACKAGE == PACKAGE  # the package that ROOMS lists
+    assert disk_cache._PACKAGE == PACKAGE  # ROOMS lists its folders
     monkeypatch.setattr(disk_cache, "_PACKAGE", whole)
     before = disk_cache._version()
     assert before == disk_cache._version()
@@ -292,7 +292,7 @@ def planted(package, tmp_path):
 
 
 def given_away(path):
-    """Give a path to another user or, if not root, return code that fakes this in a process."""
+    """Give a path to another user; if not root, return code that makes a process believe this."""
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         os.chown(path, 65534, 65534)
         return ""
@@ -393,7 +393,7 @@ def test_old_versions_of_other_users_and_links_are_kept(package, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_system_without_owners_of_files_works(package):
+def test_the_cache_works_on_a_system_without_owners_of_files(package):
     windows = "import os, numba\nif hasattr(os, 'geteuid'): del os.geteuid\n" + SCRIPT
     runs = [finished(started(package, windows)) for _ in range(2)]
     assert runs == [["41", "0"], ["41", "1"]]

@@ -69,7 +69,7 @@ def test_functions_that_compute_the_same_have_the_same_name():
     assert len(name_of(double)) == 20
 
 
-def test_the_name_depends_on_rows_that_are_passed_through():
+def test_the_name_depends_on_rows_that_are_only_passed_through():
     swapped = fingerprint(lambda w: Pair(w.y, w.x), Pair(0.0, 0.0))
     kept = fingerprint(lambda w: w, Pair(0.0, 0.0))
     longer = fingerprint(lambda w: w, [0.0, 0.0, 0.0])

@@ -51,7 +51,7 @@ NAN, INF = math.nan, math.inf
 
 @cache
 def compiled(function, arity):
-    """Compile ``function`` of ``arity`` numbers for lanes, as a numba function of blocks."""
+    """Compile a function of ``arity`` numbers for lanes; return a numba function of blocks."""
 
     def build(rows):
         rows[arity] = function(*(rows[i] for i in range(arity)))
@@ -67,7 +67,7 @@ def compiled(function, arity):
 
 
 def on_lanes(function, *columns):
-    """Return ``function`` of columns of floats, computed on lanes, eight at a time."""
+    """Apply a function to columns of floats on lanes, eight at a time, and return the results."""
     columns = np.broadcast_arrays(*[np.asarray(c, float) for c in columns])
     n = columns[0].size
     blocks = np.ones((-(-n // WIDTH), len(columns) + 1, WIDTH))
@@ -284,7 +284,7 @@ def test_odometry_on_lanes_equals_odometry_on_floats(planar):
 
 @pytest.mark.slow
 def test_lanes_equal_floats_for_a_user_at_rest_with_odometry():
-    """The heading of a user at rest is not defined."""
+    """Check this because the heading of a user at rest is not defined."""
     episodes = [
         replace(episode, prior_mean=episode.prior_mean * [1, 1, 1, 0, 0, 0, 1])
         for episode in simulated(3, epochs=10, odometry=True)

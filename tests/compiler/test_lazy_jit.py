@@ -16,7 +16,7 @@ def function(x):
 
 @pytest.fixture
 def fresh(tmp_path, monkeypatch):
-    """Return a function that makes a LazyJit as in a new process, all with one folder on disk."""
+    """Return a function that makes a LazyJit as in a new process; all share a folder on disk."""
     monkeypatch.setattr(disk_cache, "_folder", lambda: tmp_path)
     return lambda: LazyJit(function, 5)
 

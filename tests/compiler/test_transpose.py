@@ -127,7 +127,7 @@ def out_of(function, kind):
 
 @pytest.mark.slow
 def test_functions_stored_by_two_processes_work_in_a_third(tmp_path):
-    """Use functions with equal symbols: numba numbers its functions anew in each process."""
+    """Use functions with equal symbols: numba counts its functions anew in each process."""
     (tmp_path / "users.py").write_text(USERS)
     site = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
     variables = os.environ | {"PYTHONPATH": site, "NUMBA_CACHE_DIR": str(tmp_path)}

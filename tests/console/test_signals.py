@@ -62,7 +62,9 @@ def test_a_signal_removes_half_written_files(writing, tmp_path, sent):
     command = writing(preexec_fn=heeds)
     assert len(list(tmp_path.iterdir())) == 1
     command.send_signal(sent)
-    command.send_signal(sent if sent in ENDING else 0)  # may come twice, to a process and its group
+    command.send_signal(
+        sent if sent in ENDING else 0
+    )  # may come twice: to a process and to its group
     out, err = command.communicate(timeout=30)
     assert command.returncode == 128 + sent and out == ""
     end = "interrupted" if sent == signal.SIGINT else f"ended by {sent.name}"

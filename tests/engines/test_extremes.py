@@ -1,4 +1,4 @@
-"""Tests of the envelope of inputs: within it beliefs are sound, and values beyond are refused."""
+"""Tests of the envelope of inputs: within it beliefs are sound, values beyond it are refused."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -40,7 +40,7 @@ class Quantity:
     put: Callable[[Episode, float], Episode]
 
     def within(self):
-        """Return a value just within each end of the bound; for an end of 0 it is 0 itself."""
+        """Return a value just within each end of the bound; for an end of 0, return 0 itself."""
         return [end * (1.0 - out) for end, out in self._ends()]
 
     def beyond(self):
@@ -181,7 +181,7 @@ def test_an_episode_beyond_the_envelope_is_refused_by_name(quantity, value, epis
 
 
 def numbers_of(record):
-    """Yield name and bound of each numeric field, and a function from a number to its value."""
+    """Yield each numeric field's name and bound, and a function that makes a value of a number."""
     for name, hint in hints_of(type(record)).items():
         hint = next(iter(get_args(hint)), hint) if NoneType in get_args(hint) else hint
         inside = get_args(hint)[:1] if get_origin(hint) is Annotated else ()
@@ -247,7 +247,7 @@ def test_a_setting_at_its_bounds_gives_sound_beliefs_or_is_refused(record, name,
     of, arguments = RECORDS[record]
     for value in (bound.least, bound.most):
         env = None
-        with suppress(ValueError):  # may not fit the other settings
+        with suppress(ValueError):  # the value may not fit the other settings
             changed = arguments(replace(of, **{name: shape(value)}))
             env = MmWaveLocEnv(episode_steps=24, dt=0.5, **changed)
         if env is not None:

@@ -53,7 +53,7 @@ def test_the_transition_determines_which_mode_is_likely(episodes):
     assert share[0] + 0.2 < share[1] < share[2] - 0.2
 
 
-def test_an_episode_gives_the_same_numbers_alone_and_in_a_batch(episodes):
+def test_an_episode_gives_the_same_results_alone_as_in_a_batch(episodes):
     imm = ImmEngine(TWO, TrackingReward())
     lengths = [T, 25, 1, T - 1]
     packed = EpisodeBatch.of(episodes[:4])

@@ -53,7 +53,7 @@ def test_smoothing_a_single_mode_equals_the_rts_smoother(planar, dt):
 
 
 @pytest.mark.parametrize("radio", ["handset", "standard"])
-def test_smoothing_the_modes_is_more_consistent_than_smoothing_the_mixture_s_moments(radio):
+def test_smoothing_the_modes_is_more_consistent_than_smoothing_their_mixture(radio):
     task = task_from(beliefs="per-mode", radio=radio)
     batch, track, dt, ours = smoothed(task, task.bank, 40)
     theirs = smooth(*(track[name] for name in PARTS[:4]), dt[:, 1:])

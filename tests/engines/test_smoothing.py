@@ -142,8 +142,9 @@ def test_smoothing_does_not_change_the_last_epoch():
     found_x, found_P = smooth(x, P, x_predicted, P_predicted, np.ones(x.shape[1] - 1))
     np.testing.assert_array_equal(found_x[:, -1], x[:, -1])
     np.testing.assert_array_equal(found_P[:, -1], P[:, -1])
-    before, after = P[:, :-1, 0], found_P[:, :-1, 0]  # earlier epochs gain from later ones,
-    assert (after <= before).all() and (after < before).mean() > 0.98  # if those have information
+    # Variances of earlier epochs decrease if later epochs have information.
+    before, after = P[:, :-1, 0], found_P[:, :-1, 0]
+    assert (after <= before).all() and (after < before).mean() > 0.98
 
 
 def test_smoothing_does_not_change_a_single_epoch():

@@ -23,7 +23,7 @@ from mmwave_env.world.simulated import SimulatedSource
 
 pytestmark = pytest.mark.slow
 
-N = 128  # number of environments, for 384,000 steps with all users and radios
+N = 128  # environments, which make 384,000 steps with all users and radios
 PARTS = ("x", "P", "memory", "candidates", "observation", "reward", "nees", "distance")
 STAY = (0.0, 0.95, 1.0)  # probabilities of keeping the mode; each environment uses one
 
@@ -63,7 +63,7 @@ def unsound(engine):
 
 
 def soaked(modes, users, n):
-    """Run damaged episodes with random modes until parts are unsound; return when, and which."""
+    """Run damaged episodes with random modes; return when and which parts are unsound, or None."""
     engine = Engine(Pipeline(tuple(modes), Layout(3)), n, TrackingReward())
     for turn, (scenario, radio) in enumerate(users):
         rng = np.random.default_rng(turn)

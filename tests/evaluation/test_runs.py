@@ -26,7 +26,7 @@ def test_a_run_lists_its_seeds_best_first_and_has_a_median(folder):
     assert run.policy == run.policies[1]
 
 
-def test_a_run_is_replaced_by_its_trainings(folder):
+def test_a_run_stands_for_its_trainings_in_a_list_of_contenders(folder):
     run = Run.read(str(folder))
     assert trainings(["imm", run.name, "ppo"], {run.name: run}) == ["imm", *run.policies, "ppo"]
 

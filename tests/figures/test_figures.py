@@ -60,7 +60,7 @@ def test_names_are_shown_unchanged_except_characters_that_cannot_be_shown():
     assert caption("a$b_{^$ | <b>") == "a$b_{^$ | <b>"
     assert caption("\x1b[31m\n") == r"\x1b[31m\n"
     assert caption("漢") == r"\u6f22"  # not in matplotlib's font
-    assert caption("\udcff") == r"\udcff"  # of a file name that is not UTF-8
+    assert caption("\udcff") == r"\udcff"  # from a file name that is not UTF-8
 
 
 @pytest.mark.parametrize(

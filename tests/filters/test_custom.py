@@ -212,7 +212,7 @@ def draws(x, P, measurement, gate):
 
 
 @pytest.mark.parametrize("algorithm", [asks_for_the_type, draws])
-def test_an_algorithm_that_returns_other_numbers_on_lanes_than_on_floats_is_refused(algorithm):
+def test_an_algorithm_that_returns_other_values_on_lanes_than_on_floats_is_refused(algorithm):
     message = str(refusal(algorithm))
     assert "on floats" in message and "on lanes" in message
 

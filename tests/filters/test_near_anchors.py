@@ -15,7 +15,7 @@ from tests.filters.tracks import OwnModel, assert_same_beliefs, pipeline_of, pro
 OURS = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 ANCHORS = np.array([[0.0, 0.0, 10.0], [80.0, 60.0, 12.0], [-50.0, 70.0, 15.0]])
 MEANT = {"vertical": [1, 3], "anchor": [1, 2, 3, 12]}  # rows that carry no information
-OFFSETS = {  # offset of the mean from the first anchor, m; key of MEANT, None if all rows inform
+OFFSETS = {  # offset of the mean from the first anchor, m; key of MEANT or, without such rows, None
     "below": ((0.0, 0.0, -8.5), "vertical"),
     "above": ((0.0, 0.0, 20.0), "vertical"),
     "too close to its vertical": ((0.6 * NEAREST_M, -0.6 * NEAREST_M, -8.5), "vertical"),
@@ -54,7 +54,7 @@ def test_an_update_near_an_anchor_equals_the_textbook(algorithm, where, odometry
 
 
 @everywhere
-def test_jacobian_rows_are_zero_without_a_direction_and_the_derivative_otherwise(where):
+def test_a_jacobian_row_is_zero_if_its_angle_is_undefined_and_else_the_derivative(where):
     problem, (_, lost) = near(where), OFFSETS[where]
     s, x = problem.sensor, problem.x
     silent = MEANT.get(lost, [])

@@ -57,7 +57,7 @@ def test_an_imm_in_a_partial_layout_without_missing_rows_equals_the_plain_imm():
 
 @pytest.fixture(scope="module")
 def runs():
-    """Run a filter on its own model with half the rows; return NEES, NIS and rows by epoch."""
+    """Run a filter on its own model with half the rows; return NEES, NIS and measured rows."""
     model = far_from_the_anchors(process_noise(Mode("ekf", "ekf", **QUIET)))
     rng = np.random.default_rng(0)
     drawn = [some_rows(model.draw(rng, EPOCHS), rng, 0.5) for _ in range(RUNS)]

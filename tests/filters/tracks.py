@@ -39,7 +39,7 @@ def simulated(n, epochs=200, odometry=False, seed=0):
 
 
 def around_a_block(corner=(10.0, -20.0)):
-    """Return 90 s along two sides of a block, at a changing speed and uneven times."""
+    """Return a trajectory of 90 s along two sides of a block, with varying speed and time step."""
     time_s = np.cumsum(np.tile([0.4, 1.0, 2.1, 0.8], 21)) + 1000.0
     passed = time_s - time_s[0]
     traveled = 2.0 * passed + 4.0 * np.sin(passed / 9.0)

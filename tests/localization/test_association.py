@@ -108,7 +108,7 @@ def test_a_sample_without_anchor_numbers_gives_nearly_the_same_track(tmp_path, n
 
 
 def test_angles_of_arrival_may_be_measured_at_the_base_station():
-    """The angles at an image can be computed only once the wall that reflects the path is known."""
+    """Include reflections, whose angles at the image depend on the wall that reflects them."""
 
     def as_the_station_sees(epoch, anchor):
         z = epoch.measurement.copy()

@@ -1,4 +1,4 @@
-"""Tests that live epochs equal those of a log with these rows, and take little work and memory."""
+"""Tests that live epochs equal those of a log of the same rows, with little work and memory."""
 
 import cProfile
 import csv
@@ -89,7 +89,7 @@ ROW = dict(
 
 
 def outcome(rows):
-    """Return the numbers of the last epoch of rows, or the message of the first error."""
+    """Return the values of the last epoch in these rows, or the message of the first error."""
     log = LiveLog(NAMES, SCENE)
     try:
         block = [*(epoch for row in rows for epoch in log.add(row, 7)), *log.end_epoch()][
@@ -105,13 +105,14 @@ def outcome(rows):
 def test_quick_and_careful_reading_accept_and_refuse_the_same_rows(name, first):
     for value in VALUES:
         row = ROW | {name: value}
-        text = {n: "" if v is None else f" {v!s}" for n, v in row.items()}  # not read quickly
+        # Values with a space in front are not read quickly.
+        text = {n: "" if v is None else f" {v!s}" for n, v in row.items()}
         line = ",".join(word.strip() for word in text.values())
         outcomes = {outcome([*first, row]), outcome([*first, text]), outcome([*first, line])}
         assert len(outcomes) == 1, (value, outcomes)
 
 
-def test_an_epoch_takes_little_work_and_keeps_nothing():
+def test_an_epoch_takes_little_work_and_no_lasting_memory():
     tracker, epochs = Tracker(SCENE, "guided", RADIO), walk(300)
     for epoch in epochs[:100]:
         tracker.update(epoch)
@@ -123,5 +124,5 @@ def test_an_epoch_takes_little_work_and_keeps_nothing():
     profile.runcall(lambda: [tracker.update(epoch) for epoch in epochs[200:250]])
     assert tracemalloc.get_traced_memory()[0] < before + 100_000
     tracemalloc.stop()
-    assert pstats.Stats(profile).total_calls < 600 * 50  # 10,000 an epoch would take 1 ms
+    assert pstats.Stats(profile).total_calls < 600 * 50  # 10,000 calls would take 1 ms
     assert len(os.listdir("/dev/fd")) == files

@@ -30,7 +30,7 @@ def rows():
 
 
 def written(path, columns, change=lambda row: row, **more):
-    """Write the walk with only some columns, changed rows, and more columns of constants."""
+    """Write the walk with only some columns, changed rows, and additional constant columns."""
     with path.open("w", newline="") as file:
         table = csv.DictWriter(file, [*columns, *more], extrasaction="ignore")
         table.writeheader()

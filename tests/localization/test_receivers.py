@@ -1,4 +1,4 @@
-"""Logs of receivers that measure some quantities and state their noise, against a textbook EKF."""
+"""Tests of logs that have only some quantities and state their noise, against a textbook EKF."""
 
 import csv
 import json
@@ -96,7 +96,7 @@ def by_textbook(log, scene, x, P, flat):
 
 
 @pytest.mark.parametrize("receiver", RECEIVERS)
-def test_the_track_of_any_receiver_is_that_of_a_textbook_ekf_and_consistent(tmp_path, receiver):
+def test_a_track_equals_that_of_a_textbook_ekf_and_is_consistent(tmp_path, receiver):
     ours, expected, nees, flat = [], [], [], "height" in receiver
     height_m, axes = (1.5, 2) if flat else (None, 3)
     for seed in range(WALKS):
@@ -120,7 +120,7 @@ def test_the_track_of_any_receiver_is_that_of_a_textbook_ekf_and_consistent(tmp_
     assert np.mean([np.mean(walk) for walk in nees]) == pytest.approx(axes, rel=0.15)
 
 
-def test_standing_places_with_range_and_azimuth_of_one_anchor_at_the_height_of_the_user(tmp_path):
+def test_places_are_found_from_range_and_azimuth_of_one_anchor_at_the_users_height(tmp_path):
     """Localize 45 places 0.5 m apart, as a survey with a 60 GHz access point measures them."""
     rng, anchor = np.random.default_rng(3), np.array([0.0, 0.0, 1.5])
     line = 0.5 * np.arange(15)

@@ -46,7 +46,7 @@ def read(path, scene=SCENE, **options):
 
 
 def delivered(path, *fields, reader=read_log, **options):
-    """Return the blocks before the error about a damaged file; it must name the fields."""
+    """Return the blocks before the error, which must name the damaged file and the fields."""
     blocks = []
     with refuses(path, *fields, error=LogError):
         blocks.extend(reader(path, SCENE, **options))  # keeps what came before the error

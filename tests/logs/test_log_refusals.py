@@ -44,7 +44,7 @@ from tests.refusals import refuses
 
 
 def edit(row, column, value):
-    """Return a change of one cell; rows count from 0, so row r is line r + 2."""
+    """Return a function that changes a cell; rows are counted from 0, so row r is line r + 2."""
 
     def change(lines):
         lines[row][column] = value
@@ -234,7 +234,7 @@ def test_missing_files_and_files_that_do_not_match_their_ending_are_refused(tmp_
 
 
 @pytest.mark.parametrize("left", [0.2, 0.5, 0.99])
-def test_a_gzip_file_that_ends_early_is_refused_after_its_complete_epochs(tmp_path, left):
+def test_the_epochs_of_a_gzip_file_that_ends_early_are_returned_before_its_error(tmp_path, left):
     true = episode(epochs=2000)
     packed = gzip.compress(log_text(log_columns(true)).encode(), mtime=0)
     path = store(tmp_path, packed[: int(left * len(packed))], "log.csv.gz")
@@ -250,7 +250,7 @@ def test_a_gzip_file_with_a_wrong_byte_is_refused(tmp_path, byte):
     delivered(store(tmp_path, bytes(packed), "log.csv.gz"))
 
 
-def test_a_line_without_an_end_is_refused_after_the_epochs_before_it(tmp_path):
+def test_the_epochs_before_a_line_without_an_end_are_returned_before_its_error(tmp_path):
     content = text(rows()).encode() + b"\0" * (3 << 20)
     blocks = delivered(store(tmp_path, content), "line 14")
     assert sum(map(len, blocks)) == 4
@@ -298,7 +298,7 @@ class TestParquet:
         ],
     )
     @pytest.mark.parametrize("batch", [2, 5, 1000])
-    def test_a_damaged_row_is_refused_after_the_epochs_before_it(
+    def test_the_epochs_before_a_damaged_row_are_returned_before_its_error(
         self, tmp_path, monkeypatch, column, row, value, batch
     ):
         monkeypatch.setattr("mmwave_env.logs.log_tables._BATCH_ROWS", batch)
@@ -320,7 +320,7 @@ class TestParquet:
         with refuses("log.parquet", error=LogError):
             read_log(path, SCENE)
 
-    def test_a_broken_page_is_refused_after_the_epochs_before_it(self, tmp_path, monkeypatch):
+    def test_epochs_before_a_broken_page_are_returned_before_its_error(self, tmp_path, monkeypatch):
         monkeypatch.setattr("mmwave_env.logs.log_tables._BATCH_ROWS", 30)
         true = episode(epochs=200)
         path = tmp_path / "log.parquet"

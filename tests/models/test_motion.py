@@ -23,7 +23,7 @@ steps = st.sampled_from([0.0, 0.1, 0.5, 1.0, 2.5])
 
 
 def matrix(noise):
-    """Return Q (7, 7)."""
+    """Return process noise as a matrix Q (7, 7)."""
     Q = np.diag(noise.diagonal)
     for i, covariance in enumerate(noise.coupling):
         Q[i, i + 3] = Q[i + 3, i] = covariance

@@ -91,7 +91,7 @@ def assert_variance(values, variance):
 
 
 def changes(on):
-    """Return, for epochs on, whether the next is off; for epochs off, whether the next is on."""
+    """Return, for epochs that are on, whether the next is off; for others, whether it is on."""
     before, after = on[:-1], on[1:]
     return ~after[before], after[~before]
 

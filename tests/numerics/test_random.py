@@ -104,7 +104,7 @@ def many():
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_numbers_have_their_distributions(many, kind):
-    """Distributions are tested at 99.9 % each, moments at four standard errors."""
+    """Test distributions at 99.9 % each, and moments at four standard errors."""
     values, exact = many[kind].ravel(), KINDS[kind]
     n = values.size
     assert n == 10_000_000
@@ -143,7 +143,7 @@ def test_consecutive_numbers_and_keys_are_not_correlated(many):
 
 @pytest.mark.slow
 def test_keys_that_differ_in_one_bit_and_the_two_streams_are_not_correlated():
-    """The bound is at 99.9 % for all pairs together."""
+    """Use a bound at 99.9 % for all pairs together."""
     base = np.uint64(0x0123456789ABCDEF)
     keys = np.append(base, base ^ _BITS)
     first, *others = stats.norm.ppf(drawn(keys, 2500)[0])

@@ -124,7 +124,9 @@ def per_mode(tmp_path):
     return LearnedSwitch(write_per_mode(tmp_path / "trust.safetensors"))
 
 
-def test_a_radio_gets_the_bank_trained_for_it_and_other_radios_that_of_standard(per_mode, tmp_path):
+def test_a_radio_gets_the_bank_trained_for_it_and_other_radios_get_that_of_standard(
+    per_mode, tmp_path
+):
     assert per_mode.modes == MODES and per_mode.beliefs == "per-mode"
     assert per_mode.bank() == per_mode.bank("handset") == HANDSET
     assert per_mode.bank("standard") == per_mode.bank("high") == STANDARD

@@ -1,4 +1,4 @@
-"""Tests of policy files: read back as written, refused if anything is wrong, not unpickled."""
+"""Tests that policy files are read back as written, refused if wrong, and never unpickled."""
 
 import json
 import pickle

@@ -24,7 +24,7 @@ NOTHING = np.zeros(GROUPS, bool)
 
 
 def near(picture, color):
-    """Return a mask of the pixels with nearly this color, because edges are smoothed."""
+    """Return a mask of the pixels that have about this color (edges are smoothed)."""
     return (abs(picture.astype(int) - color) < 12).all(axis=-1)
 
 
@@ -230,7 +230,7 @@ def test_there_is_no_picture_before_a_reset():
 
 @pytest.mark.parametrize("theme", THEMES)
 def test_text_has_enough_contrast_with_its_background(theme):
-    """The contrast is defined in WCAG 2.2."""
+    """Compute the contrast as WCAG 2.2 defines it."""
 
     def light(color):
         shares = np.array(color) / 255.0
@@ -263,7 +263,7 @@ def views(seed, action, **arguments):
 
 @pytest.mark.parametrize(("seed", "scenario"), [(0, "mixed"), (3, "mixed"), (0, "vehicle")])
 def test_user_and_estimate_are_always_in_the_frame(seed, scenario):
-    """The filter loses the vehicle, but even then both stay in the frame."""
+    """Use a filter that loses the vehicle; even then both must stay in the frame."""
     worst = 0.0
     for so_far, _, pixels in views(seed, 0, scenario=scenario):
         worst = max(worst, so_far.error_m[-1])

@@ -35,7 +35,7 @@ def test_a_word_names_scene_radio_and_time_step():
 
 
 def test_the_street_is_the_default_scene_of_environments():
-    """Episodes must be equal to the last bit, or published trainings could not be repeated."""
+    """Check equality to the last bit, without which published trainings could not be repeated."""
     episode = Place("street", "handset").source("mixed").sample(np.random.default_rng(10_000_000))
     expected = task_from().source.sample(np.random.default_rng(10_000_000))
     np.testing.assert_array_equal(episode.measurement, expected.measurement)
@@ -75,7 +75,7 @@ def test_words_that_are_not_places_are_refused(words, named):
 
 @pytest.mark.parametrize("unseen", ["square", "mine"])
 def test_custom_files_with_a_name_that_must_stay_unseen_are_refused(unseen, files, monkeypatch):
-    """The name in a file counts or, if there is none, the name of the file."""
+    """Check that the name in a file counts or, if there is none, the name of the file."""
     monkeypatch.setattr(module, "UNSEEN", ("square-2", unseen))
     with refuses("places"):
         place_from(":".join(map(str, files)))
@@ -117,7 +117,7 @@ def test_every_place_has_the_bank_of_its_radio():
 
 
 def test_modes_that_share_a_belief_are_the_same_at_all_places():
-    """They are those of the first place's radio, and are stored in the policy file."""
+    """Check that they are those of the first place's radio, which the policy file stores."""
     shared = task(beliefs="shared")
     assert {bank.modes for bank in shared.banks.values()} == {default_modes("handset")}
     at = task_from(**shared.arguments(PLACES[1]))

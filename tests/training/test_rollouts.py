@@ -95,7 +95,7 @@ QUICK = replace(LARGE, batch_size=1024, learning_rate=0.002, hidden=(32, 32), fi
 
 @pytest.mark.slow
 def test_a_short_training_beats_the_rule_and_the_imm_from_scratch(tmp_path):
-    """The policy has the modes of the rule, and starts as good as the IMM of these modes."""
+    """Train a policy with the modes of the rule, which starts as good as the IMM of these modes."""
     modes = Bank(default_modes("handset"))
     street = TrainingTask(
         "mixed", PLACES[:1], {"handset": modes}, "full", TrackingReward(), "per-mode"

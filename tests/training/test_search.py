@@ -56,7 +56,7 @@ def test_softmax_rows_are_probabilities_with_given_log_odds_relative_to_staying(
         np.testing.assert_allclose(np.log(ratio[~np.eye(4, dtype=bool)]), odds, atol=1e-9)
 
 
-def test_the_search_starts_from_the_modes_and_varies_all_of_their_numbers():
+def test_the_search_starts_from_the_modes_and_varies_their_noise_and_maneuvers():
     space, n = search_space(START), len(START)
     start = space.bank_at(space.start)
     assert start.modes == START and start.nis_quantile == 0.999

@@ -95,7 +95,7 @@ def test_the_exported_actor_chooses_the_actions_of_the_trained_one(tmp_path):
 
 
 def test_a_training_reports_its_periodic_evaluations(tmp_path):
-    """The outcome has the best evaluation; a search uses all of them to stop early."""
+    """Check also that the outcome has the best; a search needs all of them to stop early."""
     heard = []
     outcome = train(job_of(tmp_path), heard.append)
     rewards = {news.timesteps: news.evaluation["reward"] for news in heard if news.evaluation}
@@ -131,7 +131,7 @@ def test_a_bias_makes_the_first_action_more_likely_at_the_start():
 
 
 def test_hyperparameters_that_have_a_default_may_be_left_out(tmp_path):
-    """Files older than such a hyperparameter are read, and written again without it."""
+    """Check that files older than a hyperparameter are read, and written again without it."""
     path = written(tmp_path / "old.json", {"first_action_bias": None})
     assert read_hyperparameters(path, "ppo") == HYPER
     assert hyperparameters_as_written(HYPER) == json.loads(path.read_text())
@@ -254,7 +254,7 @@ def test_a_run_with_other_options_is_not_resumed(tmp_path):
 
 
 def test_a_run_with_other_modes_banks_or_hyperparameters_is_not_resumed(tmp_path):
-    """Mode files may have changed since then, or the modes that names stand for."""
+    """Check this because mode files may change, and so may the modes that names stand for."""
     path = written(tmp_path / "mine.json", {})
     resume = ("--resume", "--hyperparameters", path, "--out")
     folder = folder_of(tmp_path / "modes", modes=MODES, hyperparameters=path)

@@ -207,7 +207,7 @@ def started():
 
 
 def members(group):
-    """Return numbers and commands of the processes in a process group."""
+    """Return ids and commands of the processes in a process group."""
     words = ["ps", "-ww", "-eo", "pgid=,pid=,args="]
     listed = subprocess.run(words, capture_output=True, text=True).stdout
     rows = [line.split(None, 2) for line in listed.splitlines()]

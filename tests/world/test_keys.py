@@ -18,7 +18,7 @@ def numbers(*values):
 
 
 def test_keys_are_the_published_numbers_of_splitmix64():
-    """Rosetta Code lists them for the state 1234567, from Vigna's reference in C."""
+    """Compare with those that Rosetta Code lists for the state 1234567, from Vigna's C code."""
     keys = keys_at(numbers(1234567), np.arange(3, dtype=np.uint64))
     assert keys.tolist() == [6457827717110365317, 3203168211198807973, 9817491932198370423]
 
@@ -35,9 +35,9 @@ def test_the_stream_of_a_seed_begins_with_numpys_seed_sequence():
 
 
 def test_a_stream_without_a_seed_begins_at_random():
-    """Its state can be saved and restored, and then gives the same keys again."""
+    """Check also that its state can be saved and restored, and then gives the same keys again."""
     streams, again, places = Streams(2), Streams(2), np.arange(2)
-    assert streams.seeds() == (-1, -1)  # unknown
+    assert streams.seeds() == (-1, -1)  # unknown seeds
     again.set_states(streams.states())
     keys = streams.keys(places)
     assert keys[0] != keys[1] != Streams(2).keys(places)[1]

@@ -55,7 +55,7 @@ every_scene = pytest.mark.parametrize("scene", representative(SCENES, "street"))
 
 
 class Users(NamedTuple):
-    """Tracks of many users of one kind: (SEEDS, STEPS, 2) and (SEEDS, STEPS), m and m/s."""
+    """Tracks of many users of one kind: vectors (SEEDS, STEPS, 2), others (SEEDS, STEPS)."""
 
     position: np.ndarray
     velocity: np.ndarray
@@ -134,7 +134,7 @@ def test_users_stay_in_the_streets(tracks, name, scene):
     low = np.array([streets.x_m[0], streets.y_m[0]])
     high = np.array([streets.x_m[1], streets.y_m[1]])
     # Corners are cut on arcs of radius R; at the end of a dead-end street users turn on a half
-    # circle of diameter 2 R and come back at this distance from the line they went on.
+    # circle of diameter 2 R and come back at this distance from the line of their way there.
     radius = BOUNDS[name].radius
     dead_ends = low[0] == high[0] or low[1] == high[1]
     aside = 2.0 * radius if dead_ends else (1.0 - np.sqrt(0.5)) * radius

@@ -52,7 +52,7 @@ def set_counts(folder, receivers, scenes=1):
 
 
 def edit_line(folder, number, line):
-    """Replace a line of trajectory.csv, counted from 1, or drop it if ``line`` is None."""
+    """Replace the line of this number (from 1) in trajectory.csv; drop it if ``line`` is None."""
     file = folder / TRUTH
     lines = file.read_text().splitlines()
     lines[number - 1 : number] = [] if line is None else [line]
@@ -75,8 +75,8 @@ def shortened(folder, epochs, suffix=".npz", source=VEHICLE):
 def dynamic_twin(static, folder, others=0):
     """Write a dynamic scenario with a scene for every receiver of a static one.
 
-    The arrays of a scene have only as many paths as occur in it. Its receivers are ``others``,
-    which stand still at the position of the first epoch, and after them the user.
+    The arrays of a scene have only as many paths as occur in it. Its last receiver
+    is the user; the ``others`` before it stand still at the position of the first epoch.
     """
     folder.mkdir()
     shutil.copy(static / TRUTH, folder)

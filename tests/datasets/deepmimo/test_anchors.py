@@ -24,7 +24,7 @@ from tests.refusals import refuses
 
 OTHERS = ("t000_tx001_r001", "t002_tx000_r001")
 STATIONS = np.array([[0.0, 0.0, 8.0], [60.0, 5.0, 10.0], [20.0, -25.0, 6.0]])
-WALL = (np.array([0.0, -1.0, 0.0]), 30.0)  # y = -30
+WALL = (np.array([0.0, -1.0, 0.0]), 30.0)  # the plane y = -30
 USERS = np.column_stack([np.linspace(5.0, 55.0, 26), np.full(26, -8.0), np.full(26, 1.5)])
 
 
