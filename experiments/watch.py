@@ -72,7 +72,7 @@ def main(args: Args) -> None:
 
 
 def _check(args: Args) -> None:
-    """Check, before any work, that the options can be shown."""
+    """Check, before any work, that the episodes can be shown."""
     from mmwave_env.rendering.theme import require_drawable
     from mmwave_env.rendering.video import require_video
 

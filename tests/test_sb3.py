@@ -1,4 +1,4 @@
-"""Tests of the adapter to Stable-Baselines3, and of its checker on single environments."""
+"""Tests of the adapter to Stable-Baselines3, whose checker also checks single environments."""
 
 import warnings
 
@@ -82,7 +82,7 @@ def test_the_adapter_gives_the_same_results_as_a_dummy_vec_env(configuration):
 
 
 def test_infos_of_any_vector_environment_are_passed_on():
-    """Use Gymnasium's; some infos are nested, and some exist only in some environments."""
+    """Use Gymnasium's vector environment; some infos are nested, some only in some environments."""
 
     class Talkative(gym.Wrapper):
         def step(self, action):

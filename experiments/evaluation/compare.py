@@ -25,7 +25,7 @@ USUAL_EPISODES = 200
 
 @contextmanager
 def _warnings_in_lines() -> Iterator[None]:
-    """Print every warning once, on one line that does not name a line of our code."""
+    """Print every warning once, on one line, without the place in our code."""
     with warnings.catch_warnings():
         warnings.simplefilter("once")
         warnings.showwarning = lambda message, *_: print(
@@ -80,7 +80,7 @@ def compare(
     Raises:
         ValueError: ``policies`` is not a dict; ``episodes`` is not a number; a scenario, radio or
             contender is unknown; a name occurs twice; or an agent fails to load, raises, or does
-            not return actions. Only an agent that fails later is found after episodes have run.
+            not return actions. Only an agent's later failure is raised after episodes have run.
         FileNotFoundError: there is no such file.
     """
     if not isinstance(policies, Mapping):

@@ -1,4 +1,4 @@
-"""Report of localize about a track: its text, and the epochs that its picture shows."""
+"""The report that ``localize`` prints about a track, and the epochs to draw in its picture."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -69,7 +69,7 @@ class RolloutHyperparameters:
     first_action_bias: Positive  # logit of action 0 at the start; the others are about 0
 
     algorithm = "rollouts"
-    together = WIDTH  # the same for rollouts: one block of SIMD lanes has one place
+    together = WIDTH  # rollouts: a block of SIMD lanes has one place
 
     def __post_init__(self) -> None:
         require_fields(self)

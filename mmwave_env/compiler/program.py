@@ -27,7 +27,7 @@ Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
 Blocks = tuple[int, int]  # first block, and the block after the last
 
 NO_ROWS = np.empty(0, np.int64)
-# Number of epochs of a block to run as plain Python before compiling, which takes as long as 4000.
+# Number of block epochs to run as plain Python before compiling, which takes the time of 4000.
 PLAIN_BLOCK_EPOCHS = 1000
 
 # numba's own lock guards every compilation. A child forked while another thread holds the lock

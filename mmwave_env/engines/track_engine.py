@@ -159,7 +159,7 @@ class EpisodeFilter(Generic[Workspace]):
 
 
 class Tracker(EpisodeFilter[TrackState]):
-    """N tracks of a pipeline, in which one mode is used in every epoch.
+    """N tracks of a pipeline; each epoch runs exactly one of its modes.
 
     Args:
         pipeline: the mode, or the modes to choose from.

@@ -1,4 +1,4 @@
-"""Tracker that follows a user through paths without anchor numbers, by testing hypotheses.
+"""Tracker of a user from propagation paths without anchor numbers, by testing hypotheses.
 
 A track begins with the hypothesis that *this path is the line of sight*. The path gives a
 position, which the paths of the next epochs fit or do not fit. Tracks are immutable values, so
@@ -113,7 +113,7 @@ class _Links(NamedTuple):
 
 
 class PathTracker:
-    """A tracker that follows users through paths.
+    """A tracker that follows users by propagation paths.
 
     Args:
         scene, radio, mode: as :func:`~mmwave_env.localization.association.associate` takes them.

@@ -27,7 +27,7 @@ _TABLE_HEADER = (
 
 
 def table_beside(track: Path) -> Path | None:
-    """Return the path of the table with the standard deviations of a TUM file; else None.
+    """Return the path of the table of standard deviations beside a TUM file, None for others.
 
     Raises:
         ValueError: the ending of the file is not that of a track file.
@@ -47,7 +47,7 @@ def require_own_files(track: Path) -> None:
     a ground-truth track is a TUM file, too, and the user never typed the name of the table.
 
     Raises:
-        ValueError: a file with another header has one of the names.
+        ValueError: a file that ``localize`` did not write has one of the names.
         OSError: a file can't be read.
     """
     headers = dict.fromkeys(TRACK_ENDINGS, _TRACK_HEADER) | {TABLE_ENDING: _TABLE_HEADER}

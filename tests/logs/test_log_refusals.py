@@ -314,7 +314,7 @@ class TestParquet:
         with refuses("log.parquet", error=LogError):
             read_log(path, SCENE)
 
-    def test_names_of_columns_that_are_not_text_are_refused(self, tmp_path):
+    def test_column_names_that_are_not_valid_text_are_refused(self, tmp_path):
         path = self.store(tmp_path, self.columns(odd_note=[1.0] * len(rows())))
         path.write_bytes(path.read_bytes().replace(b"odd_note", b"odd\xffnote"))
         with refuses("log.parquet", error=LogError):
