@@ -39,6 +39,7 @@ RECEIVERS = {  # what is measured, step in s, number of anchors
     "range, azimuth and Doppler shift": ((*RANGE_AZIMUTH, "doppler"), 0.1, 2),
 }
 MODE = Mode("plain", gate=None, adaptive=False, recovery=None, sigma_v=0.3, sigma_vz=0.005)
+# A single anchor without elevations needs the height: without it the textbook EKF diverges, too.
 RADIO, WALKS, EPOCHS, SETTLED = RADIOS["standard"], 8, 120, 20
 
 
