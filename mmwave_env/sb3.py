@@ -29,12 +29,9 @@ class SB3VecEnv(VecEnv):
     ``terminal_observation``; ``TimeLimit.truncated``, which says that the episode was only cut, so
     its last state still has a value; and ``episode`` with return "r", length "l" and time "t".
 
-    Args:
-        env: vector environment with autoreset mode "SameStep"; other modes return the last
-            observation of an episode one step later, or not at all.
-
     Raises:
-        ValueError: the environment has another autoreset mode.
+        ValueError: the autoreset mode is not "SameStep"; other modes return the last observation
+            of an episode one step later, or not at all.
     """
 
     def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any]) -> None:

@@ -73,11 +73,7 @@ class Task:
         return type(self.source) is SimulatedSource  # other sources may draw in their own way
 
     def streets_of(self, key: int) -> Streets | None:
-        """Return the streets of an episode, for its picture; None if they are unknown.
-
-        Args:
-            key: key of the episode, if episodes have keys.
-        """
+        """Return the streets of the episode with a key, for its picture; None if unknown."""
         if isinstance(self.source, TrackSource):
             scene = self.source.scene
             return scene.streets if scene.streets_known else None
@@ -174,14 +170,10 @@ def task_from(**arguments: Any) -> Task:
 def bank_and_modes(
     modes: Modes, beliefs: str, radio: str | Radio
 ) -> tuple[Bank | None, tuple[Mode, ...]]:
-    """Return the bank and the modes that ``modes=`` and ``beliefs=`` stand for.
+    """Return the bank, or None if modes share a belief, and the modes, for these arguments.
 
-    Args:
-        modes, beliefs: arguments of :class:`~mmwave_env.env.MmWaveLocEnv`.
-        radio: radio profile for which the named modes are tuned.
-
-    Returns:
-        The bank, or None if the modes share a belief; and the modes.
+    ``modes=`` and ``beliefs=`` are those of :class:`~mmwave_env.env.MmWaveLocEnv`; named modes are
+    tuned for the radio profile.
 
     Raises:
         ValueError: an argument is invalid; the message says what is valid.

@@ -26,10 +26,6 @@ def page_to_renew(path: Path) -> str:
 def renewed(page: str, tables: Mapping[str, str]) -> str:
     """Return a page in which every marked table is replaced by the new table of the same title.
 
-    Args:
-        page: Markdown, with lines that mark where its tables begin and end.
-        tables: new tables as Markdown, by title.
-
     Raises:
         ValueError: the page names a table that is not among the new ones.
     """

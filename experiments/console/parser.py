@@ -34,12 +34,7 @@ class Everywhere:
 
 
 def parse(arguments: type[T], words: Sequence[str], program: str) -> T:
-    """Parse words into an instance of a dataclass of options.
-
-    Args:
-        arguments: a dataclass with a help text below every field.
-        words: command line after the name of the command.
-        program: name of the command, for help and errors.
+    """Parse words into an instance of a dataclass of options; errors name the ``program``.
 
     Raises:
         SystemExit: with 0 after showing help, with 2 after one line about a wrong option.

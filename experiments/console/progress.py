@@ -26,10 +26,7 @@ class _Description(TextColumn):
 def bars(*columns: ProgressColumn | str) -> Progress:
     """Return bars on standard error, which vanish at the end and keep standard output clean.
 
-    No bar is shown if standard error is not a terminal.
-
-    Args:
-        columns: further columns, in addition to rich's own.
+    No bar is shown if standard error is not a terminal. ``columns`` are added to rich's own.
     """
     console = Console(stderr=True, quiet=QUIET.get())
     _, *others = Progress.get_default_columns()
@@ -63,12 +60,6 @@ def progress(label: str) -> Iterator[Callable[[float], None]]:
 
 
 def tracked(values: Iterable[T], label: str, total: int | None = None) -> Iterator[T]:
-    """Yield values, with a bar that counts them.
-
-    Args:
-        values: items to yield.
-        label: label of the bar.
-        total: number of values; None for the length of a sequence.
-    """
+    """Yield values, with a bar that counts them; ``total`` is None for the length of a sequence."""
     with bars() as shown:
         yield from shown.track(values, total=total, description=label)

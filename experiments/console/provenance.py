@@ -46,21 +46,13 @@ def provenance(name: str, args: Any) -> dict[str, Any]:
 
 
 def options_of(args: Any) -> dict[str, Any]:
-    """Return options in the form that results files store: no outputs, paths as text.
-
-    Args:
-        args: dataclass of options.
-    """
+    """Return options in the form that results files store: no outputs, paths as text."""
     options = {name: value for name, value in vars(args).items() if name not in OUTPUTS}
     return json.loads(json.dumps(options, default=str))  # type: ignore[no-any-return]
 
 
 def options_from(kind: type[T], content: Mapping[str, Any]) -> T:
     """Return the options in a results file; options that ``kind`` does not have are ignored.
-
-    Args:
-        kind: dataclass of options.
-        content: content of the file.
 
     Raises:
         ValueError: the file has no options, or a value is not of its option's type.

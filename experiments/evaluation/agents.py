@@ -37,11 +37,9 @@ def is_agent(name: str) -> bool:
 
 
 def agent_from(name: str) -> Act:
-    """Return the agent that ``module:function`` makes.
+    """Return the agent that ``module:function`` makes; the function takes no arguments.
 
-    Args:
-        name: a module on ``sys.path`` or in the current folder, and a function in it that takes
-            no arguments and returns the agent.
+    The module is on ``sys.path`` or in the current folder.
 
     Raises:
         ValueError: the agent can't be made; the message says why.
@@ -64,10 +62,7 @@ def agent_from(name: str) -> Act:
 def tried(name: str, agent: Act, table: Observation) -> Policy:
     """Return an agent as a policy; check that it returns actions for a few random observations.
 
-    Args:
-        name: name of the agent, for errors.
-        agent: function to try; its optional method ``reset(begins)`` is called, too.
-        table: observation table that the agent works with.
+    Its optional method ``reset(begins)`` is called, too.
 
     Raises:
         ValueError: the agent is not a function, raises, or does not return actions.

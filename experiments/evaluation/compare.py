@@ -117,14 +117,9 @@ def compare(
 
 
 def evaluate(policy: Agent, **where: Any) -> Comparison:
-    """Evaluate a single agent or known contender.
+    """Evaluate an agent, in any form that the ``policies`` of :func:`compare` may have.
 
-    Args:
-        policy: an agent, in any form that the ``policies`` of :func:`compare` may have.
-        where: further arguments of :func:`compare`.
-
-    Returns:
-        The metrics of the agent with 95 % intervals; ``print`` shows them as Markdown.
+    Return its metrics with 95 % intervals; ``where`` are further arguments of :func:`compare`.
     """
     if isinstance(policy, (str, os.PathLike)):
         name = os.fspath(policy)

@@ -103,11 +103,8 @@ class Comparison:
 def episodes_csv(scores: dict[str, Scores], selection: Selection, source: EpisodeSource) -> str:
     """Return a CSV table with a row per contender and episode, and a column per metric.
 
-    A row also has the key of its episode, if the episode is simulated.
-
-    Args:
-        scores: result of :func:`~experiments.evaluation.runner.score_contenders`.
-        selection, source: episodes that were scored.
+    A row also has the key of its episode, if the episode is simulated. ``selection`` and ``source``
+    are the episodes that were scored.
     """
     table = io.StringIO()
     rows = csv.writer(table, lineterminator="\n")
@@ -131,12 +128,9 @@ def references(scores: dict[str, Scores]) -> list[str]:
 def compare_scores(scores: dict[str, Scores], own: Sequence[str] = (), **more: Any) -> Comparison:
     """Compute intervals of every contender, and paired differences against the references.
 
-    If none of the contenders is a reference, all of them are paired with each other.
-
-    Args:
-        scores: result of :func:`~experiments.evaluation.runner.score_contenders`.
-        own: names of a user's contenders, which are paired with all others, references or not.
-        more: remaining attributes of :class:`Comparison`.
+    If none of the contenders is a reference, all of them are paired with each other. ``own`` are a
+    user's contenders, which are paired with all others, references or not; ``more`` are the
+    remaining attributes of :class:`Comparison`.
     """
     metrics = [*METRICS, *TERMS]
 

@@ -63,10 +63,7 @@ class Contender:
     ) -> "Contender":
         """Return the learned policy of a policy file, or a shipped one by its name.
 
-        Args:
-            path: policy file or name, as in :class:`~policies.LearnedSwitch`.
-            name: name in results; None for the path.
-            radio: profile that selects the bank of a policy with several banks.
+        A policy with several banks gets the one of ``radio``; ``name`` is None for the path.
         """
         switch = LearnedSwitch(path)
         return cls(
@@ -88,19 +85,11 @@ class Contender:
         observation: str = "full",
         beliefs: str = "shared",
     ) -> "Contender":
-        """Return a contender for a user's agent.
+        """Return a contender for a user's agent, a function from observations to actions (n,).
 
-        The agent's attributes ``modes``, ``observation`` and ``beliefs`` override the arguments, as
-        does its method ``bank(radio)`` if beliefs are "per-mode".
-
-        Args:
-            name: name in results.
-            agent: function from observations (n, features) to actions (n,); see
-                :func:`~experiments.evaluation.agents.tried`.
-            radio: radio profile.
-            modes: modes to choose from, as in ``MmWaveLoc-v0``; None for the profile's defaults.
-            observation: observation of the agent, "full" or "prior".
-            beliefs: beliefs of the modes, "shared" or "per-mode".
+        ``modes`` None stands for the radio profile's defaults. The agent's attributes ``modes``,
+        ``observation`` and ``beliefs`` override the arguments, as does its method ``bank(radio)``
+        if beliefs are "per-mode".
 
         Raises:
             ValueError: unknown modes or beliefs; the message lists the valid ones.
@@ -158,11 +147,7 @@ def _imm(name: str, bank_of: Callable[[], Bank]) -> Contender:
 
 
 def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:
-    """Return, by name, functions that make the bank of each IMM; they read files when called.
-
-    Args:
-        radio: radio profile, a name or a JSON file.
-    """
+    """Return, by name, functions that make the bank of each IMM; they read files when called."""
     return {"imm": lambda: Bank(default_modes(radio)), BEST_IMM: lambda: best_bank(radio)}
 
 

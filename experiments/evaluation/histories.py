@@ -19,14 +19,10 @@ _KEPT = ("x", "P", "memory.accepted", "memory.rejected", "memory.mode")
 def history_of(
     contender: Contender, episode: Episode, scoring: Scoring = PLAIN, streets: Streets | None = None
 ) -> History:
-    """Return the prior and the contender's results in every epoch.
+    """Return the prior and the contender's results in every epoch of an episode with a true track.
 
-    Args:
-        contender: policy, whose actions are the modes of the history; or IMM, for which the most
-            probable mode of each epoch gives the mode and the gates.
-        episode: episode with a ground-truth track.
-        scoring: same as in :func:`~experiments.evaluation.runner.run_contender`.
-        streets: streets of the episode; None if they are unknown.
+    The modes of the history are the actions of a policy; of an IMM, the most probable mode of each
+    epoch, whose gates are also shown. Streets are None if they are unknown.
 
     Raises:
         ValueError: the policy fails.

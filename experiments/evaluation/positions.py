@@ -55,10 +55,8 @@ class Positions:
 def positions_markdown(title: str, rows: Mapping[str, Any], risk: float) -> str:
     """Return a table of errors and protection levels, with a note on the columns.
 
-    Args:
-        title: header of the column with the names.
-        rows: figures of :class:`~mmwave_env.localization.position_errors.PositionErrors` by name.
-        risk: probability with which an error may exceed its protection level.
+    ``rows`` are figures of :class:`~mmwave_env.localization.position_errors.PositionErrors` by the
+    name below ``title``; ``risk`` is that with which an error may exceed its protection level.
     """
     cells = [
         [f"{name}, {kind}", *row_of(errors)]

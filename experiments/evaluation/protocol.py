@@ -186,12 +186,8 @@ def standing(figures: dict[str, Any]) -> str:
 def ranking(entries: Sequence[Mapping[str, Any]], episodes: int, draws: int) -> str:
     """Return a Markdown table of all entries, ranked by their mean gain at the sites to train in.
 
-    Entries with too few episodes are marked and come last, because luck would decide their rank.
-
-    Args:
-        entries: entries in any order.
-        episodes, draws: numbers of episodes that the protocol requires at a simulated site and on
-            a recording.
+    Entries with fewer ``episodes`` at a simulated site, or ``draws`` on a recording, than the
+    protocol requires are marked and come last, because luck would decide their rank.
     """
     rows: list[tuple[bool, float, list[Any]]] = []
     for content in entries:

@@ -206,13 +206,10 @@ def score_contenders(
     """Compute the scores of contenders on the same episodes.
 
     Args:
-        names: contenders, or names as in :func:`contender_from`.
-        source: source of the episodes.
+        names: contenders, or names as in :func:`contender_from`, with these ``modes``.
+        source, selection: episodes to run, by seeds or keys.
         radio: radio profile.
-        selection: episodes to run, by seeds or keys.
-        modes: same as in :func:`~experiments.evaluation.contenders.contenders`.
         watch: functions that are called with a contender, the times (T,) and its epoch results.
-        scoring: scoring of all contenders.
         after: parts of the state for ``watch``, as in :func:`run_contender`.
 
     Raises:

@@ -28,12 +28,7 @@ class Selection:
 
     @classmethod
     def of(cls, episodes: int | None, seed: int | None, usual: int) -> "Selection":
-        """Return the episodes that a user asked for.
-
-        Args:
-            episodes: number of episodes; None for ``usual``.
-            seed: first seed; None for 0.
-            usual: default number of episodes.
+        """Return the episodes that a user asked for: by default ``usual`` ones, from seed 0 on.
 
         Raises:
             ValueError: there is no episode, or a seed is negative.

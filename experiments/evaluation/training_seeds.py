@@ -65,11 +65,9 @@ class TrainingSeeds:
 def over_training_seeds(
     runs: Mapping[Run, Sequence[Scores]], scores: dict[str, Scores]
 ) -> list[TrainingSeeds]:
-    """Compute rewards of runs, and their gains over the reference contenders.
+    """Compute rewards of runs, and their gains over the reference contenders among ``scores``.
 
-    Args:
-        runs: scores of every training, in the order of the run.
-        scores: scores of the other contenders, on the same episodes.
+    ``runs`` has the scores of every training in the order of the run, on the same episodes.
     """
     rewards = {run: np.stack([s["reward"] for s in trained]) for run, trained in runs.items()}
     baselines = {rival: scores[rival]["reward"] for rival in references(scores)}

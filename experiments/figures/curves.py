@@ -49,8 +49,7 @@ def draw_consistency(
 
     Args:
         time_s: (T,) times since the first epoch of an episode.
-        nees: (n, T) NEES of n episodes, by contender.
-        dof: degrees of freedom, the number of coordinates that are estimated.
+        nees: (n, T) NEES of n episodes, by contender; it covers ``dof`` coordinates.
         path, narrow: arguments of :func:`~experiments.figures.canvas.panels`.
     """
     episodes = len(next(iter(nees.values())))
@@ -77,9 +76,7 @@ def draw_learning_curves(
 ) -> None:
     """Draw quantities over the steps of training, with one line per training and a line at zero.
 
-    Args:
-        figures: steps and values of every training, by the label of the y axis and then by run.
-        path, narrow: arguments of :func:`~experiments.figures.canvas.panels`.
+    ``figures`` has steps and values of every training, by the label of the y axis and then by run.
     """
     from matplotlib.ticker import EngFormatter, NullFormatter
 

@@ -20,14 +20,9 @@ _TRUE = {"color": "0.55", "lw": 3.5, "alpha": 0.6}  # pale and wide, below other
 
 
 def mode_ribbon(axes: Any, time: Array, mode: Index, modes: int, low: float = 0.0) -> None:
-    """Draw a band of height 1, in the colors of the modes that ran.
+    """Draw a band of height 1 above ``low``, in the colors of the modes that ran.
 
-    Args:
-        axes: panel to draw into.
-        time: (T,) times of the epochs.
-        mode: (T,) number of the mode that ran in each epoch; -1 for none.
-        modes: how many modes there are.
-        low: lower edge of the band.
+    In each epoch at a time (T,), ``mode`` (T,) is the number of the mode that ran; -1 for none.
     """
     begins = np.flatnonzero(np.diff(mode, prepend=-2))
     ends = np.append(begins[1:], len(mode) - 1)
@@ -46,11 +41,7 @@ def draw_histories(
 ) -> None:
     """Draw speeds, errors and modes of contenders during a part of an episode.
 
-    Args:
-        histories: histories of the same episode, by contender.
-        modes: names of the modes, the same for all contenders.
-        rows: epochs to draw, counted from 1, because row 0 of a history is the prior.
-        path: .png, .svg or .pdf file.
+    ``rows`` are epochs, counted from 1, because row 0 of a history is the prior.
     """
     first = next(iter(histories.values()))
     time_s, ribbons = first.time_s[rows], max(0.45 * len(histories), 0.2 * len(modes))

@@ -70,12 +70,7 @@ class TrackRun(NamedTuple):
 
 
 class Bench:
-    """A cache of runs of modes on the episodes of seeds ``seed .. seed + episodes - 1``.
-
-    Args:
-        episodes: number of episodes per setting.
-        seed: seed of the first episode.
-    """
+    """A cache of runs of modes on the episodes of seeds ``seed .. seed + episodes - 1``."""
 
     def __init__(self, episodes: int, seed: int) -> None:
         self.count, self.seed = episodes, seed

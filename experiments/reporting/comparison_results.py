@@ -55,10 +55,8 @@ def results(
 ) -> Results:
     """Run contenders on the episodes that options select.
 
-    Args:
-        args: options that choose the episodes and the tables.
-        names: contenders to run; for the folder of a run, its median training is shown.
-        pictures: files to draw, by option: "errors" and "consistency".
+    For the folder of a run, its median training is shown. ``pictures`` are files to draw, by
+    option: "errors" and "consistency".
 
     Raises:
         ValueError: an option is not valid, or both pictures have the same file.

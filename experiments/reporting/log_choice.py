@@ -66,10 +66,7 @@ def require_one_choice(args: LogArgs) -> None:
 def choice_of(args: LogArgs, radio: str, block: LogBlock) -> Choice:
     """Return the choice that options ask for; by default a policy, or without elevations an IMM.
 
-    Args:
-        args: options of the command.
-        radio: radio profile, a name or a JSON file.
-        block: first epochs of the log.
+    ``block`` is the beginning of the log.
 
     Raises:
         ValueError: a policy, a bank or a mode is unknown or does not fit.

@@ -23,9 +23,7 @@ _POSITION = [0, 1, 3, 1, 2, 4, 3, 4, 5]  # the position's part of a packed covar
 class TrackSampler:
     """Every n-th epoch of a track, where n is a power of two that grows with the track.
 
-    Args:
-        modes: names of the modes.
-        anchors_m: (L, 3) positions of anchors, the physical gNB first.
+    ``modes`` are names, and ``anchors_m`` (L, 3) positions, the physical gNB first.
     """
 
     def __init__(self, modes: Sequence[str], anchors_m: Array) -> None:

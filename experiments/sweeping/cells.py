@@ -50,9 +50,7 @@ def evaluated(values: Values) -> Row:
 def trained(values: Values, tell: Callable[[Row], None] = lambda row: None) -> Row:
     """Train a policy; return the tuning metrics of the best version, and its policy file.
 
-    Args:
-        values: value of every axis; the axes are keys of the sweep's file.
-        tell: function called with a row for each evaluation during the training.
+    During the training, ``tell`` is called with a row for each evaluation.
     """
     from experiments.training.job import Job, News
     from experiments.training.processes import train

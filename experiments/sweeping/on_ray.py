@@ -30,11 +30,9 @@ RUNGS, SHARE = 9, 3  # parameters of early stopping: docs/sweep.md
 
 @contextmanager
 def connected(address: str | None, workers: int | None) -> Iterator[None]:
-    """Connect to Ray within the block.
+    """Connect, within the block, to the cluster at an address, which receives this code.
 
-    Args:
-        address: address of a cluster, which receives this code; None to start Ray here.
-        workers: number of processes on this machine; None for one per core.
+    With None, start Ray on this machine with so many workers, by default one per core.
     """
     os.environ |= ENVIRONMENT | ({"RAY_NUM_REDIS_GET_RETRIES": "1"} if address else {})
     import ray
@@ -62,9 +60,7 @@ def computed(
 ) -> Iterator[tuple[str, Values | None, str]]:
     """Yield every finished cell: its name, its row (None if it failed) and its error.
 
-    Args:
-        compute: function from the values of a cell to its row.
-        cells: values of each cell, by name.
+    ``compute`` maps the values of a cell to its row.
     """
     import ray
 
@@ -94,14 +90,12 @@ def searched(
 ) -> list[str]:
     """Run a search's remaining trials on Ray Tune, with Optuna's sampler and early stopping.
 
+    Return the errors of failed trials.
+
     Args:
         train: function that trains with given values, and passes rows to its second argument.
-        spec: specification of the search.
         before: rows of finished trials, from which the sampler learns.
         keep: function called with the name of a finished trial, its values and its last row.
-
-    Returns:
-        The errors of failed trials.
     """
     import optuna
     from ray import tune

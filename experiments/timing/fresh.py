@@ -17,13 +17,9 @@ STEPS = 210  # enough to end all episodes and to draw the next ones
 def fresh(name: str, n: int) -> tuple[float, float]:
     """Start Python, make an environment there, and measure the time and memory of its steps.
 
-    Args:
-        name: id of the environment, as in ``gymnasium.make``.
-        n: number of environments in a vector environment; 0 for a single environment.
-
-    Returns:
-        Seconds from Python's start to the end of the first step; and peak resident memory, MiB
-        (2^20 bytes), in a run that is longer than an episode.
+    ``n`` is the number of environments in a vector environment; 0 for a single environment. Return
+    the seconds from Python's start to the end of the first step; and peak resident memory, MiB
+    (2^20 bytes), in a run that is longer than an episode.
     """
     words = [sys.executable, "-m", __name__, name, str(n)]
     # the child finds the same packages as this process

@@ -173,8 +173,7 @@ def _finish(b, state, before, kept_before, epochs):  # type: ignore[no-untyped-d
 def _some_blocks(b, end, state, before, kept_before, some):  # type: ignore[no-untyped-def]
     """Find the next blocks with a running track; copy those that also have an idle track.
 
-    Returns:
-        The number of blocks found, and the block to continue with.
+    Return the number of blocks found, and the block to continue with.
     """
     n, count = len(state.running), 0
     while b < end and count < len(some):

@@ -115,9 +115,8 @@ def _places() -> list[Path]:
 def kept_functions() -> dict[str, Any]:
     """Describe the folder for this process's compiled functions; create it if possible.
 
-    Returns:
-        The folder as "place", None if no private folder can be written; the number of "functions"
-        in it, which belong to this version of the sources; and the "bytes" of their files.
+    Return it as "place", None if no private folder can be written; the number of "functions" in it,
+    which belong to this version of the sources; and the "bytes" of their files.
     """
     folder = _folder()
     sizes = [file.stat().st_size for file in folder.iterdir()] if folder else []
@@ -244,11 +243,7 @@ class LazyJit:
 
     After that, or as soon as its compiled form is found on disk, the compiled form runs. The
     functions that it calls must run both ways, as with ``numba.extending.register_jitable``.
-
-    Args:
-        function: the function to run.
-        plain_work: amount of work that a process does as plain Python before it compiles, if the
-            compiled function is not on disk yet; in any unit, such as epochs.
+    ``plain_work``, in any unit, such as epochs, is the work that each process does before it compiles.
     """
 
     def __init__(self, function: Callable[..., Any], plain_work: int) -> None:

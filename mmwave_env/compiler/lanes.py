@@ -237,15 +237,9 @@ def _align_stack(builder: Any) -> None:
 def kernel(function: Callable[[Any], None], ends: Sequence[int]) -> Any:
     """Return a numba function that runs ``function(rows)`` on a workspace of one or more parts.
 
-    ``rows[i]`` reads row i as Lanes and ``rows[i] = value`` writes it. The function is
-    called once, when numba compiles the caller.
-
-    Args:
-        function: the function to run.
-        ends: the row where each part ends.
-
-    Returns:
-        A function of one argument: a tuple with the address of each part, (rows, 8) doubles.
+    ``rows[i]`` reads row i as Lanes and ``rows[i] = value`` writes it. The function is called once,
+    when numba compiles the caller. ``ends`` are the rows where the parts end. The numba function
+    has one argument, a tuple with the address of each part, (rows, 8) doubles.
     """
 
     @intrinsic  # type: ignore[untyped-decorator]

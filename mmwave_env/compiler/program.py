@@ -125,11 +125,9 @@ def tree_kernel(
 ) -> Any:
     """Return a numba function that applies a function of numbers to a workspace, in place.
 
-    Args:
-        function: maps a tree to a tree of the same shape.
-        template: a tree of that shape; its leaves in order are the rows.
-        ends: same as for :func:`~mmwave_env.compiler.lanes.kernel`, which also describes the
-            returned function; None for one part.
+    The function maps a tree to a tree of the same shape as the ``template``, whose leaves in order
+    are the rows. :func:`~mmwave_env.compiler.lanes.kernel` describes ``ends`` (None for one part)
+    and the returned function.
     """
     size = len(flatten(template))
 
@@ -171,8 +169,7 @@ class Program(Generic[Workspace]):
     def by_name(self, names: Sequence[str], outputs: Array) -> dict[str, Array]:
         """Split outputs (n, epochs, rows) by name; the rows are those of :meth:`parts`, in order.
 
-        Returns:
-            For each name, (n, epochs) if it is a single number, else (n, epochs, numbers).
+        A part is (n, epochs) if it is a single number, else (n, epochs, numbers).
         """
         return {
             name: outputs[..., columns] for name, columns in self._found(tuple(names))[1].items()

@@ -34,12 +34,9 @@ def address(table, i, j):  # type: ignore[no-untyped-def]
 
 
 def gather(block: Array, sources: Index, count: int) -> None:
-    """Fill the first rows of a block.
+    """Fill the first ``count`` rows of a block (size, 8).
 
-    Args:
-        block: (size, 8) block to fill.
-        sources: (8,) addresses of the numbers of each lane, in double precision.
-        count: number of numbers at each address.
+    ``sources`` (8,) are addresses of the numbers of each lane, in double precision.
     """
     for lane, source in enumerate(sources.tolist()):
         block[:count, lane] = _numbers(source, count, ctypes.c_double)
@@ -54,12 +51,9 @@ def pick(block, rows, out):  # type: ignore[no-untyped-def]
 
 
 def scatter(block: Array, rows: Index, targets: Index) -> None:
-    """Write rows of a block to memory, each lane to its own address.
+    """Write rows (k,) of a block (size, 8) to memory, each lane to its own address.
 
-    Args:
-        block: (size, 8) block to read.
-        rows: (k,) row numbers.
-        targets: (8,) addresses of memory for the k numbers of each lane, in double precision.
+    ``targets`` (8,) are addresses of memory for the k numbers of each lane, in double precision.
     """
     for lane, target in enumerate(targets.tolist()):
         _numbers(target, len(rows), ctypes.c_double)[:] = block[rows, lane]

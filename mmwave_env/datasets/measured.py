@@ -156,11 +156,8 @@ def _as_partial(
 ) -> dict[str, Any]:
     """Return the fields of a track that a partial layout changes; {} if no such layout is needed.
 
-    Args:
-        record: name of the track, for messages.
-        fields: fields of the track in a layout that is not partial.
-        heard: (T, L) whether a link has an SNR.
-        deviations: name of a measurement -> its standard deviations, (T, L) or (T,).
+    ``heard`` (T, L) says whether a link has an SNR; ``deviations`` are the standard deviations, (T,
+    L) or (T,), by the name of the measurement.
     """
     layout: Layout = fields["layout"]
     rows, sigma = fields["measurement"], np.full_like(fields["measurement"], np.nan)

@@ -92,16 +92,11 @@ class Track(ABC):
     def episode(
         self, radio: str | Radio, rng: np.random.Generator, epochs: slice = slice(None)
     ) -> Episode:
-        """Return the epochs of the track, all or some, as an episode with known true positions.
+        """Return the epochs of the track, all or a slice, as an episode with known true positions.
 
         The prior is drawn around the true state. If the bias of the oscillator is unknown, the mean
         of its prior is 0. With a clock in the layout, the clock offset of a recording is
         drawn, without changing the other draws; a measured track already contains its own.
-
-        Args:
-            radio: profile of the receiver.
-            rng: source of all randomness.
-            epochs: consecutive epochs.
 
         Raises:
             ValueError: the true position in an epoch is not known.

@@ -159,9 +159,7 @@ def _shipped(name: str) -> Bank:
 def shipped_modes(radio: str, coupling: bool = True) -> tuple[Mode, ...]:
     """Return the EKF and the UKF pipeline that were tuned for a shipped radio profile.
 
-    Args:
-        radio: name of the profile.
-        coupling: False for the modes with the paper's diagonal process noise covariance.
+    With ``coupling`` False, they have the paper's diagonal process noise covariance.
     """
     return _shipped(f"modes/{radio}{'' if coupling else '-diagonal'}").modes
 
@@ -182,8 +180,7 @@ def named_modes(radio: str | Radio = "handset") -> dict[str, Mode]:
 def best_bank(radio: str | Radio = "handset") -> Bank:
     """Return the bank of the best IMM that ``mmwave-loc tune --bank`` found for a radio profile.
 
-    Args:
-        radio: profile; without a tuned bank of its own, it gets its base's bank, with a warning.
+    A profile without a tuned bank of its own gets its base's bank, with a warning.
     """
     return _shipped(f"banks/{_tuned_profile(radio_from(radio))}")
 
@@ -231,9 +228,7 @@ def modes_from(modes: Modes, radio: str | Radio = "handset") -> tuple[Mode, ...]
 def bank_from(modes: Modes, radio: str | Radio = "handset") -> Bank:
     """Return the bank of a ``modes=`` argument for modes that each keep their own belief.
 
-    Args:
-        modes: same as for :func:`bank_over`; None for :func:`best_bank`.
-        radio: profile that named modes are tuned for.
+    Arguments are those of :func:`bank_over`; ``modes`` None stands for :func:`best_bank`.
 
     Raises:
         ValueError: same as for :func:`bank_over`, or there are fewer than two modes.

@@ -129,10 +129,8 @@ def imm_epoch(
 ) -> ImmEpoch:
     """Run an epoch: mix the beliefs, run every mode, weight the modes by their likelihood.
 
-    Args:
-        pipeline, epoch, site: same as for :func:`~mmwave_env.filters.pipeline.predict_update`.
-        settings: transition, limits, and tunings that replace the modes' own.
-        mixture: belief after the previous epoch.
+    The tunings in ``settings`` replace the modes' own; ``mixture`` is the belief after the previous
+    epoch.
     """
     predicted, mixed = mix(mixture, over_step(settings.transition, epoch.dt))
     tracks, results = [], []
@@ -163,10 +161,8 @@ def imm_epoch(
 def trusting(mixture: Mixture, mode: Number, dt: Number) -> Mixture:
     """Raise the probability of a mode in a mixture and lower the others in proportion.
 
-    Args:
-        mixture: belief after an epoch.
-        mode: number of the mode to trust, from 1; 0 leaves the probabilities as they are.
-        dt: the epoch's step, seconds; trust is a rate per second, like transitions.
+    Modes count from 1; 0 leaves the probabilities as they are. Trust is a rate per second, like
+    transitions, and ``dt`` is the epoch's step, seconds.
     """
     gain = exp(TRUST * step_weight(dt))
     weights = [
@@ -213,11 +209,6 @@ def prediction(now: ImmEpoch, dt: Number, hz_per_mps: Number) -> tuple[list[Numb
     The Rauch-Tung-Striebel smoother assumes x_predicted = F x + noise, where the noise does not
     depend on x. So the accelerations of modes are treated as noise, and their correlation with the
     modes' means is left out; with it, smoothed variances could fall below zero.
-
-    Args:
-        now: the epoch.
-        dt: the epoch's step, seconds.
-        hz_per_mps: carrier frequency over the speed of light.
     """
     moved = [move(x, dt, hz_per_mps) for x in now.mixed]
     shifts = [

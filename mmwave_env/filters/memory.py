@@ -107,8 +107,7 @@ def memory_after(
         mode, chosen: the number of the candidate's mode, and the candidate.
         before: (7,) mean before the epoch and its prediction.
         memory: the memory that :func:`memory_before` returned.
-        dt, visible: the epoch's step, seconds, and its visible groups (groups,).
-        measured: same as in :class:`~mmwave_env.models.measurement.Epoch`.
+        dt, visible, measured: same as in :class:`~mmwave_env.models.measurement.Epoch`.
     """
     accepted_dof = dot(chosen.accepted, [1.0 * rows for rows in layout.degrees(measured)])
     some = accepted_dof > 0.5

@@ -138,15 +138,10 @@ def update(
 
 
 def mix(probability: Array, transition: Array, x: Array, P: Array) -> tuple[Array, Array, Array]:
-    """Mix the beliefs of M modes before an IMM's epoch.
+    """Mix beliefs (M, 7), (M, 7, 7) of M modes before an IMM's epoch.
 
-    Args:
-        probability: (M,) probabilities of the modes.
-        transition: (M, M) probabilities (from, to) of changing the mode.
-        x, P: (M, 7) and (M, 7, 7) beliefs.
-
-    Returns:
-        Predicted probabilities (M,), mixed means (M, 7) and covariances (M, 7, 7).
+    From the modes' probabilities (M,), and those of a change (M, M), from and to, compute predicted
+    probabilities (M,), mixed means (M, 7) and covariances (M, 7, 7).
     """
     joint = transition * probability[:, None]
     predicted = joint.sum(axis=0)

@@ -33,9 +33,7 @@ def _named(error: OSError, path: Path) -> OSError:
 def naming(path: Path, temporary: Path | None = None) -> Iterator[None]:
     """Add the name of a file to OS errors that do not name one, such as a full disk.
 
-    Args:
-        path: file to name.
-        temporary: a file whose errors are also reported with the name of ``path``.
+    Errors of the ``temporary`` file are also reported with the name of ``path``.
     """
     try:
         yield
@@ -58,12 +56,8 @@ def first_line(error: Exception) -> str:
 def open_regular(path: Path, expected: str = "a file") -> BinaryIO:
     """Open a file to read its bytes; refuse a FIFO, which would block, and an endless device.
 
-    Args:
-        path: path of the file.
-        expected: words for the expected file, for the message.
-
     Raises:
-        FileNotFoundError: there is no such file.
+        FileNotFoundError: there is no such file; the message calls it ``expected``.
         OSError: the path is not a regular file, or can't be opened.
     """
     try:
@@ -78,11 +72,6 @@ def open_regular(path: Path, expected: str = "a file") -> BinaryIO:
 
 def read_bounded(path: Path, most: int, expected: str = "a file") -> bytes:
     """Read all bytes of a file; refuse a file with too many.
-
-    Args:
-        path: path of the file.
-        most: maximum number of bytes.
-        expected: words for the expected file, for the message.
 
     Raises:
         OSError: as for :func:`open_regular`, or the file is larger than ``most``.

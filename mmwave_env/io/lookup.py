@@ -85,10 +85,7 @@ class MissingExtraError(ImportError, ValueError):
 def require_extra(package: str, extra: str, user: str) -> None:
     """Raise an error, before any work is done, if a package is not installed.
 
-    Args:
-        package: name of the package, as it is imported.
-        extra: extra of mmwave-loc that installs it.
-        user: name of what needs the package, for the message.
+    The message says which extra of mmwave-loc installs the package that the ``user`` needs.
 
     Raises:
         MissingExtraError: the package is not installed; the message says how to get it.

@@ -146,9 +146,7 @@ def _said(hint: Any) -> str:
 def require_fields(record: Any, of: str = "") -> None:
     """Refuse fields whose values do not fit their types; dataclasses call it when they are made.
 
-    Args:
-        record: dataclass to check.
-        of: words after the field's name in the message, such as " of radio 'lab'".
+    In the message, ``of`` follows the field's name, such as " of radio 'lab'".
 
     Raises:
         ValueError: a value is invalid; the message names field, value and what was expected.
@@ -188,10 +186,8 @@ def _require(hint: Any, value: Any, name: str, of: str) -> None:
 def object_from(kind: type[T], content: Any, where: str = "") -> T:
     """Return a dataclass made from an object of a JSON file; lists in it become tuples.
 
-    Args:
-        kind: the dataclass, which calls :func:`require_fields` when it is made.
-        content: the object; objects inside it become dataclasses, too.
-        where: prefix that says where the object is in the file, such as "walls[1].".
+    Objects inside the object become dataclasses, too. The prefix ``where`` says where the object is
+    in the file, such as "walls[1].".
 
     Raises:
         ValueError: a key is unknown or missing, or the dataclass refuses a value.
@@ -230,12 +226,9 @@ def _built(hint: Any, value: Any, where: str) -> Any:
 
 
 def read_object(path: str | os.PathLike[str], schema: str, make: Callable[[Any], T]) -> T:
-    """Read an object from a JSON file.
+    """Read an object from a JSON file and pass it to ``make``.
 
-    Args:
-        path: path of the file.
-        schema: name of the schema: "scene", "modes", "radio", "mobility".
-        make: function that makes the result from the object in the file.
+    The schema is "scene", "modes", "radio" or "mobility".
 
     Raises:
         ValueError: the file is invalid; the message names file, mistake and schema.

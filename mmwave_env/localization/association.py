@@ -28,11 +28,7 @@ LOOK_AHEAD = 10  # number of epochs in which a line-of-sight hypothesis is teste
 
 
 class Association:
-    """Running counts of associated, missed and false paths of a log.
-
-    Args:
-        anchors: number of anchors of the scene.
-    """
+    """Running counts of associated, missed and false paths of a log."""
 
     def __init__(self, anchors: int) -> None:
         self.epochs = self.untracked_epochs = self.starts = 0
@@ -74,7 +70,7 @@ def associate(
     tally: Association,
     epochs_per_block: int = 4096,
 ) -> Iterator[LogBlock]:
-    """Yield the log with its paths associated with anchors.
+    """Yield the log with its paths associated with anchors, in blocks of epochs.
 
     If the log is damaged, the epochs before the damage are delivered first.
 
@@ -85,7 +81,6 @@ def associate(
         mode: filter mode that follows the user during association; choose one for high mobility,
             because its predictions are uncertain enough for any user.
         tally: counter of the associations.
-        epochs_per_block: number of epochs in a block; the last block may be shorter.
 
     Raises:
         LogError: from ``epochs``.
@@ -120,10 +115,7 @@ def _labelled(
 def _block(paths: PathEpoch, epoch: Epoch, begins: bool) -> LogBlock:
     """Return the measurements of an epoch, associated with anchors, as a block of a log.
 
-    Args:
-        paths: the paths of the epoch.
-        epoch: the measurements.
-        begins: whether a track begins here, possibly in place of another track.
+    A track ``begins`` here, possibly in place of another track.
     """
     visible = np.array([epoch.visible]) > 0.5
     return LogBlock(

@@ -45,12 +45,9 @@ def contradictions(
 ) -> list[Contradiction]:
     """Return all contradictions between a log and its scene, its radio or physical limits.
 
-    Args:
-        block: first epochs of the log.
-        scene, radio: scene and radio that the log is said to come from.
-        groups: name of a group of measurements -> its statistics in a track: ``seen``,
-            ``rejected_share`` and ``nis_per_dof``, as
-            :meth:`~mmwave_env.localization.track_scores.Groups.figures` returns them.
+    ``block`` is the beginning of the log. ``groups`` has, by the name of a group of measurements,
+    its statistics in a track: ``seen``, ``rejected_share`` and ``nis_per_dof``, as
+    :meth:`~mmwave_env.localization.track_scores.Groups.figures` returns them.
     """
     return [*impossible(block), *_oddities(block, scene, radio), *_misfits(groups)]
 

@@ -194,11 +194,8 @@ def hypotheses(scene: Scene, radio: Radio) -> dict[str, Mistake]:
 def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
     """Try likely mistakes on the first epochs of a log.
 
-    Args:
-        block: the epochs, as ``read_log(..., limits=False, odometry=False)`` returns them.
-        scene: scene whose anchors were measured, as far as known.
-        radio: profile of the receiver, as far as known.
-        mode: filter mode whose tuning and algorithm the tracker uses.
+    Scene and radio are those of the log, as far as known; the tracker uses tuning and algorithm of
+    ``mode``. Read the block with ``limits=False, odometry=False``.
 
     Returns:
         A finding for the log as it is and for every hypothesis. Hypotheses that make the log

@@ -126,11 +126,9 @@ class Switching:
 
 
 def learned(path: str | os.PathLike[str], radio: str) -> Switching:
-    """Return the modes and the policy of a learned switcher.
+    """Return the modes and the policy of a learned switcher, a policy file or a shipped one's name.
 
-    Args:
-        path: policy file, or name of a shipped policy.
-        radio: profile that selects the bank of a switcher with several banks.
+    A switcher with several banks gets the one of ``radio``.
     """
     switch = LearnedSwitch(path)
     modes = switch.bank(radio) if switch.beliefs == "per-mode" else switch.modes
@@ -207,13 +205,8 @@ def _while_finite(track: TrackBlock) -> Iterator[TrackBlock]:
 def episode_from(block: LogBlock, scene: Scene, radio: Radio, begins: bool = True) -> Episode:
     """Return epochs of a log as an episode without true positions.
 
-    Args:
-        block: the epochs.
-        scene: scene whose anchors were measured.
-        radio: profile of the receiver, for the prior and for standard deviations by SNR.
-        begins: whether a track begins here, with a prior from the first epoch; the links that gave
-            it are then not visible, so that they are not used twice. Otherwise the prior is
-            meaningless.
+    If a track ``begins`` here, its prior comes from the first epoch, and the links that gave it are
+    not visible, so that they are not used twice. Otherwise the prior is meaningless.
     """
     n = block.layout.state_size
     prior, visible = (np.zeros(n), np.eye(n)), block.visible

@@ -41,13 +41,10 @@ NO_PATH = -1
 
 
 def path_nis(x: Vector, P: Matrix, anchors: Matrix, paths: Array, sigma: Array) -> Array:
-    """Compute the NIS (L, n) of every path as a link of every anchor.
+    """Compute the NIS (L, n) of every path as a link of every anchor, given x (7,), P (7, 7).
 
-    Args:
-        x, P: (7,), (7, 7) predicted belief.
-        anchors: (L, 3) positions of anchors, m.
-        paths, sigma: (L, n, 4) rows of a link, m and rad, as each anchor would have measured the
-            path, and their standard deviations.
+    ``paths`` (L, n, 4) are rows of a link, m and rad, as each anchor would have measured the path,
+    and ``sigma`` their standard deviations.
     """
     tangent, L = Tangent(), cholesky(P)
     latents, nis = tangent.latents(0), np.empty(paths.shape[:2])
@@ -60,9 +57,7 @@ def path_nis(x: Vector, P: Matrix, anchors: Matrix, paths: Array, sigma: Array) 
 def assign(nis: Array, gate: float) -> Index:
     """Return the path of every anchor (L,), ``NO_PATH`` if no path is within the gate.
 
-    Args:
-        nis: (L, n) as :func:`path_nis` returns it.
-        gate: the largest NIS of a path that belongs to an anchor.
+    ``nis`` is (L, n), and ``gate`` the largest NIS of a path that belongs to an anchor.
     """
     labels = np.full(len(nis), NO_PATH)
     # A pair outside the gate costs as much as the gate; its anchor and path stay unassigned.
@@ -115,9 +110,7 @@ class _Links(NamedTuple):
 class PathTracker:
     """A tracker that follows users by propagation paths.
 
-    Args:
-        scene, radio, mode: as :func:`~mmwave_env.localization.association.associate` takes them.
-        layout: layout of the log.
+    :func:`~mmwave_env.localization.association.associate` describes its arguments.
     """
 
     def __init__(self, scene: Scene, radio: Radio, mode: Mode, layout: Layout) -> None:

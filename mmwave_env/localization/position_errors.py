@@ -79,14 +79,11 @@ def _multiples(risk: float) -> Array:
 
 
 def exceedance(error: Array, level: Array) -> dict[str, Any]:
-    """Count how often errors (n,) exceed their levels (n,).
+    """Count how often errors (n,) exceed their levels (n,); "share" and "ci95" are None if n is 0.
 
     If an error or its level is NaN, the level counts as exceeded. The interval is that of Clopper
     and Pearson (1934) with :data:`CONFIDENCE`, for independent epochs. Epochs of a track are
     correlated, so the share in another track may well lie outside of the interval.
-
-    Returns:
-        "exceeded", the count; "share" and its interval "ci95", both None if n is 0.
     """
     from scipy.stats import binomtest
 
@@ -164,14 +161,10 @@ class BoundedErrors:
 
 
 class PositionErrors:
-    """Errors of one or more tracks, with the protection levels from their covariances.
+    """Errors of tracks by kind, "horizontal" and "vertical", with levels from their covariances.
 
-    Args:
-        risk: probability with which an error exceeds its level.
-        planar: whether the height is known, so that there are no vertical errors.
-
-    Attributes:
-        kinds: errors by kind, "horizontal" and, unless planar, "vertical".
+    An error exceeds its level with probability ``risk``. If the height is known (``planar``), there
+    are no vertical errors.
     """
 
     def __init__(self, risk: float = RISK, planar: bool = False) -> None:
@@ -181,12 +174,7 @@ class PositionErrors:
             self.kinds["vertical"] = BoundedErrors()
 
     def add(self, error: Array, P: Array) -> None:
-        """Add epochs.
-
-        Args:
-            error: (..., 3) estimated minus true position, m.
-            P: (..., 6 or more) packed covariances of beliefs, which begin with the position.
-        """
+        """Add errors (..., 3), m, and packed covariances (..., 6 or more), position first."""
         self.kinds["horizontal"].add(horizontal(error), horizontal_level(P, self.risk))
         if "vertical" in self.kinds:
             self.kinds["vertical"].add(vertical(error), vertical_level(P, self.risk))

@@ -19,10 +19,6 @@ def nearest_radio(block: LogBlock, scene: Scene) -> str:
     A row's standard deviation is the median of those that the receiver states, if it states any;
     otherwise it follows from second differences in time, in which a steady motion cancels. Nearest
     means the least mean squared difference of logarithms, over the rows that were measured.
-
-    Args:
-        block: first epochs of the log.
-        scene: scene whose anchors were measured.
     """
     measured = np.array([_deviation(block, row) for row in range(len(LINK))])
     snr = block.snr_db[np.isfinite(block.snr_db)]

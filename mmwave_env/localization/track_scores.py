@@ -66,14 +66,10 @@ class Accuracy:
 
 
 class Pairs:
-    """Pairs of scored epochs that are a second apart, or a time step if a step is longer.
-
-    Attributes:
-        apart_s: time between the epochs of a pair: the multiple of the time step that is nearest to
-            a second; None until known.
-    """
+    """Pairs of scored epochs that are a second apart, or a time step if a step is longer."""
 
     def __init__(self) -> None:
+        # time between the epochs of a pair: the multiple of the time step nearest to a second
         self.apart_s: float | None = None
         self._slack_s = 0.0
         self._first_s = np.empty(0)  # first times of the log, for its time step

@@ -84,10 +84,7 @@ def clock_offset(
 ) -> ClockOffset | None:
     """Estimate the offset; return None if there are too few data or the velocity never changes.
 
-    Args:
-        log: first epochs of the log.
-        scene: scene whose anchors were measured.
-        truth_at: function from times (T,), by the clock of the track, to true positions.
+    ``truth_at`` maps times (T,), by the clock of the track, to true positions.
     """
     log = log.part(slice(_COMPARED))
     estimate = _linear(log, scene, truth_at(log.time_s))

@@ -16,11 +16,7 @@ _BLOCK_BYTES = 1 << 20
 class DamagedFileError(ValueError):
     """Error for a file that is damaged from some row on; the rows before it were delivered.
 
-    Args:
-        path: path of the file.
-        row: number of the first damaged row, counted from 1.
-        problem, expected: words for the message.
-        unit: word for a row in the message.
+    Rows count from 1; ``unit`` is the word for a row in the message.
     """
 
     def __init__(

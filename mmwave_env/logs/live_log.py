@@ -84,11 +84,9 @@ class LiveLog:
         self._last_s = -inf
 
     def add(self, row: str | Mapping[str, Any], number: int = 0) -> list[LiveEpoch]:
-        """Add a row; return the epochs that are over now.
+        """Add a row, a line of CSV or values by column; return the epochs that are over now.
 
-        Args:
-            row: a line of CSV, or a mapping from names of columns to values.
-            number: number of the row in its source, for messages.
+        Messages name its number in the source.
 
         Raises:
             LogError: the row is damaged or late, and is ignored.

@@ -268,12 +268,9 @@ class PathEpoch(NamedTuple):
 
 
 def read_paths(path: Path, scene: Scene, odometry: bool = True) -> Iterator[PathEpoch]:
-    """Read the epochs of a log of paths, one after the other.
+    """Read the epochs of a log of paths, one after the other; see :func:`read_log`.
 
     A column of anchors is ignored, so that a log with labels can be read as one without.
-
-    Args:
-        path, scene, odometry: as :func:`read_log` takes them.
 
     Raises:
         LogError: as for :func:`read_log`; also for too many paths in an epoch.

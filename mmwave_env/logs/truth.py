@@ -29,15 +29,7 @@ class Truth:
     Between two poses that are at most ``BRIDGED_S`` apart, the position is on the cubic Hermite
     spline through both, whose velocity at a pose is that of the parabola through it and its
     neighbors. Next to a gap and at the ends, the position is that of a pose within ``TOLERANCE_S``;
-    if there is none, it is not known.
-
-    Args:
-        path: path of the file.
-
-    Attributes:
-        path: path of the file.
-        first_s: first time in the file.
-        last_s: last time that was read so far.
+    if there is none, it is not known. ``last_s`` is the last time that was read so far.
 
     Raises:
         ValueError, OSError: as for :func:`~mmwave_env.logs.tum.tum_blocks`; also from methods.
@@ -123,10 +115,7 @@ def _interpolated(poses: Poses, time_s: Array) -> TrueEpochs:
 def stretches(time_s: Array, position_m: Array, gap_s: float) -> list[slice]:
     """Return runs of two or more epochs that all have a position, without a gap longer than gap_s.
 
-    Args:
-        time_s: (T,) increasing.
-        position_m: (T, 3), NaN where not known.
-        gap_s: longest gap between two epochs of a run.
+    Times (T,) increase; positions (T, 3) are NaN where not known.
     """
     known = np.asarray(np.isfinite(position_m).all(axis=1))
     ends = np.flatnonzero(~known[:-1] | ~known[1:] | (np.diff(time_s) > gap_s)) + 1

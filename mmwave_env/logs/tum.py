@@ -56,11 +56,7 @@ def read_tum(path: Path) -> Poses:
 def _parse(path: Path, lines: list[str], first: int, last_s: float) -> Array:
     """Parse times and positions (lines, 4) of lines that follow the time ``last_s``.
 
-    Args:
-        path: path of the file.
-        lines: consecutive lines of the file.
-        first: number of the first line.
-        last_s: time of the last pose before them.
+    ``first`` is the number of the first line.
     """
     poses = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
     if not poses:

@@ -191,16 +191,10 @@ def channel_epoch(
     distance: Vector,
     speed: Number,
 ) -> tuple[ChannelState, Reception]:
-    """Simulate one epoch of the channel.
+    """Simulate one epoch of the channel to anchors at distances (L,), m, at a speed, m/s.
 
-    Args:
-        channel: parameters of the channel.
-        before: state of the channel in the previous epoch; ignored if ``is_first``.
-        is_first: whether this is the episode's first epoch: the state is then drawn from its
-            stationary distribution, without multipath and outages.
-        draws: random numbers of the epoch.
-        distance: (L,) distance of the user to every anchor, m.
-        speed: speed of the user, m/s.
+    In the episode's first epoch (``is_first``), the state is drawn from its stationary
+    distribution, without multipath and outages; otherwise it follows the one ``before``.
     """
     c, rho = channel, channel.correlation
     innovation = sqrt(1.0 - rho * rho)

@@ -135,11 +135,7 @@ def exact_rows(
 ) -> list[Number]:
     """Compute a user's noise-free measurement (rows,), without oscillator bias: m, rad, Hz, m/s.
 
-    Args:
-        position, velocity: (3,) m, m/s.
-        anchors: (L, 3) m.
-        hz_per_mps: carrier frequency divided by the speed of light.
-        layout: decides whether there are rows of odometry.
+    Position and velocity are (3,), m and m/s; anchors (L, 3), m.
     """
     rows: list[Number] = []
     for anchor in anchors:

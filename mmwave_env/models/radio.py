@@ -313,10 +313,8 @@ def deviations(
 ) -> list[Number]:
     """Return standard deviations (rows,) at SNRs (L,): floor and Cramer-Rao bound in quadrature.
 
-    Args:
-        floor_variance, bound_variance: (rows,) results of :meth:`Radio.variances`.
-        snr_db: (L,) SNR per link; the Doppler shift has the SNR of the first link.
-        layout: rows of the measurement vector.
+    Both variances (rows,) are from :meth:`Radio.variances`; the Doppler shift has the SNR of the
+    first link.
     """
     inverse = [exp(-DECIBEL * clip(snr, *SNR_LIMITS_DB)) for snr in snr_db]
     per_row = [inverse[a] for a in range(layout.anchors) for _ in range(4)]

@@ -58,11 +58,9 @@ def next_word(state: Sequence[Any]) -> tuple[Any, list[Any]]:
 
 
 def seeded(key: Number, stream: int) -> list[Number]:
-    """Return the generator's state (4,) for a key.
+    """Return the generator's state (4,) for a key, the 64 bits of a float or of lanes of floats.
 
-    Args:
-        key: a float, or lanes of floats; its 64 bits are the key.
-        stream: number of the stream; different streams of one key are independent.
+    Different streams of one key are independent.
     """
     word = word_of(key)
     none = word ^ word
@@ -73,11 +71,7 @@ def seeded(key: Number, stream: int) -> list[Number]:
 
 
 class Dice:
-    """A source of random numbers, which depend on the state and on the order of the draws.
-
-    Args:
-        state: the generator's state (4,).
-    """
+    """A source of random numbers, which depend on the state (4,) and on the order of the draws."""
 
     def __init__(self, state: Vector) -> None:
         self._words = [word_of(number) for number in state]

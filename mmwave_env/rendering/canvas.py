@@ -77,12 +77,8 @@ class Canvas:
     ) -> Rect:
         """Write a line centered vertically at a point; return the part of the picture it covers.
 
-        Args:
-            text: the line; pass text from users through :func:`~mmwave_env.io.lookup.printable`.
-            at: left end of the line, or its right end with ``align`` 1, or its middle with 0.5.
-            color: color of the letters.
-            size: size of the font in units.
-            align: share of the line's width that is left of the point.
+        Pass text from users through :func:`~mmwave_env.io.lookup.printable`. ``size`` is in units,
+        and ``align`` the share of the line's width that is left of the point.
         """
         drawn = _font(round(size * self.unit)).render(text, True, color)
         width, height = drawn.get_size()

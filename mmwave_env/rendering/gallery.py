@@ -52,11 +52,8 @@ class Gallery:
     ) -> None:
         """Start the recordings of some environments over, with the prior in their workspaces.
 
-        Args:
-            indices: indices of the environments.
-            names: (N,) names of the episodes.
-            streets: returns the streets of the episode in an environment.
-            workspace: returns the workspace of an environment, (size,).
+        Episodes have names (N,); ``streets`` and ``workspace`` return those of an environment, the
+        latter as an array (size,).
         """
         for index in indices[indices < len(self.recorders)].tolist():
             self.recorders[index].begin(names[index], streets(index), workspace(index))

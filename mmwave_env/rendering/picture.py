@@ -54,12 +54,8 @@ class Picture:
     def draw(self, history: History, beside: Sequence[History] = ()) -> NDArray[np.uint8]:
         """Draw the last epoch of a history and the trajectory so far; return (size, size, 3).
 
-        The picture depends only on the arguments: the same history gives the same picture.
-
-        Args:
-            history: history to draw.
-            beside: other histories of the same episode, shown in pictures next to this one; the
-                scales of speed and error fit all of them.
+        The picture depends only on the arguments: the same history gives the same picture. The
+        scales of speed and error also fit the histories shown ``beside`` it, of the same episode.
         """
         canvas, theme, unit = self._canvas, self._theme, self._canvas.unit
         legend = unit * (15.0 * self._rows + 4.0)
@@ -145,11 +141,8 @@ _GAP_SHARE = 1 / 120  # gap between two maps, as a share of a picture's width
 class Playback:
     """A painter of several histories of an episode, side by side at the same epoch.
 
-    Args:
-        histories: histories of one episode, all with the same number of epochs.
-        modes: names of the actions for each history.
-        titles: title above each picture.
-        size, theme: arguments of :class:`Picture`.
+    Each has names of its actions (``modes``) and a title; :class:`Picture` describes size and
+    theme.
     """
 
     def __init__(

@@ -60,11 +60,7 @@ class Theme(NamedTuple):
     modes: tuple[Color, ...]
 
     def for_modes(self, names: Sequence[str]) -> "Theme":
-        """Return the theme with a color for each action; a mode's color does not depend on "none".
-
-        Args:
-            names: names of the actions, with or without "none".
-        """
+        """Return the theme with a color per action; a mode's color does not depend on "none"."""
         colors = cycle(self.modes)
         return self._replace(
             modes=tuple(self.none if name == "none" else next(colors) for name in names)
@@ -93,15 +89,10 @@ FRAMES_PER_SECOND = 10  # default speed of videos and windows
 
 
 def require_drawable(size: int, theme: str, purpose: str) -> None:
-    """Refuse a picture that can't be drawn, before any work is done.
-
-    Args:
-        size: height and width in px.
-        theme: "light" or "dark".
-        purpose: option or argument that needs pictures, for the message.
+    """Refuse, before any work is done, a picture that can't be drawn, for an option that needs it.
 
     Raises:
-        ValueError: the size or the theme is invalid.
+        ValueError: the size, px, or the theme is invalid.
         MissingExtraError: pygame is not installed.
     """
     require_extra("pygame", "render", purpose)

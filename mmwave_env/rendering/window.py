@@ -45,9 +45,6 @@ class Window:
     """A window that shows one picture after another, at a speed that the user changes with keys.
 
     The title lists the keys. After the user closes the window, :meth:`show` returns at once.
-
-    Args:
-        width, height: size in px.
     """
 
     def __init__(self, width: int, height: int) -> None:

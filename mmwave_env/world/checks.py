@@ -28,12 +28,9 @@ def require_name(record: str, name: object) -> None:
 
 
 def require_epochs(record: str, epochs: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Refuse arrays of wrong shapes, and times that do not increase.
+    """Refuse arrays of wrong shapes, and times that do not increase; messages name the record.
 
-    Args:
-        record: name of the record, for the message.
-        epochs: object with ``time_s`` and the arrays as attributes; an array may be None.
-        shapes: expected shapes of the arrays.
+    ``epochs`` has ``time_s`` and the arrays as attributes; an array may be None.
     """
     for field, shape in shapes.items():
         value = getattr(epochs, field)

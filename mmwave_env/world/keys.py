@@ -21,12 +21,7 @@ _STRIDE = np.uint64(0x9E3779B97F4A7C15)  # 2**64 over the golden ratio, rounded 
 
 
 def keys_at(streams: NDArray[np.uint64], episodes: NDArray[np.uint64]) -> Keys:
-    """Return the keys (n,) of episodes in streams.
-
-    Args:
-        streams: (n,) streams of environments, or one stream.
-        episodes: (n,) number of each episode in its stream, from 0.
-    """
+    """Return the keys (n,) of episodes (n,), numbered from 0, in streams (n,) or in one stream."""
     # overflow is intended: arrays of integers wrap around
     bits = np.atleast_1d(streams) + (np.atleast_1d(episodes) + np.uint64(1)) * _STRIDE
     bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -99,11 +94,7 @@ class Stream:
         self._from: np.random.Generator | None = None
 
     def next(self, rng: np.random.Generator, seed: int) -> int:
-        """Return the key of the next episode.
-
-        Args:
-            rng, seed: the environment's current generator and seed.
-        """
+        """Return the key of the next episode, for the environment's current generator and seed."""
         if rng is not self._from:  # a new seed, or a user's own generator, whose seed is -1
             self._from = rng
             self._state[:] = draw_key(rng) if seed == -1 else stream_of(seed), 0
@@ -113,11 +104,7 @@ class Stream:
 
 
 class Streams:
-    """The positions of N environments in their streams of keys; unseeded streams are random.
-
-    Args:
-        n: number of environments.
-    """
+    """The positions of n environments in their streams of keys; unseeded streams are random."""
 
     def __init__(self, n: int) -> None:
         self._states = np.zeros((n, 2), np.uint64)  # streams, and number of keys drawn from each
@@ -137,11 +124,10 @@ class Streams:
         self._states[place] = stream_of(seed), 0
 
     def seed_some(self, seed: int | Sequence[int | None] | None, places: Index) -> None:
-        """Start the streams of some environments, as a vector environment's ``reset`` does.
+        """Start the streams of environments at ``places``, as a vector environment's reset does.
 
-        Args:
-            seed: s to seed environment i with s + i, or one seed each; None continues a stream.
-            places: the environments to start.
+        A seed s seeds environment i with s + i; a list has one seed each, where None continues a
+        stream.
 
         Raises:
             ValueError: there is not one seed per environment, or a seed is negative.

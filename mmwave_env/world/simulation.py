@@ -99,13 +99,9 @@ class WorldState(NamedTuple):
 def measure(
     truth: list[Number], settings: WorldSettings, receiver: ReceiverState, layout: Layout
 ) -> tuple[Incoming, ReceiverState]:
-    """Simulate the channel and the measurement of a user's epoch.
+    """Simulate the channel and the measurement of a user's epoch, and the receiver after it.
 
-    Args:
-        truth: (6,) true position (m) and velocity (m/s).
-        settings: radio and scene.
-        receiver: state of links and receiver before the epoch.
-        layout: rows of the measurements.
+    ``truth`` (6,) is the true position (m) and velocity (m/s).
     """
     is_first, dice = receiver.is_first > 0.5, Dice(receiver.dice)
     position, velocity, radio = truth[:3], truth[3:], settings.channel
@@ -375,11 +371,8 @@ def beginning(
 ) -> Program[Beginning]:
     """Return the program that runs :func:`begin` on SIMD lanes.
 
-    Args:
-        layout: layout of the measurements, with the number of anchors.
-        kinds: number of kinds of users; 0 if a way is given.
-        phases, gaits: maximum numbers of phases and gaits.
-        streets: the random scene to draw scenes from; None for a fixed scene.
+    There are 0 kinds of users if a way is given, and no ``streets`` in a fixed scene. ``phases``
+    and ``gaits`` are maximum numbers.
     """
     world = blank_world(layout, phases, gaits)
     state = [0.0] * layout.state_size

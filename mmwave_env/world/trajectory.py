@@ -154,15 +154,10 @@ class Ways:
     trajectories: Sequence[Trajectory]
 
     def placed(self, scene: Scene, dt: float, epochs: int) -> "PlacedWays":
-        """Place the ways in a scene, for episodes of at most ``epochs`` epochs.
+        """Place the ways in a scene, for episodes of at most ``epochs`` epochs, ``dt`` s apart.
 
         Ways shorter than an episode are left out, with a warning; if all ways are shorter,
-        episodes are as long as the longest way.
-
-        Args:
-            scene: scene; the positions are in its frame.
-            dt: seconds between epochs.
-            epochs: maximum length of an episode.
+        episodes are as long as the longest way. The positions are in the frame of the scene.
 
         Raises:
             ValueError: a way does not fit the scene, see :meth:`Trajectory.way`.
@@ -198,10 +193,8 @@ class PlacedWays:
     def draw(self, choice: Array) -> tuple[Index, Array]:
         """Draw a way for each of n episodes; return its number (n,) and the truth (n, epochs, 6).
 
-        All ways are equally likely, and so are all windows of one way.
-
-        Args:
-            choice: (n,) uniform numbers in [0, 1).
+        All ways are equally likely, and so are all windows of one way; ``choice`` (n,) is uniform
+        in [0, 1).
         """
         scaled = choice * len(self.tables)
         numbers = scaled.astype(np.int64)

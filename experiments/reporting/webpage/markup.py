@@ -73,9 +73,7 @@ def html_of(markdown: str) -> str:
 def drawn(caption: str, draw: Callable[[Path], None]) -> str:
     """Return a picture whose colors adapt to light and dark mode; without matplotlib, a note.
 
-    Args:
-        caption: description of the picture.
-        draw: writes the picture to an .svg file.
+    ``draw`` writes the picture to an .svg file.
     """
     if not find_spec("matplotlib"):
         return element("p", f"{caption}: pictures need mmwave-loc[plot]", "note")

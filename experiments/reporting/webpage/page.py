@@ -21,9 +21,6 @@ SCRIPTS = ("drawing.js", "map.js", "player.js")
 def page_of(args: PageArgs) -> str:
     """Return the web page of results.
 
-    Args:
-        args: results to read, and how many episodes to run again and to show.
-
     Raises:
         ValueError: the results can't be read.
         FileNotFoundError: there is no such file.

@@ -57,12 +57,7 @@ def play(source: Source, most: int, watched: int) -> Played:
     """Run the first episodes of a comparison, or the beginning of a log, again.
 
     A user's code is not run: contenders that are a function in a module or a model in a zip file
-    are left out.
-
-    Args:
-        source: results whose episodes or log to run.
-        most: maximum number of episodes of a comparison.
-        watched: number of these episodes whose results are kept for every epoch.
+    are left out. Of at most ``most`` episodes, the first ``watched`` are kept epoch by epoch.
     """
     if source.kind == "run":
         return Played()
@@ -171,13 +166,8 @@ def _scenery(
 ) -> dict[str, Any]:
     """Return an episode's data for the player, still without contenders.
 
-    Args:
-        name: name of the episode.
-        layout: layout of the measurements.
-        anchors_m: (L, 3) positions of anchors, the base station first.
-        streets: streets to draw; None where they are unknown.
-        axes: number of position axes that NEES covers.
-        truth: (T, 5) time (s), x, y, z (m) and speed (m/s); NaN where unknown.
+    ``anchors_m`` (L, 3) begins with the base station; NEES covers ``axes`` axes; ``truth`` (T, 5)
+    has time (s), x, y, z (m) and speed (m/s), NaN where unknown.
     """
     dof = [group.stop - group.start for group in layout.groups]
     grid = streets and {"x": [*streets.x_m], "y": [*streets.y_m], "block": streets.block_m}
@@ -201,11 +191,9 @@ def _scenery(
 def _course(results: Mapping[str, Any], modes: Sequence[str], weighed: bool) -> dict[str, Any]:
     """Return the results of a contender in an episode, in the form that the player needs.
 
-    Args:
-        results: results of :func:`~experiments.evaluation.runner.run_contender` on one episode:
-            "x", "P", "error", "nees" and the parts in AFTER.
-        modes: names of the contender's modes.
-        weighed: whether modes are mixed; the mode of an epoch is then the most probable one.
+    ``results`` are those of :func:`~experiments.evaluation.runner.run_contender` on one episode:
+    "x", "P", "error", "nees" and the parts in AFTER. If modes are ``weighed``, the mode of an epoch
+    is the most probable one.
     """
     accepted, rejected = results["memory.accepted"] > 0.5, results["memory.rejected"] > 0.5
     letters = np.where(accepted, "a", np.where(rejected, "r", "m"))[ROWS]

@@ -126,11 +126,7 @@ class StationLinks:
 
 
 def find_links(paths: StationPaths, position_m: Array) -> StationLinks:
-    """Find the anchors that paths lead to.
-
-    Args:
-        paths: paths of a station, with a line of sight in some epoch.
-        position_m: (E, 3) positions of the receivers.
+    """Find the anchors that paths to receivers at positions (E, 3) lead to.
 
     Raises:
         ValueError: a path contradicts the positions of receiver and anchor, or has a gain above

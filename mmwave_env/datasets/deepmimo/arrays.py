@@ -35,11 +35,10 @@ def find_array(folder: Path, name: str) -> Path:
 
 
 def read_array(file: Path, key: str, shape: Shape, rows: NDArray[np.int_] | None = None) -> Array:
-    """Read the array stored under a key, in double precision.
+    """Read the array stored under a key in a file that :func:`find_array` found, as doubles.
 
     Args:
-        file: file of the array, as :func:`find_array` returns it.
-        key: name of the array.
+        file, key: the file, and the name of the array.
         shape: shape of the complete array; a letter stands for any length.
         rows: (R,) indices of the rows to read, in any order; None for all. Other rows of an
             .npy file are not read.

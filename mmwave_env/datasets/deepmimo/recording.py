@@ -100,13 +100,10 @@ def read_deepmimo(
 
 
 def _way_of(scenario: Scenario, epochs: NDArray[np.int_], dt_s: float | None) -> Trajectory:
-    """Return times, positions and velocities of the epochs.
+    """Return times, positions and velocities of epochs (E, 2), scenes and receivers.
 
-    Args:
-        scenario: scenario with the receivers.
-        epochs: (E, 2) scenes and receivers, as :meth:`Scenario.epochs` returns them.
-        dt_s: time step; velocities are then computed from the positions. None to read
-            ``trajectory.csv``.
+    With a time step, velocities are computed from the positions; otherwise both come from
+    ``trajectory.csv``.
 
     Raises:
         FileNotFoundError: ``dt_s`` is None, and ``trajectory.csv`` is missing.

@@ -116,12 +116,11 @@ class Scenario:
     def paths(
         self, epochs: NDArray[np.int_], base_station: int | None = None
     ) -> list[StationPaths]:
-        """Read the paths between each base station and some receivers.
+        """Read the paths between each base station, or only one of them, and some receivers.
 
         Args:
             epochs: (E, 2) scenes, in increasing order, and rows, as :meth:`epochs` returns them.
-            base_station: number of the only station to read, from 1 in the order of ``stations``;
-                None for all stations.
+            base_station: number of the only station, from 1 in the order of ``stations``.
 
         Raises:
             FileNotFoundError: a file is missing.
@@ -147,9 +146,7 @@ def is_scenario(folder: Path) -> bool:
 def open_scenario(folder: Path, receiver_set: int | None = None) -> Scenario:
     """Read the description of a scenario folder, but not its paths.
 
-    Args:
-        folder: folder of the scenario.
-        receiver_set: number of a set of receivers; None for the only set.
+    ``receiver_set`` is the number of a set of receivers; None for the only set.
 
     Raises:
         FileNotFoundError: the folder or a required file is missing.
