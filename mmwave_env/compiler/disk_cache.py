@@ -243,7 +243,8 @@ class LazyJit:
 
     After that, or as soon as its compiled form is found on disk, the compiled form runs. The
     functions that it calls must run both ways, as with ``numba.extending.register_jitable``.
-    ``plain_work``, in any unit, such as epochs, is the work that each process does before it compiles.
+    ``plain_work``, in any unit, such as epochs, is the work that each process does before it
+    compiles.
     """
 
     def __init__(self, function: Callable[..., Any], plain_work: int) -> None:
