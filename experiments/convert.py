@@ -86,11 +86,7 @@ def main(args: Args) -> None:
 
 
 def _require_trained_on(args: Args, table: "Observation", tensors: "Tensors") -> None:
-    """Refuse a model that was trained with other observations or modes.
-
-    Raises:
-        ValueError: says what was found and what was expected.
-    """
+    """Refuse a model that was trained with other observations or modes."""
     import numpy as np
 
     last = sum(name.endswith(".bias") for name in tensors) - 1

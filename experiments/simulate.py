@@ -22,11 +22,7 @@ class Args(WorldArgs):
 
 
 def _require_none(folder: Path, overwrite: bool) -> None:
-    """Refuse to replace the files of an episode, which may be the only copy of a recording.
-
-    Raises:
-        ValueError: the folder has such files, and ``overwrite`` is False.
-    """
+    """Refuse to replace the files of an episode, which may be the only copy of a recording."""
     from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
 
     names = [name for name in (LOG, SCENE, TRUTH) if (folder / name).exists()]

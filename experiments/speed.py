@@ -68,11 +68,7 @@ def main(args: Args) -> None:
 
 
 def _check(args: Args) -> None:
-    """Refuse arguments that can't be measured.
-
-    Raises:
-        ValueError: an argument is out of range.
-    """
+    """Refuse arguments that can't be measured."""
     if not args.sizes or min(args.sizes) < 1:
         raise ValueError(f"sizes: found {list(args.sizes)}, expected numbers of at least 1")
     if not 0.0 <= args.seconds < float("inf"):

@@ -28,11 +28,7 @@ class Args:
 
 
 def main(args: Args) -> None:
-    """Run the command.
-
-    Raises:
-        ValueError: a cell failed; the rows of all others are written.
-    """
+    """Run the command."""
     from experiments.sweeping.run import sweep
     from mmwave_env.io.lookup import as_name, require_extra
 

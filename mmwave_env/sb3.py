@@ -51,8 +51,7 @@ class SB3VecEnv(VecEnv):
     def reset(self) -> Any:
         """Begin all episodes with the seeds and options set earlier; return observations (n, ...).
 
-        Raises:
-            ValueError: options differ between environments, which are all reset together.
+        Options must not differ between environments, which are all reset together.
         """
         if any(options != self._options[0] for options in self._options):
             raise ValueError(

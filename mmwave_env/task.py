@@ -83,11 +83,7 @@ class Task:
         return scene.streets if self.simulated.travels or scene.streets_known else None
 
     def require_keys(self, seed: Any) -> None:
-        """Refuse a key if episodes have no keys, or if there is also a seed, which draws a key.
-
-        Raises:
-            ValueError: the key is refused.
-        """
+        """Refuse a key if episodes have no keys, or if there is also a seed, which draws a key."""
         if not self.has_keys:
             raise ValueError(
                 f"options['episode_key']: found a key, but {self.source.name!r} is recorded or "

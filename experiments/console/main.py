@@ -171,11 +171,7 @@ def _help() -> str:
 
 
 def _report() -> NoReturn:
-    """Print versions, threads, kernels and their self-test as JSON; exit 1 if the test fails.
-
-    Raises:
-        SystemExit: always.
-    """
+    """Print versions, threads, kernels and their self-test as JSON; exit with 1 if a test fails."""
     import json
 
     from experiments.console.version import about
@@ -186,11 +182,7 @@ def _report() -> NoReturn:
 
 
 def _complete(words: Sequence[str]) -> None:
-    """Print or write the script that a shell needs to complete commands and options.
-
-    Raises:
-        SystemExit: always.
-    """
+    """Print or write the script that a shell needs to complete commands and options, and exit."""
     import tyro
 
     from experiments.console.parser import described

@@ -25,19 +25,12 @@ HEADER = (
 
 @dataclass
 class Positions:
-    """Position errors of all scored epochs, with protection levels.
+    """Position errors of all scored epochs, with protection levels."""
 
-    Attributes:
-        names: names in figures, by contender; other contenders are skipped.
-        risk: probability that an error exceeds its protection level, if covariances are right.
-        planar: whether the height is known.
-        errors: position errors by the name in figures.
-    """
-
-    names: Mapping[str, str]
-    risk: float = RISK
-    planar: bool = False
-    errors: dict[str, PositionErrors] = field(default_factory=dict)
+    names: Mapping[str, str]  # names in figures, by contender; other contenders are skipped
+    risk: float = RISK  # probability that an error exceeds its level, if covariances are right
+    planar: bool = False  # whether the height is known
+    errors: dict[str, PositionErrors] = field(default_factory=dict)  # by the name in figures
 
     def add(self, contender: Contender, time_s: Array, results: EpochResults) -> None:
         """Add a contender's epoch results on some episodes; they must include :data:`PARTS`."""

@@ -40,20 +40,13 @@ def unseen_file(name: str) -> str:
 
 @dataclass(frozen=True)
 class Site:
-    """A site of the benchmark: a simulated street or a recording, with a radio.
-
-    Attributes:
-        kind: kind of site, one of :data:`KINDS`.
-        scene: name or file of the street; None for a recording.
-        radio: name or file of the radio.
-        data: name of the recording; None for a simulated street.
-    """
+    """A site of the benchmark: a simulated street or a recording, with a radio."""
 
     name: str
-    kind: str
-    scene: str | None
-    radio: str
-    data: str | None = None
+    kind: str  # one of :data:`KINDS`
+    scene: str | None  # name or file of the street; None for a recording
+    radio: str  # name or file of the radio
+    data: str | None = None  # name of the recording; None for a simulated street
 
     @property
     def source(self) -> EpisodeSource:
@@ -79,17 +72,11 @@ def sites() -> list[Site]:
 
 @dataclass(frozen=True)
 class Judged:
-    """Scores of contenders at one site.
-
-    Attributes:
-        site: site at which the contenders ran.
-        scores: metrics by contender.
-        imms: names of the IMMs among the contenders.
-    """
+    """Scores of contenders at one site."""
 
     site: Site
-    scores: dict[str, Scores]
-    imms: tuple[str, ...]
+    scores: dict[str, Scores]  # metrics by contender
+    imms: tuple[str, ...]  # names of the IMMs among the contenders
 
     def gain(self, name: str, rival: str) -> Array:
         """Return the reward (episodes,) of a contender minus the reward of a rival."""
@@ -133,9 +120,6 @@ def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
         chosen = [contender_from(name, site.radio) for name in dict.fromkeys([*names, *imms])]
         scores = score_contenders(chosen, site.source, site.radio, selection)
     return Judged(site, scores, tuple(imms))
-
-
-# --- entries
 
 
 def entry(name: str, judged: Sequence[Judged]) -> dict[str, Any]:

@@ -26,23 +26,14 @@ from policies import Policy
 
 
 class Scoring(NamedTuple):
-    """Reward and terrain that apply to all contenders.
+    """Reward and terrain that apply to all contenders."""
 
-    Attributes:
-        reward: function of (belief, truth).
-        planar: whether height and vertical velocity are known; NEES then covers two axes.
-    """
-
-    reward: Reward = TrackingReward()
-    planar: bool = False
+    reward: Reward = TrackingReward()  # function of (belief, truth)
+    planar: bool = False  # whether height and climb are known; NEES then covers two axes
 
     @classmethod
     def of(cls, task: Task) -> "Scoring":
-        """Return the scoring of a task.
-
-        Raises:
-            ValueError: the task's reward is paired.
-        """
+        """Return the scoring of a task; refuse a paired reward."""
         if task.baseline is not None:
             raise ValueError(
                 "reward: found a paired reward, expected an unpaired one; paired differences "

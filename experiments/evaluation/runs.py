@@ -34,11 +34,7 @@ def require_outcome(outcome: dict[str, Any]) -> dict[str, Any]:
 
 
 def require_no_smoke(name: str, command: str) -> None:
-    """Refuse a policy or run that ``train --smoke`` made.
-
-    Raises:
-        ValueError: its command has the option --smoke.
-    """
+    """Refuse a policy or run that ``train --smoke`` made."""
     if "--smoke" in command.split():
         raise ValueError(f"{name}: found the result of train --smoke, expected a full training")
 

@@ -28,11 +28,7 @@ class Selection:
 
     @classmethod
     def of(cls, episodes: int | None, seed: int | None, usual: int) -> "Selection":
-        """Return the episodes that a user asked for: by default ``usual`` ones, from seed 0 on.
-
-        Raises:
-            ValueError: there is no episode, or a seed is negative.
-        """
+        """Return the episodes that a user asked for: by default ``usual`` ones, from seed 0 on."""
         first = seed or 0
         return cls(range(first, first + (usual if episodes is None else episodes)))
 
@@ -76,9 +72,5 @@ class Selection:
 
 
 def draw_episodes(source: EpisodeSource, seeds: Sequence[int]) -> list[Episode]:
-    """Draw one episode per seed, the same that ``env.reset(seed=...)`` draws.
-
-    Raises:
-        ValueError: there are no seeds, or one is negative.
-    """
+    """Draw one episode per seed, the same that ``env.reset(seed=...)`` draws."""
     return Selection(seeds).draw(source)

@@ -94,11 +94,7 @@ def _epochs(
 
 
 def _objects(line: str, number: int) -> tuple[list[Any], bool]:
-    """Return the rows in a line of JSON, and whether they are a complete epoch.
-
-    Raises:
-        LogError: the line is not a JSON object, or is an object that does not hold rows.
-    """
+    """Return the rows in a line, and whether they are a complete epoch; else raise a LogError."""
     try:
         content = parse_json(line)
         rows = content.get("rows", [content])

@@ -56,9 +56,6 @@ class Inputs(NamedTuple):
     truth: Path | None
 
 
-# --- options
-
-
 def inputs(args: LogArgs) -> Inputs:
     """Return the files of the log, of its scene and of the ground truth, if there is one."""
     if args.sample is None:
@@ -115,9 +112,6 @@ def _outputs(args: LogArgs) -> dict[str, Path | None]:
     return {"out": args.out, "the table beside out": table, "plot": args.plot, "json": args.json}
 
 
-# --- running
-
-
 class Work(NamedTuple):
     """A log to localize, and the choice of modes to localize it with."""
 
@@ -167,12 +161,7 @@ def _track(args: LogArgs, work: Work, window: int | None) -> Iterator[TrackBlock
 
 
 def beginning(args: LogArgs, epochs: int) -> tuple[TrackBlock, Work]:
-    """Filter the first epochs of a log; return their track and the work that made it.
-
-    Raises:
-        ValueError: same as from ``mmwave-loc localize``.
-        OSError: a file can't be read.
-    """
+    """Filter the first epochs of a log; return their track and the work that made it."""
     files = inputs(args)
     work = _work(args, files, scene_from(files.scene), epochs)
     return next(_track(args, work, None)), work
@@ -181,11 +170,8 @@ def beginning(args: LogArgs, epochs: int) -> tuple[TrackBlock, Work]:
 def _run(args: LogArgs, work: Work) -> tuple[dict[str, Any], TrackSampler, ValueError | None]:
     """Localize a log, score its track and write it, block by block.
 
-    Returns:
-        Results, the track to draw, and an error in the log or in the ground truth, if any.
-
-    Raises:
-        LogError: the log is damaged before the first epoch of a track; nothing is written.
+    Return results, the track to draw, and an error in the log or in the ground truth, if any. If
+    the log is damaged before the first epoch of a track, nothing is written.
     """
     names, truth = work.choice.switching.names, work.truth
     course, groups, sampler = Course(names), Groups(), TrackSampler(names, work.scene.anchors_m)

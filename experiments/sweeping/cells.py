@@ -89,15 +89,8 @@ def training_of(values: Values) -> tuple[Training, Hyperparameters]:
     return args, replace(hyperparameters(args, len(args.places) or 1), **changed)
 
 
-# --- the folder
-
-
 def kept(folder: Path, spec: Spec) -> set[str]:
-    """Return the names of a sweep's cells, or trials, whose rows are already in a folder.
-
-    Raises:
-        ValueError: the folder has a row of another sweep.
-    """
+    """Return the names of cells, or trials, with rows in a folder; refuse another sweep's rows."""
     names = {path.stem for path in folder.glob("[!.]*.parquet")}  # hidden files are incomplete
     for name in names:
         if not (name.startswith(spec.trial) if spec.free else name in spec.cells):
@@ -121,11 +114,7 @@ def keep(folder: Path, name: str, values: Values, result: Values) -> None:
 
 
 def read(folder: Path, spec: Spec) -> dict[str, Values]:
-    """Read the rows of a sweep, by the names of their cells.
-
-    Raises:
-        ValueError: same as from :func:`kept`, or a file can't be read; the message names it.
-    """
+    """Read the rows of a sweep, by the names of their cells; errors name the file."""
     from pyarrow import ArrowException, parquet
 
     rows = {}

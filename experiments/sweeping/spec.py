@@ -51,18 +51,12 @@ KINDS: Mapping[str, Any] = {"evaluate": Evaluation, "train": Training, "search":
 
 @dataclass(frozen=True)
 class Spec:
-    """A sweep: the axes of a grid, or the distributions of a search.
+    """A sweep: the axes of a grid, or the distributions of a search."""
 
-    Attributes:
-        kind: name of the table in the file.
-        axes: values of each key that the file sets; in a search, one value each.
-        trials: number of trials of a search.
-        free: Optuna's distributions of the hyperparameters that a search varies, by axis.
-    """
-
-    kind: str
-    axes: Mapping[str, Sequence[Any]]
-    trials: int = 0
+    kind: str  # name of the table in the file
+    axes: Mapping[str, Sequence[Any]]  # values of each key; in a search, one value each
+    trials: int = 0  # number of trials of a search
+    # Optuna's distributions of the hyperparameters that a search varies, by axis
     free: Values = field(default_factory=dict)
 
     def __len__(self) -> int:

@@ -43,11 +43,7 @@ def sample_folder(name: str, kind: str = "log") -> Path:
 
 
 def recording_from(name: str) -> Recording:
-    """Read the recording with this name, one of :func:`sample_names`.
-
-    Raises:
-        ValueError: there is no such recording; the message lists the names.
-    """
+    """Read the recording with this name, one of :func:`sample_names`."""
     return read_deepmimo(sample_folder(name, "recording"))
 
 

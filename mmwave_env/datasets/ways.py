@@ -42,11 +42,7 @@ def read_ways(path: str | os.PathLike[str]) -> Ways:
 
 
 def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
-    """Read the only trajectory in a CSV file of the format of :func:`read_ways`.
-
-    Raises:
-        ValueError, FileNotFoundError: as for :func:`read_ways`; or there are several trajectories.
-    """
+    """Read the only trajectory in a CSV file, as :func:`read_ways` does; refuse several."""
     ways = read_ways(path).trajectories
     if len(ways) > 1:
         refuse_in(Path(path), f"column {ID}", f"{len(ways)} users", "one")
@@ -91,10 +87,6 @@ def _number(file: Path, cell: str, text: str) -> float:
 
 
 def scenario_from(scenario: Scenario) -> Scenario:
-    """Return a ``scenario=`` argument; replace the name of a CSV file by its trajectories.
-
-    Raises:
-        ValueError, FileNotFoundError: as for :func:`read_ways`.
-    """
+    """Return a ``scenario=`` argument; replace the name of a CSV file by its trajectories."""
     is_file = isinstance(scenario, str | os.PathLike) and str(scenario).lower().endswith(".csv")
     return read_ways(scenario) if is_file else scenario  # type: ignore[arg-type]

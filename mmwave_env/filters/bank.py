@@ -86,9 +86,6 @@ def settings_of(bank: Bank, layout: Layout) -> ImmSettings:
     )
 
 
-# --- files
-
-
 def bank_in(content: Mapping[str, Any]) -> Bank:
     """Return the bank in a mode file's content, or in a mapping of the same form.
 
@@ -133,9 +130,6 @@ def bank_as_written(bank: Bank) -> dict[str, Any]:
         ValueError: same as for :func:`as_written`.
     """
     return {**asdict(bank), "modes": [as_written(mode) for mode in bank.modes]}
-
-
-# --- shipped
 
 
 @cache  # so that it warns only once for each radio
@@ -183,9 +177,6 @@ def best_bank(radio: str | Radio = "handset") -> Bank:
     A profile without a tuned bank of its own gets its base's bank, with a warning.
     """
     return _shipped(f"banks/{_tuned_profile(radio_from(radio))}")
-
-
-# --- arguments
 
 
 def bank_over(modes: Modes, radio: str | Radio = "handset") -> Bank:

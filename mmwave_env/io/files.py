@@ -21,9 +21,6 @@ _KINDS = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a FIFO", stat.S_IFSOCK: "a so
 _KINDS |= dict.fromkeys((stat.S_IFCHR, stat.S_IFBLK), "a device")
 
 
-# --- errors
-
-
 def _named(error: OSError, path: Path) -> OSError:
     """Return the same error, but with the name of a file."""
     return OSError(error.errno, error.strerror, str(path))  # Python picks the subclass by errno
@@ -48,9 +45,6 @@ def first_line(error: Exception) -> str:
     if isinstance(error, KeyError):
         return f"{error.args[0]}: found none"
     return str(error).partition("\n")[0] or type(error).__name__
-
-
-# --- reading
 
 
 def open_regular(path: Path, expected: str = "a file") -> BinaryIO:
@@ -148,15 +142,8 @@ def read_json(path: Path, kind: str, make: Callable[[dict[str, Any]], T], see: s
         ) from error
 
 
-# --- writing
-
-
 def require_writable(path: Path) -> None:
-    """Check before a long run that its result can be written; create missing folders.
-
-    Raises:
-        OSError: the result can't be written.
-    """
+    """Check before a long run that its result can be written; create missing folders."""
     target = _target_of(path)
     try:
         with tempfile.TemporaryFile(dir=target.parent):
@@ -166,11 +153,7 @@ def require_writable(path: Path) -> None:
 
 
 def _target_of(path: Path) -> Path:
-    """Return the file that a path or link leads to; create missing folders.
-
-    Raises:
-        OSError: the path leads to a folder or a device.
-    """
+    """Return the file that a path or link leads to, not a device; create missing folders."""
     target = Path(os.path.realpath(path))
     if target.is_dir():
         raise IsADirectoryError(f"{path}: found a folder, expected a file to write")

@@ -12,9 +12,6 @@ T = TypeVar("T")
 LONGEST = 80  # maximum length of a name, and of a value that a message quotes
 
 
-# --- names that users choose
-
-
 def spelled(letter: str) -> str:
     """Return the escape code of a character that is not printable."""
     return letter.encode("unicode_escape", "surrogatepass").decode("ascii")
@@ -44,9 +41,6 @@ def quoted(value: object) -> str:
     """Return a value as messages quote it, cut if it is long."""
     shown = repr(value)
     return shown if len(shown) <= LONGEST else f"{shown[: LONGEST - 3]}..."
-
-
-# --- lookup
 
 
 def choose(options: Mapping[str, T], name: str, field: str) -> T:

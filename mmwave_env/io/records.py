@@ -164,11 +164,7 @@ def require_ordered(record: object, *names: str) -> None:
 
 
 def require(name: str, value: Any, hint: Any) -> None:
-    """Refuse an argument that does not fit a type, which may be annotated with limits.
-
-    Raises:
-        ValueError: the value is invalid; the message names it and what was expected.
-    """
+    """Refuse an argument that does not fit a type, which may be annotated with limits."""
     _require(hint, value, name, "")
 
 

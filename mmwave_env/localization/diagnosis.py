@@ -91,9 +91,6 @@ class Finding(NamedTuple):
         return max(filter(None, anchors), key=lambda nis: abs(np.log(nis)), default=None)
 
 
-# --- possible mistakes
-
-
 def _scaled(parts: Sequence[int], factor: float, offset: float = 0.0) -> Hypothesis:
     """Return a hypothesis that scales parts of links, or the Doppler shift, and adds an offset."""
 
@@ -186,9 +183,6 @@ def hypotheses(scene: Scene, radio: Radio) -> dict[str, Mistake]:
         cure = f"use --radio {name}, or radio={name!r}"
         mistakes[f"radio is {name}"] = partial(Reading._replace, radio=RADIOS[name]), cure
     return {name: Mistake(*mistake) for name, mistake in mistakes.items()}
-
-
-# --- which mistake explains the log
 
 
 def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:

@@ -44,28 +44,22 @@ _PREDICTED = ("x_predicted", "P_predicted")
 class TrackBlock(LogBlock):
     """T consecutive epochs of a log in one segment, with their track.
 
-    Attributes:
-        planar: whether z and vz are known exactly.
-        x, P: (T, 7), (T, 28) filtered belief after each epoch; covariances are packed. With an IMM
-            they are the moments of its mixture.
-        filtered: (T, values) input of the smoother: x, P, and the belief that was predicted for
-            the epoch or, with an IMM, the mixture of beliefs.
-        smooth_x, smooth_P: (T, 7), (T, 28) smoothed belief; without smoothing, the filtered one.
-        mode: (T,) number of the mode that ran; with an IMM, the most probable mode.
-        nis: (T, groups) NIS in that mode; 0 where not visible.
-        visible: (T, groups) as in the log, but without the links that gave the prior.
-        accepted: (T, groups) whether the gate accepted the group.
+    The links that gave the prior are not ``visible``. With an IMM, beliefs are the moments of its
+    mixture, and its mode is the most probable one.
     """
 
-    planar: bool
+    planar: bool  # whether z and vz are known exactly
+    # x, P: (T, 7), (T, 28) filtered belief after each epoch; covariances are packed
     x: Array
     P: Array
+    # (T, values) input of the smoother: x, P, and the predicted belief or the IMM's mixture
     filtered: Array
+    # smooth_x, smooth_P: smoothed belief; without smoothing, the filtered one
     smooth_x: Array
     smooth_P: Array
-    mode: NDArray[np.int64]
-    nis: Array
-    accepted: Mask
+    mode: NDArray[np.int64]  # (T,) number of the mode that ran
+    nis: Array  # (T, groups) NIS in that mode; 0 where not visible
+    accepted: Mask  # (T, groups) whether the gate accepted the group
 
 
 @dataclass(frozen=True)
@@ -229,9 +223,6 @@ def episode_from(block: LogBlock, scene: Scene, radio: Radio, begins: bool = Tru
         doppler_anchor=block.doppler_anchor if block.layout.partial else None,
         prior=prior,
     )
-
-
-# --- smoothing
 
 
 def _smoothed(

@@ -40,11 +40,7 @@ _LARGEST_RISK = 0.5
 
 
 def require_risk(risk: float) -> None:
-    """Refuse a number that is not a valid risk.
-
-    Raises:
-        ValueError: the risk is not above 0, or is above a half.
-    """
+    """Refuse a risk that is not above 0, or is above a half."""
     if not 0.0 < risk <= _LARGEST_RISK:
         raise ValueError(f"risk: found {risk:g}, expected more than 0 and at most {_LARGEST_RISK}")
 

@@ -164,9 +164,6 @@ def _descend(
     return cost, position, information
 
 
-# --- segments
-
-
 def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator[LogBlock]:
     """Yield the epochs of the segments of a log, in blocks that each belong to one segment.
 

@@ -110,13 +110,7 @@ class Pairs:
 
 
 class TruthScores:
-    """Scores of tracks ("filtered", "smoothed" or both) against true positions, planar or in 3D.
-
-    Attributes:
-        truth: true positions of the user.
-        scored: number of epochs scored so far.
-        errors: name of a track -> its position errors, with their protection levels.
-    """
+    """Scores of tracks ("filtered", "smoothed" or both) against true positions, planar or in 3D."""
 
     def __init__(
         self, truth: Truth, names: Sequence[str], planar: bool, risk: float = RISK

@@ -174,11 +174,7 @@ class LiveLog:
         return cells if known and not isnan(cells[self._time]) else None
 
     def _carefully(self, row: str | Mapping[str, Any], number: int) -> list[float]:
-        """Return the cells of a row; an empty list for a blank line.
-
-        Raises:
-            LogError: the row is damaged.
-        """
+        """Return the cells of a row, none for a blank line; raise a LogError if it is damaged."""
         if not isinstance(row, str):
             for name in row:
                 if name not in self._sound:

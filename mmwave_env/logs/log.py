@@ -250,9 +250,6 @@ def block_of(
     )
 
 
-# --- logs of paths
-
-
 class PathEpoch(NamedTuple):
     """The n paths of an epoch; all values were measured, except perhaps the Doppler shift."""
 

@@ -183,11 +183,7 @@ class Scene:
         return bool(self.walls) or self.streets != Streets()
 
     def require_streets_in_front(self) -> None:
-        """Refuse streets behind a wall, where its reflections cannot be received.
-
-        Raises:
-            ValueError: streets are behind a wall; the message says on which side they must be.
-        """
+        """Refuse streets behind a wall, where its reflections cannot be received."""
         corners = [(x, y, 0.0) for x in self.streets.x_m for y in self.streets.y_m]
         default = " (the default; give the real ones)" if self.streets == Streets() else ""
         for _, wall in self.behind_walls(np.array(corners)):

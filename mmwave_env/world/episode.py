@@ -201,11 +201,7 @@ class Episode:
         return int((self.visible & ~self.usable).sum())
 
     def require_truth(self) -> None:
-        """Refuse an episode that cannot be scored.
-
-        Raises:
-            ValueError: the true position or velocity is unknown.
-        """
+        """Refuse an episode that cannot be scored, because its true positions are unknown."""
         if self.truth_position_m is None or self.truth_velocity_mps is None:
             raise ValueError(f"{self._record}: found no truth, which reward and metrics need")
 
@@ -266,24 +262,14 @@ def shapes_of(layout: Layout, T: int) -> dict[str, tuple[int, ...]]:
 
 
 class EpisodeBatch(NamedTuple):
-    """A batch of n episodes in the form that engines load.
+    """A batch of n episodes in the form that engines load."""
 
-    Attributes:
-        names: (n,) names of the episodes.
-        nonfinite: (n,) number of groups in each episode that contain NaN or infinity and count as
-            missing.
-        length: (n,) number of epochs in each episode.
-        table: (n, epochs, columns) :meth:`Episode.table` of each; rows after the length are unused.
-        site: (n, numbers) anchors, carrier and prior from :meth:`Episode.site`.
-        layout: layout of all episodes.
-    """
-
-    names: list[str]
-    nonfinite: Index
-    length: Index
-    table: Array
-    site: Array
-    layout: Layout
+    names: list[str]  # (n,)
+    nonfinite: Index  # (n,) number of groups with NaN or infinity, which count as missing
+    length: Index  # (n,) number of epochs
+    table: Array  # (n, epochs, columns) from :meth:`Episode.table`; unused after the length
+    site: Array  # (n, numbers) anchors, carrier and prior from :meth:`Episode.site`
+    layout: Layout  # layout of all episodes
 
     @classmethod
     def of(
@@ -332,21 +318,14 @@ def level(sites: Array, height_m: Array, layout: Layout) -> Array:
 
 
 class Incoming(NamedTuple):
-    """A row of :meth:`Episode.table`, the data of one epoch that engines load.
-
-    Attributes:
-        dt, z, snr_db, doppler_spread_hz: as in :class:`Epoch`.
-        signed_sigma: (rows,) standard deviations; negative if the row is missing.
-        truth: (6,) true position (m) and velocity (m/s), to compute scores.
-        doppler_of: as in :class:`Epoch`.
-    """
+    """A row of :meth:`Episode.table`, an epoch's data that engines load; see :class:`Epoch`."""
 
     dt: Number
     z: list[Number]
-    signed_sigma: list[Number]
+    signed_sigma: list[Number]  # (rows,) standard deviations; negative if the row is missing
     snr_db: list[Number]
     doppler_spread_hz: Number
-    truth: list[Number]
+    truth: list[Number]  # (6,) true position (m) and velocity (m/s), to compute scores
     doppler_of: Vector = ()
 
     def epoch(self, layout: Layout) -> Epoch:

@@ -46,11 +46,7 @@ def draw_key(rng: np.random.Generator) -> int:
 
 
 def key_from(key: Any) -> int:
-    """Return a key that a user passed, as an int.
-
-    Raises:
-        ValueError: the key is not an integer of 64 bits.
-    """
+    """Return a key that a user passed, as an int; refuse all but integers of 64 bits."""
     try:
         number = operator.index(key)
     except TypeError:
@@ -61,11 +57,7 @@ def key_from(key: Any) -> int:
 
 
 def keys_from(keys: Any, n: int) -> Keys:
-    """Return the keys (n,) that a user passed for n environments.
-
-    Raises:
-        ValueError: there is not one key per environment, or a key is not an integer of 64 bits.
-    """
+    """Return the keys (n,) that a user passed, one for each environment; see :func:`key_from`."""
     numbers = np.atleast_1d(np.asarray(keys, object))
     if numbers.shape != (n,):
         raise ValueError(
@@ -76,11 +68,7 @@ def keys_from(keys: Any, n: int) -> Keys:
 
 
 def option_of(options: Any, name: str) -> Any:
-    """Return the entry ``name`` of ``reset(options=...)``; None if it is missing.
-
-    Raises:
-        ValueError: the options are not a dict.
-    """
+    """Return the entry ``name`` of ``reset(options=...)``, a dict; None if it is missing."""
     if options is not None and not isinstance(options, dict):
         raise ValueError(f"options: found {options!r}, expected a dict or None")
     return (options or {}).get(name)
@@ -112,11 +100,7 @@ class Streams:
         self.set_states(self._states)
 
     def seed(self, place: int, seed: int) -> None:
-        """Start the stream of environment ``place`` with a seed, as ``Env.reset`` does.
-
-        Raises:
-            ValueError: the seed is negative.
-        """
+        """Start the stream of environment ``place`` with a seed >= 0, as ``Env.reset`` does."""
         seed = operator.index(seed)
         if seed < 0:
             raise ValueError(f"seed: found {seed}, expected 0 or more")
@@ -126,8 +110,7 @@ class Streams:
     def seed_some(self, seed: int | Sequence[int | None] | None, places: Index) -> None:
         """Start the streams of environments at ``places``, as a vector environment's reset does.
 
-        A seed s seeds environment i with s + i; a list has one seed each, where None continues a
-        stream.
+        A seed s seeds environment i with s + i; None continues a stream.
 
         Raises:
             ValueError: there is not one seed per environment, or a seed is negative.

@@ -19,12 +19,7 @@ SCRIPTS = ("drawing.js", "map.js", "player.js")
 
 
 def page_of(args: PageArgs) -> str:
-    """Return the web page of results.
-
-    Raises:
-        ValueError: the results can't be read.
-        FileNotFoundError: there is no such file.
-    """
+    """Return the web page of results; refuse results that can't be read."""
     sources = [source for path in args.results for source in read_source(path)]
     verdicts, results, origins = [], [], []
     for source in sources:

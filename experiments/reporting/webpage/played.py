@@ -37,19 +37,14 @@ AFTER = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected", "memory.m
 
 @dataclass
 class Played:
-    """Results of contenders in episodes that were played again.
+    """Results of contenders in episodes that were played again."""
 
-    Attributes:
-        which: description of the episodes.
-        epochs, positions: errors, NEES and protection levels of the scored epochs.
-        shown: episodes to watch, in the form of JSON.
-        missing: by name, the reason why a contender is missing; under "", why all are.
-    """
-
-    which: str = "no episodes"
+    which: str = "no episodes"  # description of the episodes
+    # epochs, positions: errors, NEES and protection levels of the scored epochs
     epochs: EpochErrors = field(default_factory=lambda: EpochErrors({}))
     positions: Positions = field(default_factory=lambda: Positions({}))
-    shown: list[dict[str, Any]] = field(default_factory=list)
+    shown: list[dict[str, Any]] = field(default_factory=list)  # episodes to watch, as JSON
+    # by name, the reason why a contender is missing; under "", why all are
     missing: dict[str, str] = field(default_factory=dict)
 
 
@@ -156,9 +151,6 @@ def watched_names(ranked: Sequence[str]) -> list[str]:
     """Return the names of the contenders that can be watched, in the order of the ranking."""
     best = [name for name in ranked if name != RULE][: WATCHED - (RULE in ranked)]
     return [name for name in ranked if name in (*best, RULE)]
-
-
-# --- episodes to watch, as data for the script
 
 
 def _scenery(

@@ -15,17 +15,11 @@ NEEDED = {  # required keys by kind of results
 
 
 class Source(NamedTuple):
-    """Results of one command.
+    """Results of one command."""
 
-    Attributes:
-        path: path as given; for a part of a file, followed by the part's title.
-        kind: "comparison", "track" or "run".
-        content: content of the file; for a run, its summary with the "curves" of its trainings.
-    """
-
-    path: str
-    kind: str
-    content: Mapping[str, Any]
+    path: str  # path as given; for a part of a file, followed by the part's title
+    kind: str  # "comparison", "track" or "run"
+    content: Mapping[str, Any]  # content of the file; for a run, its summary with "curves"
 
 
 def read_source(path: Path) -> list[Source]:

@@ -41,27 +41,19 @@ class StationPaths:
 
     If ``interactions`` of a path is 1, all its values are finite; if it is 0, all except the bounce
     are finite. The values of other paths are meaningless.
-
-    Attributes:
-        name: name of the station in the files.
-        position_m: (3,) position of the station.
-        interactions: (E, P) 0 for a line of sight, 1 for one reflection, ...; NaN for no path.
-        bounce_m: (E, P, 3) first point of interaction.
-        gain_db: (E, P) 20 log10 |a|.
-        delay_s: (E, P) absolute delay.
-        arrival, departure: (E, P, 2) azimuth and zenith angle at the receiver and at the station,
-            rad, either along propagation or against it (see :func:`propagation`).
-        source: function (key, epoch) -> (file of the key, row of the receiver in it).
     """
 
-    name: str
-    position_m: Array
-    interactions: Array
-    bounce_m: Array
-    gain_db: Array
-    delay_s: Array
+    name: str  # name of the station in the files
+    position_m: Array  # (3,) position of the station
+    interactions: Array  # (E, P) 0 for a line of sight, 1 for one reflection, ...; NaN for no path
+    bounce_m: Array  # (E, P, 3) first point of interaction
+    gain_db: Array  # (E, P) 20 log10 |a|
+    delay_s: Array  # (E, P) absolute delay
+    # arrival, departure: (E, P, 2) azimuth and zenith angle at the receiver and at the station,
+    # rad, either along propagation or against it (see :func:`propagation`)
     arrival: Array
     departure: Array
+    # function (key, epoch) -> (file of the key, row of the receiver in it)
     source: Callable[[str, int], tuple[Path, int]]
 
     def refuse(self, key: str, epoch: int, value: str, expected: str) -> NoReturn:
@@ -92,19 +84,12 @@ _TOLERANCES = (2.0 * TOLERANCE_M, 0.02, 0.02, 0.02)  # m, rad; wrong conventions
 
 @dataclass(frozen=True, eq=False)
 class StationLinks:
-    """The anchors that the paths of a station lead to, and the exact measurements on these paths.
+    """The anchors that the paths of a station lead to, and the exact measurements on them."""
 
-    Attributes:
-        paths: paths of the station, for E receivers, P paths each.
-        anchors_m: (K, 3) position of the station, then of its images in the order of discovery.
-        member: (E, P) index of the anchor that a path leads to; -1 for none.
-        rows: (E, P, 4) rows of a link, as in ``LINK``: m, rad; NaN if the path leads to no anchor.
-    """
-
-    paths: StationPaths
-    anchors_m: Array
-    member: NDArray[np.int_]
-    rows: Array
+    paths: StationPaths  # paths of the station, for E receivers, P paths each
+    anchors_m: Array  # (K, 3) position of the station, then of its images as discovered
+    member: NDArray[np.int_]  # (E, P) index of the anchor that a path leads to; -1 for none
+    rows: Array  # (E, P, 4) rows of a link, as in ``LINK``: m, rad; NaN if there is no anchor
 
     @cached_property
     def is_ground(self) -> Mask:

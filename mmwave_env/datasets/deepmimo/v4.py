@@ -33,22 +33,13 @@ _RECEIVERS = re.compile(r"rx_pos_(t\d+_tx\d+)_r(\d+)\.(?:npz|npy)")
 
 @dataclass(frozen=True)
 class Scenario:
-    """A description of a scenario folder, whose paths have not been read yet.
+    """A description of a scenario folder, whose paths have not been read yet."""
 
-    Attributes:
-        folder: folder of the scenario.
-        scenes: folders with the arrays in order of time; for a static scenario, the folder itself.
-        stations: names of the base stations, as in the names of the files.
-        receiver_set: the set of receivers, such as ``001``.
-        receivers: number of receivers in every scene.
-        carrier_hz: carrier frequency.
-    """
-
-    folder: Path
-    scenes: tuple[Path, ...]
-    stations: tuple[str, ...]
-    receiver_set: str
-    receivers: int
+    folder: Path  # folder of the scenario
+    scenes: tuple[Path, ...]  # folders with the arrays in order of time; or the folder, if static
+    stations: tuple[str, ...]  # names of the base stations, as in the names of the files
+    receiver_set: str  # the set of receivers, such as ``001``
+    receivers: int  # number of receivers in every scene
     carrier_hz: float
 
     @property
@@ -92,11 +83,7 @@ class Scenario:
         return np.column_stack([scenes, np.broadcast_to(rows.reshape(-1), len(scenes))])
 
     def file(self, scene: int, key: str, station: str) -> Path:
-        """Return the file of a key.
-
-        Raises:
-            FileNotFoundError: there is no such file.
-        """
+        """Return the file of a key, which must exist."""
         return find_array(self.scenes[scene], f"{key}_{station}_r{self.receiver_set}")
 
     def positions(self, epochs: NDArray[np.int_]) -> Array:
