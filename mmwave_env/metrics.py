@@ -155,11 +155,7 @@ def _diverged(largest: Array) -> Array:
 
 
 def summary(
-    error: Array,
-    nees: Array,
-    epochs_per_s: float = 1.0,
-    axes: int = 3,
-    reward: Array | None = None,
+    error: Array, nees: Array, epochs_per_s: float = 1.0, axes: int = 3, reward: Array | None = None
 ) -> dict[str, Array]:
     """Compute all :data:`METRICS` per episode, without the burn-in.
 

@@ -49,9 +49,7 @@ def report(command: str, args: EpisodeArgs, made: Results) -> None:
 
 
 def results(
-    args: EpisodeArgs,
-    names: Sequence[str],
-    pictures: Mapping[str, Path] = MappingProxyType({}),
+    args: EpisodeArgs, names: Sequence[str], pictures: Mapping[str, Path] = MappingProxyType({})
 ) -> Results:
     """Run contenders on the episodes that options select.
 

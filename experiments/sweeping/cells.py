@@ -13,14 +13,7 @@ from experiments.evaluation.asked import contender_of, task_of
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.seeds import Selection
-from experiments.sweeping.spec import (
-    HYPERPARAMETER,
-    Evaluation,
-    Spec,
-    Training,
-    Values,
-    plain,
-)
+from experiments.sweeping.spec import HYPERPARAMETER, Evaluation, Spec, Training, Values, plain
 from experiments.training.hyperparameters import Hyperparameters
 from experiments.training.run import hyperparameters, training_task
 from mmwave_env.io.files import atomic_path, first_line, write_bytes

@@ -11,13 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mmwave_env.datasets.tracks import Received, Track, numbers
-from mmwave_env.models.layout import (
-    LINK,
-    Layout,
-    sigma_name,
-    whole_groups,
-    without_noise,
-)
+from mmwave_env.models.layout import LINK, Layout, sigma_name, whole_groups, without_noise
 from mmwave_env.models.radio import Radio
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.world.checks import refuse

@@ -25,12 +25,7 @@ from mmwave_env.filters.pipeline import Pipeline, predict, predict_update
 from mmwave_env.localization.segments import gives_fix
 from mmwave_env.logs.log import PathEpoch
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.measurement import (
-    Epoch,
-    Site,
-    link_group,
-    seen_from_image,
-)
+from mmwave_env.models.measurement import Epoch, Site, link_group, seen_from_image
 from mmwave_env.models.prior import GAP_S, prior_from_fix
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene

@@ -32,13 +32,7 @@ from mmwave_env.logs.log_columns import (
     STATION,
 )
 from mmwave_env.logs.log_tables import Block, LogError, LogFile, Table, in_windows, open_log
-from mmwave_env.models.layout import (
-    Layout,
-    whole_groups,
-    without_noise,
-    wrap_angles,
-    wrapped,
-)
+from mmwave_env.models.layout import Layout, whole_groups, without_noise, wrap_angles, wrapped
 from mmwave_env.models.measurement import seen_from_image
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index, Mask
