@@ -67,24 +67,6 @@ def modes(radio: str) -> dict[str, str]:
     }
 
 
-def scenarios() -> dict[str, str]:
-    """Return the kinds of users."""
-    from mmwave_env.world.mobility import SCENARIOS
-
-    return SCENARIOS
-
-
-def radios() -> dict[str, str]:
-    """Return radio profiles with the sizes of their antenna arrays."""
-    from mmwave_env.models.radio import RADIOS
-
-    return {
-        name: f"{radio.gnb_elements} x {radio.gnb_elements} antennas at the base station, "
-        f"{radio.ue_elements} x {radio.ue_elements} at the user"
-        for name, radio in RADIOS.items()
-    }
-
-
 def scenes() -> dict[str, str]:
     """Return scenes with their positions: x east, y north, m."""
     from mmwave_env.models.random_scene import RANDOM
@@ -147,17 +129,12 @@ def copied(out: Path, only: str | None) -> int:
     return len(files)
 
 
-def rewards() -> dict[str, str]:
-    """Return rewards with the first line of their docstrings."""
-    from mmwave_env.interface.reward import REWARDS
-
-    return {name: (inspect.getdoc(kind) or "").split("\n")[0] for name, kind in REWARDS.items()}
-
-
 def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.progress import say, terminal_width
-    from mmwave_env.models.radio import radio_from
+    from mmwave_env.interface.reward import REWARDS
+    from mmwave_env.models.radio import RADIOS, radio_from
+    from mmwave_env.world.mobility import SCENARIOS
 
     if args.out is not None and args.what == "samples":
         say(f"copied to {args.out}/: {copied(args.out, args.copy)} files")
@@ -168,12 +145,18 @@ def main(args: Args) -> None:
     radio_from(args.radio)  # refuses an unknown radio
     kinds: dict[str, Callable[[], dict[str, str]]] = {
         "policies": partial(policies, args.radio),
-        "scenarios": scenarios,
-        "radios": radios,
+        "scenarios": lambda: SCENARIOS,
+        "radios": lambda: {
+            name: f"{radio.gnb_elements} x {radio.gnb_elements} antennas at the base station, "
+            f"{radio.ue_elements} x {radio.ue_elements} at the user"
+            for name, radio in RADIOS.items()
+        },
         "scenes": scenes,
         "modes": partial(modes, args.radio),
         "samples": samples,
-        "rewards": rewards,
+        "rewards": lambda: {
+            name: str(inspect.getdoc(kind)).partition("\n")[0] for name, kind in REWARDS.items()
+        },
     }
     fold = textwrap.TextWrapper(
         terminal_width() or sys.maxsize,

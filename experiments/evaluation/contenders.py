@@ -151,13 +151,6 @@ def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:
     return {"imm": lambda: Bank(default_modes(radio)), BEST_IMM: lambda: best_bank(radio)}
 
 
-def shipped_for(radio: str) -> dict[str, str]:
-    """Return the shipped policy file of each learned contender for a radio profile, by name."""
-    shipped, base = shipped_policies(), radio_from(radio).base
-    files = ((name, file) for name in SHIPPED for file in (name, f"{name}-{base}"))
-    return {name: file for name, file in files if file in shipped}
-
-
 def _of_any_modes(bank: Bank) -> dict[str, Make]:
     """Return the contenders that any modes allow: each mode alone, rules and the IMM."""
     names = [mode.name for mode in bank.modes]
@@ -188,8 +181,9 @@ def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
     ekf, ukf, *others = _of_any_modes(Bank(default_modes(radio))).items()
     alone = dict([ekf, ukf, next(iter(_of_any_modes(ckf).items()))])
     best = {BEST_IMM: partial(_imm, BEST_IMM, imm_banks(radio)[BEST_IMM])}
-    shipped = shipped_for(radio).items()
-    learned = {name: partial(Contender.learned, file, name, radio) for name, file in shipped}
+    shipped, base = shipped_policies(), radio_from(radio).base
+    files = ((name, file) for name in SHIPPED for file in (name, f"{name}-{base}"))
+    learned = {n: partial(Contender.learned, f, n, radio) for n, f in files if f in shipped}
     return alone | dict(others) | best | learned
 
 

@@ -74,15 +74,11 @@ def inputs(args: LogArgs) -> Inputs:
 
 def _check(args: LogArgs, files: Inputs) -> None:
     """Refuse options that contradict each other, and outputs that would replace other files."""
-    if args.diagnose:
-        if args.out or args.plot:
-            raise ValueError(
-                "diagnose: cannot be combined with --out or --plot, as it has no track"
-            )
-        if args.associate:
-            raise ValueError(
-                "diagnose: cannot be combined with --associate, as it needs anchor numbers"
-            )
+    if args.diagnose and (args.out or args.plot):
+        raise ValueError("diagnose: cannot be combined with --out or --plot, as it has no track")
+    if args.diagnose and args.associate:
+        beside = "--associate, as it needs anchor numbers"
+        raise ValueError(f"diagnose: cannot be combined with {beside}")
     for name in ("diagnose", "associate"):
         if getattr(args, name) and args.clock != "synchronized":
             raise ValueError(f"clock: {args.clock} cannot be combined with --{name}")

@@ -9,24 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from experiments.timing import workloads
 from experiments.timing.fresh import fresh
 from experiments.timing.latency import LATENCIES, PERCENTILES, latency_us
 from experiments.timing.operations import Operations, count
 from experiments.timing.roofline import limit_s
-from experiments.timing.workloads import (
-    BOTH,
-    ENVIRONMENT,
-    FILTERS,
-    RADIO,
-    SYNC_NAME,
-    THREADS,
-    Laps,
-    environments,
-    filters,
-    native_name,
-    pipeline,
-    source,
-)
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.track_engine import Tracker
@@ -38,7 +25,7 @@ from mmwave_env.world.travel import stride_of
 FRESH_RUNS = 3  # maximum number of runs in new processes, since each takes seconds
 FRESH_SIZES = 3  # how many of the largest sizes run in new processes; smaller ones differ little
 STEP = "step"  # name of the kernel that makes a complete step of the environment
-BASES = ("filterpy", SYNC_NAME)  # workloads with which ours are compared
+BASES = ("filterpy", workloads.SYNC_NAME)  # workloads with which ours are compared
 
 Rounds = dict[str, list[float]]
 
@@ -50,7 +37,7 @@ class Rates:
     steps_per_s: list[float] = field(default_factory=list)
     cores: list[float] = field(default_factory=list)  # processor time per elapsed time
 
-    def measure(self, laps: Laps, seconds: float) -> None:
+    def measure(self, laps: workloads.Laps, seconds: float) -> None:
         """Run complete episodes for at least ``seconds``, without garbage collection; add rates."""
         gc.collect()
         gc.disable()
@@ -66,32 +53,24 @@ class Rates:
 class Measured:
     """The measured rates, limits, times and memory; a list has one entry per round or process.
 
-    Args:
-        sizes: numbers of environments in the native vector environment.
-
-    Attributes:
-        sizes: sorted sizes, without duplicates.
-        rates: rates of environments, by name.
-        filters: rates of the filters without an environment, on one thread.
-        operations: numbers of operations in the filters' kernels and in the environment's kernel.
-        limits_s: minimum time of a step of each kernel on one core, s.
-        cold_start_s: seconds from the start of a process to the end of its first step.
-        latency_us: microseconds per live epoch, by contender, interface and percentile.
-        peak_mb: peak resident memory of a process, MiB (2^20 bytes).
+    ``sizes`` are numbers of environments in the native vector environment.
     """
 
     def __init__(self, sizes: Sequence[int]) -> None:
         self.sizes = sorted(set(sizes))
-        self.rates = {name: Rates() for name in environments(self.sizes)}
-        self.filters = {name: Rates() for name in FILTERS}
+        self.rates = {name: Rates() for name in workloads.environments(self.sizes)}
+        # rates of the filters without an environment, on one thread
+        self.filters = {name: Rates() for name in workloads.FILTERS}
         self.operations = kernels()
+        # minimum time of a step of each kernel on one core
         self.limits_s: Rounds = {name: [] for name in self.operations}
+        # microseconds per live epoch, by contender, interface and percentile
         self.latency_us: Rounds = {
             f"{' '.join(of)}, p{p:g}": [] for of in LATENCIES for p in PERCENTILES
         }
-        self._processes = {"single": (ENVIRONMENT, 0)} | {
-            native_name(n): (ENVIRONMENT, n) for n in self.sizes[-FRESH_SIZES:]
-        }
+        largest = {workloads.native_name(n): n for n in self.sizes[-FRESH_SIZES:]}
+        self._processes = {"single": 0} | largest
+        # from the start of a process to the end of its first step; and its peak memory, MiB
         self.cold_start_s: Rounds = {name: [] for name in self._processes}
         self.peak_mb: Rounds = {name: [] for name in self._processes}
 
@@ -108,13 +87,13 @@ class Measured:
 
     def _pieces(self, seconds: float, repeats: int, starts: int) -> Iterator[None]:
         for _ in range(starts):
-            for name, process in self._processes.items():
-                first_step_s, peak_mb = fresh(*process)
+            for name, n in self._processes.items():
+                first_step_s, peak_mb = fresh(workloads.ENVIRONMENT, n)
                 self.cold_start_s[name].append(first_step_s)
                 self.peak_mb[name].append(peak_mb)
                 yield
         running = {}
-        for name, make in (environments(self.sizes) | filters()).items():
+        for name, make in (workloads.environments(self.sizes) | workloads.filters()).items():
             running[name] = make()
             Rates().measure(running[name], seconds)  # a warm-up, which compiles
             yield
@@ -131,14 +110,14 @@ class Measured:
                 self.limits_s[name].append(limit_s(operations) / WIDTH)
             yield
 
-    def natives(self, threads: int = BOTH) -> list[str]:
+    def natives(self, threads: int = workloads.BOTH) -> list[str]:
         """Return names of our vector environments ("native") with ``threads`` threads."""
-        return [native_name(n, threads) for n in self.sizes]
+        return [workloads.native_name(n, threads) for n in self.sizes]
 
     @property
     def ours(self) -> list[str]:
         """Return names of our environments, the single one first."""
-        return ["single"] + [name for threads in THREADS for name in self.natives(threads)]
+        return ["single"] + [n for threads in workloads.THREADS for n in self.natives(threads)]
 
     def ratios(self) -> Rounds:
         """Return ratios of our steps per second to those of the workloads in :data:`BASES`."""
@@ -194,13 +173,13 @@ def kernels() -> dict[str, Operations]:
 
     Rare events of the world (changes of gait, crossings) are left out.
     """
-    layout, modes = pipeline().layout, named_modes(RADIO)
+    pipeline, drawn = workloads.pipeline(), workloads.source()
+    layout, modes = pipeline.layout, named_modes(workloads.RADIO)
     programs: dict[str, Any] = {
-        name: Tracker(Pipeline((modes[name],), layout), 1).program for name in FILTERS
+        name: Tracker(Pipeline((modes[name],), layout), 1).program for name in workloads.FILTERS
     }
-    programs[STEP] = Engine(pipeline(), 1, TrackingReward()).batch.program
+    programs[STEP] = Engine(pipeline, 1, TrackingReward()).batch.program
     counted = {name: count(made.function, made.template) for name, made in programs.items()}
-    drawn = source()
     observed, _, moved = (count(part, drawn.world.template) for part in drawn.world.parts)
     parts = zip(counted[STEP], observed, *[moved] * stride_of(drawn.dt), strict=True)
     return counted | {STEP: Operations(*map(sum, parts))}

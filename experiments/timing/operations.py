@@ -85,10 +85,7 @@ def count(function: Callable[[Any], Any], template: Any) -> Operations:
     before = [Lanes(recorder, recorder.load(row)) for row in range(len(flatten(template)))]
     after = flatten(function(unflatten(template, iter(before))))
     stored = [new for old, new in zip(before, after, strict=True) if new is not old]
-    return _counted([new.value for new in stored if isinstance(new, Lanes)], len(stored))
-
-
-def _counted(results: Sequence[_Instruction], stores: int) -> Operations:
+    results: list[_Instruction] = [new.value for new in stored if isinstance(new, Lanes)]
     needed = list(_needed(results))
     kinds = Counter(step.kind for step in needed)
     uses = Counter(source for step in needed for source in step.sources()) + Counter(results)
@@ -100,7 +97,7 @@ def _counted(results: Sequence[_Instruction], stores: int) -> Operations:
     # Divisions by the same divisor become products with its reciprocal (LLVM's flag "arcp").
     divisors = Counter(step.operands[1] for step in needed if step.kind == "divide")
     products = sum(quotients for quotients in divisors.values() if quotients > 1)
-    kinds.update(fused=fused, store=stores, multiply=products - fused, add=-fused)
+    kinds.update(fused=fused, store=len(stored), multiply=products - fused, add=-fused)
     kinds["divide"] = len(divisors)
     return Operations(**{kind: kinds[kind] for kind in Operations._fields})
 

@@ -38,20 +38,12 @@ _STEPS: dict[str, Callable[..., Any]] = {
 def limit_s(operations: Operations) -> float:
     """Return the minimum time, s, that a core needs for operations on eight environments."""
     steps, rows = sum(_steps(operations).values()), max(operations.load, operations.store)
-    return max(steps * _mix_s(operations), rows * _copying_s())
-
-
-def _mix_s(operations: Operations) -> float:
-    """Return the seconds per operation in a mix of operations, at the best number of chains."""
-    order = interleaved(operations)
-    blocks = np.full((1, ROWS, WIDTH), 1.7)
+    order, blocks = interleaved(operations), np.full((1, ROWS, WIDTH), 1.7)
     blocks[:, :2] = [[1.0], [0.0]]
-    return min(_seconds(_chains(order, chains), blocks) for chains in CHAINS) / LENGTH
-
-
-def _copying_s() -> float:
-    """Return the seconds that a load and a store take in the first-level cache."""
-    return _seconds(_copying(), np.zeros((BLOCKS, ROWS, WIDTH))) / (BLOCKS * ROWS // 2)
+    # seconds per operation in the mix, at the best number of chains; and per load with a store
+    mix_s = min(_seconds(_chains(order, chains), blocks) for chains in CHAINS) / LENGTH
+    copying_s = _seconds(_copying(), np.zeros((BLOCKS, ROWS, WIDTH))) / (BLOCKS * ROWS // 2)
+    return max(steps * mix_s, rows * copying_s)
 
 
 def interleaved(operations: Operations) -> tuple[str, ...]:

@@ -91,12 +91,6 @@ def smooth_epoch(
     ]
     half = [[dot(row, column) for column in zip(*change, strict=True)] for row in gain]
     smoothed = symmetric(n, lambda i, j: P[i][j] + dot(half[i], gain[j]))
-    is_last = after.is_last > 0.5
-    return BackwardState(
-        0.0,
-        now.dt,
-        now.x_predicted,
-        now.P_predicted,
-        select(is_last, now.x, _mean(now, P, factor, after)),
-        select(is_last, now.P, pack(smoothed)),
-    )
+    better = [_mean(now, P, factor, after), pack(smoothed)]
+    x, packed = select(after.is_last > 0.5, [now.x, now.P], better)
+    return BackwardState(0.0, now.dt, now.x_predicted, now.P_predicted, x, packed)

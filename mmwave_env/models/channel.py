@@ -69,26 +69,18 @@ def channel_of(radio: Radio, scene: Scene, layout: Layout, dt: float) -> Channel
     multipath_end = -math.expm1(-dt / radio.multipath_mean_s)
     return Channel(
         offset_db=[at_1_m] + [at_1_m - radio.reflection_loss_db] * (layout.anchors - 1),
-        shadowing_db=radio.shadowing_db,
         correlation=radio.shadowing_correlation**dt,
         blockage=SpellParams(blockage_end, 0.0, radio.blockage_range_m, radio.blockage_angle_rad),
         multipath=SpellParams(multipath_end, *radio.multipath_range_m, radio.multipath_angle_rad),
-        blockage_scale=radio.blockage_scale,
-        blockage_base=radio.blockage_base,
         blockage_per_m=radio.blockage_per_100m / 100.0,
-        blockage_limit=radio.blockage_limit,
-        blockage_loss_db=radio.blockage_loss_db,
         multipath_onset=-math.expm1(-dt * radio.multipath_rate_hz),
         outage_onset=-math.expm1(-dt * radio.outage_rate_hz),
         outage_end=-math.expm1(-dt / radio.outage_mean_s),
-        detection_snr_db=radio.detection_snr_db,
-        detection_slope_db=radio.detection_slope_db,
         floor_variance=floor,
         bound_variance=bound,
         spread_gain_hz=radio.spread_gain * scene.hz_per_mps,
-        spread_sigma=radio.spread_sigma,
         spread_floor_hz=radio.spread_floor_mps * scene.hz_per_mps,
-        odometry_slowest_mps=radio.odometry_slowest_mps,
+        **{name: value for name, value in vars(radio).items() if name in Channel._fields},
     )
 
 

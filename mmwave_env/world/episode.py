@@ -151,22 +151,9 @@ class Episode:
                 stated[:, layout.doppler] = of_doppler[:, layout.doppler]
         if sigma is not None:
             stated = np.where(np.isfinite(sigma), sigma, stated)
-        return cls(
-            name,
-            scene.anchors_m,
-            scene.hz_per_mps,
-            time_s,
-            measurement,
-            stated,
-            visible,
-            snr_db,
-            doppler_spread_hz,
-            *prior,
-            position_m,
-            velocity_mps,
-            layout,
-            doppler_anchor,
-        )
+        place, truth = (scene.anchors_m, scene.hz_per_mps), (position_m, velocity_mps)
+        rows, signal = (time_s, measurement, stated), (snr_db, doppler_spread_hz)
+        return cls(name, *place, *rows, visible, *signal, *prior, *truth, layout, doppler_anchor)
 
     @property
     def _record(self) -> str:

@@ -35,15 +35,7 @@ from mmwave_env.numerics.pytree import flatten, indices, select, tree_at
 from mmwave_env.numerics.random import STATE_WORDS, Dice, seeded
 from mmwave_env.world.episode import Incoming, blank_incoming
 from mmwave_env.world.kinematics import Net, Traveler, move, state_of
-from mmwave_env.world.travel import (
-    Gait,
-    Phase,
-    TravelPlan,
-    attend,
-    blank_plan,
-    draw_phases,
-    set_off,
-)
+from mmwave_env.world.travel import Phase, TravelPlan, attend, blank_plan, draw_phases, set_off
 
 
 class WorldSettings(NamedTuple):
@@ -184,24 +176,16 @@ def _move(w: WorldState) -> WorldState:
 def blank_world(layout: Layout, phases: int, gaits: int) -> WorldState:
     """Return a placeholder world with valid numbers, to be overwritten."""
     still = Traveler(*[0.0] * len(Traveler._fields))._replace(radius=1.0, jerk=1.0)
-    gait = Gait(0.0, 0.0, 1.0, 1.0)
-    phase = Phase(1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, [gait] * gaits)
+    acts = [plan.phase for plan in blank_plan(phases, gaits).phases]
     channel = channel_of(Radio("blank"), Scene("blank", (0.0, 0.0, 10.0)), layout, 1.0)
     anchors, dice = [[0.0, 0.0, 10.0 + a] for a in range(layout.anchors)], [0.0] * STATE_WORDS
     clock = Clock(dice, 0.0) if layout.clock else ()
+    offered = [1.0] * layout.size * layout.partial
     return WorldState(
         measured=blank_incoming(layout),
-        settings=WorldSettings(
-            1.0,
-            channel,
-            1.0,
-            1.0,
-            1.0,
-            [1.0] * layout.size if layout.partial else (),
-            [1.0, 1.0] if layout.clock else (),
-        ),
+        settings=WorldSettings(1.0, channel, 1.0, 1.0, 1.0, offered, [1.0] * 2 * layout.clock),
         receiver=ReceiverState(dice, anchors, 1.0, initial_state(layout.anchors), 0.0, clock),
-        user=UserState(dice, Net(1.0, 1.0, 1.0, 0.0, 0.0, 1.5), [phase] * phases, still),
+        user=UserState(dice, Net(1.0, 1.0, 1.0, 0.0, 0.0, 1.5), acts, still),
     )
 
 
