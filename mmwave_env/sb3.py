@@ -78,21 +78,17 @@ class SB3VecEnv(VecEnv):
         over = terminated | truncated
         infos: Infos = [{} for _ in range(self.num_envs)]
         for i in map(int, np.flatnonzero(over)):
-            infos[i] = self._ending(batched, i)
-            infos[i]["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
+            infos[i] = _of(batched["final_info"], i) | {
+                "terminal_observation": batched["final_obs"][i],
+                "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
+                "episode": {
+                    "r": float(self._returns[i]),
+                    "l": int(self._lengths[i]),
+                    "t": round(time.time() - self._begun_s, 6),
+                },
+            }
         self._returns[over], self._lengths[over] = 0.0, 0
         return observations, rewards.astype(np.float32), over, infos
-
-    def _ending(self, batched: dict[str, Any], i: int) -> dict[str, Any]:
-        """Return the info of the last step of an episode."""
-        return _of(batched["final_info"], i) | {
-            "terminal_observation": batched["final_obs"][i],
-            "episode": {
-                "r": float(self._returns[i]),
-                "l": int(self._lengths[i]),
-                "t": round(time.time() - self._begun_s, 6),
-            },
-        }
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Return the returns and lengths (n,) of running episodes, for :meth:`restore`."""

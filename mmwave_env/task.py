@@ -209,20 +209,10 @@ def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
     for name in ("scenario", "scene", "dt", "odometry"):
         if (value := getattr(asked, name)) is not None and value is not False:
             raise ValueError(f"{name}: found {value!r}, but recorded episodes have their own")
-    source = _recorded(asked.episodes, radio, asked.episode_steps, measurements, clock)
-    return source, getattr(source, "radio", radio)
-
-
-def _recorded(
-    episodes: str | os.PathLike[str] | Recording | MeasuredTrack | EpisodeSource,
-    radio: Radio,
-    steps: int | None,
-    measurements: tuple[str, ...] | None,
-    clock: bool,
-) -> EpisodeSource:
-    """Return the source for an ``episodes=`` argument."""
+    episodes, steps = asked.episodes, asked.episode_steps
     if isinstance(episodes, str | os.PathLike | Recording | MeasuredTrack):
-        return source_from(episodes, radio, steps, measurements, clock)
+        track = source_from(episodes, radio, steps, measurements, clock)
+        return track, track.radio
     if not hasattr(episodes, "layout") or not hasattr(episodes, "sample"):
         raise ValueError(
             f"episodes: found {episodes!r}, expected a name, a folder, a recording, a measured "
@@ -233,4 +223,4 @@ def _recorded(
     for name, value in own.items():
         if value is not None:
             raise ValueError(f"{name}: found {value}, but the source in episodes= has its own")
-    return episodes
+    return episodes, getattr(episodes, "radio", radio)

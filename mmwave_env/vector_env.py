@@ -276,12 +276,16 @@ class MmWaveLocVectorEnv(
 
     def _end(self, observations: Observations, infos: dict[str, Any]) -> dict[str, Any]:
         """Add the infos of ended episodes; begin new episodes if the autoreset mode is SameStep."""
-        lost = np.zeros(self.num_envs, np.int64)
-        lost[self._over] = self._tally.nonfinite(np.flatnonzero(self._over))
+        ended, lost = np.flatnonzero(self._over), np.zeros(self.num_envs, np.int64)
+        lost[ended] = self._tally.nonfinite(ended)
         if lost.any():
             warn_of_nonfinite()
         if self._infos != "none":
-            infos |= masked(self._metrics(), self._over) | masked({NONFINITE_KEY: lost}, lost > 0)
+            metrics = {}
+            for key, values in self._metrics_of(ended, self._threads).items():
+                metrics[key] = np.zeros(self.num_envs)
+                metrics[key][ended] = values
+            infos |= masked(metrics, self._over) | masked({NONFINITE_KEY: lost}, lost > 0)
         if self.autoreset_mode == AutoresetMode.SAME_STEP:
             return self._same_step(observations, infos)
         return infos
@@ -306,15 +310,6 @@ class MmWaveLocVectorEnv(
             f"actions: found {actions!r}, expected {self.num_envs} integers in "
             f"{self.single_action_space}"
         )
-
-    def _metrics(self) -> dict[str, NDArray[Any]]:
-        """Return the metrics for the last info of episodes, (N,) each."""
-        ended = np.flatnonzero(self._over)
-        metrics = {}
-        for key, values in self._metrics_of(ended, self._threads).items():
-            metrics[key] = np.zeros(self.num_envs)
-            metrics[key][ended] = values
-        return metrics
 
     def _same_step(self, observations: Observations, infos: dict[str, Any]) -> dict[str, Any]:
         """Reset environments whose episodes ended; their last results become ``final_*``."""

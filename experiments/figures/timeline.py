@@ -56,24 +56,18 @@ def draw_histories(
         for panel, label in labels:
             panel.set(ylabel=label, ylim=(0.0, None))
             legend_beside(panel)
-        chosen = {name: histories[key].modes[rows] for key, name in names.items()}
-        _draw_ribbons(axes, time_s, chosen, modes)
+        chosen = [history.modes[rows] for history in histories.values()]
+        for row, mode in enumerate(chosen):
+            mode_ribbon(axes, time_s, mode, len(modes), low=-1.3 * row)
+        axes.set_yticks([0.5 - 1.3 * row for row in range(len(chosen))], [*names.values()])
+        axes.set_xlabel("time (s)")
+        for number in np.unique(np.concatenate(chosen)).tolist():
+            color = NO_MODE if number < 0 else f"C{number}"
+            label = caption(modes[number]) if number >= 0 else "none"
+            axes.plot([], [], "s", color=color, label=label)
+        legend_beside(axes)
 
 
 def _speed_mps(states: Array) -> Array:
     """Return the speeds (T,) of states (T, 6 or more) that begin with position and velocity."""
     return np.linalg.norm(states[:, 3:6], axis=1)  # type: ignore[no-any-return]
-
-
-def _draw_ribbons(
-    axes: Any, time_s: Array, chosen: Mapping[str, Index], modes: Sequence[str]
-) -> None:
-    for row, mode in enumerate(chosen.values()):
-        mode_ribbon(axes, time_s, mode, len(modes), low=-1.3 * row)
-    axes.set_yticks([0.5 - 1.3 * row for row in range(len(chosen))], [*chosen])
-    axes.set_xlabel("time (s)")
-    for number in np.unique(np.concatenate([*chosen.values()])).tolist():
-        color = NO_MODE if number < 0 else f"C{number}"
-        label = caption(modes[number]) if number >= 0 else "none"
-        axes.plot([], [], "s", color=color, label=label)
-    legend_beside(axes)

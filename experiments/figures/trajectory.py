@@ -41,8 +41,9 @@ def draw_trajectory(track: DrawnTrack, path: Path, title: str) -> None:
     with picture(path, 10.0, sum(heights) + 1.2) as figure:
         panels = figure.subplots(len(heights), 1, height_ratios=heights)
         _draw_above(panels[0], track)
-        seconds, unit = time_unit(track.time_s)
-        time = (track.time_s - track.time_s[0]) / seconds
+        time = track.time_s - track.time_s[0]
+        seconds, unit = (3600.0, "h") if time[-1] > 3 * 3600.0 else (1.0, "s")
+        time = time / seconds
         _draw_error(panels[1], track, time)
         if several:
             panels[1].tick_params(labelbottom=False)
@@ -52,11 +53,6 @@ def draw_trajectory(track: DrawnTrack, path: Path, title: str) -> None:
         panels[-1].set_xlabel(f"time since the first epoch ({unit})")
         lines = textwrap.wrap(caption(title), TITLE_LETTERS, break_on_hyphens=False)
         figure.suptitle("\n".join(lines), x=0.02, ha="left")
-
-
-def time_unit(time_s: Array) -> tuple[float, str]:
-    """Return the unit in which times (T,) are shown: its length in seconds, and its symbol."""
-    return (3600.0, "h") if time_s[-1] - time_s[0] > 3 * 3600.0 else (1.0, "s")
 
 
 def _draw_above(axes: Any, track: DrawnTrack) -> None:

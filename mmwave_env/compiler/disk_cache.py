@@ -91,7 +91,10 @@ def _folder() -> Path | None:
     version = _version()
     if version is None:
         return None
-    for place in _places():
+    places = [_PACKAGE / "__pycache__", Path(user_cache_dir("mmwave-env", appauthor=False))]
+    if numba.config.CACHE_DIR:
+        places.insert(0, Path(numba.config.CACHE_DIR).absolute())
+    for place in places:
         folder = place / f"{_PACKAGE.name}-{version}"
         with suppress(OSError):
             if not place.is_absolute():  # the user has no home folder
@@ -104,12 +107,6 @@ def _folder() -> Path | None:
             _prune(place)
             return folder
     return None
-
-
-def _places() -> list[Path]:
-    """Return the possible parents of the cache folder, in order of preference."""
-    places = [_PACKAGE / "__pycache__", Path(user_cache_dir("mmwave-env", appauthor=False))]
-    return [*([Path(numba.config.CACHE_DIR).absolute()] * bool(numba.config.CACHE_DIR)), *places]
 
 
 def kept_functions() -> dict[str, Any]:

@@ -166,9 +166,11 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
             "planar: found True, but filterpy's filters need a covariance of full rank; use "
             "planar=False or this package's own filters"
         )
-    # There is one filter per algorithm; every step sets its state.
-    clock, size = pipeline.layout.clock, pipeline.layout.state_size
-    filters = {mode.algorithm: _filter_of(mode, size) for mode in pipeline.modes}
+    clock, filters = pipeline.layout.clock, dict[Any, _Filter]()
+    for mode in pipeline.modes:  # there is one filter per algorithm; every step sets its state
+        name: Any = mode.algorithm  # a function is refused like an unknown name
+        make = choose(_FILTERS, name, f"algorithm of mode {mode.name!r} on filterpy")
+        filters[name] = make(pipeline.layout.state_size)
 
     def predict(
         mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: float, hz_per_mps: float
@@ -184,11 +186,6 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
     return replace(pipeline, predict=predict, update=update)
 
 
-def _filter_of(mode: Mode, size: int) -> _Filter:
-    name: Any = mode.algorithm  # a function is refused like an unknown name
-    return choose(_FILTERS, name, f"algorithm of mode {mode.name!r} on filterpy")(size)
-
-
 def _update(
     filter_: _Filter, mean: Vector, covariance: Matrix, measurement: Measurement, gate: Gate
 ) -> Posterior:
@@ -197,7 +194,10 @@ def _update(
     layout, relative = measurement.layout, _Relative(x, measurement)
     R = np.diag(np.array(measurement.variance, float))
     visible = [g for g in range(len(layout.groups)) if measurement.visible[g] > 0.5]
-    groups = _measured_rows(measurement)
+    measured = measurement.measured if layout.partial else [1.0] * layout.size
+    groups = [
+        np.arange(layout.size)[rows][np.array(measured[rows]) > 0.5] for rows in layout.groups
+    ]
     nis, accepted = [0.0] * len(layout.groups), [0.0] * len(layout.groups)
     if not visible:
         return Posterior(x.tolist(), P.tolist(), nis, accepted, 0.0)
@@ -223,16 +223,6 @@ def _update(
         posterior = filter_.update(P, relative, rows, R[np.ix_(rows, rows)])
     x, P = x + posterior.step, _symmetric(posterior.P)
     return Posterior(x.tolist(), P.tolist(), nis, accepted, log_likelihood)
-
-
-def _measured_rows(measurement: Measurement) -> list[Rows]:
-    """Return the indices of the measured rows of each group."""
-    layout = measurement.layout
-    measured = measurement.measured if layout.partial else [1.0] * layout.size
-    return [
-        np.array([row for row in range(group.start, group.stop) if measured[row] > 0.5], np.int64)
-        for group in layout.groups
-    ]
 
 
 @cache

@@ -100,14 +100,6 @@ def process_noise(
     )
 
 
-def _blockage(snr_db: Number, mean_db: Number) -> Number:
-    """Return the factor for the noise variance of a link whose SNR fell below its slow mean."""
-    depth = clip(
-        (mean_db - snr_db - BLOCKAGE_ONSET_DB) * (1.0 / BLOCKAGE_SLOPE_DB), 0.0, BLOCKAGE_DEPTH
-    )
-    return 1.0 + BLOCKAGE_GAIN * depth
-
-
 def measurement_of(
     mode: Mode, memory: Memory, epoch: Epoch, site: Site, layout: Layout
 ) -> Measurement:
@@ -115,8 +107,10 @@ def measurement_of(
     gamma = memory.gamma if mode.adaptive else 1.0
     variance = [gamma * (s * s) for s in epoch.sigma]
     if mode.blockage_aware:
-        for link in range(layout.anchors):
-            factor = _blockage(epoch.snr_db[link], memory.snr_mean_db[link])
+        for link in range(layout.anchors):  # more noise where the SNR fell below its slow mean
+            fall_db = memory.snr_mean_db[link] - epoch.snr_db[link] - BLOCKAGE_ONSET_DB
+            depth = clip(fall_db * (1.0 / BLOCKAGE_SLOPE_DB), 0.0, BLOCKAGE_DEPTH)
+            factor = 1.0 + BLOCKAGE_GAIN * depth
             rows = layout.link(link)
             variance[rows] = [v * factor for v in variance[rows]]
     return Measurement(

@@ -178,22 +178,16 @@ def _filtered(
         track["mode"], track["accepted"] = track["mode"].astype(np.int64), track["accepted"] > 0.5
         track["filtered"] = filtered_of(parts)
         track |= {"smooth_x": track["x"], "smooth_P": track["P"], "visible": episode.visible}
-        yield from _while_finite(TrackBlock(**{**vars(block), **track}, planar=planar))
-
-
-def _while_finite(track: TrackBlock) -> Iterator[TrackBlock]:
-    """Yield the track; at the first state that is not finite, stop and raise a LogError."""
-    lost = np.flatnonzero(~np.isfinite(track.x).all(axis=1) | ~np.isfinite(track.P).all(axis=1))
-    if not len(lost):
-        yield track
-        return
-    first = int(lost[0])
-    if first:
-        yield track.part(slice(first))
-    raise LogError(
-        f"log, time {track.time_s[first]} s: found NaN or infinity after this epoch, expected "
-        "measurements that a receiver can make"
-    )
+        sound = np.isfinite(track["x"]).all(axis=1) & np.isfinite(track["P"]).all(axis=1)
+        end = len(block) if sound.all() else int(np.argmin(sound))
+        if end:
+            whole = TrackBlock(**{**vars(block), **track}, planar=planar)
+            yield whole.part(slice(end))
+        if end < len(block):
+            raise LogError(
+                f"log, time {block.time_s[end]} s: found NaN or infinity after this epoch, "
+                "expected measurements that a receiver can make"
+            )
 
 
 def episode_from(block: LogBlock, scene: Scene, radio: Radio, begins: bool = True) -> Episode:

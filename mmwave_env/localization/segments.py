@@ -112,7 +112,8 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
         cost = float((w * e * e).sum() + (weight * away * away).sum()) + spare
         return cost, H.T @ (w * e) + weight * away, (H.T * w) @ H + np.diag(weight)
 
-    solutions = sorted((_descend(normal, start) for start in _starts(anchors, center)), key=_cost)
+    descents = (_descend(normal, start) for start in _starts(anchors, center))
+    solutions = sorted(descents, key=lambda solution: solution[0])
     cost, position, information = solutions[0]
     covariance = np.linalg.inv(information).astype(float)
     if np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]) > _WORST_FIX_M:
@@ -127,10 +128,6 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
 def _state(unknown: Array) -> list[float]:
     """Return the state (7,) of a user at rest at a position (3,); with a clock, (8,) from (4,)."""
     return [*unknown[:3].tolist(), *[0.0] * 4, *unknown[3:].tolist()]
-
-
-def _cost(solution: tuple[float, Array, Array]) -> float:
-    return solution[0]
 
 
 def _starts(anchors: Array, center: Array) -> Iterator[Array]:

@@ -46,7 +46,10 @@ def line_blocks(path: Path) -> Iterator[tuple[list[str], float]]:
             content = rest + content
             cut = len(content) if end and not damage else content.rfind(b"\n") + 1
             content, rest = content[:cut], content[cut:]
-            lines = _decode(content, first == 1)
+            text = content.decode("utf-8", errors="backslashreplace").replace("\r\n", "\n")
+            lines = (text.removeprefix("\ufeff") if first == 1 else text).split("\n")
+            if not lines[-1]:  # else the last line lacks its line end
+                lines.pop()
             if lines:
                 yield lines, min(raw.tell() / total, 1.0)
             first += len(lines)
@@ -72,15 +75,6 @@ def _read(file: Any) -> tuple[bytes, bool, str]:
         pieces.append(piece)
         size += len(piece)
     return b"".join(pieces), False, ""
-
-
-def _decode(content: bytes, at_start: bool) -> list[str]:
-    """Decode complete lines; the last one may lack its line end."""
-    text = content.decode("utf-8", errors="backslashreplace").replace("\r\n", "\n")
-    if at_start:
-        text = text.removeprefix("\ufeff")
-    lines = text.split("\n")
-    return lines if lines[-1] else lines[:-1]
 
 
 def number(word: str) -> float:

@@ -7,8 +7,8 @@ probes, floats that hide their value, on which a function is tried before it is 
 numbers of :mod:`mmwave_env.compiler.fingerprint`, which record operations.
 """
 
-import operator
 from collections.abc import Callable
+from operator import add, ge, gt, le, lt, mul, sub, truediv
 from typing import Any, NoReturn
 
 from mmwave_env.numerics import numbers
@@ -127,16 +127,8 @@ def _combined(op: str, a: Any, b: Any) -> Any:
     return (a if isinstance(a, Tracer) else b).combine(op, a, b)
 
 
-_OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
-    "add": operator.add,
-    "sub": operator.sub,
-    "mul": operator.mul,
-    "div": operator.truediv,
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-}
+_OPERATORS: dict[str, Any] = {"add": add, "sub": sub, "mul": mul, "div": truediv}
+_OPERATORS |= {"<": lt, "<=": le, ">": gt, ">=": ge}
 
 
 class FloatCondition(TracerCondition):

@@ -220,11 +220,7 @@ class World:
     @property
     def parts(self) -> tuple[Callable[[WorldState], WorldState], ...]:
         """Return the three parts of an epoch: measurement, events and motion during a substep."""
-
-        def observed(w: WorldState) -> WorldState:
-            return _observe(w, self._layout)
-
-        return observed, _attend, _move
+        return partial(_observe, layout=self._layout), _attend, _move
 
     def _compile(self) -> Any:
         """Compile the parts of an epoch; events are computed only if one is due in some lane."""

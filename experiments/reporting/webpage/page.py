@@ -72,6 +72,8 @@ def _player(verdicts: Sequence[Verdict], played: Sequence[Played]) -> str:
 
 def _html(verdicts: Sequence[Verdict], sections: Mapping[str, str], data: Any) -> str:
     """Return the complete page; placeholders in inserted text are not replaced."""
+    # JSON that is safe in a script element: nothing in it can end the element
+    content = json.dumps(data, allow_nan=False, separators=(",", ":"))
     titles = {re.sub(r"\W+", "-", t.lower()): t for t, section in sections.items() if section}
     parts = {
         "title": text(verdicts[0].title),
@@ -83,7 +85,7 @@ def _html(verdicts: Sequence[Verdict], sections: Mapping[str, str], data: Any) -
             f'<section id="{name}"><h2>{text(title)}</h2>{sections[title]}</section>'
             for name, title in titles.items()
         ),
-        "data": _in_script(data),
+        "data": content.translate({ord(sign): f"\\u{ord(sign):04x}" for sign in "<>&"}),
     }
     return re.sub(r"<!--(\w+)-->", lambda mark: parts[mark[1]], _file("page.html"))
 
@@ -100,9 +102,3 @@ def _colors() -> str:
 
 def _file(name: str) -> str:
     return (files("experiments.reporting.webpage") / name).read_text(encoding="utf-8")
-
-
-def _in_script(data: Any) -> str:
-    """Return JSON that is safe in a script element: nothing in it can end the element."""
-    content = json.dumps(data, allow_nan=False, separators=(",", ":"))
-    return content.translate({ord(sign): f"\\u{ord(sign):04x}" for sign in "<>&"})
