@@ -30,42 +30,35 @@ class Args:
     """also update the tables in this page, between its `<!-- table: ... -->` and end lines"""
 
 
-def _play(args: Args) -> None:
-    """Judge the contenders and write their entries."""
-    from experiments.console.progress import note
-    from experiments.console.provenance import provenance
-    from experiments.evaluation.protocol import RECORDED, entry, judge, require_contenders, sites
-    from mmwave_env.io.files import write_json
-
-    require_contenders(args.policies)
-    judged = []
-    for site in sites():
-        note(f"{site.name} ({site.kind})")
-        count = args.draws if site.kind == RECORDED else args.episodes
-        judged.append(judge(args.policies, site, count, args.seed))
-    made = provenance("leaderboard", args)
-    for name in args.policies:
-        file = re.sub(r"[^\w.-]+", "-", name).strip("-")
-        write_json(args.out / f"{file}.json", made | entry(name, judged))
-
-
 def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.doc_pages import page_to_renew, renewed
+    from experiments.console.progress import note
+    from experiments.console.provenance import provenance
     from experiments.console.tables import show
-    from experiments.evaluation.protocol import DRAWS, EPISODES, by_site, ranking, read_entry
-    from mmwave_env.io.files import write_text
+    from experiments.evaluation import protocol
+    from mmwave_env.io.files import write_json, write_text
 
     for name in ("episodes", "draws"):
         if getattr(args, name) < 2:
             raise ValueError(f"{name}: found {getattr(args, name)}, expected at least 2")
     page = page_to_renew(args.docs) if args.docs else ""
+    judged = []
     if args.policies:
-        _play(args)
-    entries = [read_entry(path) for path in sorted(args.out.glob("*.json"))]
+        protocol.require_contenders(args.policies)
+        for site in protocol.sites():
+            note(f"{site.name} ({site.kind})")
+            count = args.draws if site.kind == protocol.RECORDED else args.episodes
+            judged.append(protocol.judge(args.policies, site, count, args.seed))
+    for name in args.policies:
+        file = re.sub(r"[^\w.-]+", "-", name).strip("-")
+        entry = provenance("leaderboard", args) | protocol.entry(name, judged)
+        write_json(args.out / f"{file}.json", entry)
+    entries = [protocol.read_entry(path) for path in sorted(args.out.glob("*.json"))]
     if not entries:
         raise ValueError(f"out: found no entries in {args.out}; --policies makes some")
-    tables = {"leaderboard": ranking(entries, EPISODES, DRAWS), "sites": by_site(entries)}
+    ranked = protocol.ranking(entries, protocol.EPISODES, protocol.DRAWS)
+    tables = {"leaderboard": ranked, "sites": protocol.by_site(entries)}
     show("\n\n".join(tables.values()))
     if args.docs:
         write_text(args.docs, renewed(page, tables))

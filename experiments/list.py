@@ -7,12 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from tyro.conf import Positional
-
-if TYPE_CHECKING:
-    from mmwave_env.models.scene import Scene
 
 Kind = Literal["all", "policies", "scenarios", "radios", "scenes", "modes", "samples", "rewards"]
 
@@ -72,23 +69,20 @@ def scenes() -> dict[str, str]:
     from mmwave_env.models.random_scene import RANDOM
     from mmwave_env.models.scene import SCENES
 
-    return {name: _about_scene(scene) for name, scene in SCENES.items()} | {
-        RANDOM: "a new scene in each episode: random blocks, base station and walls"
-    }
-
-
-def _about_scene(scene: "Scene") -> str:
-    x, y, z = base = scene.base_station_m
-    (west, east), (south, north) = scene.streets.x_m, scene.streets.y_m
-    return "; ".join(
-        [
+    described = {}
+    for name, scene in SCENES.items():
+        x, y, z = base = scene.base_station_m
+        (west, east), (south, north) = scene.streets.x_m, scene.streets.y_m
+        words = [
             f"{len(scene.anchors_m)} anchors, {scene.carrier_hz / 1e9:g} GHz, "
             f"{scene.bandwidth_hz / 1e6:g} MHz",
             f"base station at ({x:g}, {y:g}, {z:g}) m",
             f"streets x {west:g} to {east:g} m, y {south:g} to {north:g} m",
             f"inside the walls {' and '.join(wall.side_of(base) for wall in scene.walls)}",
         ]
-    )
+        described[name] = "; ".join(words)
+    random = "a new scene in each episode: random blocks, base station and walls"
+    return described | {RANDOM: random}
 
 
 def samples() -> dict[str, str]:

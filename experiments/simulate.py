@@ -21,31 +21,24 @@ class Args(WorldArgs):
     """seed of the episode; compare runs the same episode for this seed"""
 
 
-def _require_none(folder: Path, overwrite: bool) -> None:
-    """Refuse to replace the files of an episode, which may be the only copy of a recording."""
-    from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
-
-    names = [name for name in (LOG, SCENE, TRUTH) if (folder / name).exists()]
-    if names and not overwrite:
-        raise ValueError(
-            f"out: found {', '.join(names)} in {folder}, expected a folder without them; "
-            "--overwrite replaces them, --out names another folder"
-        )
-
-
 def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.progress import progress, say
     from experiments.console.provenance import command_line
     from experiments.evaluation.asked import source_of
     from experiments.evaluation.seeds import draw_episodes
-    from mmwave_env.datasets.log_folder import write_log_folder
+    from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH, write_log_folder
     from mmwave_env.datasets.tracks import TrackSource
     from mmwave_env.models.random_scene import RandomScene
     from mmwave_env.models.scene import scene_of_anchors
     from mmwave_env.world.simulated import SimulatedSource
 
-    _require_none(args.out, args.overwrite)
+    names = [name for name in (LOG, SCENE, TRUTH) if (args.out / name).exists()]
+    if names and not args.overwrite:  # they may be the only copy of a recording
+        raise ValueError(
+            f"out: found {', '.join(names)} in {args.out}, expected a folder without them; "
+            "--overwrite replaces them, --out names another folder"
+        )
     source = source_of(args)
     assert isinstance(source, SimulatedSource | TrackSource)  # options select no other kind
     with progress("simulating"):

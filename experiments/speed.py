@@ -36,7 +36,12 @@ _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 
 def main(args: Args) -> None:
     """Run the command."""
-    _check(args)
+    if not args.sizes or min(args.sizes) < 1:
+        raise ValueError(f"sizes: found {list(args.sizes)}, expected numbers of at least 1")
+    if not 0.0 <= args.seconds < float("inf"):
+        raise ValueError(f"seconds: found {args.seconds}, expected a time of at least 0")
+    if args.repeats < 1:
+        raise ValueError(f"repeats: found {args.repeats}, expected at least 1")
     for name in _ONE_THREAD:
         os.environ.setdefault(name, "1")
     from mmwave_env.io.files import write_json, write_text
@@ -65,13 +70,3 @@ def main(args: Args) -> None:
         write_json(args.json, provenance("speed", args) | measured.json())
     if args.docs:
         write_text(args.docs, renewed(page, results))
-
-
-def _check(args: Args) -> None:
-    """Refuse arguments that can't be measured."""
-    if not args.sizes or min(args.sizes) < 1:
-        raise ValueError(f"sizes: found {list(args.sizes)}, expected numbers of at least 1")
-    if not 0.0 <= args.seconds < float("inf"):
-        raise ValueError(f"seconds: found {args.seconds}, expected a time of at least 0")
-    if args.repeats < 1:
-        raise ValueError(f"repeats: found {args.repeats}, expected at least 1")

@@ -1,4 +1,4 @@
-"""Tables of results, as Markdown and on a terminal."""
+"""Text and tables of results, as Markdown and on a terminal."""
 
 import re
 import textwrap
@@ -9,13 +9,34 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.markdown import Markdown
 
-from experiments.console.text import escaped, printable_lines, unescaped
+from mmwave_env.io.lookup import printable
 
 TABLE = re.compile(r"((?:^\|.*\n?)+)", re.MULTILINE)
 CELL = re.compile(r"((?:\\.|[^|\\])*)\|")  # a cell, with the | that ends it
 UNIT = re.compile(r" (?=(?:m|s|%)(?: |$))")  # the space before a unit, where a line must not break
 GLUED = "\u00a0"  # a space where :mod:`textwrap` does not break
 GAP = 2  # spaces between columns
+# Characters that are markup in Markdown or HTML; _ within a word and < before a number are not.
+_READ = re.compile(
+    r"[\\`*|$~]|<(?=[A-Za-z/!?])|&(?=[A-Za-z#])|\](?=[(\[:])"
+    r"|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])"
+)
+_ESCAPED = re.compile(r"\\([\\`*|$~<&\]_])")
+
+
+def printable_lines(text: str) -> str:
+    """Return text as :func:`~mmwave_env.io.lookup.printable` does, but keep the line breaks."""
+    return "\n".join(map(printable, text.split("\n")))
+
+
+def escaped(text: str) -> str:
+    """Return plain text as Markdown that shows every character, even in a cell of a table."""
+    return _READ.sub(r"\\\g<0>", printable(text))
+
+
+def unescaped(markdown: str) -> str:
+    """Return the plain text that :func:`escaped` was given."""
+    return _ESCAPED.sub(r"\1", markdown)
 
 
 def grid(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

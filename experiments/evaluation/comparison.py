@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.console.tables import grid
-from experiments.console.text import escaped
+from experiments.console.tables import escaped, grid
 from experiments.evaluation.intervals import Interval, bootstrap, rounded
 from experiments.evaluation.runner import Scores
 from experiments.evaluation.seeds import Selection
@@ -76,7 +75,14 @@ class Comparison:
         parts.append(self._table(METRICS))
         if self.paired:
             intervals = ", 95 % intervals" if len(self.selection) > 1 else ""
-            parts += [f"\nPaired differences of the reward{intervals}:\n", self._paired_table()]
+            pairs = {f"{a} - {b}": b for a, b in product(self.policies, repeat=2)}
+            subtracted = list(dict.fromkeys(pairs[pair] for pair in self.paired))
+            rows: list[list[object]] = []
+            for name in self.policies:
+                gains = (self.paired.get(f"{name} - {reference}") for reference in subtracted)
+                rows.append([name, *(gain["reward"] if gain else "" for gain in gains)])
+            table = grid(["reward of", *(f"minus {reference}" for reference in subtracted)], rows)
+            parts += [f"\nPaired differences of the reward{intervals}:\n", table]
         return "\n".join(parts) + "\n"
 
     def _table(self, metrics: Iterable[str]) -> str:
@@ -88,16 +94,6 @@ class Comparison:
         """Return a Markdown table of both terms of the tracking reward, error and NEES."""
         about = "The terms of the tracking reward, which is minus their sum:"
         return f"\n{about}\n\n{self._table(TERMS)}\n"
-
-    def _paired_table(self) -> str:
-        """Return a table of each policy's reward minus those of the reference contenders."""
-        subtracted = {f"{a} - {b}": b for a, b in product(self.policies, repeat=2)}
-        references = list(dict.fromkeys(subtracted[pair] for pair in self.paired))
-        rows: list[list[object]] = []
-        for name in self.policies:
-            pairs = (self.paired.get(f"{name} - {reference}") for reference in references)
-            rows.append([name, *(pair["reward"] if pair else "" for pair in pairs)])
-        return grid(["reward of", *(f"minus {reference}" for reference in references)], rows)
 
 
 def episodes_csv(scores: dict[str, Scores], selection: Selection, source: EpisodeSource) -> str:

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.console.tables import grid
-from experiments.console.text import escaped
+from experiments.console.tables import escaped, grid
 from experiments.evaluation.comparison import references
 from experiments.evaluation.intervals import Interval, bootstrap, crossed_bootstrap
 from experiments.evaluation.runner import Scores

@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.console.tables import grid
-from experiments.console.text import escaped
+from experiments.console.tables import escaped, grid
 from experiments.evaluation.positions import kinds_of, positions_markdown
 from experiments.figures.trajectory import DrawnTrack
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS

@@ -4,7 +4,7 @@ import csv
 import math
 import os
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from io import StringIO
 from pathlib import Path
 
@@ -38,7 +38,13 @@ def read_ways(path: str | os.PathLike[str]) -> Ways:
         values.extend(numbers)
     if not users:
         raise ValueError(f"{name}: found 0 rows, expected at least 2")
-    return Ways(name, [_way(f"{id} of {name}" if id else name, *way) for id, way in users.items()])
+    trajectories = []
+    for user, (lines, values) in users.items():
+        table = np.array(values).reshape(len(lines), -1)
+        velocity = table[:, 4:] if table.shape[1] > 4 else None
+        title = f"{user} of {name}" if user else name
+        trajectories.append(Trajectory(title, table[:, 0], table[:, 1:4], velocity, lines))
+    return Ways(name, trajectories)
 
 
 def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
@@ -47,12 +53,6 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     if len(ways) > 1:
         refuse_in(Path(path), f"column {ID}", f"{len(ways)} users", "one")
     return ways[0]
-
-
-def _way(name: str, lines: list[int], values: Sequence[float]) -> Trajectory:
-    table = np.array(values).reshape(len(lines), -1)
-    velocity = table[:, 4:] if table.shape[1] > 4 else None
-    return Trajectory(name, table[:, 0], table[:, 1:4], velocity, lines)
 
 
 def _rows(file: Path) -> Iterator[tuple[int, str, list[float]]]:

@@ -9,8 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from experiments.console.tables import CELL
-from experiments.console.text import unescaped
+from experiments.console.tables import CELL, unescaped
 from experiments.figures.canvas import COLORS, NO_MODE
 from mmwave_env.io.lookup import printable
 

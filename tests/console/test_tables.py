@@ -12,8 +12,7 @@ from rich.markdown import Markdown
 
 from experiments.console import progress as terminal
 from experiments.console.progress import progress, say, tracked
-from experiments.console.tables import grid, show
-from experiments.console.text import escaped, printable_lines, unescaped
+from experiments.console.tables import escaped, grid, printable_lines, show, unescaped
 from mmwave_env.io.lookup import LONGEST, as_cell, as_name, did_you_mean, is_name, printable, quoted
 
 NAMES = st.text(st.characters(codec=None), max_size=200)
