@@ -159,12 +159,9 @@ def summary(
 ) -> dict[str, Array]:
     """Compute all :data:`METRICS` per episode, without the burn-in.
 
-    Args:
-        error: (..., T, 3) estimated minus true position, m.
-        nees: (..., T) NEES of the position.
-        epochs_per_s: number of epochs per second; RPE compares epochs that are a second apart.
-        axes: number of position axes that NEES covers.
-        reward: (..., T) rewards; None leaves their mean out.
+    Errors (..., T, 3) are estimated minus true positions, m; the NEES (..., T) of the position
+    covers so many ``axes``; RPE compares epochs that are a second apart. Without rewards (..., T),
+    their mean is left out.
     """
     counted = scored(nees.shape[-1])
     pays = nees if reward is None else reward

@@ -33,25 +33,15 @@ EPISODE_STEPS = 200
 
 @dataclass(frozen=True)
 class Task:
-    """A task: the source of episodes, their filters and the reward.
-
-    Attributes:
-        source: source of episodes.
-        radio: profile of the receiver.
-        pipeline: modes and layout.
-        bank: modes with their transition probabilities, if every mode keeps its own belief; None
-            if modes share a belief.
-        reward: function of (belief, truth).
-        baseline: bank of the IMM whose reward is subtracted; None without a paired reward.
-        worst: reward for every remaining epoch of a diverged episode; None if it goes on instead.
-    """
+    """A task: the source of episodes, their filters and the reward."""
 
     source: EpisodeSource
-    radio: Radio
+    radio: Radio  # profile of the receiver
     pipeline: Pipeline
-    bank: Bank | None
-    reward: Reward
-    baseline: Bank | None
+    bank: Bank | None  # if every mode keeps its own belief; None if modes share one
+    reward: Reward  # function of (belief, truth)
+    baseline: Bank | None  # whose IMM's reward is subtracted; None without a paired reward
+    # reward for every remaining epoch of a diverged episode; None if it goes on instead
     worst: float | None
 
     def draw(self, rng: np.random.Generator) -> Episode:

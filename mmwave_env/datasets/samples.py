@@ -59,11 +59,7 @@ def source_from(
     Args:
         episodes: one of :func:`sample_names`; a folder with a measurement log, its scene and its
             true track, or with a DeepMIMO v4 scenario; a recording; or a measured track.
-        radio: profile of the receiver.
-        epochs: length of an episode, which is a window drawn at random; None for the longest
-            stretch of epochs with known positions.
-        measurements: names of the measurements to use; None for all.
-        clock: whether the user's clock has an unknown offset.
+        radio, epochs, measurements, clock: same as in :class:`TrackSource`.
 
     Raises:
         ValueError: the name is unknown, the folder contains something else, or the data are

@@ -146,12 +146,10 @@ class Track(ABC):
     ) -> tuple[dict[str, Any], Array]:
         """Check arrays; return the fields of a :class:`Track`, and the links' SNR or gain (T, L).
 
-        Args:
-            name, time_s, anchors_m, doppler_hz: as the constructors ``from_arrays`` take them.
-            links: (T, L) arrays in the order of ``LINK``, NaN where not measured; or None.
-            strength: name of the array with the SNR or gain, and the array (T, L) or None.
-            truth: true positions (T, 3), and true velocities (T, 3) or None.
-            signal: carrier frequency and bandwidth, Hz.
+        Arrays are those of the constructors ``from_arrays``: ``links`` (T, L) in the order of
+        ``LINK``, NaN where not measured, or None; the name and the array of the ``strength``, SNR
+        or gain; true positions and velocities (T, 3). ``signal`` is carrier frequency and
+        bandwidth, Hz.
 
         Raises:
             ValueError: an array has the wrong shape, or times do not increase.

@@ -131,10 +131,8 @@ def predict(
 ) -> tuple[list[Number], Matrix]:
     """Predict the mean (7,) and the covariance (7, 7) of a mode for the coming epoch.
 
-    Args:
-        pipeline, mode, x, P, epoch, tuning: same as for :func:`predict_update`.
-        gamma: adaptive scale of Q, which a mode that is not adaptive ignores.
-        hz_per_mps: carrier frequency divided by the speed of light.
+    :func:`predict_update` describes the arguments; ``gamma`` is the adaptive scale of Q, which a
+    mode that is not adaptive ignores.
     """
     scale, tuning = gamma if mode.adaptive else 1.0, tuning or mode.tuning
     noise = process_noise(tuning, epoch, hz_per_mps, scale, pipeline.planar)
@@ -161,14 +159,11 @@ def predict_update(
     site: Site,
     tuning: Tuning | None = None,
 ) -> ModeResult:
-    """Run one mode on the coming epoch.
+    """Run one mode of a pipeline on the coming epoch.
 
     Args:
-        pipeline, mode: the pipeline, and which of its modes to run.
-        x: (7,) mean after the previous epoch (in the first epoch, the prior mean).
-        P: (28,) packed covariance of the mean.
+        x, P: (7,), (28,) mean and packed covariance after the previous epoch; at first, the prior.
         memory: the memory of the track.
-        epoch: the coming epoch.
         site: anchors and carrier.
         tuning: motion model to use instead of the mode's own.
     """

@@ -120,12 +120,8 @@ def update(
 ) -> tuple[Array, Array]:
     """Condition the belief on the rows to keep: x + K y, K = C S^-1, eqs. (13) to (16).
 
-    Args:
-        method: one of :data:`METHODS`.
-        model: measurement model.
-        x, P: predicted belief.
-        z, R: measurement (rows,) and its variances (rows,).
-        keep: (rows,) mask of the rows that were measured and passed their gates.
+    A measurement z (rows,) has variances R (rows,); ``keep`` (rows,) is a mask of the rows that
+    were measured and passed their gates; the method is one of :data:`METHODS`.
     """
     mean, S, C = method(model, x, P)
     S = (S + np.diag(R))[np.ix_(keep, keep)]
@@ -177,11 +173,9 @@ def rts(
     """Smooth one track with the Rauch-Tung-Striebel smoother: eqs. (17) and (18).
 
     Args:
-        x, P: (T, 7) and (T, 7, 7) filtered beliefs.
-        P_predicted: (T, 7, 7) predicted covariances.
-        time_s: (T,) times of the epochs.
+        x, P: (T, 7) and (T, 7, 7) filtered beliefs at times (T,).
+        P_predicted, x_predicted: (T, 7, 7), (T, 7) predicted beliefs; means None for F x.
         free: indices of the uncertain components of x; on flat terrain there are five.
-        x_predicted: (T, 7) predicted means; None for F x.
         hz_per_mps: same as for :func:`F`.
     """
     if x_predicted is None:
@@ -198,21 +192,13 @@ def rts(
 
 @dataclass(frozen=True)
 class Sensor:
-    """The paper's measurement model: eqs. (5) to (8).
+    """The paper's measurement model: eqs. (5) to (8)."""
 
-    Attributes:
-        anchors: (L, 3) positions, m; the first is the base station.
-        hz_per_mps: f_c / c.
-        odometry: whether speed and heading are measured, too.
-        shifted: number of the anchor whose Doppler shift is measured, from 0.
-        clock: whether ranges include the range bias of the user's clock.
-    """
-
-    anchors: Array
-    hz_per_mps: float
-    odometry: bool = False
-    shifted: int = 0
-    clock: bool = False
+    anchors: Array  # (L, 3) positions, m; the first is the base station
+    hz_per_mps: float  # f_c / c
+    odometry: bool = False  # whether speed and heading are measured, too
+    shifted: int = 0  # number of the anchor whose Doppler shift is measured
+    clock: bool = False  # whether ranges include the range bias of the user's clock
 
     def h(self, x: Array) -> Array:
         """Return the measurement (rows,) that is expected in a state."""

@@ -107,10 +107,8 @@ def update(
     The result equals the textbook update with all rows at once, K = P H' S^-1, x + K y,
     P - K S K' (:func:`mmwave_env.filters.textbook.update`).
 
-    Args:
-        x, P: (7,), (7, 7) prior; P is positive definite except for structural zeros.
-        measurement, gate: the epoch's measurement, and the rule for accepting its groups.
-        linearization: tangent (EKF) or sigma points (UKF, CKF).
+    The prior is x (7,) and P (7, 7), positive definite except for structural zeros; it is
+    linearized by the tangent (EKF) or by sigma points (UKF, CKF).
     """
     anchors = measurement.layout.anchors
     L, latents, groups, V = prior = linearize(x, P, measurement, linearization)

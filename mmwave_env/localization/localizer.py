@@ -143,8 +143,7 @@ def localize(
 
     Args:
         blocks: blocks of the log; each is filtered in one call, so large blocks are faster.
-        scene: scene whose anchors were measured.
-        radio: profile of the receiver: standard deviations by SNR, oscillator, prior.
+        scene, radio: scene whose anchors were measured, and profile of the receiver.
         switching: the modes, and the rule or policy that chooses between them.
         window: number of epochs that are smoothed together; None for no smoothing.
         height_m: height of flat terrain, if it is known (paper, Sec. II-A).
@@ -250,10 +249,8 @@ def smoothed(
 ) -> tuple[Array, Array]:
     """Return smoothed means (N, T, 7) and packed covariances (N, T, 28) of N windows of a track.
 
-    Args:
-        switching, layout, planar, scene: those that were used to compute the track.
-        filtered: (N, T, values) rows that :func:`filtered_of` returned.
-        time_s, spread_hz: (N, T) times and Doppler spreads.
+    ``filtered`` (N, T, values) are rows of :func:`filtered_of`; times and Doppler spreads are (N,
+    T).
     """
     n = layout.state_size
     dt, ends = np.diff(time_s), [n, n + layout.triangle]

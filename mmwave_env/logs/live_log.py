@@ -36,13 +36,8 @@ class LiveLog:
 
     Args:
         names: names of the columns, as in the header of a log.
-        scene: scene whose anchors are measured.
-        snr_db: SNR to assume for links without one.
+        scene, snr_db, clock: same as for :func:`~mmwave_env.logs.log.read_log`.
         source: name of the source, for messages.
-        clock: whether the user's clock has an offset.
-
-    Attributes:
-        layout: layout of the measurements.
 
     Raises:
         LogError: the columns are not those of a log, or do not say how large the noise is.

@@ -160,11 +160,8 @@ def link_group(
     Fusing drops their difference, which has variance ra + rd and does not depend on the state.
     ``Sensor`` in :mod:`mmwave_env.filters.textbook` keeps all four rows.
 
-    Args:
-        x: (7,) prior mean.
-        anchor: (3,) m.
-        z, variance: (4,) measured values and their noise variances.
-        measured: (4,) 1 where a row was measured, else 0; empty if all were.
+    The prior mean is (7,), the anchor (3,), m; z and variance are (4,), and ``measured`` (4,) is 1
+    where a row was measured, else 0, or empty if all were.
     """
     d = [x[i] - anchor[i] for i in range(3)]
     distance, azimuth, elevation = direction(d)

@@ -27,20 +27,16 @@ class ProcessNoise(NamedTuple):
 def white_noise_acceleration(
     position: Vector, velocity: Vector, bias: Number, dt: Number, coupling: Number
 ) -> ProcessNoise:
-    """Return the process noise covariance Q over a step, given variances per second.
+    """Return the process noise covariance Q over a step dt, s, given variances per second.
+
+    The variances are position (3,), m^2 per second, velocity (3,), (m/s)^2 per second, and bias,
+    Hz^2 per second.
 
     With ``coupling`` 1, the velocity noise q = velocity dt also moves the position, like a constant
     acceleration during the step: it adds [[q dt^2 / 4, q dt / 2], [q dt / 2, q]] (discrete
     white-noise acceleration, Bar-Shalom et al. 2001, Sec. 6.3.2) to the position noise. So Q is
     positive semidefinite for any variances. With 0, Q is the paper's diagonal matrix, which
     underestimates how the position's uncertainty grows at dt = 1 s.
-
-    Args:
-        position: (3,) m^2 per second.
-        velocity: (3,) (m/s)^2 per second.
-        bias: Hz^2 per second.
-        dt: step, seconds.
-        coupling: 1 if velocity noise also moves the position within the step, else 0.
     """
     q = [v * dt for v in velocity]
     half = coupling * (0.5 * dt)

@@ -14,15 +14,9 @@ DRAWN = 16  # more pictures would be too small to read, and would need too much 
 
 
 class Gallery:
-    """Recorder and painter of the first :data:`DRAWN` of N environments, or of all if N is smaller.
+    """Recorder and painter of the first :data:`DRAWN` of n environments, or of all if n is smaller.
 
-    Args:
-        n: number of environments N.
-        rows, axes: arguments of :class:`Recorder`.
-        modes, size, theme: arguments of :class:`~mmwave_env.rendering.picture.Picture`.
-
-    Attributes:
-        recorders: recorders of the environments that are drawn.
+    :class:`Recorder` and :class:`~mmwave_env.rendering.picture.Picture` describe the arguments.
     """
 
     def __init__(

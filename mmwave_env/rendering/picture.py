@@ -29,12 +29,8 @@ def legend_rows(modes: int) -> int:
 class Picture:
     """Painter of the epochs of an episode.
 
-    Args:
-        modes: names of the actions.
-        size: height and width in px.
-        theme: "light" or "dark".
-        title: title above the picture; empty for none.
-        rows: minimum number of rows in the legend of modes.
+    The picture is ``size`` px high and wide, has a title if it is not empty, and at least so many
+    ``rows`` in its legend of ``modes``, the names of the actions.
     """
 
     def __init__(

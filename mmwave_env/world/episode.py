@@ -132,11 +132,10 @@ class Episode:
     ) -> "Episode":
         """Return an episode of measured arrays; noise that is not stated follows from the radio.
 
+        The other arguments are attributes.
+
         Args:
-            name, layout, time_s, measurement, visible, snr_db, doppler_spread_hz, doppler_anchor:
-                same as the attributes.
-            scene: scene whose anchors were measured.
-            radio: profile of the receiver.
+            scene, radio: scene whose anchors were measured, and profile of the receiver.
             prior: mean (7,) and covariance (7, 7) at the first epoch.
             sigma: (T, rows) standard deviations that the receiver states, NaN where it states none.
             position_m, velocity_mps: true positions and velocities (T, 3); None if unknown.

@@ -192,21 +192,15 @@ def blank_world(layout: Layout, phases: int, gaits: int) -> WorldState:
 class World:
     """The simulation of a user's epochs: each epoch is measured, then the user moves on.
 
-    Args:
-        layout: rows of the measurements.
-        phases, gaits: maximum numbers of phases and gaits.
-
-    Attributes:
-        template: the world as a tree of floats.
-        index: the same tree, with the row number of each float in the workspace.
-        ends: the rows at which the measured epoch, the settings and the kept state end.
+    ``phases`` and ``gaits`` are maximum numbers.
     """
 
     def __init__(self, layout: Layout, phases: int, gaits: int) -> None:
         self._layout = layout
         self.template = blank_world(layout, phases, gaits)
-        self.index: WorldState = indices(self.template)
+        self.index: WorldState = indices(self.template)  # the row of each float in the workspace
         sizes = [len(flatten(part)) for part in self.template]
+        # the rows at which the measured epoch, the settings and the kept state end
         self.ends = (sizes[0], sizes[0] + sizes[1], sum(sizes))
         self._compiled: Any = None
 

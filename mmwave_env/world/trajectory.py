@@ -143,12 +143,7 @@ class Trajectory:
 
 @dataclass(frozen=True, eq=False)
 class Ways:
-    """A collection of one or more ways (trajectories), from which each episode draws one.
-
-    Attributes:
-        name: name of the collection, for results and messages.
-        trajectories: (K,) trajectories, at least one.
-    """
+    """A collection of one or more ways (trajectories), from which each episode draws one."""
 
     name: str
     trajectories: Sequence[Trajectory]
@@ -178,17 +173,11 @@ class Ways:
 
 @dataclass(frozen=True, eq=False)
 class PlacedWays:
-    """A set of K ways through a scene; an episode is a window of one of them.
-
-    Attributes:
-        names: (K,) names of the ways.
-        tables: K arrays (E, 6), E >= ``epochs``: positions (m) and velocities (m/s) at epochs.
-        epochs: length of an episode.
-    """
+    """A set of K ways through a scene; an episode is a window of one of them."""
 
     names: Sequence[str]
-    tables: Sequence[Array]
-    epochs: int
+    tables: Sequence[Array]  # K arrays (E, 6), E >= epochs: positions (m) and velocities (m/s)
+    epochs: int  # length of an episode
 
     def draw(self, choice: Array) -> tuple[Index, Array]:
         """Draw a way for each of n episodes; return its number (n,) and the truth (n, epochs, 6).
