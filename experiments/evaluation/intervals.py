@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm, t
 
-from mmwave_env.numerics.numbers import Array
+from mmwave_env.numerics.numbers import Array, Index
 
 RESAMPLES = 4000
 BLOCK = 100  # resamples computed at once, to bound the memory
@@ -69,7 +69,7 @@ def _resamples(n: int, seed: int = 0) -> NDArray[np.uint16]:
     return counts
 
 
-def _drawn(n: int, seed: int, rows: int) -> Iterator[NDArray[np.int64]]:
+def _drawn(n: int, seed: int, rows: int) -> Iterator[Index]:
     """Yield the counts of resamples, a few rows at a time to bound the memory."""
     rng = np.random.default_rng(seed)
     for first in range(0, RESAMPLES, rows):

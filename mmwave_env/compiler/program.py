@@ -20,7 +20,7 @@ from mmwave_env.compiler.disk_cache import LazyJit, compiled_callback
 from mmwave_env.compiler.fingerprint import fingerprint
 from mmwave_env.compiler.lanes import WIDTH, kernel
 from mmwave_env.compiler.threads import share
-from mmwave_env.numerics.numbers import Array, Index
+from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.numerics.pytree import Tree, flatten, indices, unflatten
 
 Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
@@ -84,7 +84,7 @@ class BatchState(NamedTuple):
     table: Array  # (n, epochs, incoming) the epochs to load
     length: Index  # (n,) number of epochs of each track; after the last, a blank epoch is loaded
     epoch: Index  # (n,) the epoch that each track runs next, changed in place
-    running: NDArray[np.bool_]  # (n,) False leaves a track and its epoch number unchanged
+    running: Mask  # (n,) False leaves a track and its epoch number unchanged
 
     @classmethod
     def of(cls, table: Array, rows: Array) -> "BatchState":

@@ -23,7 +23,6 @@ from filterpy.kalman import (
     UnscentedKalmanFilter,
 )
 from filterpy.kalman.CubatureKalmanFilter import spherical_radial_sigmas
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from mmwave_env.filters import textbook
@@ -34,9 +33,7 @@ from mmwave_env.filters.update import Algorithm, Posterior
 from mmwave_env.io.lookup import choose
 from mmwave_env.models.measurement import Measurement
 from mmwave_env.models.motion import ProcessNoise
-from mmwave_env.numerics.numbers import Array, Matrix, Vector
-
-Rows = NDArray[np.int64]
+from mmwave_env.numerics.numbers import Array, Index, Matrix, Vector
 
 
 def full_noise(noise: ProcessNoise) -> Array:
@@ -97,7 +94,7 @@ class _Ekf:
         f.predict()
         return f.x, f.P
 
-    def update(self, P: Array, relative: _Relative, rows: Rows, R: Array) -> _Filtered:
+    def update(self, P: Array, relative: _Relative, rows: Index, R: Array) -> _Filtered:
         f = self._filter
         f.x, f.P = np.zeros(len(P)), P
         f.update(
@@ -126,7 +123,7 @@ class _Ukf(_PointFilter):
         self._points: Any = MerweScaledSigmaPoints(size, alpha=1.0, beta=2.0, kappa=0.0)
         self._filter = UnscentedKalmanFilter(size, 1, 1.0, None, None, self._points)
 
-    def update(self, P: Array, relative: _Relative, rows: Rows, R: Array) -> _Filtered:
+    def update(self, P: Array, relative: _Relative, rows: Index, R: Array) -> _Filtered:
         f = self._filter
         f.x, f.P = np.zeros(len(P)), P
         f.sigmas_f = self._points.sigma_points(f.x, P)
@@ -140,7 +137,7 @@ class _Ckf(_PointFilter):
     def __init__(self, size: int) -> None:
         self._filter = CubatureKalmanFilter(size, 1, 1.0, None, None)
 
-    def update(self, P: Array, relative: _Relative, rows: Rows, R: Array) -> _Filtered:
+    def update(self, P: Array, relative: _Relative, rows: Index, R: Array) -> _Filtered:
         f = self._filter
         f.x, f.P = np.zeros((len(P), 1)), P
         f.sigmas_f = spherical_radial_sigmas(f.x, P)

@@ -15,10 +15,10 @@ from types import UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.io.files import read_json
 from mmwave_env.io.lookup import LONGEST, choose, is_name, quoted
+from mmwave_env.numerics.numbers import Array, Mask
 
 T = TypeVar("T")
 
@@ -38,7 +38,7 @@ class Bound:
         low = value > self.above if self.least is None else value >= self.least
         return bool(low and (value < self.below if self.most is None else value <= self.most))
 
-    def outside(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def outside(self, values: Array) -> Mask:
         """Return which numbers, of any shape, are outside the two limits; NaN always is."""
         assert self.least is not None and self.most is not None
         return ~((values >= self.least) & (values <= self.most))  # type: ignore[no-any-return]

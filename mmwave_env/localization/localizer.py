@@ -13,7 +13,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.engines.imm_engine import ImmTracker
 from mmwave_env.engines.mode_smoothing import smooth_modes
@@ -31,7 +30,7 @@ from mmwave_env.logs.log_tables import LogError, in_windows
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import Array, Mask
+from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.world.episode import Episode
 from policies.learned import LearnedSwitch
 from policies.policy import Policy
@@ -57,7 +56,7 @@ class TrackBlock(LogBlock):
     # smooth_x, smooth_P: smoothed belief; without smoothing, the filtered one
     smooth_x: Array
     smooth_P: Array
-    mode: NDArray[np.int64]  # (T,) number of the mode that ran
+    mode: Index  # (T,) number of the mode that ran
     nis: Array  # (T, groups) NIS in that mode; 0 where not visible
     accepted: Mask  # (T, groups) whether the gate accepted the group
 

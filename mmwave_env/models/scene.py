@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.io.lookup import as_name, choose
 from mmwave_env.io.records import (
@@ -25,6 +24,7 @@ from mmwave_env.io.records import (
 )
 from mmwave_env.models.envelope import POSITION_M
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
+from mmwave_env.numerics.numbers import Array
 
 MOST_ANCHORS = 32  # with this many anchors, compiling takes a minute and a half
 
@@ -172,7 +172,7 @@ class Scene:
             )
 
     @property
-    def anchors_m(self) -> NDArray[np.float64]:
+    def anchors_m(self) -> Array:
         """Return the anchors (L, 3): the gNB, its image in each wall, the other virtual anchors."""
         images = [wall.mirror(self.base_station_m) for wall in self.walls]
         return np.array([self.base_station_m, *images, *self.virtual_anchors_m], float)
@@ -193,7 +193,7 @@ class Scene:
                 f"{default}, expected all at {side}, where the base station is"
             )
 
-    def behind_walls(self, points_m: NDArray[np.float64]) -> Iterator[tuple[int, Wall]]:
+    def behind_walls(self, points_m: Array) -> Iterator[tuple[int, Wall]]:
         """Yield (index, wall) for each wall with at least one of the points (n, 3) behind or in it.
 
         The index is that of the first such point.
@@ -239,9 +239,7 @@ SCENES: dict[str, Scene] = {
 }
 
 
-def scene_of_anchors(
-    name: str, anchors_m: NDArray[np.float64], carrier_hz: float, bandwidth_hz: float
-) -> Scene:
+def scene_of_anchors(name: str, anchors_m: Array, carrier_hz: float, bandwidth_hz: float) -> Scene:
     """Return a scene with anchors (L, 3), the physical gNB first, but without walls and streets."""
     gnb, *virtual = [(float(x), float(y), float(z)) for x, y, z in anchors_m]
     return Scene(name, gnb, (), Streets(), carrier_hz, bandwidth_hz, tuple(virtual))

@@ -6,10 +6,9 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.models.scene import Streets
-from mmwave_env.numerics.numbers import Array, Index
+from mmwave_env.numerics.numbers import Array, Index, Mask
 
 NO_MODE = -1  # for the prior, which no mode computed
 GATE = 0.99  # chi-square quantile for the NIS in pictures; most modes have gates at this quantile
@@ -37,8 +36,8 @@ class History:
     P: Array  # (k + 1, 6) covariance of the position, packed: xx, xy, yy, xz, yz, zz, m^2
     nees: Array  # (k + 1,), NaN in the first row
     # accepted, rejected: (k + 1, groups) links first, then the Doppler shift
-    accepted: NDArray[np.bool_]
-    rejected: NDArray[np.bool_]
+    accepted: Mask
+    rejected: Mask
 
     @property
     def epochs(self) -> int:

@@ -23,11 +23,10 @@ from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.models.layout import LINK
 from mmwave_env.models.measurement import SPEED_OF_LIGHT, direction
-from mmwave_env.numerics.numbers import PI, Array, Mask, wrap
+from mmwave_env.numerics.numbers import PI, Array, Index, Mask, wrap
 from mmwave_env.world.checks import refuse_in
 
 TOLERANCE_M = 0.05  # closer points count as the same; rounding to float32 moves them by 1e-4 m
@@ -88,7 +87,7 @@ class StationLinks:
 
     paths: StationPaths  # paths of the station, for E receivers, P paths each
     anchors_m: Array  # (K, 3) position of the station, then of its images as discovered
-    member: NDArray[np.int_]  # (E, P) index of the anchor that a path leads to; -1 for none
+    member: Index  # (E, P) index of the anchor that a path leads to; -1 for none
     rows: Array  # (E, P, 4) rows of a link, as in ``LINK``: m, rad; NaN if there is no anchor
 
     @cached_property
@@ -98,13 +97,13 @@ class StationLinks:
         return np.asarray(normal[:, 2] > _FLAT * np.linalg.norm(normal, axis=1))
 
     @cached_property
-    def epochs_seen(self) -> NDArray[np.int_]:
+    def epochs_seen(self) -> Index:
         """Count the epochs in which each anchor (K,) is seen."""
         epoch, path = np.nonzero(self.member >= 0)
         pairs = np.unique(np.column_stack([epoch, self.member[epoch, path]]), axis=0)
         return np.bincount(pairs[:, 1], minlength=len(self.anchors_m))
 
-    def strongest(self, anchor: int) -> tuple[Mask, NDArray[np.int_]]:
+    def strongest(self, anchor: int) -> tuple[Mask, Index]:
         """Return the epochs (E,) in which an anchor is seen, and the strongest path (E,) to it."""
         leads = self.member == anchor
         return leads.any(axis=1), np.argmax(np.where(leads, self.paths.gain_db, -np.inf), axis=1)
@@ -129,7 +128,7 @@ def find_links(paths: StationPaths, position_m: Array) -> StationLinks:
     return StationLinks(paths, anchors, member, rows)
 
 
-def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, NDArray[np.int_]]:
+def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, Index]:
     """Return the station and its images (K, 3), and the anchor that each path (E, P) leads to."""
     from scipy.spatial import cKDTree
 
@@ -159,9 +158,7 @@ def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, NDArray[np.
     return np.array(anchors), member
 
 
-def _measure(
-    paths: StationPaths, position_m: Array, anchors: Array, member: NDArray[np.int_]
-) -> Array:
+def _measure(paths: StationPaths, position_m: Array, anchors: Array, member: Index) -> Array:
     """Compute the rows (E, P, 4), m and rad, of each path as a link to its anchor."""
     sight = (position_m - paths.position_m)[:, None]
     direct = member == 0
@@ -177,7 +174,7 @@ def _measure(
 
 
 def _require_geometry(
-    paths: StationPaths, position_m: Array, anchors: Array, member: NDArray[np.int_], rows: Array
+    paths: StationPaths, position_m: Array, anchors: Array, member: Index, rows: Array
 ) -> None:
     """Refuse links whose rows (E, P, 4) contradict the positions of receiver and anchor."""
     offset = position_m[:, None] - anchors[member]

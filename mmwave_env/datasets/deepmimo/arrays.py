@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.numerics.numbers import Array
+from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.world.checks import refuse_in
 
 Shape = tuple[int | str, ...]
@@ -34,7 +34,7 @@ def find_array(folder: Path, name: str) -> Path:
     )
 
 
-def read_array(file: Path, key: str, shape: Shape, rows: NDArray[np.int_] | None = None) -> Array:
+def read_array(file: Path, key: str, shape: Shape, rows: Index | None = None) -> Array:
     """Read the array stored under a key in a file that :func:`find_array` found, as doubles.
 
     Args:

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.datasets.deepmimo.anchors import (
     LINE_OF_SIGHT,
@@ -23,7 +22,7 @@ from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.ways import COLUMNS, read_trajectory
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.scene import scene_of_anchors
-from mmwave_env.numerics.numbers import Array
+from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.world.checks import refuse_in
 from mmwave_env.world.trajectory import Trajectory
 
@@ -36,7 +35,7 @@ def read_deepmimo(
     bandwidth_hz: float = 100e6,
     *,
     dt_s: float | None = None,
-    users: int | Sequence[int] | NDArray[np.int_] | None = None,
+    users: int | Sequence[int] | Index | None = None,
     base_station: int | None = None,
     receiver_set: int | None = None,
 ) -> Recording:
@@ -99,7 +98,7 @@ def read_deepmimo(
     return recording
 
 
-def _way_of(scenario: Scenario, epochs: NDArray[np.int_], dt_s: float | None) -> Trajectory:
+def _way_of(scenario: Scenario, epochs: Index, dt_s: float | None) -> Trajectory:
     """Return times, positions and velocities of epochs (E, 2), scenes and receivers.
 
     With a time step, velocities are computed from the positions; otherwise both come from

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.datasets.deepmimo.anchors import (
     LINE_OF_SIGHT,
@@ -24,7 +23,7 @@ from mmwave_env.datasets.deepmimo.anchors import (
 from mmwave_env.datasets.deepmimo.arrays import find_array, read_array
 from mmwave_env.io.files import read_json
 from mmwave_env.io.lookup import as_name
-from mmwave_env.numerics.numbers import Array, Mask
+from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.world.checks import refuse_in
 
 PARAMS = "params.json"  # the file that marks a folder as a scenario
@@ -47,12 +46,12 @@ class Scenario:
         """Tell whether the epochs are scenes, not receivers."""
         return self.scenes != (self.folder,)
 
-    def name_of(self, epoch: NDArray[np.int_]) -> str:
+    def name_of(self, epoch: Index) -> str:
         """Return the name, for messages, of the receiver with this scene and row (2,)."""
         scene, row = epoch.tolist()
         return f"receiver {row}" + (f" in {self.scenes[scene].name}" if self.is_dynamic else "")
 
-    def epochs(self, users: int | Sequence[int] | NDArray[np.int_] | None) -> NDArray[np.int_]:
+    def epochs(self, users: int | Sequence[int] | Index | None) -> Index:
         """Return the scene, and the receiver's row in its arrays, of every epoch (E, 2).
 
         Args:
@@ -86,7 +85,7 @@ class Scenario:
         """Return the file of a key, which must exist."""
         return find_array(self.scenes[scene], f"{key}_{station}_r{self.receiver_set}")
 
-    def positions(self, epochs: NDArray[np.int_]) -> Array:
+    def positions(self, epochs: Index) -> Array:
         """Return positions (E, 3), m, of receivers, given as :meth:`epochs` returns them."""
         parts = []
         for scene, rows in _by_scene(epochs):
@@ -100,9 +99,7 @@ class Scenario:
         """Return the name for results and messages."""
         return as_name(self.folder.resolve().name)
 
-    def paths(
-        self, epochs: NDArray[np.int_], base_station: int | None = None
-    ) -> list[StationPaths]:
+    def paths(self, epochs: Index, base_station: int | None = None) -> list[StationPaths]:
         """Read the paths between each base station, or only one of them, and some receivers.
 
         Args:
@@ -199,13 +196,13 @@ def _stations(scene: Path, receiver_set: int | None) -> tuple[str, tuple[str, ..
     return chosen[0], tuple(station for station, number in links if number == chosen[0])
 
 
-def _by_scene(epochs: NDArray[np.int_]) -> list[tuple[int, NDArray[np.int_]]]:
+def _by_scene(epochs: Index) -> list[tuple[int, Index]]:
     """Return the scenes of epochs (E, 2), each with the rows of its receivers."""
     scenes, rows = epochs.T
     return [(int(scene), rows[scenes == scene]) for scene in np.unique(scenes)]
 
 
-def _read_station(scenario: Scenario, epochs: NDArray[np.int_], station: str) -> StationPaths:
+def _read_station(scenario: Scenario, epochs: Index, station: str) -> StationPaths:
     scenes = [_read_scene(scenario, scene, station, rows) for scene, rows in _by_scene(epochs)]
     here = scenes[0].pop("tx_pos")
     for scene, arrays in enumerate(scenes[1:], start=1):
@@ -233,12 +230,10 @@ def _read_station(scenario: Scenario, epochs: NDArray[np.int_], station: str) ->
     )
 
 
-def _read_scene(
-    scenario: Scenario, scene: int, station: str, rows: NDArray[np.int_]
-) -> dict[str, Array]:
+def _read_scene(scenario: Scenario, scene: int, station: str, rows: Index) -> dict[str, Array]:
     """Read the arrays (R, P, ...) of some receivers in a scene, and ``tx_pos`` (1, 3)."""
 
-    def read(key: str, *shape: int | str, rows: NDArray[np.int_] | None = rows) -> Array:
+    def read(key: str, *shape: int | str, rows: Index | None = rows) -> Array:
         return read_array(scenario.file(scene, key, station), key, shape, rows)
 
     def check(key: str, array: Array, used: Mask | None = None) -> Array:
@@ -261,7 +256,7 @@ def _read_scene(
 
 
 def _finite(
-    file: Path, key: str, array: Array, rows: NDArray[np.int_] | None, used: Mask | None = None
+    file: Path, key: str, array: Array, rows: Index | None, used: Mask | None = None
 ) -> Array:
     """Refuse an array with NaN or infinity, or return it.
 
