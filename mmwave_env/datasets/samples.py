@@ -6,7 +6,7 @@ from importlib import resources
 from pathlib import Path
 
 from mmwave_env.datasets.deepmimo.recording import read_deepmimo
-from mmwave_env.datasets.deepmimo.v4 import is_scenario
+from mmwave_env.datasets.deepmimo.v4 import PARAMS
 from mmwave_env.datasets.log_folder import read_log_folder
 from mmwave_env.datasets.measured import MeasuredTrack
 from mmwave_env.datasets.recorded import Recording
@@ -81,5 +81,6 @@ def source_from(
             f"episodes: found {str(folder)!r}, expected one of {', '.join(sample_names())}, "
             "or a folder with a measurement log, its scene and its truth, or a DeepMIMO scenario"
         )
-    track = read_deepmimo(folder) if is_scenario(folder) else read_log_folder(folder, clock)
+    is_scenario = (folder / PARAMS).exists()
+    track = read_deepmimo(folder) if is_scenario else read_log_folder(folder, clock)
     return TrackSource(track, radio, epochs, measurements, clock)

@@ -9,7 +9,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmwave_env.io.lookup import quoted
+from mmwave_env.io.lookup import is_name, quoted
+from mmwave_env.io.records import Printable
 from mmwave_env.logs.truth import stretches, velocity_of
 from mmwave_env.models.layout import (
     LINK,
@@ -24,7 +25,7 @@ from mmwave_env.models.prior import GAP_S, draw_prior
 from mmwave_env.models.radio import Radio, clock_bias, radio_from
 from mmwave_env.models.scene import Scene, scene_of_anchors
 from mmwave_env.numerics.numbers import Array, Index, Mask, wrap
-from mmwave_env.world.checks import refuse, require_epochs, require_increasing, require_name
+from mmwave_env.world.checks import refuse, require_epochs, require_increasing
 from mmwave_env.world.episode import Episode, shapes_of
 
 # Limits of the median errors of range, m, and angles, rad: an error above _FAR can't be noise, an
@@ -72,7 +73,8 @@ class Track(ABC):
     velocity_mps: Array
 
     def __post_init__(self) -> None:
-        require_name(self.record, self.name)
+        if not is_name(self.name):
+            refuse(self.record, "name", quoted(self.name), Printable.expected)
         T, L = len(self.time_s), len(self.scene.anchors_m)
         if self.layout.anchors != L:
             refuse(self.record, "anchors", f"{L} in the scene", str(self.layout.anchors))

@@ -77,9 +77,7 @@ class MissingExtraError(ImportError, ValueError):
 
 
 def require_extra(package: str, extra: str, user: str) -> None:
-    """Raise an error, before any work is done, if a package is not installed.
-
-    The message says which extra of mmwave-loc installs the package that the ``user`` needs.
+    """Raise an error, before any work is done, if a package that the ``user`` needs is not installed.
 
     Raises:
         MissingExtraError: the package is not installed; the message says how to get it.

@@ -115,7 +115,7 @@ def _labelled(
 def _block(paths: PathEpoch, epoch: Epoch, begins: bool) -> LogBlock:
     """Return the measurements of an epoch, associated with anchors, as a block of a log.
 
-    A track ``begins`` here, possibly in place of another track.
+    ``begins`` says whether a track begins here, possibly in place of another one.
     """
     visible = np.array([epoch.visible]) > 0.5
     return LogBlock(

@@ -248,8 +248,7 @@ def smoothed(
 ) -> tuple[Array, Array]:
     """Return smoothed means (N, T, 7) and packed covariances (N, T, 28) of N windows of a track.
 
-    ``filtered`` (N, T, values) are rows of :func:`filtered_of`; times and Doppler spreads are (N,
-    T).
+    ``filtered`` (N, T, values) are rows of :func:`filtered_of`; times and spreads are (N, T).
     """
     n = layout.state_size
     dt, ends = np.diff(time_s), [n, n + layout.triangle]

@@ -6,8 +6,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from mmwave_env.io.lookup import is_name, quoted
-from mmwave_env.io.records import Bound, Printable
+from mmwave_env.io.records import Bound
 from mmwave_env.numerics.numbers import Array
 
 
@@ -19,12 +18,6 @@ def refuse(record: str, field: str, value: object, expected: str) -> NoReturn:
 def refuse_in(file: Path, part: str, value: object, expected: str) -> NoReturn:
     """Raise a ValueError about a part of a file, such as a line or a key."""
     raise ValueError(f"{file}: {part}: found {value}, expected {expected}")
-
-
-def require_name(record: str, name: object) -> None:
-    """Refuse a name that tables and pictures cannot show unchanged."""
-    if not is_name(name):
-        refuse(record, "name", quoted(name), Printable.expected)
 
 
 def require_epochs(record: str, epochs: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:

@@ -122,11 +122,6 @@ class Scenario:
         return [_read_station(self, epochs, name) for name in stations]
 
 
-def is_scenario(folder: Path) -> bool:
-    """Tell whether a folder has the file that marks it as a scenario."""
-    return (folder / PARAMS).exists()
-
-
 def open_scenario(folder: Path, receiver_set: int | None = None) -> Scenario:
     """Read the description of a scenario folder, but not its paths.
 
