@@ -16,11 +16,11 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 32_600,
-    "tokens of source": 214_500,
-    "files of source": 280,
-    "lines of tests": 26_000,
-    "tokens of tests": 231_500,
+    "lines of source": 31_630,
+    "tokens of source": 214_000,
+    "files of source": 226,
+    "lines of tests": 25_830,
+    "tokens of tests": 230_800,
     "words of docs": 39_400,
     "pages of docs": 23,
     "tracked files": 620,
@@ -31,14 +31,14 @@ BUDGET = {
     "lines that ruff may not format": 60,
 }
 ROOMS = {  # maximum lines of source in a folder
-    "experiments/evaluation": 1_900,
+    "experiments/evaluation": 1_755,
     "experiments/training": 2_350,
-    "experiments/reporting/webpage": 1_100,
-    "mmwave_env/datasets": 1_800,
+    "experiments/reporting/webpage": 1_060,
+    "mmwave_env/datasets": 1_715,
     "mmwave_env/engines": 2_100,
-    "mmwave_env/filters": 2_450,
-    "mmwave_env/localization": 2_560,
-    "mmwave_env/world": 2_260,
+    "mmwave_env/filters": 2_365,
+    "mmwave_env/localization": 2_465,
+    "mmwave_env/world": 2_130,
 }
 SOURCE = ("mmwave_env", "experiments", "policies")
 FOR_DEVELOPERS = {"dev", "docs", "lint"}  # extras for developers only

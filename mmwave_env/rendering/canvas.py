@@ -21,11 +21,9 @@ _FAR = 1e4  # px; larger coordinates are reduced to this
 
 
 class Canvas:
-    """A picture that is being drawn; words appear above all shapes.
+    """A picture that is being drawn, ``width`` x ``height`` px; words appear above all shapes.
 
-    Args:
-        width, height: size in px.
-        unit: px per unit of line widths and font sizes; 1 in the smallest picture.
+    Line widths and font sizes are in units of ``unit`` px, which is 1 in the smallest picture.
     """
 
     def __init__(self, width: int, height: int, unit: float) -> None:

@@ -39,12 +39,8 @@ def write_video(
 ) -> None:
     """Write a video completely or, if that fails, not at all; an existing file is then kept.
 
-    Args:
-        path: path of the file, checked by :func:`require_video`.
-        draw: returns the picture (height, width, 3) with a given number.
-        numbers: numbers of the pictures to draw, in order; at least one.
-        fps: pictures per second.
-        report: receives the share that is done.
+    ``draw`` returns the picture (height, width, 3) with a number, and ``report`` receives the share
+    that is done; :func:`require_video` has checked the path.
     """
 
     def pictures() -> Iterator[NDArray[np.uint8]]:
