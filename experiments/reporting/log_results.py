@@ -28,6 +28,7 @@ from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
 from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.filters.bank import modes_from
 from mmwave_env.io.files import require_writable, write_json
+from mmwave_env.io.lookup import as_name
 from mmwave_env.localization.association import Association, associate
 from mmwave_env.localization.contradictions import contradictions
 from mmwave_env.localization.localizer import TrackBlock, localize
@@ -178,8 +179,10 @@ def beginning(args: LogArgs, epochs: int) -> tuple[TrackBlock, Work]:
     return next(_track(args, work, None)), work
 
 
-def _run(args: LogArgs, work: Work) -> tuple[dict[str, Any], TrackSampler, ValueError | None]:
-    """Localize a log, score its track and write it, block by block.
+def _run(
+    args: LogArgs, work: Work, name: str
+) -> tuple[dict[str, Any], TrackSampler, ValueError | None]:
+    """Localize a log, score its track and write it, block by block, under a name.
 
     Returns:
         Results, the track to draw, and an error in the log or in the ground truth, if any.
@@ -197,14 +200,15 @@ def _run(args: LogArgs, work: Work) -> tuple[dict[str, Any], TrackSampler, Value
     track = _track(args, work, args.window if args.smoothing else None)
     error: ValueError | None = None
     with ExitStack() as stack:
-        write = stack.enter_context(track_files(args.out, names, work.scene)) if args.out else None
+        if args.out:
+            write = stack.enter_context(track_files(args.out, names, work.scene, name))
         report = stack.enter_context(progress("localizing"))
         try:
             for block in track:
                 sampler.add(block, scores.add(block) if scores else None)
                 course.add(block)
                 groups.add(block)
-                if write:
+                if args.out:
                     write(block)
                 report(block.share)
         except LogError as damage:
@@ -238,7 +242,8 @@ def localized(args: LogArgs) -> None:
     outputs = _outputs(args)
     for path in filter(None, outputs.values()):
         require_writable(path)
-    figures, sampler, error = _run(args, work)
+    name = as_name(Path(files.log.name.removesuffix(".gz")).stem)
+    figures, sampler, error = _run(args, work, name)
     doubts = contradictions(work.first.whole(), scene, work.radio, figures["groups"])
     for doubt in doubts:
         warnings.warn(f"{doubt}; --diagnose tries likely mistakes", stacklevel=2)

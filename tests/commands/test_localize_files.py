@@ -1,6 +1,7 @@
 """Tests of ``mmwave-loc localize`` with FIFOs, full disks, pictures that fail and odd names."""
 
 import errno
+import gzip
 import json
 import os
 import shutil
@@ -9,6 +10,7 @@ import sys
 from itertools import chain
 from pathlib import Path
 
+import gpxpy
 import pytest
 
 from tests.cli import assert_one_clear_line, command, environment, succeed
@@ -61,6 +63,25 @@ def test_results_of_a_comparison_are_written_even_if_the_picture_fails(tmp_path,
     assert done.returncode == 2 and done.stderr.endswith(f"device: '{tmp_path / 'e.png'}'\n")
     assert list(json.loads((tmp_path / "e.json").read_text())["policies"]) == ["fixed-ekf"]
     assert "| fixed-ekf |" in done.stdout
+
+
+@pytest.fixture
+def mapped(tmp_path):
+    """Return a folder with the log of the ride, my_ride.csv.gz, and a scene with an origin."""
+    scene = json.loads((RIDE / "scene.json").read_text())
+    scene["origin"] = {"latitude_deg": 48.0, "longitude_deg": 11.0}
+    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    (tmp_path / "my_ride.csv.gz").write_bytes(gzip.compress((RIDE / "log.csv").read_bytes()))
+    return tmp_path
+
+
+def test_a_track_on_a_map_has_the_name_of_its_log(mapped):
+    words = ("localize", "my_ride.csv.gz", "--scene", "scene.json", "--speed", "9", "--out")
+    succeed(*words, "t.gpx", cwd=mapped)
+    (track,) = gpxpy.parse((mapped / "t.gpx").read_text()).tracks
+    succeed(*words, "t.geojson", cwd=mapped)
+    line = json.loads((mapped / "t.geojson").read_text())["features"][0]
+    assert track.name == line["properties"]["name"] == "my_ride"
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
