@@ -17,7 +17,7 @@ from tests.paths import ROOT
 
 BUDGET = {
     "lines of source": 32_600,
-    "tokens of source": 214_500,
+    "tokens of source": 214_700,
     "files of source": 280,
     "lines of tests": 26_000,
     "tokens of tests": 231_500,

@@ -64,7 +64,7 @@ def inputs(args: LogArgs) -> Inputs:
     """Return the files of the log, of its scene and of the ground truth, if there is one."""
     if args.sample is None:
         if args.log is None:
-            raise ValueError("log: found none, expected a measurement log, or --sample NAME")
+            raise ValueError("log: found none, expected a log (before --out), or --sample NAME")
         if args.log.is_dir():
             files = f"{args.log / LOG} --scene {args.log / SCENE} --truth {args.log / TRUTH}"
             raise ValueError(f"log: found the folder {args.log}, expected files, such as {files}")
@@ -104,16 +104,17 @@ def _check(args: LogArgs, files: Inputs) -> None:
     owners: dict[Path, str] = {}
     read = {"the log": files.log, "scene": Path(files.scene), "truth": files.truth}
     banks = {"modes": args.modes, "imm": Path(args.imm) if args.imm else None}
-    for name, path in (read | banks | _outputs(args)).items():
+    for name, path in (*read.items(), *banks.items(), *_outputs(args)):
         if path is not None and (owner := owners.setdefault(path.resolve(), name)) != name:
             raise ValueError(f"{name}: found {path}, which is also {owner}, expected another file")
-    if args.out is not None:
-        require_own_files(args.out)
+    for out in args.out:
+        require_own_files(out)
 
 
-def _outputs(args: LogArgs) -> dict[str, Path | None]:
-    table = args.out and table_beside(args.out)
-    return {"out": args.out, "the table beside out": table, "plot": args.plot, "json": args.json}
+def _outputs(args: LogArgs) -> list[tuple[str, Path | None]]:
+    tracks, tables = [("out", out) for out in args.out], map(table_beside, args.out)
+    beside = [("the table beside out", table) for table in tables if table not in args.out]
+    return [*tracks, *beside, ("plot", args.plot), ("json", args.json)]
 
 
 # --- running
@@ -179,10 +180,8 @@ def beginning(args: LogArgs, epochs: int) -> tuple[TrackBlock, Work]:
     return next(_track(args, work, None)), work
 
 
-def _run(
-    args: LogArgs, work: Work, name: str
-) -> tuple[dict[str, Any], TrackSampler, ValueError | None]:
-    """Localize a log, score its track and write it, block by block, under a name.
+def _run(args: LogArgs, work: Work) -> tuple[dict[str, Any], TrackSampler, ValueError | None]:
+    """Localize a log, score its track and write it, block by block.
 
     Returns:
         Results, the track to draw, and an error in the log or in the ground truth, if any.
@@ -200,15 +199,16 @@ def _run(
     track = _track(args, work, args.window if args.smoothing else None)
     error: ValueError | None = None
     with ExitStack() as stack:
-        if args.out:
-            write = stack.enter_context(track_files(args.out, names, work.scene, name))
+        title = as_name(Path(inputs(args).log.name.removesuffix(".gz")).stem)
+        files = [track_files(out, names, work.scene, title) for out in args.out]
+        writers = [stack.enter_context(file) for file in files]
         report = stack.enter_context(progress("localizing"))
         try:
             for block in track:
                 sampler.add(block, scores.add(block) if scores else None)
                 course.add(block)
                 groups.add(block)
-                if args.out:
+                for write in writers:
                     write(block)
                 report(block.share)
         except LogError as damage:
@@ -239,19 +239,18 @@ def localized(args: LogArgs) -> None:
     if args.diagnose:
         return diagnosed(args, files.log, scene, files.truth)
     work = _work(args, files, scene, EPOCHS_PER_BLOCK)
-    outputs = _outputs(args)
-    for path in filter(None, outputs.values()):
+    outputs = {path: name for name, path in _outputs(args) if path}
+    for path in outputs:
         require_writable(path)
-    name = as_name(Path(files.log.name.removesuffix(".gz")).stem)
-    figures, sampler, error = _run(args, work, name)
+    figures, sampler, error = _run(args, work)
     doubts = contradictions(work.first.whole(), scene, work.radio, figures["groups"])
     for doubt in doubts:
         warnings.warn(f"{doubt}; --diagnose tries likely mistakes", stacklevel=2)
     kind = "smoothed" if args.smoothing else "filtered"
     written = {
-        f"{kind} track": outputs["out"],
-        "its standard deviations and modes": outputs["the table beside out"],
-        "picture": outputs["plot"],
+        "out": f"{kind} track",
+        "the table beside out": "its standard deviations and modes",
+        "plot": "picture",
     }
     figures = {
         "log": str(files.log),
@@ -262,7 +261,7 @@ def localized(args: LogArgs) -> None:
         "algorithm_1": args.imm is None and args.policy is None and is_algorithm_1(args),
         **figures,
         "contradictions": [d._asdict() for d in doubts],
-        "written": {content: str(path) for content, path in written.items() if path},
+        "written": {str(path): written[of] for path, of in outputs.items() if of in written},
         "error": error and str(error),
     }
     if args.json:  # first, because the reader of the tables may close the pipe

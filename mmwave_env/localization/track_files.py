@@ -73,9 +73,7 @@ Write = Callable[[TrackBlock], None]
 
 
 @contextmanager
-def track_files(
-    track: Path, modes: Sequence[str], scene: Scene, name: str = "track"
-) -> Iterator[Write]:
+def track_files(track: Path, modes: Sequence[str], scene: Scene, name: str = "") -> Iterator[Write]:
     """Yield a function that writes the next block of a track; at the end, put the files in place.
 
     Args:

@@ -75,13 +75,29 @@ def mapped(tmp_path):
     return tmp_path
 
 
-def test_a_track_on_a_map_has_the_name_of_its_log(mapped):
-    words = ("localize", "my_ride.csv.gz", "--scene", "scene.json", "--speed", "9", "--out")
-    succeed(*words, "t.gpx", cwd=mapped)
+MAPPED = ("localize", "my_ride.csv.gz", "--scene", "scene.json", "--speed", "9", "--out")
+
+
+def test_one_run_writes_several_files_and_maps_name_the_track_after_the_log(mapped):
+    shown = succeed(*MAPPED, "t.gpx", "t.geojson", "new/t.tum", cwd=mapped)
     (track,) = gpxpy.parse((mapped / "t.gpx").read_text()).tracks
-    succeed(*words, "t.geojson", cwd=mapped)
     line = json.loads((mapped / "t.geojson").read_text())["features"][0]
     assert track.name == line["properties"]["name"] == "my_ride"
+    tables = [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")]
+    assert "t.geojson (smoothed track), new/t.tum (smoothed track), new/t.csv (its" in shown
+    succeed(*MAPPED, "new/t.tum", "new/t.csv", cwd=mapped)  # the table may also be named
+    assert [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")] == tables
+
+
+@pytest.mark.parametrize("wrong", ["t.kml", "scene.json", "my_ride.csv.gz", "no_map.csv"])
+def test_if_one_file_of_several_is_refused_none_is_written(mapped, wrong):
+    (mapped / "no_map.csv").write_text("the only copy")
+    before = {path: path.read_bytes() for path in mapped.iterdir()}
+    done = command(*MAPPED, "t.gpx", "t.tum", wrong, cwd=mapped)
+    assert_one_clear_line(done, f"out: found {wrong}")
+    if wrong == "t.kml":
+        assert "ends with .tum, .txt, .csv, .geojson, .gpx, .nmea" in done.stderr
+    assert {path: path.read_bytes() for path in mapped.iterdir()} == before
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
