@@ -12,7 +12,7 @@ class Args(LogArgs):
     By default a learned policy weighs the filters of a bank in every epoch. Instead, the paper's
     Algorithm 1 can run (EKF up to 2 m/s, UKF above), or an IMM that mixes the filters by itself.
 
-    mmwave-loc localize log.csv --scene scene.json --out track.tum
+    mmwave-loc localize log.csv --scene scene.json --out track.tum track.gpx
     mmwave-loc localize log.csv --scene scene.json --speed auto --out track.tum
     mmwave-loc localize - --live --scene scene.json
     """

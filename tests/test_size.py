@@ -16,12 +16,12 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 31_630,
-    "tokens of source": 214_000,
+    "lines of source": 31_700,
+    "tokens of source": 214_600,
     "files of source": 226,
-    "lines of tests": 25_830,
-    "tokens of tests": 230_800,
-    "words of docs": 39_400,
+    "lines of tests": 25_980,
+    "tokens of tests": 231_400,
+    "words of docs": 39_500,
     "pages of docs": 23,
     "tracked files": 620,
     "tracked MB": 8,

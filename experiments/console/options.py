@@ -135,8 +135,8 @@ class TaskArgs:
 class TrackOutputArgs:
     """Options for the results of a log."""
 
-    out: Path | None = None
-    """write the track to this file: .tum (together with a .csv of standard deviations and modes),
+    out: tuple[Path, ...] = ()
+    """write the track to these files: .tum (together with a .csv of standard deviations and modes),
     only that .csv, or, for maps, .geojson, .gpx or .nmea, which need an origin in the scene"""
     plot: Path | None = None
     """draw the track to this .png, .svg or .pdf file"""

@@ -34,7 +34,7 @@ def run_live(args: LogArgs) -> None:
     if str(args.log) != "-" or args.scene is None:
         raise ValueError("live: needs - as the log, and --scene")
     for name in ("sample", "truth", "out", "plot", "json"):
-        if getattr(args, name) is not None:
+        if getattr(args, name) not in (None, ()):
             raise ValueError(f"{name}: cannot be combined with --live; use the printed lines")
     if args.lag < 0:
         raise ValueError(f"lag: found {args.lag}, expected 0 or more epochs")

@@ -28,6 +28,7 @@ from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
 from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.filters.bank import modes_from
 from mmwave_env.io.files import require_writable, write_json
+from mmwave_env.io.lookup import as_name
 from mmwave_env.localization.association import Association, associate
 from mmwave_env.localization.contradictions import contradictions
 from mmwave_env.localization.localizer import TrackBlock, localize
@@ -60,7 +61,7 @@ def inputs(args: LogArgs) -> Inputs:
     """Return the files of the log, of its scene and of the ground truth, if there is one."""
     if args.sample is None:
         if args.log is None:
-            raise ValueError("log: found none, expected a measurement log, or --sample NAME")
+            raise ValueError("log: found none, expected a log (before --out), or --sample NAME")
         if args.log.is_dir():
             files = f"{args.log / LOG} --scene {args.log / SCENE} --truth {args.log / TRUTH}"
             raise ValueError(f"log: found the folder {args.log}, expected files, such as {files}")
@@ -96,16 +97,17 @@ def _check(args: LogArgs, files: Inputs) -> None:
     owners: dict[Path, str] = {}
     read = {"the log": files.log, "scene": Path(files.scene), "truth": files.truth}
     banks = {"modes": args.modes, "imm": Path(args.imm) if args.imm else None}
-    for name, path in (read | banks | _outputs(args)).items():
+    for name, path in (*read.items(), *banks.items(), *_outputs(args)):
         if path is not None and (owner := owners.setdefault(path.resolve(), name)) != name:
             raise ValueError(f"{name}: found {path}, which is also {owner}, expected another file")
-    if args.out is not None:
-        require_own_files(args.out)
+    for out in args.out:
+        require_own_files(out)
 
 
-def _outputs(args: LogArgs) -> dict[str, Path | None]:
-    table = args.out and table_beside(args.out)
-    return {"out": args.out, "the table beside out": table, "plot": args.plot, "json": args.json}
+def _outputs(args: LogArgs) -> list[tuple[str, Path | None]]:
+    tracks, tables = [("out", out) for out in args.out], map(table_beside, args.out)
+    beside = [("the table beside out", table) for table in tables if table not in args.out]
+    return [*tracks, *beside, ("plot", args.plot), ("json", args.json)]
 
 
 class Work(NamedTuple):
@@ -179,14 +181,16 @@ def _run(args: LogArgs, work: Work) -> tuple[dict[str, Any], TrackSampler, Value
     track = _track(args, work, args.window if args.smoothing else None)
     error: ValueError | None = None
     with ExitStack() as stack:
-        write = stack.enter_context(track_files(args.out, names, work.scene)) if args.out else None
+        title = as_name(Path(inputs(args).log.name.removesuffix(".gz")).stem)
+        files = [track_files(out, names, work.scene, title) for out in args.out]
+        writers = [stack.enter_context(file) for file in files]
         report = stack.enter_context(progress("localizing"))
         try:
             for block in track:
                 sampler.add(block, scores.add(block) if scores else None)
                 course.add(block)
                 groups.add(block)
-                if write:
+                for write in writers:
                     write(block)
                 report(block.share)
         except LogError as damage:
@@ -217,8 +221,8 @@ def localized(args: LogArgs) -> None:
     if args.diagnose:
         return diagnosed(args, files.log, scene, files.truth)
     work = _work(args, files, scene, EPOCHS_PER_BLOCK)
-    outputs = _outputs(args)
-    for path in filter(None, outputs.values()):
+    outputs = {path: name for name, path in _outputs(args) if path}
+    for path in outputs:
         require_writable(path)
     figures, sampler, error = _run(args, work)
     doubts = contradictions(work.first.whole(), scene, work.radio, figures["groups"])
@@ -226,9 +230,9 @@ def localized(args: LogArgs) -> None:
         warnings.warn(f"{doubt}; --diagnose tries likely mistakes", stacklevel=2)
     kind = "smoothed" if args.smoothing else "filtered"
     written = {
-        f"{kind} track": outputs["out"],
-        "its standard deviations and modes": outputs["the table beside out"],
-        "picture": outputs["plot"],
+        "out": f"{kind} track",
+        "the table beside out": "its standard deviations and modes",
+        "plot": "picture",
     }
     figures = {
         "log": str(files.log),
@@ -239,7 +243,7 @@ def localized(args: LogArgs) -> None:
         "algorithm_1": args.imm is None and args.policy is None and is_algorithm_1(args),
         **figures,
         "contradictions": [d._asdict() for d in doubts],
-        "written": {content: str(path) for content, path in written.items() if path},
+        "written": {str(path): written[of] for path, of in outputs.items() if of in written},
         "error": error and str(error),
     }
     if args.json:  # first, because the reader of the tables may close the pipe

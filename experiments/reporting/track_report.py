@@ -166,6 +166,6 @@ def track_markdown(figures: dict[str, Any]) -> str:
     if "truth" in figures:
         parts.append(_accuracy(figures["truth"], figures["epochs"]))
     if figures["written"]:
-        files = (f"{escaped(path)} ({content})" for content, path in figures["written"].items())
+        files = (f"{escaped(path)} ({content})" for path, content in figures["written"].items())
         parts.append(f"Written: {', '.join(files)}\n")
     return "\n".join(parts)

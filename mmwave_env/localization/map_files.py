@@ -192,12 +192,13 @@ MAP_FILES = {  # by the ending of the name
 
 
 @contextmanager
-def map_file(path: Path, scene: Scene) -> Iterator[Write]:
+def map_file(path: Path, scene: Scene, name: str) -> Iterator[Write]:
     """Yield a function that writes the next block of a track; at the end, put the file in place.
 
     Args:
         path: file to write; its ending is one of :data:`MAP_FILES`.
         scene: scene with an origin.
+        name: name of the track.
 
     Raises:
         ValueError: the scene has no origin.
@@ -211,7 +212,7 @@ def map_file(path: Path, scene: Scene) -> Iterator[Write]:
         atomic_path(path) as temporary,
         temporary.open("w", encoding="ascii", newline="") as file,
         naming(path),
-        MAP_FILES[path.suffix].writer(file, scene.origin, scene.name) as write,
+        MAP_FILES[path.suffix].writer(file, scene.origin, name) as write,
     ):
         yield write
 

@@ -73,7 +73,7 @@ Write = Callable[[TrackBlock], None]
 
 
 @contextmanager
-def track_files(track: Path, modes: Sequence[str], scene: Scene) -> Iterator[Write]:
+def track_files(track: Path, modes: Sequence[str], scene: Scene, name: str = "") -> Iterator[Write]:
     """Yield a function that writes the next block of a track; at the end, put the files in place.
 
     Args:
@@ -81,12 +81,13 @@ def track_files(track: Path, modes: Sequence[str], scene: Scene) -> Iterator[Wri
             TUM file has no column are written to the file that :func:`table_beside` returns.
         modes: names of the modes.
         scene: the scene; files for maps need its origin.
+        name: name of the track in files for maps.
 
     Raises:
         ValueError: the file is for a map, but the scene has no origin.
     """
     if track.suffix in MAP_FILES:
-        with map_file(track, scene) as write:
+        with map_file(track, scene, name) as write:
             yield write
     elif (table := table_beside(track)) is None:
         with _table_file(track, modes) as write:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.io.lookup import quoted
+from mmwave_env.io.lookup import did_you_mean, quoted
 from mmwave_env.io.records import Bound, between
 from mmwave_env.models import envelope
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
@@ -39,19 +39,20 @@ def _in(name: str, units: dict[str, Unit]) -> dict[str, Unit]:
 
 
 _TIME = {"_s": Unit(), "_ms": Unit(1.0, 1e3), "_us": Unit(1.0, 1e6), "_ns": Unit(1.0, 1e9)}
+_LENGTH = {"_m": Unit(), "_ft": Unit(0.3048)}  # international foot
 _ANGLE = {"_rad": Unit(), "_deg": Unit(np.pi, 180.0)}
 _SHIFT = {"_hz": Unit(), "_khz": Unit(1e3), "_mps": Unit()}  # columns_of sets f_c / c for _mps
 
 
 def _flight(name: str) -> dict[str, Unit]:
-    """Return the columns that may hold a range: one-way time, round-trip time, or meters."""
+    """Return the columns that may hold a range: one-way time, round-trip time, or length."""
     ways = (("toa", SPEED_OF_LIGHT), ("rtt", SPEED_OF_LIGHT / 2.0))
     times = {
         f"{way}{name}{ending}": Unit(speed, unit.divide)
         for way, speed in ways
         for ending, unit in _TIME.items()
     }
-    return {**times, f"range{name}_m": Unit()}
+    return {**times, **_in(f"range{name}", _LENGTH)}
 
 
 _SPEED = {"speed_mps": Unit(), "speed_kmh": Unit(1.0, 3.6)}
@@ -152,8 +153,12 @@ def columns_of(
             missing; the message lists the names that are allowed.
     """
     columns: dict[str, Column] = {}
+    if unknown := [name for name in names if name not in _QUANTITY_OF]:
+        problems = "; ".join(map(_problem, unknown[:10]))  # enough to read in one message
+        known = ", ".join(next(iter(row.columns)) for row in QUANTITIES.values())
+        raise ValueError(f"{problems}; allowed are only {known}, or the same in other units")
     for number, name in enumerate(names):
-        quantity = _quantity(name)
+        quantity = _QUANTITY_OF[name]
         if quantity in columns:
             raise _twice(columns[quantity].name, name, f"{quantity} once")
         unit = QUANTITIES[quantity].columns[name]
@@ -201,21 +206,16 @@ def _require(
             )
 
 
-def _quantity(name: str) -> str:
-    """Return the quantity in a column of this name."""
-    if name in _QUANTITY_OF:
-        return _QUANTITY_OF[name]
+def _problem(name: str) -> str:
+    """Return what is wrong with the unknown name of a column, and the nearest known names."""
     # The longest match, so that doppler_spread_x is not taken for a Doppler shift.
     spelled = {**{quantity: quantity for quantity in QUANTITIES}, "range": "toa"}
     meant = [start for start in spelled if name == start or name.startswith(f"{start}_")]
     if meant:
         expected = _one_of(QUANTITIES[spelled[max(meant, key=len)]].columns)
-        raise ValueError(f"column {quoted(name)}: found no known unit, expected {expected}")
-    known = ", ".join(next(iter(row.columns)) for row in QUANTITIES.values())
-    raise ValueError(
-        f"column {quoted(name)}: found an unknown quantity, expected some of these columns, "
-        f"separated by commas: {known}, or the same in other units"
-    )
+        return f"column {quoted(name)}: found no known unit, expected {expected}"
+    hint = did_you_mean(name, _QUANTITY_OF, 2).replace("; ", " (").replace("?", "?)")
+    return f"column {quoted(name)}: found an unknown quantity{hint}"
 
 
 def _one_of(names: Iterable[str]) -> str:

@@ -1,6 +1,7 @@
 """Tests of ``mmwave-loc localize`` with FIFOs, full disks, pictures that fail and odd names."""
 
 import errno
+import gzip
 import json
 import os
 import shutil
@@ -9,6 +10,7 @@ import sys
 from itertools import chain
 from pathlib import Path
 
+import gpxpy
 import pytest
 
 from tests.cli import assert_one_clear_line, command, environment, succeed
@@ -61,6 +63,41 @@ def test_results_of_a_comparison_are_written_even_if_the_picture_fails(tmp_path,
     assert done.returncode == 2 and done.stderr.endswith(f"device: '{tmp_path / 'e.png'}'\n")
     assert list(json.loads((tmp_path / "e.json").read_text())["policies"]) == ["fixed-ekf"]
     assert "| fixed-ekf |" in done.stdout
+
+
+@pytest.fixture
+def mapped(tmp_path):
+    """Return a folder with the log of the ride, my_ride.csv.gz, and a scene with an origin."""
+    scene = json.loads((RIDE / "scene.json").read_text())
+    scene["origin"] = {"latitude_deg": 48.0, "longitude_deg": 11.0}
+    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    (tmp_path / "my_ride.csv.gz").write_bytes(gzip.compress((RIDE / "log.csv").read_bytes()))
+    return tmp_path
+
+
+MAPPED = ("localize", "my_ride.csv.gz", "--scene", "scene.json", "--speed", "9", "--out")
+
+
+def test_one_run_writes_several_files_and_maps_name_the_track_after_the_log(mapped):
+    shown = succeed(*MAPPED, "t.gpx", "t.geojson", "new/t.tum", cwd=mapped)
+    (track,) = gpxpy.parse((mapped / "t.gpx").read_text()).tracks
+    line = json.loads((mapped / "t.geojson").read_text())["features"][0]
+    assert track.name == line["properties"]["name"] == "my_ride"
+    tables = [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")]
+    assert "t.geojson (smoothed track), new/t.tum (smoothed track), new/t.csv (its" in shown
+    succeed(*MAPPED, "new/t.tum", "new/t.csv", cwd=mapped)  # the table may also be named
+    assert [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")] == tables
+
+
+@pytest.mark.parametrize("wrong", ["t.kml", "scene.json", "my_ride.csv.gz", "no_map.csv"])
+def test_if_one_file_of_several_is_refused_none_is_written(mapped, wrong):
+    (mapped / "no_map.csv").write_text("the only copy")
+    before = {path: path.read_bytes() for path in mapped.iterdir()}
+    done = command(*MAPPED, "t.gpx", "t.tum", wrong, cwd=mapped)
+    assert_one_clear_line(done, f"out: found {wrong}")
+    if wrong == "t.kml":
+        assert "ends with .tum, .txt, .csv, .geojson, .gpx, .nmea" in done.stderr
+    assert {path: path.read_bytes() for path in mapped.iterdir()} == before
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")

@@ -138,6 +138,27 @@ def test_a_log_without_a_track_does_not_change_the_output(capsys, tmp_path, name
     assert sorted(p.name for p in tmp_path.iterdir()) == ["log.csv", "track.tum"]
 
 
+@pytest.mark.parametrize(
+    ("header", "parts"),
+    [
+        (
+            "time_s,anchor,range_yd,azimuth_deg_compass,mood,speed_knots",
+            [
+                "column 'range_yd': found no known unit, expected toa_s, ",
+                ", range_m or range_ft; column 'azimuth_deg_compass'",
+                "(did you mean aod_azimuth_deg or aoa_azimuth_deg?); column 'mood'",
+                "column 'speed_knots': found no known unit, expected speed_mps or speed_kmh; a",
+            ],
+        ),
+        ("A,B,C,D,E,F,G,H,I,J,K,L", ["column 'J': found an unknown quantity; allowed are only "]),
+    ],
+)
+def test_all_unknown_columns_are_named_with_the_nearest_known_ones(capsys, tmp_path, header, parts):
+    (tmp_path / "log.csv").write_text(f"{header}\n")
+    _, line = refused(capsys, options(tmp_path / "log.csv"))
+    assert not [part for part in parts if part not in line], line
+
+
 def test_a_truth_without_common_times_is_refused_with_both_time_spans(capsys, tmp_path):
     truth, out = tmp_path / "truth.tum", tmp_path / "track.tum"
     truth.write_text(tum_lines(np.array([1000.0, 1002.5]), np.zeros((2, 3))))
