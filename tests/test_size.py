@@ -32,12 +32,12 @@ BUDGET = {
 }
 ROOMS = {  # maximum lines of source in a folder
     "experiments/evaluation": 1_755,
-    "experiments/training": 2_350,
+    "experiments/training": 2_400,
     "experiments/reporting/webpage": 1_060,
     "mmwave_env/datasets": 1_715,
     "mmwave_env/engines": 2_100,
     "mmwave_env/filters": 2_365,
-    "mmwave_env/localization": 2_465,
+    "mmwave_env/localization": 2_470,
     "mmwave_env/world": 2_130,
 }
 SOURCE = ("mmwave_env", "experiments", "policies")

@@ -58,6 +58,9 @@ class WorldArgs:
     """the user also measures speed and heading"""
     clock: str = "synchronized"
     """synchronized, or offset: the user's clock has an unknown offset, which shifts all ranges"""
+    measurements: tuple[str, ...] | None = None
+    """quantities that the receiver measures: some of range, azimuth, elevation, departure and
+    doppler (default: all)"""
 
 
 @dataclass(kw_only=True)
@@ -112,9 +115,10 @@ class TaskArgs:
     """radio to train with on the street, if --places is not given: handset, standard, high or a
     JSON file"""
     places: tuple[str, ...] = ()
-    """places to train at, instead of --radio: each is SCENE:RADIO or SCENE:RADIO:DT, such as
-    street:handset or o1:standard:0.1, with names or JSON files and the seconds between epochs
-    (default: 1); environments, and episodes that judge policies, are spread evenly over places"""
+    """places to train at, instead of --radio: each is SCENE:RADIO, such as street:handset, with
+    names or JSON files; then, each optional, the seconds between epochs (:0.1, default: 1), the
+    measured quantities (:range+azimuth, default: all) and :offset for a clock with an offset;
+    environments, and episodes that judge policies, are spread evenly over places"""
     beliefs: Literal["shared", "per-mode"] = "shared"
     """shared: all modes work on one belief; per-mode: every mode keeps its own belief, and the
     agent says which one to trust"""

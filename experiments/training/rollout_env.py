@@ -1,8 +1,8 @@
 """Environments at several places, with rollouts that measure the value of every action.
 
-A *place* is a scene with a radio and a rate of epochs. The world does not depend on actions. So
-copies of an environment have the same measurements whatever their actions are, and differences of
-value between actions are free of the noise between episodes (common random numbers).
+The world does not depend on actions. So copies of an environment have the same measurements
+whatever their actions are, and differences of value between actions are free of the noise between
+episodes (common random numbers).
 """
 
 from collections.abc import Callable
@@ -72,7 +72,7 @@ class RolloutEnv:
         self._horizon, self._everyone = horizon, np.arange(n)
         block = self._everyone // WIDTH
         self._place = block % len(places)
-        pipeline = _one_pipeline(task, self._sources[0].layout)
+        pipeline = _one_pipeline(task, {source.layout for source in self._sources})
         bank = task.bank if task.beliefs == "per-mode" else None
         same = (task.reward, task.observation, bank)
         self._engine = Engine(pipeline, n, *same)
@@ -184,12 +184,15 @@ class RolloutEnv:
         self.observations = state["observations"].copy()
 
 
-def _one_pipeline(task: TrainingTask, layout: Layout) -> Pipeline:
+def _one_pipeline(task: TrainingTask, layouts: set[Layout]) -> Pipeline:
     """Return the pipeline that runs all banks of a task.
 
     Raises:
-        ValueError: the banks differ in more than their tuned values.
+        ValueError: the banks differ in more than their tuned values, or the layouts differ.
     """
+    layout, *others = layouts
+    if others:
+        raise ValueError("places: found different clocks, expected the same clock everywhere")
     pipeline = Pipeline(task.bank.modes, layout)
     for radio, bank in task.banks.items():
         if untuned(replace(pipeline, modes=bank.modes)) != untuned(pipeline):

@@ -1,10 +1,10 @@
 """The task that a policy learns: places to train at, and arguments of the environments there.
 
-A *place* is a scene with a radio and a rate of epochs.
+A *place* is a scene with a radio, a rate of epochs, the measured quantities and a kind of clock.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any, cast
 
@@ -14,28 +14,36 @@ from experiments.evaluation.protocol import UNSEEN
 from mmwave_env.filters.bank import Bank, bank_from, modes_from
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.reward import Reward
+from mmwave_env.models.layout import CLOCKS, MEASUREMENTS, measurements_from
 from mmwave_env.task import task_from
 from mmwave_env.world.simulated import SimulatedSource
 
-FORM = "SCENE:RADIO or SCENE:RADIO:DT, such as street:handset or o1:standard:0.1"
+FORM = (
+    "SCENE:RADIO, and optionally seconds between epochs, measured quantities and :offset, such as "
+    "street:handset or o1:standard:0.1:range+azimuth"
+)
 
 
 @dataclass(frozen=True)
 class Place:
-    """A scene with a radio and a step between epochs; ``str`` gives its command-line form.
+    """A place to train at; ``str`` gives its command-line form.
 
     Attributes:
         scene, radio: names or JSON files, as in ``MmWaveLoc-v0``.
         dt: seconds between epochs.
+        measurements: names of the measured quantities; None for all.
+        clock: "synchronized" or "offset".
 
     Raises:
-        ValueError: unknown scene or radio, invalid rate, or a place that must remain unseen.
+        ValueError: an argument is invalid, or the place must remain unseen.
         FileNotFoundError: there is no such file.
     """
 
     scene: str
     radio: str
     dt: float = 1.0
+    measurements: tuple[str, ...] | None = None
+    clock: str = "synchronized"
 
     def __post_init__(self) -> None:
         source = self.source("mixed")
@@ -49,7 +57,9 @@ class Place:
 
     def __str__(self) -> str:
         rate = "" if self.dt == 1.0 else f":{self.dt:g}"
-        return f"{self.scene}:{self.radio}{rate}"
+        subset = "" if self.measurements is None else ":" + "+".join(self.measurements)
+        clock = "" if self.clock == "synchronized" else f":{self.clock}"
+        return f"{self.scene}:{self.radio}{rate}{subset}{clock}"
 
     @cached_property
     def profile(self) -> str:
@@ -58,7 +68,7 @@ class Place:
 
     def source(self, scenario: str) -> SimulatedSource:
         """Return the source of episodes at the place for a scenario, a kind of user."""
-        world = WorldArgs(scenario=scenario, scene=self.scene, radio=self.radio, dt=self.dt)
+        world = WorldArgs(scenario=scenario, **asdict(self))
         return cast(SimulatedSource, source_of(world))  # since no recorded data was asked for
 
 
@@ -70,17 +80,32 @@ def place_from(text: str) -> Place:
         FileNotFoundError: there is no such file.
     """
     scene, *rest = text.split(":")
-    if not (scene and all(rest) and len(rest) in (1, 2)):
+    if not (scene and all(rest) and 1 <= len(rest) <= 4):
         raise ValueError(f"places: found {text!r}, expected {FORM}")
-    radio, *rate = rest
+    radio, *others = rest
     try:
-        return Place(scene, radio, *map(float, rate))
+        options = dict(map(_option, others))
+        if len(options) < len(others):
+            raise ValueError(f"found {':'.join(others)}, expected {FORM}")
+        return Place(scene, radio, **options)
     except ValueError as error:
         raise ValueError(f"places: {text}: {error}") from error
 
 
+def _option(word: str) -> tuple[str, Any]:
+    """Return name and value of the attribute of a place that a word after its radio describes."""
+    if word in CLOCKS:
+        return "clock", word
+    if word[0] in ".-" or word[0].isdigit():
+        return "dt", float(word)
+    return "measurements", measurements_from(word.split("+"))
+
+
 def places_from(words: Sequence[str]) -> tuple[Place, ...]:
     """Return the places that words on the command line name, in order.
+
+    If some quantities are missing at one place, all places get the layout for missing quantities,
+    so that one program runs all of them.
 
     Raises:
         ValueError: same as from :func:`place_from`, or a place is named twice.
@@ -88,7 +113,9 @@ def places_from(words: Sequence[str]) -> tuple[Place, ...]:
     places = tuple(map(place_from, words))
     if len(set(places)) < len(places):
         raise ValueError(f"places: found {', '.join(map(str, places))}, expected different places")
-    return places
+    if all(place.measurements is None for place in places):
+        return places
+    return tuple(replace(p, measurements=p.measurements or MEASUREMENTS) for p in places)
 
 
 def require_environments(count: int, places: int, together: int = 1) -> None:
@@ -159,9 +186,7 @@ class TrainingTask:
         bank = self.banks[place.profile]
         return {
             "scenario": self.scenario,
-            "scene": place.scene,
-            "radio": place.radio,
-            "dt": place.dt,
+            **asdict(place),
             "beliefs": self.beliefs,
             "modes": bank if self.beliefs == "per-mode" else bank.modes,
         }

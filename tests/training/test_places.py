@@ -34,6 +34,20 @@ def test_a_word_names_scene_radio_and_time_step():
     assert source.scenario == "vehicle"
 
 
+def test_a_word_can_name_measured_quantities_and_a_clock():
+    place = place_from("o1:handset:0.5:azimuth+range:offset")
+    assert place == Place("o1", "handset", 0.5, ("range", "azimuth"), "offset")
+    assert str(place) == "o1:handset:0.5:range+azimuth:offset"
+    layout = place.source("mixed").layout
+    assert layout.partial and layout.clock
+
+
+def test_places_share_the_layout_for_missing_quantities():
+    whole, part = places_from(["street:handset", "street:handset:range+azimuth"])
+    assert whole.source("mixed").layout == part.source("mixed").layout
+    assert np.isfinite(whole.source("mixed").episode(7).measurement[:, :12]).any(axis=0).all()
+
+
 def test_the_street_is_the_default_scene_of_environments():
     """Check equality to the last bit, without which published trainings could not be repeated."""
     episode = Place("street", "handset").source("mixed").sample(np.random.default_rng(10_000_000))
@@ -64,7 +78,9 @@ def test_custom_scenes_and_radios_can_be_places(files):
         (["steet:handset"], ["steet:handset", "scene"]),
         (["street:handsome"], ["street:handsome", "radio"]),
         (["street:handset:fast"], []),
-        (["street:handset:nan"], ["street:handset:nan", "dt"]),
+        (["street:handset:nan"], ["street:handset:nan", "measurements"]),
+        (["street:handset:-1"], ["street:handset:-1", "dt"]),
+        (["street:handset:doppler"], ["street:handset:doppler", "measurements"]),
         (["o1:handset", "street:high", "o1:handset:1"], []),
     ],
 )

@@ -148,6 +148,12 @@ def test_the_normalization_is_measured_on_observations_of_the_environment():
     assert (normal.high - normal.mean) / normal.sigma == pytest.approx(6.0, rel=1e-4)
 
 
+def test_rollouts_need_the_same_clock_everywhere():
+    drifting = Place("street", "standard", clock="offset")
+    with refuses("places"):
+        environment(task(places=(PLACES[0], drifting)))
+
+
 # --- several places as one vector environment
 
 PAIR = MODES[:2]  # quick to compile
