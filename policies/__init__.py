@@ -1,15 +1,18 @@
 """Policies that choose a mode (a filter) in every epoch: the paper's, learned and other ones."""
 
 from policies.baselines import FixedMode, LikelihoodRule
+from policies.corrector import Corrector, learned_policy
 from policies.learned import LearnedSwitch, shipped_policies
 from policies.policy import Policy
 from policies.speed_rule import SpeedRule
 
 __all__ = [
+    "Corrector",
     "FixedMode",
     "LearnedSwitch",
     "LikelihoodRule",
     "Policy",
     "SpeedRule",
+    "learned_policy",
     "shipped_policies",
 ]

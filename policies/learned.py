@@ -1,6 +1,7 @@
-"""Learned switchers: policies that were trained with PyTorch and run with numpy."""
+"""Learned policies, which were trained with PyTorch and run with numpy."""
 
 import os
+from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from mmwave_env.filters.bank import Bank
 from mmwave_env.interface.features import UNSEEN
-from mmwave_env.interface.observation import Observation
+from mmwave_env.interface.observation import Column, Observation
 from mmwave_env.io.lookup import unknown
 from mmwave_env.models.radio import radio_from
 from policies.policy import Policy
@@ -24,27 +25,8 @@ def shipped_policies() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.safetensors"))}
 
 
-class LearnedSwitch(Policy):
-    """A network that chooses the most probable action: a mode to use or to trust.
-
-    ```python
-    >>> policy = LearnedSwitch("runs/mine.safetensors")
-    >>> env = gym.make("mmwave_env:MmWaveLoc-v0", modes=policy.modes)
-    >>> observation, info = env.reset(seed=0)
-    >>> policy.reset(np.array([True]))
-    >>> (action,) = policy(observation[None])
-
-    ```
-
-    With a belief per mode, make the environment with the policy's bank for the radio:
-
-    ```python
-    >>> policy = LearnedSwitch("runs/per-mode.safetensors")
-    >>> env = gym.make(
-    ...     "mmwave_env:MmWaveLoc-v0", beliefs=policy.beliefs, modes=policy.bank("handset")
-    ... )
-
-    ```
+class LearnedPolicy:
+    """A policy file and the environment's features that its network reads.
 
     Args:
         path: a policy file (``.safetensors``), or the name of a shipped policy.
@@ -65,18 +47,14 @@ class LearnedSwitch(Policy):
         self, path: str | os.PathLike[str], observation: Observation | None = None
     ) -> None:
         self._path = _located(path)
-        tensors, self.card = read_policy(self._path)
+        self._tensors, self.card = read_policy(self._path)
         self.modes, self.beliefs = self.card.modes, self.card.beliefs
-        self._low, self._high = tensors["low"], tensors["high"]
+        self._low, self._high = self._tensors["low"], self._tensors["high"]
         self._width = len(self._low)  # number of columns in the environment's observations
         # columns that the policy reads; None if it reads all of them in order
         self._columns: NDArray[np.intp] | None = None
         # per feature: the value to use if its anchor is missing in the scene, or else NaN
         self._unseen: Array | None = None
-        layers = sum(name.startswith("layer.") for name in tensors) // 2
-        self._layers = [
-            (tensors[f"layer.{i}.weight"].T, tensors[f"layer.{i}.bias"]) for i in range(layers)
-        ]
         if observation is not None:
             self.read_from(observation)
 
@@ -122,12 +100,27 @@ class LearnedSwitch(Policy):
                 "modes of the same names with another tuning; make the environment as in training: "
                 f"{self._made_with}"
             )
-        columns = {column.name: column for column in observation.columns}
-        unseen = np.full(len(card.features), np.nan, np.float32)
-        for i, feature in enumerate(card.features):
+        self._width = len(observation.columns)
+        self._columns, self._unseen = self._found_in(observation.columns)
+
+    def _found_in(
+        self, shown: Sequence[Column]
+    ) -> tuple[NDArray[np.intp] | None, NDArray[np.float32] | None]:
+        """Find the policy's features, by name, in columns.
+
+        Returns:
+            The positions of the features, None if they are the columns; and, for each feature, the
+            value to use if its anchor is missing, else NaN; None if no anchor is missing.
+        """
+        features, columns = self.card.features, {column.name: column for column in shown}
+        anchors = {
+            name.rpartition(" anchor ")[2] for name in columns if " SNR anchor " in f" {name}"
+        }
+        unseen = np.full(len(features), np.nan, np.float32)
+        for i, feature in enumerate(features):
             column = columns.get(feature.name)
             kind, anchor, rest = feature.name.partition(" anchor ")
-            if anchor and kind in UNSEEN and f"SNR anchor {rest.split()[0]}" not in columns:
+            if anchor and kind in UNSEEN and rest.split()[0] not in anchors:
                 unseen[i] = (UNSEEN[kind] - feature.mean) / feature.deviation
             elif column != feature:
                 values = f"{column[1:]}" if column else "none (does the scene have fewer anchors?)"
@@ -136,11 +129,12 @@ class LearnedSwitch(Policy):
                     f"and deviation {feature[1:]}; make the environment as in training: "
                     f"{self._made_with}"
                 )
-        self._width, alike = len(columns), card.features == observation.columns
-        order = {feature: i for i, feature in enumerate(observation.columns)}
-        read = [order.get(feature, 0) for feature in card.features]
-        self._columns = None if alike else np.array(read)
-        self._unseen = None if np.isnan(unseen).all() else unseen
+        order = {feature: i for i, feature in enumerate(shown)}
+        read = np.array([order.get(feature, 0) for feature in features])
+        return (
+            None if features == tuple(shown) else read,
+            None if np.isnan(unseen).all() else unseen,
+        )
 
     @property
     def _made_with(self) -> str:
@@ -149,6 +143,60 @@ class LearnedSwitch(Policy):
         if self.card.banks:
             arguments = f'beliefs="per-mode", modes=policy.bank("{next(iter(self.card.banks))}")'
         return f'gym.make("MmWaveLoc-v0", {arguments}, observation={self.card.observation!r})'
+
+    def features_in(self, observation: Array) -> Array:
+        """Return the features (n, features) that the network reads in observations.
+
+        Raises:
+            ValueError: the number of columns is wrong.
+        """
+        if observation.ndim != 2 or observation.shape[1] != self._width:
+            raise ValueError(
+                f"observation: found shape {observation.shape}, expected (n, {self._width}); for a "
+                "single environment pass observation[None]; if an observation has more features "
+                f"than those of {self._made_with}, use {type(self).__name__}({str(self._path)!r}, "
+                "env.unwrapped.observation)"
+            )
+        return taken(observation, self._columns, self._unseen)
+
+
+class LearnedSwitch(LearnedPolicy, Policy):
+    """A network that chooses the most probable action: a mode to use or to trust.
+
+    ```python
+    >>> policy = LearnedSwitch("runs/mine.safetensors")
+    >>> env = gym.make("mmwave_env:MmWaveLoc-v0", modes=policy.modes)
+    >>> observation, info = env.reset(seed=0)
+    >>> policy.reset(np.array([True]))
+    >>> (action,) = policy(observation[None])
+
+    ```
+
+    With a belief per mode, make the environment with the policy's bank for the radio:
+
+    ```python
+    >>> policy = LearnedSwitch("runs/per-mode.safetensors")
+    >>> env = gym.make(
+    ...     "mmwave_env:MmWaveLoc-v0", beliefs=policy.beliefs, modes=policy.bank("handset")
+    ... )
+
+    ```
+
+    Arguments, attributes and errors are those of :class:`LearnedPolicy`.
+    """
+
+    def __init__(
+        self, path: str | os.PathLike[str], observation: Observation | None = None
+    ) -> None:
+        super().__init__(path, observation)
+        if self.card.base:
+            raise ValueError(
+                f"{self._path}: found a corrector, expected a switcher; use policies.Corrector"
+            )
+        tensors, layers = self._tensors, sum(name.startswith("layer.") for name in self._tensors)
+        self._layers = [
+            (tensors[f"layer.{i}.weight"].T, tensors[f"layer.{i}.bias"]) for i in range(layers // 2)
+        ]
 
     def __call__(self, observation: Array) -> NDArray[np.int64]:
         """Return actions (n,) for observations (n, features); errors as in :meth:`logits`."""
@@ -164,17 +212,7 @@ class LearnedSwitch(Policy):
         Raises:
             ValueError: the number of features is wrong.
         """
-        if observation.ndim != 2 or observation.shape[1] != self._width:
-            raise ValueError(
-                f"observation: found shape {observation.shape}, expected (n, {self._width}); for a "
-                "single environment pass observation[None]; if an observation has more features "
-                f"than those of {self._made_with}, use LearnedSwitch({str(self._path)!r}, "
-                "env.unwrapped.observation)"
-            )
-        if self._columns is not None:
-            observation = np.take(observation, self._columns, axis=1)
-            if self._unseen is not None:
-                observation = np.where(np.isnan(self._unseen), observation, self._unseen)
+        observation = self.features_in(observation)
         x = np.minimum(np.maximum(observation, self._low), self._high)
         *hidden, (weight, bias) = self._layers
         for w, b in hidden:
@@ -183,6 +221,15 @@ class LearnedSwitch(Policy):
             np.tanh(x, out=x)
         logits: Array = x @ weight + bias
         return logits
+
+
+def taken(observation: Array, columns: NDArray[np.intp] | None, unseen: Array | None) -> Array:
+    """Return the columns of observations that a policy reads."""
+    if columns is not None:
+        observation = np.take(observation, columns, axis=1)
+        if unseen is not None:
+            observation = np.where(np.isnan(unseen), observation, unseen)
+    return observation
 
 
 def _located(path: str | os.PathLike[str]) -> Path:

@@ -1,12 +1,19 @@
-"""Policy files: a learned switcher as ``.safetensors``, which is read without unpickling.
+"""Policy files: a learned policy as ``.safetensors``, which is read without unpickling.
 
-The tensors, all float32, describe the actor, which is the network that chooses actions:
+The tensors, all float32, describe a network. That of a switcher, the actor, chooses actions:
 
 - ``low``, ``high`` (features,): observations are clipped to these limits. Normalization during
   training is folded into the first weights;
 - ``layer.0.weight`` (out, in), ``layer.0.bias`` (out,), ``layer.1.weight``, ...: an MLP with
   tanh between its layers. The first ``in`` is the number of features, the last ``out`` the number
   of actions. The actions are the modes; with a belief per mode, "none" precedes them.
+
+That of a corrector corrects the beliefs of its base:
+
+- ``low``, ``high`` (features,): range of every feature in training; normalization is folded in;
+- ``front``, ``head``, ``out``: layers with a ``.weight`` (out, in) and a ``.bias`` (out,);
+- ``gru.weight_ih``, ``gru.weight_hh``, ``gru.bias_ih``, ``gru.bias_hh``: the gated recurrent unit
+  between them, as PyTorch stores it: reset, update and new gate, one after the other.
 
 The file's metadata contain, under "policy", a JSON object with the number of this format, the
 :class:`Card` and a checksum of card and tensors.
@@ -32,10 +39,14 @@ from mmwave_env.io.files import first_line, naming, open_regular, parse_json
 from mmwave_env.io.lookup import choose, quoted
 
 FORMAT = 2
+# outputs of a corrector, for each member of its ensemble: corrections along, across and up, and
+# logarithms of factors on the three deviations
+CORRECTIONS = 6
 MOST_BYTES = 128 << 20  # maximum size of a file: a thousand times that of our largest
 MOST_HEADER = 16 << 20  # maximum size of the header, which contains names, shapes and the card
 _KEY = "policy"  # the only key, because the library writes several keys in random order
 _PER_MODE = ("beliefs", "banks")  # left out if the belief is shared, as in older files
+_LATER = (*_PER_MODE, "base")  # fields that older files do not have
 
 Tensors = dict[str, NDArray[np.float32]]
 
@@ -51,8 +62,8 @@ class Card:
     # modes for which the actions stand; with a belief per mode they are the modes of the first
     # bank, and action 0, "none", precedes them
     modes: tuple[Mode, ...]
-    observation: str  # "full" or "prior"
-    # features that the actor reads, in the actor's order: names, units and scales
+    observation: str  # "full", "prior" or "signed"
+    # features that the network reads, in its order: names, units and scales
     features: tuple[Column, ...]
     scenario: str  # scenario of the training
     radio: str  # radio profile of the training
@@ -66,6 +77,9 @@ class Card:
     # with a belief per mode, the bank for each radio profile of the training; all banks have modes
     # of the same names
     banks: dict[str, Bank] = field(default_factory=dict)
+    # the policy whose beliefs a corrector corrects: "imm-best" for the IMM of the banks, or the
+    # name of a shipped switcher; empty for a switcher
+    base: str = ""
 
     def __post_init__(self) -> None:
         for name, hint in get_type_hints(Card).items():
@@ -118,7 +132,7 @@ class Card:
         """
         if not isinstance(content, dict):
             raise ValueError(f"card: found {quoted(content)}, expected an object")
-        _require_names("card", {*content, *_PER_MODE}, [field.name for field in fields(cls)])
+        _require_names("card", {*content, *_LATER}, [field.name for field in fields(cls)])
         alone = bank_in({"modes": content["modes"]})
         banks = _banks_in(content.get("banks", {}))
         features = tuple(map(_column, content["features"]))
@@ -133,7 +147,8 @@ class Card:
         banks = {radio: bank_as_written(bank) for radio, bank in self.banks.items()}
         modes = [as_written(mode) for mode in self.modes]
         content = {**asdict(self), "modes": modes, "banks": banks}
-        return {k: value for k, value in content.items() if banks or k not in _PER_MODE}
+        absent = {*(() if banks else _PER_MODE), *(() if self.base else ("base",))}
+        return {name: value for name, value in content.items() if name not in absent}
 
 
 def _column(row: Any) -> Column:
@@ -170,7 +185,7 @@ def to_bytes(tensors: Tensors, card: Card) -> bytes:
     Raises:
         ValueError: :func:`read_policy` would refuse the content.
     """
-    _require_actor(tensors, card)
+    _require_network(tensors, card)
     # The library writes the memory of an array as it is, and so would undo a transposition.
     tensors = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
     content = json.loads(json.dumps(card.as_json()))  # what a reader gets, such as lists for tuples
@@ -193,7 +208,7 @@ def read_policy(path: str | os.PathLike[str]) -> tuple[Tensors, Card]:
             document = _document((file.metadata() or {}).get(_KEY))
             card = Card.from_json(document["card"])
             tensors = {name: _tensor(file, name) for name in file.keys()}  # noqa: SIM118
-        _require_actor(tensors, card)
+        _require_network(tensors, card)
         expected = _checksum(tensors, document["card"])
         if document["sha256"] != expected:
             raise ValueError(
@@ -244,9 +259,9 @@ def _tensor(file: Any, name: str) -> NDArray[np.float32]:
     return tensor
 
 
-def _require_actor(tensors: Tensors, card: Card) -> None:
-    """Refuse tensors that are not an actor as the card describes it."""
-    shapes = _shapes(tensors, card)
+def _require_network(tensors: Tensors, card: Card) -> None:
+    """Refuse tensors that are not a network as the card describes it."""
+    shapes = (_corrector_shapes if card.base else _actor_shapes)(tensors, card)
     _require_names("tensors", tensors, shapes)
     for name, shape in shapes.items():
         tensor = tensors[name]
@@ -267,7 +282,7 @@ def _require_actor(tensors: Tensors, card: Card) -> None:
         raise ValueError("tensor 'low': found numbers above those of 'high', expected none")
 
 
-def _shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]]:
+def _actor_shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]]:
     """Return the shapes of an actor with as many features, layers and neurons as the tensors."""
     size = {name: tensor.size for name, tensor in tensors.items()}
     features = size.get("low", 0)
@@ -279,6 +294,28 @@ def _shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]]:
         shapes[f"layer.{i}.weight"], shapes[f"layer.{i}.bias"] = (out, width), (out,)
         width = out
     return shapes
+
+
+def _corrector_shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of a corrector with as many features and neurons as the tensors."""
+    size = {name: tensor.size for name, tensor in tensors.items()}
+    features, front, head = (size.get(name, 0) for name in ("low", "front.bias", "head.bias"))
+    gates, out = size.get("gru.bias_ih", 0), size.get("out.bias", 0)
+    gates, out = max(gates - gates % 3, 3), max(out - out % CORRECTIONS, CORRECTIONS)
+    return {
+        "low": (features,),
+        "high": (features,),
+        "front.weight": (front, features),
+        "front.bias": (front,),
+        "gru.weight_ih": (gates, front),
+        "gru.weight_hh": (gates, gates // 3),
+        "gru.bias_ih": (gates,),
+        "gru.bias_hh": (gates,),
+        "head.weight": (head, front + gates // 3),
+        "head.bias": (head,),
+        "out.weight": (out, head),
+        "out.bias": (out,),
+    }
 
 
 def _require_names(group: str, names: Iterable[str], expected: Iterable[str]) -> None:

@@ -235,6 +235,19 @@ def test_infos_contain_the_truth_and_the_prior_of_the_episode():
     np.testing.assert_array_equal([i["truth"] for *_, i in roll(env, seed=9)], states)
 
 
+@pytest.mark.parametrize("planar", [False, True])
+def test_the_belief_is_that_of_the_last_epoch(planar):
+    env = gym.make("MmWaveLoc-v0", planar=planar).unwrapped
+    with pytest.raises(ResetNeeded):
+        env.belief()
+    env.reset(seed=0)
+    for _ in range(3):
+        *_, info = env.step(1)
+    belief = env.belief()
+    assert belief.x == info["estimate"].tolist()
+    assert belief.nees(info["truth"].tolist()) == pytest.approx(info["nees"])
+
+
 def test_nonfinite_measurements_are_counted_in_info():
     episode = draw(0)
     measurement = episode.measurement.copy()

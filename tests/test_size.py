@@ -16,14 +16,14 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 31_700,
-    "tokens of source": 214_600,
-    "files of source": 226,
-    "lines of tests": 25_980,
-    "tokens of tests": 231_400,
-    "words of docs": 39_500,
+    "lines of source": 32_900,
+    "tokens of source": 224_300,
+    "files of source": 232,
+    "lines of tests": 26_700,
+    "tokens of tests": 239_000,
+    "words of docs": 40_600,
     "pages of docs": 23,
-    "tracked files": 620,
+    "tracked files": 640,
     "tracked MB": 8,
     "commands": 14,
     "extras for users": 8,
@@ -31,14 +31,14 @@ BUDGET = {
     "lines that ruff may not format": 60,
 }
 ROOMS = {  # maximum lines of source in a folder
-    "experiments/evaluation": 1_755,
-    "experiments/training": 2_400,
+    "experiments/evaluation": 1_800,
+    "experiments/training": 2_800,
     "experiments/reporting/webpage": 1_060,
     "mmwave_env/datasets": 1_715,
-    "mmwave_env/engines": 2_100,
-    "mmwave_env/filters": 2_365,
-    "mmwave_env/localization": 2_470,
-    "mmwave_env/world": 2_130,
+    "mmwave_env/engines": 2_200,
+    "mmwave_env/filters": 2_490,
+    "mmwave_env/localization": 2_500,
+    "mmwave_env/world": 2_140,
 }
 SOURCE = ("mmwave_env", "experiments", "policies")
 FOR_DEVELOPERS = {"dev", "docs", "lint"}  # extras for developers only

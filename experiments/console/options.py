@@ -105,9 +105,10 @@ class EpisodeArgs(ModeArgs, IntegrityArgs, EpisodeResultArgs):
 class TaskArgs:
     """Options for the task to learn."""
 
-    algo: Literal["ppo", "rollouts"] = "ppo"
+    algo: Literal["ppo", "rollouts", "corrector"] = "ppo"
     """ppo: PPO of Stable-Baselines3; rollouts: rollout policy iteration with common random numbers,
-    which tries every action on the same measurements"""
+    which tries every action on the same measurements; corrector: a recurrent network that corrects
+    the beliefs of guided"""
     scenario: str = "mixed"
     """kind of user: a name (see mmwave-loc list scenarios) or a JSON file; or a trajectory of your
     own: a CSV file with columns t, x, y, z"""
@@ -157,7 +158,8 @@ class FilterArgs:
     """Options for the filters."""
 
     policy: str | None = None
-    """policy that chooses the modes: guided (default), ppo, a policy file, or module:function"""
+    """policy that chooses the modes: corrector (default), guided, ppo, a policy file, or
+    module:function"""
     imm: str | None = None
     """instead of a policy, run all modes of an IMM, weighted by how well each explains the log:
     imm-best, imm or the mode file of a bank"""

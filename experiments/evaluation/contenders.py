@@ -24,12 +24,19 @@ from mmwave_env.io.lookup import unknown
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import radio_from
 from mmwave_env.task import bank_and_modes
-from policies import FixedMode, LearnedSwitch, LikelihoodRule, Policy, SpeedRule, shipped_policies
+from policies import (
+    FixedMode,
+    LikelihoodRule,
+    Policy,
+    SpeedRule,
+    learned_policy,
+    shipped_policies,
+)
 
 BEST_IMM = "imm-best"  # the IMM with the modes of best_bank
 OTHERS = ("a .safetensors file", "the folder of a run", "module:function, without folder and .py")
 # Learned contenders; their shipped policy files are for one radio (NAME-RADIO) or for all (NAME).
-SHIPPED = ("ppo", "guided", "guided-ppo")
+SHIPPED = ("ppo", "guided", "guided-ppo", "corrector")
 
 
 @dataclass(frozen=True)
@@ -65,14 +72,14 @@ class Contender:
 
         A policy with several banks gets the one of ``radio``; ``name`` is None for the path.
         """
-        switch = LearnedSwitch(path)
+        policy = learned_policy(path)
         return cls(
             os.fspath(path) if name is None else name,
-            switch.modes,
-            partial(LearnedSwitch, path),
-            observation=switch.card.observation,
-            beliefs=switch.beliefs,
-            bank_of=switch.bank if switch.beliefs == "per-mode" else None,
+            policy.modes,
+            partial(type(policy), path),
+            observation=policy.card.observation,
+            beliefs=policy.beliefs,
+            bank_of=policy.bank if policy.beliefs == "per-mode" else None,
         ).at(radio)
 
     @classmethod
@@ -208,7 +215,7 @@ def contender_from(
     if name in known:
         return known[name]()
     if name in shipped or name.endswith(".safetensors"):
-        require_no_smoke(name, LearnedSwitch(name).card.command)
+        require_no_smoke(name, learned_policy(name).card.command)
         return Contender.learned(name, radio=radio)
     if Path(name).is_dir():
         return Contender.learned(Run.read(name).policy, name, radio)

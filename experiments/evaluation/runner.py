@@ -15,14 +15,17 @@ from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.filters.bank import Modes
+from mmwave_env.filters.correction import corrected_all
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.reward import Reward, TrackingReward
+from mmwave_env.interface.reward import Reward, TrackingReward, terms_of, total
 from mmwave_env.metrics import BURN_IN, METRICS, TERMS, scored, summary
+from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.task import Task
 from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource
 from mmwave_env.world.simulated import SimulatedSource
-from policies import Policy
+from policies import Corrector, Policy
+from policies.corrector import Correction
 
 
 class Scoring(NamedTuple):
@@ -49,6 +52,7 @@ Scores = dict[str, Array]  # metric -> (episodes,)
 EpochResults = dict[str, NDArray[Any]]
 
 PARTS = ("reward", "nees", "error")
+BELIEF = ("x", "P")  # parts that a corrector changes
 CHUNK = 1000  # episodes in memory at once
 
 Watch = Callable[[Contender, Array, EpochResults], None]
@@ -110,6 +114,9 @@ def _run(
 ) -> EpochResults:
     """Do what :func:`run_contender` does, for episodes that are already packed."""
     pipeline, names = Pipeline(contender.modes, episodes.layout, scoring.planar), (*PARTS, *after)
+    corrector = policy if isinstance(policy, Corrector) else None
+    if corrector:
+        names = tuple(dict.fromkeys((*names, *BELIEF, "truth")))
     if policy is None:
         imm = ImmEngine(pipeline, scoring.reward, contender.transition, contender.nis_quantile)
         return imm.run(episodes, *names)
@@ -120,6 +127,7 @@ def _run(
     program = engine.batch.program
     rows = rows_of(program.parts(names))
     outputs, taken = np.empty((n, T, len(rows))), np.empty((n, T), np.int8)
+    corrections: list[Correction] = []
     states: dict[str, list[Array]] = {name: [] for name in shown}
     observations = engine.observations()
     for t in range(T):
@@ -128,8 +136,31 @@ def _run(
         choices = policy(observations)
         taken[:, t] = actions = require_actions(contender.name, choices, n, len(contender.actions))
         observations, outputs[:, t] = engine.step(actions, rows)
-    stacked = {name: np.stack(parts, axis=1) for name, parts in states.items()}
-    return program.by_name(names, outputs) | {"mode": taken} | stacked
+        if corrector:
+            corrections.append(corrector.correct(observations))
+    results = program.by_name(names, outputs) | {"mode": taken}
+    if corrector:
+        results |= _corrected(results, corrections, pipeline, scoring.reward)
+    return results | {name: np.stack(parts, axis=1) for name, parts in states.items()}
+
+
+def _corrected(
+    results: EpochResults, corrections: Sequence[Correction], pipeline: Pipeline, reward: Reward
+) -> EpochResults:
+    """Return the results that corrections of the beliefs after every epoch change."""
+    shift, log_factor, trusted = (
+        np.stack(parts, axis=1) for parts in zip(*corrections, strict=True)
+    )
+    belief = corrected_all(results["x"], results["P"], shift, log_factor, pipeline)
+    truth = list(np.moveaxis(results["truth"], -1, 0))
+    return {
+        "x": np.stack(belief.x, axis=-1),
+        "P": np.stack(pack(belief.P), axis=-1),
+        "error": np.stack(belief.error(truth), axis=-1),
+        "nees": belief.nees(truth),
+        "reward": total(terms_of(reward, belief, truth)),
+        "trusted": trusted,
+    }
 
 
 def _epochs_per_second(time_s: Array) -> float:

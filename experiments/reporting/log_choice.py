@@ -17,7 +17,7 @@ from mmwave_env.logs.lines import number
 from mmwave_env.logs.log import LogBlock
 from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
 
-DEFAULT_POLICY = "guided"
+DEFAULT_POLICY = "corrector"
 # Without elevations, "guided" trusts wrong modes too often to be useful (docs/learning.md).
 WITHOUT_ELEVATIONS = "imm-best"
 RULES: dict[str, tuple[Rule, str]] = {  # each rule, and the name of its speed in messages

@@ -182,8 +182,8 @@ def _run(args: LogArgs, work: Work) -> tuple[dict[str, Any], TrackSampler, Value
     error: ValueError | None = None
     with ExitStack() as stack:
         title = as_name(Path(inputs(args).log.name.removesuffix(".gz")).stem)
-        files = [track_files(out, names, work.scene, title) for out in args.out]
-        writers = [stack.enter_context(file) for file in files]
+        more = (names, work.scene, title, work.choice.switching.corrects)
+        writers = [stack.enter_context(track_files(out, *more)) for out in args.out]
         report = stack.enter_context(progress("localizing"))
         try:
             for block in track:

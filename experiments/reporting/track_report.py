@@ -81,6 +81,8 @@ def _course(figures: dict[str, Any]) -> list[str]:
     switches = f", switched {_times(f['switches'])}" if len(f["modes"]) > 1 else ""
     lines.append(f"modes {escaped(f['rule'])}: {shares} of the epochs{switches}")
     lines.append(f"noise of radio {escaped(f['radio'])}")
+    if "trusted" in f:
+        lines.append(f"corrections of the filtered track were trusted to {_percent(f['trusted'])}")
     if "clock" in f:
         keys = "range_bias_m", "deviation_m"
         ahead, deviation = (f["clock"][key] / SPEED_OF_LIGHT * 1e9 for key in keys)

@@ -7,7 +7,15 @@ from typing import Annotated, Any
 
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.io.files import read_json
-from mmwave_env.io.records import Bound, Probability, Size, counts, object_from, require_fields
+from mmwave_env.io.records import (
+    Bound,
+    Name,
+    Probability,
+    Size,
+    counts,
+    object_from,
+    require_fields,
+)
 
 MOST = 10**15  # largest value; anything larger is a mistake, and needs too much memory and time
 Count = Annotated[int, counts(1, MOST)]
@@ -77,9 +85,37 @@ class RolloutHyperparameters:
             raise ValueError(f"memory: found {self.memory}, expected {self.num_envs} or more")
 
 
-Hyperparameters = PpoHyperparameters | RolloutHyperparameters
+@dataclass(frozen=True)
+class CorrectorHyperparameters:
+    """Hyperparameters of correctors (:mod:`experiments.training.corrector`)."""
+
+    base: str  # policy whose beliefs are corrected: a shipped switcher, or imm-best
+    num_envs: Count  # number of episodes of a gradient step
+    # places, not trained at, where policies of the training are compared
+    judged_at: Annotated[tuple[Name, ...], Size(1, 100)]
+    random_share: Probability  # share of episodes in streets, with radios and receivers, at random
+    long_epochs: Count  # epochs of an episode with five or more epochs per second
+    # front, units, head: numbers of neurons before, in and after the recurrent layer
+    front: Count
+    units: Count
+    head: Count
+    members: Count  # number of outputs in the ensemble
+    likelihood_weight: Positive  # weight of the log-likelihood in the loss
+    learning_rate: Positive  # at the start; it falls linearly
+    final_fraction: Probability  # share of the rate that is left at the end
+    max_grad_norm: Positive  # length to which longer gradients are shortened
+
+    algorithm = "corrector"
+    together = 1
+
+    def __post_init__(self) -> None:
+        require_fields(self)
+
+
+Hyperparameters = PpoHyperparameters | RolloutHyperparameters | CorrectorHyperparameters
 KINDS: dict[str, type[Hyperparameters]] = {
-    kind.algorithm: kind for kind in (PpoHyperparameters, RolloutHyperparameters)
+    kind.algorithm: kind
+    for kind in (PpoHyperparameters, RolloutHyperparameters, CorrectorHyperparameters)
 }
 
 

@@ -10,7 +10,8 @@ from typing import Any, cast
 
 from experiments.console.signals import answered, ended_by_signals
 from experiments.evaluation.runs import require_outcome
-from experiments.training.hyperparameters import PpoHyperparameters
+from experiments.training.corrector import CorrectorTraining
+from experiments.training.hyperparameters import CorrectorHyperparameters, PpoHyperparameters
 from experiments.training.job import Job, News, Tell
 from experiments.training.ppo import PpoTraining
 from experiments.training.rollouts import RolloutTraining
@@ -27,6 +28,8 @@ def train(job: Job[Any], tell: Tell) -> Outcome:
     """
     if isinstance(job.hyperparameters, PpoHyperparameters):
         return PpoTraining(job, tell).run()
+    if isinstance(job.hyperparameters, CorrectorHyperparameters):
+        return CorrectorTraining(job, tell).run()
     return RolloutTraining(job, tell).run()
 
 

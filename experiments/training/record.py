@@ -3,6 +3,7 @@
 import csv
 import io
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from experiments.console.provenance import versions_of
 from experiments.training.checkpoint import read_stand, write_checkpoint
 from experiments.training.evaluator import Evaluator
 from experiments.training.job import Job, News, Tell
-from mmwave_env.interface.observation import Observation
+from mmwave_env.interface.observation import Column, Observation
 from mmwave_env.io.files import write_bytes, write_json, write_text
 from policies.policy_file import Card, Tensors, to_bytes
 
@@ -108,23 +109,31 @@ class Record:
         """Return the wall time of the training, including time before an interruption."""
         return float(self.stand["seconds"]) + time.monotonic() - self._begun_s
 
-    def evaluate(self, actor: Tensors, table: Observation) -> dict[str, float]:
+    def evaluate(
+        self, actor: Tensors, table: Observation, features: Sequence[str] | None = None
+    ) -> dict[str, float]:
         """Evaluate a policy, and keep it if it is the best so far.
 
         Args:
             actor: tensors of the policy.
             table: table of the features that the policy observes.
+            features: names of those that its network reads; None for all.
 
         Returns:
             Mean figures for the log.
         """
+        columns = table.columns
+        if features is not None:
+            columns = tuple(column for column in columns if column.name in features)
         stand, latest = self.stand, self._job.folder / "latest.safetensors"
-        write_bytes(latest, to_bytes(actor, self._card(table, {})))
+        write_bytes(latest, to_bytes(actor, self._card(columns, table.kind, {})))
         figures = self._evaluator.examine(latest)
         timesteps = stand["timesteps"]
         if stand["best"] is None or figures["reward"] > stand["best"]["reward"]:
             stand["best"] = {"timesteps": timesteps, **figures}
-            write_bytes(self._job.policy, to_bytes(actor, self._card(table, stand["best"])))
+            write_bytes(
+                self._job.policy, to_bytes(actor, self._card(columns, table.kind, stand["best"]))
+            )
         text = f"reward {figures['reward']:.3f}"
         if stand["beat_rule"] is None and figures["minus speed-rule"]["ci95"][0] > 0.0:
             seconds = round(self.seconds, 1)
@@ -152,12 +161,14 @@ class Record:
         self._job.checkpoint.unlink(missing_ok=True)
         return outcome
 
-    def _card(self, table: Observation, evaluation: dict[str, Any]) -> Card:
+    def _card(
+        self, columns: tuple[Column, ...], observation: str, evaluation: dict[str, Any]
+    ) -> Card:
         job, task = self._job, self._job.task
         return Card(
             modes=task.bank.modes,
-            observation=task.observation,
-            features=table.columns,
+            observation=observation,
+            features=columns,
             scenario=task.scenario,
             radio=", ".join(task.banks),
             algorithm=job.hyperparameters.algorithm,
@@ -168,4 +179,5 @@ class Record:
             versions=versions_of("gymnasium", "numpy", "numba", "torch", "stable-baselines3"),
             beliefs=task.beliefs,
             banks=dict(task.banks) if task.beliefs == "per-mode" else {},
+            base=getattr(job.hyperparameters, "base", ""),
         )

@@ -37,7 +37,11 @@ if TYPE_CHECKING:
     from experiments.train import Args
 
 SMOKE_EPISODES = 20  # number of episodes to judge the policy of a smoke run on
-TIMESTEPS = {"ppo": 4_000_000, "rollouts": 1_200_000}  # default length of a training
+TIMESTEPS = {
+    "ppo": 4_000_000,
+    "rollouts": 1_200_000,
+    "corrector": 100_000_000,
+}  # default length of a training
 
 # Options that do not affect a policy; the command in a policy file leaves them out.
 ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")
@@ -193,6 +197,8 @@ def train(args: "Args") -> None:
         count = getattr(args, name)
         if count is not None and count < 1:
             raise ValueError(f"{name}: found {count}, expected 1 or more")
+    if args.algo == "corrector":
+        args = replace(args, beliefs="per-mode")
     task = training_task(args)
     hyper = hyperparameters(args, len(task.places), args.hyperparameters)
     manifest = manifest_of(args, task.banks, hyper)

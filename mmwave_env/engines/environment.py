@@ -21,11 +21,13 @@ from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.tally import Tally
 from mmwave_env.engines.vector_step import ActionHistory, Stepper
+from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.info import SMOOTHED_KEY, drawn_rows
 from mmwave_env.interface.reward import term_names
 from mmwave_env.metrics import INFO_KEYS, ate, scored
 from mmwave_env.models.scene import Streets
+from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.task import Task
 from mmwave_env.world.episode import EpisodeBatch
@@ -126,6 +128,20 @@ class Environment:
         """Return the rows that pictures read, the number of NEES axes and the actions' names."""
         rows = drawn_rows(self._engine.at, self._engine.span)
         return rows, len(self._task.pipeline.position_axes), self.observation.actions
+
+    def belief(self, environment: int = 0) -> Belief:
+        """Return the belief after the last epoch in which an action was taken.
+
+        Args:
+            environment: number of the environment, in a vector of them.
+
+        Raises:
+            ResetNeeded: no episode is under way.
+        """
+        self._require_begun("belief")
+        pipeline, at = self._engine.pipeline, self._engine.at
+        x, P = (self._engine.read(part)[environment].tolist() for part in (at.x, at.P))
+        return Belief(x, unpack(P, pipeline.known_axes), pipeline.position_axes)
 
     def _streets_of(self, place: int) -> Streets | None:
         return self._task.streets_of(int(self._engine.keys[place]))

@@ -14,7 +14,14 @@ from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 from mmwave_env.compiler.program import Program
-from mmwave_env.engines.epoch_state import PendingEpoch, begun, blank_environment, scores
+from mmwave_env.engines.epoch_state import (
+    PendingEpoch,
+    begun,
+    blank_environment,
+    last_of,
+    pending_of,
+    scores,
+)
 from mmwave_env.engines.track_engine import untuned
 from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.belief import Belief
@@ -73,7 +80,7 @@ def shared_epoch(
     layout, modes = pipeline.layout, pipeline.modes
     chosen: ModeResult = tree_at(w.action, w.candidates)
     cost: Number = tree_at(w.action, [mode.cost for mode in modes])
-    dt, visible, truth, measured = w.pending
+    dt, visible, truth, measured, _ = w.pending
     memory = memory_after(layout, w.action, w.x, chosen, w.memory, dt, visible, measured)
     belief = Belief(chosen.x, unpack(chosen.P, zero=pipeline.known_axes), pipeline.position_axes)
 
@@ -81,10 +88,12 @@ def shared_epoch(
     coming = w.incoming.epoch(layout)
     candidates = [predict_update(pipeline, m, x, P, memory, coming, w.site) for m in modes]
     memory = memory_before(memory, candidates, coming, layout)
-    view = View(x, unpack(P, zero=pipeline.known_axes), memory, candidates, coming, w.site)
+    last = last_of(w, layout)
+    covariance = unpack(P, zero=pipeline.known_axes)
+    view = View(x, covariance, memory, candidates, coming, w.site, None, last)
     return w._replace(
         is_first=0.0,
-        pending=PendingEpoch(coming.dt, coming.visible, w.incoming.truth, coming.measured),
+        pending=pending_of(w.incoming, coming, observation),
         x=x,
         P=P,
         memory=memory,
@@ -126,7 +135,7 @@ def per_mode_epoch(
     w: PerModeState, pipeline: Pipeline, observation: Observation, reward: Reward
 ) -> PerModeState:
     """Compute a step of an environment in which every mode keeps its own belief."""
-    dt, _, truth, _ = w.pending
+    dt, _, truth, *_ = w.pending
     layout, costs = pipeline.layout, [0.0, *(mode.cost for mode in pipeline.modes)]
     mixture = trusting(w.mixture, w.action, dt)
     x, covariance = estimate(mixture)
@@ -146,10 +155,12 @@ def per_mode_epoch(
         for old, keep in zip(w.spread_averages_hz, SPREAD_MEMORIES, strict=True)
     ]
     shown = MixtureView(predicted, mixture.probability, averages)
-    view = View(x, unpack(P, zero=pipeline.known_axes), memory, results, coming, w.site, shown)
+    last = last_of(w, layout, probabilities)
+    covariance = unpack(P, zero=pipeline.known_axes)
+    view = View(x, covariance, memory, results, coming, w.site, shown, last)
     return w._replace(
         is_first=0.0,
-        pending=PendingEpoch(coming.dt, coming.visible, w.incoming.truth, coming.measured),
+        pending=pending_of(w.incoming, coming, observation),
         mixture=mixture,
         spread_averages_hz=averages,
         mode_probabilities=probabilities,
@@ -176,7 +187,7 @@ def program_of(pipeline: Pipeline, kind: str, reward: Reward, per_mode: bool) ->
         pipeline = untuned(pipeline)
     observation = Observation(pipeline, kind, "per-mode" if per_mode else "shared")
     layout, modes = pipeline.layout, len(pipeline.modes)
-    blank = blank_environment(layout, modes, reward, len(observation))
+    blank = blank_environment(layout, modes, reward, observation)
     arguments: Any = {"pipeline": pipeline, "observation": observation, "reward": reward}
     if per_mode:
         template = PerModeState(

@@ -5,12 +5,14 @@ from typing import Any, NamedTuple
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.memory import Memory, initial_memory
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.reward import Reward, term_names, terms_of, total
+from mmwave_env.interface.signed import LastEpoch
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.measurement import blank_site
+from mmwave_env.models.measurement import Epoch, blank_site
 from mmwave_env.numerics.numbers import Number, Vector
 from mmwave_env.numerics.pytree import select
-from mmwave_env.world.episode import blank_incoming
+from mmwave_env.world.episode import Incoming, blank_incoming
 
 
 class PendingEpoch(NamedTuple):
@@ -21,6 +23,7 @@ class PendingEpoch(NamedTuple):
     visible: list[Number]
     truth: list[Number]  # (6,) true position (m) and velocity (m/s)
     measured: Vector  # same as in :class:`~mmwave_env.models.measurement.Epoch`
+    incoming: Any = ()  # the complete epoch, if there are signed features
 
 
 def blank_track(layout: Layout, modes: int) -> dict[str, Any]:
@@ -39,19 +42,35 @@ def blank_track(layout: Layout, modes: int) -> dict[str, Any]:
     }
 
 
-def blank_environment(layout: Layout, modes: int, reward: Reward, features: int) -> dict[str, Any]:
+def blank_environment(
+    layout: Layout, modes: int, reward: Reward, observation: Observation
+) -> dict[str, Any]:
     """Return the fields that every environment's state has, with values before the first epoch."""
     track = blank_track(layout, modes)
+    last = track["incoming"] if observation.kind == "signed" else ()
     truth = track["incoming"].truth
     measured = [0.0] * layout.size if layout.partial else ()
     return track | {
-        "pending": PendingEpoch(0.0, [0.0] * len(layout.groups), truth, measured),
-        "observation": [0.0] * features,
+        "pending": PendingEpoch(0.0, [0.0] * len(layout.groups), truth, measured, last),
+        "observation": [0.0] * len(observation),
         "reward": 0.0,
         "reward_terms": [0.0] * (len(term_names(reward)) + 1),
         "truth": truth,
         "distance": 0.0,
     }
+
+
+def pending_of(incoming: Incoming, epoch: Epoch, observation: Observation) -> PendingEpoch:
+    """Return what is needed of an epoch that the modes have just run on."""
+    last = incoming if observation.kind == "signed" else ()
+    return PendingEpoch(epoch.dt, epoch.visible, incoming.truth, epoch.measured, last)
+
+
+def last_of(w: Any, layout: Layout, probabilities: Vector = ()) -> LastEpoch | None:
+    """Return the last epoch of an environment, if there are signed features."""
+    if not w.pending.incoming:
+        return None
+    return LastEpoch(w.pending.incoming.epoch(layout), w.is_first, w.x[3:6], probabilities)
 
 
 def begun(

@@ -36,7 +36,10 @@ from mmwave_env.filters.imm import (
 )
 from mmwave_env.filters.memory import Memory
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.features import View
+from mmwave_env.interface.observation import standardized
 from mmwave_env.interface.reward import Reward, TrackingReward, terms_of, total
+from mmwave_env.interface.signed import LastEpoch, after_update
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Site
 from mmwave_env.numerics.linalg import pack
@@ -64,21 +67,28 @@ class ImmState(NamedTuple):
     reward: Number
     error: list[Number]
     nees: Number
+    signed: list[Number]  # (features,) standardized features for a corrector, if there is one
 
 
-def imm_program(pipeline: Pipeline, reward: Reward, acted: bool = False) -> Program[ImmState]:
+def imm_program(
+    pipeline: Pipeline, reward: Reward, acted: bool = False, signed: bool = False
+) -> Program[ImmState]:
     """Return the program of an IMM's epoch, shared by pipelines that differ only in tuning.
 
     Args:
         pipeline: modes and layout.
         reward: function of (belief, truth).
         acted: whether an agent's actions steer the mixture.
+        signed: whether to compute the features of
+            :func:`~mmwave_env.interface.signed.after_update`.
     """
-    return _program(untuned(pipeline), reward, acted)
+    return _program(untuned(pipeline), reward, acted, signed)
 
 
 @lru_cache(maxsize=32)
-def _program(pipeline: Pipeline, reward: Reward, acted: bool) -> Program[ImmState]:
+def _program(pipeline: Pipeline, reward: Reward, acted: bool, signed: bool) -> Program[ImmState]:
+    features = after_update(pipeline, per_mode=True) if signed else []
+
     def function(w: ImmState) -> ImmState:
         prior = begin(pipeline, w.site.prior_x, w.site.prior_P)
         mixture = select(w.is_first > 0.5, prior, w.mixture)
@@ -88,7 +98,10 @@ def _program(pipeline: Pipeline, reward: Reward, acted: bool) -> Program[ImmStat
         x, P = estimate(mixture)
         x_predicted, P_predicted = prediction(now, coming.dt, w.site.hz_per_mps)
         belief = Belief(x, P, pipeline.position_axes)
-        truth = w.incoming.truth
+        truth, memory = w.incoming.truth, most_probable_memory(mixture)
+        before = select(w.is_first > 0.5, w.site.prior_x, w.x)[3:6]
+        last = LastEpoch(coming, 0.0, before, mixture.probability)
+        view = View(x, P, memory, [], coming, w.site, None, last)
         return w._replace(
             is_first=0.0,
             mixture=mixture,
@@ -96,7 +109,8 @@ def _program(pipeline: Pipeline, reward: Reward, acted: bool) -> Program[ImmStat
             P=pack(P),
             x_predicted=x_predicted,
             P_predicted=P_predicted,
-            memory=most_probable_memory(mixture),
+            memory=memory,
+            signed=standardized(features, view),
             reward=total(terms_of(reward, belief, truth)),
             error=belief.error(truth),
             nees=belief.nees(truth),
@@ -109,6 +123,7 @@ def _program(pipeline: Pipeline, reward: Reward, acted: bool) -> Program[ImmStat
         x_predicted=blank["x"],
         P_predicted=blank["P"],
         reward=0.0,
+        signed=[0.0] * len(features),
         **blank,
     )
     return Program(function, template)
@@ -171,12 +186,20 @@ class ImmTracker(EpisodeFilter[ImmState]):
         n: number of tracks.
         planar: same as in :class:`~mmwave_env.filters.pipeline.Pipeline`.
         acted: whether :meth:`run` receives actions, the modes to trust.
+        signed: whether the part "signed" contains the features that a corrector reads.
     """
 
     def __init__(
-        self, bank: Bank, layout: Layout, n: int, planar: bool = False, acted: bool = False
+        self,
+        bank: Bank,
+        layout: Layout,
+        n: int,
+        planar: bool = False,
+        acted: bool = False,
+        signed: bool = False,
     ) -> None:
-        program = imm_program(Pipeline(bank.modes, layout, planar), TrackingReward(), acted)
+        pipeline = Pipeline(bank.modes, layout, planar)
+        program = imm_program(pipeline, TrackingReward(), acted, signed)
         batch = Batch(program, layout, n, rows_of(program.index.action))
         batch.write(program.index.settings, np.array(flatten(settings_of(bank, layout)), float))
         super().__init__(batch)

@@ -14,8 +14,10 @@ from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmTracker
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters.bank import Bank
+from mmwave_env.filters.correction import corrected_all
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
+from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
 
@@ -33,7 +35,8 @@ class PolicyTracker:
     Args:
         pipeline: modes and layout.
         policy: function from observations (1, features) to actions (1,), with a method
-            ``reset(mask)`` that is called when a track starts over.
+            ``reset(mask)`` that is called when a track starts over. A corrector also has
+            ``read_from_track`` and ``correct_track`` (:class:`policies.corrector.Corrector`).
         observation: "full" or "prior".
         bank: bank of the modes, if every mode keeps its own belief; None if they share a belief.
     """
@@ -46,12 +49,15 @@ class PolicyTracker:
         bank: Bank | None = None,
     ) -> None:
         self._engine = Engine(pipeline, 1, TrackingReward(), observation, bank)
+        self._correct = getattr(policy, "correct_track", None)
+        if self._correct:
+            policy.read_from_track(pipeline)  # type: ignore[attr-defined]
         self._filter: Tracker | ImmTracker = (
-            ImmTracker(bank, pipeline.layout, 1, pipeline.planar, acted=True)
+            ImmTracker(bank, pipeline.layout, 1, pipeline.planar, True, self._correct is not None)
             if bank
             else Tracker(pipeline, 1)
         )
-        self._policy = policy
+        self._policy, self._pipeline = policy, pipeline
         self._epochs, self._end_s, self._action = 0, 0.0, 0
         self._starts = True
 
@@ -70,7 +76,11 @@ class PolicyTracker:
         self._epochs, self._end_s, self._starts = 1, time_s, False
 
     def run(self, *names: str) -> dict[str, Array]:
-        """Filter the loaded episode once, in the same way as :meth:`Tracker.run`."""
+        """Filter the loaded episode once, in the same way as :meth:`Tracker.run`.
+
+        A corrector adds three parts: "corrected_x" and "corrected_P", the belief to show, and
+        "trusted".
+        """
         if self._starts:
             self._policy.reset(np.array([True]))
         actions = np.empty((1, self._epochs), np.int64)
@@ -78,4 +88,13 @@ class PolicyTracker:
             # An environment that starts over ignores the action.
             observations, _ = self._engine.step(np.int64(self._action))
             (self._action,) = actions[:, t] = self._policy(observations)
-        return self._filter.run(*names, actions=actions)
+        if not self._correct:
+            return self._filter.run(*names, actions=actions)
+        parts = self._filter.run(*dict.fromkeys((*names, "x", "P", "signed")), actions=actions)
+        corrections = [self._correct(signed[None]) for signed in parts.pop("signed")[0]]
+        shift, log_factor, trusted = (
+            np.stack(each, axis=1) for each in zip(*corrections, strict=True)
+        )
+        belief = corrected_all(parts["x"], parts["P"], shift, log_factor, self._pipeline)
+        x, P = np.stack(belief.x, axis=-1), np.stack(pack(belief.P), axis=-1)
+        return parts | {"corrected_x": x, "corrected_P": P, "trusted": trusted}

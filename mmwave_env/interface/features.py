@@ -26,6 +26,12 @@ from mmwave_env.numerics.numbers import Matrix, Number, Vector, log, maximum, sq
 MISSING_SNR_DB = -20.0
 # kind of an anchor's feature -> the feature's value if the anchor is never visible
 UNSEEN = {"NIS": 0.0, "verdict": 0.0, "SNR": MISSING_SNR_DB, "SNR drop": 0.0, "coming NIS": 0.0}
+UNSEEN |= dict.fromkeys(
+    (
+        *(f"{row} {of}" for row in ("range", "azimuth", "departure")
+          for of in ("residual along", "residual across", "deviation")),
+        "elevation residual", "elevation deviation", "measured", "last SNR",
+    ), 0.0)  # fmt: skip
 _LEAST = 1e-9  # lower limit of a probability in a logarithm
 _WAYS = {
     "along": "component along the predicted velocity",
@@ -53,6 +59,7 @@ class View(NamedTuple):
     epoch: Epoch  # the coming epoch
     site: Site  # anchors and carrier
     mixture: Any = None  # a MixtureView if each mode has its own belief
+    last: Any = None  # a LastEpoch if there are signed features
 
 
 @dataclass(frozen=True)
@@ -85,7 +92,7 @@ def context(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
             of the streets, so that a policy trained in one scene works in others.
     """
     layout = pipeline.layout
-    table = [*_motion(layout), *_last_epoch(layout)]
+    table = [*_motion(layout), *last_epoch(layout)]
     if per_mode:
         return [*table, *_links(layout, False), *_track(), *_mixture(pipeline)]
     return [*table, *_links(layout, True), *_previous(pipeline), *_track()]
@@ -130,7 +137,8 @@ def _log_trace(view: View, first: int) -> Number:
     return log(view.P[first][first] + view.P[first + 1][first + 1] + 1e-12)
 
 
-def _last_epoch(layout: Layout) -> list[Feature]:
+def last_epoch(layout: Layout) -> list[Feature]:
+    """Return the features of the last epoch's gates, and of the belief after it."""
     groups = _named_groups(layout)
     return [
         *(Feature(f"NIS {name}", "ln(1 + NIS) of the last epoch", "", 0, 10,

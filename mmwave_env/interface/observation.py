@@ -20,6 +20,7 @@ from mmwave_env.filters.bank import default_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.features import Feature, View, coming, context
+from mmwave_env.interface.signed import signed
 from mmwave_env.io.lookup import choose
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import RADIOS
@@ -30,6 +31,7 @@ LIMIT = 10.0  # maximum distance of a feature from its mean, in standard deviati
 OBSERVATIONS = {
     "full": "all features",
     "prior": "all features except how well each mode explains the coming epoch",
+    "signed": "all features, and residuals of the last epoch along and across the velocity",
 }
 BELIEFS = {  # a belief is a mean and a covariance
     "shared": "one belief, which the chosen mode updates",
@@ -78,7 +80,7 @@ class Observation:
     Attributes:
         features: the table.
         scales: mean and deviation of each feature.
-        kind: "full" or "prior".
+        kind: "full", "prior" or "signed".
         beliefs: "shared" or "per-mode".
         modes: modes of the pipeline that the features describe.
     """
@@ -89,8 +91,10 @@ class Observation:
         choose(BELIEFS, beliefs, "beliefs")
         per_mode = beliefs == "per-mode"
         self.features = context(pipeline, per_mode)
-        if kind == "full":
+        if kind != "prior":
             self.features += coming(pipeline, per_mode)
+        if kind == "signed":
+            self.features += signed(pipeline, per_mode)
         self.scales = [feature_scales()[feature.kind] for feature in self.features]
         self._rows = list(zip(self.features, self.scales, strict=True))
         self._index = {feature.name: i for i, feature in enumerate(self.features)}
@@ -102,6 +106,11 @@ class Observation:
     def actions(self) -> list[str]:
         """Return the names of the actions."""
         return action_names(self.modes, self.beliefs)
+
+    @property
+    def names(self) -> list[str]:
+        """Return the names of the features."""
+        return list(self._index)
 
     @property
     def made_with(self) -> str:
@@ -121,11 +130,11 @@ class Observation:
     @property
     def columns(self) -> tuple[Column, ...]:
         """Return the columns in their order."""
-        return tuple(Column(f.name, f.unit, *map(float, scale)) for f, scale in self._rows)
+        return columns_of(self.features)
 
     def values(self, view: View) -> list[Number]:
         """Return the standardized values of all features."""
-        return [_shown(f.value(view), f, scale) for f, scale in self._rows]
+        return standardized(self.features, view)
 
     def read(self, observation: NDArray[np.float32], name: str) -> NDArray[np.float64]:
         """Return a feature in its own unit, from observations (..., features).
@@ -155,6 +164,17 @@ class Observation:
             numbers = " | ".join(f"{number:.4g}" for number in (*scale, *bounds))
             lines.append(f"| {i} | {f.name} | {f.meaning} | {f.unit} | {numbers} |")
         return "\n".join(lines)
+
+
+def columns_of(features: Sequence[Feature]) -> tuple[Column, ...]:
+    """Return the columns of standardized features."""
+    scales = feature_scales()
+    return tuple(Column(f.name, f.unit, *map(float, scales[f.kind])) for f in features)
+
+
+def standardized(features: Sequence[Feature], view: View) -> list[Number]:
+    """Return the standardized values of features."""
+    return [_shown(f.value(view), f, feature_scales()[f.kind]) for f in features]
 
 
 def _shown(value: Number, feature: Feature, scale: Scale) -> Number:

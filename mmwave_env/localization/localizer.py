@@ -32,11 +32,12 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.world.episode import Episode
-from policies.learned import LearnedSwitch
+from policies.corrector import Corrector, learned_policy
 from policies.policy import Policy
 
 _FILTERED = ("x", "P", "memory.mode", "memory.nis", "memory.accepted")
 _PREDICTED = ("x_predicted", "P_predicted")
+CORRECTED = ("corrected_x", "corrected_P", "trusted")  # parts that a corrector adds
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -59,6 +60,9 @@ class TrackBlock(LogBlock):
     mode: Index  # (T,) number of the mode that ran
     nis: Array  # (T, groups) NIS in that mode; 0 where not visible
     accepted: Mask  # (T, groups) whether the gate accepted the group
+    # (T,) share of a corrector's corrections that is left in x and P, NaN without a corrector;
+    # smoothing begins at the filtered belief without corrections
+    trusted: Array
 
 
 @dataclass(frozen=True)
@@ -92,6 +96,12 @@ class Switching:
         return self.modes if isinstance(self.modes, Bank) else None
 
     @property
+    def corrects(self) -> bool:
+        """Return whether the policy is a corrector."""
+        kind = getattr(self.policy, "func", None)
+        return isinstance(kind, type) and issubclass(kind, Corrector)
+
+    @property
     def names(self) -> list[str]:
         """Return the names of the modes."""
         return [mode.name for mode in (self.bank.modes if self.bank else self.modes)]  # type: ignore[union-attr]
@@ -119,13 +129,13 @@ class Switching:
 
 
 def learned(path: str | os.PathLike[str], radio: str) -> Switching:
-    """Return the modes and the policy of a learned switcher, a policy file or a shipped one's name.
+    """Return the modes and the policy of a policy file, or of a shipped policy.
 
     A switcher with several banks gets the one of ``radio``.
     """
-    switch = LearnedSwitch(path)
-    modes = switch.bank(radio) if switch.beliefs == "per-mode" else switch.modes
-    return Switching(modes, None, partial(LearnedSwitch, path), switch.card.observation)
+    policy = learned_policy(path)
+    modes = policy.bank(radio) if policy.beliefs == "per-mode" else policy.modes
+    return Switching(modes, None, partial(type(policy), path), policy.card.observation)
 
 
 def localize(
@@ -172,9 +182,13 @@ def _filtered(
             episode = episode.on_flat_ground(height_m)
         tracker.load([episode], go_on=not block.begins)
         parts = {name: of[0] for name, of in tracker.run(*switching.parts).items()}
+        correction = [parts.pop(name, None) for name in CORRECTED]
         track: dict[str, Any] = {name.removeprefix("memory."): parts[name] for name in _FILTERED}
         track["mode"], track["accepted"] = track["mode"].astype(np.int64), track["accepted"] > 0.5
         track["filtered"] = filtered_of(parts)
+        track["trusted"] = np.full(len(episode), np.nan)
+        if correction[0] is not None:
+            track |= dict(zip(("x", "P", "trusted"), correction, strict=True))
         track |= {"smooth_x": track["x"], "smooth_P": track["P"], "visible": episode.visible}
         sound = np.isfinite(track["x"]).all(axis=1) & np.isfinite(track["P"]).all(axis=1)
         end = len(block) if sound.all() else int(np.argmin(sound))

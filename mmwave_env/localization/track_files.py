@@ -22,7 +22,7 @@ _VARIANCES = [i * (i + 3) // 2 for i in range(6)]  # indices of variances in pac
 _TRACK_HEADER = f"# {' '.join(COLUMNS)}; mmwave-loc localize\n"
 _TABLE_HEADER = (
     "time_s,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m,vx_mps,vy_mps,vz_mps,"
-    "sigma_vx_mps,sigma_vy_mps,sigma_vz_mps,mode\n"
+    "sigma_vx_mps,sigma_vy_mps,sigma_vz_mps,mode"
 )
 
 
@@ -73,7 +73,9 @@ Write = Callable[[TrackBlock], None]
 
 
 @contextmanager
-def track_files(track: Path, modes: Sequence[str], scene: Scene, name: str = "") -> Iterator[Write]:
+def track_files(
+    track: Path, modes: Sequence[str], scene: Scene, name: str = "", corrected: bool = False
+) -> Iterator[Write]:
     """Yield a function that writes the next block of a track; at the end, put the files in place.
 
     Args:
@@ -82,6 +84,7 @@ def track_files(track: Path, modes: Sequence[str], scene: Scene, name: str = "")
         modes: names of the modes.
         scene: the scene; files for maps need its origin.
         name: name of the track in files for maps.
+        corrected: whether a corrector runs; tables then say how far it is trusted.
 
     Raises:
         ValueError: the file is for a map, but the scene has no origin.
@@ -90,10 +93,10 @@ def track_files(track: Path, modes: Sequence[str], scene: Scene, name: str = "")
         with map_file(track, scene, name) as write:
             yield write
     elif (table := table_beside(track)) is None:
-        with _table_file(track, modes) as write:
+        with _table_file(track, modes, corrected) as write:
             yield write
     else:
-        with _table_file(table, modes) as write_row, _tum_file(track) as write_pose:
+        with _table_file(table, modes, corrected) as write_row, _tum_file(track) as write_pose:
 
             def write_both(block: TrackBlock) -> None:
                 write_pose(block)
@@ -117,11 +120,11 @@ def _tum_file(track: Path) -> Iterator[Write]:
 
 
 @contextmanager
-def _table_file(path: Path, modes: Sequence[str]) -> Iterator[Write]:
+def _table_file(path: Path, modes: Sequence[str], corrected: bool) -> Iterator[Write]:
     names = [_as_cell(name) for name in modes]
-    row = ("%r" + ",%.6f" * 3 + ",%.6g" * 3 + ",%.6f" * 3 + ",%.6g" * 3 + ",%s\n").__mod__
+    row = ("%r" + ",%.6f" * 3 + ",%.6g" * 3 + ",%.6f" * 3 + ",%.6g" * 3 + ",%s%s\n").__mod__
     with atomic_path(path) as beside, beside.open("w", encoding="utf-8", newline="\n") as table:
-        table.write(_TABLE_HEADER)
+        table.write(_TABLE_HEADER + ",trusted" * corrected + "\n")
 
         def write(block: TrackBlock) -> None:
             x = block.smooth_x
@@ -130,8 +133,9 @@ def _table_file(path: Path, modes: Sequence[str]) -> Iterator[Write]:
             numbers = np.column_stack(
                 [block.time_s, x[:, :3], sigma[:, :3], x[:, 3:6], sigma[:, 3:]]
             ).tolist()
-            modes_run = block.mode.tolist()
-            rows = [row((*n, names[m])) for n, m in zip(numbers, modes_run, strict=True)]
+            trusted = [f",{value:.4f}" * corrected for value in block.trusted.tolist()]
+            cells = zip(numbers, block.mode.tolist(), trusted, strict=True)
+            rows = [row((*n, names[m], last)) for n, m, last in cells]
             with naming(path):
                 table.writelines(rows)
 

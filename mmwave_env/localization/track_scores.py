@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Sequence
+from math import isnan
 from typing import Any
 
 import numpy as np
@@ -237,10 +238,11 @@ class Course:
         self._modes = dict.fromkeys(modes, 0)
         self._last_mode = -1
         self._clock: dict[str, Any] = {}  # the clock in the last epoch
-        self._speed = self._fastest = 0.0
+        self._speed = self._fastest = self._trusted = 0.0
 
     def add(self, block: TrackBlock) -> None:
         """Add a block."""
+        self._trusted += float(block.trusted.sum())
         if not self.epochs:
             self.first_s, self._last_mode = float(block.time_s[0]), int(block.mode[0])
         counts = np.bincount(block.mode, minlength=len(self._modes)).tolist()
@@ -277,4 +279,6 @@ class Course:
             "modes": self._modes,
             "switches": self._switches,
             **self._clock,
+            # with a corrector only
+            **({} if isnan(self._trusted) else {"trusted": ratio(self._trusted, self.epochs)}),
         }

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mmwave_env.localization.localizer import (
+    CORRECTED,
     Switching,
     episode_from,
     filtered_of,
@@ -43,6 +44,7 @@ class Position(NamedTuple):
         geodetic: latitude and longitude (degrees) and height (m); None in a scene without origin.
         clock_m, clock_sigma_m: range bias of the user's clock and its standard deviation; None
             if clocks are synchronized.
+        trusted: share of a corrector's correction that was applied, 0 to 1; None without one.
     """
 
     time_s: float
@@ -56,13 +58,14 @@ class Position(NamedTuple):
     geodetic: list[float] | None
     clock_m: float | None = None
     clock_sigma_m: float | None = None
+    trusted: float | None = None
 
 
 class Tracker:
     """A track that grows by one epoch at a time, bit-identical to that of the complete log.
 
     ```python
-    >>> tracker = Tracker("street", policy="guided")
+    >>> tracker = Tracker("street", policy="corrector")
     >>> rows = [{"time_s": 0.0, "anchor": 1, "range_m": 71.2, "aoa_azimuth_deg": -45.1,
     ...          "aoa_elevation_deg": -6.9, "aod_azimuth_deg": 134.8, "snr_db": 22.0}]
     >>> tracker.update(rows).position_m  # doctest: +SKIP
@@ -82,7 +85,7 @@ class Tracker:
     def __init__(
         self,
         scene: str | Path | Scene,
-        policy: str | Path | Switching = "guided",
+        policy: str | Path | Switching = "corrector",
         radio: str | Path | Radio = "handset",
         snr_db: float | None = None,
         height_m: float | None = None,
@@ -144,6 +147,9 @@ class Tracker:
         ):
             self._last_s = time_s
         parts = {name: of[0] for name, of in self._filter.run(*self._switching.parts).items()}
+        x, P, trusted = (parts.pop(name, None) for name in CORRECTED)
+        if trusted is None:
+            x, P = parts["x"], parts["P"]
         if begins:
             self._late.clear()
         mode = self._names[int(parts["memory.mode"][0])]
@@ -151,9 +157,9 @@ class Tracker:
         accepted, nis = parts["memory.accepted"][0].tolist(), parts["memory.nis"][0].tolist()
         groups = [g for g, is_seen in enumerate(visible) if is_seen]
         return self._position(
-            time_s, parts["x"][0], parts["P"][0], mode, {self._groups[g]: nis[g] for g in groups},
+            time_s, x[0], P[0], mode, {self._groups[g]: nis[g] for g in groups},
             [self._groups[g] for g in groups if accepted[g] < 0.5], begins,
-        )  # fmt: skip
+        )._replace(trusted=None if trusted is None else float(trusted[0]))  # fmt: skip
 
     def _prepare(self, layout: Layout) -> None:
         """Create the filter and everything else that all epochs share."""

@@ -19,7 +19,7 @@ from mmwave_env.models.scene import (
 from mmwave_env.numerics.numbers import Number, floor, maximum, minimum, where
 from mmwave_env.numerics.random import Dice, seeded
 
-RANDOM = "random"
+RANDOM, WIDE = "random", "wide"
 
 Length = Annotated[float, between(1e-3, 1e4, "m")]
 Lengths = Annotated[tuple[Length, Length], "[low, high], each 0.001 to 10000 m"]
@@ -96,13 +96,19 @@ class RandomScene:
         )
 
 
+# Streets of almost any size, for policies that must work on streets of which nothing is known.
+WIDE_SCENE = RandomScene(
+    WIDE, block_m=(40.0, 240.0), beside_m=(3.0, 40.0), height_m=(3.0, 25.0), behind_m=(3.0, 60.0)
+)
+
+
 def _either(dice: Dice) -> Number:
     """Draw 1 or -1 with equal probability."""
     return where(dice.uniform() < 0.5, 1.0, -1.0)
 
 
 def scenes_from(scene: str | Path | Scene | RandomScene) -> Scene | RandomScene:
-    """Return the scene of a ``scene=`` argument, or the source of random scenes for "random".
+    """Return the scene of a ``scene=`` argument; "random" and "wide" stand for random scenes.
 
     Raises:
         ValueError: the name is unknown, or a field of the file is missing or wrong.
@@ -111,5 +117,5 @@ def scenes_from(scene: str | Path | Scene | RandomScene) -> Scene | RandomScene:
         return scene
     if isinstance(scene, Scene) or str(scene).endswith(".json"):
         return scene_from(scene)
-    named: dict[str, Scene | RandomScene] = {**SCENES, RANDOM: RandomScene()}
+    named: dict[str, Scene | RandomScene] = {**SCENES, RANDOM: RandomScene(), WIDE: WIDE_SCENE}
     return choose(named, str(scene), "scene")

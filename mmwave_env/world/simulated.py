@@ -6,7 +6,7 @@ runs epoch by epoch, eight episodes at a time.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -315,7 +315,12 @@ class SimulatedSource:
 
     @property
     def _beginning(self) -> Program[Beginning]:
-        streets = self.scene if isinstance(self.scene, RandomScene) else None
+        streets = None
+        if isinstance(self.scene, RandomScene):  # one program for every carrier
+            same = RandomScene()
+            streets = replace(
+                self.scene, carrier_hz=same.carrier_hz, bandwidth_hz=same.bandwidth_hz
+            )
         return beginning(self.layout, len(self._plans), *self._room, streets)
 
     @cached_property

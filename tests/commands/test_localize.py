@@ -60,11 +60,11 @@ def test_an_invalid_speed_is_refused(capsys, word):
     assert f"speed: found {word!r}, expected a number of m/s, at least 0" in line
 
 
-def test_the_guided_policy_is_the_default():
+def test_the_corrector_is_the_default():
     log = WALK / "log.csv"
-    choices = ((), ("--policy", "guided"), ("--speed", "auto"))
-    default, guided, auto = (succeed("localize", *options(log, *choice)) for choice in choices)
-    assert default == guided != auto
+    choices = ((), ("--policy", "corrector"), ("--speed", "auto"))
+    default, learned, auto = (succeed("localize", *options(log, *choice)) for choice in choices)
+    assert default == learned != auto
 
 
 # --- the figures

@@ -84,7 +84,7 @@ def test_all_contenders_play_the_same_episodes():
 def test_every_radio_has_the_expected_contenders(radio):
     made = {name: make() for name, make in contenders(radio).items()}
     plain = ["fixed-ekf", "fixed-ukf", "fixed-ckf", "speed-rule", "likelihood-rule"]
-    learned = [*(["ppo"] if radio != "high" else []), "guided", "guided-ppo"]
+    learned = [*(["ppo"] if radio != "high" else []), "guided", "guided-ppo", "corrector"]
     assert list(made) == [*plain, "imm", "imm-best", *learned]
     assert all(c.name == name and c.modes for name, c in made.items())
 

@@ -107,7 +107,7 @@ def test_integer_values_of_features_are_read_exactly(beliefs):
     ],
 )
 def test_every_feature_of_any_task_is_of_a_kind_that_has_scales(pipeline, beliefs):
-    table = Observation(pipeline, beliefs=beliefs)
+    table = Observation(pipeline, "signed", beliefs)
     kinds = {feature.kind for feature in table.features}
     assert kinds <= feature_scales().keys()
     assert all(math.isfinite(mean) and deviation > 0.0 for mean, deviation in table.scales)
@@ -115,7 +115,7 @@ def test_every_feature_of_any_task_is_of_a_kind_that_has_scales(pipeline, belief
 
 
 def test_every_kind_that_has_scales_has_a_feature():
-    tables = [Observation(PIPELINES["odometry"], beliefs=beliefs) for beliefs in BELIEFS]
+    tables = [Observation(PIPELINES["odometry"], "signed", beliefs) for beliefs in BELIEFS]
     kinds = {feature.kind for table in tables for feature in table.features}
     assert kinds == feature_scales().keys()
 

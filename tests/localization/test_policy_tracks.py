@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from mmwave_env.engines.env_engine import Engine
+from mmwave_env.filters.belief import Belief
+from mmwave_env.filters.correction import corrected
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.localization.localizer import (
     Switching,
@@ -21,9 +23,12 @@ from mmwave_env.logs.log import read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
-from policies import LearnedSwitch
+from mmwave_env.numerics.linalg import unpack
+from policies import Corrector, LearnedSwitch
 from tests.paths import LOGS
+from tests.policies.test_corrector import card, network
 from tests.refusals import refuses
+from tests.training.actors import write
 
 WALK = LOGS / "canyon28_pedestrian"
 SCENE, RADIO = read_scene(WALK / "scene.json"), RADIOS["standard"]
@@ -80,6 +85,58 @@ def test_a_live_track_equals_that_of_the_complete_log_to_the_last_bit(rows, name
     assert late[4] is None and late[5].time_s == positions[0].time_s
     spread = [np.trace(p.covariance_m2) for p in positions[1:-5]]
     assert (np.array([np.trace(p.covariance_m2) for p in late[6:]]) < spread).all()
+
+
+# --- correctors
+
+
+@pytest.fixture(scope="module")
+def corrector(tmp_path_factory):
+    """Return the policy file of a corrector with random weights."""
+    path = tmp_path_factory.mktemp("corrector") / "mine.safetensors"
+    return write(path, network(limit=50.0), card())
+
+
+def test_a_corrected_track_is_that_of_the_environment_with_its_corrections(corrector):
+    switching = learned(corrector, "standard")
+    (whole,) = blocks(EPOCHS)
+    pipeline = switching.pipeline(whole.layout, planar=False)
+    engine = Engine(pipeline, 1, TrackingReward(), "signed", switching.bank)
+    engine.reset([episode_from(whole, SCENE, RADIO)])
+    policy, expected, trusted = Corrector(corrector, engine.observation), [], []
+    policy.reset(np.ones(1, bool))
+    for _ in range(EPOCHS):
+        observation, _ = engine.step(policy(engine.observations()))
+        correction = policy.correct(observation)
+        P = unpack(engine.read(engine.at.P)[0].tolist())
+        belief = Belief(engine.read(engine.at.x)[0].tolist(), P)
+        expected.append(
+            corrected(belief, correction.shift[0].tolist(), correction.log_factor[0].tolist()).x
+        )
+        trusted.append(correction.trusted[0])
+    (track,) = localize([whole], SCENE, RADIO, switching, window=None)
+    np.testing.assert_allclose(track.x, expected, atol=1e-6)
+    np.testing.assert_allclose(track.trusted, trusted, atol=1e-6)
+    assert (track.trusted > 0.1).mean() > 0.5
+
+
+def test_a_live_corrected_track_equals_that_of_the_complete_log(corrector, rows):
+    switching = learned(corrector, "standard")
+    track = TrackBlock.joined(list(localize(blocks(50), SCENE, RADIO, switching, window=None)))
+    tracker = Tracker(SCENE, corrector, "standard")
+    positions = [tracker.update(epoch) for epoch in rows]
+    np.testing.assert_array_equal([p.position_m for p in positions], track.x[:, :3])
+    np.testing.assert_array_equal([p.trusted for p in positions], track.trusted)
+
+
+def test_a_smoothed_track_begins_at_beliefs_without_corrections(corrector):
+    switching = learned(corrector, "standard")
+    bank = Switching(switching.bank)
+    smooth = [
+        TrackBlock.joined(list(localize(blocks(50), SCENE, RADIO, each, window=50))).smooth_x
+        for each in (switching, bank)
+    ]
+    np.testing.assert_allclose(*smooth, atol=1e-9)
 
 
 def test_a_live_track_begins_again_after_a_long_gap(rows):

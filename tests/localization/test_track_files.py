@@ -32,7 +32,7 @@ def some_track(epochs, seed=0):
     log = Layout(3), time, rows, rows, groups, ~groups, first, np.zeros((epochs, 3)), zeros
     track = {"x": x, "P": P, "filtered": np.hstack([x, P])}
     track |= {"smooth_x": x + 1.0, "smooth_P": 2.0 * P, "mode": rng.integers(2, size=epochs)}
-    track |= {"nis": rng.random((epochs, 4)), "accepted": groups, "planar": False}
+    track |= {"nis": rng.random((epochs, 4)), "accepted": groups, "planar": False, "trusted": zeros}
     return TrackBlock(*log, zeros > 0.0, 1.0, **track)
 
 

@@ -13,7 +13,7 @@ from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
 from mmwave_env.models.layout import Layout
-from policies import LearnedSwitch, learned, shipped_policies
+from policies import LearnedSwitch, learned, learned_policy, shipped_policies
 from tests.filters.tracks import replay, simulated
 from tests.paths import ROOT
 from tests.refusals import refuses
@@ -217,7 +217,7 @@ def test_shipped_policies_are_loaded_by_name(tmp_path, monkeypatch):
 
 def test_every_shipped_policy_works_with_this_version():
     for path in shipped_policies().values():
-        policy = LearnedSwitch(path)
+        policy = learned_policy(path)
         pipeline = Pipeline(policy.modes, Layout())
         policy.read_from(Observation(pipeline, policy.card.observation, policy.beliefs))
 

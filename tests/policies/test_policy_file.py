@@ -183,7 +183,11 @@ def test_a_card_with_any_value_is_read_unchanged_or_refused(path, name, value):
     card = CARD.as_json() | {name: value}
     policy = read_or_refused(path, assembled(card=card))
     if policy is not None:
-        left_out = {"beliefs": "shared", "banks": {}}  # values of these fields if the file has none
+        left_out = {
+            "beliefs": "shared",
+            "banks": {},
+            "base": "",
+        }  # values of these fields if the file has none
         assert json.dumps((left_out | policy[1].as_json())[name]) == json.dumps(value)
 
 

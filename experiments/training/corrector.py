@@ -1,0 +1,192 @@
+"""Training of a corrector by supervision on simulated episodes.
+
+The truth of a simulated epoch is known, so the network learns the errors of its base directly: the
+loss is the length of the error that is left, over the size of the belief, plus a small share of the
+negative log-likelihood of the error, which teaches the factors on the deviations. Nothing that the
+network answers changes the base, so episodes are played once, and every episode is new.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from experiments.training.checkpoint import going_on_from
+from experiments.training.corrector_data import CorrectorData, Lot
+from experiments.training.hyperparameters import CorrectorHyperparameters, falling
+from experiments.training.job import Job, News, Tell
+from experiments.training.record import Record
+from experiments.training.training_task import places_from
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.observation import Observation
+from mmwave_env.interface.signed import after_update
+from mmwave_env.metrics import BURN_IN
+from mmwave_env.models.layout import Layout
+from mmwave_env.numerics.numbers import Array
+from policies.policy_file import CORRECTIONS, Tensors
+
+EVALUATE = 32  # number of updates between two evaluations
+FIRST = 3  # number of additional rounds of episodes that the first update uses, for the scales
+OUTSIDE = 1e-4  # share of the values of a feature on each side that count as beyond its range
+MOST_LENGTH, MOST_SQUARE = 20.0, 50.0  # limits in the loss, against lost tracks
+CONSTANT = 1e-3  # added to standard deviations, which are 0 for a feature that never changes
+
+
+class CorrectorNetwork(nn.Module):
+    """The network: a layer, a gated recurrent unit, and a head with the members of an ensemble."""
+
+    def __init__(self, features: int, hyper: CorrectorHyperparameters) -> None:
+        super().__init__()
+        self.front = nn.Linear(features, hyper.front)
+        self.gru = nn.GRU(hyper.front, hyper.units)
+        self.head = nn.Linear(hyper.units + hyper.front, hyper.head)
+        self.out = nn.Linear(hyper.head, hyper.members * CORRECTIONS)
+        with torch.no_grad():
+            self.out.weight *= 0.1  # learning starts near the base
+            self.out.bias.zero_()
+
+    def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """Return shifts and logarithms of factors (T, n, members, 3), given (T, n, features)."""
+        front = torch.tanh(self.front(features))
+        memory, _ = self.gru(front)
+        head = torch.tanh(self.head(torch.cat([memory, front], -1)))
+        answer = self.out(head).unflatten(-1, (-1, CORRECTIONS))
+        return answer[..., :3], answer[..., 3:]
+
+
+def loss_of(
+    answer: tuple[Tensor, Tensor], error: Tensor, deviation: Tensor, weight: float
+) -> Tensor:
+    """Return the loss (n, members) of every episode.
+
+    Args:
+        answer: shifts and logarithms of factors (T, n, members, 3).
+        error, deviation: (T, n, 3) as in :class:`Lot`.
+        weight: weight of the log-likelihood.
+    """
+    shift, log_factor = (part[BURN_IN:] for part in answer)
+    deviation = deviation[BURN_IN:, :, None]
+    left = error[BURN_IN:, :, None] / deviation - shift  # in deviations of the belief
+    size = deviation.norm(dim=-1).mean(0)
+    length = ((left * deviation).square().sum(-1) + 1e-6).sqrt() / size
+    square = (left * (-log_factor).exp()).square().clamp(max=MOST_SQUARE)
+    likelihood = (0.5 * square + log_factor).sum(-1)
+    loss: Tensor = length.clamp(max=MOST_LENGTH).mean(0) + weight * likelihood.mean(0)
+    return loss
+
+
+class CorrectorTraining:
+    """A training in progress.
+
+    Args:
+        job: training to run; continues from a checkpoint in its folder, if any.
+        tell: function that is called with news; a timestep is an epoch learned from.
+
+    Raises:
+        ValueError: the checkpoint is damaged.
+    """
+
+    def __init__(self, job: Job[CorrectorHyperparameters], tell: Tell) -> None:
+        torch.set_num_threads(1)  # trainings run side by side
+        torch.manual_seed(job.first_seed)
+        self._job, self._tell, hyper = job, tell, job.hyperparameters
+        elsewhere = replace(job.task, places=places_from(hyper.judged_at))
+        self._record = Record(replace(job, task=elsewhere), tell)
+        self.data = CorrectorData(job.task, hyper, job.first_seed)
+        pipeline = Pipeline(job.task.bank.modes, Layout())
+        self._table = Observation(pipeline, "signed", "per-mode")
+        self._names = [feature.name for feature in after_update(pipeline, per_mode=True)]
+        self.network = CorrectorNetwork(len(self._names), hyper)
+        self._optimizer = torch.optim.Adam(self.network.parameters(), lr=hyper.learning_rate)
+        self._scales: dict[str, Array] = {}
+
+    def run(self) -> dict[str, Any]:
+        """Train to the end; return figures of the training and of its best policy."""
+        job, record, stand = self._job, self._record, self._record.stand
+        if "state" in stand:
+            with going_on_from(job.checkpoint):
+                self._restore(stand.pop("state"))
+        with record.log as log:
+            while stand["timesteps"] < job.timesteps:
+                figures = self._update()
+                if stand["update"] % EVALUATE == 0 or stand["timesteps"] >= job.timesteps:
+                    figures |= record.evaluate(self._tensors(), self._table, self._names)
+                log.write(figures | {"seconds": record.seconds}, {}, stand["timesteps"])
+                if stand["update"] % job.checkpoint_every == 0:
+                    record.save(state=self._state())
+                self._tell(News(stand["timesteps"]))
+        return record.close()
+
+    def _update(self) -> dict[str, float]:
+        """Learn from new episodes at all places and at random; return figures for the log."""
+        hyper, stand = self._job.hyperparameters, self._record.stand
+        lots = list(self.data.lots())
+        if not self._scales:
+            lots += [lot for _ in range(FIRST) for lot in self.data.lots()]
+            self._scales = _scales(lots)
+        left = falling(hyper.final_fraction, 1.0 - stand["timesteps"] / self._job.timesteps)
+        for group in self._optimizer.param_groups:
+            group["lr"] = hyper.learning_rate * left
+        losses = [self._learn(lots[i]) for i in torch.randperm(len(lots)).tolist()]
+        stand["timesteps"] += sum(lot.features[..., 0].size for lot in lots)
+        stand["update"] += 1
+        return {"loss": float(np.mean(losses))}
+
+    def _learn(self, lot: Lot) -> float:
+        """Take a gradient step on a lot; every member learns from half of the episodes."""
+        hyper = self._job.hyperparameters
+        error, deviation = torch.from_numpy(lot.error), torch.from_numpy(lot.deviation)
+        losses = loss_of(self.answer(lot), error, deviation, hyper.likelihood_weight)
+        some = torch.rand(losses.shape) < (0.5 if hyper.members > 1 else 1.0)
+        loss = (losses * some).sum() / some.sum().clamp(min=1)
+        self._optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        nn.utils.clip_grad_norm_(self.network.parameters(), hyper.max_grad_norm)
+        self._optimizer.step()
+        return float(loss.item())
+
+    def answer(self, lot: Lot) -> tuple[Tensor, Tensor]:
+        """Return the answer of the network to a lot, as :class:`CorrectorNetwork` does."""
+        low, high, mean, sigma = (self._scales[name] for name in ("low", "high", "mean", "sigma"))
+        normal = (np.clip(lot.features, low, high) - mean) / sigma
+        answer: tuple[Tensor, Tensor] = self.network(torch.from_numpy(normal.astype(np.float32)))
+        return answer
+
+    def _tensors(self) -> Tensors:
+        """Return the network in the form that a policy file stores."""
+        state = {
+            name: value.numpy().astype(float) for name, value in self.network.state_dict().items()
+        }
+        tensors = {name.removesuffix("_l0"): value for name, value in state.items()}
+        tensors["front.weight"] = state["front.weight"] / self._scales["sigma"]
+        shift = tensors["front.weight"] @ self._scales["mean"]
+        tensors["front.bias"] = state["front.bias"] - shift
+        tensors |= {name: self._scales[name] for name in ("low", "high")}
+        return {name: value.astype(np.float32) for name, value in tensors.items()}
+
+    def _state(self) -> dict[str, Any]:
+        """Return all state that determines the future."""
+        return {
+            "network": self.network.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+            "scales": self._scales,
+            "played": self.data.played,
+            "torch": torch.get_rng_state(),
+        }
+
+    def _restore(self, state: dict[str, Any]) -> None:
+        self.network.load_state_dict(state["network"])
+        self._optimizer.load_state_dict(state["optimizer"])
+        self._scales = {name: np.asarray(value) for name, value in state["scales"].items()}
+        self.data.played = int(state["played"])
+        torch.set_rng_state(state["torch"])
+
+
+def _scales(lots: list[Lot]) -> dict[str, Array]:
+    """Return range, mean and deviation (features,) of every feature."""
+    rows = np.concatenate([lot.features.reshape(-1, lot.features.shape[2]) for lot in lots])
+    low, high = np.quantile(rows, (OUTSIDE, 1.0 - OUTSIDE), axis=0)
+    mean, sigma = rows.mean(0, np.float64), rows.std(0, np.float64) + CONSTANT
+    return {"low": low, "high": high, "mean": mean, "sigma": sigma}

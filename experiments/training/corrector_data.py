@@ -1,0 +1,180 @@
+"""Episodes for a corrector to learn from: features, errors and beliefs of its base.
+
+Half of the episodes are at the places of the training. The others are at random: streets, carrier
+and radio, rate of epochs, clock, which quantities and anchors are measured, and by which factor
+the receiver misjudges its noise. Without them, a network learns its places by heart.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.training.hyperparameters import CorrectorHyperparameters
+from experiments.training.training_task import TrainingTask
+from mmwave_env.compiler.program import rows_of
+from mmwave_env.engines.env_engine import Engine
+from mmwave_env.filters.bank import Bank
+from mmwave_env.filters.belief import Belief
+from mmwave_env.filters.correction import deviations_of
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.reward import TrackingReward
+from mmwave_env.interface.signed import after_update
+from mmwave_env.models.random_radio import RandomRadio
+from mmwave_env.models.random_scene import WIDE_SCENE
+from mmwave_env.numerics.linalg import unpack
+from mmwave_env.numerics.numbers import Array
+from mmwave_env.world.episode import EpisodeBatch, columns_of
+from mmwave_env.world.keys import keys_at, stream_of
+from mmwave_env.world.simulated import SimulatedSource
+from policies import LearnedSwitch
+from policies.corrector import BASE_IMM
+
+STEPS_S = (1.0, 1.0, 1.0, 0.5, 0.25, 0.1, 0.1, 2.0)  # steps between epochs, equally probable
+EPOCHS = 200
+SUBSETS = (  # measured quantities of receivers that lack some
+    ("range", "azimuth", "elevation", "departure"),
+    ("range", "azimuth", "elevation"),
+    ("range", "azimuth", "elevation", "doppler"),
+    ("azimuth", "elevation", "departure"),
+    ("azimuth", "elevation", "departure", "doppler"),
+    ("range", "azimuth", "departure"),
+    ("range", "azimuth"),
+)
+# Probabilities that a receiver at random lacks quantities, has a clock with an offset, misjudges
+# its noise, measures only some anchors, or does not know its orientation exactly.
+LACKING, DRIFTING, MISJUDGING, FEWER, TURNED = 0.3, 0.15, 0.3, 0.15, 0.15
+ORIENTATION_RAD = 0.1  # standard deviation of an orientation that is not known exactly
+
+
+class Lot(NamedTuple):
+    """Episodes of equal length, epochs first.
+
+    Attributes:
+        features: (T, n, features) what a corrector reads after every epoch.
+        error: (T, n, 3) truth minus estimate along, across and up, m.
+        deviation: (T, n, 3) standard deviations of the belief in these directions, m.
+    """
+
+    features: NDArray[np.float32]
+    error: NDArray[np.float32]
+    deviation: NDArray[np.float32]
+
+
+class CorrectorData:
+    """A source of lots of episodes that no training has seen before.
+
+    Args:
+        task: task of the training.
+        hyper: hyperparameters.
+        seed: seed from which all episodes and all random choices follow.
+
+    Attributes:
+        played: number of episodes played so far, from which :meth:`lots` continues.
+    """
+
+    def __init__(self, task: TrainingTask, hyper: CorrectorHyperparameters, seed: int) -> None:
+        self._task, self._hyper, self._seed = task, hyper, seed
+        self._stream = np.array([stream_of(seed)], np.uint64)
+        self._radios = {p.profile: p.source(task.scenario).radio for p in task.places}
+        self._switch = None if hyper.base == BASE_IMM else LearnedSwitch(hyper.base)
+        self.played = 0
+
+    def bank(self, radio: str) -> Bank:
+        """Return the bank of the base for a radio profile."""
+        return self._switch.bank(radio) if self._switch else self._task.banks[radio]
+
+    def lots(self) -> Iterator[Lot]:
+        """Play and yield one lot at every place, and as many as needed at random."""
+        places, share = self._task.places, self._hyper.random_share
+        for place in places:
+            rng = self._rng()
+            source = place.source(self._task.scenario)
+            if place.dt == 1.0:
+                source = self._at_rate(source, float(rng.choice(STEPS_S)))
+            yield self._play(source, self.bank(place.profile))
+        for _ in range(round(len(places) * share / (1.0 - share))):
+            yield self._at_random(self._rng())
+
+    def _rng(self) -> np.random.Generator:
+        """Return the generator of the next lot's choices."""
+        return np.random.default_rng((self._seed, self.played))
+
+    def _at_rate(self, source: SimulatedSource, dt: float) -> SimulatedSource:
+        return replace(source, dt=dt, epochs=self._hyper.long_epochs if dt <= 0.2 else EPOCHS)
+
+    def _at_random(self, rng: np.random.Generator) -> Lot:
+        """Play episodes in streets and with a receiver at random."""
+        profile = self._radios[str(rng.choice(list(self._radios)))]
+        scene = replace(
+            WIDE_SCENE,
+            carrier_hz=float(rng.uniform(24e9, 60e9)),
+            bandwidth_hz=float(rng.choice([100e6, 200e6, 400e6])),
+        )
+        radio = RandomRadio(profile).draw(rng)
+        lacks, drifts = rng.random() < LACKING, rng.random() < DRIFTING
+        subset = SUBSETS[rng.integers(len(SUBSETS))] if lacks else None
+        clock = bool(drifts) and (subset is None or "range" in subset)
+        source = SimulatedSource(
+            scene, radio, self._task.scenario, measurements=subset, clock=clock
+        )
+        source = self._at_rate(source, float(rng.choice(STEPS_S)))
+        return self._play(source, self.bank(profile.name), rng)
+
+    def _play(
+        self, source: SimulatedSource, bank: Bank, rng: np.random.Generator | None = None
+    ) -> Lot:
+        """Play the base on new episodes; with ``rng``, of a receiver with some flaws."""
+        n = max(1, self._hyper.num_envs * EPOCHS // max(source.epochs, EPOCHS))
+        keys = keys_at(self._stream, np.arange(self.played, self.played + n, dtype=np.uint64))
+        self.played += n
+        batch = source.sample_batch(keys)
+        if rng is not None:
+            _spoil(batch, rng)
+        pipeline = Pipeline(bank.modes, batch.layout)
+        engine = Engine(pipeline, n, TrackingReward(), "signed", bank)
+        engine.reset(batch)
+        act = LearnedSwitch(self._hyper.base, engine.observation) if self._switch else None
+        wanted = [feature.name for feature in after_update(pipeline, per_mode=True)]
+        columns = [engine.observation.names.index(name) for name in wanted]
+        rows = rows_of([engine.at.x, engine.at.P, engine.at.error])
+        outputs = np.empty((source.epochs, n, len(rows)))
+        features = np.empty((source.epochs, n, len(columns)), np.float32)
+        observations = engine.observations()
+        for t in range(source.epochs):
+            actions = act(observations) if act else np.zeros(n, np.int64)
+            observations, outputs[t] = engine.step(actions, rows)
+            features[t] = observations[:, columns]
+        size = batch.layout.state_size
+        return _lot(features, *np.split(outputs, [size, len(rows) - 3], axis=2))
+
+
+def _lot(features: NDArray[np.float32], x: Array, P: Array, error: Array) -> Lot:
+    """Return a lot, given states, packed covariances and errors (T, n, ...) in the world's axes.
+
+    Episodes in which the base lost its belief (docs/reliability.md) are left out.
+    """
+    belief = Belief(list(np.moveaxis(x, -1, 0)), unpack(list(np.moveaxis(P, -1, 0))))
+    frame, deviations = deviations_of(belief)
+    along, across = frame.into(-error[..., 0], -error[..., 1])
+    truth = np.stack([along, across, -error[..., 2]], axis=-1).astype(np.float32)
+    lot = Lot(features, truth, np.stack(deviations, axis=-1).astype(np.float32))
+    sound = np.logical_and.reduce([np.isfinite(part).all(axis=(0, 2)) for part in lot])
+    return Lot(*(part[:, sound] for part in lot))
+
+
+def _spoil(batch: EpisodeBatch, rng: np.random.Generator) -> None:
+    """Let a receiver misjudge noise or orientation, or miss some anchors, in place."""
+    at, layout = columns_of(batch.layout), batch.layout
+    sigma = batch.table[:, :, rows_of(at.signed_sigma)]
+    if rng.random() < MISJUDGING:
+        sigma *= 2.0 ** rng.uniform(-1.0, 1.0, (len(sigma), 1, 1))
+    if layout.anchors > 1 and rng.random() < FEWER:
+        for anchor in range(int(rng.integers(1, layout.anchors)), layout.anchors):
+            sigma[:, :, layout.link(anchor)] = -np.abs(sigma[:, :, layout.link(anchor)])
+    batch.table[:, :, rows_of(at.signed_sigma)] = sigma
+    if rng.random() < TURNED:
+        azimuths = rows_of(at.z)[1 : layout.doppler : 4]
+        batch.table[:, :, azimuths] += rng.normal(0.0, ORIENTATION_RAD, (len(sigma), 1, 1))

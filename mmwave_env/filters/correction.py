@@ -1,0 +1,118 @@
+"""Corrections of a belief's position in the frame of motion.
+
+The *frame of motion* has axes along the estimated horizontal velocity, across it (to the left) and
+up. A correction moves the estimated position by so many standard deviations of the belief along
+each axis, and scales these deviations.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mmwave_env.filters.belief import Belief
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.numerics.linalg import dot, unpack
+from mmwave_env.numerics.numbers import Array, Matrix, Number, Vector, exp, maximum, sqrt, where
+
+SLOWEST_MPS = 1e-3  # below this speed, the x axis counts as the direction of motion
+
+
+class Frame(NamedTuple):
+    """The frame of motion, in which features are written and corrections are applied."""
+
+    cosine: Number  # of the angle from the x axis to the direction of motion
+    sine: Number
+
+    @classmethod
+    def of(cls, velocity: Vector) -> "Frame":
+        """Return the frame of a velocity (2,) or (3,), m/s."""
+        vx, vy = velocity[0], velocity[1]
+        speed = sqrt(vx * vx + vy * vy)
+        moving, scale = speed > SLOWEST_MPS, 1.0 / maximum(speed, SLOWEST_MPS)
+        return cls(where(moving, vx * scale, 1.0), where(moving, vy * scale, 0.0))
+
+    def into(self, x: Number, y: Number) -> tuple[Number, Number]:
+        """Return the components along and across of a horizontal vector."""
+        return self.cosine * x + self.sine * y, self.cosine * y - self.sine * x
+
+    def out(self, along: Number, across: Number) -> tuple[Number, Number]:
+        """Return the horizontal vector with components along and across."""
+        return self.cosine * along - self.sine * across, self.sine * along + self.cosine * across
+
+    def covariance(self, P: Matrix, first: int = 0) -> tuple[Number, Number, Number]:
+        """Return variance along, variance across, and covariance of two components of P.
+
+        Args:
+            P: (n, n) covariance.
+            first: component x, followed by y: 0 for the position, 3 for the velocity.
+        """
+        c, s = self
+        xx, yy, xy = P[first][first], P[first + 1][first + 1], P[first + 1][first]
+        both = 2.0 * c * s * xy
+        return (
+            c * c * xx + both + s * s * yy,
+            s * s * xx - both + c * c * yy,
+            c * s * (yy - xx) + (c * c - s * s) * xy,
+        )
+
+
+def deviations_of(belief: Belief) -> tuple[Frame, list[Number]]:
+    """Return the frame of motion and the position's standard deviations along, across and up, m.
+
+    On flat terrain, the deviation up is 0.
+    """
+    frame = Frame.of(belief.x[3:5])
+    along, across, _ = frame.covariance(belief.P)
+    up = belief.P[2][2] if 2 in belief.axes else 0.0 * along
+    return frame, [sqrt(variance) for variance in (along, across, up)]
+
+
+def corrected(belief: Belief, shift: Vector, log_factor: Vector) -> Belief:
+    """Return a belief whose position was moved and whose position deviations were scaled.
+
+    The covariance P becomes M P M', where M scales the position along, across and up and leaves the
+    other components as they are; so it stays positive definite.
+
+    Args:
+        belief: belief to correct.
+        shift: (3,) correction along, across and up, in deviations of the belief.
+        log_factor: (3,) logarithms of the factors on these deviations.
+    """
+    frame, deviations = deviations_of(belief)
+    along, across, up = (k * deviation for k, deviation in zip(shift, deviations, strict=True))
+    dx, dy = frame.out(along, across)
+    x = [belief.x[0] + dx, belief.x[1] + dy, belief.x[2] + up, *belief.x[3:]]
+    a, b, scale_up = (exp(value) for value in log_factor)
+    c, s = frame
+    xx, yy, xy = c * c * a + s * s * b, s * s * a + c * c * b, c * s * (a - b)
+    M = [[xx, xy, 0.0], [xy, yy, 0.0], [0.0, 0.0, scale_up]]
+    n = len(belief.P)
+    rows = [
+        [
+            dot(M[i], [belief.P[k][j] for k in range(3)]) if i < 3 else belief.P[i][j]
+            for j in range(n)
+        ]
+        for i in range(n)
+    ]
+    P = [
+        [dot([row[k] for k in range(3)], M[j]) if j < 3 else row[j] for j in range(n)]
+        for row in rows
+    ]
+    return Belief(x, P, belief.axes)
+
+
+def corrected_all(
+    x: Array, P: Array, shift: Array, log_factor: Array, pipeline: Pipeline
+) -> Belief:
+    """Return corrected beliefs as one belief of arrays (...).
+
+    Args:
+        x, P: (..., 7), (..., 28) means and packed covariances.
+        shift, log_factor: (..., 3) as for :func:`corrected`.
+        pipeline: pipeline of the filters, which knows whether the height is known.
+    """
+    mean, packed, *correction = (
+        list(np.moveaxis(part, -1, 0)) for part in (x, P, shift, log_factor)
+    )
+    belief = Belief(mean, unpack(packed, pipeline.known_axes), pipeline.position_axes)
+    return corrected(belief, *correction)

@@ -1,0 +1,219 @@
+"""Signed features: the residuals and the belief after an epoch's update, seen from the user.
+
+Directions are those of the *frame of motion*: along the estimated horizontal velocity, across it
+(to the left) and up. No feature depends on an absolute position or direction: if the world is
+turned and shifted, they stay the same. So what a network learns from them in one street applies in
+another. They describe the last epoch, and know nothing of the coming one.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+from mmwave_env.filters.correction import Frame
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.features import Feature, View, last_epoch
+from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import Epoch, direction
+from mmwave_env.numerics.linalg import dot
+from mmwave_env.numerics.numbers import (
+    PI,
+    Number,
+    Vector,
+    log,
+    maximum,
+    minimum,
+    sqrt,
+    where,
+    wrap,
+)
+
+_LEAST_M = 0.05  # lower limit of a deviation across the line of sight that residuals are divided by
+_LEAST_RAD = 1e-3
+_LEAST_S = 1e-3
+_WAYS = ("along", "across")
+# name of a row in a link -> its row, and whether it measures the position along the ray
+_ROWS = {"range": (0, True), "azimuth": (1, False), "departure": (3, False)}
+
+
+class LastEpoch(NamedTuple):
+    """The last epoch, whose update led to the belief that features describe."""
+
+    epoch: Epoch
+    is_missing: Number  # 1 if there was no epoch before, else 0
+    velocity: Vector  # (3,) velocity of the belief before the epoch
+    probabilities: Vector  # (modes,) probabilities after the update; empty with a shared belief
+
+
+def after_update(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
+    """Return all features that describe the last epoch alone: what a corrector may read."""
+    return [*last_epoch(pipeline.layout), *signed(pipeline, per_mode)]
+
+
+def signed(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
+    """Return the signed features; their ``View`` must have a :class:`LastEpoch`.
+
+    Args:
+        pipeline: modes and layout.
+        per_mode: whether every mode keeps its own belief, so that modes have probabilities.
+    """
+    layout, modes = pipeline.layout, pipeline.modes if per_mode else ()
+    return [
+        *(feature for a in range(layout.anchors) for feature in _link(layout, a)),
+        *_belief(2 not in pipeline.known_axes),
+        Feature("turn sine", "sine of the turn of the direction of motion in the last epoch", "",
+                -1, 1, lambda v: _turn(v)[1]),
+        Feature("turn cosine", "cosine of that turn", "", -1, 1, lambda v: _turn(v)[0]),
+        Feature("last step", "ln of the last epoch's step; 0 in an episode's first epoch", "ln s",
+                -7, 4, _step),
+        Feature("last speed", "ln(1 + estimated horizontal speed / (1 m/s))", "", 0, 4,
+                lambda v: log(1.0 + sqrt(dot(v.x[3:5], v.x[3:5])))),
+        Feature("last Doppler spread", "ln(1 + spread / (1 m/s)) in the last epoch", "", 0, 4,
+                lambda v: _present(v) * log(
+                    1.0 + v.last.epoch.doppler_spread_hz / v.site.hz_per_mps)),
+        *(Feature(f"probability {mode.name}", "probability of the mode after the last update", "",
+                  0, 1, lambda v, m=m: v.last.probabilities[m], "probability")
+          for m, mode in enumerate(modes)),
+    ]  # fmt: skip
+
+
+def _present(view: View) -> Number:
+    return 1.0 - view.last.is_missing
+
+
+def _turn(view: View) -> tuple[Number, Number]:
+    cosine, sine = Frame.of(view.last.velocity).into(*Frame.of(view.x[3:5]))
+    present = _present(view)
+    return 1.0 - present * (1.0 - cosine), present * sine
+
+
+def _step(view: View) -> Number:
+    dt = view.last.epoch.dt
+    return where(dt * _present(view) > 0.0, log(maximum(dt, _LEAST_S)), 0.0)
+
+
+def _measured(view: View, layout: Layout, anchor: int, row: int) -> Number:
+    """Return 1 if a row of a link was measured in the last epoch, else 0."""
+    epoch = view.last.epoch
+    here = epoch.measured[4 * anchor + row] if layout.partial else epoch.visible[anchor]
+    return here * _present(view)
+
+
+def _squashed(q: Number) -> Number:
+    """Compute sign(q) ln(1 + |q|)."""
+    size = log(1.0 + abs(q))
+    return where(q < 0.0, 0.0 - size, size)
+
+
+def _ray(view: View, anchor: int) -> tuple[list[Number], Number, tuple[Number, Number, Number]]:
+    """Return the vector from an anchor to the belief, its horizontal length, and its direction."""
+    step = [view.x[i] - view.site.anchors[anchor][i] for i in range(3)]
+    flat = sqrt(step[0] * step[0] + step[1] * step[1])
+    return step, flat, direction(step)
+
+
+def _residual(view: View, layout: Layout, anchor: int, name: str) -> tuple[Number, Number]:
+    """Return a row's squashed residual along and across, each times a unit vector's component."""
+    row, outward = _ROWS[name]
+    step, flat, (distance, azimuth, _) = _ray(view, anchor)
+    scale = 1.0 / maximum(flat, 1.0)
+    ux, uy = step[0] * scale, step[1] * scale
+    z = view.last.epoch.z[4 * anchor + row]
+    if outward:
+        bias = view.x[7] if layout.clock else 0.0
+        residual, way = z - distance - bias, (ux, uy)
+    else:
+        opposite = PI if name == "departure" else 0.0
+        residual, way = _turned(z - azimuth - opposite) * flat, (0.0 - uy, ux)
+    q = _squashed(residual / _deviation(view, anchor, name))
+    q = q * _measured(view, layout, anchor, row)
+    along, across = Frame.of(view.x[3:5]).into(*way)
+    return q * along, q * across
+
+
+def _turned(angle: Number) -> Number:
+    """Return an angle between -5 pi and 3 pi in [-pi, pi]."""
+    return wrap(where(angle < -PI, angle + 2.0 * PI, angle))
+
+
+def _deviation(view: View, anchor: int, name: str) -> Number:
+    """Return the standard deviation of a row, across the ray if it is an angle, m."""
+    row, outward = _ROWS[name]
+    sigma, (_, flat, _) = view.last.epoch.sigma[4 * anchor + row], _ray(view, anchor)
+    return maximum(sigma if outward else sigma * flat, _LEAST_M)
+
+
+def _elevation(view: View, layout: Layout, anchor: int) -> Number:
+    _, _, (_, _, elevation) = _ray(view, anchor)
+    row = 4 * anchor + 2
+    sigma = maximum(view.last.epoch.sigma[row], _LEAST_RAD)
+    q = _squashed(wrap(view.last.epoch.z[row] - elevation) / sigma)
+    return q * _measured(view, layout, anchor, 2)
+
+
+def _elevation_deviation(view: View, layout: Layout, anchor: int) -> Number:
+    _, _, (distance, _, _) = _ray(view, anchor)
+    sigma = view.last.epoch.sigma[4 * anchor + 2] * distance
+    return log(maximum(sigma, _LEAST_M)) * _measured(view, layout, anchor, 2)
+
+
+def _link(layout: Layout, a: int) -> list[Feature]:
+    def share(v: View) -> Number:
+        return 0.25 * sum((_measured(v, layout, a, row) for row in range(1, 4)),
+                          _measured(v, layout, a, 0))  # fmt: skip
+
+    def residual(name: str, way: int, v: View) -> Number:
+        return _residual(v, layout, a, name)[way]
+
+    def deviation(name: str, v: View) -> Number:
+        row, _ = _ROWS[name]
+        return log(_deviation(v, a, name)) * _measured(v, layout, a, row)
+
+    of = f"anchor {a + 1}"
+    table = []
+    for name in _ROWS:
+        meaning = f"residual of the {name} after the update, in deviations: sign(q) ln(1 + |q|)"
+        table += [
+            *(Feature(f"{name} residual {way} {of}", f"{meaning}, times the component {way} of its "
+                      "direction; 0 if missing", "", -10, 10, partial(residual, name, i),
+                      f"{name} residual {way}") for i, way in enumerate(_WAYS)),
+            Feature(f"{name} deviation {of}", "ln of the standard deviation, in meters at the "
+                    "user; 0 if missing", "ln m", -4, 8, partial(deviation, name),
+                    f"{name} deviation"),
+        ]  # fmt: skip
+    return [
+        *table,
+        Feature(f"elevation residual {of}", "residual of the elevation: sign(q) ln(1 + |q|); 0 if "
+                "missing", "", -10, 10, lambda v: _elevation(v, layout, a), "elevation residual"),
+        Feature(f"elevation deviation {of}", "ln of the standard deviation, in meters at the user; "
+                "0 if missing", "ln m", -4, 8, lambda v: _elevation_deviation(v, layout, a),
+                "elevation deviation"),
+        Feature(f"measured {of}", "share of the link's quantities that were measured", "", 0, 1,
+                share, "measured"),
+        Feature(f"last SNR {of}", "SNR in the last epoch; 0 if missing", "dB", -20, 80,
+                lambda v: v.last.epoch.snr_db[a] * v.last.epoch.visible[a] * _present(v),
+                "last SNR"),
+    ]  # fmt: skip
+
+
+def _belief(vertical: bool) -> list[Feature]:
+    def half_log(part: int, first: int, v: View) -> Number:
+        variance = Frame.of(v.x[3:5]).covariance(v.P, first)[part]
+        return 0.5 * log(maximum(variance, 1e-12))
+
+    def correlation(v: View) -> Number:
+        along, across, both = Frame.of(v.x[3:5]).covariance(v.P)
+        return maximum(minimum(both / sqrt(maximum(along * across, 1e-24)), 1.0), -1.0)
+
+    table = [
+        *(Feature(f"{of}deviation {way}", f"ln of the standard deviation {way} the velocity", unit,
+                  -8, 8, partial(half_log, i, first))
+          for of, first, unit in (("", 0, "ln m"), ("velocity ", 3, "ln m/s"))
+          for i, way in enumerate(_WAYS)),
+        Feature("correlation", "correlation of the position's errors along and across", "", -1, 1,
+                correlation),
+    ]  # fmt: skip
+    if not vertical:
+        return table
+    up = Feature("deviation up", "ln of the standard deviation of the height", "ln m", -8, 8,
+                 lambda v: 0.5 * log(maximum(v.P[2][2], 1e-12)))  # fmt: skip
+    return [*table, up]

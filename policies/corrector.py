@@ -1,0 +1,168 @@
+"""A corrector with memory: a recurrent network that corrects the beliefs of a bank of filters.
+
+The network reads what residuals and beliefs were after every update, epoch by epoch, and answers
+with a correction of the position and with factors on its standard deviations. It changes what is
+told, not what is filtered: the base, a switcher or an IMM, goes on as if there were no corrector.
+Where the network has never been, its corrections fade to none.
+"""
+
+import os
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.observation import Observation, columns_of
+from mmwave_env.interface.signed import after_update
+from policies.learned import LearnedPolicy, LearnedSwitch, taken
+from policies.policy import Policy
+from policies.policy_file import CORRECTIONS
+
+Array = NDArray[np.float32]
+
+BASE_IMM = "imm-best"  # base without a switcher: the IMM of the policy's bank
+MOST_SHIFT, MOST_LOG_FACTOR = 4.0, 2.0  # limits of corrections, in deviations and as logarithms
+RANGE_FADE = 2.0  # a feature one deviation beyond its range leaves exp(-2) of the trust
+RECOVERY = 0.1  # trust that returns per epoch: the memory still holds the strange epochs
+# ensemble spread, in the corrected standard deviation, from which on trust falls, and at which it
+# is zero
+SPREAD = (0.5, 1.0)
+
+
+class Correction(NamedTuple):
+    """Corrections of n beliefs in the last epoch (:mod:`mmwave_env.filters.correction`).
+
+    Attributes:
+        shift: (n, 3) along, across and up, in deviations of the belief.
+        log_factor: (n, 3) logarithms of factors on these deviations.
+        trusted: (n,) share of the network's answer that is left, 0 to 1.
+    """
+
+    shift: Array
+    log_factor: Array
+    trusted: Array
+
+
+class Corrector(LearnedPolicy, Policy):
+    """A policy that acts as its base does and corrects the base's beliefs.
+
+    ```python
+    >>> policy = Corrector("corrector")
+    >>> env = gym.make(
+    ...     "mmwave_env:MmWaveLoc-v0", observation="signed",
+    ...     beliefs=policy.beliefs, modes=policy.bank("handset"),
+    ... )
+    >>> policy.read_from(env.unwrapped.observation)
+
+    ```
+
+    Arguments, attributes and errors are those of :class:`~policies.learned.LearnedPolicy`.
+    """
+
+    def __init__(
+        self, path: str | os.PathLike[str], observation: Observation | None = None
+    ) -> None:
+        super().__init__(path)
+        base = self.card.base
+        if not base:
+            raise ValueError(f"{self._path}: found a switcher, expected a corrector")
+        self._base = None if base == BASE_IMM else LearnedSwitch(base)
+        tensors = self._tensors
+        self._front, self._head = (
+            (tensors[f"{name}.weight"].T.copy(), tensors[f"{name}.bias"])
+            for name in ("front", "head")
+        )
+        self._out = _mean_and_differences(tensors["out.weight"].T, tensors["out.bias"])
+        self._input, self._memory = (
+            (tensors[f"gru.weight_{name}"].T.copy(), tensors[f"gru.bias_{name}"])
+            for name in ("ih", "hh")
+        )
+        self._hidden = np.zeros((0, len(self._memory[0])), np.float32)
+        self._trust = np.zeros(0, np.float32)
+        if observation is not None:
+            self.read_from(observation)
+
+    def read_from(self, observation: Observation) -> None:
+        """Find the features of the corrector and of its base in the observations."""
+        super().read_from(observation)
+        if self._base:
+            self._base.read_from(observation)
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Forget the past of environments in which an episode begins, where ``mask`` is True."""
+        if len(mask) != len(self._hidden):
+            self._hidden = np.zeros((len(mask), self._hidden.shape[1]), np.float32)
+            self._trust = np.ones(len(mask), np.float32)
+        self._hidden[mask], self._trust[mask] = 0.0, 1.0
+        if self._base:
+            self._base.reset(mask)
+
+    def __call__(self, observation: Array) -> NDArray[np.int64]:
+        """Return the base's actions (n,) for observations (n, features)."""
+        if self._base is None:
+            return np.zeros(len(observation), np.int64)
+        return self._base(observation)
+
+    def correct(self, observation: Array) -> Correction:
+        """Return corrections of the beliefs after the last epoch, and remember the epoch.
+
+        Call it once after every step, with the observations (n, features) that the step returned.
+        """
+        return self.correct_features(self.features_in(observation))
+
+    def read_from_track(self, pipeline: Pipeline) -> None:
+        """Find the policy's features among those that tracks of a pipeline compute."""
+        columns = columns_of(after_update(pipeline, per_mode=True))
+        self._of_track = self._found_in(columns)
+
+    def correct_track(self, signed: NDArray[np.float64]) -> Correction:
+        """Return corrections after an epoch of tracks, given their features (n, features)."""
+        return self.correct_features(taken(signed.astype(np.float32), *self._of_track))
+
+    def correct_features(self, features: Array) -> Correction:
+        """Return corrections, given the features (n, features) of the last epoch alone."""
+        inside = np.fmin(np.fmax(features, self._low), self._high)  # the limit instead of NaN
+        beyond = np.abs(features - inside).max(axis=1)
+        strange = np.fmax(np.exp(-RANGE_FADE * beyond), 0.0)  # 0 if a feature is NaN
+        self._trust = np.minimum(strange, self._trust + np.float32(RECOVERY))
+        weight, bias = self._front
+        front = np.tanh(inside @ weight + bias)
+        self._hidden = hidden = self._remembering(front)
+        weight, bias = self._head
+        head = np.tanh(np.concatenate([hidden, front], axis=1) @ weight + bias)
+        weight, bias = self._out
+        out = head @ weight + bias
+        shift = np.minimum(np.maximum(out[:, :3], -MOST_SHIFT), MOST_SHIFT)
+        log_factor = np.minimum(np.maximum(out[:, 3:6], -MOST_LOG_FACTOR), MOST_LOG_FACTOR)
+        differences = out[:, 6:].reshape(len(out), -1, 3)
+        variance = (differences * differences).sum(axis=1) * (1.0 / differences.shape[1])
+        spread = np.sqrt((variance * np.exp(-2.0 * log_factor)).max(axis=1))
+        agreed = np.minimum(np.maximum((SPREAD[1] - spread) / (SPREAD[1] - SPREAD[0]), 0.0), 1.0)
+        trusted = self._trust * agreed
+        return Correction(shift * trusted[:, None], log_factor * trusted[:, None], trusted)
+
+    def _remembering(self, front: Array) -> Array:
+        """Compute the next state (n, units) of the gated recurrent unit (Cho et al. 2014)."""
+        hidden, units = self._hidden, self._hidden.shape[1]
+        new = front @ self._input[0] + self._input[1]
+        old = hidden @ self._memory[0] + self._memory[1]
+        gates = 1.0 / (1.0 + np.exp(-(new[:, : 2 * units] + old[:, : 2 * units])))
+        reset, keep = gates[:, :units], gates[:, units:]
+        candidate = np.tanh(new[:, 2 * units :] + reset * old[:, 2 * units :])
+        state: Array = candidate + keep * (hidden - candidate)
+        return state
+
+
+def _mean_and_differences(weight: Array, bias: Array) -> tuple[Array, Array]:
+    """Return weight and bias of the members' mean (6), then of each member's shift minus it (3)."""
+    members = np.concatenate([weight, bias[None]]).reshape(len(weight) + 1, -1, CORRECTIONS)
+    mean = members.mean(axis=1)
+    differences = (members - mean[:, None])[..., :3]
+    rows = np.concatenate([mean, differences.reshape(len(mean), -1)], axis=1)
+    return rows[:-1], rows[-1]
+
+
+def learned_policy(path: str | os.PathLike[str]) -> LearnedSwitch | Corrector:
+    """Return the switcher or the corrector in a policy file, given by its path or shipped name."""
+    return Corrector(path) if LearnedPolicy(path).card.base else LearnedSwitch(path)

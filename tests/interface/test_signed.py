@@ -1,0 +1,138 @@
+"""Tests of signed features: against formulas in numpy, and that they know no place or direction."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.imm_engine import ImmTracker
+from mmwave_env.filters.bank import Bank
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.observation import Observation
+from mmwave_env.interface.reward import TrackingReward
+from mmwave_env.interface.signed import after_update
+from mmwave_env.models.layout import Layout
+from mmwave_env.task import task_from
+
+BANK = Bank((Mode("stand", sigma_v=0.1), Mode("ride", sigma_v=2.0)))  # quick to compile
+EPOCHS, N = 40, 8
+
+
+@pytest.fixture(scope="module")
+def episodes():
+    source = task_from(beliefs="per-mode", modes=BANK, episode_steps=EPOCHS).simulated
+    return source.episodes(np.arange(5_000_000, 5_000_000 + N, dtype=np.uint64))
+
+
+def names_of(pipeline):
+    return [feature.name for feature in after_update(pipeline, per_mode=True)]
+
+
+def played(episodes, actions):
+    """Play episodes with actions (n, T) in an environment.
+
+    Returns:
+        What a corrector reads (n, T, features), and x (n, T, 7) after every epoch.
+    """
+    pipeline = Pipeline(BANK.modes, episodes[0].layout)
+    engine = Engine(pipeline, len(episodes), TrackingReward(), "signed", BANK)
+    engine.reset(episodes)
+    columns = [engine.observation.names.index(name) for name in names_of(pipeline)]
+    observed, x = [], []
+    for now in actions.T:
+        observations, _ = engine.step(now)
+        observed.append(observations[:, columns])
+        x.append(engine.read(engine.at.x))
+    return np.stack(observed, 1), np.stack(x, 1)
+
+
+def random_actions(seed=0):
+    return np.random.default_rng(seed).integers(3, size=(N, EPOCHS))
+
+
+def test_tracks_and_environments_compute_the_same_bits(episodes):
+    actions = random_actions()
+    observed, _ = played(episodes, actions)
+    tracker = ImmTracker(BANK, episodes[0].layout, N, acted=True, signed=True)
+    tracker.load(episodes)
+    signed = tracker.run("signed", actions=actions)["signed"]
+    np.testing.assert_array_equal(signed.astype(np.float32), observed)
+
+
+def turned(episode, angle, offset):
+    """Return an episode in a world that is turned by an angle (rad) and shifted by (3,) m."""
+    c, s = np.cos(angle), np.sin(angle)
+    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    whole = np.eye(7)
+    whole[:3, :3] = whole[3:6, 3:6] = R
+    z = episode.measurement.copy()
+    for anchor in range(3):
+        z[:, [4 * anchor + 1, 4 * anchor + 3]] += angle
+    prior = whole @ episode.prior_mean
+    prior[:3] += offset
+    return replace(
+        episode,
+        scene_anchors_m=episode.scene_anchors_m @ R.T + offset,
+        measurement=z,
+        prior_mean=prior,
+        prior_covariance=whole @ episode.prior_covariance @ whole.T,
+        truth_position_m=episode.truth_position_m @ R.T + offset,
+        truth_velocity_mps=episode.truth_velocity_mps @ R.T,
+    )
+
+
+@settings(max_examples=5, deadline=None)
+@given(st.floats(-3.0, 3.0), st.lists(st.floats(-300.0, 300.0), min_size=2, max_size=2))
+def test_features_know_no_place_and_no_direction(episodes, angle, offset):
+    actions = random_actions()
+    moved = [turned(episode, angle, np.array([*offset, 5.0])) for episode in episodes]
+    (before, _), (after, _) = played(episodes, actions), played(moved, actions)
+    np.testing.assert_allclose(after, before, atol=2e-4)
+
+
+def test_residuals_equal_the_formula_in_numpy(episodes):
+    observed, x = played(episodes, random_actions())
+    pipeline = Pipeline(BANK.modes, episodes[0].layout)
+    table, names = Observation(pipeline, "signed", "per-mode"), names_of(pipeline)
+
+    def value(name, i):
+        """Return a feature (T,) in its own unit."""
+        column = next(column for column in table.columns if column.name == name)
+        return observed[i, :, names.index(name)] * column.deviation + column.mean
+
+    for i, episode in enumerate(episodes):
+        step = x[i, :, :2] - episode.scene_anchors_m[1, :2]
+        flat = np.linalg.norm(step, axis=1)
+        bearing = np.arctan2(step[:, 1], step[:, 0])
+        residual = flat * np.angle(np.exp(1j * (episode.measurement[:, 5] - bearing)))
+        deviation = np.maximum(episode.sigma[:, 5] * flat, 0.05)
+        q = np.sign(residual) * np.log1p(np.abs(residual) / deviation) * episode.visible[:, 1]
+        heading = np.arctan2(x[i, :, 4], x[i, :, 3])
+        across = np.cos(bearing - heading)  # the residual points to the left of the ray
+        np.testing.assert_allclose(
+            value("azimuth residual across anchor 2", i), q * across, atol=1e-4
+        )
+
+
+def test_features_do_not_know_the_coming_epoch(episodes):
+    """Change an epoch: features of earlier epochs stay the same."""
+    actions, changed = random_actions(), EPOCHS - 1
+    spoiled = []
+    for episode in episodes:
+        z = episode.measurement.copy()
+        z[changed:, 0] += 5.0
+        spoiled.append(replace(episode, measurement=z))
+    before, after = played(episodes, actions)[0], played(spoiled, actions)[0]
+    np.testing.assert_array_equal(before[:, :changed], after[:, :changed])
+    assert (before[:, changed] != after[:, changed]).any()
+
+
+def test_more_features_change_neither_the_others_nor_the_actions_they_lead_to():
+    pipeline = Pipeline(BANK.modes, Layout())
+    full, signed = (Observation(pipeline, kind, "per-mode") for kind in ("full", "signed"))
+    assert signed.columns[: len(full)] == full.columns
+    assert len(set(signed.names)) == len(signed)

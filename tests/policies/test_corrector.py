@@ -1,0 +1,178 @@
+"""Tests of correctors: memory, trust, files; PyTorch is the reference of the network."""
+
+import numpy as np
+import pytest
+
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.observation import Observation
+from mmwave_env.interface.signed import after_update
+from mmwave_env.models.layout import Layout
+from policies import Corrector, LearnedSwitch, learned_policy
+from policies.corrector import MOST_LOG_FACTOR, MOST_SHIFT
+from policies.policy_file import CORRECTIONS
+from tests.refusals import refuses
+from tests.training.actors import MODES, PER_MODE, card_of, write, write_per_mode
+
+TABLE = Observation(Pipeline(MODES, Layout()), "signed", "per-mode")
+NAMES = [feature.name for feature in after_update(Pipeline(MODES, Layout()), per_mode=True)]
+COLUMNS = tuple(column for column in TABLE.columns if column.name in NAMES)
+FEATURES, FRONT, UNITS, HEAD, MEMBERS = len(NAMES), 6, 5, 4, 3
+
+
+def network(seed=0, scale=0.3, limit=5.0):
+    """Return the tensors of a corrector with random weights."""
+    rng = np.random.default_rng(seed)
+    shapes = {
+        "front.weight": (FRONT, FEATURES), "front.bias": (FRONT,),
+        "gru.weight_ih": (3 * UNITS, FRONT), "gru.weight_hh": (3 * UNITS, UNITS),
+        "gru.bias_ih": (3 * UNITS,), "gru.bias_hh": (3 * UNITS,),
+        "head.weight": (HEAD, UNITS + FRONT), "head.bias": (HEAD,),
+        "out.weight": (MEMBERS * CORRECTIONS, HEAD), "out.bias": (MEMBERS * CORRECTIONS,),
+    }  # fmt: skip
+    tensors = {
+        name: rng.normal(0.0, scale, shape).astype(np.float32) for name, shape in shapes.items()
+    }
+    limits = np.full(FEATURES, limit, np.float32)
+    return tensors | {"low": -limits, "high": limits}
+
+
+def card(**changes):
+    return card_of(TABLE, features=COLUMNS, base="imm-best", **PER_MODE | changes)
+
+
+@pytest.fixture
+def path(tmp_path):
+    return write(tmp_path / "corrector.safetensors", network(), card())
+
+
+def started(path, n=4):
+    corrector = Corrector(path)
+    corrector.reset(np.ones(n, bool))
+    return corrector
+
+
+def features(epochs, n=4, seed=1):
+    return np.random.default_rng(seed).normal(size=(epochs, n, FEATURES)).astype(np.float32)
+
+
+@pytest.mark.torch
+def test_the_network_equals_pytorch(path):
+    torch = pytest.importorskip("torch")
+    tensors = {name: torch.from_numpy(value) for name, value in network().items()}
+    gru = torch.nn.GRU(FRONT, UNITS)
+    gru.load_state_dict({f"{n}_l0": tensors[f"gru.{n}"] for n in
+                         ("weight_ih", "weight_hh", "bias_ih", "bias_hh")})  # fmt: skip
+    shown = features(20)
+    with torch.no_grad():
+        linear = torch.nn.functional.linear
+        front = torch.tanh(
+            linear(torch.from_numpy(shown), tensors["front.weight"], tensors["front.bias"])
+        )
+        memory, _ = gru(front)
+        both = torch.cat([memory, front], -1)
+        head = torch.tanh(linear(both, tensors["head.weight"], tensors["head.bias"]))
+        answer = linear(head, tensors["out.weight"], tensors["out.bias"])
+    mean = answer.unflatten(-1, (MEMBERS, CORRECTIONS)).mean(2).numpy()
+    corrector = started(path)
+    for epoch, expected in zip(shown, mean, strict=True):
+        shift, log_factor, trusted = corrector.correct_features(epoch)
+        np.testing.assert_allclose(shift, expected[:, :3] * trusted[:, None], atol=1e-5)
+        np.testing.assert_allclose(log_factor, expected[:, 3:] * trusted[:, None], atol=1e-5)
+
+
+def test_it_remembers_until_an_episode_begins(path):
+    corrector, shown = started(path), features(3)
+    first = corrector.correct_features(shown[0]).shift
+    assert (corrector.correct_features(shown[0]).shift != first).any(axis=1).all()
+    corrector.reset(np.array([True, False, True, False]))
+    again = corrector.correct_features(shown[0]).shift
+    np.testing.assert_array_equal(again[[0, 2]], first[[0, 2]])
+    assert (again[[1, 3]] != first[[1, 3]]).any(axis=1).all()
+
+
+def test_one_environment_gets_the_same_corrections_as_many(path):
+    many, single = started(path), started(path, 1)
+    for epoch in features(10):
+        np.testing.assert_allclose(
+            many.correct_features(epoch).shift[:1],
+            single.correct_features(epoch[:1]).shift,
+            atol=1e-6,
+        )
+
+
+def test_corrections_fade_beyond_the_range_of_training_and_come_back(path):
+    corrector, shown = started(path), features(1)[0]
+    assert (corrector.correct_features(shown).trusted > 0.0).all()
+    strange = shown.copy()
+    strange[0, 3] = 9.0
+    faded = corrector.correct_features(strange)
+    assert faded.trusted[0] < 1e-3 and np.abs(faded.shift[0]).max() < 1e-2
+    trusted = [corrector.correct_features(shown).trusted[0] for _ in range(12)]
+    assert all(np.diff(trusted) >= -0.2) and trusted[-1] > 5.0 * trusted[0]
+
+
+@pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan])
+def test_it_never_answers_nan(path, value):
+    corrector, strange = started(path), features(1)[0]
+    strange[1, 5] = value
+    for _ in range(3):
+        answer = corrector.correct_features(strange)
+        assert all(np.isfinite(part).all() for part in answer) and answer.trusted[1] == 0.0
+    healthy = corrector.correct_features(features(1)[0])
+    assert np.isfinite(healthy.shift).all()
+
+
+def test_members_that_disagree_are_not_trusted(tmp_path):
+    wild = write(tmp_path / "wild.safetensors", network(scale=6.0), card())
+    corrector = started(wild)
+    answers = [corrector.correct_features(epoch) for epoch in features(20)]
+    assert np.mean([answer.trusted for answer in answers]) < 0.1
+    assert max(np.abs(answer.shift).max() for answer in answers) <= MOST_SHIFT
+    assert max(np.abs(answer.log_factor).max() for answer in answers) <= MOST_LOG_FACTOR
+
+
+def test_it_finds_its_features_by_name_and_does_without_missing_anchors(path):
+    modes = PER_MODE["banks"]["handset"].modes
+    everything = np.random.default_rng(0).normal(size=(4, len(TABLE))).astype(np.float32)
+    corrector = Corrector(path, Observation(Pipeline(modes, Layout()), "signed", "per-mode"))
+    corrector.reset(np.ones(4, bool))
+    chosen = everything[:, [TABLE.names.index(name) for name in NAMES]]
+    expected = started(path).correct_features(chosen).shift
+    np.testing.assert_allclose(corrector.correct(everything).shift, expected, atol=1e-6)
+    alone = Observation(Pipeline(modes, Layout(1)), "signed", "per-mode")
+    single = Corrector(path, alone)
+    single.reset(np.ones(4, bool))
+    shift = single.correct(np.zeros((4, len(alone)), np.float32)).shift
+    assert np.isfinite(shift).all()
+
+
+def test_an_environment_without_signed_features_is_refused(path):
+    modes = PER_MODE["banks"]["handset"].modes
+    with refuses(path):
+        Corrector(path, Observation(Pipeline(modes, Layout()), "full", "per-mode"))
+
+
+def test_switchers_and_correctors_are_told_apart(path, tmp_path):
+    switcher = write_per_mode(tmp_path / "switcher.safetensors")
+    assert isinstance(learned_policy(path), Corrector)
+    assert isinstance(learned_policy(switcher), LearnedSwitch)
+    with refuses(path):
+        LearnedSwitch(path)
+    with refuses(switcher):
+        Corrector(switcher)
+
+
+@pytest.mark.parametrize("name", ["gru.weight_hh", "out.weight", "low"])
+def test_networks_with_other_shapes_are_refused(tmp_path, name):
+    tensors = network()
+    tensors[name] = tensors[name][..., :-1]
+    with refuses():
+        write(tmp_path / "bad.safetensors", tensors, card())
+
+
+def test_numbers_that_are_not_finite_and_empty_ranges_are_refused(tmp_path):
+    for name, value in (("front.weight", np.nan), ("low", 6.0)):
+        tensors = network()
+        tensors[name].flat[0] = value
+        with refuses():
+            write(tmp_path / "bad.safetensors", tensors, card())

@@ -1,0 +1,104 @@
+"""Tests of the training of correctors: data, interruptions, policy files, and what it learns."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+import torch
+
+from experiments.training.corrector import CorrectorTraining, loss_of
+from experiments.training.corrector_data import EPOCHS, CorrectorData
+from experiments.training.hyperparameters import CorrectorHyperparameters
+from experiments.training.job import Job
+from mmwave_env.metrics import BURN_IN
+from policies import Corrector
+from tests.training.test_rollout_env import task
+from tests.training.test_rollouts import Interrupted, interrupt_after, silent
+from tests.training.test_train_interrupted import assert_same_training
+
+pytestmark = pytest.mark.torch
+
+SEED = 10_000_000
+HYPER = CorrectorHyperparameters(
+    base="imm-best", num_envs=8, judged_at=("street:handset",), random_share=0.5, long_epochs=250,
+    front=8, units=6, head=8, members=2, likelihood_weight=0.1, learning_rate=0.003,
+    final_fraction=0.1, max_grad_norm=1.0,
+)  # fmt: skip
+
+
+def job_of(folder, hyper=HYPER, **changes):
+    job = Job(task(), hyper, 0, 40_000, folder, "mmwave-loc train", 1, 8)
+    return replace(job, **changes)
+
+
+@pytest.fixture(scope="module")
+def lots():
+    return list(CorrectorData(task(), HYPER, SEED).lots())
+
+
+def test_half_of_the_episodes_are_at_random(lots):
+    assert len(lots) == 2 * len(task().places)
+    assert all(len(lot.features) in (EPOCHS, HYPER.long_epochs) for lot in lots)
+    assert all(np.isfinite(part).all() for lot in lots for part in lot)
+    again = list(CorrectorData(task(), HYPER, SEED).lots())
+    np.testing.assert_array_equal(lots[-1].features, again[-1].features)
+
+
+def test_no_episode_is_played_twice():
+    data = CorrectorData(task(), HYPER, SEED)
+    first, second = (next(iter(data.lots())) for _ in range(2))
+    shapes = {lot.error.shape for lot in (first, second)}
+    assert len(shapes) == 2 or (first.error != second.error).all()
+
+
+def test_an_interrupted_training_continues_to_the_same_result(tmp_path):
+    whole, job = job_of(tmp_path / "whole"), job_of(tmp_path / "part")
+    CorrectorTraining(whole, silent).run()
+    with pytest.raises(Interrupted):
+        CorrectorTraining(job, interrupt_after(1)).run()
+    assert job.checkpoint.exists()
+    CorrectorTraining(job, silent).run()
+    assert_same_training(job.folder, whole.folder)
+
+
+def test_the_policy_file_answers_as_the_network(tmp_path, lots):
+    training = CorrectorTraining(job_of(tmp_path), silent)
+    training.run()
+    corrector = Corrector(tmp_path / "latest.safetensors")
+    assert corrector.card.algorithm == "corrector" and corrector.card.base == "imm-best"
+    lot = lots[0]
+    corrector.reset(np.ones(lot.features.shape[1], bool))
+    with torch.no_grad():
+        shift, _ = training.answer(lot)
+    for features, expected in zip(lot.features, shift.mean(2).numpy(), strict=True):
+        answer = corrector.correct_features(features)
+        np.testing.assert_allclose(
+            answer.shift, expected * answer.trusted[:, None], atol=2e-4 + 1e-3 * abs(expected).max()
+        )
+
+
+def test_the_loss_is_least_where_the_answer_is_the_error():
+    rng = np.random.default_rng(0)
+    T, n = BURN_IN + 400, 3
+    bias, deviation = torch.tensor([0.5, -1.0, 2.0]), torch.full((T, n, 3), 2.0)
+    noise = torch.from_numpy(rng.normal(0.0, 1.5, (T, n, 3))).float()
+    error = deviation * bias + noise
+
+    def loss(shift, factor):
+        answer = shift.expand(T, n, 1, 3), torch.full((T, n, 1, 3), float(np.log(factor)))
+        return loss_of(answer, error, deviation, 1.0).mean()
+
+    best = loss(bias, 0.75)
+    for shift, factor in ((bias + 0.3, 0.75), (0.0 * bias, 0.75), (bias, 0.5), (bias, 1.2)):
+        assert best < loss(shift, factor)
+
+
+@pytest.mark.slow
+def test_a_short_training_beats_its_base(tmp_path):
+    hyper = replace(HYPER, num_envs=64, front=32, units=32, head=32)
+    job = job_of(tmp_path, hyper, timesteps=6_000_000, episodes=300)
+    best = CorrectorTraining(job, silent).run()["best"]
+    low, high = best["minus imm"]["ci95"]
+    assert 0.0 < low < high
