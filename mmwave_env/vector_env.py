@@ -57,8 +57,8 @@ class MmWaveLocVectorEnv(
             results do not depend on it.
         max_episode_steps: None or the length of the episodes, which Gymnasium may pass; it must
             agree with ``episode_steps``.
-        infos: "all", "episode" (at the first and last step of episodes) or "none" (except the last
-            info of an episode, if the last step resets).
+        infos: "all", "episode" (at the first and last step of episodes) or "none"; with
+            "SameStep", the last info of an episode is returned in any case.
         smoothed: whether the last info of an episode also contains ``smoothed_ate_m``.
         render_mode: None or "rgb_array".
         render_size, render_theme: arguments of the single environment.

@@ -41,7 +41,7 @@ def test_every_trace_has_a_small_file_and_some_episodes_terminate():
         ("truncated", "True", "False", 1),
     ],
 )
-def test_observations_are_compared_in_single_precision_and_integers_and_words_exactly(
+def test_observations_are_compared_in_single_precision_but_integers_and_words_exactly(
     column, a, b, differing
 ):
     old, new = (f"# header\nrow;{column}\n0;{cell}\n" for cell in (a, b))

@@ -66,8 +66,8 @@ def compare(
         episodes: number of episodes, 200 by default; results to publish need 1000 or more.
         seed: seed of the first episode, 0 by default; seeds for training start far above.
         modes, observation, beliefs: settings that agents were trained with, as in the environment;
-            policy files hold their own. An "imm" among the policies uses these modes, and their
-            transition and quantile if they come from a bank or mode file that states both.
+            policy files hold their own. An "imm" among the policies uses these modes. If
+            they come from a bank or mode file with a transition and a quantile, it uses those, too.
         data: recorded episodes or episodes of your own, as in the environment's ``episodes``.
         world: further arguments of the environment: ``scene``, ``dt``, ``episode_steps``,
             ``planar``, ``odometry``, ``reward``.
@@ -80,7 +80,8 @@ def compare(
     Raises:
         ValueError: ``policies`` is not a dict; ``episodes`` is not a number; a scenario, radio or
             contender is unknown; a name occurs twice; or an agent fails to load, raises, or does
-            not return actions. Only an agent's later failure is raised after episodes have run.
+            not return actions. All errors come
+            before any episode runs, except that of an agent which fails during the episodes.
         FileNotFoundError: there is no such file.
     """
     if not isinstance(policies, Mapping):

@@ -70,7 +70,8 @@ class Contender:
     ) -> "Contender":
         """Return the learned policy of a policy file, or a shipped one by its name.
 
-        A policy with several banks gets the one of ``radio``; ``name`` is None for the path.
+        A policy with several banks gets the one of ``radio``. If ``name`` is None, the name is the
+        path.
         """
         policy = learned_policy(path)
         return cls(
@@ -159,7 +160,7 @@ def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:
 
 
 def _of_any_modes(bank: Bank) -> dict[str, Make]:
-    """Return the contenders that any modes allow: each mode alone, rules and the IMM."""
+    """Return the contenders that any bank allows: each of its modes alone, rules and the IMM."""
     names = [mode.name for mode in bank.modes]
     policies: dict[str, Callable[[Observation], Policy]] = {
         f"fixed-{name}": _fixed(i) for i, name in enumerate(names)

@@ -82,8 +82,8 @@ def run_contender(
     Args:
         contender, policy, episodes, scoring: same as in :func:`score`, except that episodes need
             ground truth only if ``scoring.planar``.
-        shown: parts of the environment's state, such as "mixture.probability", to return with the
-            values that they have whenever the policy chooses; ignored for an IMM.
+        shown: parts of the environment's state, such as "mixture.probability", to return as
+            they are just before each choice of the policy; ignored for an IMM.
         after: parts of the state to return with the values that they have after every epoch; every
             contender has "x", "P", "memory.nis", "memory.accepted" and "memory.rejected".
 
@@ -147,7 +147,7 @@ def _run(
 def _corrected(
     results: EpochResults, corrections: Sequence[Correction], pipeline: Pipeline, reward: Reward
 ) -> EpochResults:
-    """Return the results that corrections of the beliefs after every epoch change."""
+    """Correct the belief after every epoch; return the results that this changes."""
     shift, log_factor, trusted = (
         np.stack(parts, axis=1) for parts in zip(*corrections, strict=True)
     )

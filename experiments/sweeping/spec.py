@@ -178,7 +178,7 @@ def _values(key: str, content: Any) -> Sequence[Any]:
     )
     values = [tuple(v) if isinstance(v, list) else v for v in (content if several else [content])]
     if not values or len(set(map(repr, values))) < len(values):
-        raise ValueError(f"{key}: found {quoted(content)}, expected different values")
+        raise ValueError(f"{key}: found {quoted(content)}, expected values without repeats")
     if any(isinstance(value, float) for value in values):  # in a column, all numbers have one type
         return [float(value) if type(value) is int else value for value in values]
     return values

@@ -91,10 +91,10 @@ class CorrectorHyperparameters:
 
     base: str  # policy whose beliefs are corrected: a shipped switcher, or imm-best
     num_envs: Count  # number of episodes of a gradient step
-    # places, not trained at, where policies of the training are compared
+    # held-out places, at which the policies that a training produces are compared
     judged_at: Annotated[tuple[Name, ...], Size(1, 100)]
-    random_share: Probability  # share of episodes in streets, with radios and receivers, at random
-    long_epochs: Count  # epochs of an episode with five or more epochs per second
+    random_share: Probability  # share of episodes whose streets, radio and receiver are random
+    long_epochs: Count  # number of epochs of an episode whose rate is 5 Hz or more
     # front, units, head: numbers of neurons before, in and after the recurrent layer
     front: Count
     units: Count

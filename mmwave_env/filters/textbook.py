@@ -136,8 +136,8 @@ def update(
 def mix(probability: Array, transition: Array, x: Array, P: Array) -> tuple[Array, Array, Array]:
     """Mix beliefs (M, 7), (M, 7, 7) of M modes before an IMM's epoch.
 
-    From the modes' probabilities (M,), and those of a change (M, M), from and to, compute predicted
-    probabilities (M,), mixed means (M, 7) and covariances (M, 7, 7).
+    Given the modes' probabilities (M,) and transition probabilities (M, M), indexed [from, to],
+    compute predicted probabilities (M,), mixed means (M, 7) and covariances (M, 7, 7).
     """
     joint = transition * probability[:, None]
     predicted = joint.sum(axis=0)
@@ -174,7 +174,8 @@ def rts(
 
     Args:
         x, P: (T, 7) and (T, 7, 7) filtered beliefs at times (T,).
-        P_predicted, x_predicted: (T, 7, 7), (T, 7) predicted beliefs; means None for F x.
+        P_predicted, x_predicted: (T, 7, 7), (T, 7) predicted covariances and means; if the
+            means are None, they are F x.
         free: indices of the uncertain components of x; on flat terrain there are five.
         hz_per_mps: same as for :func:`F`.
     """

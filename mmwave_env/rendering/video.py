@@ -39,7 +39,7 @@ def write_video(
 ) -> None:
     """Write a video completely or, if that fails, not at all; an existing file is then kept.
 
-    ``draw`` returns the picture (height, width, 3) with a number, and ``report`` receives the share
+    ``draw`` returns the picture (height, width, 3) of a number, and ``report`` receives the share
     that is done; :func:`require_video` has checked the path.
     """
 

@@ -47,8 +47,8 @@ class WorldSettings(NamedTuple):
     step_s: Number  # length of a substep
     stride: Number  # number of substeps in an epoch
     offered: Vector = ()  # (rows,) 1 if the receiver measures the row; empty if it measures all
-    # (2,) half a step over ``hz_per_mps``, and deviation of the clock's own noise over a step, m;
-    # empty if the user's clock is synchronized
+    # (2,) half the step divided by ``hz_per_mps``, and standard deviation of the noise that the
+    # clock itself adds in a step, m; empty if the user's clock is synchronized
     clock: Vector = ()
 
 
@@ -294,7 +294,8 @@ class FirstDraws(NamedTuple):
     user: UserState  # not used if a way is given
     choice: Number  # number of the kind of user; or uniform in [0, 1), to choose a given way
     first: list[Number]  # (7,) true state at the first epoch; 0 if a way is given
-    prior_noise: list[Number]  # (7,) error of the prior's mean; the mean of a clock's bias is 0
+    # (7,) error of the prior's mean; with a clock, minus its bias follows
+    prior_noise: list[Number]
 
 
 class Beginning(NamedTuple):

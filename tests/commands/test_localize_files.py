@@ -78,14 +78,14 @@ def mapped(tmp_path):
 MAPPED = ("localize", "my_ride.csv.gz", "--scene", "scene.json", "--speed", "9", "--out")
 
 
-def test_one_run_writes_several_files_and_maps_name_the_track_after_the_log(mapped):
+def test_one_run_writes_several_files_and_the_track_in_maps_has_the_name_of_the_log(mapped):
     shown = succeed(*MAPPED, "t.gpx", "t.geojson", "new/t.tum", cwd=mapped)
     (track,) = gpxpy.parse((mapped / "t.gpx").read_text()).tracks
     line = json.loads((mapped / "t.geojson").read_text())["features"][0]
     assert track.name == line["properties"]["name"] == "my_ride"
     tables = [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")]
     assert "t.geojson (smoothed track), new/t.tum (smoothed track), new/t.csv (its" in shown
-    succeed(*MAPPED, "new/t.tum", "new/t.csv", cwd=mapped)  # the table may also be named
+    succeed(*MAPPED, "new/t.tum", "new/t.csv", cwd=mapped)  # a table of one's own
     assert [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")] == tables
 
 
@@ -113,7 +113,7 @@ def test_an_error_while_printing_is_reported():
 @pytest.mark.skipif(os.name != "posix", reason="needs FIFOs")
 @pytest.mark.parametrize("option", ["log", "--scene", "--truth", "--modes", "--radio"])
 def test_a_fifo_is_refused_before_it_is_read(tmp_path, option):
-    """Check this as reading would never end; tests/io/test_files.py tests other irregular files."""
+    """Reading a FIFO would never end; tests/io/test_files.py tests other irregular files."""
     odd = tmp_path / ("odd.csv" if option == "log" else "odd.json")
     os.mkfifo(odd)
     files = {"log": RIDE / "log.csv", "--scene": RIDE / "scene.json", option: odd}

@@ -1,4 +1,4 @@
-"""Tests that the shipped corrector does no harm where it was never trained, on tuning seeds."""
+"""Tests, on tuning seeds, that the shipped corrector does no harm where it was never trained."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ BLOCK_M = 80.0  # between the streets of the default scene
 
 
 def noise(episode, factor):
-    """Return an episode whose receiver states another noise than it has."""
+    """Return an episode whose receiver states its noise times a wrong factor."""
     return replace(episode, sigma=factor * episode.sigma)
 
 
@@ -61,7 +61,7 @@ def corners(path):
 def bus(path):
     """Write the way of a bus to and fro that stops every 300 m for 15 s; return its file."""
     t = np.arange(4 * EPOCHS)
-    ramp, cruise = 10.0, 15.0  # seconds to speed up to 12 m/s, and at that speed
+    ramp, cruise = 10.0, 15.0  # seconds to reach 12 m/s, and seconds at that speed
     leg = np.interp(np.arange(50), [0, ramp, ramp + cruise, 2 * ramp + cruise], [0, 12, 12, 0])
     gone = np.cumsum(np.resize(leg, len(t)))
     fro = gone % (4.0 * BLOCK_M)
@@ -114,7 +114,7 @@ def test_it_is_hardly_below_its_base_where_it_was_never_trained(case, tmp_path):
 
 @pytest.mark.parametrize("too", [1.0, -1.0])
 def test_trust_falls_as_features_leave_the_range_of_training(too):
-    """State noise that is ever larger, or ever smaller, than it is."""
+    """Let the receiver claim more and more noise than it has, or less and less."""
     source = simulated("standard")
     episodes = source.episodes(np.arange(SEED, SEED + 20, dtype=np.uint64))
     shares = []

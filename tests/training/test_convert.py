@@ -153,7 +153,7 @@ class Malicious:
 
 
 def with_a_trap(file, trap):
-    """Put an object that runs code when it is loaded into a model."""
+    """Add to a model an object that runs code when it is loaded."""
     with zipfile.ZipFile(file) as archive:
         content = {name: archive.read(name) for name in archive.namelist()}
     data = json.loads(content["data"])

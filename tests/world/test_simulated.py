@@ -182,7 +182,7 @@ def plain(source, key):
 
 
 def wrapped(table, layout):
-    """Wrap the angles of a table into [-pi, pi); column 0 is dt; the rows follow."""
+    """Wrap the angles of a table into [-pi, pi); column 0 is dt, and the measured values follow."""
     columns = 1 + np.array(layout.angles)
     table[..., columns] = np.remainder(table[..., columns] + np.pi, 2 * np.pi) - np.pi
     return table
