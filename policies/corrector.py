@@ -74,11 +74,17 @@ class Corrector(LearnedPolicy, Policy):
             for name in ("front", "head")
         )
         self._out = _mean_and_differences(tensors["out.weight"].T, tensors["out.bias"])
-        self._input, self._memory = (
-            (tensors[f"gru.weight_{name}"].T.copy(), tensors[f"gru.bias_{name}"])
-            for name in ("ih", "hh")
-        )
-        self._hidden = np.zeros((0, len(self._memory[0])), np.float32)
+        units = len(tensors["gru.bias_hh"]) // 3
+        # weights and biases of the gates (reset and update) and of the candidate state
+        self._gates, self._candidate = (
+            [(tensors[f"gru.weight_{name}"][rows].T.copy(), tensors[f"gru.bias_{name}"][rows])
+             for name in ("ih", "hh")]
+            for rows in (slice(2 * units), slice(2 * units, None))
+        )  # fmt: skip
+        # of the squares of the members' differences, for each direction
+        members = (self._out[0].shape[1] - CORRECTIONS) // 3
+        self._average = np.tile(np.eye(3, dtype=np.float32), (members, 1)) / np.float32(members)
+        self._hidden = np.zeros((0, units), np.float32)
         self._trust = np.zeros(0, np.float32)
         if observation is not None:
             self.read_from(observation)
@@ -130,13 +136,15 @@ class Corrector(LearnedPolicy, Policy):
         front = np.tanh(inside @ weight + bias)
         self._hidden = hidden = self._remembering(front)
         weight, bias = self._head
-        head = np.tanh(np.concatenate([hidden, front], axis=1) @ weight + bias)
+        head = hidden @ weight[: hidden.shape[1]]
+        head += front @ weight[hidden.shape[1] :]
+        head += bias
+        np.tanh(head, out=head)
         weight, bias = self._out
         out = head @ weight + bias
         shift = np.minimum(np.maximum(out[:, :3], -MOST_SHIFT), MOST_SHIFT)
         log_factor = np.minimum(np.maximum(out[:, 3:6], -MOST_LOG_FACTOR), MOST_LOG_FACTOR)
-        differences = out[:, 6:].reshape(len(out), -1, 3)
-        variance = (differences * differences).sum(axis=1) * (1.0 / differences.shape[1])
+        variance = np.square(out[:, 6:]) @ self._average
         spread = np.sqrt((variance * np.exp(-2.0 * log_factor)).max(axis=1))
         agreed = np.minimum(np.maximum((SPREAD[1] - spread) / (SPREAD[1] - SPREAD[0]), 0.0), 1.0)
         trusted = self._trust * agreed
@@ -145,12 +153,24 @@ class Corrector(LearnedPolicy, Policy):
     def _remembering(self, front: Array) -> Array:
         """Compute the next state (n, units) of the gated recurrent unit (Cho et al. 2014)."""
         hidden, units = self._hidden, self._hidden.shape[1]
-        new = front @ self._input[0] + self._input[1]
-        old = hidden @ self._memory[0] + self._memory[1]
-        gates = 1.0 / (1.0 + np.exp(-(new[:, : 2 * units] + old[:, : 2 * units])))
-        reset, keep = gates[:, :units], gates[:, units:]
-        candidate = np.tanh(new[:, 2 * units :] + reset * old[:, 2 * units :])
-        state: Array = candidate + keep * (hidden - candidate)
+        (weight, bias), (past, past_bias) = self._gates
+        gates = front @ weight
+        gates += hidden @ past
+        gates += bias + past_bias
+        np.negative(gates, out=gates)
+        np.exp(gates, out=gates)
+        gates += 1.0
+        np.reciprocal(gates, out=gates)
+        (weight, bias), (past, past_bias) = self._candidate
+        candidate = hidden @ past
+        candidate += past_bias
+        candidate *= gates[:, :units]  # reset
+        candidate += front @ weight
+        candidate += bias
+        np.tanh(candidate, out=candidate)
+        state: Array = hidden - candidate
+        state *= gates[:, units:]  # update
+        state += candidate
         return state
 
 

@@ -95,6 +95,11 @@ class PolicyTracker:
         shift, log_factor, trusted = (
             np.stack(each, axis=1) for each in zip(*corrections, strict=True)
         )
-        belief = corrected_all(parts["x"], parts["P"], shift, log_factor, self._pipeline)
-        x, P = np.stack(belief.x, axis=-1), np.stack(pack(belief.P), axis=-1)
+        before = parts["x"], parts["P"], shift, log_factor
+        if self._epochs == 1:  # numbers are faster than arrays of one number
+            before = tuple(part[0, 0] for part in before)
+        belief = corrected_all(*before, self._pipeline)
+        x, P = (
+            np.stack(of, axis=-1).reshape(1, self._epochs, -1) for of in (belief.x, pack(belief.P))
+        )
         return parts | {"corrected_x": x, "corrected_P": P, "trusted": trusted}

@@ -11,7 +11,7 @@ import numpy as np
 
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.numerics.linalg import dot, unpack
+from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Matrix, Number, Vector, exp, maximum, sqrt, where
 
 SLOWEST_MPS = 1e-3  # below this speed, the x axis counts as the direction of motion
@@ -79,32 +79,29 @@ def corrected(belief: Belief, shift: Vector, log_factor: Vector) -> Belief:
         log_factor: (3,) logarithms of the factors on these deviations.
     """
     frame, deviations = deviations_of(belief)
-    along, across, up = (k * deviation for k, deviation in zip(shift, deviations, strict=True))
+    along, across, rise = (k * deviation for k, deviation in zip(shift, deviations, strict=True))
     dx, dy = frame.out(along, across)
-    x = [belief.x[0] + dx, belief.x[1] + dy, belief.x[2] + up, *belief.x[3:]]
-    a, b, scale_up = (exp(value) for value in log_factor)
+    x = [belief.x[0] + dx, belief.x[1] + dy, belief.x[2] + rise, *belief.x[3:]]
+    a, b, up = (exp(value) for value in log_factor)
     c, s = frame
     xx, yy, xy = c * c * a + s * s * b, s * s * a + c * c * b, c * s * (a - b)
-    M = [[xx, xy, 0.0], [xy, yy, 0.0], [0.0, 0.0, scale_up]]
-    n = len(belief.P)
-    rows = [
-        [
-            dot(M[i], [belief.P[k][j] for k in range(3)]) if i < 3 else belief.P[i][j]
-            for j in range(n)
-        ]
-        for i in range(n)
-    ]
-    P = [
-        [dot([row[k] for k in range(3)], M[j]) if j < 3 else row[j] for j in range(n)]
-        for row in rows
-    ]
+
+    def scaled(column: Vector) -> list[Number]:
+        return [xx * column[0] + xy * column[1], xy * column[0] + yy * column[1], up * column[2]]
+
+    n, P = len(belief.P), [list(row) for row in belief.P]
+    columns = [scaled([belief.P[i][j] for i in range(3)]) for j in range(n)]  # of M P
+    for i in range(3):
+        row = scaled([column[i] for column in columns[:3]])
+        for j in range(n):
+            P[i][j] = P[j][i] = row[j] if j < 3 else columns[j][i]
     return Belief(x, P, belief.axes)
 
 
 def corrected_all(
     x: Array, P: Array, shift: Array, log_factor: Array, pipeline: Pipeline
 ) -> Belief:
-    """Return corrected beliefs as one belief of arrays (...).
+    """Return corrected beliefs as one belief of arrays (...), or of floats for a single belief.
 
     Args:
         x, P: (..., 7), (..., 28) means and packed covariances.
@@ -112,7 +109,8 @@ def corrected_all(
         pipeline: pipeline of the filters, which knows whether the height is known.
     """
     mean, packed, *correction = (
-        list(np.moveaxis(part, -1, 0)) for part in (x, P, shift, log_factor)
+        part.tolist() if part.ndim == 1 else list(np.moveaxis(part, -1, 0))
+        for part in (x, P, shift, log_factor)
     )
     belief = Belief(mean, unpack(packed, pipeline.known_axes), pipeline.position_axes)
     return corrected(belief, *correction)
