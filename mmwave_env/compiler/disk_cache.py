@@ -27,6 +27,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
+from glob import glob
 from hashlib import sha256
 from os.path import getmtime
 from pathlib import Path
@@ -43,6 +44,7 @@ from numba.core.sigutils import normalize_signature
 from numba.misc.appdirs import user_cache_dir
 
 _PACKAGE = Path(__file__).parents[1]  # an edit anywhere in the package makes a new version
+_SOURCES = "**/*.py"
 _READ = time.time()  # a source edited after this may have been read before or after the edit
 _KEPT = 8  # number of versions of the sources whose compiled functions are kept
 _CHECKSUM = sha256().digest_size  # number of bytes at the beginning of each file
@@ -132,7 +134,8 @@ def _prune(place: Path) -> None:
 
 def _version() -> str | None:
     """Return a hash of all that compiled code depends on; None if the sources are not files."""
-    sources = sorted(_PACKAGE.rglob("*.py"))
+    # Unlike rglob, glob passes over folders that another process has just removed.
+    sources = sorted(_PACKAGE / name for name in glob(_SOURCES, root_dir=_PACKAGE, recursive=True))
     if not sources:
         return None
     whole = sha256(f"{sys.version} {numba.__version__} {np.__version__}".encode())
@@ -145,7 +148,8 @@ def _version() -> str | None:
 def _edited() -> bool:
     """Return whether a source has changed since this process read the first one."""
     with suppress(OSError):
-        files = map(os.stat, _PACKAGE.rglob("*.py"))
+        sources = glob(_SOURCES, root_dir=_PACKAGE, recursive=True)
+        files = (os.stat(_PACKAGE / name) for name in sources)
         return any(max(file.st_mtime, file.st_ctime) > _READ for file in files)
     return True
 
