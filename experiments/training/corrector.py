@@ -6,11 +6,13 @@ negative log-likelihood of the error, which teaches the factors on the deviation
 network answers changes the base, so episodes are played once, and every episode is new.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from experiments.training.checkpoint import going_on_from
@@ -121,15 +123,17 @@ class CorrectorTraining:
 
     def _update(self) -> dict[str, float]:
         """Learn from new episodes at all places and at random; return figures for the log."""
-        hyper, stand = self._job.hyperparameters, self._record.stand
+        job, stand = self._job, self._record.stand
+        hyper = job.hyperparameters
         lots = list(self.data.lots())
         if not self._scales:
             lots += [lot for _ in range(FIRST) for lot in self.data.lots()]
             self._scales = _scales(lots)
-        left = falling(hyper.final_fraction, 1.0 - stand["timesteps"] / self._job.timesteps)
+        left = falling(hyper.final_fraction, 1.0 - stand["timesteps"] / job.timesteps)
         for group in self._optimizer.param_groups:
             group["lr"] = hyper.learning_rate * left
-        losses = [self._learn(lots[i]) for i in torch.randperm(len(lots)).tolist()]
+        rng = np.random.default_rng((job.first_seed, stand["update"]))
+        losses = [self._learn(lot) for lot in mixed(lots, hyper.batch_size, rng)]
         stand["timesteps"] += sum(lot.features[..., 0].size for lot in lots)
         stand["update"] += 1
         return {"loss": float(np.mean(losses))}
@@ -182,6 +186,27 @@ class CorrectorTraining:
         self._scales = {name: np.asarray(value) for name, value in state["scales"].items()}
         self.data.played = int(state["played"])
         torch.set_rng_state(state["torch"])
+
+
+def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]:
+    """Yield all episodes in random order, in lots whose episodes come from different places.
+
+    Args:
+        lots: lots to mix.
+        size: number of episodes in a lot of the shortest; lots of longer episodes have fewer.
+        rng: generator of the order.
+    """
+    shortest = min(len(lot.features) for lot in lots)
+    parts: list[tuple[Lot, NDArray[np.int64]]] = []
+    for length in sorted({len(lot.features) for lot in lots}):
+        alike = [lot for lot in lots if len(lot.features) == length]
+        together = Lot(*(np.concatenate(part, axis=1) for part in zip(*alike, strict=True)))
+        order = rng.permutation(together.features.shape[1])
+        count = max(1, round(len(order) * length / (size * shortest)))
+        parts += [(together, some) for some in np.array_split(order, count)]
+    for i in rng.permutation(len(parts)):
+        together, some = parts[i]
+        yield Lot(*(part[:, some] for part in together))
 
 
 def _scales(lots: list[Lot]) -> dict[str, Array]:

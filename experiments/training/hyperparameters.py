@@ -90,7 +90,8 @@ class CorrectorHyperparameters:
     """Hyperparameters of correctors (:mod:`experiments.training.corrector`)."""
 
     base: str  # policy whose beliefs are corrected: a shipped switcher, or imm-best
-    num_envs: Count  # number of episodes of a gradient step
+    num_envs: Count  # number of episodes played at once
+    batch_size: Count  # number of episodes of a gradient step; fewer if they are long
     # held-out places, at which the policies that a training produces are compared
     judged_at: Annotated[tuple[Name, ...], Size(1, 100)]
     random_share: Probability  # share of episodes whose streets, radio and receiver are random
