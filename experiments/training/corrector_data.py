@@ -32,7 +32,7 @@ from mmwave_env.world.simulated import SimulatedSource
 from policies import LearnedSwitch
 from policies.corrector import BASE_IMM
 
-STEPS_S = (1.0, 1.0, 1.0, 0.5, 0.25, 0.1, 0.1, 2.0)  # steps between epochs, equally probable
+STEPS_S = (1.0, 1.0, 0.5, 0.25, 0.1, 0.1, 0.1, 2.0)  # steps between epochs, equally probable
 EPOCHS = 200
 SUBSETS = (  # measured quantities of receivers that lack some
     ("range", "azimuth", "elevation", "departure"),
@@ -93,7 +93,7 @@ class CorrectorData:
             rng = self._rng()
             source = place.source(self._task.scenario)
             if place.dt == 1.0:
-                source = self._at_rate(source, float(rng.choice(STEPS_S)))
+                source = self._at_some_rate(source, rng)
             yield self._play(source, self.bank(place.profile))
         for _ in range(round(len(places) * share / (1.0 - share))):
             yield self._at_random(self._rng())
@@ -102,8 +102,12 @@ class CorrectorData:
         """Return the generator of the next lot's choices."""
         return np.random.default_rng((self._seed, self.played))
 
-    def _at_rate(self, source: SimulatedSource, dt: float) -> SimulatedSource:
-        return replace(source, dt=dt, epochs=self._hyper.long_epochs if dt <= 0.2 else EPOCHS)
+    def _at_some_rate(self, source: SimulatedSource, rng: np.random.Generator) -> SimulatedSource:
+        """Return a source with a step at random; at 10 Hz, every other lot has long episodes."""
+        dt, long = float(rng.choice(STEPS_S)), rng.random() < 0.5
+        return replace(
+            source, dt=dt, epochs=self._hyper.long_epochs if dt <= 0.2 and long else EPOCHS
+        )
 
     def _at_random(self, rng: np.random.Generator) -> Lot:
         """Play episodes in streets and with a receiver at random."""
@@ -120,7 +124,7 @@ class CorrectorData:
         source = SimulatedSource(
             scene, radio, self._task.scenario, measurements=subset, clock=clock
         )
-        source = self._at_rate(source, float(rng.choice(STEPS_S)))
+        source = self._at_some_rate(source, rng)
         return self._play(source, self.bank(profile.name), rng)
 
     def _play(
