@@ -24,14 +24,7 @@ from mmwave_env.io.lookup import unknown
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import radio_from
 from mmwave_env.task import bank_and_modes
-from policies import (
-    FixedMode,
-    LikelihoodRule,
-    Policy,
-    SpeedRule,
-    learned_policy,
-    shipped_policies,
-)
+from policies import FixedMode, LikelihoodRule, Policy, SpeedRule, learned_policy, shipped_policies
 
 BEST_IMM = "imm-best"  # the IMM with the modes of best_bank
 OTHERS = ("a .safetensors file", "the folder of a run", "module:function, without folder and .py")

@@ -28,6 +28,7 @@ CONTENDERS: dict[str, tuple[tuple[str, str], Callable[[], Switching]]] = {
     "EKF": (("--speed", "1"), lambda: Switching((named_modes(RADIO)["ekf"],))),
     "imm-best": (("--imm", "imm-best"), lambda: Switching(imm_banks(RADIO)["imm-best"]())),
     "guided": (("--policy", "guided"), lambda: learned("guided", RADIO)),
+    "corrector": (("--policy", "corrector"), lambda: learned("corrector", RADIO)),
 }
 LATENCIES = [(name, way) for name in CONTENDERS for way in (PYTHON, PIPE)]
 

@@ -11,14 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.compiler.program import (
-    BatchState,
-    Program,
-    StepIO,
-    blocks_of,
-    fill,
-    rows_of,
-)
+from mmwave_env.compiler.program import BatchState, Program, StepIO, blocks_of, fill, rows_of
 from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.epoch_state import blank_track
 from mmwave_env.engines.track_engine import EpisodeFilter, untuned

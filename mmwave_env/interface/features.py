@@ -13,12 +13,7 @@ from mmwave_env.filters.memory import Memory
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.update import ModeResult, capped_log_likelihood
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.measurement import (
-    Epoch,
-    Site,
-    doppler_anchor,
-    range_rate,
-)
+from mmwave_env.models.measurement import Epoch, Site, doppler_anchor, range_rate
 from mmwave_env.models.motion import move
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, log, maximum, sqrt, where

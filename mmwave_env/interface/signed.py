@@ -15,17 +15,7 @@ from mmwave_env.interface.features import Feature, View, last_epoch
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, direction
 from mmwave_env.numerics.linalg import dot
-from mmwave_env.numerics.numbers import (
-    PI,
-    Number,
-    Vector,
-    log,
-    maximum,
-    minimum,
-    sqrt,
-    where,
-    wrap,
-)
+from mmwave_env.numerics.numbers import PI, Number, Vector, log, maximum, minimum, sqrt, where, wrap
 
 _LEAST_M = 0.05  # lower limit of a deviation across the line of sight that residuals are divided by
 _LEAST_RAD = 1e-3

@@ -13,15 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.program import (
-    BatchState,
-    Feed,
-    Program,
-    StepIO,
-    blocks_of,
-    fill,
-    rows_of,
-)
+from mmwave_env.compiler.program import BatchState, Feed, Program, StepIO, blocks_of, fill, rows_of
 from mmwave_env.compiler.threads import share, spans
 from mmwave_env.models.channel import channel_of
 from mmwave_env.models.envelope import STEP_S

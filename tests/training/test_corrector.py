@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("stable_baselines3")
 import torch
 
-from experiments.training.corrector import CorrectorTraining, loss_of
+from experiments.training.corrector import CorrectorTraining, loss_of, mixed
 from experiments.training.corrector_data import EPOCHS, CorrectorData
 from experiments.training.hyperparameters import CorrectorHyperparameters
 from experiments.training.job import Job
@@ -22,9 +22,9 @@ pytestmark = pytest.mark.torch
 
 SEED = 10_000_000
 HYPER = CorrectorHyperparameters(
-    base="imm-best", num_envs=8, judged_at=("street:handset",), random_share=0.5, long_epochs=250,
-    front=8, units=6, head=8, members=2, likelihood_weight=0.1, learning_rate=0.003,
-    final_fraction=0.1, max_grad_norm=1.0,
+    base="imm-best", num_envs=8, batch_size=4, judged_at=("street:handset",), random_share=0.5,
+    long_epochs=250, front=8, units=6, head=8, members=2, likelihood_weight=0.1,
+    learning_rate=0.003, final_fraction=0.1, max_grad_norm=1.0,
 )  # fmt: skip
 
 
@@ -44,6 +44,18 @@ def test_half_of_the_episodes_are_at_random(lots):
     assert all(np.isfinite(part).all() for lot in lots for part in lot)
     again = list(CorrectorData(task(), HYPER, SEED).lots())
     np.testing.assert_array_equal(lots[-1].features, again[-1].features)
+
+
+def test_mixed_lots_hold_every_episode_once_and_several_places(lots):
+    shuffled = list(mixed(lots, 4, np.random.default_rng(0)))
+    assert all(lot.error.shape[1] * len(lot.error) <= 5 * HYPER.long_epochs for lot in shuffled)
+
+    def episodes(lot):
+        return [lot.error[:, i].tobytes() for i in range(lot.error.shape[1])]
+
+    origin = {episode: i for i, lot in enumerate(lots) for episode in episodes(lot)}
+    assert sorted(e for lot in shuffled for e in episodes(lot)) == sorted(origin)
+    assert max(len({origin[e] for e in episodes(lot)}) for lot in shuffled) > 1
 
 
 def test_no_episode_is_played_twice():
