@@ -146,6 +146,7 @@ class LogFile:
     columns: dict[str, Column]  # the columns that are used, by quantity
     width: int  # number of columns in the file
     clock: bool = False  # whether the user's clock has an offset: a range may then be negative
+    delimiter: str = ","  # between the cells of a CSV file
 
     def error(self, row: int, quantity: str, problem: str, expected: str) -> LogError:
         """Return an error that names a cell; in a CSV file, the row number is the line number."""
@@ -184,12 +185,15 @@ def open_log(
     if not path.name.lower().endswith(SUFFIXES):
         raise LogError(f"{path}: found {path.suffix!r}, expected one of {', '.join(SUFFIXES)}")
     open_regular(path, "a measurement log").close()
-    names = list(_parquet_types(path)) if _is_parquet(path) else _csv_names(path)
+    if _is_parquet(path):
+        names, delimiter = list(_parquet_types(path)), ""
+    else:
+        names, delimiter = _csv_names(path)
     try:
         columns = columns_of(names, hz_per_mps, odometry, associated, partial)
     except ValueError as error:
         raise LogError(f"{path}: {error}") from error
-    log = LogFile(path, columns, len(names))
+    log = LogFile(path, columns, len(names), delimiter=delimiter)
     if _is_parquet(path):
         _require_numbers(log)
     return log
@@ -202,22 +206,24 @@ def _is_parquet(path: Path) -> bool:
 # --- CSV
 
 
-def _csv_names(path: Path) -> list[str]:
+def _csv_names(path: Path) -> tuple[list[str], str]:
+    """Return the names of the columns and the delimiter: a comma, or else a semicolon."""
     try:
         lines, _ = next(line_blocks(path), ([], 0.0))
     except DamagedFileError as error:
         raise LogError(str(error)) from error
     if not lines:
         raise LogError(f"{path}: found an empty file, expected a measurement log")
+    delimiter = "," if "," in lines[0] else ";"
     try:  # with a real CSV reader, because some programs quote names
-        names = [name.strip() for name in next(csv.reader(lines[:1]))]
+        names = [name.strip() for name in next(csv.reader(lines[:1], delimiter=delimiter))]
     except csv.Error:
         names = []
     if len(names) < 2:
         raise LogError(
             f"{path}, line 1: found {lines[0][:60]!r}, expected comma-separated names of columns"
         )
-    return names
+    return names, delimiter
 
 
 def _csv_tables(log: LogFile) -> Iterator[Table]:
@@ -242,9 +248,13 @@ def _parse_quickly(lines: list[str], log: LogFile) -> Array | None:
     used = [column.number for column in log.columns.values()]
     if not lines:
         return np.empty((0, len(used)))
-    if any(line.count(",") != log.width - 1 for line in lines):
+    if any(line.count(log.delimiter) != log.width - 1 for line in lines):
         return None
     text = "\n" + "\n".join(lines) + "\n"
+    if log.delimiter != ",":
+        if "," in text:  # decimal commas, which no reader should guess
+            return None
+        text = text.replace(log.delimiter, ",")
     for empty, filled in ((",,", ",nan,"), (",,", ",nan,"), ("\n,", "\nnan,"), (",\n", ",nan\n")):
         text = text.replace(empty, filled)
     split = text[1:-1].split("\n")
@@ -263,7 +273,7 @@ def parse_carefully(log: LogFile, lines: list[str], first: int, share: float) ->
     for row, line in enumerate(lines, start=first):
         if not line.strip():
             continue
-        words = line.split(",")
+        words = line.split(log.delimiter)
         values = [math.nan] * len(log.columns)
         if len(words) != log.width:
             count = f"{len(words)} cells" if len(words) > 1 else f"one cell, {line[:40]!r}"

@@ -56,6 +56,14 @@ def test_every_number_is_read_into_its_array(tmp_path):
     assert block.share == 1.0
 
 
+def test_semicolons_separate_cells_as_commas_do(tmp_path):
+    lines = rows()
+    lines[1][2] = ""  # a range that was not measured
+    (tmp_path / "other").mkdir()
+    commas = read(store(tmp_path, text(lines)))
+    assert_same(read(store(tmp_path / "other", text(lines).replace(",", ";"))), commas)
+
+
 @pytest.mark.parametrize("suffix", ["rad", "deg"])
 def test_angles_of_arrival_at_the_base_station_are_mirrored(tmp_path, suffix):
     ours = episode(epochs=5)

@@ -176,7 +176,7 @@ def test_the_epochs_before_any_damaged_cell_are_returned(row, column, cell, size
 HEADERS = {  # header, fields in the message
     "empty": ("", []),
     "no columns": ("\n", ["line 1"]),
-    "semicolons": (HEADER.replace(",", ";"), ["line 1"]),
+    "tabs": (HEADER.replace(",", "\t"), ["line 1"]),
     "endless name": ("a" * 200_000 + "," + HEADER, ["line 1"]),
     "no header": ("0,1,1e-7,0,0,0,1,20", ["column '0'"]),
     "unknown": (HEADER + ",color", ["column 'color'"]),
@@ -208,6 +208,12 @@ def test_a_wrong_header_is_refused_before_any_row_is_read(tmp_path, name):
     path = store(tmp_path, content)
     with refuses(path, *fields, error=LogError):
         read_log(path, SCENE)
+
+
+def test_decimal_commas_between_semicolons_are_refused_by_their_cell(tmp_path):
+    damaged = text(rows()).replace(",", ";").replace(".", ",")
+    with refuses(store(tmp_path, damaged), "line 2", error=LogError):
+        list(read_log(tmp_path / "log.csv", SCENE))
 
 
 @pytest.mark.parametrize("cells", [[], [["1", *[""] * 6]], [["1", "1e-7", *[""] * 5]] * 9])
