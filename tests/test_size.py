@@ -20,7 +20,7 @@ BUDGET = {
     "tokens of source": 224_300,
     "files of source": 232,
     "lines of tests": 26_700,
-    "tokens of tests": 239_000,
+    "tokens of tests": 239_200,
     "words of docs": 41_700,
     "pages of docs": 23,
     "tracked files": 640,
