@@ -32,7 +32,7 @@ BUDGET = {
 }
 ROOMS = {  # maximum lines of source in a folder
     "experiments/evaluation": 1_800,
-    "experiments/training": 2_800,
+    "experiments/training": 2_820,
     "experiments/reporting/webpage": 1_060,
     "mmwave_env/datasets": 1_715,
     "mmwave_env/engines": 2_200,
