@@ -1,4 +1,4 @@
-"""What the shipped corrector learned: docs/corrections.png, and the tables that learning.md shows.
+"""A study of what the shipped corrector learned: docs/corrections.png, and tables of learning.md.
 
 ``PYTHONPATH=. python docs/site/corrections.py`` plays test episodes for about two minutes.
 """
