@@ -84,7 +84,7 @@ def in_motion(played: Played, vectors: Array) -> Array:
 
 
 def events(played: Played) -> dict[str, NDArray[np.bool_]]:
-    """Return in which epochs (n, T) each kind of event begins."""
+    """Return in which epochs (n, T) each kind of event begins: a speed of 0.5 m/s is the limit."""
     speed = np.linalg.norm(played.truth[..., 3:5], axis=-1)
     moving = speed > 0.5
     visible = np.stack([e.visible[:, : e.layout.anchors].all(axis=1) for e in played.episodes])
@@ -92,7 +92,7 @@ def events(played: Played) -> dict[str, NDArray[np.bool_]]:
     return {
         "The user stops": _begins(~moving),
         "The user pulls away": _begins(moving),
-        "A link is blocked": _begins(~visible),
+        "A link is missing": _begins(~visible),
         "A range is 5 standard deviations wrong": _begins(lies),
     }
 
@@ -117,7 +117,7 @@ def _lying(episode: Episode) -> NDArray[np.bool_]:
 
 
 def draw(played: Played, path: Path) -> None:
-    """Draw errors and corrections around events."""
+    """Draw mean position errors (3D, m) and mean sizes of corrections along, around events."""
     correction = played.errors["corrector"] - played.errors["guided"]
     along = in_motion(played, correction)[..., 0]
     with picture(path, 9.0, 6.0) as figure:
@@ -129,13 +129,13 @@ def draw(played: Played, path: Path) -> None:
                 length = np.linalg.norm(played.errors[name][episode, epoch], axis=-1)
                 axes.plot(AROUND, length.mean(0), label=name)
             shift = np.abs(along[episode, epoch]).mean(0)
-            axes.plot(AROUND, shift, "--", color="0.4", label="length of the correction along")
+            axes.plot(AROUND, shift, "--", color="0.4", label="size of the correction along")
             axes.axvline(0.0, color="0.7", linewidth=1.0, zorder=0)
             axes.set_title(f"{title} ({len(where)} times)")
         for axes in panels[2:]:
             axes.set_xlabel("epochs (s) after the event")
         for axes in panels[::2]:
-            axes.set_ylabel("mean (m)")
+            axes.set_ylabel("mean error (m)")
         panels[0].set_ylim(bottom=0.0)
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower left", ncols=4)

@@ -185,16 +185,14 @@ def open_log(
     if not path.name.lower().endswith(SUFFIXES):
         raise LogError(f"{path}: found {path.suffix!r}, expected one of {', '.join(SUFFIXES)}")
     open_regular(path, "a measurement log").close()
-    if _is_parquet(path):
-        names, delimiter = list(_parquet_types(path)), ""
-    else:
-        names, delimiter = _csv_names(path)
+    parquet = _is_parquet(path)
+    names, delimiter = (list(_parquet_types(path)), ",") if parquet else _csv_names(path)
     try:
         columns = columns_of(names, hz_per_mps, odometry, associated, partial)
     except ValueError as error:
         raise LogError(f"{path}: {error}") from error
     log = LogFile(path, columns, len(names), delimiter=delimiter)
-    if _is_parquet(path):
+    if parquet:
         _require_numbers(log)
     return log
 

@@ -60,8 +60,8 @@ def test_semicolons_separate_cells_as_commas_do(tmp_path):
     lines = rows()
     lines[1][2] = ""  # a range that was not measured
     (tmp_path / "other").mkdir()
-    commas = read(store(tmp_path, text(lines)))
-    assert_same(read(store(tmp_path / "other", text(lines).replace(",", ";"))), commas)
+    semicolons = store(tmp_path / "other", text(lines).replace(",", ";"))
+    assert_same(read(semicolons), read(store(tmp_path, text(lines))))
 
 
 @pytest.mark.parametrize("suffix", ["rad", "deg"])
