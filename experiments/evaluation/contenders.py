@@ -7,11 +7,13 @@ from functools import partial
 from pathlib import Path
 
 from experiments.evaluation.agents import GUIDE, Act, agent_from, is_agent, tried
+from experiments.evaluation.branches import CLAIRVOYANT, Clairvoyant
 from experiments.evaluation.runs import Run, require_no_smoke
 from mmwave_env.filters.bank import (
     Bank,
     Modes,
     Transition,
+    bank_from,
     bank_over,
     best_bank,
     default_modes,
@@ -194,8 +196,8 @@ def contender_from(
     """Return a contender by name; see :func:`contenders`.
 
     Args:
-        name: name of a contender or shipped policy, a policy file (``.safetensors``), the folder
-            of a run (its median training is used), or module:function, as in
+        name: name of a contender or shipped policy, "clairvoyant" (the ceiling of switching
+            between the modes of a bank), a policy file (``.safetensors``), the folder of a run (its median training is used), or module:function, as in
             :func:`~experiments.evaluation.agents.agent_from`.
         radio, modes: same as in :func:`contenders`.
         observation, beliefs: settings of a user's agent, as in :meth:`Contender.own`.
@@ -208,6 +210,10 @@ def contender_from(
     known, shipped = contenders(radio, modes), shipped_policies()
     if name in known:
         return known[name]()
+    if name == CLAIRVOYANT:
+        banks = partial(bank_from, modes)
+        knows = Contender(name, (), lambda table: Clairvoyant(), beliefs="per-mode", bank_of=banks)
+        return knows.at(radio)
     if name in shipped or name.endswith(".safetensors"):
         require_no_smoke(name, learned_policy(name).card.command)
         return Contender.learned(name, radio=radio)
@@ -222,5 +228,5 @@ def contender_from(
             f"convert {name} {Path(name).with_suffix('.safetensors').name} makes one ({GUIDE})"
         )
     # A policy shipped for all radios is in both lists.
-    everything = dict.fromkeys([*known, *shipped, *OTHERS])
+    everything = dict.fromkeys([*known, *shipped, CLAIRVOYANT, *OTHERS])
     raise ValueError(unknown("policy", name, everything))
