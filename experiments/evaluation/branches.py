@@ -7,6 +7,7 @@ episodes (common random numbers).
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +48,7 @@ class Branches:
         self._copies.state.length[:] = horizon
         self._io = self._copies.io(output_rows=rows_of(at.reward), obs_rows=rows_of(at.observation))
 
-    def values(self, act: Act, weights: Array) -> Array:
+    def values(self, act: Act, weights: NDArray[np.floating[Any]]) -> Array:
         """Try every action in the current state of every environment.
 
         Args:
@@ -88,7 +89,7 @@ class Clairvoyant(Policy):
 
     _branches: Branches | None = None
 
-    def foresee(self, engine: Engine, horizon_s: float = HORIZON_S) -> None:
+    def foresee(self, engine: Engine) -> None:
         """Look into the episodes of an engine, which have just been loaded.
 
         Raises:
@@ -98,7 +99,7 @@ class Clairvoyant(Policy):
         if not np.isfinite(state.table[:, 0, columns_of(layout).truth]).all():
             raise ValueError(BLIND)
         step_s = engine.steps_s(np.arange(len(state.length))).min()
-        horizon = min(math.ceil(horizon_s / step_s - 1e-6), state.table.shape[1])
+        horizon = min(math.ceil(HORIZON_S / step_s - 1e-6), state.table.shape[1])
         self._branches = Branches(engine, horizon)
 
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:

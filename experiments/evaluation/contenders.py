@@ -29,6 +29,7 @@ from mmwave_env.task import bank_and_modes
 from policies import FixedMode, LikelihoodRule, Policy, SpeedRule, learned_policy, shipped_policies
 
 BEST_IMM = "imm-best"  # the IMM with the modes of best_bank
+RULE = "speed-rule"  # the paper's rule
 OTHERS = ("a .safetensors file", "the folder of a run", "module:function, without folder and .py")
 # Learned contenders; their shipped policy files are for one radio (NAME-RADIO) or for all (NAME).
 SHIPPED = ("ppo", "guided", "guided-ppo", "corrector")
@@ -161,7 +162,7 @@ def _of_any_modes(bank: Bank) -> dict[str, Make]:
         f"fixed-{name}": _fixed(i) for i, name in enumerate(names)
     }
     if len(names) == 2:
-        policies["speed-rule"] = SpeedRule
+        policies[RULE] = SpeedRule
     if len(names) > 1:
         policies["likelihood-rule"] = lambda table: LikelihoodRule(table, names)
     makes: dict[str, Make] = {n: partial(Contender, n, bank.modes, p) for n, p in policies.items()}
@@ -197,7 +198,8 @@ def contender_from(
 
     Args:
         name: name of a contender or shipped policy, "clairvoyant" (the ceiling of switching
-            between the modes of a bank), a policy file (``.safetensors``), the folder of a run (its median training is used), or module:function, as in
+            between the modes of a bank), a policy file (``.safetensors``), the folder of a run (its
+            median training is used), or module:function, as in
             :func:`~experiments.evaluation.agents.agent_from`.
         radio, modes: same as in :func:`contenders`.
         observation, beliefs: settings of a user's agent, as in :meth:`Contender.own`.
