@@ -30,7 +30,7 @@ def score_of(gain: float, possible: float) -> float | None:
         gain: reward of the policy minus that of the rule.
         possible: reward of the clairvoyant minus that of the rule; there is no score below 0.
     """
-    return 100.0 * gain / possible if possible > 0.0 else None
+    return 100.0 * (gain / possible) if possible > 0.0 else None
 
 
 def score_cell(score: float | None) -> str:
