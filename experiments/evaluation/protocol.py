@@ -195,8 +195,8 @@ def tables_of(
     entries: Sequence[Mapping[str, Any]], ceiling: Mapping[str, Any] | None
 ) -> dict[str, str]:
     """Return all tables of entries with their scores, by title."""
-    ranked = ranking(entries, EPISODES, DRAWS)
-    return {"leaderboard": ranked, "sites": by_site(entries), "scores": by_score(entries, ceiling)}
+    scores = by_score(entries, ceiling)
+    return {"leaderboard": ranking(entries), "scores": scores, "sites": by_site(entries)}
 
 
 def standing(figures: dict[str, Any]) -> str:
@@ -210,12 +210,12 @@ def standing(figures: dict[str, Any]) -> str:
     return "below" if any(high < 0.0 for _, high in intervals) else "level"
 
 
-def ranking(entries: Sequence[Mapping[str, Any]], episodes: int, draws: int) -> str:
+def ranking(entries: Sequence[Mapping[str, Any]]) -> str:
     """Return a Markdown table of all entries, ranked by their mean gain at the sites to train in.
 
-    Entries with fewer ``episodes`` at a simulated site, or ``draws`` on a recording, than the
-    protocol requires are marked and come last, because luck would decide their rank. The clairvoyant
-    needs only those that scores are over.
+    Entries with fewer episodes at a simulated site, or draws on a recording, than the protocol
+    requires are marked and come last, because luck would decide their rank. Of the clairvoyant it
+    requires only those that scores are over.
     """
     rows: list[tuple[bool, float, list[Any]]] = []
     for content in entries:
@@ -223,8 +223,8 @@ def ranking(entries: Sequence[Mapping[str, Any]], episodes: int, draws: int) -> 
         recorded = min(site["episodes"] for site in at if site["kind"] == RECORDED)
         simulated = min(site["episodes"] for site in at if site["kind"] != RECORDED)
         knows = content["entry"] == CLAIRVOYANT
-        least = (CEILING_EPISODES, CEILING_DRAWS) if knows else (episodes, draws)
-        short = simulated < least[0] or recorded < least[1]
+        episodes, draws = (CEILING_EPISODES, CEILING_DRAWS) if knows else (EPISODES, DRAWS)
+        short = simulated < episodes or recorded < draws
         cells = [content["entry"].removesuffix("/policy.safetensors")]
         cells.append(f"{simulated} / {recorded}{' (too few)' if short else ''}")
         for kind in KINDS:
