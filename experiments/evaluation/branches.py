@@ -107,6 +107,6 @@ class Clairvoyant(Policy):
         if self._branches is None:
             raise ValueError(BLIND)
         weights = np.ones(self._branches.horizon)
-        values = self._branches.values(lambda seen: np.zeros(len(seen), np.int64), weights)
+        values = self._branches.values(lambda shown: np.zeros(len(shown), np.int64), weights)
         best: NDArray[np.int64] = values.argmax(axis=1)
         return best
