@@ -84,7 +84,7 @@ class Clairvoyant(Policy):
 
     In every epoch it tries each action (trust no mode, or one of them) on the same measurements,
     followed by no trust, and takes the action with the largest sum of rewards within
-    :data:`HORIZON_S`. It knows the noise, too, so no honest policy can earn as much.
+    :data:`HORIZON_S`. It knows the noise, too, so a switcher without the truth is far below it.
     """
 
     _branches: Branches | None = None

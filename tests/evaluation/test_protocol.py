@@ -139,9 +139,9 @@ def test_a_bus_stands_every_300_m(hard):
 def test_the_receivers_of_hard_sites_lack_what_the_sites_say(hard):
     ordinary = next(s for s in sites() if s.name == "street:handset").source
     keys = np.arange(4, dtype=np.uint64)
-    for told, true in zip(hard["noise-twice"], ordinary.episodes(keys), strict=True):
-        np.testing.assert_array_equal(told.measurement, true.measurement)
-        np.testing.assert_allclose(told.sigma, 0.5 * true.sigma)
+    for stated, true in zip(hard["noise-twice"], ordinary.episodes(keys), strict=True):
+        np.testing.assert_array_equal(stated.measurement, true.measurement)
+        np.testing.assert_allclose(stated.sigma, 0.5 * true.sigma)
     assert all(episode.layout.clock for episode in hard["clock-offset"])
     for episode in hard["range-azimuth"]:
         links = np.isfinite(episode.measurement[:, :12]).reshape(-1, 3, 4).any(axis=(0, 1))
