@@ -23,7 +23,8 @@ class Args(EpisodeArgs):
     policies: Annotated[tuple[str, ...], arg(aliases=("--policy",))] = ()
     """names from mmwave-loc list policies, policy files (.safetensors), folders of runs from
     mmwave-loc train, and module:function, a function without arguments that returns an agent; by
-    default all policies that have a name"""
+    default all policies that have a name, except clairvoyant, which knows the truth; beside
+    speed-rule (0) and clairvoyant (100), policies have a score"""
     errors: Path | None = None
     """draw the distribution (CDF) of horizontal and of vertical errors to this .png, .svg or .pdf
     file"""

@@ -42,16 +42,18 @@ POLICIES = {
     "guided": "learned policy that says which mode of imm-best to trust",
     "corrector": "guided, and a network with memory that corrects its beliefs",
     "guided-ppo": "same as guided, but trained only with PPO",
+    "clairvoyant": "no contender: knows the truth, the ceiling of switching; runs only if named",
 }
 
 
 def policies(radio: str) -> dict[str, str]:
     """Return the policies for a radio profile, with a description of each."""
+    from experiments.evaluation.branches import CLAIRVOYANT
     from experiments.evaluation.contenders import contenders
 
     return {
         name: POLICIES.get(name, f"mode {name.removeprefix('fixed-')} in every epoch")
-        for name in contenders(radio)
+        for name in (*contenders(radio), CLAIRVOYANT)
     }
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from experiments.console.progress import bars
 from experiments.evaluation.agents import require_actions
+from experiments.evaluation.branches import Clairvoyant
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.seeds import Selection
 from mmwave_env.compiler.program import rows_of
@@ -124,6 +125,8 @@ def _run(
     engine = Engine(pipeline, n, scoring.reward, contender.observation, contender.bank)
     engine.reset(episodes)
     policy.reset(np.ones(n, bool))
+    if isinstance(policy, Clairvoyant):
+        policy.foresee(engine)
     program = engine.batch.program
     rows = rows_of(program.parts(names))
     outputs, taken = np.empty((n, T, len(rows))), np.empty((n, T), np.int8)

@@ -5,14 +5,14 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from experiments.evaluation.comparison import Comparison
-from experiments.evaluation.intervals import Interval, rounded
+from experiments.evaluation.intervals import Interval
 from experiments.evaluation.positions import HEADER, KINDS, percent, row_of
 from experiments.figures.curves import draw_consistency, draw_error_cdf, draw_learning_curves
 from experiments.reporting.track_report import track_markdown
 from experiments.reporting.webpage.markup import drawn, element, html_of, table
 from experiments.reporting.webpage.played import Played, ranking, watched_names
 from experiments.reporting.webpage.sources import Source
-from mmwave_env.metrics import HEADERS, METRICS
+from mmwave_env.metrics import METRICS
 
 
 class Verdict(NamedTuple):
@@ -72,11 +72,7 @@ def _track_verdict(c: Mapping[str, Any]) -> Verdict:
 
 
 def _compared(comparison: Comparison) -> Iterator[str]:
-    rows = [
-        [name, *(rounded(row[metric]) for metric in METRICS)]
-        for name, row in comparison.policies.items()
-    ]
-    header = ["contender", *(HEADERS[metric] for metric in METRICS)]
+    header, rows = comparison.table(METRICS)
     yield table("Means ± half of their 95 % intervals, best reward first", header, rows)
     pairs = [
         [name, other, pair["reward"], pair["ate_m"]]
