@@ -38,10 +38,10 @@ class Task:
     source: EpisodeSource
     radio: Radio  # profile of the receiver
     pipeline: Pipeline
-    bank: Bank | None  # if every mode keeps its own belief; None if modes share one
+    bank: Bank | None  # the bank of the modes if each keeps its own belief, else None
     reward: Reward  # function of (belief, truth)
-    baseline: Bank | None  # whose IMM's reward is subtracted; None without a paired reward
-    # reward for every remaining epoch of a diverged episode; None if it goes on instead
+    baseline: Bank | None  # bank of the IMM whose reward a paired reward subtracts, else None
+    # reward of every remaining epoch after a divergence; None if episodes continue after one
     worst: float | None
 
     def draw(self, rng: np.random.Generator) -> Episode:

@@ -34,7 +34,7 @@ def share(
     if threads == 1 or len(jobs) == 1:
         return [function(*job) for job in jobs]
     results: list[Any] = [None] * len(jobs)
-    waiting = iter(range(len(jobs)))  # next() is atomic
+    waiting = iter(range(len(jobs)))  # shared by the threads: next() is atomic
 
     def work(here: Lock) -> None:
         with here:

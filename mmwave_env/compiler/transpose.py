@@ -98,7 +98,7 @@ def _compiled_scatter(kind: ir.Type) -> Callable[..., Any]:
                 first = min(tile, count - WIDTH)
                 turn_out(block.ctypes.data, rows.ctypes.data, targets.ctypes.data, first)
 
-        # Code cached by two processes is linked by name: equal names would mix up the precisions.
+        # Compiled code is found by its name, so each precision needs a name of its own.
         compiled.__qualname__ += f".{kind}"
         return compiled
 

@@ -44,7 +44,7 @@ class Batch(Generic[Workspace]):
         threads: number of threads that may work at once; results do not depend on it.
 
     Attributes:
-        at: the workspace tree with row numbers as leaves; its fields select the rows to read.
+        at: tree like the workspace, with row numbers in place of values; selects the rows to read.
         state: the environments' workspaces, episodes and next epochs.
         parts: (first, end) numbers of the blocks that each thread runs in an epoch.
     """

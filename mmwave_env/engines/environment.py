@@ -195,7 +195,7 @@ class Environment:
             rewards[places] -= self._baseline.rest(places)
 
     def _set_up_noting(self) -> None:
-        """Set up, and remember which attributes this creates, because a copy creates its own."""
+        """Set up; remember the attributes that this creates, because a copy creates its own."""
         attributes = set(vars(self))
         self._set_up()
         self._remade = frozenset(vars(self)) - attributes

@@ -115,14 +115,14 @@ class PerModeState(NamedTuple):
     pending: PendingEpoch  # the epoch whose mixture waits for an action
     mixture: Mixture  # belief after that epoch
     spread_averages_hz: list[Number]  # average Doppler spread, for each of SPREAD_MEMORIES
-    # except for the observation, all further fields refer to the last epoch with an action:
+    # all fields below, except the observation, belong to the last epoch with an action:
     mode_probabilities: list[Number]  # (modes,) probabilities after the action
     # x, P: (7,), (28,) the combined belief
     x: list[Number]
     P: list[Number]
     memory: Memory  # memory of the most probable mode; its preferences cover all modes
     observation: list[Number]  # (features,)
-    # reward to nees: same as in :class:`EnvState`
+    # the fields from ``reward`` to ``nees`` are the same as in :class:`EnvState`
     reward: Number
     reward_terms: list[Number]
     truth: list[Number]

@@ -45,7 +45,7 @@ class ActionHistory:
             self.set_all(np.pad(self.all(), ((missing, 0), (0, 0))))
 
     def next(self) -> None:
-        """Go on to the next row, once the modes of a step are in the current one."""
+        """Go on to the next row, after the modes of a step were written to the current row."""
         self.turn = (self.turn + 1) % len(self.rows)
 
     def of(self, places: Index, steps: int) -> Modes:

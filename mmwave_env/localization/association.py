@@ -4,9 +4,9 @@ A separate filter follows the user (``path_tracker.py``). In every epoch it pred
 state, and paths are assigned to anchors by global nearest neighbor at that prediction. The result
 is an ordinary log, so all code that localizes a log can localize this one.
 
-A track begins with the hypothesis that some path is the line of sight, if this explains enough
-paths of the coming epochs. A new track begins if the track is lost, or explains fewer paths than
-another hypothesis.
+A track begins with the hypothesis that some path is the line of sight, if the hypothesis explains
+enough paths of the coming epochs. Another track replaces it if it is lost, or if a new hypothesis
+explains more paths.
 """
 
 from collections.abc import Iterable, Iterator

@@ -171,7 +171,7 @@ def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator
         LogError: from ``blocks``, after the epochs before the damage.
         ValueError: no epoch determines a position with which a track could begin.
     """
-    held: LogBlock | None = None  # held until its number of dropped epochs is known
+    held: LogBlock | None = None  # block to yield once its number of dropped epochs is known
     skipped, incomplete = 0, 0
     last_s: float | None = None  # last time with a measurement; None between segments
     try:
@@ -242,7 +242,7 @@ def _end(block: LogBlock, last_s: float, begins: bool) -> tuple[int, float | Non
     The time is None if the segment ends in this block; ``begins`` says whether it starts here.
     """
     measured = block.visible[:, : block.layout.anchors].any(axis=1)
-    if block.layout.odometry:  # its dead reckoning bridges even two minutes
+    if block.layout.odometry:  # with odometry alone, a filter keeps the track for two minutes
         measured |= block.visible[:, -1]
     latest = np.maximum.accumulate(np.where(measured, block.time_s, last_s))
     before = np.concatenate([[last_s], latest[:-1]])

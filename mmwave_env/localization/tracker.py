@@ -101,7 +101,7 @@ class Tracker:
         self._log: LiveLog | None = None
         self._filter: Any = None
         self._last_s: float | None = None  # time of the last measurement; None before a track
-        # time, Doppler spread, mode, and what the smoother needs, for each of the last epochs
+        # time, Doppler spread, mode and input of the smoother, for each of the last epochs
         self._late: deque[tuple[float, float, str, dict[str, Array]]] = deque(maxlen=lag + 1)
 
     def update(self, rows: Iterable[Mapping[str, Any]]) -> Position | None:

@@ -23,8 +23,8 @@ class LiveEpoch(NamedTuple):
 
     time_s: float
     block: Callable[[], LogBlock]  # returns the epoch as a block, T = 1
-    # values at their :func:`~mmwave_env.logs.log.places`, NaN where not measured; and the anchor
-    # of the Doppler shift, from 0. None if a column has angles in a frame other than the map's
+    # values in the order of :func:`~mmwave_env.logs.log.places`, NaN where not measured; and the
+    # anchor of the Doppler shift, from 0. None if a column has angles in another frame than the map
     placed: tuple[list[float], int] | None
 
 

@@ -135,7 +135,7 @@ def measure(
 
 
 def _run_on(receiver: ReceiverState, bias_hz: Number, clock: Vector) -> Clock | tuple[()]:
-    """Return the clock an epoch later, moved by noise and by both epochs' mean oscillator bias."""
+    """Return the clock one epoch later, which noise and the oscillator's mean bias have moved."""
     if not isinstance(receiver.clock, Clock):
         return ()
     (half_step, sigma_m), dice = clock, Dice(receiver.clock.dice)
@@ -311,7 +311,7 @@ class Beginning(NamedTuple):
 
 
 def begin(w: Beginning, streets: RandomScene | None) -> Beginning:
-    """Draw the beginning of an episode; the episode of a key depends on the order of the draws."""
+    """Draw the beginning of an episode; another order of draws would change every episode."""
     dice, others = Dice(seeded(w.key[0], USER)), Dice(seeded(w.key[0], RECEIVER))
     scene = streets.draw_numbers(dice) if streets else w.scene
     user, position, velocity = w.begun.user, [0.0, 0.0], [0.0, 0.0]

@@ -1,13 +1,13 @@
 """Assignment of ray-traced paths to anchors: a base station and its mirror images.
 
-The line of sight is the link to the station. A path that bounces once, at q, appears to a
-receiver at p to come in a straight line from the station's mirror image at g (paper, Sec. II):
+The line of sight is the link to the station. If a path bounces once, at q, the receiver at p sees
+the signal come from the mirror image a of the station at g (paper, Sec. II):
 
     a = q + |g - q| (q - p) / |q - p|
 
-For a flat wall this image is the same for all receivers, so clusters of images are the virtual
-anchors. Arrival and range are already those of the straight line from the virtual anchor; the
-direction of departure is measured at the station, before the bounce, so it is mirrored.
+A flat wall gives all receivers the same image, so each cluster of images is a virtual anchor. The
+arrival and the range of a path are those of the straight line from the image. Its departure is
+measured at the station, before the bounce, and must be mirrored.
 
 Other paths (two bounces, diffraction, scattering, transmission) are left out: they have no fixed
 image, or their image can't be computed from their first point of interaction.
@@ -135,7 +135,7 @@ def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, Index]:
     station, q = paths.position_m, paths.bounce_m
     member = np.where(paths.interactions == LINE_OF_SIGHT, 0, -1)
     if not (member == 0).any():
-        none = "no line of sight (0) in any epoch; the first epoch is that"
+        none = "no line of sight (0) in any epoch; the file named here is that of the first epoch"
         paths.refuse("inter", 0, none, "at least one")
     reflected = paths.interactions == REFLECTION
     back = q - position_m[:, None]
