@@ -27,7 +27,7 @@ RULES: dict[str, tuple[Rule, str]] = {  # each rule, and the name of its speed i
 
 
 class Choice(NamedTuple):
-    """Modes to run, what chooses between them, and a description of this choice."""
+    """Modes to run, the rule or policy that chooses between them, and words for this choice."""
 
     switching: Switching
     why: str

@@ -82,7 +82,7 @@ def _course(figures: dict[str, Any]) -> list[str]:
     lines.append(f"modes {escaped(f['rule'])}: {shares} of the epochs{switches}")
     lines.append(f"noise of radio {escaped(f['radio'])}")
     if "trusted" in f:
-        lines.append(f"corrections of the filtered track were trusted to {_percent(f['trusted'])}")
+        lines.append(f"corrections of the filtered track were scaled to {_percent(f['trusted'])}")
     if "clock" in f:
         keys = "range_bias_m", "deviation_m"
         ahead, deviation = (f["clock"][key] / SPEED_OF_LIGHT * 1e9 for key in keys)
@@ -134,7 +134,7 @@ def _association(counts: dict[str, Any]) -> list[str]:
         lines.append(f"{counts['incomplete']} paths with only some of their values were left out")
     if between["epochs"]:
         lines.append(
-            f"{between['epochs']} epochs without a track, whose {between['paths']} paths were "
+            f"{between['epochs']} epochs have no track; their {between['paths']} paths were "
             "assigned to no anchor"
         )
     return lines

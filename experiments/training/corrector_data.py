@@ -1,8 +1,8 @@
 """Episodes for a corrector to learn from: features, errors and beliefs of its base.
 
-Half of the episodes are at the places of the training. The others are at random: streets, carrier
-and radio, rate of epochs, clock, which quantities and anchors are measured, and by which factor
-the receiver misjudges its noise. Without them, a network learns its places by heart.
+Half of the episodes are at the places of the training. In the others, streets, carrier, radio, rate
+of epochs and clock are random, and so are the measured quantities and anchors and the factor by
+which the receiver misjudges its noise. Without random episodes, a network memorizes its places.
 """
 
 from collections.abc import Iterator
