@@ -1,7 +1,7 @@
 """Golden traces: outputs of filters, smoother and environments, one row per epoch, and costs.
 
 A trace is a function that returns rows: dicts by column, whose first cell names the row. Episodes
-are given by keys, because the keys that a seed draws may change, but not the episode of a key.
+are chosen by key: a version may draw other keys from a seed, but a key always gives its episode.
 """
 
 from collections.abc import Callable, Iterator, Sequence
