@@ -73,7 +73,7 @@ class Task:
         return scene.streets if self.simulated.travels or scene.streets_known else None
 
     def require_keys(self, seed: Any) -> None:
-        """Refuse a key if episodes have no keys, or if there is also a seed, which draws a key."""
+        """Refuse a key if episodes have no keys, or beside a seed, which also draws a key."""
         if not self.has_keys:
             raise ValueError(
                 f"options['episode_key']: found a key, but {self.source.name!r} is recorded or "
@@ -156,7 +156,7 @@ def task_from(**arguments: Any) -> Task:
 def bank_and_modes(
     modes: Modes, beliefs: str, radio: str | Radio
 ) -> tuple[Bank | None, tuple[Mode, ...]]:
-    """Return the bank, or None if modes share a belief, and the modes, for these arguments.
+    """Return the bank (None if modes share a belief) and the modes for these arguments.
 
     ``modes=`` and ``beliefs=`` are those of :class:`~mmwave_env.env.MmWaveLocEnv`; named modes are
     tuned for the radio profile.

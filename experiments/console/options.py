@@ -130,8 +130,8 @@ class TaskArgs:
     """features that the agent observes: full; or prior, without those that say how well each mode
     explains the coming epoch"""
     reward: str = "tracking"
-    """tracking; log-score; or paired, the tracking reward minus that of an IMM (with --beliefs
-    per-mode, of the bank's IMM), as "paired" in the hyperparameters does for any reward"""
+    """tracking; log-score; or paired: the tracking reward minus that of an IMM (with --beliefs
+    per-mode, of the bank's IMM). "paired" in the hyperparameters subtracts it from any reward"""
     nees_weight: float = 0.2
     """weight of the NEES in the tracking reward"""
 

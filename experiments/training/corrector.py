@@ -84,7 +84,7 @@ class CorrectorTraining:
 
     Args:
         job: training to run; continues from a checkpoint in its folder, if any.
-        tell: function that is called with news; a timestep is an epoch learned from.
+        tell: function that is called with news, in which timesteps count epochs of episodes.
 
     Raises:
         ValueError: the checkpoint is damaged.
@@ -122,7 +122,7 @@ class CorrectorTraining:
         return record.close()
 
     def _update(self) -> dict[str, float]:
-        """Learn from new episodes at all places and at random; return figures for the log."""
+        """Learn from new episodes, at places and random ones; return figures for the log."""
         job, stand = self._job, self._record.stand
         hyper = job.hyperparameters
         lots = list(self.data.lots())
@@ -193,7 +193,7 @@ def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]
 
     Args:
         lots: lots to mix.
-        size: number of episodes in a lot of the shortest; lots of longer episodes have fewer.
+        size: number of episodes in a lot if episodes are short; lots of longer ones have fewer.
         rng: generator of the order.
     """
     shortest = min(len(lot.features) for lot in lots)

@@ -41,7 +41,7 @@ def share(
             for i in waiting:
                 results[i] = function(*jobs[i])
 
-    # Wait for locks, not for futures: an interrupt may come before submit() returns a future.
+    # Wait for locks instead of futures: after an interrupt in submit(), a future may be lost.
     places = [Lock() for _ in range(min(threads, len(jobs)) - 1)]
     others: list[Future[None]] = []
     try:

@@ -19,7 +19,7 @@ from mmwave_env.world.checks import refuse
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MeasuredTrack(Track):
-    """T epochs of one user as a receiver measured them, with the true positions.
+    """T epochs of one user with measurements of a real receiver, and with the true positions.
 
     :meth:`from_arrays` makes a track from arrays;
     :func:`~mmwave_env.datasets.log_folder.read_log_folder` reads one from files.

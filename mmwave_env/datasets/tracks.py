@@ -97,8 +97,8 @@ class Track(ABC):
         """Return the epochs of the track, all or a slice, as an episode with known true positions.
 
         The prior is drawn around the true state. If the bias of the oscillator is unknown, the mean
-        of its prior is 0. With a clock in the layout, the clock offset of a recording is
-        drawn, without changing the other draws; a measured track already contains its own.
+        of its prior is 0. With a clock in the layout, a recording gets a random clock offset, which
+        does not change the other draws; the ranges of a measured track already contain one.
 
         Raises:
             ValueError: the true position in an epoch is not known.

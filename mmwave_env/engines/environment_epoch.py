@@ -1,8 +1,8 @@
 """An epoch of an environment whose modes share a belief, and of one with a belief per mode.
 
-A step takes the result that the action chose as the new belief (mean and covariance), scores it
-against the truth, loads the next epoch and runs every mode on it. All modes run before the action,
-because the observation shows the result of each mode. No action changes the world.
+A step takes the result of the chosen mode as the new belief (mean and covariance), scores the
+belief against the truth, loads the next epoch and runs every mode on it. Modes run before the next
+action, because the observation shows the result of each. No action changes the world.
 
 If the modes share a belief, their results are *candidates*, and the action chooses one. If every
 mode keeps its own, the modes interact as in an IMM (:mod:`mmwave_env.filters.imm`), and an action

@@ -1,7 +1,7 @@
 """The step of many environments, from actions to infos, in one call of compiled code.
 
-With few environments, the Python code around that call takes a third of a step or more, so it
-avoids assembling and splitting arrays.
+With few environments, the Python code around that call takes a third of a step or more. So this
+code neither assembles nor splits arrays.
 """
 
 from typing import Any, NamedTuple

@@ -1,8 +1,8 @@
 """Tracker of a user from propagation paths without anchor numbers, by testing hypotheses.
 
-A track begins with the hypothesis that *this path is the line of sight*. The path gives a
-position, which the paths of the next epochs fit or do not fit. Tracks are immutable values, so
-several of them can be tried in parallel.
+A track begins with the hypothesis that *this path is the line of sight*. The path gives a position,
+and the paths of the next epochs confirm or contradict this position. Tracks are immutable values,
+so several hypotheses can be tried side by side.
 
 Paths are assigned to anchors by global nearest neighbor: the assignment with the smallest sum of
 NIS in which each path and each anchor occurs at most once, and an anchor without a path costs as

@@ -183,7 +183,7 @@ class Tracker:
         return episode.visible[0].tolist(), float(block.doppler_spread_hz[0])
 
     def _load_quickly(self, epoch: LiveEpoch) -> tuple[list[bool], float] | None:
-        """Do as :meth:`_load`, but faster, within a track; None if full checks are needed."""
+        """Load an epoch as :meth:`_load` does, but faster; return None if it needs full checks."""
         if not epoch.placed or not self._sound:
             return None
         (numbers, doppler_anchor), layout, at = epoch.placed, self._layout, self._at

@@ -15,7 +15,7 @@ from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.scene import Scene
 
 _NUMBERS = {float, int, np.float64}  # types whose text form is parsed to the same number
-_MARGIN = 1e-9  # share of a limit; values this near to it need the full checks
+_MARGIN = 1e-9  # values need the full checks if they are this near to a limit, as a share of it
 
 
 class LiveEpoch(NamedTuple):

@@ -49,8 +49,8 @@ class LogBlock(Block):
     time_s: Array  # (T,) increasing, also across blocks
     measurement: Array  # (T, rows) m, rad, Hz, m/s; angles in [-pi, pi)
     sigma: Array  # (T, rows) the receiver's own standard deviations; NaN where it states none
-    # (T, groups) whether every value of the group was measured and, if its noise follows from the
-    # SNR, the SNR, too. In a partial layout, whether any value with known noise was measured
+    # (T, groups) whether every value of the group was measured (links and the Doppler shift also
+    # need an SNR). In a partial layout, whether at least one value with known noise was measured
     visible: Mask
     # (T, groups) whether the group is lost because only some of its values were measured. In a
     # partial layout, whether a value is lost because its noise is unknown

@@ -192,7 +192,7 @@ class Episode:
             raise ValueError(f"{self._record}: found no truth, which reward and metrics need")
 
     def on_flat_ground(self, height_m: float | None = None) -> "Episode":
-        """Return the episode with vz 0 and a known height in its prior, by default the true one."""
+        """Return the episode whose prior has vz 0 and a known height, by default the true one."""
         if height_m is None:
             self.require_truth()
             height_m = self.truth_position_m[0, 2]  # type: ignore[index]

@@ -282,8 +282,8 @@ def as_measured(layout: Layout) -> Program[AsMeasured]:
 
 # --- the beginning of an episode: everything that is drawn before its first epoch
 
-# Each key seeds three streams of random numbers. So the receiver and the rate of epochs do not
-# affect a user's way, and the user's clock affects neither the way nor the receiver's noise.
+# Each key seeds three streams of random numbers. So a user's way does not depend on the receiver
+# and the rate of epochs, and neither the way nor the receiver's noise depend on the user's clock.
 USER, RECEIVER, CLOCK = 0, 1, 2
 
 
@@ -292,9 +292,9 @@ class FirstDraws(NamedTuple):
 
     receiver: ReceiverState
     user: UserState  # not used if a way is given
-    choice: Number  # number of the kind of user; or uniform in [0, 1), to choose a given way
+    choice: Number  # number of the kind of user; or uniform in [0, 1), to choose among given ways
     first: list[Number]  # (7,) true state at the first epoch; 0 if a way is given
-    # (7,) error of the prior's mean; with a clock, minus its bias follows
+    # (7,) error of the prior's mean; with a clock, the negative of its bias is appended
     prior_noise: list[Number]
 
 

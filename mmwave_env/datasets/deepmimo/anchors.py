@@ -12,8 +12,8 @@ measured at the station, before the bounce, and must be mirrored.
 Other paths (two bounces, diffraction, scattering, transmission) are left out: they have no fixed
 image, or their image can't be computed from their first point of interaction.
 
-Paths are given as :class:`StationPaths`, which does not depend on the file format. Its values mean
-the same as those in the files, but angles are in radians.
+Paths are passed as :class:`StationPaths`, whatever the file format. Its values have the meaning of
+the values in the files, but angles are in radians.
 """
 
 from collections.abc import Callable
@@ -29,7 +29,7 @@ from mmwave_env.models.measurement import SPEED_OF_LIGHT, direction
 from mmwave_env.numerics.numbers import PI, Array, Index, Mask, wrap
 from mmwave_env.world.checks import refuse_in
 
-TOLERANCE_M = 0.05  # closer points count as the same; rounding to float32 moves them by 1e-4 m
+TOLERANCE_M = 0.05  # points closer than this are the same; float32 rounding moves them 1e-4 m
 # Values of ``interactions``, which have a digit for each interaction on the way to the receiver.
 LINE_OF_SIGHT, REFLECTION = 0.0, 1.0
 
@@ -38,8 +38,8 @@ LINE_OF_SIGHT, REFLECTION = 0.0, 1.0
 class StationPaths:
     """The paths between one base station and E receivers, at most P for each receiver.
 
-    If ``interactions`` of a path is 1, all its values are finite; if it is 0, all except the bounce
-    are finite. The values of other paths are meaningless.
+    A path whose ``interactions`` are 1 has finite values; one with 0 has them except for the
+    bounce. The values of other paths are meaningless.
     """
 
     name: str  # name of the station in the files
@@ -110,7 +110,7 @@ class StationLinks:
 
 
 def find_links(paths: StationPaths, position_m: Array) -> StationLinks:
-    """Find the anchors that paths to receivers at positions (E, 3) lead to.
+    """Find the anchor of each path from a station to receivers at positions (E, 3).
 
     Raises:
         ValueError: a path contradicts the positions of receiver and anchor, or has a gain above

@@ -52,8 +52,8 @@ def read_deepmimo(
     Args:
         folder: folder of a DeepMIMO v4 scenario.
         virtual_anchors: maximum number of virtual anchors; those seen most often are kept.
-        bandwidth_hz: bandwidth of the signal. The scenario's own bandwidth is not used, because
-            no path depends on it.
+        bandwidth_hz: bandwidth of the signal, instead of the scenario's bandwidth, on which no
+            path depends.
         dt_s: time step to use instead of ``trajectory.csv``; velocities are then computed from the
             positions.
         users: indices of receivers, from 0. For a static scenario, one index per epoch; for a
