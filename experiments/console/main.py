@@ -1,7 +1,7 @@
 """The command line ``mmwave-loc <command>``.
 
-A command is a module in ``experiments`` that begins with its options. Options are read before
-anything large is imported, so that help and mistakes are shown at once.
+A command is a module in ``experiments`` that declares its options, in a class ``Args``, and a
+``main``. Options are read before anything large is imported, so help and mistakes appear at once.
 """
 
 import importlib

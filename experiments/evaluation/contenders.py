@@ -153,7 +153,7 @@ def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:
 
 
 def _of_any_modes(bank: Bank) -> dict[str, Make]:
-    """Return the contenders that any bank allows: each of its modes alone, rules and the IMM."""
+    """Return the contenders over a bank's modes: each mode alone, the rules and the IMM."""
     names = [mode.name for mode in bank.modes]
     policies: dict[str, Callable[[Observation], Policy]] = {
         f"fixed-{name}": _fixed(i) for i, name in enumerate(names)

@@ -46,7 +46,7 @@ class TrainingSeeds:
 
     run: Run  # names and outcomes of the trainings
     reward: Figure  # reward of the trainings
-    minus: dict[str, Figure]  # by rival, the reward minus the rival's, episode by episode
+    minus: dict[str, Figure]  # by rival: differences from its reward, episode by episode
     best_imm: str | None  # the IMM with the best reward; None if there is no IMM
 
     @property

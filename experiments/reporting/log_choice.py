@@ -64,7 +64,7 @@ def require_one_choice(args: LogArgs) -> None:
 
 
 def choice_of(args: LogArgs, radio: str, block: LogBlock) -> Choice:
-    """Return the choice that options ask for; by default a policy, or without elevations an IMM.
+    """Return the choice of the options; by default a policy or, without elevations, an IMM.
 
     ``block`` is the beginning of the log.
 

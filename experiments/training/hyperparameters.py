@@ -154,8 +154,8 @@ def shipped_hyperparameters(algorithm: str, beliefs: str = "shared") -> Path:
 def falling(last: float, left: float) -> float:
     """Return the share of a rate that remains when a fraction of the training is left.
 
-    The last update may go beyond the end of the training, where the fraction is negative: the rate
-    then falls further, but stays positive.
+    The last update may end after the planned end of the training, where the fraction is negative.
+    The rate then falls further, but stays positive.
 
     Args:
         last: share of the rate at the end.

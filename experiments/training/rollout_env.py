@@ -1,8 +1,8 @@
 """Environments at several places, with rollouts that measure the value of every action.
 
 The world does not depend on actions. So copies of an environment have the same measurements
-whatever their actions are, and differences of value between actions are free of the noise between
-episodes (common random numbers).
+whatever their actions are, and the noise between episodes cancels in differences between the values
+of actions (common random numbers).
 """
 
 from collections.abc import Callable

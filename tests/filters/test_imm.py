@@ -1,4 +1,4 @@
-"""Tests of the interacting multiple model (IMM) against single filters; also a textbook IMM."""
+"""Tests of the interacting multiple model (IMM) against single filters and a textbook's IMM."""
 
 from dataclasses import replace
 

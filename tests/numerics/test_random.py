@@ -104,7 +104,7 @@ def many():
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_numbers_have_their_distributions(many, kind):
-    """Test distributions at 99.9 % each, and moments at four standard errors."""
+    """Test each distribution at 99.9 %, and its moments at four standard errors."""
     values, exact = many[kind].ravel(), KINDS[kind]
     n = values.size
     assert n == 10_000_000
