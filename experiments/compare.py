@@ -13,9 +13,9 @@ from experiments.console.options import EpisodeArgs
 class Args(EpisodeArgs):
     """Compare policies on the same seeded episodes, with paired differences.
 
-    All metrics, including the reward, leave out the first 10 epochs of an episode. Differences are
-    shown from four references (the best fixed mode, speed-rule, imm and imm-best); for your own
-    agents and policy files, from every other policy; without any reference, between all policies.
+    All metrics, including the reward, leave out the first 10 epochs of an episode. Every policy is
+    paired with the references: the best fixed mode, speed-rule, imm and imm-best. Your own agents
+    and policy files (or all policies, if there is no reference) are paired with every other policy.
 
     mmwave-loc compare --policies fixed-ukf speed-rule imm ppo --episodes 200
     """

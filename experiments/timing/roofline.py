@@ -64,7 +64,7 @@ def _steps(operations: Operations) -> dict[str, float]:
 
 @cache
 def _chains(order: tuple[str, ...], chains: int) -> Any:
-    """Compile steps on independent chains; each kind of step takes one chain after another."""
+    """Compile steps on independent chains; steps of one kind are on different chains, in turn."""
 
     def build(rows: Any) -> None:
         factor, term, other, *x = (rows[row] for row in range(3 + chains))

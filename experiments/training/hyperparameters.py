@@ -29,7 +29,7 @@ class PpoHyperparameters:
 
     num_envs: Count  # number of environments stepped at once
     n_steps: Count  # epochs of each environment between two updates
-    batch_size: Annotated[int, counts(2, MOST)]  # a single advantage can't be normalized
+    batch_size: Annotated[int, counts(2, MOST)]  # 2 or more, to normalize advantages in a batch
     n_epochs: Count  # passes over the collected epochs
     # learning_rate, ent_coef: values at the start; both fall linearly
     learning_rate: Positive

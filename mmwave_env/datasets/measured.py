@@ -150,8 +150,8 @@ def _as_partial(
 ) -> dict[str, Any]:
     """Return the fields of a track that a partial layout changes; {} if no such layout is needed.
 
-    ``heard`` (T, L) says whether a link has an SNR; the standard deviations of a measurement, by
-    its name, are (T, L) or (T,).
+    ``heard`` (T, L) says whether a link has an SNR. ``deviations`` has the standard deviations
+    (T, L) or (T,) by the name of the measurement.
     """
     layout: Layout = fields["layout"]
     rows, sigma = fields["measurement"], np.full_like(fields["measurement"], np.nan)

@@ -147,7 +147,7 @@ class EpisodeFilter(Generic[Workspace]):
 
         Args:
             names: parts of the program's state to return, such as "x" or "memory.nis".
-            actions: (n, epochs) values for ``action`` in the state; None for zeros.
+            actions: (n, epochs) values of the state's part ``action``; None for zeros.
 
         Returns:
             For each name, (n, epochs) if it is a single number, else (n, epochs, numbers).

@@ -53,7 +53,7 @@ class Pipeline:
         modes: the modes that are available.
         layout: rows of the measurement vector.
         planar: whether the terrain is flat: z and vz stay at their prior values (paper, Sec. II-A).
-            The spacing of sigma points stays as it is for all seven components of the state.
+            Sigma points are spaced as if all seven components of the state were uncertain.
         predict, update: the filter's two steps, which the filterpy reference replaces.
 
     Raises:

@@ -10,7 +10,7 @@ from mmwave_env.numerics.numbers import Array, wrap
 from mmwave_env.world.episode import NEUTRAL_SNR_DB
 
 _FEWEST = 20  # minimum number of second differences for a median
-_ROBUST = 1.4826 / np.sqrt(6.0)  # of white noise: deviation / median absolute second difference
+_ROBUST = 1.4826 / np.sqrt(6.0)  # ratio for white noise: deviation / median |second difference|
 
 
 def nearest_radio(block: LogBlock, scene: Scene) -> str:

@@ -164,7 +164,7 @@ def _fit(sums: Array) -> tuple[float, float] | None:
     ones = sums[:, 0]
     of_means = ones[:, :, None] * ones[:, None] / np.maximum(ones[:, :1, None], 1.0)
     centered = (sums - of_means).sum(axis=0)[1:, 1:]
-    # Whatever s explains is removed from the error and from its derivative with respect to tau.
+    # Remove the part that s explains from the error and from its derivative with respect to tau.
     by_shift = np.linalg.pinv(centered[2:, 2:], hermitian=True) @ centered[2:, :2]
     error, rate = np.vstack([np.eye(2), -by_shift]).T
     changes, errors = float(rate @ centered @ rate), float(error @ centered @ error)

@@ -19,8 +19,8 @@ class ProcessNoise(NamedTuple):
 
     # (7,) variances, m^2, (m/s)^2 and Hz^2; with a clock (8,), the last in m^2
     diagonal: list[Number]
-    # (3,) covariances of position and velocity per axis, m^2/s; with a clock (4,), the last is that
-    # of its range bias and the oscillator's bias, m Hz
+    # (3,) covariances of position and velocity per axis, m^2/s; with a clock (4,), the last is the
+    # covariance of the clock's range bias and the oscillator's bias, m Hz
     coupling: list[Number]
 
 

@@ -132,7 +132,7 @@ class Episode:
     ) -> "Episode":
         """Return an episode of measured arrays; noise that is not stated follows from the radio.
 
-        The other arguments are attributes.
+        Other arguments are the attributes with these names.
 
         Args:
             scene, radio: scene whose anchors were measured, and profile of the receiver.
@@ -163,7 +163,7 @@ class Episode:
 
     @cached_property
     def usable(self) -> Mask:
-        """Return which groups (T, groups) are visible and finite; one row is enough if partial."""
+        """Return which groups (T, groups) are visible with finite rows: all, or one if partial."""
         finite, starts = self._finite, [rows.start for rows in self.layout.groups]
         if self.layout.partial:
             return self.visible & np.logical_or.reduceat(finite, starts, axis=1)  # type: ignore[no-any-return]

@@ -125,7 +125,7 @@ def test_tails_of_normal_numbers_have_the_right_weight(many, sigma):
 
 @pytest.mark.slow
 def test_consecutive_numbers_and_keys_are_not_correlated(many):
-    """Compare numbers of a key, and of consecutive keys, which are the lanes of a block.
+    """Compare consecutive numbers of a key, and the numbers of consecutive keys (lanes of a block).
 
     Each correlation of n pairs has a standard error of 1 / sqrt(n); bounds are at 99.9 % for all
     lags together (Bonferroni).
