@@ -14,8 +14,8 @@ class Args(EpisodeArgs):
     """Compare policies on the same seeded episodes, with paired differences.
 
     All metrics, including the reward, leave out the first 10 epochs of an episode. Every policy is
-    paired with the best fixed mode, speed-rule, imm and imm-best; your own agents and policy files
-    are paired with every other policy. Without any of those four, all are paired with each other.
+    paired with the references: the best fixed mode, speed-rule, imm and imm-best. Your own agents
+    and policy files (or all policies, if there is no reference) are paired with every other policy.
 
     mmwave-loc compare --policies fixed-ukf speed-rule imm ppo --episodes 200
     """

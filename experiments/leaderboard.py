@@ -28,7 +28,7 @@ class Args:
     out: Path = Path("results/leaderboard")
     """folder of entries, one JSON file each"""
     docs: Path | None = None
-    """also update the tables in this page, between its `<!-- table: ... -->` and end lines"""
+    """Markdown page in which to replace the tables after `<!-- table: ... -->` by the new ones"""
 
 
 def main(args: Args) -> None:

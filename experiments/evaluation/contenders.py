@@ -43,8 +43,8 @@ class Contender:
         name: name on the command line and in results.
         modes: filter modes to choose from or to mix.
         policy: function from the observation table to a policy; None for the IMM of the modes.
-        transition, nis_quantile: same as in :class:`~mmwave_env.filters.bank.Bank`; used by an IMM,
-            and if every mode keeps its own belief.
+        transition, nis_quantile: same as in :class:`~mmwave_env.filters.bank.Bank`; used only if
+            the modes interact (an IMM, or beliefs "per-mode").
         observation: observation of the policy, "full" or "prior".
         beliefs: beliefs of the modes, "shared" or "per-mode".
         bank_of: function from a radio profile to the policy's bank for that radio; None for a
@@ -156,7 +156,7 @@ def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:
 
 
 def _of_any_modes(bank: Bank) -> dict[str, Make]:
-    """Return the contenders that any bank allows: each of its modes alone, rules and the IMM."""
+    """Return the contenders over a bank's modes: each mode alone, the rules and the IMM."""
     names = [mode.name for mode in bank.modes]
     policies: dict[str, Callable[[Observation], Policy]] = {
         f"fixed-{name}": _fixed(i) for i, name in enumerate(names)
@@ -175,9 +175,9 @@ def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
     Args:
         radio: radio profile, a name or a JSON file.
         modes: modes of the contenders, as in ``MmWaveLoc-v0``; the IMM has the transition and
-            quantile of a bank or mode file that states them. With None, the modes are the profile's
-            EKF and UKF; its CKF, the IMM of its best bank, and the learned policies shipped for it
-            are added.
+            quantile of a bank or mode file that states them. None stands for the profile's EKF and
+            UKF, and adds three kinds of contenders: the CKF, the IMM of the profile's best bank,
+            and the learned policies that are shipped for the profile.
     """
     if modes is not None:
         return _of_any_modes(bank_over(modes, radio))
@@ -229,6 +229,6 @@ def contender_from(
             f"{name}: found a model of Stable-Baselines3, expected a policy file; mmwave-loc "
             f"convert {name} {Path(name).with_suffix('.safetensors').name} makes one ({GUIDE})"
         )
-    # A policy shipped for all radios is in both lists.
+    # A dict drops repeated names: some shipped policies are also among the known contenders.
     everything = dict.fromkeys([*known, *shipped, CLAIRVOYANT, *OTHERS])
     raise ValueError(unknown("policy", name, everything))

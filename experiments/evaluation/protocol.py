@@ -1,6 +1,6 @@
 """The benchmark's protocol: the sites at which contenders are judged, some unseen in training.
 
-docs/benchmark.md explains it. An *entry* holds a contender's figures at every site.
+docs/benchmark.md explains the benchmark. An *entry* has a contender's figures at every site.
 """
 
 import warnings

@@ -1,8 +1,8 @@
 """Episodes for a corrector to learn from: features, errors and beliefs of its base.
 
-Half of the episodes are at the places of the training. The others are at random: streets, carrier
-and radio, rate of epochs, clock, which quantities and anchors are measured, and by which factor
-the receiver misjudges its noise. Without them, a network learns its places by heart.
+Half of the episodes are at the places of the training. In the others, streets, carrier, radio, rate
+of epochs and clock are random, and so are the measured quantities and anchors and the factor by
+which the receiver misjudges its noise. Without random episodes, a network memorizes its places.
 """
 
 from collections.abc import Iterator
@@ -44,8 +44,8 @@ SUBSETS = (  # measured quantities of receivers that lack some
     ("range", "azimuth", "departure"),
     ("range", "azimuth"),
 )
-# Probabilities that a receiver at random lacks quantities, has a clock with an offset, misjudges
-# its noise, measures only some anchors, or does not know its orientation exactly.
+# Probabilities that a random receiver lacks quantities, has a clock with an offset, misjudges its
+# noise, measures only some anchors, or does not know its orientation exactly.
 LACKING, DRIFTING, MISJUDGING, FEWER, TURNED = 0.3, 0.15, 0.3, 0.15, 0.15
 ORIENTATION_RAD = 0.1  # standard deviation of an orientation that is not known exactly
 # Share of the episodes at random whose users weave and vary their speed, as real users do. All
@@ -72,7 +72,7 @@ class Lot(NamedTuple):
 
 
 class CorrectorData:
-    """A source of lots of episodes that no training has seen before.
+    """A source of lots of episodes, in which no episode occurs twice.
 
     Args:
         task: task of the training.
@@ -95,7 +95,7 @@ class CorrectorData:
         return self._switch.bank(radio) if self._switch else self._task.banks[radio]
 
     def lots(self) -> Iterator[Lot]:
-        """Play and yield one lot at every place, and as many as needed at random."""
+        """Play and yield one lot at every place, and lots at random until their share is right."""
         places, share = self._task.places, self._hyper.random_share
         for place in places:
             rng = self._rng()
@@ -111,14 +111,14 @@ class CorrectorData:
         return np.random.default_rng((self._seed, self.played))
 
     def _at_some_rate(self, source: SimulatedSource, rng: np.random.Generator) -> SimulatedSource:
-        """Return a source with a step at random; at 10 Hz, every other lot has long episodes."""
+        """Return the source with a random step; half of the lots with short steps are long."""
         dt, long = float(rng.choice(STEPS_S)), rng.random() < 0.5
         return replace(
             source, dt=dt, epochs=self._hyper.long_epochs if dt <= 0.2 and long else EPOCHS
         )
 
     def _at_random(self, rng: np.random.Generator) -> Lot:
-        """Play episodes in streets and with a receiver at random."""
+        """Play episodes in random streets with a random receiver."""
         profile = self._radios[str(rng.choice(list(self._radios)))]
         scene = replace(
             WIDE_SCENE,
@@ -140,7 +140,7 @@ class CorrectorData:
     def _play(
         self, source: SimulatedSource, bank: Bank, rng: np.random.Generator | None = None
     ) -> Lot:
-        """Play the base on new episodes; with ``rng``, of a receiver with some flaws."""
+        """Play the base on new episodes; ``rng`` draws flaws of the receiver, None draws none."""
         n = max(1, self._hyper.num_envs * EPOCHS // max(source.epochs, EPOCHS))
         keys = keys_at(self._stream, np.arange(self.played, self.played + n, dtype=np.uint64))
         self.played += n

@@ -114,7 +114,7 @@ class RolloutEnv:
         self.observations[places] = begun[places]
 
     def measured_normalization(self, clip: float) -> Normalization:
-        """Measure mean and deviation of observations, with action 0, for an episode's length.
+        """Measure mean and deviation of observations in an episode in which all actions are 0.
 
         Args:
             clip: number of deviations from the mean at which observations are clipped.

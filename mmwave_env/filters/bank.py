@@ -161,7 +161,7 @@ def shipped_modes(radio: str, coupling: bool = True) -> tuple[Mode, ...]:
 
 
 def default_modes(radio: str | Radio = "handset") -> tuple[Mode, Mode]:
-    """Return the two actions of ``MmWaveLoc-v0``: the paper's EKF and UKF pipelines."""
+    """Return the two default modes of ``MmWaveLoc-v0``: the paper's EKF and UKF pipelines."""
     low, high = shipped_modes(_tuned_profile(radio_from(radio)))
     return low, high
 

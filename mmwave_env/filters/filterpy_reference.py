@@ -5,9 +5,9 @@ function and its Jacobian come from :class:`~mmwave_env.filters.textbook.Sensor`
 without fused azimuths or latents. Tests, the benchmark and users in doubt compare the two
 implementations. Run such modes on floats: ``Engine(filterpy_pipeline(...), on_floats=True)``.
 
-An update works in coordinates relative to the prior mean, dx = x - m and dz = z - h(m): angle
-differences stay far from +-pi, so filterpy's plain subtraction is right, and no digits
-cancel in the CKF's covariance, which filterpy computes from raw second moments.
+An update works in coordinates relative to the prior mean m: dx = x - m and dz = z - h(m). This has
+two reasons. filterpy subtracts angles without wrapping, which is right for small differences. And
+it computes the CKF's covariance from raw second moments, in which digits of large values cancel.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Tests that text from outside is escaped wherever it is shown, and of tables on terminals."""
+"""Tests that users' text is escaped wherever it is shown, and that tables fit on terminals."""
 
 import io
 import re

@@ -1,4 +1,4 @@
-"""Tests of the envelope of inputs: within it beliefs are sound, values beyond it are refused."""
+"""Tests that beliefs are sound within the envelope of inputs, and values beyond it are refused."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -40,7 +40,7 @@ class Quantity:
     put: Callable[[Episode, float], Episode]
 
     def within(self):
-        """Return a value just within each end of the bound; for an end of 0, return 0 itself."""
+        """Return a value just within each end of the bound, and 0 itself for an end of 0."""
         return [end * (1.0 - out) for end, out in self._ends()]
 
     def beyond(self):

@@ -1,4 +1,4 @@
-"""Tests, on tuning seeds, that the shipped corrector does no harm where it was never trained."""
+"""Tests, on tuning seeds, that the shipped corrector does no harm outside its training."""
 
 from dataclasses import replace
 

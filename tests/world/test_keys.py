@@ -18,7 +18,7 @@ def numbers(*values):
 
 
 def test_keys_are_the_published_numbers_of_splitmix64():
-    """Compare with those that Rosetta Code lists for the state 1234567, from Vigna's C code."""
+    """Compare with the numbers of Vigna's C code, as Rosetta Code lists them for state 1234567."""
     keys = keys_at(numbers(1234567), np.arange(3, dtype=np.uint64))
     assert keys.tolist() == [6457827717110365317, 3203168211198807973, 9817491932198370423]
 
