@@ -7,13 +7,13 @@ from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import InvalidAction, ResetNeeded
 from numpy.typing import NDArray
 
 from mmwave_env.engines.environment import Environment
 from mmwave_env.engines.tally import count
+from mmwave_env.interface.actions import numbers_in, space_of
 from mmwave_env.interface.info import (
     INFOS,
     NONFINITE_KEY,
@@ -36,7 +36,7 @@ _HERE = np.zeros(1, np.int64)  # index of the environment in a batch of one
 BACKENDS = {"lanes": "SIMD lanes", "filterpy": "the slow, independent filters of filterpy"}
 
 
-class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
+class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
     """An agent chooses which Kalman filter pipeline localizes a mobile user.
 
     ## Description
@@ -248,7 +248,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
         drawn = (*self._drawn, render_size, render_theme)
         self._gallery = Gallery(1, *drawn) if render_mode else None
         self.observation_space = cast(Any, self.observation.space)
-        self.action_space = spaces.Discrete(len(self.observation.actions))
+        self.action_space = cast(Any, space_of(self._limits, len(self.observation.actions)))
 
     def _set_up(self) -> None:
         """Create everything that follows from the arguments, for a new environment or a copy."""
@@ -261,7 +261,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
         self._start_engine(pipeline, on_floats=on_floats)
         at, span = self._engine.at, self._engine.span
         self._io, self._counts = self._engine.io(), self._tally.in_python()
-        self._observed, self._error = span(at.observation), span(at.error)
+        self._observed, self._error = self._engine.obs_rows, span(at.error)
         self._told = {
             key: part if isinstance(part, int) else span(part)
             for key, part in info_rows(at).items()
@@ -326,31 +326,25 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
             key = self._stream.next(self.np_random, self.np_random_seed)
         (name,) = engine.begin(task, np.array([key], np.uint64), _HERE)
         engine.batch.advance()
+        engine.lead(_HERE)
         return {"episode_name": name, "episode_key": np.uint64(key), "nonfinite": 0}
 
     def step(
-        self, action: np.int64
+        self, action: Any
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Process the epoch with a mode, or trust a mode more; see Gymnasium's `Env.step`."""
         if self._over:
             raise ResetNeeded("Call reset before step: there is no episode under way.")
-        # Gymnasium's own check takes longer than the filters
-        known = type(action) in _INTEGERS and 0 <= action < len(self.observation.actions)
-        if not (known or self.action_space.contains(action)):
-            raise InvalidAction(
-                f"action: found {action!r} ({type(action)}), expected an integer in "
-                f"{self.action_space}"
-            )
-        self._io.inputs[0, 0, 0] = action
+        mode = self._take(action)
         self._engine.batch.advance(self._io)
         column = self._engine.column(0)
-        info = step_info(column, self._told, int(action))
+        info = step_info(column, self._told, mode)
         rewards, distance = np.array([column[self._engine.at.reward]]), info["position_error_m"]
         if self._baseline:
             self._baseline.subtract(rewards, _HERE)
         off, nees = column[self._error].tolist(), info["nees"]
         count(self._counts, 0, self._steps, *off, nees)
-        self._history.rows[self._steps, 0] = action
+        self._history.rows[self._steps, 0] = mode
         self._steps += 1
         terminated = self._task.worst is not None and not distance <= DIVERGENCE_M
         if terminated:
@@ -360,11 +354,28 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
         if self._over:
             info |= self._episode_info()
         if self._gallery:
-            self._gallery.add(_HERE, self._io.inputs[:, 0, 0], self._engine.column)
+            self._gallery.add(_HERE, np.array([mode]), self._engine.column)
             if self.render_mode == "human":
                 self.render()
         observation, info = self._io.observations[0, 0].copy(), self._worded(info, self._over)
         return observation, float(rewards[0]), terminated, truncated, info
+
+    def _take(self, action: Any) -> int:
+        """Pass an action to the engine and return its mode, 0 if it is numbers; or refuse it."""
+        inputs = self._io.inputs[0, 0]
+        if len(self._limits):
+            inputs[1:] = numbers_in("action", action, self._limits)
+            (inputs[0],) = self._engine.choices()
+            return 0
+        # Gymnasium's own check takes longer than the filters
+        known = type(action) in _INTEGERS and 0 <= action < len(self.observation.actions)
+        if not (known or self.action_space.contains(action)):
+            raise InvalidAction(
+                f"action: found {action!r} ({type(action)}), expected an integer in "
+                f"{self.action_space}"
+            )
+        inputs[0] = action
+        return int(action)
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the epochs so far, seen from above; return (size, size, 3), or None for "human"."""

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.filters.correction import MOST_LOG_FACTOR, MOST_SHIFT
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation, columns_of
 from mmwave_env.interface.signed import after_update
@@ -22,7 +23,6 @@ from policies.policy_file import CORRECTIONS
 Array = NDArray[np.float32]
 
 BASE_IMM = "imm-best"  # base without a switcher: the IMM of the policy's bank
-MOST_SHIFT, MOST_LOG_FACTOR = 4.0, 2.0  # limits of corrections, in deviations and as logarithms
 RANGE_FADE = 2.0  # a feature one deviation beyond its range leaves exp(-2) of the trust
 RECOVERY = 0.1  # trust that returns per epoch: the memory still holds the strange epochs
 # ensemble spread, in the corrected standard deviation, from which on trust falls, and at which it

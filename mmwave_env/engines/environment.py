@@ -23,7 +23,8 @@ from mmwave_env.engines.tally import Tally
 from mmwave_env.engines.vector_step import ActionHistory, Stepper
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.info import SMOOTHED_KEY, drawn_rows
+from mmwave_env.interface.actions import MODE, limits_of
+from mmwave_env.interface.info import SMOOTHED_KEY, drawn_rows, told
 from mmwave_env.interface.reward import term_names
 from mmwave_env.metrics import INFO_KEYS, ate, scored
 from mmwave_env.models.scene import Streets
@@ -52,7 +53,7 @@ class Baseline:
         assert bank is not None
         pipeline = replace(task.pipeline, modes=bank.modes)
         self._imm = ImmEngine(pipeline, task.reward, bank.transition, bank.nis_quantile)
-        self._batch, self._threads = batch, threads
+        self._batch, self._threads, self._ahead = batch, threads, task.ahead
         self._rewards = np.zeros((batch.n, 0), np.float32)
 
     def begin(self, places: Index, episodes: Callable[[Index], EpisodeBatch]) -> None:
@@ -82,13 +83,15 @@ class Baseline:
             rewards: (N,) rewards of all environments, changed in place.
             places: (n,) environments that processed an epoch.
         """
-        epoch = self._batch.state.epoch[places] - 2  # the last epoch that an action completed
+        # the last epoch that an action completed
+        epoch = self._batch.state.epoch[places] - 2 - self._ahead
         rewards[places] = rewards[places].astype(np.float32) - self._rewards[places, epoch]
 
     def rest(self, places: Index) -> Array:
         """Return the IMM's total reward in the remaining epochs of some environments (n,)."""
         tracks = self._batch.state
-        spans = zip(places, tracks.epoch[places] - 1, tracks.length[places], strict=True)
+        now = tracks.epoch[places] - 1 - self._ahead
+        spans = zip(places, now, tracks.length[places], strict=True)
         return np.array([fsum(self._rewards[place, now:end]) for place, now, end in spans])
 
 
@@ -106,7 +109,13 @@ class Environment:
 
     def _take_task(self, task: Task, observation: str, smoothed: bool, n: int = 1) -> None:
         """Store the task of n environments that have not begun."""
+        if smoothed and task.action != MODE:
+            raise ValueError(
+                f'smoothed: found {smoothed} with action={task.action!r}, expected action="mode", '
+                "because episodes are smoothed with the modes that were chosen"
+            )
         self._task, self._observation_kind, self._smoothing = task, observation, smoothed
+        self._limits = limits_of(task.action, len(task.pipeline.modes))
         self._tally = Tally(n, len(task.pipeline.position_axes))
         self._history = ActionHistory(n, len(task.pipeline.modes) + 1)
         self._begun = False
@@ -118,7 +127,8 @@ class Environment:
         task, kind = self._task, self._observation_kind
         self.source, self.radio, self.reward = task.source, task.radio, task.reward
         self.reward_terms = (*term_names(task.reward), "cost")
-        self._engine = Engine(pipeline, n, task.reward, kind, task.bank, on_floats, threads)
+        acts = task.action, task.base
+        self._engine = Engine(pipeline, n, task.reward, kind, task.bank, on_floats, threads, *acts)
         self.modes, self.observation = pipeline.modes, self._engine.observation
         self._replay = Replay(task.pipeline, task.bank) if self._smoothing else None
         self._baseline = Baseline(task, self._engine.batch, threads) if task.baseline else None
@@ -139,7 +149,7 @@ class Environment:
             ResetNeeded: no episode is under way.
         """
         self._require_begun("belief")
-        pipeline, at = self._engine.pipeline, self._engine.at
+        pipeline, at = self._engine.pipeline, told(self._engine.at)
         x, P = (self._engine.read(part)[environment].tolist() for part in (at.x, at.P))
         return Belief(x, unpack(P, pipeline.known_axes), pipeline.position_axes)
 
@@ -167,7 +177,7 @@ class Environment:
 
     def _metrics_of(self, ended: Index, threads: int = 1) -> dict[str, Array]:
         """Compute the final metrics of episodes that ended in some environments (k,)."""
-        epochs = self._engine.batch.state.epoch[ended] - 1
+        epochs = self._engine.batch.state.epoch[ended] - 1 - self._task.ahead
         figures = self._tally.metrics(ended, epochs)
         metrics = {INFO_KEYS[name]: values for name, values in figures.items()}
         if not self._replay:
@@ -189,8 +199,9 @@ class Environment:
     def _charge(self, rewards: Array, places: Index) -> None:
         """Add the worst reward for each remaining epoch of episodes that ended early."""
         assert self._task.worst is not None
-        tracks = self._engine.batch.state  # its epochs include one that waits for an action
-        rewards[places] += self._task.worst * (tracks.length + 1 - tracks.epoch)[places]
+        tracks = self._engine.batch.state  # its epochs include those that wait for an action
+        waiting = 1 + self._task.ahead
+        rewards[places] += self._task.worst * (tracks.length + waiting - tracks.epoch)[places]
         if self._baseline:
             rewards[places] -= self._baseline.rest(places)
 

@@ -90,6 +90,7 @@ class StepMemory(NamedTuple):
     counts: Counts  # sums for the metrics
     modes: Modes  # (T, n) the modes of the last T steps
     turn: int  # the row of ``modes`` to write
+    ahead: int  # same as in :class:`~mmwave_env.task.Task`
 
 
 class Stepper:
@@ -100,10 +101,16 @@ class Stepper:
         tally: sums for the metrics of current episodes.
         history: the modes of the last steps.
         infos: "all" for infos of every step, "episode" for infos on request, "none" for no infos.
+        ahead: same as in :class:`~mmwave_env.task.Task`.
     """
 
     def __init__(
-        self, engine: Engine, tally: Tally, history: ActionHistory, infos: str = "all"
+        self,
+        engine: Engine,
+        tally: Tally,
+        history: ActionHistory,
+        infos: str = "all",
+        ahead: int = 0,
     ) -> None:
         at, n = engine.at, engine.batch.n
         self._known = {} if infos == "none" else info_rows(at)
@@ -123,31 +130,35 @@ class Stepper:
         self._io = engine.io(self._rows)
         self._mask_keys = mask_keys([*shown, "mode"])
         self._everywhere = np.ones(n, np.bool_)
-        self._tally, self._history = tally, history
+        self._tally, self._history, self._ahead = tally, history, ahead
         self._run = Repeated(_step)
         history.make_room(1)
 
-    def step(self, actions: Index) -> tuple[StepResult, int, Infos]:
+    def step(self, actions: Index, numbers: Array | None) -> tuple[StepResult, int, Infos]:
         """Apply every environment's action and consider the next epoch; see :meth:`Engine.step`.
 
         Args:
             actions: (n,) numbers of the modes; infos keep this array.
+            numbers: (n, k) weights or corrections, and ``actions`` are zeros; None if they are not.
 
         Returns:
             New results; the number of environments without epochs left; and new infos about all
             environments, with their masks, if every step returns infos.
         """
         batch, history, io = self._engine.batch, self._history, self._io
-        n, features = len(actions), len(io.obs_rows)
+        n, features, chosen = len(actions), len(io.obs_rows), actions
+        if numbers is not None:
+            io.inputs[:, 0, 1:], chosen = numbers, self._engine.choices()
         ends, flags = np.zeros((2, n), np.bool_), np.empty((2, n, self._groups), np.bool_)
         observations = np.empty((n, 1, features), np.float32)
         result = StepResult(observations[:, 0], np.empty(n), ends[0], ends[1], flags[0], flags[1])
         # earlier infos still use the previous outputs
         outputs = np.empty_like(io.outputs) if self._told else io.outputs
         io = StepIO(io.input_rows, io.inputs, self._rows, outputs, io.obs_rows, observations)
-        self._io, memory = io, StepMemory(self._tally.counts, history.rows, history.turn)
+        counts = self._tally.counts
+        self._io, memory = io, StepMemory(counts, history.rows, history.turn, self._ahead)
         program = batch.program.on_lanes(), batch.program.blank
-        arguments = (*program, batch.state, io, self._read, actions, result, memory)
+        arguments = (*program, batch.state, io, self._read, chosen, result, memory)
         jobs = [(begin, end, *arguments) for begin, end in batch.parts]
         history.next()  # here, so that no interrupt can come between the step and this line
         ended = sum(self._run(len(batch.state.rows), jobs))
@@ -191,7 +202,7 @@ def _step_blocks(  # type: ignore[no-untyped-def]
     """Step the environments of blocks ``begin`` to ``end``; return how many episodes ended."""
     first, last = begin * WIDTH, min(end * WIDTH, len(actions))
     inputs, outputs, epoch, length = io.inputs, io.outputs, state.epoch, state.length
-    counts, modes, turn = memory
+    counts, modes, turn, ahead = memory
     for e in range(first, last):
         inputs[e, 0, 0] = actions[e]
         modes[turn, e] = actions[e]
@@ -200,7 +211,7 @@ def _step_blocks(  # type: ignore[no-untyped-def]
     ended = 0
     for e in range(first, last):
         rewards[e] = outputs[e, 0, columns.reward]
-        k = epoch[e] - 2  # the epoch that the action completed
+        k = epoch[e] - 2 - ahead  # the epoch that the action completed
         if k >= 0:
             i = columns.error
             x, y, z = outputs[e, 0, i], outputs[e, 0, i + 1], outputs[e, 0, i + 2]
@@ -208,7 +219,7 @@ def _step_blocks(  # type: ignore[no-untyped-def]
         for g in range(accepted.shape[1]):
             accepted[e, g] = outputs[e, 0, columns.accepted + g] > 0.5
             rejected[e, g] = outputs[e, 0, columns.rejected + g] > 0.5
-        truncated[e] = epoch[e] > length[e]
+        truncated[e] = epoch[e] > length[e] + ahead
         ended += truncated[e]
     return ended
 
