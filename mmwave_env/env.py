@@ -12,14 +12,16 @@ from gymnasium.error import InvalidAction, ResetNeeded
 from numpy.typing import NDArray
 
 from mmwave_env.engines.environment import Environment
-from mmwave_env.engines.tally import count
+from mmwave_env.engines.tally import count, exceeds
 from mmwave_env.interface.actions import numbers_in, space_of
 from mmwave_env.interface.info import (
+    COST_KEY,
     INFOS,
     NONFINITE_KEY,
     STATE_KEYS,
     info_rows,
     step_info,
+    told,
     warn_of_nonfinite,
     worded,
 )
@@ -262,6 +264,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         at, span = self._engine.at, self._engine.span
         self._io, self._counts = self._engine.io(), self._tally.in_python()
         self._observed, self._error = self._engine.obs_rows, span(at.error)
+        self._spread = span(told(at).P[:3])
         self._told = {
             key: part if isinstance(part, int) else span(part)
             for key, part in info_rows(at).items()
@@ -343,6 +346,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         if self._baseline:
             self._baseline.subtract(rewards, _HERE)
         off, nees = column[self._error].tolist(), info["nees"]
+        info[COST_KEY] = exceeds(*off[:2], *column[self._spread].tolist())
         count(self._counts, 0, self._steps, *off, nees)
         self._history.rows[self._steps, 0] = mode
         self._steps += 1

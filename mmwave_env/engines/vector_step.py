@@ -15,8 +15,8 @@ from mmwave_env.compiler.disk_cache import LazyJit
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import PLAIN_BLOCK_EPOCHS, Repeated, StepIO, rows_of
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.tally import Counts, Tally, count
-from mmwave_env.interface.info import FLAGS, STATE_KEYS, info_rows, mask_keys
+from mmwave_env.engines.tally import Counts, Tally, count, exceeds
+from mmwave_env.interface.info import COST_KEY, FLAGS, STATE_KEYS, info_rows, mask_keys, told
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.numerics.pytree import flatten
 
@@ -71,6 +71,7 @@ class StepResult(NamedTuple):
     # accepted, rejected: (n, groups); (n, 0) if steps return no infos
     accepted: Mask
     rejected: Mask
+    cost: Array  # (n,) 1.0 where an error exceeds its level; (0,) if steps return no infos
 
 
 class StepColumns(NamedTuple):
@@ -79,6 +80,7 @@ class StepColumns(NamedTuple):
     reward: int
     nees: int
     error: int  # 3 columns
+    covariance: int  # 3 columns: that of the horizontal position
     # accepted, rejected: one column per group of measurements, if steps return infos
     accepted: int
     rejected: int
@@ -116,6 +118,7 @@ class Stepper:
         self._known = {} if infos == "none" else info_rows(at)
         shown = self._known if infos == "all" else {}
         parts = {"reward": at.reward, "nees": at.nees, "error": at.error}
+        parts |= {"covariance": told(at).P[:3]}
         parts |= {key: [] for key in FLAGS} | shown
         ends = np.cumsum([len(flatten(part)) for part in parts.values()]).tolist()
         begins = dict(zip(parts, [0, *ends], strict=False))
@@ -128,7 +131,7 @@ class Stepper:
         self._groups = len(at.memory.accepted) if shown else 0
         self._rows = rows_of(list(parts.values()))
         self._io = engine.io(self._rows)
-        self._mask_keys = mask_keys([*shown, "mode"])
+        self._mask_keys = mask_keys([*shown, "mode", COST_KEY])
         self._everywhere = np.ones(n, np.bool_)
         self._tally, self._history, self._ahead = tally, history, ahead
         self._run = Repeated(_step)
@@ -151,7 +154,8 @@ class Stepper:
             io.inputs[:, 0, 1:], chosen = numbers, self._engine.choices()
         ends, flags = np.zeros((2, n), np.bool_), np.empty((2, n, self._groups), np.bool_)
         observations = np.empty((n, 1, features), np.float32)
-        result = StepResult(observations[:, 0], np.empty(n), ends[0], ends[1], flags[0], flags[1])
+        paid, costs = np.empty(n), np.empty(n if self._told else 0)
+        result = StepResult(observations[:, 0], paid, *ends, *flags, costs)
         # earlier infos still use the previous outputs
         outputs = np.empty_like(io.outputs) if self._told else io.outputs
         io = StepIO(io.input_rows, io.inputs, self._rows, outputs, io.obs_rows, observations)
@@ -166,14 +170,20 @@ class Stepper:
             return result, ended, {}
         infos: Infos = {key: outputs[self._columns[key]] for key in self._told}
         infos |= {"accepted": result.accepted, "rejected": result.rejected, "mode": actions}
+        infos[COST_KEY] = costs
         infos |= dict.fromkeys(self._mask_keys, self._everywhere.copy())
         return result, ended, infos
 
     def look(self, actions: Index) -> Infos:
         """Return the infos about the last step, for steppers whose steps do not return them."""
+        if not self._known:
+            return {}
         infos = {key: self._engine.read(part) for key, part in self._known.items()}
-        infos |= {key: infos[key] > 0.5 for key in FLAGS if infos}
-        return infos and infos | {"mode": actions}
+        infos |= {key: infos[key] > 0.5 for key in FLAGS}
+        outputs = self._io.outputs[:, 0]
+        ends = outputs[:, self._columns["error"][2]], outputs[:, self._columns["covariance"][2]]
+        cost = [exceeds(x, y, *P) for (x, y, _), P in zip(*(e.tolist() for e in ends), strict=True)]
+        return infos | {"mode": actions, COST_KEY: np.array(cost)}
 
     @property
     def distances_m(self) -> Array:
@@ -207,7 +217,7 @@ def _step_blocks(  # type: ignore[no-untyped-def]
         inputs[e, 0, 0] = actions[e]
         modes[turn, e] = actions[e]
     advance(begin, end, run, blank, state, io)
-    _, rewards, _, truncated, accepted, rejected = result
+    _, rewards, _, truncated, accepted, rejected, costs = result
     ended = 0
     for e in range(first, last):
         rewards[e] = outputs[e, 0, columns.reward]
@@ -216,6 +226,10 @@ def _step_blocks(  # type: ignore[no-untyped-def]
             i = columns.error
             x, y, z = outputs[e, 0, i], outputs[e, 0, i + 1], outputs[e, 0, i + 2]
             count(counts, e, k, x, y, z, outputs[e, 0, columns.nees])
+        if len(costs):
+            i, c = columns.error, columns.covariance
+            xx, xy, yy = outputs[e, 0, c], outputs[e, 0, c + 1], outputs[e, 0, c + 2]
+            costs[e] = exceeds(outputs[e, 0, i], outputs[e, 0, i + 1], xx, xy, yy)
         for g in range(accepted.shape[1]):
             accepted[e, g] = outputs[e, 0, columns.accepted + g] > 0.5
             rejected[e, g] = outputs[e, 0, columns.rejected + g] > 0.5

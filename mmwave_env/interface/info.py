@@ -12,9 +12,11 @@ from mmwave_env.numerics.numbers import Array, Mask
 
 STATE_KEYS = ("truth", "estimate")  # also in the info of a reset
 TERMS_KEY = "reward_terms"
+COST_KEY = "cost"  # 1.0 where the horizontal error exceeds its protection level
 STEP_KEYS = (
     *("position_error_m", "nees", "nis", "accepted", "rejected", "mode", "gamma"),
     TERMS_KEY,
+    COST_KEY,
 )
 PROBABILITIES = "mode_probabilities"  # only with a belief per mode
 FLAGS = ("accepted", "rejected")
