@@ -91,6 +91,24 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
       IMM, `mmwave_env.filters.bank.best_bank`. A mode file for a bank may also contain
       "transition" (probabilities over one second) and "nis_quantile".
 
+    ## Actions that are Numbers
+
+    With beliefs per mode, `action` selects another action space. No mode's `cost` is subtracted
+    then, and `mode` in infos is 0.
+
+    * `action="weights"`: `Box` (modes,), -3 to 3: logarithms of factors on the probabilities of
+      the modes, per second. Like trust, they change the mixture before it is reported and mixed
+      again. To trust the k-th mode, set its weight to 3 and the others to 0.
+    * `action="correction"`: `Box` (6,): shifts of the position along the estimated velocity, across
+      it (to the left) and up, from -4 to 4 standard deviations of the belief; then logarithms of
+      factors on these deviations, from -2 to 2. An observation describes an epoch after its update,
+      and nothing of the next epoch. The action corrects the belief of that epoch: reward and infos
+      are those of the corrected belief. The filters go on without corrections, so an action has no
+      later effect, and agents need no foresight (a discount of 0). The filters are those of the
+      IMM, or of a switcher: `base` is a function from the table of observations to an agent without
+      memory, such as `partial(LearnedSwitch, "guided")`. The answers of the shipped corrector, as
+      actions, earn the reward that `mmwave-loc compare` shows for it.
+
     ## Rewards
 
     `reward="tracking"` (default): -(1.0 min(error, 10 m) + 0.2 min(|ln(NEES / 3)|, 3)), with
@@ -122,8 +140,9 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
 
     * Every step: `position_error_m`, `nees`, `nis`, `accepted`, `rejected` (per anchor, then
       Doppler), `mode`, `gamma`, `truth` (position, velocity), `estimate` (position, velocity,
-      bias; with `clock="offset"` also the range bias, m), `reward_terms`; with beliefs per mode
-      also `mode_probabilities`.
+      bias; with `clock="offset"` also the range bias, m), `reward_terms`, `cost` (1.0 if the
+      horizontal error exceeds the level that a Gaussian error exceeds with a probability of 0.001,
+      else 0.0: a cost for constrained learning); with beliefs per mode also `mode_probabilities`.
     * `reset`: `episode_name`, `episode_key` (of simulated episodes), `truth`, `estimate`, and
       `nonfinite`: the number of links, Doppler shifts and odometry readings that contain NaN or
       infinity and count as missing.
@@ -162,6 +181,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
       mode file or a `Mode`, whose algorithm may be your own function (docs/own-filters.md); or
       one mode file, a dict with the content of such a file, or a `Bank`.
     * `beliefs`: "shared" (default) or "per-mode", see Beliefs per Mode.
+    * `action`, `base`: "mode" (default), "weights" or "correction", see Actions that are Numbers.
     * `reward`: "tracking", "log-score", "paired", a function or a `PairedReward`.
     * `observation`: "full" or "prior".
     * `infos`: "all" (default), "episode", "none" or "fixed", see Information.
@@ -332,9 +352,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         engine.lead(_HERE)
         return {"episode_name": name, "episode_key": np.uint64(key), "nonfinite": 0}
 
-    def step(
-        self, action: Any
-    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Process the epoch with a mode, or trust a mode more; see Gymnasium's `Env.step`."""
         if self._over:
             raise ResetNeeded("Call reset before step: there is no episode under way.")

@@ -51,11 +51,6 @@ class Task:
     action: str = MODE  # kind of actions
     base: Base | None = None  # whose beliefs actions correct; None for the IMM of the bank
 
-    @property
-    def ahead(self) -> int:
-        """Return how many epochs the filters are ahead of the epoch that an action completes."""
-        return int(self.action == CORRECTION)
-
     def draw(self, rng: np.random.Generator) -> Episode:
         """Draw the next episode of an environment."""
         episode = self.source.sample(rng)
@@ -173,14 +168,11 @@ def _require_action(asked: TaskArguments) -> None:
     """Refuse an unknown kind of actions, and arguments that do not go with it."""
     choose(ACTIONS, asked.action, "action")
     if asked.action != MODE and asked.beliefs != "per-mode":
-        raise ValueError(
-            f"action: found {asked.action!r} with beliefs={asked.beliefs!r}, expected "
-            'beliefs="per-mode"'
-        )
+        raise ValueError(f'action: found {asked.action!r}, which needs beliefs="per-mode"')
     if asked.base is not None and not (asked.action == CORRECTION and callable(asked.base)):
         raise ValueError(
-            f"base: found {asked.base!r} with action={asked.action!r}, expected a function from the "
-            'table of observations to an agent, and action="correction"'
+            f"base: found {asked.base!r}, expected None, or with action={CORRECTION!r} a function "
+            "from the table of observations to an agent"
         )
 
 

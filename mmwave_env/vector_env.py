@@ -140,8 +140,7 @@ class MmWaveLocVectorEnv(
         self._start_engine(self._task.pipeline, self.num_envs, threads=self._threads)
         engine = self._engine
         self.batch = engine.batch
-        known = self._infos, self._task.ahead
-        self._stepper = Stepper(engine, self._tally, self._history, *known)
+        self._stepper = Stepper(engine, self._tally, self._history, self._infos)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
         """Draw pictures (size, size, 3) of the first 16 environments; None without a render mode.
@@ -314,8 +313,7 @@ class MmWaveLocVectorEnv(
             if not np.count_nonzero(wrong):
                 return chosen, None
         raise InvalidAction(
-            f"actions: found {actions!r}, expected {n} integers in "
-            f"{self.single_action_space}"
+            f"actions: found {actions!r}, expected {n} integers in {self.single_action_space}"
         )
 
     def _same_step(self, observations: Observations, infos: dict[str, Any]) -> dict[str, Any]:

@@ -58,20 +58,20 @@ class Engine:
         base: Base | None = None,
     ) -> None:
         self.pipeline = pipeline
-        self._ahead = action == CORRECTION
-        if self._ahead:
+        ahead = int(action == CORRECTION)
+        if ahead:
             choose({"full": None}, observation, 'observation, with action="correction",')
             observation = "signed"
         table = Observation(pipeline, observation, "per-mode" if bank else "shared")
         self.observation, self._shown = table, cast(Any, slice(None))
-        if self._ahead:  # the other features know the coming epoch
+        if ahead:  # the other features know the coming epoch
             self.observation = table.only(after_update(pipeline, per_mode=True))
             self._shown = [table.names.index(name) for name in self.observation.names]
         self._base = base(table) if base else None
         program = program_of(pipeline, observation, reward, bank is not None, action)
         inputs = rows_of([program.index.action, getattr(program.index, "numbers", [])])
         self._on_floats, self.keys = on_floats, np.zeros(n, np.uint64)
-        self.batch = Batch(program, pipeline.layout, n, inputs, on_floats, threads)
+        self.batch = Batch(program, pipeline.layout, n, inputs, on_floats, threads, ahead)
         self.at = self.batch.at
         self.read, self.column, self.span = self.batch.read, self.batch.column, self.batch.span
         self.obs_rows = rows_of(self.at.observation)[self._shown]
@@ -161,7 +161,7 @@ class Engine:
 
     def lead(self, places: Index) -> None:
         """Run environments just loaded one epoch ahead, if actions are corrections."""
-        if self._ahead:
+        if self.batch.ahead:
             self.start(places)
 
     def choices(self) -> Index:
@@ -170,13 +170,16 @@ class Engine:
         if self._base is None:
             return np.zeros(n, np.int64)
         actions: Index = np.asarray(self._base(self.read(self.at.observation, np.float32)))
-        whole = actions.shape == (n,) and actions.dtype.kind in "iu"
-        if not whole or actions.min() < 0 or actions.max() >= len(self.observation.actions):
-            raise ValueError(
-                f"actions of base: found {actions!r}, expected {n} integers from 0 to "
-                f"{len(self.observation.actions) - 1}"
-            )
-        return actions
+        most = len(self.observation.actions) - 1
+        if (
+            actions.shape == (n,)
+            and actions.dtype.kind in "iu"
+            and not (actions % (most + 1) - actions).any()
+        ):
+            return actions
+        raise ValueError(
+            f"actions of base: found {actions!r}, expected {n} integers from 0 to {most}"
+        )
 
     def io(self, output_rows: Index = NO_ROWS) -> StepIO:
         """Return the buffers of a step: for actions, observations and output rows."""

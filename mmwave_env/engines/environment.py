@@ -53,7 +53,7 @@ class Baseline:
         assert bank is not None
         pipeline = replace(task.pipeline, modes=bank.modes)
         self._imm = ImmEngine(pipeline, task.reward, bank.transition, bank.nis_quantile)
-        self._batch, self._threads, self._ahead = batch, threads, task.ahead
+        self._batch, self._threads = batch, threads
         self._rewards = np.zeros((batch.n, 0), np.float32)
 
     def begin(self, places: Index, episodes: Callable[[Index], EpisodeBatch]) -> None:
@@ -83,15 +83,13 @@ class Baseline:
             rewards: (N,) rewards of all environments, changed in place.
             places: (n,) environments that processed an epoch.
         """
-        # the last epoch that an action completed
-        epoch = self._batch.state.epoch[places] - 2 - self._ahead
+        epoch = self._batch.completed[places] - 1
         rewards[places] = rewards[places].astype(np.float32) - self._rewards[places, epoch]
 
     def rest(self, places: Index) -> Array:
         """Return the IMM's total reward in the remaining epochs of some environments (n,)."""
         tracks = self._batch.state
-        now = tracks.epoch[places] - 1 - self._ahead
-        spans = zip(places, now, tracks.length[places], strict=True)
+        spans = zip(places, self._batch.completed[places], tracks.length[places], strict=True)
         return np.array([fsum(self._rewards[place, now:end]) for place, now, end in spans])
 
 
@@ -111,8 +109,7 @@ class Environment:
         """Store the task of n environments that have not begun."""
         if smoothed and task.action != MODE:
             raise ValueError(
-                f'smoothed: found {smoothed} with action={task.action!r}, expected action="mode", '
-                "because episodes are smoothed with the modes that were chosen"
+                f"smoothed: found {smoothed} with action={task.action!r}, expected False"
             )
         self._task, self._observation_kind, self._smoothing = task, observation, smoothed
         self._limits = limits_of(task.action, len(task.pipeline.modes))
@@ -177,7 +174,7 @@ class Environment:
 
     def _metrics_of(self, ended: Index, threads: int = 1) -> dict[str, Array]:
         """Compute the final metrics of episodes that ended in some environments (k,)."""
-        epochs = self._engine.batch.state.epoch[ended] - 1 - self._task.ahead
+        epochs = self._engine.batch.completed[ended]
         figures = self._tally.metrics(ended, epochs)
         metrics = {INFO_KEYS[name]: values for name, values in figures.items()}
         if not self._replay:
@@ -199,9 +196,8 @@ class Environment:
     def _charge(self, rewards: Array, places: Index) -> None:
         """Add the worst reward for each remaining epoch of episodes that ended early."""
         assert self._task.worst is not None
-        tracks = self._engine.batch.state  # its epochs include those that wait for an action
-        waiting = 1 + self._task.ahead
-        rewards[places] += self._task.worst * (tracks.length + waiting - tracks.epoch)[places]
+        batch = self._engine.batch
+        rewards[places] += self._task.worst * (batch.state.length - batch.completed)[places]
         if self._baseline:
             rewards[places] -= self._baseline.rest(places)
 

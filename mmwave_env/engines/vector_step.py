@@ -71,7 +71,7 @@ class StepResult(NamedTuple):
     # accepted, rejected: (n, groups); (n, 0) if steps return no infos
     accepted: Mask
     rejected: Mask
-    cost: Array  # (n,) 1.0 where an error exceeds its level; (0,) if steps return no infos
+    cost: Array  # (n,) 1.0 where an error exceeds its level; (0,) if there are no infos
 
 
 class StepColumns(NamedTuple):
@@ -92,7 +92,7 @@ class StepMemory(NamedTuple):
     counts: Counts  # sums for the metrics
     modes: Modes  # (T, n) the modes of the last T steps
     turn: int  # the row of ``modes`` to write
-    ahead: int  # same as in :class:`~mmwave_env.task.Task`
+    ahead: int  # same as in :class:`~mmwave_env.engines.batch.Batch`
 
 
 class Stepper:
@@ -103,22 +103,16 @@ class Stepper:
         tally: sums for the metrics of current episodes.
         history: the modes of the last steps.
         infos: "all" for infos of every step, "episode" for infos on request, "none" for no infos.
-        ahead: same as in :class:`~mmwave_env.task.Task`.
     """
 
     def __init__(
-        self,
-        engine: Engine,
-        tally: Tally,
-        history: ActionHistory,
-        infos: str = "all",
-        ahead: int = 0,
+        self, engine: Engine, tally: Tally, history: ActionHistory, infos: str = "all"
     ) -> None:
         at, n = engine.at, engine.batch.n
         self._known = {} if infos == "none" else info_rows(at)
         shown = self._known if infos == "all" else {}
         parts = {"reward": at.reward, "nees": at.nees, "error": at.error}
-        parts |= {"covariance": told(at).P[:3]}
+        parts["covariance"] = told(at).P[:3]
         parts |= {key: [] for key in FLAGS} | shown
         ends = np.cumsum([len(flatten(part)) for part in parts.values()]).tolist()
         begins = dict(zip(parts, [0, *ends], strict=False))
@@ -133,7 +127,7 @@ class Stepper:
         self._io = engine.io(self._rows)
         self._mask_keys = mask_keys([*shown, "mode", COST_KEY])
         self._everywhere = np.ones(n, np.bool_)
-        self._tally, self._history, self._ahead = tally, history, ahead
+        self._tally, self._history = tally, history
         self._run = Repeated(_step)
         history.make_room(1)
 
@@ -154,13 +148,15 @@ class Stepper:
             io.inputs[:, 0, 1:], chosen = numbers, self._engine.choices()
         ends, flags = np.zeros((2, n), np.bool_), np.empty((2, n, self._groups), np.bool_)
         observations = np.empty((n, 1, features), np.float32)
-        paid, costs = np.empty(n), np.empty(n if self._told else 0)
-        result = StepResult(observations[:, 0], paid, *ends, *flags, costs)
+        self._costs = costs = np.empty(n if self._known else 0)
+        result = StepResult(
+            observations[:, 0], np.empty(n), ends[0], ends[1], flags[0], flags[1], costs
+        )
         # earlier infos still use the previous outputs
         outputs = np.empty_like(io.outputs) if self._told else io.outputs
         io = StepIO(io.input_rows, io.inputs, self._rows, outputs, io.obs_rows, observations)
         counts = self._tally.counts
-        self._io, memory = io, StepMemory(counts, history.rows, history.turn, self._ahead)
+        self._io, memory = io, StepMemory(counts, history.rows, history.turn, batch.ahead)
         program = batch.program.on_lanes(), batch.program.blank
         arguments = (*program, batch.state, io, self._read, chosen, result, memory)
         jobs = [(begin, end, *arguments) for begin, end in batch.parts]
@@ -170,20 +166,15 @@ class Stepper:
             return result, ended, {}
         infos: Infos = {key: outputs[self._columns[key]] for key in self._told}
         infos |= {"accepted": result.accepted, "rejected": result.rejected, "mode": actions}
-        infos[COST_KEY] = costs
+        infos[COST_KEY] = result.cost
         infos |= dict.fromkeys(self._mask_keys, self._everywhere.copy())
         return result, ended, infos
 
     def look(self, actions: Index) -> Infos:
         """Return the infos about the last step, for steppers whose steps do not return them."""
-        if not self._known:
-            return {}
         infos = {key: self._engine.read(part) for key, part in self._known.items()}
-        infos |= {key: infos[key] > 0.5 for key in FLAGS}
-        outputs = self._io.outputs[:, 0]
-        ends = outputs[:, self._columns["error"][2]], outputs[:, self._columns["covariance"][2]]
-        cost = [exceeds(x, y, *P) for (x, y, _), P in zip(*(e.tolist() for e in ends), strict=True)]
-        return infos | {"mode": actions, COST_KEY: np.array(cost)}
+        infos |= {key: infos[key] > 0.5 for key in FLAGS if infos}
+        return infos and infos | {"mode": actions, COST_KEY: self._costs.copy()}
 
     @property
     def distances_m(self) -> Array:
