@@ -104,7 +104,8 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
       factors on these deviations, from -2 to 2. An observation describes an epoch after its update,
       and nothing of the next epoch. The action corrects the belief of that epoch: reward and infos
       are those of the corrected belief. The filters go on without corrections, so an action has no
-      later effect, and agents need no foresight (a discount of 0). The filters are those of the
+      later effect, and agents need no foresight (a discount of 0). `reward="paired"` subtracts the
+      reward of the same belief without correction. The filters are those of the
       IMM, or of a switcher: `base` is a function from the table of observations to an agent without
       memory, such as `partial(LearnedSwitch, "guided")`. The answers of the shipped corrector, as
       actions, earn the reward that `mmwave-loc compare` shows for it.

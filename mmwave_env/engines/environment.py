@@ -40,7 +40,8 @@ REPLAYED, FILTERED = 64, 256  # episodes that one job processes; more would need
 class Baseline:
     """The baseline of a paired reward: the rewards of an IMM on the episodes of a batch.
 
-    No action changes an episode, so these rewards are known once the episode is loaded.
+    No action changes an episode, so these rewards are known once the episode is loaded. The
+    baseline of a correction is the belief that it corrects, whose reward its program computes.
 
     Args:
         task: the task, whose baseline is the IMM.
@@ -63,6 +64,8 @@ class Baseline:
             places: numbers of these environments.
             episodes: function that returns the episodes of environments, given their numbers.
         """
+        if self._batch.ahead:
+            return
         missing = self._batch.state.length.max() - self._rewards.shape[1]
         self._rewards = np.pad(self._rewards, ((0, 0), (0, max(0, missing))))
 
@@ -83,8 +86,12 @@ class Baseline:
             rewards: (N,) rewards of all environments, changed in place.
             places: (n,) environments that processed an epoch.
         """
-        epoch = self._batch.completed[places] - 1
-        rewards[places] = rewards[places].astype(np.float32) - self._rewards[places, epoch]
+        batch = self._batch
+        if batch.ahead:
+            earned = batch.read(batch.at.told.reward, np.float32)[places]
+        else:
+            earned = self._rewards[places, batch.completed[places] - 1]
+        rewards[places] = rewards[places].astype(np.float32) - earned
 
     def rest(self, places: Index) -> Array:
         """Return the IMM's total reward in the remaining epochs of some environments (n,)."""

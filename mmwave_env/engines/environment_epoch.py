@@ -46,7 +46,7 @@ from mmwave_env.filters.update import ModeResult
 from mmwave_env.interface.actions import CORRECTION, MODE, WEIGHTS, limits_of
 from mmwave_env.interface.features import MixtureView, View
 from mmwave_env.interface.observation import Observation
-from mmwave_env.interface.reward import Reward
+from mmwave_env.interface.reward import Reward, terms_of, total
 from mmwave_env.models.measurement import Site
 from mmwave_env.numerics.linalg import pack, unpack
 from mmwave_env.numerics.numbers import Number, where
@@ -119,6 +119,7 @@ class Told(NamedTuple):
     truth: list[Number]
     memory: Memory
     mode_probabilities: list[Number]
+    reward: Number  # of the belief before the correction, without any cost
 
 
 class PerModeState(NamedTuple):
@@ -166,7 +167,8 @@ def per_mode_epoch(
     if action == CORRECTION:
         before = Belief(w.x, unpack(w.P, zero=pipeline.known_axes), pipeline.position_axes)
         belief = corrected(before, w.numbers[:3], w.numbers[3:])
-        told = Told(belief.x, pack(belief.P), w.truth, w.memory, w.mode_probabilities)
+        earned = total(terms_of(reward, before, w.truth))
+        told = Told(belief.x, pack(belief.P), w.truth, w.memory, w.mode_probabilities, earned)
     probabilities = mixture.probability
     memory = most_probable_memory(mixture)._replace(preference=w.memory.preference)
 
@@ -227,7 +229,7 @@ def program_of(
     arguments: Any = {"pipeline": pipeline, "observation": observation, "reward": reward}
     if per_mode:
         even = [1.0 / modes] * modes
-        told = Told(blank["x"], blank["P"], blank["truth"], blank["memory"], even)
+        told = Told(blank["x"], blank["P"], blank["truth"], blank["memory"], even, 0.0)
         template = PerModeState(
             numbers=[0.0] * len(limits_of(action, modes)),
             settings=settings_of(Bank(pipeline.modes), layout),
