@@ -97,18 +97,17 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
     then, and `mode` in infos is 0.
 
     * `action="weights"`: `Box` (modes,), -3 to 3: logarithms of factors on the probabilities of
-      the modes, per second. Like trust, they change the mixture before it is reported and mixed
-      again. To trust the k-th mode, set its weight to 3 and the others to 0.
+      the modes, per second. As trust does, they change the mixture before it is reported and mixed
+      again. A weight of 3 for one mode alone is trust in that mode.
     * `action="correction"`: `Box` (6,): shifts of the position along the estimated velocity, across
-      it (to the left) and up, from -4 to 4 standard deviations of the belief; then logarithms of
-      factors on these deviations, from -2 to 2. An observation describes an epoch after its update,
-      and nothing of the next epoch. The action corrects the belief of that epoch: reward and infos
-      are those of the corrected belief. The filters go on without corrections, so an action has no
-      later effect, and agents need no foresight (a discount of 0). `reward="paired"` subtracts the
-      reward of the same belief without correction. The filters are those of the
-      IMM, or of a switcher: `base` is a function from the table of observations to an agent without
-      memory, such as `partial(LearnedSwitch, "guided")`. The answers of the shipped corrector, as
-      actions, earn the reward that `mmwave-loc compare` shows for it.
+      it (to the left) and up, -4 to 4 standard deviations of the belief; then logarithms of factors
+      on these deviations, -2 to 2. The observation describes an epoch after its update and nothing
+      later. The action corrects the belief of that epoch, to which reward and infos then belong.
+      The filters go on without corrections, so actions have no later effect (use a discount of 0);
+      `reward="paired"` subtracts the reward of the belief without correction. The filters are an
+      IMM, or steered by `base`, a function from the table of their observations to an agent without
+      memory, such as `partial(LearnedSwitch, "guided")`. The shipped corrector's answers, as
+      actions, earn what `mmwave-loc compare` shows for it.
 
     ## Rewards
 

@@ -31,8 +31,7 @@ from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Scenario
 
 EPISODE_STEPS = 200
-# a function from the table of observations to an agent without memory, which maps observations
-# (n, features) to actions (n,)
+# from the table of observations to an agent: observations (n, features) -> actions (n,)
 Base = Callable[[Observation], Callable[[NDArray[np.float32]], Any]]
 
 
@@ -170,10 +169,7 @@ def _require_action(asked: TaskArguments) -> None:
     if asked.action != MODE and asked.beliefs != "per-mode":
         raise ValueError(f'action: found {asked.action!r}, which needs beliefs="per-mode"')
     if asked.base is not None and not (asked.action == CORRECTION and callable(asked.base)):
-        raise ValueError(
-            f"base: found {asked.base!r}, expected None, or with action={CORRECTION!r} a function "
-            "from the table of observations to an agent"
-        )
+        raise ValueError(f"base: found {asked.base!r}, expected a function, for corrections alone")
 
 
 def bank_and_modes(

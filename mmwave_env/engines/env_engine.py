@@ -170,16 +170,10 @@ class Engine:
         if self._base is None:
             return np.zeros(n, np.int64)
         actions: Index = np.asarray(self._base(self.read(self.at.observation, np.float32)))
-        most = len(self.observation.actions) - 1
-        if (
-            actions.shape == (n,)
-            and actions.dtype.kind in "iu"
-            and not (actions % (most + 1) - actions).any()
-        ):
+        whole, count = actions.dtype.kind in "iu", len(self.observation.actions)
+        if whole and actions.shape == (n,) and actions.min() >= 0 and actions.max() < count:
             return actions
-        raise ValueError(
-            f"actions of base: found {actions!r}, expected {n} integers from 0 to {most}"
-        )
+        raise ValueError(f"actions of base: found {actions}, expected {n} integers below {count}")
 
     def io(self, output_rows: Index = NO_ROWS) -> StepIO:
         """Return the buffers of a step: for actions, observations and output rows."""

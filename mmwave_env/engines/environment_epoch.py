@@ -8,10 +8,9 @@ If the modes share a belief, their results are *candidates*, and the action choo
 mode keeps its own, the modes interact as in an IMM (:mod:`mmwave_env.filters.imm`), and an action
 is the mode to trust in the epoch that was just filtered: the probability of that mode is raised
 before the beliefs are combined, scored and mixed again. Action 0 trusts no mode, as in the IMM.
-With ``action="weights"``, the action raises or lowers the probability of every mode.
-
-With ``action="correction"``, filters run one epoch ahead: a step scores the belief of the last
-epoch, corrected by the action, and then goes on as if there were no corrections.
+With ``action="weights"``, the action raises or lowers the probability of every mode. With
+``action="correction"``, filters run an epoch ahead: a step corrects and scores the belief of the
+last epoch, and goes on as if there were no corrections.
 """
 
 from functools import lru_cache, partial
@@ -164,11 +163,13 @@ def per_mode_epoch(
     x, covariance = estimate(mixture)
     belief = Belief(x, covariance, pipeline.position_axes)
     told: Told | tuple[()] = ()
+    scored = truth
     if action == CORRECTION:
+        scored = w.truth
         before = Belief(w.x, unpack(w.P, zero=pipeline.known_axes), pipeline.position_axes)
         belief = corrected(before, w.numbers[:3], w.numbers[3:])
-        earned = total(terms_of(reward, before, w.truth))
-        told = Told(belief.x, pack(belief.P), w.truth, w.memory, w.mode_probabilities, earned)
+        earned = total(terms_of(reward, before, scored))
+        told = Told(belief.x, pack(belief.P), scored, w.memory, w.mode_probabilities, earned)
     probabilities = mixture.probability
     memory = most_probable_memory(mixture)._replace(preference=w.memory.preference)
 
@@ -199,12 +200,7 @@ def per_mode_epoch(
         observation=observation.values(view),
         truth=select(is_first, w.incoming.truth, truth),
         told=told,
-        **scores(
-            belief,
-            told.truth if told else truth,
-            reward,
-            0.0 if told else tree_at(w.action, costs),
-        ),
+        **scores(belief, scored, reward, 0.0 if told else tree_at(w.action, costs)),
     )
 
 

@@ -18,8 +18,7 @@ SUMS = 7
 # squares of the horizontal protection level at risk RISK, in deviations along the longer axis of
 # the ellipse of the errors: if the other axis is 0, and if it is as long
 NARROWEST, WIDEST = NormalDist().inv_cdf(0.5 * RISK) ** 2, -2.0 * math.log(RISK)
-ANGLES = 64  # in a quadrant
-LEAST = 1e-12  # variances below this, m^2, count as this
+ANGLES, LEAST = 64, 1e-12  # in a quadrant; smallest variance, m^2
 
 
 class Counts(NamedTuple):
@@ -120,13 +119,9 @@ def count(counts, e, k, x, y, z, nees):  # type: ignore[no-untyped-def]
 def exceeds(x, y, xx, xy, yy):  # type: ignore[no-untyped-def]
     """Return 1.0 if a horizontal error exceeds its level at risk RISK, or is NaN; else 0.0.
 
-    An error exceeds its level if errors with this covariance are larger with a probability below
-    the risk. :mod:`mmwave_env.localization.position_errors` has the integral; most errors are so
-    small or large that it is not needed.
-
-    Args:
-        x, y: the error, m.
-        xx, xy, yy: the covariance of the horizontal position, m^2.
+    That is, if errors (x, y), m, with covariance (xx, xy, yy), m^2, are larger with a probability
+    below the risk. Most errors are so small or large that this needs no integral;
+    :mod:`mmwave_env.localization.position_errors` has it.
     """
     squared, middle = x * x + y * y, 0.5 * (xx + yy)
     if squared <= NARROWEST * middle:

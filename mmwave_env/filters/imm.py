@@ -173,10 +173,9 @@ def trusting(mixture: Mixture, mode: Number, dt: Number) -> Mixture:
 
 
 def reweighted(mixture: Mixture, log_factors: Vector, dt: Number) -> Mixture:
-    """Multiply each mode's probability by a factor, given as a logarithm per second; normalize.
+    """Multiply the modes' probabilities by factors, given as logarithms per second, and normalize.
 
-    An action that trusts a mode is the case of one factor :data:`TRUST` and zeros; ``dt`` is the
-    epoch's step, seconds.
+    ``dt`` is the epoch's step, seconds.
     """
     step = step_weight(dt)
     pairs = zip(mixture.probability, log_factors, strict=True)
