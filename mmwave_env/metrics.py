@@ -15,6 +15,7 @@ import numpy as np
 from mmwave_env.numerics.numbers import Array
 
 BURN_IN = 10  # epochs dropped from averages, because the prior still has an effect
+RISK = 1e-3  # default risk of a protection level
 DIVERGENCE_M = 50.0  # an episode in which the error exceeds this has diverged
 
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.filters.correction import MOST_LOG_FACTOR, MOST_SHIFT
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation, columns_of
 from mmwave_env.interface.signed import after_update
@@ -22,7 +23,6 @@ from policies.policy_file import CORRECTIONS
 Array = NDArray[np.float32]
 
 BASE_IMM = "imm-best"  # base without a switcher: the IMM of the policy's bank
-MOST_SHIFT, MOST_LOG_FACTOR = 4.0, 2.0  # limits of corrections, in deviations and as logarithms
 # "Trust" is the factor, 0 to 1, by which corrections are scaled
 RANGE_FADE = 2.0  # trust is exp(-2 d) if a feature is d standard deviations outside its range
 RECOVERY = 0.1  # increase of trust per epoch; slow, as the memory still contains strange epochs

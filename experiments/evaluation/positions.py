@@ -9,8 +9,8 @@ import numpy as np
 from experiments.console.tables import grid
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.runner import EpochResults
-from mmwave_env.localization.position_errors import DISTANCES_M, RISK, SHARES, PositionErrors
-from mmwave_env.metrics import scored
+from mmwave_env.localization.position_errors import DISTANCES_M, SHARES, PositionErrors
+from mmwave_env.metrics import RISK, scored
 from mmwave_env.numerics.numbers import Array
 
 KINDS = ("horizontal", "vertical")

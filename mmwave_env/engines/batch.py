@@ -42,6 +42,7 @@ class Batch(Generic[Workspace]):
         input_rows: leaves of ``program.index`` that receive an input in every epoch.
         on_floats: whether to run in plain Python instead of on SIMD lanes.
         threads: number of threads that may work at once; results do not depend on it.
+        ahead: number of epochs that the program has run before the one that an action completes.
 
     Attributes:
         at: tree like the workspace, with row numbers in place of values; selects the rows to read.
@@ -57,8 +58,9 @@ class Batch(Generic[Workspace]):
         input_rows: Index = NO_ROWS,
         on_floats: bool = False,
         threads: int = 1,
+        ahead: int = 0,
     ) -> None:
-        self.program, self.layout, self.n = program, layout, n
+        self.program, self.layout, self.n, self.ahead = program, layout, n, ahead
         self.at = program.index
         blocks = -(-n // WIDTH)
         rows = blocks_of(program.start, n)
@@ -66,6 +68,11 @@ class Batch(Generic[Workspace]):
         self._input_rows = input_rows
         self._run = None if on_floats else Repeated(run_blocks)
         self.parts = spans(blocks, max(1, min(threads, blocks // BLOCKS_PER_THREAD)))
+
+    @property
+    def completed(self) -> Index:
+        """Return the numbers (n,) of epochs that actions completed; later ones wait for actions."""
+        return self.state.epoch - 1 - self.ahead
 
     def load(
         self,

@@ -14,6 +14,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Matrix, Number, Vector, exp, maximum, sqrt, where
 
+MOST_SHIFT, MOST_LOG_FACTOR = 4.0, 2.0  # limits of corrections, in deviations and as logarithms
 SLOWEST_MPS = 1e-3  # below this speed, the x axis counts as the direction of motion
 
 

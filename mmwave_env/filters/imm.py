@@ -172,6 +172,16 @@ def trusting(mixture: Mixture, mode: Number, dt: Number) -> Mixture:
     return Mixture(mixture.tracks, probability)
 
 
+def reweighted(mixture: Mixture, log_factors: Vector, dt: Number) -> Mixture:
+    """Multiply the modes' probabilities by factors, given as logarithms per second, and normalize.
+
+    ``dt`` is the epoch's step, seconds.
+    """
+    step = step_weight(dt)
+    pairs = zip(mixture.probability, log_factors, strict=True)
+    return Mixture(mixture.tracks, _normalized([exp(k * step) * p for p, k in pairs]))
+
+
 def _normalized(weights: Sequence[Number]) -> list[Number]:
     """Return probabilities in proportion to the weights; no probability is zero."""
     held = [maximum(weight, _LEAST) for weight in weights]

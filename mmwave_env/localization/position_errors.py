@@ -29,9 +29,9 @@ from weakref import finalize
 
 import numpy as np
 
+from mmwave_env.metrics import RISK
 from mmwave_env.numerics.numbers import Array
 
-RISK = 1e-3  # default risk of a protection level
 CONFIDENCE = 0.95  # confidence of the intervals of shares
 _RATIOS = np.linspace(0.0, 1.0, 1025)  # b / a; levels are interpolated between these
 _ANGLES = (np.arange(64) + 0.5) * (np.pi / 128)  # in one quadrant, which represents all four

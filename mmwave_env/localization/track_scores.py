@@ -12,9 +12,9 @@ from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
 from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.localization.localizer import TrackBlock
-from mmwave_env.localization.position_errors import RISK, PositionErrors
+from mmwave_env.localization.position_errors import PositionErrors
 from mmwave_env.logs.truth import Truth
-from mmwave_env.metrics import Sums, nees_interval, running_summary
+from mmwave_env.metrics import RISK, Sums, nees_interval, running_summary
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array
 
