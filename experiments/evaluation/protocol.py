@@ -188,14 +188,14 @@ def ceiling_in(*folders: Path) -> Mapping[str, Any] | None:
 
 
 def add_scores(entries: Iterable[dict[str, Any]], ceiling: Mapping[str, Any] | None) -> None:
-    """Set the scores of entries, or None where rule and ceiling ran on other episodes or not."""
+    """Set the scores of entries; None without rule and ceiling on the same episodes."""
     tops = ceiling["sites"] if ceiling else {}
     for content in entries:
         for name, at in content["sites"].items():
             top = tops.get(name, {})
-            known = "over_rule" in at and "over_rule" in top and scored_over(at) == scored_over(top)
-            pair = (at["over_rule"]["mean"], top["over_rule"]["mean"]) if known else (0.0, 0.0)
-            at["score"] = score_of(*pair)
+            at["score"] = None
+            if "over_rule" in at and "over_rule" in top and scored_over(at) == scored_over(top):
+                at["score"] = score_of(at["over_rule"]["mean"], top["over_rule"]["mean"])
 
 
 def tables_of(
