@@ -34,7 +34,7 @@ UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
 OTHER_RADIOS = ("handset", "standard")  # radios for unseen streets and for recordings
 # Episodes and recordings of the published tables; docs/data.md lists later recordings.
 EPISODES, DRAWS = 2000, 200  # number of episodes at each simulated site, and on each recording
-CEILING_EPISODES, CEILING_DRAWS = 400, 20  # scores are over the first ones, as many as these
+CEILING_EPISODES, CEILING_DRAWS = 400, 20  # scores are over as many of the first ones
 RECORDINGS = ("canyon28_pedestrian", "canyon28_vehicle")
 PUBLISHED = Path(__file__).parents[2] / "docs" / "leaderboard"  # folder of the published entries
 
@@ -103,16 +103,21 @@ class Judged:
         own = [self.scores[name][metric] for metric in ("reward", "ate_m")]
         columns = np.stack([*own, *gains.values()], axis=1)
         reward, ate_m, *minus = (interval.json for interval in bootstrap(columns))
-        first = CEILING_DRAWS if self.site.kind == RECORDED else CEILING_EPISODES
-        (over_rule,) = bootstrap(self.gain(name, RULE)[:first, None])
+        counted = {"kind": self.site.kind, "episodes": len(columns)}
+        (over_rule,) = bootstrap(self.gain(name, RULE)[: scored_over(counted), None])
         return {
-            "kind": self.site.kind,
-            "episodes": len(columns),
+            **counted,
             "reward": reward,
             "ate_m": ate_m,
             "over_rule": over_rule.json,
             "minus": dict(zip(gains, minus, strict=True)),
         }
+
+
+def scored_over(figures: Mapping[str, Any]) -> int:
+    """Return the number of episodes at a site that a score is over."""
+    recorded, episodes = figures["kind"] == RECORDED, int(figures["episodes"])
+    return min(episodes, CEILING_DRAWS if recorded else CEILING_EPISODES)
 
 
 def require_contenders(names: Sequence[str]) -> None:
@@ -183,12 +188,14 @@ def ceiling_in(*folders: Path) -> Mapping[str, Any] | None:
 
 
 def add_scores(entries: Iterable[dict[str, Any]], ceiling: Mapping[str, Any] | None) -> None:
-    """Set the score of entries at every site; None where the ceiling or the rule is missing."""
+    """Set the scores of entries; None without rule and ceiling on the same episodes."""
     tops = ceiling["sites"] if ceiling else {}
     for content in entries:
         for name, at in content["sites"].items():
-            own, top = (figures.get("over_rule") for figures in (at, tops.get(name, {})))
-            at["score"] = score_of(own["mean"], top["mean"]) if own and top else None
+            top = tops.get(name, {})
+            at["score"] = None
+            if "over_rule" in at and "over_rule" in top and scored_over(at) == scored_over(top):
+                at["score"] = score_of(at["over_rule"]["mean"], top["over_rule"]["mean"])
 
 
 def tables_of(

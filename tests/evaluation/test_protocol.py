@@ -110,6 +110,10 @@ def test_without_the_clairvoyant_or_in_an_old_entry_scores_and_hard_sites_are_da
         assert f" | {shown} |\n| street:standard" in tables["scores"]
         assert tables["scores"].endswith(" | - |")
     assert tables["sites"].endswith("| range-azimuth:handset | - |")
+    for at in content["sites"].values():
+        at["episodes"] = 2  # of the three that the clairvoyant played
+    add_scores([content], ceiling)
+    assert {at["score"] for at in content["sites"].values()} == {None}
 
 
 @pytest.fixture(scope="module")
