@@ -30,6 +30,10 @@ class Args(EpisodeArgs):
     file"""
     consistency: Path | None = None
     """draw NEES over time, with its chi-square bounds, to this file"""
+    width_mm: float | None = None
+    """width of these pictures, mm, such as that of a column of a journal"""
+    table: Path | None = None
+    """write the table of means to this .tex file: LaTeX, for the package booktabs"""
 
 
 PICTURES = ("errors", "consistency")
@@ -37,9 +41,19 @@ PICTURES = ("errors", "consistency")
 
 def main(args: Args) -> None:
     """Run the command."""
+    from experiments.console.tables import booktabs
     from experiments.evaluation.asked import all_contenders
     from experiments.reporting.comparison_results import report, results
+    from mmwave_env.io.files import require_writable, write_text
+    from mmwave_env.metrics import METRICS
 
     pictures = {name: getattr(args, name) for name in PICTURES if getattr(args, name) is not None}
+    if args.table and args.table.suffix != ".tex":
+        raise ValueError(f"table: found {args.table}, expected a name that ends with .tex")
+    if args.table:
+        require_writable(args.table)
     names = args.policies or all_contenders(args)
-    report("compare", args, results(args, names, pictures))
+    made = results(args, names, pictures, args.width_mm)
+    if args.table:
+        write_text(args.table, booktabs(*made.comparison.table(METRICS)))
+    report("compare", args, made)

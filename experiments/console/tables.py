@@ -21,6 +21,12 @@ _READ = re.compile(
     r"[\\`*|$~]|<(?=[A-Za-z/!?])|&(?=[A-Za-z#])|\](?=[(\[:])"
     r"|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])"
 )
+_LATEX = str.maketrans(
+    {char: rf"\{char}" for char in "&%$#_{}"}
+    | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+    | {"±": r"$\pm$"}
+)
+_MINUS = re.compile(r"(?<![\w-])-(?=\d)")
 _ESCAPED = re.compile(r"\\([\\`*|$~<&\]_])")
 
 
@@ -44,6 +50,17 @@ def grid(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     table = [[escaped(str(cell)) for cell in cells] for cells in (header, *rows)]
     lines = ["| " + " | ".join(cells) + " |" for cells in table]
     return "\n".join([lines[0], "|---" * len(header) + "|", *lines[1:]])
+
+
+def booktabs(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Return a LaTeX table of plain text in the style of the package booktabs, without a float."""
+    head, *body = (
+        " & ".join(_MINUS.sub("$-$", printable(str(cell)).translate(_LATEX)) for cell in cells)
+        for cells in (header, *rows)
+    )
+    lines = [rf"\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}", r"\toprule", head + r" \\"]
+    lines += [r"\midrule", *(row + r" \\" for row in body), r"\bottomrule", r"\end{tabular}"]
+    return "\n".join(lines) + "\n"
 
 
 def show(text: str) -> None:
