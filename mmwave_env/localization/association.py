@@ -5,8 +5,8 @@ epoch. Given this state, global nearest neighbor assigns the paths to anchors. T
 ordinary log, so all code that localizes a log can localize it.
 
 A track begins with the hypothesis that some path is the line of sight, if the hypothesis explains
-enough paths of the coming epochs. Another track replaces it if it is lost, or if a new hypothesis
-explains more paths.
+enough paths of the coming epochs. A new track replaces the current track if the latter is lost, or
+explains fewer paths than a new hypothesis.
 """
 
 from collections.abc import Iterable, Iterator
