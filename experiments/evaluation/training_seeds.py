@@ -100,7 +100,7 @@ def seeds_markdown(seeds: TrainingSeeds) -> str:
         ["mean over seeds", *(column.mean for column in columns)],
     ]
     about = (
-        f"{escaped(run.name)} by training seed, the best on tuning seeds first. 95 % intervals are "
+        f"Over training seeds, {escaped(run.name)}, best on tuning seeds first. 95 % intervals are "
         "over episodes for a seed, and over seeds and episodes for the mean:"
     )
     return f"\n{about}\n\n{grid(header, rows)}\n"

@@ -3,7 +3,7 @@
 Directions are those of the *frame of motion*: along the estimated horizontal velocity, across it
 (to the left) and up. No feature depends on an absolute position or direction: if the world is
 turned and shifted, the features stay the same. So a network that learns from them in one street
-also works in another. They describe the last epoch, and contain nothing of the coming one.
+also works in another. All features describe the last epoch; none depends on the coming epoch.
 """
 
 from functools import partial

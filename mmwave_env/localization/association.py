@@ -5,8 +5,8 @@ epoch. Given this state, global nearest neighbor assigns the paths to anchors. T
 ordinary log, so all code that localizes a log can localize it.
 
 A track begins with the hypothesis that some path is the line of sight, if the hypothesis explains
-enough paths of the coming epochs. Another track replaces it if it is lost, or if a new hypothesis
-explains more paths.
+enough paths of the coming epochs. A new track replaces the current track if the latter is lost, or
+explains fewer paths than a new hypothesis.
 """
 
 from collections.abc import Iterable, Iterator
@@ -134,7 +134,7 @@ def _block(paths: PathEpoch, epoch: Epoch, begins: bool) -> LogBlock:
 
 
 def _windows(epochs: Iterable[PathEpoch], size: int) -> Iterator[list[PathEpoch]]:
-    """Yield every epoch with the next ``size - 1``; before a LogError or the end, with fewer."""
+    """Yield lists of an epoch and up to ``size - 1`` epochs after it, fewer before the end."""
     held: list[PathEpoch] = []
     try:
         for epoch in epochs:
