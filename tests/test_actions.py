@@ -27,7 +27,7 @@ PER_MODE = {"beliefs": "per-mode", "modes": ["ekf", "ukf"]}
 
 
 def alternating(table):
-    """Return a base: it trusts one of the modes, or none, depending on a feature."""
+    """Return a base policy that trusts one of the modes, or none, depending on a feature."""
     column = table.names.index("coming NIS anchor 1 ukf")
     return lambda seen: np.digitize(seen[:, column], [-0.5, 0.5])
 
@@ -66,7 +66,7 @@ def test_the_environment_passes_gymnasium_s_checker(name, more):
     env = gym.make(ID, episode_steps=5, disable_env_checker=True, **KINDS[name], **more)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        warnings.filterwarnings("ignore", ".*symmetric and normalized")  # RescaleAction does that
+        warnings.filterwarnings("ignore", ".*symmetric and normalized")  # RescaleAction normalizes
         check_env(env.unwrapped, skip_render_check=True)
 
 
@@ -161,7 +161,7 @@ def test_a_paired_reward_subtracts_that_of_the_same_belief_without_correction():
 
 
 def bad(limits):
-    """Yield actions that are not within limits (k,), as arrays of numbers should be."""
+    """Yield actions that are not arrays of k numbers within the limits (k,)."""
     for value in (math.nan, math.inf, limits[-1] * 1.001):
         yield np.append(np.zeros(len(limits) - 1), value)
     yield from (np.zeros(len(limits) + 1), np.zeros((1, len(limits))), 0, None, "none")

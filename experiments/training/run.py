@@ -226,8 +226,8 @@ def train(args: "Args") -> None:
     if args.smoke:
         say(
             "",
-            f"A smoke run, judged on {SMOKE_EPISODES} episodes: training works. To see how well, "
-            "run it without --smoke; evaluate and compare refuse the policy of a smoke run.",
+            f"A smoke run, judged on {SMOKE_EPISODES} episodes, shows that training works. To see "
+            "how well, train without --smoke; evaluate and compare refuse a smoke run's policy.",
         )
     else:
         say("", f"{args.out / 'policy.safetensors'} is from the median seed, {median['seed']}")
