@@ -9,7 +9,7 @@ episodes: Y. Lee, R. F. Barber and R. Willett, "Distribution-free inference with
 2023). docs/errors.md says what this guarantees; experiments/training/levels.py trains it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -42,7 +42,7 @@ class Network(NamedTuple):
     constants: Array
     low: Array
     high: Array
-    layers: list[tuple[Array, Array]]
+    layers: Sequence[tuple[Array, ...]]
 
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> "Network":
@@ -96,17 +96,17 @@ class Levels:
         self._means: Array | None = None  # (n, 3, numbers) running means
         self._first_s = self._last_s = 0.0
 
-    def factors(self, anchors: int, time_s: Array, x: Array, *parts: Array | None) -> Array:
+    def factors(self, anchors: int, time_s: Array, *parts: Any) -> Array:
         """Return factors (n, T, 2) on horizontal and vertical Gaussian levels.
 
         Arguments are those of :meth:`features`.
         """
         if self.kind == GAUSSIAN:
-            return np.ones((*x.shape[:2], 2))
-        logs = shipped().log_factors(self.features(anchors, time_s, x, *parts))
+            return np.ones((*parts[0].shape[:2], 2))
+        logs = shipped().log_factors(self.features(anchors, time_s, *parts))
         return np.exp(logs[..., shipped().risks.index(self.risk), :])  # type: ignore[no-any-return]
 
-    def features(self, anchors: int, time_s: Array, *parts: Array | None) -> Array:
+    def features(self, anchors: int, time_s: Array, *parts: Any) -> Array:
         """Return the features (n, T, features) of n tracks, whose T epochs follow earlier ones.
 
         Args:
@@ -117,7 +117,6 @@ class Levels:
                 optionally, trust in a corrector (n, T), which is NaN without a corrector.
         """
         x, P, nis, accepted, rejected, trusted = (*parts, None)[:6]
-        assert x is not None and P is not None
         now = np.stack([*_gates(anchors, nis, accepted, rejected), *_sizes(P)], axis=-1)
         if self._means is None:
             self._means = np.repeat(now[:, 0, None], len(_MEMORY), axis=1)

@@ -251,7 +251,7 @@ class Tracker:
         origin, place = self._scene.origin, None
         if origin is not None:
             place = geodetic(origin, x[None, :3])[0].tolist()
-        clock = [float(x[7]), float(np.sqrt(P[35]))] if len(x) > 7 else []
+        clock: list[Any] = [float(x[7]), float(np.sqrt(P[35]))] if len(x) > 7 else []
         position = Position(
             time_s, x[:3].tolist(), covariance, x[3:6].tolist(), mode, nis, rejected, begins,
             place, *clock,
