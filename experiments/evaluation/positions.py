@@ -43,7 +43,7 @@ class Positions:
             errors = self.errors.setdefault(name, PositionErrors(self.levels.risk, self.planar))
             parts = [*(results[part] for part in PARTS), results.get("trusted")]
             self.levels.reset()
-            factors = self.levels.factors(self.anchors, time_s, *parts)
+            factors = self.levels.factors(self.anchors, contender.mixes, time_s, *parts)
             errors.add(*(v[:, counts] for v in (results["error"], results["P"], factors)))
 
     def figures(self) -> dict[str, Any]:

@@ -58,7 +58,9 @@ def _played(seed: int, rounds: int) -> Iterator[tuple[Array, Array]]:
             contender = contender_from(name, radio)
             of = run_batch(contender, contender.start(batch.layout), batch, after=PARTS)
             parts = [*(of[part] for part in PARTS), of.get("trusted")]
-            features = Levels(kind=GAUSSIAN).features(batch.layout.anchors, time_s, *parts)
+            features = Levels(kind=GAUSSIAN).features(
+                batch.layout.anchors, contender.mixes, time_s, *parts
+            )
             error = np.stack([horizontal(of["error"]), vertical(of["error"])], axis=-1)
             levels = np.stack([gaussian_levels(of["P"], risk) for risk in RISKS], axis=-2)
             ratio = np.maximum(error, LEAST_M)[..., None, :] / levels
@@ -69,17 +71,19 @@ def _trained(features: Array, logs: Array, steps: int) -> Network:
     """Return a network, not yet calibrated, for the quantiles of logs (n, risks, 2)."""
     torch.set_num_threads(1)
     torch.manual_seed(0)
-    low, high = np.quantile(features, (OUTSIDE, 1.0 - OUTSIDE), axis=0)
-    mean, sigma = features.mean(0, np.float64), features.std(0, np.float64) + 1e-3
-    x = torch.from_numpy(((np.clip(features, low, high) - mean) / sigma).astype(np.float32))
+    some = features[::16].astype(float)
+    low, high = np.quantile(some, (OUTSIDE, 1.0 - OUTSIDE), axis=0)
+    mean, sigma = some.mean(axis=0), some.std(axis=0) + 1e-3
+    inside = np.clip(features, low.astype(np.float32), high.astype(np.float32))
+    x = torch.from_numpy((inside - mean.astype(np.float32)) / sigma.astype(np.float32))
     y, risk = torch.from_numpy(logs), torch.tensor(RISKS)[:, None]
     linear = [nn.Linear(*ends) for ends in pairwise([x.shape[1], HIDDEN, HIDDEN, 2 * len(RISKS)])]
     network = nn.Sequential(linear[0], nn.Tanh(), linear[1], nn.Tanh(), linear[2])
     optimizer = torch.optim.Adam(network.parameters(), RATE)
     for step in range(steps):
         optimizer.param_groups[0]["lr"] = RATE * (1.0 - step / steps)
-        some = torch.randint(len(x), (BATCH,))
-        above = y[some] - network(x[some]).unflatten(-1, (-1, 2))
+        rows = torch.randint(len(x), (BATCH,))
+        above = y[rows] - network(x[rows]).unflatten(-1, (-1, 2))
         pinball = torch.maximum((1.0 - risk) * above, -risk * above)
         loss = (pinball / risk.sqrt()).mean()  # the root balances the risks
         optimizer.zero_grad()
@@ -123,12 +127,4 @@ def tuned_levels(
     )
     sound = np.isfinite(features).all(axis=1) & np.isfinite(logs).all(axis=(1, 2))
     network = _trained(features[sound], logs[sound], steps)
-    whole = network._replace(constants=_constants(network, seed, calibration))._asdict()
-    return {name: _as_written(value) for name, value in whole.items()}
-
-
-def _as_written(value: Any) -> Any:
-    """Return arrays as lists of numbers with seven digits."""
-    if isinstance(value, list | tuple | np.ndarray):
-        return [_as_written(part) for part in value]
-    return float(f"{value:.7g}")
+    return network._replace(constants=_constants(network, seed, calibration)).as_written()

@@ -9,9 +9,11 @@ episodes: Y. Lee, R. F. Barber and R. Willett, "Distribution-free inference with
 2023). docs/errors.md says what this guarantees; experiments/training/levels.py trains it.
 """
 
+from base64 import b64decode, b64encode
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -47,9 +49,15 @@ class Network(NamedTuple):
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> "Network":
         """Return the network that a file holds."""
-        constants, low, high = (np.array(content[key]) for key in ("constants", "low", "high"))
-        layers = [(np.array(weight), np.array(bias)) for weight, bias in content["layers"]]
-        return cls(content["risks"], constants, low, high, layers)
+        low, high, *flat = (_numbers(text) for text in content["tensors"])
+        layers = [(w.reshape(len(b), -1), b) for w, b in zip(flat[::2], flat[1::2], strict=True)]
+        return cls(content["risks"], np.array(content["constants"]), low, high, layers)
+
+    def as_written(self) -> dict[str, Any]:
+        """Return the content of a file with the network."""
+        tensors = self.low, self.high, *chain(*self.layers)
+        texts = [b64encode(tensor.astype("<f4").tobytes()).decode() for tensor in tensors]
+        return {"risks": self.risks, "constants": self.constants.tolist(), "tensors": texts}
 
     def log_factors(self, features: Array) -> Array:
         """Return logarithms of factors (..., R, 2), given features (..., features)."""
@@ -59,6 +67,10 @@ class Network(NamedTuple):
             values = np.tanh(values @ w.T + b)
         answer = values @ weight.T + bias
         return answer.reshape(*answer.shape[:-1], -1, 2) + self.constants  # type: ignore[no-any-return]
+
+
+def _numbers(text: str) -> Array:
+    return np.frombuffer(b64decode(text), "<f4").astype(float)
 
 
 @cache
@@ -96,21 +108,22 @@ class Levels:
         self._means: Array | None = None  # (n, 3, numbers) running means
         self._first_s = self._last_s = 0.0
 
-    def factors(self, anchors: int, time_s: Array, *parts: Any) -> Array:
+    def factors(self, anchors: int, mixes: bool, time_s: Array, *parts: Any) -> Array:
         """Return factors (n, T, 2) on horizontal and vertical Gaussian levels.
 
         Arguments are those of :meth:`features`.
         """
         if self.kind == GAUSSIAN:
             return np.ones((*parts[0].shape[:2], 2))
-        logs = shipped().log_factors(self.features(anchors, time_s, *parts))
+        logs = shipped().log_factors(self.features(anchors, mixes, time_s, *parts))
         return np.exp(logs[..., shipped().risks.index(self.risk), :])  # type: ignore[no-any-return]
 
-    def features(self, anchors: int, time_s: Array, *parts: Any) -> Array:
+    def features(self, anchors: int, mixes: bool, time_s: Array, *parts: Any) -> Array:
         """Return the features (n, T, features) of n tracks, whose T epochs follow earlier ones.
 
         Args:
             anchors: number of anchors.
+            mixes: whether beliefs are those of a bank, whose modes interact.
             time_s: (T,) times of the epochs.
             parts: beliefs x (n, T, 7 or 8) and P (n, T, 28 or 36), packed; NIS of every group of
                 measurements, and which ones were accepted or rejected (n, T, groups); and,
@@ -129,7 +142,7 @@ class Levels:
         clocks = np.log(np.maximum(dt, _LEAST_S)), np.log1p(time_s - self._first_s)
         known = np.full(now.shape[:2], np.nan) if trusted is None else trusted
         corrected = np.isfinite(known)
-        rest = [*_shape(x, P), *clocks, corrected, np.where(corrected, known, 1.0)]
+        rest = [*_shape(x, P), *clocks, corrected, np.where(corrected, known, 1.0), float(mixes)]
         alone = np.stack(np.broadcast_arrays(*rest), axis=-1)
         return np.concatenate([now, alone, means.reshape(*now.shape[:2], -1)], axis=-1)
 

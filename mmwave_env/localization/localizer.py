@@ -200,7 +200,9 @@ def _filtered(
             levels.reset()
         gates = track["nis"], track["accepted"], episode.visible & ~track["accepted"]
         read = [values[None] for values in (track["x"], track["P"], *gates, track["trusted"])]
-        track["level_factors"] = levels.factors(block.layout.anchors, block.time_s, *read)[0]
+        track["level_factors"] = levels.factors(
+            block.layout.anchors, switching.bank is not None, block.time_s, *read
+        )[0]
         sound = np.isfinite(track["x"]).all(axis=1) & np.isfinite(track["P"]).all(axis=1)
         end = len(block) if sound.all() else int(np.argmin(sound))
         if end:

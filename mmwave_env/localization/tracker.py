@@ -168,7 +168,8 @@ class Tracker:
                 self._levels.reset()
             known = np.array([np.nan]) if trusted is None else trusted
             read = [part[None] for part in (x, P, nis, accepted, visible - accepted, known)]
-            factors = self._levels.factors(self._layout.anchors, np.array([time_s]), *read)[0, 0]
+            at = self._layout.anchors, self._switching.bank is not None, np.array([time_s])
+            factors = self._levels.factors(*at, *read)[0, 0]
         mode = self._names[int(parts["memory.mode"][0])]
         self._late.append((time_s, spread_hz, mode, factors, parts))
         passed, numbers = accepted[0].tolist(), nis[0].tolist()

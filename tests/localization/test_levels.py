@@ -36,7 +36,7 @@ def watched(levels, policies, source, radio, seeds):
     def keep(contender, time_s, results):
         levels.reset()
         read = [*(results[part] for part in PARTS), results.get("trusted")]
-        factors = levels.factors(ANCHORS, time_s, *read)
+        factors = levels.factors(ANCHORS, contender.mixes, time_s, *read)
         bounds = gaussian_levels(results["P"], levels.risk) * factors
         error = results["error"]
         sizes = np.stack([np.hypot(error[..., 0], error[..., 1]), abs(error[..., 2])], axis=-1)
@@ -52,7 +52,7 @@ def test_a_risk_that_no_calibration_covers_and_an_unknown_kind_are_refused():
         Levels(0.05)
     with refuses("levels"):
         Levels(kind="exact")
-    assert Levels(0.05, "gaussian").factors(ANCHORS, np.arange(T), *parts()).tolist() == (
+    assert Levels(0.05, "gaussian").factors(ANCHORS, True, np.arange(T), *parts()).tolist() == (
         np.ones((N, T, 2)).tolist()
     )
 
@@ -69,18 +69,18 @@ def test_factors_are_positive_and_finite_whatever_a_filter_went_through(risk):
     ):
         levels.reset()
         with np.errstate(invalid="ignore"):
-            factors = levels.factors(ANCHORS, 0.1 * np.arange(T), *extreme)
+            factors = levels.factors(ANCHORS, True, 0.1 * np.arange(T), *extreme)
         assert factors.shape == (N, T, 2) and np.isfinite(factors).all() and (factors > 0.0).all()
 
 
 def test_epochs_in_pieces_have_the_factors_of_the_whole_track():
     read, time_s = parts(), np.cumsum(np.random.default_rng(1).random(T))
-    whole, levels = Levels().factors(ANCHORS, time_s, *read), Levels()
+    whole, levels = Levels().factors(ANCHORS, True, time_s, *read), Levels()
     cut = [slice(0, 1), slice(1, 25), slice(25, T)]
-    pieces = [levels.factors(ANCHORS, time_s[i], *(part[:, i] for part in read)) for i in cut]
+    pieces = [levels.factors(ANCHORS, True, time_s[i], *(part[:, i] for part in read)) for i in cut]
     np.testing.assert_allclose(np.concatenate(pieces, axis=1), whole, rtol=1e-9)
     levels.reset()
-    np.testing.assert_allclose(levels.factors(ANCHORS, time_s, *read), whole, rtol=1e-9)
+    np.testing.assert_allclose(levels.factors(ANCHORS, True, time_s, *read), whole, rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["corrector", "ekf"])
@@ -132,6 +132,6 @@ def test_levels_are_trained_and_calibrated_for_all_risks():
     from experiments.training.levels import RISKS, tuned_levels
 
     network = Network.of(tuned_levels(5_000_000, rounds=1, calibration=1, steps=200))
-    features = Levels(kind="gaussian").features(ANCHORS, np.arange(T), *parts())
+    features = Levels(kind="gaussian").features(ANCHORS, True, np.arange(T), *parts())
     factors = network.log_factors(features)
     assert factors.shape == (N, T, len(RISKS), 2) and np.isfinite(factors).all()
