@@ -7,19 +7,21 @@ from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import InvalidAction, ResetNeeded
 from numpy.typing import NDArray
 
 from mmwave_env.engines.environment import Environment
-from mmwave_env.engines.tally import count
+from mmwave_env.engines.tally import count, exceeds
+from mmwave_env.interface.actions import numbers_in, space_of
 from mmwave_env.interface.info import (
+    COST_KEY,
     INFOS,
     NONFINITE_KEY,
     STATE_KEYS,
     info_rows,
     step_info,
+    told,
     warn_of_nonfinite,
     worded,
 )
@@ -36,7 +38,7 @@ _HERE = np.zeros(1, np.int64)  # index of the environment in a batch of one
 BACKENDS = {"lanes": "SIMD lanes", "filterpy": "the slow, independent filters of filterpy"}
 
 
-class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
+class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
     """An agent chooses which Kalman filter pipeline localizes a mobile user.
 
     ## Description
@@ -89,6 +91,24 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
       IMM, `mmwave_env.filters.bank.best_bank`. A mode file for a bank may also contain
       "transition" (probabilities over one second) and "nis_quantile".
 
+    ## Actions that are Numbers
+
+    With beliefs per mode, `action` selects another action space. No mode's `cost` is subtracted
+    then, and `mode` in infos is 0.
+
+    * `action="weights"`: `Box` (modes,), -3 to 3: logarithms of factors on the probabilities of
+      the modes, per second. As trust does, they change the mixture before it is reported and mixed
+      again. A weight of 3 for one mode alone is trust in that mode.
+    * `action="correction"`: `Box` (6,): shifts of the position along the estimated velocity, across
+      it (to the left) and up, -4 to 4 standard deviations of the belief; then logarithms of factors
+      on these deviations, -2 to 2. The observation describes an epoch after its update and nothing
+      later. The action corrects the belief of that epoch, to which reward and infos then belong.
+      The filters go on without corrections, so actions have no later effect (use a discount of 0);
+      `reward="paired"` subtracts the reward of the belief without correction. The filters are an
+      IMM, or steered by `base`, a function from the table of their observations to an agent without
+      memory, such as `partial(LearnedSwitch, "guided")`. The shipped corrector's answers, as
+      actions, earn what `mmwave-loc compare` shows for it.
+
     ## Rewards
 
     `reward="tracking"` (default): -(1.0 min(error, 10 m) + 0.2 min(|ln(NEES / 3)|, 3)), with
@@ -120,15 +140,16 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
 
     * Every step: `position_error_m`, `nees`, `nis`, `accepted`, `rejected` (per anchor, then
       Doppler), `mode`, `gamma`, `truth` (position, velocity), `estimate` (position, velocity,
-      bias; with `clock="offset"` also the range bias, m), `reward_terms`; with beliefs per mode
-      also `mode_probabilities`.
+      bias; with `clock="offset"` also the range bias, m), `reward_terms`, `cost` (1.0 if the
+      horizontal error exceeds the level that a Gaussian error exceeds with a probability of 0.001,
+      else 0.0: a cost for constrained learning); with beliefs per mode also `mode_probabilities`.
     * `reset`: `episode_name`, `episode_key` (of simulated episodes), `truth`, `estimate`, and
       `nonfinite`: the number of links, Doppler shifts and odometry readings that contain NaN or
       infinity and count as missing.
     * The last step adds `ate_m`, `rmse_m`, `rpe_m`, `mean_nees`, `in_bounds`, `divergence` (all
       without the first 10 epochs); with `smoothed=True` also `smoothed_ate_m`, for which the
       episode is run again and smoothed (Rauch-Tung-Striebel). If beliefs were NaN or infinite,
-      there is a warning, and `nonfinite_beliefs` counts the epochs after which they were.
+      there is a warning, and `nonfinite_beliefs` counts the epochs with such beliefs.
     * To save time, `infos="episode"` fills infos only at resets and last steps, and `infos="none"`
       never. `infos="fixed"` has the same keys at every reset and step, for libraries that need
       this (docs/own-agent.md): only numbers, without `episode_name` and `episode_key`; unknown
@@ -136,8 +157,8 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
 
     ## Keys
 
-    A simulated episode is a function of its key, 64 bits that follow from the environment's seed
-    and the number of episodes begun since. `reset(options={"episode_key": key})` plays it again in
+    A simulated episode is a function of its key: 64 bits, computed from the seed of the environment
+    and the number of the episode. `reset(options={"episode_key": key})` plays the episode again in
     any environment with the same scenario, scene, radio and steps. With another radio the user
     still moves along the same trajectory.
 
@@ -160,6 +181,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
       mode file or a `Mode`, whose algorithm may be your own function (docs/own-filters.md); or
       one mode file, a dict with the content of such a file, or a `Bank`.
     * `beliefs`: "shared" (default) or "per-mode", see Beliefs per Mode.
+    * `action`, `base`: "mode" (default), "weights" or "correction", see Actions that are Numbers.
     * `reward`: "tracking", "log-score", "paired", a function or a `PairedReward`.
     * `observation`: "full" or "prior".
     * `infos`: "all" (default), "episode", "none" or "fixed", see Information.
@@ -248,7 +270,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
         drawn = (*self._drawn, render_size, render_theme)
         self._gallery = Gallery(1, *drawn) if render_mode else None
         self.observation_space = cast(Any, self.observation.space)
-        self.action_space = spaces.Discrete(len(self.observation.actions))
+        self.action_space = cast(Any, space_of(self._limits, len(self.observation.actions)))
 
     def _set_up(self) -> None:
         """Create everything that follows from the arguments, for a new environment or a copy."""
@@ -261,7 +283,8 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
         self._start_engine(pipeline, on_floats=on_floats)
         at, span = self._engine.at, self._engine.span
         self._io, self._counts = self._engine.io(), self._tally.in_python()
-        self._observed, self._error = span(at.observation), span(at.error)
+        self._observed, self._error = self._engine.obs_rows, span(at.error)
+        self._spread = span(told(at).P[:3])
         self._told = {
             key: part if isinstance(part, int) else span(part)
             for key, part in info_rows(at).items()
@@ -326,31 +349,24 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
             key = self._stream.next(self.np_random, self.np_random_seed)
         (name,) = engine.begin(task, np.array([key], np.uint64), _HERE)
         engine.batch.advance()
+        engine.lead(_HERE)
         return {"episode_name": name, "episode_key": np.uint64(key), "nonfinite": 0}
 
-    def step(
-        self, action: np.int64
-    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Process the epoch with a mode, or trust a mode more; see Gymnasium's `Env.step`."""
         if self._over:
             raise ResetNeeded("Call reset before step: there is no episode under way.")
-        # Gymnasium's own check takes longer than the filters
-        known = type(action) in _INTEGERS and 0 <= action < len(self.observation.actions)
-        if not (known or self.action_space.contains(action)):
-            raise InvalidAction(
-                f"action: found {action!r} ({type(action)}), expected an integer in "
-                f"{self.action_space}"
-            )
-        self._io.inputs[0, 0, 0] = action
+        mode = self._take(action)
         self._engine.batch.advance(self._io)
         column = self._engine.column(0)
-        info = step_info(column, self._told, int(action))
+        info = step_info(column, self._told, mode)
         rewards, distance = np.array([column[self._engine.at.reward]]), info["position_error_m"]
         if self._baseline:
             self._baseline.subtract(rewards, _HERE)
         off, nees = column[self._error].tolist(), info["nees"]
+        info[COST_KEY] = exceeds(*off[:2], *column[self._spread].tolist())
         count(self._counts, 0, self._steps, *off, nees)
-        self._history.rows[self._steps, 0] = action
+        self._history.rows[self._steps, 0] = mode
         self._steps += 1
         terminated = self._task.worst is not None and not distance <= DIVERGENCE_M
         if terminated:
@@ -360,11 +376,28 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
         if self._over:
             info |= self._episode_info()
         if self._gallery:
-            self._gallery.add(_HERE, self._io.inputs[:, 0, 0], self._engine.column)
+            self._gallery.add(_HERE, np.array([mode]), self._engine.column)
             if self.render_mode == "human":
                 self.render()
         observation, info = self._io.observations[0, 0].copy(), self._worded(info, self._over)
         return observation, float(rewards[0]), terminated, truncated, info
+
+    def _take(self, action: Any) -> int:
+        """Pass an action to the engine and return its mode, 0 if it is numbers; or refuse it."""
+        inputs = self._io.inputs[0, 0]
+        if len(self._limits):
+            inputs[1:] = numbers_in("action", action, self._limits)
+            (inputs[0],) = self._engine.choices()
+            return 0
+        # Gymnasium's own check takes longer than the filters
+        known = type(action) in _INTEGERS and 0 <= action < len(self.observation.actions)
+        if not (known or self.action_space.contains(action)):
+            raise InvalidAction(
+                f"action: found {action!r} ({type(action)}), expected an integer in "
+                f"{self.action_space}"
+            )
+        inputs[0] = action
+        return int(action)
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the epochs so far, seen from above; return (size, size, 3), or None for "human"."""

@@ -1,11 +1,12 @@
 """The task that the arguments of ``MmWaveLoc-v0`` define, single or vectorized."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mmwave_env.datasets.measured import MeasuredTrack
 from mmwave_env.datasets.recorded import Recording
@@ -15,7 +16,8 @@ from mmwave_env.datasets.ways import scenario_from
 from mmwave_env.filters.bank import Bank, Modes, bank_from, modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.observation import BELIEFS
+from mmwave_env.interface.actions import ACTIONS, CORRECTION, MODE
+from mmwave_env.interface.observation import BELIEFS, Observation
 from mmwave_env.interface.reward import PairedReward, Reward, reward_from
 from mmwave_env.io.lookup import choose, did_you_mean
 from mmwave_env.io.records import require
@@ -29,6 +31,8 @@ from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Scenario
 
 EPISODE_STEPS = 200
+# from the table of observations to an agent: observations (n, features) -> actions (n,)
+Base = Callable[[Observation], Callable[[NDArray[np.float32]], Any]]
 
 
 @dataclass(frozen=True)
@@ -38,11 +42,13 @@ class Task:
     source: EpisodeSource
     radio: Radio  # profile of the receiver
     pipeline: Pipeline
-    bank: Bank | None  # if every mode keeps its own belief; None if modes share one
+    bank: Bank | None  # the bank of the modes if each keeps its own belief, else None
     reward: Reward  # function of (belief, truth)
-    baseline: Bank | None  # whose IMM's reward is subtracted; None without a paired reward
-    # reward for every remaining epoch of a diverged episode; None if it goes on instead
+    baseline: Bank | None  # bank of the IMM whose reward a paired reward subtracts, else None
+    # reward of every remaining epoch after a divergence; None if episodes continue after one
     worst: float | None
+    action: str = MODE  # kind of actions
+    base: Base | None = None  # whose beliefs actions correct; None for the IMM of the bank
 
     def draw(self, rng: np.random.Generator) -> Episode:
         """Draw the next episode of an environment."""
@@ -73,7 +79,7 @@ class Task:
         return scene.streets if self.simulated.travels or scene.streets_known else None
 
     def require_keys(self, seed: Any) -> None:
-        """Refuse a key if episodes have no keys, or if there is also a seed, which draws a key."""
+        """Refuse a key if episodes have no keys, or beside a seed, which also draws a key."""
         if not self.has_keys:
             raise ValueError(
                 f"options['episode_key']: found a key, but {self.source.name!r} is recorded or "
@@ -112,6 +118,8 @@ class TaskArguments:
     measurements: Sequence[str] | None = None
     clock: str = "synchronized"
     terminate_on_divergence: bool = False
+    action: str = MODE
+    base: Base | None = None
 
 
 def task_from(**arguments: Any) -> Task:
@@ -135,6 +143,7 @@ def task_from(**arguments: Any) -> Task:
     require("dt", asked.dt, float | None)
     for name in ("planar", "odometry", "terminate_on_divergence"):
         require(name, getattr(asked, name), bool)
+    _require_action(asked)
     source, radio = _source(asked, radio_from(asked.radio))
     pays = reward_from(asked.reward)
     bank, modes = bank_and_modes(asked.modes, asked.beliefs, radio)
@@ -150,13 +159,23 @@ def task_from(**arguments: Any) -> Task:
                 "terminate_on_divergence: needs a reward with its lowest value as attribute worst"
             )
         worst = pays.worst - max(mode.cost for mode in pipeline.modes)  # type: ignore[attr-defined]
-    return Task(source, radio, pipeline, bank, pays, baseline, worst)
+    acts = asked.action, asked.base
+    return Task(source, radio, pipeline, bank, pays, baseline, worst, *acts)
+
+
+def _require_action(asked: TaskArguments) -> None:
+    """Refuse an unknown kind of actions, and arguments that do not go with it."""
+    choose(ACTIONS, asked.action, "action")
+    if asked.action != MODE and asked.beliefs != "per-mode":
+        raise ValueError(f'action: found {asked.action!r}, which needs beliefs="per-mode"')
+    if asked.base is not None and not (asked.action == CORRECTION and callable(asked.base)):
+        raise ValueError(f"base: found {asked.base!r}, expected a function, for corrections alone")
 
 
 def bank_and_modes(
     modes: Modes, beliefs: str, radio: str | Radio
 ) -> tuple[Bank | None, tuple[Mode, ...]]:
-    """Return the bank, or None if modes share a belief, and the modes, for these arguments.
+    """Return the bank (None if modes share a belief) and the modes for these arguments.
 
     ``modes=`` and ``beliefs=`` are those of :class:`~mmwave_env.env.MmWaveLocEnv`; named modes are
     tuned for the radio profile.

@@ -6,7 +6,6 @@ from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
 from gymnasium.error import InvalidAction, ResetNeeded
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from mmwave_env.engines.environment import RestorableEnvironment
 from mmwave_env.engines.vector_step import Stepper
+from mmwave_env.interface.actions import numbers_in, space_of
 from mmwave_env.interface.info import (
     INFOS,
     NONFINITE_KEY,
@@ -124,7 +124,8 @@ class MmWaveLocVectorEnv(
         drawn = (*self._drawn, render_size, render_theme)
         self._gallery = Gallery(num_envs, *drawn) if render_mode else None
         self.single_observation_space = cast(Any, self.observation.space)
-        self.single_action_space = cast(Any, spaces.Discrete(len(self.observation.actions)))
+        space = space_of(self._limits, len(self.observation.actions))
+        self.single_action_space = cast(Any, space)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._streams = Streams(num_envs)
@@ -235,6 +236,7 @@ class MmWaveLocVectorEnv(
             engine.batch.load(drawn, places)
             infos["episode_name"][places] = [episode.name for episode in drawn]
             infos["nonfinite"][places] = [episode.nonfinite for episode in drawn]
+        engine.lead(places)
         self._begin_tracks(places)
         self._remember(int(engine.batch.state.length.max()))
         self._names[places] = infos["episode_name"][places]
@@ -244,11 +246,11 @@ class MmWaveLocVectorEnv(
         return {} if self._infos == "none" else infos
 
     def step(self, actions: Index) -> Step:
-        """Process an epoch in every environment, with the modes ``actions`` (N,)."""
-        actions = self._checked(actions)
+        """Process an epoch in every environment, with actions (N,), or (N, k) if they are a Box."""
+        actions, numbers = self._checked(actions)
         fresh, resets = self._over, self._ended  # none unless autoreset is NextStep
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
-        result, self._ended, infos = self._stepper.step(actions)
+        result, self._ended, infos = self._stepper.step(actions, numbers)
         observations, rewards, terminated, truncated, *_ = result
         if self._gallery:
             self._begin_pictures(np.flatnonzero(fresh))
@@ -290,25 +292,28 @@ class MmWaveLocVectorEnv(
             return self._same_step(observations, infos)
         return infos
 
-    def _checked(self, actions: Any) -> Index:
-        """Return a copy of the actions (N,); refuse actions that are invalid and not ignored."""
+    def _checked(self, actions: Any) -> tuple[Index, Array | None]:
+        """Return copies of modes (N,) and of numbers; refuse what is invalid and not ignored."""
         self._require_begun("step")
         if self._ended and self.autoreset_mode == AutoresetMode.DISABLED:
             raise ResetNeeded(
                 f"The episodes of environments {np.flatnonzero(self._over).tolist()} are over: "
                 'call reset(options={"reset_mask": ...}) before step.'
             )
+        n = self.num_envs
+        if len(self._limits):
+            numbers = numbers_in("actions", actions, self._limits, n, ignored=self._over)
+            return np.zeros(n, np.int64), numbers
         array = np.asarray(actions)
-        if array.shape == (self.num_envs,) and array.dtype.kind in "iu":
+        if array.shape == (n,) and array.dtype.kind in "iu":
             chosen = array.astype(np.int64)
             wrong = chosen.view(np.uint64) >= self._mode_count  # negative actions wrap around
             if self._ended:
                 wrong[self._over] = False
             if not np.count_nonzero(wrong):
-                return chosen
+                return chosen, None
         raise InvalidAction(
-            f"actions: found {actions!r}, expected {self.num_envs} integers in "
-            f"{self.single_action_space}"
+            f"actions: found {actions!r}, expected {n} integers in {self.single_action_space}"
         )
 
     def _same_step(self, observations: Observations, infos: dict[str, Any]) -> dict[str, Any]:

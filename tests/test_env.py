@@ -35,7 +35,7 @@ ID = "MmWaveLoc-v0"
 EKF = {"modes": ["ekf"]}  # one mode alone compiles fastest
 
 STEP_KEYS = {"position_error_m", "nees", "nis", "accepted", "rejected", "mode", "gamma"}
-STEP_KEYS |= {"truth", "estimate", "reward_terms"}
+STEP_KEYS |= {"truth", "estimate", "reward_terms", "cost"}
 END_KEYS = {"ate_m", "rmse_m", "rpe_m", "mean_nees", "in_bounds", "divergence"}
 SMOOTHED = "smoothed_ate_m"  # a key of infos if smoothed=True
 

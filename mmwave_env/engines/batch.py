@@ -42,9 +42,10 @@ class Batch(Generic[Workspace]):
         input_rows: leaves of ``program.index`` that receive an input in every epoch.
         on_floats: whether to run in plain Python instead of on SIMD lanes.
         threads: number of threads that may work at once; results do not depend on it.
+        ahead: number of epochs that the program has run before the one that an action completes.
 
     Attributes:
-        at: the workspace tree with row numbers as leaves; its fields select the rows to read.
+        at: tree like the workspace, with row numbers in place of values; selects the rows to read.
         state: the environments' workspaces, episodes and next epochs.
         parts: (first, end) numbers of the blocks that each thread runs in an epoch.
     """
@@ -57,8 +58,9 @@ class Batch(Generic[Workspace]):
         input_rows: Index = NO_ROWS,
         on_floats: bool = False,
         threads: int = 1,
+        ahead: int = 0,
     ) -> None:
-        self.program, self.layout, self.n = program, layout, n
+        self.program, self.layout, self.n, self.ahead = program, layout, n, ahead
         self.at = program.index
         blocks = -(-n // WIDTH)
         rows = blocks_of(program.start, n)
@@ -66,6 +68,11 @@ class Batch(Generic[Workspace]):
         self._input_rows = input_rows
         self._run = None if on_floats else Repeated(run_blocks)
         self.parts = spans(blocks, max(1, min(threads, blocks // BLOCKS_PER_THREAD)))
+
+    @property
+    def completed(self) -> Index:
+        """Return the numbers (n,) of epochs that actions completed; later ones wait for actions."""
+        return self.state.epoch - 1 - self.ahead
 
     def load(
         self,
@@ -126,7 +133,7 @@ class Batch(Generic[Workspace]):
         self.restart(places)
 
     def attach(self, source: SimulatedSource) -> None:
-        """Attach a source, whose episodes are simulated from the next :meth:`begin` on."""
+        """Prepare for the episodes of a source, which :meth:`begin` starts; do so only once."""
         if not self.state.feed.run:
             blank = source.begin(np.zeros(1, np.uint64)).worlds
             feed = source.feed(np.tile(blank, (self.n, 1)))
@@ -185,7 +192,7 @@ class Batch(Generic[Workspace]):
         self._run(len(state.rows) * io.outputs.shape[1], jobs)
 
     def span(self, tree: Any) -> slice:
-        """Return the slice of rows of a subtree of ``at``, which are contiguous."""
+        """Return the slice of the rows of a subtree of ``at``; these rows are contiguous."""
         numbers = flatten(tree)
         return slice(numbers[0], numbers[-1] + 1)
 

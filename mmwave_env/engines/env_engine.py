@@ -1,7 +1,7 @@
 """The engine of environments, which steps one or many environments together."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +11,14 @@ from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.environment_epoch import program_of
 from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.actions import CORRECTION, MODE
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.reward import Reward
+from mmwave_env.interface.signed import after_update
+from mmwave_env.io.lookup import choose
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import flatten
-from mmwave_env.task import Task
+from mmwave_env.task import Base, Task
 from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
 from mmwave_env.world.keys import Keys
 
@@ -23,7 +26,7 @@ from mmwave_env.world.keys import Keys
 class Engine:
     """N environments that step together: episodes and actions in, observations and scores out.
 
-    To *consider* an epoch is to run the modes on it, before an action chooses among their results.
+    *Considering* an epoch means running the modes on it, before an action chooses a result.
 
     Args:
         pipeline: modes and layout.
@@ -32,6 +35,7 @@ class Engine:
         observation: "full" or "prior".
         bank: bank of the pipeline's modes, if every mode keeps its own belief; None if the modes
             share a belief.
+        action, base: same as in :class:`~mmwave_env.task.Task`.
         on_floats: whether to run in plain Python, as filterpy needs, instead of on SIMD lanes.
         threads: number of threads that may work at once; results do not depend on it.
 
@@ -50,16 +54,27 @@ class Engine:
         bank: Bank | None = None,
         on_floats: bool = False,
         threads: int = 1,
+        action: str = MODE,
+        base: Base | None = None,
     ) -> None:
         self.pipeline = pipeline
-        self.observation = Observation(pipeline, observation, "per-mode" if bank else "shared")
-        program = program_of(pipeline, observation, reward, per_mode=bank is not None)
-        action, self._on_floats = np.array([program.index.action]), on_floats
-        self.keys = np.zeros(n, np.uint64)
-        self.batch = Batch(program, pipeline.layout, n, action, on_floats, threads)
+        ahead = int(action == CORRECTION)
+        if ahead:
+            choose({"full": None}, observation, 'observation, with action="correction",')
+            observation = "signed"
+        table = Observation(pipeline, observation, "per-mode" if bank else "shared")
+        self.observation, self._shown = table, cast(Any, slice(None))
+        if ahead:  # the other features know the coming epoch
+            self.observation = table.only(after_update(pipeline, per_mode=True))
+            self._shown = [table.names.index(name) for name in self.observation.names]
+        self._base = base(table) if base else None
+        program = program_of(pipeline, observation, reward, bank is not None, action)
+        inputs = rows_of([program.index.action, getattr(program.index, "numbers", [])])
+        self._on_floats, self.keys = on_floats, np.zeros(n, np.uint64)
+        self.batch = Batch(program, pipeline.layout, n, inputs, on_floats, threads, ahead)
         self.at = self.batch.at
         self.read, self.column, self.span = self.batch.read, self.batch.column, self.batch.span
-        self._obs_rows = rows_of(self.at.observation)
+        self.obs_rows = rows_of(self.at.observation)[self._shown]
         if bank:
             self.tune(bank)
 
@@ -72,6 +87,7 @@ class Engine:
         """Start over with one episode for each environment and consider its first epoch."""
         self.batch.load(episodes)
         self.batch.advance()
+        self.lead(np.arange(self.batch.n))
 
     def begin(self, task: Task, keys: Keys, places: Index, threads: int = 1) -> list[str]:
         """Begin the episodes with given keys (n,) in some environments (n,).
@@ -139,12 +155,29 @@ class Engine:
         running = np.zeros(self.batch.n, np.bool_)
         running[places] = True
         io = self.io(output_rows)
+        io.inputs[:, 0, 0] = self.choices()
         self.batch.advance(io, running)
         return io.observations[:, 0], io.outputs[:, 0]
 
+    def lead(self, places: Index) -> None:
+        """Run environments just loaded one epoch ahead, if actions are corrections."""
+        if self.batch.ahead:
+            self.start(places)
+
+    def choices(self) -> Index:
+        """Return the base's actions (n,) in the epoch under consideration; 0 without a base."""
+        n = self.batch.n
+        if self._base is None:
+            return np.zeros(n, np.int64)
+        actions: Index = np.asarray(self._base(self.read(self.at.observation, np.float32)))
+        whole, count = actions.dtype.kind in "iu", len(self.observation.actions)
+        if whole and actions.shape == (n,) and actions.min() >= 0 and actions.max() < count:
+            return actions
+        raise ValueError(f"actions of base: found {actions}, expected {n} integers below {count}")
+
     def io(self, output_rows: Index = NO_ROWS) -> StepIO:
         """Return the buffers of a step: for actions, observations and output rows."""
-        return self.batch.io(output_rows=output_rows, obs_rows=self._obs_rows)
+        return self.batch.io(output_rows=output_rows, obs_rows=self.obs_rows)
 
     def step(
         self, actions: NDArray[np.integer[Any]] | np.int64, output_rows: Index = NO_ROWS
@@ -167,4 +200,4 @@ class Engine:
 
     def observations(self) -> NDArray[np.float32]:
         """Return a copy of the current observations (n, features)."""
-        return self.read(self.at.observation, np.float32)
+        return self.read(self.at.observation, np.float32)[:, self._shown]

@@ -23,7 +23,8 @@ from mmwave_env.engines.tally import Tally
 from mmwave_env.engines.vector_step import ActionHistory, Stepper
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.info import SMOOTHED_KEY, drawn_rows
+from mmwave_env.interface.actions import MODE, limits_of
+from mmwave_env.interface.info import SMOOTHED_KEY, drawn_rows, told
 from mmwave_env.interface.reward import term_names
 from mmwave_env.metrics import INFO_KEYS, ate, scored
 from mmwave_env.models.scene import Streets
@@ -33,13 +34,14 @@ from mmwave_env.task import Task
 from mmwave_env.world.episode import EpisodeBatch
 from mmwave_env.world.keys import Streams
 
-REPLAYED, FILTERED = 64, 256  # episodes that one job processes; more would need much memory
+REPLAYED, FILTERED = 64, 256  # episodes in one job of replaying and of filtering, to save memory
 
 
 class Baseline:
     """The baseline of a paired reward: the rewards of an IMM on the episodes of a batch.
 
-    No action changes an episode, so these rewards are known once the episode is loaded.
+    No action changes an episode, so these rewards are known once the episode is loaded. The
+    baseline of a correction is the belief that it corrects, whose reward its program computes.
 
     Args:
         task: the task, whose baseline is the IMM.
@@ -62,6 +64,8 @@ class Baseline:
             places: numbers of these environments.
             episodes: function that returns the episodes of environments, given their numbers.
         """
+        if self._batch.ahead:
+            return
         missing = self._batch.state.length.max() - self._rewards.shape[1]
         self._rewards = np.pad(self._rewards, ((0, 0), (0, max(0, missing))))
 
@@ -82,21 +86,25 @@ class Baseline:
             rewards: (N,) rewards of all environments, changed in place.
             places: (n,) environments that processed an epoch.
         """
-        epoch = self._batch.state.epoch[places] - 2  # the last epoch that an action completed
-        rewards[places] = rewards[places].astype(np.float32) - self._rewards[places, epoch]
+        batch = self._batch
+        if batch.ahead:
+            earned = batch.read(batch.at.told.reward, np.float32)[places]
+        else:
+            earned = self._rewards[places, batch.completed[places] - 1]
+        rewards[places] = rewards[places].astype(np.float32) - earned
 
     def rest(self, places: Index) -> Array:
         """Return the IMM's total reward in the remaining epochs of some environments (n,)."""
         tracks = self._batch.state
-        spans = zip(places, tracks.epoch[places] - 1, tracks.length[places], strict=True)
+        spans = zip(places, self._batch.completed[places], tracks.length[places], strict=True)
         return np.array([fsum(self._rewards[place, now:end]) for place, now, end in spans])
 
 
 class Environment:
     """Environments on an engine, which can be copied by ``deepcopy`` and ``pickle``.
 
-    A copy creates compiled code and references to it again, and copies everything else. A deep
-    copy shares the task, which no step changes, and with it the source of episodes.
+    A copy creates compiled code and references to this code anew, and copies everything else. A
+    deep copy shares the task, including the source of episodes, because no step changes the task.
     """
 
     _engine: Engine
@@ -106,7 +114,12 @@ class Environment:
 
     def _take_task(self, task: Task, observation: str, smoothed: bool, n: int = 1) -> None:
         """Store the task of n environments that have not begun."""
+        if smoothed and task.action != MODE:
+            raise ValueError(
+                f"smoothed: found {smoothed} with action={task.action!r}, expected False"
+            )
         self._task, self._observation_kind, self._smoothing = task, observation, smoothed
+        self._limits = limits_of(task.action, len(task.pipeline.modes))
         self._tally = Tally(n, len(task.pipeline.position_axes))
         self._history = ActionHistory(n, len(task.pipeline.modes) + 1)
         self._begun = False
@@ -118,7 +131,8 @@ class Environment:
         task, kind = self._task, self._observation_kind
         self.source, self.radio, self.reward = task.source, task.radio, task.reward
         self.reward_terms = (*term_names(task.reward), "cost")
-        self._engine = Engine(pipeline, n, task.reward, kind, task.bank, on_floats, threads)
+        acts = task.action, task.base
+        self._engine = Engine(pipeline, n, task.reward, kind, task.bank, on_floats, threads, *acts)
         self.modes, self.observation = pipeline.modes, self._engine.observation
         self._replay = Replay(task.pipeline, task.bank) if self._smoothing else None
         self._baseline = Baseline(task, self._engine.batch, threads) if task.baseline else None
@@ -139,7 +153,7 @@ class Environment:
             ResetNeeded: no episode is under way.
         """
         self._require_begun("belief")
-        pipeline, at = self._engine.pipeline, self._engine.at
+        pipeline, at = self._engine.pipeline, told(self._engine.at)
         x, P = (self._engine.read(part)[environment].tolist() for part in (at.x, at.P))
         return Belief(x, unpack(P, pipeline.known_axes), pipeline.position_axes)
 
@@ -167,7 +181,7 @@ class Environment:
 
     def _metrics_of(self, ended: Index, threads: int = 1) -> dict[str, Array]:
         """Compute the final metrics of episodes that ended in some environments (k,)."""
-        epochs = self._engine.batch.state.epoch[ended] - 1
+        epochs = self._engine.batch.completed[ended]
         figures = self._tally.metrics(ended, epochs)
         metrics = {INFO_KEYS[name]: values for name, values in figures.items()}
         if not self._replay:
@@ -189,13 +203,13 @@ class Environment:
     def _charge(self, rewards: Array, places: Index) -> None:
         """Add the worst reward for each remaining epoch of episodes that ended early."""
         assert self._task.worst is not None
-        tracks = self._engine.batch.state  # its epochs include one that waits for an action
-        rewards[places] += self._task.worst * (tracks.length + 1 - tracks.epoch)[places]
+        batch = self._engine.batch
+        rewards[places] += self._task.worst * (batch.state.length - batch.completed)[places]
         if self._baseline:
             rewards[places] -= self._baseline.rest(places)
 
     def _set_up_noting(self) -> None:
-        """Set up, and remember which attributes this creates, because a copy creates its own."""
+        """Set up; remember the attributes that this creates, because a copy creates its own."""
         attributes = set(vars(self))
         self._set_up()
         self._remade = frozenset(vars(self)) - attributes

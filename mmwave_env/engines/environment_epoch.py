@@ -1,13 +1,16 @@
 """An epoch of an environment whose modes share a belief, and of one with a belief per mode.
 
-A step takes the result that the action chose as the new belief (mean and covariance), scores it
-against the truth, loads the next epoch and runs every mode on it. All modes run before the action,
-because the observation shows the result of each mode. No action changes the world.
+A step takes the result of the chosen mode as the new belief (mean and covariance), scores the
+belief against the truth, loads the next epoch and runs every mode on it. Modes run before the next
+action, because the observation shows the result of each. No action changes the world.
 
 If the modes share a belief, their results are *candidates*, and the action chooses one. If every
 mode keeps its own, the modes interact as in an IMM (:mod:`mmwave_env.filters.imm`), and an action
 is the mode to trust in the epoch that was just filtered: the probability of that mode is raised
 before the beliefs are combined, scored and mixed again. Action 0 trusts no mode, as in the IMM.
+With ``action="weights"``, the action raises or lowers the probability of every mode. With
+``action="correction"``, filters run an epoch ahead: a step corrects and scores the belief of the
+last epoch, and goes on as if there were no corrections.
 """
 
 from functools import lru_cache, partial
@@ -25,6 +28,7 @@ from mmwave_env.engines.epoch_state import (
 from mmwave_env.engines.track_engine import untuned
 from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.belief import Belief
+from mmwave_env.filters.correction import corrected
 from mmwave_env.filters.imm import (
     ImmSettings,
     Mixture,
@@ -32,14 +36,16 @@ from mmwave_env.filters.imm import (
     estimate,
     imm_epoch,
     most_probable_memory,
+    reweighted,
     trusting,
 )
 from mmwave_env.filters.memory import Memory, memory_after, memory_before
 from mmwave_env.filters.pipeline import Pipeline, predict_update
 from mmwave_env.filters.update import ModeResult
+from mmwave_env.interface.actions import CORRECTION, MODE, WEIGHTS, limits_of
 from mmwave_env.interface.features import MixtureView, View
 from mmwave_env.interface.observation import Observation
-from mmwave_env.interface.reward import Reward
+from mmwave_env.interface.reward import Reward, terms_of, total
 from mmwave_env.models.measurement import Site
 from mmwave_env.numerics.linalg import pack, unpack
 from mmwave_env.numerics.numbers import Number, where
@@ -104,6 +110,17 @@ def shared_epoch(
     )
 
 
+class Told(NamedTuple):
+    """The epoch that was corrected; its fields are those of :class:`PerModeState` of that epoch."""
+
+    x: list[Number]
+    P: list[Number]
+    truth: list[Number]
+    memory: Memory
+    mode_probabilities: list[Number]
+    reward: Number  # of the belief before the correction, without any cost
+
+
 class PerModeState(NamedTuple):
     """The state between two epochs of an environment in which every mode keeps its own belief."""
 
@@ -111,35 +128,48 @@ class PerModeState(NamedTuple):
     site: Site  # anchors, carrier and prior
     is_first: Number  # 1 to start over from the prior instead of taking the action
     action: Number  # number of the mode to trust, from 1; 0 for none
+    numbers: list[Number]  # (k,) weights or correction, if actions are numbers
     settings: ImmSettings  # parameters of the bank
     pending: PendingEpoch  # the epoch whose mixture waits for an action
     mixture: Mixture  # belief after that epoch
     spread_averages_hz: list[Number]  # average Doppler spread, for each of SPREAD_MEMORIES
-    # except for the observation, all further fields refer to the last epoch with an action:
+    # all fields below, except the observation, belong to the last epoch with an action:
     mode_probabilities: list[Number]  # (modes,) probabilities after the action
     # x, P: (7,), (28,) the combined belief
     x: list[Number]
     P: list[Number]
     memory: Memory  # memory of the most probable mode; its preferences cover all modes
     observation: list[Number]  # (features,)
-    # reward to nees: same as in :class:`EnvState`
+    # the fields from ``reward`` to ``nees`` are the same as in :class:`EnvState`
     reward: Number
     reward_terms: list[Number]
     truth: list[Number]
     error: list[Number]
     distance: Number
     nees: Number
+    told: Told | tuple[()]  # the corrected epoch, if actions are corrections
 
 
 def per_mode_epoch(
-    w: PerModeState, pipeline: Pipeline, observation: Observation, reward: Reward
+    w: PerModeState, pipeline: Pipeline, observation: Observation, reward: Reward, action: str
 ) -> PerModeState:
     """Compute a step of an environment in which every mode keeps its own belief."""
     dt, _, truth, *_ = w.pending
     layout, costs = pipeline.layout, [0.0, *(mode.cost for mode in pipeline.modes)]
-    mixture = trusting(w.mixture, w.action, dt)
+    if action == WEIGHTS:
+        mixture = reweighted(w.mixture, w.numbers, dt)
+    else:
+        mixture = trusting(w.mixture, w.action, dt)
     x, covariance = estimate(mixture)
     belief = Belief(x, covariance, pipeline.position_axes)
+    told: Told | tuple[()] = ()
+    scored = truth
+    if action == CORRECTION:
+        scored = w.truth
+        before = Belief(w.x, unpack(w.P, zero=pipeline.known_axes), pipeline.position_axes)
+        belief = corrected(before, w.numbers[:3], w.numbers[3:])
+        earned = total(terms_of(reward, before, scored))
+        told = Told(belief.x, pack(belief.P), scored, w.memory, w.mode_probabilities, earned)
     probabilities = mixture.probability
     memory = most_probable_memory(mixture)._replace(preference=w.memory.preference)
 
@@ -169,12 +199,15 @@ def per_mode_epoch(
         memory=memory,
         observation=observation.values(view),
         truth=select(is_first, w.incoming.truth, truth),
-        **scores(belief, truth, reward, tree_at(w.action, costs)),
+        told=told,
+        **scores(belief, scored, reward, 0.0 if told else tree_at(w.action, costs)),
     )
 
 
 @lru_cache(maxsize=32)
-def program_of(pipeline: Pipeline, kind: str, reward: Reward, per_mode: bool) -> Program[Any]:
+def program_of(
+    pipeline: Pipeline, kind: str, reward: Reward, per_mode: bool, action: str = MODE
+) -> Program[Any]:
     """Return the program of an epoch, shared by all environments with the same arguments.
 
     Args:
@@ -182,6 +215,7 @@ def program_of(pipeline: Pipeline, kind: str, reward: Reward, per_mode: bool) ->
         kind: kind of observation.
         reward: function of (belief, truth).
         per_mode: whether every mode keeps its own belief.
+        action: kind of actions (:mod:`mmwave_env.interface.actions`).
     """
     if per_mode:
         pipeline = untuned(pipeline)
@@ -190,14 +224,18 @@ def program_of(pipeline: Pipeline, kind: str, reward: Reward, per_mode: bool) ->
     blank = blank_environment(layout, modes, reward, observation)
     arguments: Any = {"pipeline": pipeline, "observation": observation, "reward": reward}
     if per_mode:
+        even = [1.0 / modes] * modes
+        told = Told(blank["x"], blank["P"], blank["truth"], blank["memory"], even, 0.0)
         template = PerModeState(
+            numbers=[0.0] * len(limits_of(action, modes)),
             settings=settings_of(Bank(pipeline.modes), layout),
             mixture=begin(pipeline, blank["x"], blank["P"]),
             spread_averages_hz=[0.0] * len(SPREAD_MEMORIES),
-            mode_probabilities=[1.0 / modes] * modes,
+            mode_probabilities=even,
+            told=told if action == CORRECTION else (),
             **blank,
         )
-        return Program(partial(per_mode_epoch, **arguments), template)
+        return Program(partial(per_mode_epoch, action=action, **arguments), template)
     groups = [0.0] * len(layout.groups)
     candidate = ModeResult(blank["x"], blank["P"], [], [], groups, groups, 0.0, 0.0)
     start = EnvState(candidates=[candidate] * modes, **blank)

@@ -1,18 +1,24 @@
 """Running sums from which the metrics of an episode are computed when it ends."""
 
 import math
+from statistics import NormalDist
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba.extending import register_jitable
 
-from mmwave_env.metrics import BURN_IN, Sums, nees_interval, running_summary
+from mmwave_env.metrics import BURN_IN, RISK, Sums, nees_interval, running_summary
 from mmwave_env.numerics.numbers import Array, Index
 
 # columns of the sums, in the order of :class:`~mmwave_env.metrics.Sums`
 LENGTH, SQUARED, CHANGE, NEES, INSIDE, LARGEST = range(6)
 NONFINITE = 6  # number of epochs, burn-in included, with an error or NEES that is not finite
 SUMS = 7
+
+# squares of the horizontal protection level at risk RISK, in deviations along the longer axis of
+# the ellipse of the errors: if the other axis is 0, and if it is as long
+NARROWEST, WIDEST = NormalDist().inv_cdf(0.5 * RISK) ** 2, -2.0 * math.log(RISK)
+ANGLES, LEAST = 64, 1e-12  # in a quadrant; smallest variance, m^2
 
 
 class Counts(NamedTuple):
@@ -79,8 +85,8 @@ class Tally:
 def count(counts, e, k, x, y, z, nees):  # type: ignore[no-untyped-def]
     """Count epoch ``k`` of an episode, from 0, with its position error (m) and NEES.
 
-    Up to the burn-in, each epoch replaces the earlier ones, so that the last epoch of an episode
-    counts even if the episode is shorter than the burn-in.
+    During the burn-in, each epoch replaces the earlier epochs in the sums. So an episode that is
+    shorter than the burn-in is scored by its last epoch.
 
     Args:
         counts: a :class:`Counts`, changed in place.
@@ -107,3 +113,24 @@ def count(counts, e, k, x, y, z, nees):  # type: ignore[no-untyped-def]
         u, v, w = x - now[0], y - now[1], z - now[2]
         sums[CHANGE] += math.sqrt(u * u + v * v + w * w)
     now[0], now[1], now[2] = x, y, z
+
+
+@register_jitable
+def exceeds(x, y, xx, xy, yy):  # type: ignore[no-untyped-def]
+    """Return 1.0 if a horizontal error exceeds its level at risk RISK, or is NaN; else 0.0.
+
+    That is, if errors (x, y), m, with covariance (xx, xy, yy), m^2, are larger with a probability
+    below the risk. Most errors are so small or large that this needs no integral;
+    :mod:`mmwave_env.localization.position_errors` has it.
+    """
+    squared, middle = x * x + y * y, 0.5 * (xx + yy)
+    if squared <= NARROWEST * middle:
+        return 0.0
+    half = math.hypot(0.5 * (xx - yy), xy)
+    if squared > WIDEST * (middle + half):
+        return 1.0
+    larger = 0.0
+    for i in range(ANGLES):
+        turn = (i + 0.5) * (math.pi / ANGLES)  # twice the angle to the longer axis
+        larger += math.exp(-0.5 * squared / max(middle + half * math.cos(turn), LEAST))
+    return 0.0 if larger >= RISK * ANGLES else 1.0

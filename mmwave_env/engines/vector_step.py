@@ -1,7 +1,7 @@
 """The step of many environments, from actions to infos, in one call of compiled code.
 
-With few environments, the Python code around that call takes a third of a step or more, so it
-avoids assembling and splitting arrays.
+With few environments, the Python code around that call takes a third of a step or more. So this
+code neither assembles nor splits arrays.
 """
 
 from typing import Any, NamedTuple
@@ -15,8 +15,8 @@ from mmwave_env.compiler.disk_cache import LazyJit
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import PLAIN_BLOCK_EPOCHS, Repeated, StepIO, rows_of
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.tally import Counts, Tally, count
-from mmwave_env.interface.info import FLAGS, STATE_KEYS, info_rows, mask_keys
+from mmwave_env.engines.tally import Counts, Tally, count, exceeds
+from mmwave_env.interface.info import COST_KEY, FLAGS, STATE_KEYS, info_rows, mask_keys, told
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.numerics.pytree import flatten
 
@@ -45,7 +45,7 @@ class ActionHistory:
             self.set_all(np.pad(self.all(), ((missing, 0), (0, 0))))
 
     def next(self) -> None:
-        """Go on to the next row, once the modes of a step are in the current one."""
+        """Go on to the next row, after the modes of a step were written to the current row."""
         self.turn = (self.turn + 1) % len(self.rows)
 
     def of(self, places: Index, steps: int) -> Modes:
@@ -71,6 +71,7 @@ class StepResult(NamedTuple):
     # accepted, rejected: (n, groups); (n, 0) if steps return no infos
     accepted: Mask
     rejected: Mask
+    cost: Array  # (n,) 1.0 where an error exceeds its level; (0,) if there are no infos
 
 
 class StepColumns(NamedTuple):
@@ -79,6 +80,7 @@ class StepColumns(NamedTuple):
     reward: int
     nees: int
     error: int  # 3 columns
+    covariance: int  # 3 columns: that of the horizontal position
     # accepted, rejected: one column per group of measurements, if steps return infos
     accepted: int
     rejected: int
@@ -90,6 +92,7 @@ class StepMemory(NamedTuple):
     counts: Counts  # sums for the metrics
     modes: Modes  # (T, n) the modes of the last T steps
     turn: int  # the row of ``modes`` to write
+    ahead: int  # same as in :class:`~mmwave_env.engines.batch.Batch`
 
 
 class Stepper:
@@ -109,6 +112,7 @@ class Stepper:
         self._known = {} if infos == "none" else info_rows(at)
         shown = self._known if infos == "all" else {}
         parts = {"reward": at.reward, "nees": at.nees, "error": at.error}
+        parts["covariance"] = told(at).P[:3]
         parts |= {key: [] for key in FLAGS} | shown
         ends = np.cumsum([len(flatten(part)) for part in parts.values()]).tolist()
         begins = dict(zip(parts, [0, *ends], strict=False))
@@ -121,33 +125,40 @@ class Stepper:
         self._groups = len(at.memory.accepted) if shown else 0
         self._rows = rows_of(list(parts.values()))
         self._io = engine.io(self._rows)
-        self._mask_keys = mask_keys([*shown, "mode"])
+        self._mask_keys = mask_keys([*shown, "mode", COST_KEY])
         self._everywhere = np.ones(n, np.bool_)
         self._tally, self._history = tally, history
         self._run = Repeated(_step)
         history.make_room(1)
 
-    def step(self, actions: Index) -> tuple[StepResult, int, Infos]:
+    def step(self, actions: Index, numbers: Array | None) -> tuple[StepResult, int, Infos]:
         """Apply every environment's action and consider the next epoch; see :meth:`Engine.step`.
 
         Args:
             actions: (n,) numbers of the modes; infos keep this array.
+            numbers: (n, k) weights or corrections, and ``actions`` are zeros; None if they are not.
 
         Returns:
             New results; the number of environments without epochs left; and new infos about all
             environments, with their masks, if every step returns infos.
         """
         batch, history, io = self._engine.batch, self._history, self._io
-        n, features = len(actions), len(io.obs_rows)
+        n, features, chosen = len(actions), len(io.obs_rows), actions
+        if numbers is not None:
+            io.inputs[:, 0, 1:], chosen = numbers, self._engine.choices()
         ends, flags = np.zeros((2, n), np.bool_), np.empty((2, n, self._groups), np.bool_)
         observations = np.empty((n, 1, features), np.float32)
-        result = StepResult(observations[:, 0], np.empty(n), ends[0], ends[1], flags[0], flags[1])
+        self._costs = costs = np.empty(n if self._known else 0)
+        result = StepResult(
+            observations[:, 0], np.empty(n), ends[0], ends[1], flags[0], flags[1], costs
+        )
         # earlier infos still use the previous outputs
         outputs = np.empty_like(io.outputs) if self._told else io.outputs
         io = StepIO(io.input_rows, io.inputs, self._rows, outputs, io.obs_rows, observations)
-        self._io, memory = io, StepMemory(self._tally.counts, history.rows, history.turn)
+        counts = self._tally.counts
+        self._io, memory = io, StepMemory(counts, history.rows, history.turn, batch.ahead)
         program = batch.program.on_lanes(), batch.program.blank
-        arguments = (*program, batch.state, io, self._read, actions, result, memory)
+        arguments = (*program, batch.state, io, self._read, chosen, result, memory)
         jobs = [(begin, end, *arguments) for begin, end in batch.parts]
         history.next()  # here, so that no interrupt can come between the step and this line
         ended = sum(self._run(len(batch.state.rows), jobs))
@@ -155,6 +166,7 @@ class Stepper:
             return result, ended, {}
         infos: Infos = {key: outputs[self._columns[key]] for key in self._told}
         infos |= {"accepted": result.accepted, "rejected": result.rejected, "mode": actions}
+        infos[COST_KEY] = result.cost
         infos |= dict.fromkeys(self._mask_keys, self._everywhere.copy())
         return result, ended, infos
 
@@ -162,7 +174,7 @@ class Stepper:
         """Return the infos about the last step, for steppers whose steps do not return them."""
         infos = {key: self._engine.read(part) for key, part in self._known.items()}
         infos |= {key: infos[key] > 0.5 for key in FLAGS if infos}
-        return infos and infos | {"mode": actions}
+        return infos and infos | {"mode": actions, COST_KEY: self._costs.copy()}
 
     @property
     def distances_m(self) -> Array:
@@ -191,24 +203,28 @@ def _step_blocks(  # type: ignore[no-untyped-def]
     """Step the environments of blocks ``begin`` to ``end``; return how many episodes ended."""
     first, last = begin * WIDTH, min(end * WIDTH, len(actions))
     inputs, outputs, epoch, length = io.inputs, io.outputs, state.epoch, state.length
-    counts, modes, turn = memory
+    counts, modes, turn, ahead = memory
     for e in range(first, last):
         inputs[e, 0, 0] = actions[e]
         modes[turn, e] = actions[e]
     advance(begin, end, run, blank, state, io)
-    _, rewards, _, truncated, accepted, rejected = result
+    _, rewards, _, truncated, accepted, rejected, costs = result
     ended = 0
     for e in range(first, last):
         rewards[e] = outputs[e, 0, columns.reward]
-        k = epoch[e] - 2  # the epoch that the action completed
+        k = epoch[e] - 2 - ahead  # the epoch that the action completed
         if k >= 0:
             i = columns.error
             x, y, z = outputs[e, 0, i], outputs[e, 0, i + 1], outputs[e, 0, i + 2]
             count(counts, e, k, x, y, z, outputs[e, 0, columns.nees])
+        if len(costs):
+            i, c = columns.error, columns.covariance
+            xx, xy, yy = outputs[e, 0, c], outputs[e, 0, c + 1], outputs[e, 0, c + 2]
+            costs[e] = exceeds(outputs[e, 0, i], outputs[e, 0, i + 1], xx, xy, yy)
         for g in range(accepted.shape[1]):
             accepted[e, g] = outputs[e, 0, columns.accepted + g] > 0.5
             rejected[e, g] = outputs[e, 0, columns.rejected + g] > 0.5
-        truncated[e] = epoch[e] > length[e]
+        truncated[e] = epoch[e] > length[e] + ahead
         ended += truncated[e]
     return ended
 

@@ -12,9 +12,11 @@ from mmwave_env.numerics.numbers import Array, Mask
 
 STATE_KEYS = ("truth", "estimate")  # also in the info of a reset
 TERMS_KEY = "reward_terms"
+COST_KEY = "cost"  # 1.0 where the horizontal error exceeds its protection level
 STEP_KEYS = (
     *("position_error_m", "nees", "nis", "accepted", "rejected", "mode", "gamma"),
     TERMS_KEY,
+    COST_KEY,
 )
 PROBABILITIES = "mode_probabilities"  # only with a belief per mode
 FLAGS = ("accepted", "rejected")
@@ -30,18 +32,24 @@ INFOS = {
 }
 
 
+def told(at: Any) -> Any:
+    """Return the part of an environment's workspace that describes the epoch of its infos."""
+    return getattr(at, "told", ()) or at
+
+
 def info_rows(at: Any) -> dict[str, Any]:
     """Return the parts of an environment's workspace that are in its infos, except ``mode``.
 
     Args:
         at: workspace of :mod:`~mmwave_env.engines.environment_epoch` with row numbers as leaves.
     """
-    memory = at.memory
+    of = told(at)
+    memory = of.memory
     rows = {"position_error_m": at.distance, "nees": at.nees}
     rows |= {key: getattr(memory, key) for key in ("nis", *FLAGS, "gamma")}
-    rows |= {"truth": at.truth, "estimate": at.x, TERMS_KEY: at.reward_terms}
+    rows |= {"truth": of.truth, "estimate": of.x, TERMS_KEY: at.reward_terms}
     if hasattr(at, PROBABILITIES):
-        rows[PROBABILITIES] = at.mode_probabilities
+        rows[PROBABILITIES] = of.mode_probabilities
     return rows
 
 
@@ -54,15 +62,15 @@ def drawn_rows(at: Any, span: Callable[[Any], slice]) -> dict[str, slice]:
     """
     rows = info_rows(at)
     parts = {name: rows[name] for name in ("truth", "estimate", "nees", "accepted", "rejected")}
-    parts |= {"P": at.P, "dt": at.pending.dt, "anchors": at.site.anchors}
+    parts |= {"P": told(at).P, "dt": at.pending.dt, "anchors": at.site.anchors}
     return {name: span(part) for name, part in parts.items()}
 
 
 def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
     """Return infos (n, ...) of the environments in ``where`` (n,), as Gymnasium batches them.
 
-    The arrays are modified: for other environments they become 0 or None. Every key gets a mask
-    ``_key``; all masks are the same array. If ``where`` is False everywhere, there are no keys.
+    Values of other environments are replaced by 0 or None, in place. Every key gets a mask
+    ``_key``; all masks are the same array. If ``where`` is False everywhere, the result is empty.
     """
     if not where.any():
         return {}

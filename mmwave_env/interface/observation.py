@@ -1,13 +1,14 @@
 """Observation: one table of features that defines the space, the documentation and the values.
 
-Every feature is standardized by the mean and the deviation of its kind, which are constants of the
-package, so that an observation has the same meaning everywhere and networks need no normalization.
-Rare values far from the mean are limited to ten deviations.
+Every feature is standardized by the mean and the deviation of its kind. These are constants of the
+package, so an observation has the same meaning everywhere, and networks need no normalization.
+Values farther than ten deviations from the mean, which are rare, are limited to this distance.
 """
 
 import inspect
 import json
 from collections.abc import Sequence
+from copy import copy
 from functools import cache
 from importlib.resources import files
 from typing import NamedTuple
@@ -95,9 +96,19 @@ class Observation:
             self.features += coming(pipeline, per_mode)
         if kind == "signed":
             self.features += signed(pipeline, per_mode)
+        self._take(self.features)
+
+    def _take(self, features: list[Feature]) -> None:
+        self.features = features
         self.scales = [feature_scales()[feature.kind] for feature in self.features]
         self._rows = list(zip(self.features, self.scales, strict=True))
         self._index = {feature.name: i for i, feature in enumerate(self.features)}
+
+    def only(self, features: Sequence[Feature]) -> "Observation":
+        """Return a table of only these features, in their order."""
+        table = copy(self)
+        table._take(list(features))
+        return table
 
     def __len__(self) -> int:
         return len(self.features)

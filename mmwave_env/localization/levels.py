@@ -21,7 +21,8 @@ import numpy as np
 
 from mmwave_env.io.files import read_json
 from mmwave_env.io.lookup import choose
-from mmwave_env.localization.position_errors import RISK, gaussian_levels, require_risk
+from mmwave_env.localization.position_errors import gaussian_levels, require_risk
+from mmwave_env.metrics import RISK
 from mmwave_env.numerics.numbers import Array
 
 PARTS = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected")  # that features need

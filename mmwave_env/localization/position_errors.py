@@ -1,9 +1,9 @@
 """Statistics of position errors: percentiles, shares of epochs and protection levels.
 
-Errors are horizontal (the length in x and y) and vertical (the absolute value of z). Shares are
-those of errors within the distances that 3GPP TS 22.261, Table 7.3.2.2-1, defines for positioning
-services. A track may be larger than memory, so errors are kept in temporary files, 16 bytes per
-epoch and kind.
+The horizontal error is the length of the error in x and y, the vertical error its absolute value in
+z. Shares count the epochs with an error within the distances that 3GPP TS 22.261, Table 7.3.2.2-1,
+defines for positioning services. A track may be larger than memory, so errors are kept in temporary
+files, 16 bytes per epoch and kind.
 
 A protection level is a bound that an error exceeds with a stated risk if the covariance is right.
 With position errors e ~ N(0, P), the level at risk r is the distance that |e| exceeds with
@@ -29,9 +29,9 @@ from weakref import finalize
 
 import numpy as np
 
+from mmwave_env.metrics import RISK
 from mmwave_env.numerics.numbers import Array
 
-RISK = 1e-3  # default risk of a protection level
 CONFIDENCE = 0.95  # confidence of the intervals of shares
 _RATIOS = np.linspace(0.0, 1.0, 1025)  # b / a; levels are interpolated between these
 _ANGLES = (np.arange(64) + 0.5) * (np.pi / 128)  # in one quadrant, which represents all four

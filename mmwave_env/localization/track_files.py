@@ -12,8 +12,9 @@ from mmwave_env.io.files import atomic_path, naming
 from mmwave_env.io.lookup import as_cell
 from mmwave_env.localization.localizer import TrackBlock
 from mmwave_env.localization.map_files import MAP_FILES, map_file
-from mmwave_env.localization.position_errors import RISK, gaussian_levels
+from mmwave_env.localization.position_errors import gaussian_levels
 from mmwave_env.logs.tum import COLUMNS, tum_lines
+from mmwave_env.metrics import RISK
 from mmwave_env.models.scene import Scene
 
 TRACK_ENDINGS = (".tum", ".txt")
@@ -46,7 +47,7 @@ def require_own_files(track: Path) -> None:
     """Refuse to replace a file, unless it is an earlier track or the table of one.
 
     A track and its table can be made again from their log. Any other file may be the only copy:
-    a ground-truth track is a TUM file, too, and the user never typed the name of the table.
+    ground truth is a TUM file, too, and the name of the table is not one that the user typed.
 
     Raises:
         ValueError: a file that ``localize`` did not write has one of the names.

@@ -194,7 +194,7 @@ def test_defaults_of_options_equal_the_constants_of_the_library():
     from experiments.evaluation import protocol
     from mmwave_env.filters.smoother import SMOOTHING_WINDOW
     from mmwave_env.interface.reward import TrackingReward
-    from mmwave_env.localization.position_errors import RISK
+    from mmwave_env.metrics import RISK
     from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST
 
     def options(name):

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from mmwave_env.filters.correction import MOST_LOG_FACTOR, MOST_SHIFT
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.signed import after_update
 from mmwave_env.models.layout import Layout
 from policies import Corrector, LearnedSwitch, learned_policy
-from policies.corrector import MOST_LOG_FACTOR, MOST_SHIFT
 from policies.policy_file import CORRECTIONS
 from tests.refusals import refuses
 from tests.training.actors import MODES, PER_MODE, card_of, write, write_per_mode

@@ -1,0 +1,52 @@
+"""Kinds of actions: the number of a mode, or numbers that reweigh modes or correct the belief."""
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import InvalidAction
+from numpy.typing import NDArray
+
+from mmwave_env.filters.correction import MOST_LOG_FACTOR, MOST_SHIFT
+from mmwave_env.filters.imm import TRUST
+from mmwave_env.numerics.numbers import Array
+
+MODE, WEIGHTS, CORRECTION = "mode", "weights", "correction"
+ACTIONS = {
+    MODE: "the number of the mode to run or, with a belief per mode, to trust",
+    WEIGHTS: "logarithms of factors on the probabilities of the modes, per second",
+    CORRECTION: "three shifts of the belief and three logarithms of factors on its deviations",
+}
+
+
+def limits_of(action: str, modes: int) -> Array:
+    """Return the largest absolute values (k,) of an action's numbers; (0,) if it is a mode."""
+    if action == WEIGHTS:
+        return np.full(modes, TRUST)
+    return np.repeat([MOST_SHIFT, MOST_LOG_FACTOR], 3) if action == CORRECTION else np.zeros(0)
+
+
+def space_of(limits: Array, count: int) -> spaces.Space[Any]:
+    """Return the space of actions with these limits (k,), or of ``count`` modes if k is 0."""
+    if not len(limits):
+        return spaces.Discrete(count)
+    most = limits.astype(np.float32)
+    return spaces.Box(-most, most, dtype=np.float32)
+
+
+def numbers_in(name: str, action: Any, limits: Array, *n: int, ignored: Any = False) -> Array:
+    """Return a copy of an action's numbers (*n, k); those of ``ignored`` environments become 0.
+
+    Raises:
+        InvalidAction: the shape differs, or a number is NaN or beyond its limit.
+    """
+    array: NDArray[Any] = np.asarray(action)
+    if array.shape == (*n, len(limits)) and array.dtype.kind in "fiu":
+        numbers = array.astype(np.float64)
+        numbers[ignored] = 0.0
+        if (np.abs(numbers) <= limits).all():
+            return numbers
+    raise InvalidAction(
+        f"{name}: found {action!r}, expected numbers of shape {(*n, len(limits))}, none of them "
+        f"NaN or beyond ±{limits.tolist()}"
+    )

@@ -1,0 +1,241 @@
+"""Tests of actions that are numbers: weights of the modes, and corrections of the belief."""
+
+import copy
+import math
+import warnings
+from functools import partial
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.error import InvalidAction
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+from experiments.evaluation.contenders import contender_from
+from experiments.evaluation.runner import run_contender
+from mmwave_env.engines.tally import exceeds
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.localization.position_errors import horizontal_level
+from mmwave_env.metrics import RISK
+from policies import Corrector, LearnedSwitch
+from tests.refusals import refuses
+from tests.vector_checker import forward, same
+
+ID = "mmwave_env:MmWaveLoc-v0"
+PER_MODE = {"beliefs": "per-mode", "modes": ["ekf", "ukf"]}
+
+
+def alternating(table):
+    """Return a base: it trusts one of the modes, or none, depending on a feature."""
+    column = table.names.index("coming NIS anchor 1 ukf")
+    return lambda seen: np.digitize(seen[:, column], [-0.5, 0.5])
+
+
+KINDS = {
+    "weights": PER_MODE | {"action": "weights"},
+    "correction": PER_MODE | {"action": "correction"},
+    "of a base": PER_MODE | {"action": "correction", "base": alternating},
+}
+
+
+@pytest.fixture(params=KINDS)
+def kind(request):
+    return KINDS[request.param]
+
+
+def played(env, actions, seed=0):
+    """Return the results of a reset and of actions (steps, ...)."""
+    return [env.reset(seed=seed), *(env.step(action) for action in actions)]
+
+
+def drawn(space, steps, n=(), share=0.5, seed=0):
+    """Return random actions (steps, *n, k) within a share of the limits."""
+    rng = np.random.default_rng(seed)
+    numbers = rng.uniform(-share, share, (steps, *n, *space.shape)) * space.high
+    return numbers.astype(np.float32)
+
+
+def rewards(results):
+    return np.array([result[1] for result in results[1:]])
+
+
+@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("more", [{}, {"planar": True}, {"backend": "filterpy"}])
+def test_the_environment_passes_gymnasium_s_checker(name, more):
+    env = gym.make(ID, episode_steps=5, disable_env_checker=True, **KINDS[name], **more)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", ".*symmetric and normalized")  # RescaleAction does that
+        check_env(env.unwrapped, skip_render_check=True)
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
+@pytest.mark.parametrize(
+    "more", [{}, {"reward": "paired", "terminate_on_divergence": True, "scenario": "vehicle"}]
+)
+def test_the_native_vector_environment_equals_the_synchronous_one(kind, mode, more):
+    options, n = {"num_envs": 9, "episode_steps": 9} | kind | more, (9,)
+    native = gym.make_vec(ID, autoreset_mode=mode, **options)
+    kwargs = {"autoreset_mode": AutoresetMode(mode)}
+    sync = gym.make_vec(ID, vectorization_mode="sync", vector_kwargs=kwargs, **options)
+    assert native.action_space == sync.action_space
+    assert same(native.reset(seed=3), sync.reset(seed=3))
+    for actions in drawn(native.single_action_space, 25, n):
+        assert same(forward(native, actions), forward(sync, actions))
+
+
+def test_copies_and_restored_states_continue_identically(kind):
+    env = gym.make_vec(ID, num_envs=9, autoreset_mode="SameStep", episode_steps=7, **kind)
+    first, second = np.split(drawn(env.single_action_space, 20, (9,)), 2)
+    played(env, first)
+    twin, again = copy.deepcopy(env), copy.deepcopy(env)
+    state = env.unwrapped.state()
+    expected = [env.step(actions) for actions in second]
+    assert same([twin.step(actions) for actions in second], expected)
+    played(again, second, seed=5)
+    again.unwrapped.restore(state)
+    for actions, (observation, reward, *_) in zip(second, expected, strict=True):
+        assert same(again.step(actions)[:2], (observation, reward))
+
+
+# --- what the numbers mean
+
+
+@pytest.mark.parametrize("dt", [1.0, 0.25])
+def test_a_weight_of_three_trusts_a_mode(dt):
+    options = PER_MODE | {"episode_steps": 30, "dt": dt}
+    modes = np.random.default_rng(0).integers(0, 3, 30)
+    trusted = played(gym.make(ID, **options), modes)
+    weights = np.vstack([np.zeros(2), 3.0 * np.eye(2)])[modes]
+    weighted = played(gym.make(ID, action="weights", **options), weights)
+    np.testing.assert_allclose(rewards(weighted), rewards(trusted), atol=1e-9)
+    np.testing.assert_allclose(weighted[-1][0], trusted[-1][0], atol=1e-5)
+
+
+def test_corrections_change_what_is_told_and_not_what_is_filtered():
+    options = PER_MODE | {"episode_steps": 30}
+    imm = played(gym.make(ID, **options), np.zeros(30, int))
+    env = gym.make(ID, action="correction", **options).unwrapped
+    actions = drawn(env.action_space, 30)
+    actions[1::2] = 0.0
+    corrected = played(env, actions)
+    difference = np.abs(rewards(corrected) - rewards(imm))
+    assert difference[1::2].max() < 1e-9 < difference[::2].min()
+    assert corrected[0][1]["truth"].tolist() == imm[0][1]["truth"].tolist()
+    assert env.belief().x == corrected[-1][4]["estimate"].tolist()
+    for key in ("truth", "nis", "accepted", "gamma", "mode_probabilities"):
+        np.testing.assert_allclose(corrected[9][4][key], imm[9][4][key], rtol=1e-9)
+
+
+def test_the_shipped_corrector_earns_as_an_agent_what_its_evaluation_says():
+    policy, n = Corrector("corrector"), 20
+    env = gym.make_vec(
+        ID, num_envs=n, beliefs=policy.beliefs, modes=policy.bank("handset"), action="correction",
+        base=partial(LearnedSwitch, policy.card.base),
+    ).unwrapped  # fmt: skip
+    policy.read_from_track(Pipeline(env.modes, env.source.layout))
+    policy.reset(np.ones(n, bool))
+    observations, infos = env.reset(seed=5_000_000)
+    episodes = env.source.episodes(infos["episode_key"])
+    earned = []
+    for _ in range(200):
+        shift, log_factor, _ = policy.correct_track(observations)
+        observations, reward, *_ = env.step(np.hstack([shift, log_factor]))
+        earned.append(reward)
+    contender = contender_from("corrector", "handset")
+    told = run_contender(contender, contender.start(env.source.layout), episodes)["reward"]
+    np.testing.assert_allclose(np.transpose(earned), told, atol=1e-5)
+
+
+def test_a_paired_reward_subtracts_that_of_the_same_belief_without_correction():
+    options = KINDS["of a base"] | {"num_envs": 3, "episode_steps": 20}
+    envs = [gym.make_vec(ID, reward=reward, **options) for reward in ("tracking", "paired")]
+    actions = drawn(envs[0].single_action_space, 20, (3,))
+    plain, paired = (rewards(played(env, actions)) for env in envs)
+    before = rewards(played(envs[0], np.zeros_like(actions)))
+    np.testing.assert_allclose(paired, plain - before, atol=1e-5)
+
+
+# --- refusals
+
+
+def bad(limits):
+    """Yield actions that are not within limits (k,), as arrays of numbers should be."""
+    for value in (math.nan, math.inf, limits[-1] * 1.001):
+        yield np.append(np.zeros(len(limits) - 1), value)
+    yield from (np.zeros(len(limits) + 1), np.zeros((1, len(limits))), 0, None, "none")
+    yield ["a"] * len(limits)
+
+
+def test_bad_numbers_are_refused_and_change_nothing(kind):
+    env, twin = (gym.make(ID, **kind).unwrapped for _ in range(2))
+    vectors = [gym.make_vec(ID, num_envs=2, **kind) for _ in range(2)]
+    good = drawn(env.action_space, 1)[0]
+    for each in (env, twin, *vectors):
+        each.reset(seed=0)
+    for action in bad(env.action_space.high):
+        with refuses("action", error=InvalidAction):
+            env.step(action)
+        with refuses("actions", error=InvalidAction):
+            vectors[0].step([good, action] if np.shape(action) == good.shape else action)
+    assert same(env.step(good), twin.step(good))
+    assert same(*(each.step(np.stack([good, good])) for each in vectors))
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"action": "numbers"},
+        {"action": "weights", "beliefs": "shared"},
+        {"action": "weights", "base": alternating},
+        {"action": "correction", "base": "guided"},
+        {"action": "correction", "smoothed": True},
+        {"action": "correction", "observation": "prior"},
+    ],
+    ids=str,
+)
+def test_arguments_that_do_not_fit_are_refused(arguments):
+    name = [*arguments][-1] if arguments.get("beliefs") != "shared" else "action"
+    for make in (gym.make, gym.make_vec):
+        with refuses(name):
+            make(ID, **PER_MODE | arguments)
+
+
+@pytest.mark.parametrize(
+    "answer", [np.array([3]), np.array([-1]), np.array([0.0]), np.zeros(2, int)]
+)
+def test_a_base_must_return_actions(answer):
+    env = gym.make(ID, action="correction", base=lambda table: lambda seen: answer, **PER_MODE)
+    with refuses("actions of base"):
+        env.reset(seed=0)
+
+
+# --- costs
+
+
+def test_errors_exceed_their_levels_as_in_reports():
+    rng = np.random.default_rng(0)
+    factor = rng.normal(size=(2000, 2, 2)) * rng.uniform(0.01, 3.0, (2000, 1, 2))
+    P = factor @ factor.transpose(0, 2, 1)
+    packed, turn = P[:, [0, 1, 1], [0, 0, 1]], rng.uniform(0.0, 2.0 * np.pi, 2000)
+    level = horizontal_level(packed, RISK)
+    for share, expected in ((0.999, 0.0), (1.001, 1.0)):
+        x, y = share * level * np.cos(turn), share * level * np.sin(turn)
+        assert {exceeds(*row) for row in np.column_stack([x, y, packed]).tolist()} == {expected}
+    assert exceeds(math.nan, 0.0, 1.0, 0.0, 1.0) == exceeds(1.0, 0.0, *[math.nan] * 3) == 1.0
+    assert exceeds(1.0, 0.0, 0.0, 0.0, 0.0) == 1.0 and exceeds(0.0, 0.0, 0.0, 0.0, 0.0) == 0.0
+
+
+@pytest.mark.parametrize("arguments", [{"modes": ["ekf"]}, KINDS["correction"]], ids=str)
+def test_infos_say_whether_the_error_exceeds_the_level_of_the_belief(arguments):
+    env = gym.make(ID, scenario="vehicle", **arguments).unwrapped
+    env.reset(seed=1)
+    costs = []
+    for action in drawn(env.action_space, 200) if env.action_space.shape else np.zeros(200, int):
+        info = env.step(action)[4]
+        belief = env.belief()
+        level = horizontal_level(np.array([belief.P[0][0], belief.P[1][0], belief.P[1][1]]), RISK)
+        costs.append(info["cost"])
+        assert costs[-1] == float(math.hypot(*belief.error(info["truth"].tolist())[:2]) > level)
+    assert 0.0 < np.mean(costs) < 0.9
