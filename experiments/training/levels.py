@@ -105,12 +105,12 @@ def _constants(network: Network, seed: int, rounds: int) -> Array:
     weight = np.concatenate([np.full(part[..., 0, 0].size, 1.0 / part.shape[1]) for part in over])
     scores = np.concatenate([part.reshape(-1, 2 * len(RISKS)) for part in over])
     scores[~np.isfinite(scores)] = np.inf
-    found = []
+    constants = []
     for risk, column in zip(np.repeat(RISKS, 2), scores.T, strict=True):
         order = column.argsort()
         share = weight[order].cumsum() / weight.sum() * episodes / (episodes + 1.0)
-        found.append([*column[order], np.inf][int((share < 1.0 - risk).sum())])
-    return np.reshape(found, (-1, 2))
+        constants.append(np.append(column[order], np.inf)[np.sum(share < 1.0 - risk)])
+    return np.reshape(constants, (-1, 2))
 
 
 def tuned_levels(

@@ -150,8 +150,8 @@ class Levels:
 
 def _gates(anchors: int, nis: Any, accepted: Any, rejected: Any) -> list[Array]:
     """Return numbers (n, T) on innovations and gates, as many for any number of links."""
-    seen = accepted + rejected
-    links, nis = seen[..., :anchors].sum(axis=-1), nis * seen
+    measured = accepted + rejected
+    links, nis = measured[..., :anchors].sum(axis=-1), nis * measured
     return [
         np.log1p(nis[..., :anchors].max(axis=-1)),
         np.log1p(nis[..., :anchors].sum(axis=-1) / np.maximum(links, 1.0)),
@@ -160,7 +160,7 @@ def _gates(anchors: int, nis: Any, accepted: Any, rejected: Any) -> list[Array]:
         accepted[..., :anchors].sum(axis=-1) < 0.5,
         np.log1p(nis[..., anchors]),
         rejected[..., anchors],
-        1.0 - seen[..., anchors],
+        1.0 - measured[..., anchors],
     ]
 
 
