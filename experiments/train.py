@@ -17,7 +17,7 @@ class Args(TaskArgs):
     seeds: int = 5
     """number of trainings"""
     total_timesteps: int | None = None
-    """length of each training: number of epochs (default: 4000000, corrector: 100000000) or, with
+    """length of each training: number of epochs (default: 4000000, corrector: 150000000) or, with
     rollouts, of states in which every action is tried (default: 1200000); rounded up to complete
     updates"""
     hyperparameters: Path | None = None

@@ -86,7 +86,10 @@ class IntegrityArgs:
     """Options for the integrity of positions."""
 
     risk: float = 0.001
-    """probability that an error exceeds its protection level, if covariances are right"""
+    """probability that an error exceeds its protection level"""
+    levels: Literal["calibrated", "gaussian"] = "calibrated"
+    """protection levels: calibrated on simulated episodes (for a risk of 0.01 or 0.001), or
+    gaussian, which hold at any risk if covariances are right"""
 
 
 @dataclass(kw_only=True)

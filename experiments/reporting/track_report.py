@@ -152,7 +152,7 @@ def _accuracy(truth: dict[str, Any], epochs: int) -> str:
         f"{_clock(truth)} {over}"
         f"NEES should be {truth['nees_expected']} on average, and 95 % of its values should be "
         f"within [{low:.2f}, {high:.2f}].\n\n"
-        f"{positions_markdown('track', kinds, truth['risk'])}"
+        f"{positions_markdown('track', kinds, truth['risk'], truth['levels'])}"
     )
 
 

@@ -97,13 +97,18 @@ class CorrectorData:
 
     def lots(self) -> Iterator[Lot]:
         """Play and yield one lot at every place, then enough random lots to reach their share."""
+        for radio, batch in self.batches():
+            yield self._play(batch, self.bank(radio))
+
+    def batches(self) -> Iterator[tuple[str, EpisodeBatch]]:
+        """Draw the episodes of these lots; yield each with the radio whose bank it needs."""
         places, share = self._task.places, self._hyper.random_share
         for place in places:
             rng = self._rng()
             source = place.source(self._task.scenario)
             if place.dt == 1.0:
                 source = self._at_some_rate(source, rng)
-            yield self._play(source, self.bank(place.profile))
+            yield place.profile, self._draw(source)
         for _ in range(round(len(places) * share / (1.0 - share))):
             yield self._at_random(self._rng())
 
@@ -118,8 +123,8 @@ class CorrectorData:
             source, dt=dt, epochs=self._hyper.long_epochs if dt <= 0.2 and long else EPOCHS
         )
 
-    def _at_random(self, rng: np.random.Generator) -> Lot:
-        """Play episodes in random streets with a random receiver."""
+    def _at_random(self, rng: np.random.Generator) -> tuple[str, EpisodeBatch]:
+        """Draw episodes in random streets with a random receiver."""
         profile = self._radios[str(rng.choice(list(self._radios)))]
         scene = replace(
             WIDE_SCENE,
@@ -136,18 +141,20 @@ class CorrectorData:
         source = self._at_some_rate(source, rng)
         if rng.random() < WEAVING:
             source = weaving(replace(source, scene=replace(scene, behind_m=WEAVING_BEHIND_M)), rng)
-        return self._play(source, self.bank(profile.name), rng)
+        batch = self._draw(source)
+        _spoil(batch, rng)
+        return profile.name, batch
 
-    def _play(
-        self, source: SimulatedSource, bank: Bank, rng: np.random.Generator | None = None
-    ) -> Lot:
-        """Play the base on new episodes; ``rng`` draws the receiver's flaws (None: no flaws)."""
+    def _draw(self, source: SimulatedSource) -> EpisodeBatch:
+        """Draw new episodes, fewer if they are long."""
         n = max(1, self._hyper.num_envs * EPOCHS // max(source.epochs, EPOCHS))
         keys = keys_at(self._stream, np.arange(self.played, self.played + n, dtype=np.uint64))
         self.played += n
-        batch = source.sample_batch(keys)
-        if rng is not None:
-            _spoil(batch, rng)
+        return source.sample_batch(keys)
+
+    def _play(self, batch: EpisodeBatch, bank: Bank) -> Lot:
+        """Play the base on episodes."""
+        n, epochs, _ = batch.table.shape
         pipeline = Pipeline(bank.modes, batch.layout)
         engine = Engine(pipeline, n, TrackingReward(), "signed", bank)
         engine.reset(batch)
@@ -155,10 +162,10 @@ class CorrectorData:
         wanted = [feature.name for feature in after_update(pipeline, per_mode=True)]
         columns = [engine.observation.names.index(name) for name in wanted]
         rows = rows_of([engine.at.x, engine.at.P, engine.at.error])
-        outputs = np.empty((source.epochs, n, len(rows)))
-        features = np.empty((source.epochs, n, len(columns)), np.float32)
+        outputs = np.empty((epochs, n, len(rows)))
+        features = np.empty((epochs, n, len(columns)), np.float32)
         observations = engine.observations()
-        for t in range(source.epochs):
+        for t in range(epochs):
             actions = act(observations) if act else np.zeros(n, np.int64)
             observations, outputs[t] = engine.step(actions, rows)
             features[t] = observations[:, columns]

@@ -37,11 +37,8 @@ if TYPE_CHECKING:
     from experiments.train import Args
 
 SMOKE_EPISODES = 20  # number of episodes to judge the policy of a smoke run on
-TIMESTEPS = {
-    "ppo": 4_000_000,
-    "rollouts": 1_200_000,
-    "corrector": 100_000_000,
-}  # default length of a training
+# default length of a training
+TIMESTEPS = {"ppo": 4_000_000, "rollouts": 1_200_000, "corrector": 150_000_000}
 
 # Options that do not affect a policy; the command in a policy file leaves them out.
 ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")

@@ -62,6 +62,11 @@ def vertical_level(P: Array, risk: float) -> Array:
     return -ndtri(0.5 * risk) * np.sqrt(np.maximum(P[..., 5], 0.0))  # type: ignore[no-any-return]
 
 
+def gaussian_levels(P: Array, risk: float) -> Array:
+    """Compute horizontal and vertical levels (..., 2), m, from packed covariances P (..., 6+)."""
+    return np.stack([horizontal_level(P, risk), vertical_level(P, risk)], axis=-1)
+
+
 @lru_cache(maxsize=16)
 def _multiples(risk: float) -> Array:
     """Compute the quotient level / a (ratios,) for every ratio b / a, by bisection."""
@@ -169,11 +174,15 @@ class PositionErrors:
         if not planar:
             self.kinds["vertical"] = BoundedErrors()
 
-    def add(self, error: Array, P: Array) -> None:
-        """Add errors (..., 3), m, and packed covariances (..., 6 or more), position first."""
-        self.kinds["horizontal"].add(horizontal(error), horizontal_level(P, self.risk))
+    def add(self, error: Array, P: Array, factors: Array | float = 1.0) -> None:
+        """Add errors (..., 3), m, and packed covariances (..., 6 or more), position first.
+
+        ``factors`` (..., 2) are those of :class:`~mmwave_env.localization.levels.Levels`.
+        """
+        level = gaussian_levels(P, self.risk) * factors
+        self.kinds["horizontal"].add(horizontal(error), level[..., 0])
         if "vertical" in self.kinds:
-            self.kinds["vertical"].add(vertical(error), vertical_level(P, self.risk))
+            self.kinds["vertical"].add(vertical(error), level[..., 1])
 
     def figures(self) -> dict[str, dict[str, Any]]:
         """Return the statistics of the errors by kind."""

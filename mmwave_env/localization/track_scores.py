@@ -138,7 +138,7 @@ class TruthScores:
                 x, P = (block.smooth_x, block.smooth_P) if smooth else (block.x, block.P)
                 error, nees = self._against(x[known], P[known], truth[known])
                 accuracy.add(error, nees)
-                self.errors[name].add(error, P[known])
+                self.errors[name].add(error, P[known], block.level_factors[known])
         self._pair()
         return truth
 

@@ -163,9 +163,12 @@ def test_the_json_file_records_the_command_that_makes_the_figures_again(tmp_path
     assert json.loads(again.read_text()) == results | {"written": {}}
 
 
+RISK = ("--risk", "0.2", "--levels", "gaussian")
+
+
 def test_the_truth_is_used_only_for_scores(tmp_path):
     with_truth, without = tmp_path / "a.tum", tmp_path / "b.tum"
-    scored = figures(RIDE, "--speed", "auto", "--out", with_truth, "--risk", "0.2")
+    scored = figures(RIDE, "--speed", "auto", "--out", with_truth, *RISK)
     assert scored["truth"]["risk"] == 0.2
     results = figures(RIDE, "--speed", "auto", "--out", without, truth=False)
     assert with_truth.read_bytes() == without.read_bytes() and "truth" not in results

@@ -141,6 +141,7 @@ MISTAKES = {
     "an option without its value": (("evaluate", "--json"), "--json"),
     "a required option missing": (("simulate",), "--out PATH"),
     "a required argument missing": (("report",), "results"),
+    "a risk without levels": (("compare", "--risk", "0.05"), "risk: found 0.05, expected 0.01 or"),
     "a risk of zero": (("evaluate", "--risk", "0"), "risk: found"),
     "recorded steps": (("evaluate", *RECORDED, "--dt", "0.5"), "dt: found"),
     "mistyped name": (("evaluate", "--radio", "hand-set"), "'hand-set', did you mean handset[?]"),
