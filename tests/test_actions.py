@@ -29,7 +29,7 @@ PER_MODE = {"beliefs": "per-mode", "modes": ["ekf", "ukf"]}
 def alternating(table):
     """Return a base: it trusts one of the modes, or none, depending on a feature."""
     column = table.names.index("coming NIS anchor 1 ukf")
-    return lambda seen: np.digitize(seen[:, column], [-0.5, 0.5])
+    return lambda shown: np.digitize(shown[:, column], [-0.5, 0.5])
 
 
 KINDS = {
@@ -144,8 +144,8 @@ def test_the_shipped_corrector_earns_as_an_agent_what_its_evaluation_says():
         observations, reward, *_ = env.step(np.hstack([shift, log_factor]))
         earned.append(reward)
     contender = contender_from("corrector", "handset")
-    told = run_contender(contender, contender.start(env.source.layout), episodes)["reward"]
-    np.testing.assert_allclose(np.transpose(earned), told, atol=1e-5)
+    expected = run_contender(contender, contender.start(env.source.layout), episodes)["reward"]
+    np.testing.assert_allclose(np.transpose(earned), expected, atol=1e-5)
 
 
 def test_a_paired_reward_subtracts_that_of_the_same_belief_without_correction():
@@ -206,7 +206,7 @@ def test_arguments_that_do_not_fit_are_refused(arguments):
     "answer", [np.array([3]), np.array([-1]), np.array([0.0]), np.zeros(2, int)]
 )
 def test_a_base_must_return_actions(answer):
-    env = gym.make(ID, action="correction", base=lambda table: lambda seen: answer, **PER_MODE)
+    env = gym.make(ID, action="correction", base=lambda table: lambda shown: answer, **PER_MODE)
     with refuses("actions of base"):
         env.reset(seed=0)
 
