@@ -1,1 +1,1 @@
-"""Commands: thin modules over mmwave_env and policies."""
+"""Commands of mmwave-loc, one module each, and the folders of code that they share."""

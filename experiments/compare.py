@@ -14,8 +14,8 @@ class Args(EpisodeArgs):
     """Compare policies on the same seeded episodes, with paired differences.
 
     All metrics, including the reward, leave out the first 10 epochs of an episode. Every policy is
-    paired with the best fixed mode, speed-rule, imm and imm-best; your own agents and policy files
-    are paired with every other policy. Without any of those four, all are paired with each other.
+    paired with the references: the best fixed mode, speed-rule, imm and imm-best. Your own agents
+    and policy files (or all policies, if there is no reference) are paired with every other policy.
 
     mmwave-loc compare --policies fixed-ukf speed-rule imm ppo --episodes 200
     """
@@ -23,12 +23,17 @@ class Args(EpisodeArgs):
     policies: Annotated[tuple[str, ...], arg(aliases=("--policy",))] = ()
     """names from mmwave-loc list policies, policy files (.safetensors), folders of runs from
     mmwave-loc train, and module:function, a function without arguments that returns an agent; by
-    default all policies that have a name"""
+    default all policies that have a name, except clairvoyant, which knows the truth; beside
+    speed-rule (0) and clairvoyant (100), policies have a score"""
     errors: Path | None = None
     """draw the distribution (CDF) of horizontal and of vertical errors to this .png, .svg or .pdf
     file"""
     consistency: Path | None = None
     """draw NEES over time, with its chi-square bounds, to this file"""
+    width_mm: float | None = None
+    """width of these pictures, mm, such as that of a column of a journal"""
+    table: Path | None = None
+    """write the table of means to this .tex file: LaTeX, for the package booktabs"""
 
 
 PICTURES = ("errors", "consistency")
@@ -36,9 +41,19 @@ PICTURES = ("errors", "consistency")
 
 def main(args: Args) -> None:
     """Run the command."""
+    from experiments.console.tables import booktabs
     from experiments.evaluation.asked import all_contenders
     from experiments.reporting.comparison_results import report, results
+    from mmwave_env.io.files import require_writable, write_text
+    from mmwave_env.metrics import METRICS
 
     pictures = {name: getattr(args, name) for name in PICTURES if getattr(args, name) is not None}
+    if args.table and args.table.suffix != ".tex":
+        raise ValueError(f"table: found {args.table}, expected a name that ends with .tex")
+    if args.table:
+        require_writable(args.table)
     names = args.policies or all_contenders(args)
-    report("compare", args, results(args, names, pictures))
+    made = results(args, names, pictures, args.width_mm)
+    if args.table:
+        write_text(args.table, booktabs(*made.comparison.table(METRICS)))
+    report("compare", args, made)

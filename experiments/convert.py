@@ -47,7 +47,7 @@ class Args(TrainedArgs):
     """file that VecNormalize.save wrote, if the model was trained with it; loading runs its code"""
 
 
-TIES = 0.001  # share of observations for which rounding may change the action
+TIES = 0.001  # largest share of observations whose action may differ, because of rounding
 
 
 def main(args: Args) -> None:

@@ -10,7 +10,7 @@ from experiments.console.options import EpisodeArgs, JsonArgs, PageArgs
 class Args(JsonArgs):
     """Compare all policies on the simulated scenario `mixed` and on two ray-traced recordings.
 
-    The files also contain all paired differences.
+    The files in the folder --out also contain all paired differences, which are not printed.
 
     mmwave-loc demo --episodes 100 --draws 20
     """

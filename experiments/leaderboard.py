@@ -9,9 +9,10 @@ from pathlib import Path
 class Args:
     """Judge contenders by the benchmark's protocol, and rank all entries.
 
-    Each contender runs at the nine sites for training, at unseen sites and on recordings, together
-    with every IMM. Its entry is written to a JSON file in the folder --out; the table shows all
-    entries in that folder.
+    Each contender runs at the nine sites for training, at unseen sites, on recordings and at hard
+    sites, together with the paper's rule and every IMM. Its entry is written to a JSON file in the
+    folder --out; the tables show all entries in that folder. Scores need the entry of the
+    clairvoyant, in that folder or in docs/leaderboard.
 
     mmwave-loc leaderboard --policies imm-best --episodes 20 --draws 5
     """
@@ -27,7 +28,7 @@ class Args:
     out: Path = Path("results/leaderboard")
     """folder of entries, one JSON file each"""
     docs: Path | None = None
-    """also update the tables in this page, between its `<!-- table: ... -->` and end lines"""
+    """Markdown page in which to replace the tables after `<!-- table: ... -->` by the new ones"""
 
 
 def main(args: Args) -> None:
@@ -37,6 +38,7 @@ def main(args: Args) -> None:
     from experiments.console.provenance import provenance
     from experiments.console.tables import show
     from experiments.evaluation import protocol
+    from experiments.evaluation.branches import CLAIRVOYANT
     from mmwave_env.io.files import write_json, write_text
 
     for name in ("episodes", "draws"):
@@ -50,15 +52,18 @@ def main(args: Args) -> None:
             note(f"{site.name} ({site.kind})")
             count = args.draws if site.kind == protocol.RECORDED else args.episodes
             judged.append(protocol.judge(args.policies, site, count, args.seed))
-    for name in args.policies:
+    made = {name: protocol.entry(name, judged) for name in args.policies}
+    folders = (args.out, protocol.PUBLISHED)
+    ceiling = made.get(CLAIRVOYANT) or protocol.ceiling_in(*folders)
+    protocol.add_scores(made.values(), ceiling)
+    for name, entry in made.items():
         file = re.sub(r"[^\w.-]+", "-", name).strip("-")
-        entry = provenance("leaderboard", args) | protocol.entry(name, judged)
-        write_json(args.out / f"{file}.json", entry)
+        write_json(args.out / f"{file}.json", provenance("leaderboard", args) | entry)
     entries = [protocol.read_entry(path) for path in sorted(args.out.glob("*.json"))]
     if not entries:
         raise ValueError(f"out: found no entries in {args.out}; --policies makes some")
-    ranked = protocol.ranking(entries, protocol.EPISODES, protocol.DRAWS)
-    tables = {"leaderboard": ranked, "sites": protocol.by_site(entries)}
+    protocol.add_scores(entries, ceiling)
+    tables = protocol.tables_of(entries, ceiling)
     show("\n\n".join(tables.values()))
     if args.docs:
         write_text(args.docs, renewed(page, tables))

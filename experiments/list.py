@@ -40,18 +40,20 @@ POLICIES = {
     "imm-best": "tuned IMM of modes for users who stand, cruise, turn, accelerate or brake",
     "ppo": "learned policy that chooses between the profile's two modes",
     "guided": "learned policy that says which mode of imm-best to trust",
-    "corrector": "guided, and a network with memory that corrects its beliefs",
+    "corrector": "guided, and a recurrent network that corrects its positions",
     "guided-ppo": "same as guided, but trained only with PPO",
+    "clairvoyant": "no contender: knows the truth, the ceiling of switching; runs only if named",
 }
 
 
 def policies(radio: str) -> dict[str, str]:
     """Return the policies for a radio profile, with a description of each."""
+    from experiments.evaluation.branches import CLAIRVOYANT
     from experiments.evaluation.contenders import contenders
 
     return {
         name: POLICIES.get(name, f"mode {name.removeprefix('fixed-')} in every epoch")
-        for name in contenders(radio)
+        for name in (*contenders(radio), CLAIRVOYANT)
     }
 
 

@@ -34,7 +34,7 @@ def main(args: Args) -> None:
     from mmwave_env.world.simulated import SimulatedSource
 
     names = [name for name in (LOG, SCENE, TRUTH) if (args.out / name).exists()]
-    if names and not args.overwrite:  # they may be the only copy of a recording
+    if names and not args.overwrite:  # these files may be the only copy of a recording
         raise ValueError(
             f"out: found {', '.join(names)} in {args.out}, expected a folder without them; "
             "--overwrite replaces them, --out names another folder"

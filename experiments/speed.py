@@ -1,9 +1,9 @@
 """mmwave-loc speed: steps per second, compared with filterpy and with the limit of a core.
 
-One run does the same work with a loop over filterpy's filters, a single environment, Gymnasium's
-synchronous vector environment and the native one. It also measures the filters alone, the limit of
-a processor core, peak memory and the time to the first step. Ratios come first, since absolute
-figures depend much more on the machine.
+A run of this command does the same work with a loop over filterpy's filters, a single environment,
+Gymnasium's synchronous vector environment and the native one. It also measures the filters alone,
+the limit of a processor core, peak memory and the time to the first step. The ratios are shown
+first, since absolute figures depend much more on the machine.
 """
 
 import os
@@ -27,7 +27,7 @@ class Args(JsonArgs):
     repeats: int = 5
     """number of rounds; each measures everything once, and the tables show medians and ranges"""
     docs: Path | None = None
-    """also update the tables in this page, between its `<!-- table: ... -->` and end lines"""
+    """Markdown page in which to replace the tables after `<!-- table: ... -->` by the new ones"""
 
 
 # No import above may load numpy: its linear algebra reads these variables when it is loaded.

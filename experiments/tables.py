@@ -27,8 +27,8 @@ class Args(JsonArgs):
     out: Path = Path("results/paper")
     """folder for tables.md, tables.csv and tables.png"""
     docs: Path | None = None
-    """also update the tables in this page, between its `<!-- table: ... -->` and end lines, and the
-    picture of the same name"""
+    """Markdown page in which to replace the tables after `<!-- table: ... -->` by the new ones; the
+    picture that has the page's name is replaced, too"""
 
 
 SECTIONS = 19  # number of sections, for the progress bar

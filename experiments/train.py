@@ -20,8 +20,8 @@ class Args(TaskArgs):
     """length of each training: number of epochs (default: 4000000) or, with rollouts, of states in
     which every action is tried (default: 1200000); rounded up to complete updates"""
     hyperparameters: Path | None = None
-    """JSON file to use instead of the algorithm's own, such as experiments/training/ppo.json, or
-    guided-ppo.json with --beliefs per-mode"""
+    """JSON file of hyperparameters, instead of the algorithm's default file in
+    experiments/training, such as ppo.json or, with --beliefs per-mode, guided-ppo.json"""
     smoke: bool = False
     """run one seed and one update, which takes seconds, to check that everything is installed and
     works; writes to runs/smoke unless --out names another folder; compare refuses its policy"""

@@ -149,7 +149,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
     * The last step adds `ate_m`, `rmse_m`, `rpe_m`, `mean_nees`, `in_bounds`, `divergence` (all
       without the first 10 epochs); with `smoothed=True` also `smoothed_ate_m`, for which the
       episode is run again and smoothed (Rauch-Tung-Striebel). If beliefs were NaN or infinite,
-      there is a warning, and `nonfinite_beliefs` counts the epochs after which they were.
+      there is a warning, and `nonfinite_beliefs` counts the epochs with such beliefs.
     * To save time, `infos="episode"` fills infos only at resets and last steps, and `infos="none"`
       never. `infos="fixed"` has the same keys at every reset and step, for libraries that need
       this (docs/own-agent.md): only numbers, without `episode_name` and `episode_key`; unknown
@@ -157,8 +157,8 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
 
     ## Keys
 
-    A simulated episode is a function of its key, 64 bits that follow from the environment's seed
-    and the number of episodes begun since. `reset(options={"episode_key": key})` plays it again in
+    A simulated episode is a function of its key: 64 bits, computed from the seed of the environment
+    and the number of the episode. `reset(options={"episode_key": key})` plays the episode again in
     any environment with the same scenario, scene, radio and steps. With another radio the user
     still moves along the same trajectory.
 

@@ -160,9 +160,9 @@ def summary(
 ) -> dict[str, Array]:
     """Compute all :data:`METRICS` per episode, without the burn-in.
 
-    Errors (..., T, 3) are estimated minus true positions, m; the NEES (..., T) covers so many
-    ``axes``; RPE compares epochs that are a second apart; without rewards (..., T), their mean is
-    left out.
+    Errors (..., T, 3) are estimated minus true positions, m. The NEES (..., T) covers 2 or 3
+    position ``axes``. RPE compares epochs that are a second apart. The result contains a mean
+    reward only if rewards (..., T) are passed.
     """
     counted = scored(nees.shape[-1])
     pays = nees if reward is None else reward

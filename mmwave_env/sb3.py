@@ -24,9 +24,9 @@ Infos = list[dict[str, Any]]
 class SB3VecEnv(VecEnv):
     """A Gymnasium vector environment as a ``VecEnv``, which steps all environments together.
 
-    When an episode ends, the info of its environment holds the info of its last step, including
-    the metrics of the episode, and the keys that Stable-Baselines3 reads: the
-    ``terminal_observation``; ``TimeLimit.truncated``, which says that the episode was only cut, so
+    When an episode ends, the info of its environment is the info of its last step, including the
+    metrics of the episode. It also has the keys that Stable-Baselines3 reads: the last observation
+    as ``terminal_observation``; ``TimeLimit.truncated``, True if the episode was only cut, so that
     its last state still has a value; and ``episode`` with return "r", length "l" and time "t".
 
     Raises:

@@ -42,10 +42,10 @@ class Task:
     source: EpisodeSource
     radio: Radio  # profile of the receiver
     pipeline: Pipeline
-    bank: Bank | None  # if every mode keeps its own belief; None if modes share one
+    bank: Bank | None  # the bank of the modes if each keeps its own belief, else None
     reward: Reward  # function of (belief, truth)
-    baseline: Bank | None  # whose IMM's reward is subtracted; None without a paired reward
-    # reward for every remaining epoch of a diverged episode; None if it goes on instead
+    baseline: Bank | None  # bank of the IMM whose reward a paired reward subtracts, else None
+    # reward of every remaining epoch after a divergence; None if episodes continue after one
     worst: float | None
     action: str = MODE  # kind of actions
     base: Base | None = None  # whose beliefs actions correct; None for the IMM of the bank
@@ -79,7 +79,7 @@ class Task:
         return scene.streets if self.simulated.travels or scene.streets_known else None
 
     def require_keys(self, seed: Any) -> None:
-        """Refuse a key if episodes have no keys, or if there is also a seed, which draws a key."""
+        """Refuse a key if episodes have no keys, or beside a seed, which also draws a key."""
         if not self.has_keys:
             raise ValueError(
                 f"options['episode_key']: found a key, but {self.source.name!r} is recorded or "
@@ -175,7 +175,7 @@ def _require_action(asked: TaskArguments) -> None:
 def bank_and_modes(
     modes: Modes, beliefs: str, radio: str | Radio
 ) -> tuple[Bank | None, tuple[Mode, ...]]:
-    """Return the bank, or None if modes share a belief, and the modes, for these arguments.
+    """Return the bank (None if modes share a belief) and the modes for these arguments.
 
     ``modes=`` and ``beliefs=`` are those of :class:`~mmwave_env.env.MmWaveLocEnv`; named modes are
     tuned for the radio profile.

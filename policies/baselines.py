@@ -19,9 +19,9 @@ class FixedMode(Policy):
 
 
 class LikelihoodRule(Policy):
-    """A policy that chooses the mode with the best average likelihood, including the coming epoch.
+    """A policy that chooses the mode with the best average likelihood up to the coming epoch.
 
-    It compares moving averages of the modes' log-likelihoods, which are part of the observation.
+    The moving averages of the modes' log-likelihoods are features of the observation.
 
     Args:
         observation: the environment's table of features, of the kind "full".

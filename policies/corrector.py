@@ -1,9 +1,9 @@
 """A corrector with memory: a recurrent network that corrects the beliefs of a bank of filters.
 
-The network reads what residuals and beliefs were after every update, epoch by epoch, and answers
-with a correction of the position and with factors on its standard deviations. It changes what is
-told, not what is filtered: the base, a switcher or an IMM, goes on as if there were no corrector.
-Where the network has never been, its corrections fade to none.
+After every update, the network reads residuals and beliefs, and returns a correction of the
+position and factors for its standard deviations. Only the output is corrected: the filters of the
+base, a switcher or an IMM, continue from their own beliefs. If features are outside the range that
+the network saw in training, its corrections are scaled down, to none if they are far outside.
 """
 
 import os
@@ -23,10 +23,10 @@ from policies.policy_file import CORRECTIONS
 Array = NDArray[np.float32]
 
 BASE_IMM = "imm-best"  # base without a switcher: the IMM of the policy's bank
-RANGE_FADE = 2.0  # a feature one deviation beyond its range leaves exp(-2) of the trust
-RECOVERY = 0.1  # trust that returns per epoch: the memory still holds the strange epochs
-# ensemble spread, in the corrected standard deviation, from which on trust falls, and at which it
-# is zero
+# "Trust" is the factor, 0 to 1, by which corrections are scaled
+RANGE_FADE = 2.0  # trust is exp(-2 d) if a feature is d standard deviations outside its range
+RECOVERY = 0.1  # increase of trust per epoch; slow, as the memory still contains strange epochs
+# disagreement of the ensemble, in corrected deviations, up to which trust is 1, and from which 0
 SPREAD = (0.5, 1.0)
 
 
@@ -36,7 +36,7 @@ class Correction(NamedTuple):
     Attributes:
         shift: (n, 3) along, across and up, in deviations of the belief.
         log_factor: (n, 3) logarithms of factors on these deviations.
-        trusted: (n,) share of the network's answer that is left, 0 to 1.
+        trusted: (n,) factor, 0 to 1, by which the network's answer was scaled.
     """
 
     shift: Array
@@ -175,7 +175,7 @@ class Corrector(LearnedPolicy, Policy):
 
 
 def _mean_and_differences(weight: Array, bias: Array) -> tuple[Array, Array]:
-    """Return weight and bias of the members' mean (6), then of each member's shift minus it (3)."""
+    """Return weight and bias of the members' mean (6), and of each member's shift minus it (3)."""
     members = np.concatenate([weight, bias[None]]).reshape(len(weight) + 1, -1, CORRECTIONS)
     mean = members.mean(axis=1)
     differences = (members - mean[:, None])[..., :3]

@@ -109,8 +109,8 @@ class LearnedPolicy:
         """Find the policy's features, by name, in columns.
 
         Returns:
-            The positions of the features, None if they are the columns; and, for each feature, the
-            value to use if its anchor is missing, else NaN; None if no anchor is missing.
+            The positions of the features in the columns, None if both are the same; and for each
+            feature the value to use if its anchor is missing, NaN if not, or None if none is.
         """
         features, columns = self.card.features, {column.name: column for column in shown}
         anchors = {

@@ -1,6 +1,6 @@
 """Policy files: a learned policy as ``.safetensors``, which is read without unpickling.
 
-The tensors, all float32, describe a network. That of a switcher, the actor, chooses actions:
+The tensors, all float32, describe a network. The network of a switcher chooses actions:
 
 - ``low``, ``high`` (features,): observations are clipped to these limits. Normalization during
   training is folded into the first weights;
@@ -8,9 +8,9 @@ The tensors, all float32, describe a network. That of a switcher, the actor, cho
   tanh between its layers. The first ``in`` is the number of features, the last ``out`` the number
   of actions. The actions are the modes; with a belief per mode, "none" precedes them.
 
-That of a corrector corrects the beliefs of its base:
+The network of a corrector corrects the beliefs of its base:
 
-- ``low``, ``high`` (features,): range of every feature in training; normalization is folded in;
+- ``low``, ``high`` (features,): range of every feature in training; normalization is in ``front``;
 - ``front``, ``head``, ``out``: layers with a ``.weight`` (out, in) and a ``.bias`` (out,);
 - ``gru.weight_ih``, ``gru.weight_hh``, ``gru.bias_ih``, ``gru.bias_hh``: the gated recurrent unit
   between them, as PyTorch stores it: reset, update and new gate, one after the other.
@@ -44,7 +44,7 @@ FORMAT = 2
 CORRECTIONS = 6
 MOST_BYTES = 128 << 20  # maximum size of a file: a thousand times that of our largest
 MOST_HEADER = 16 << 20  # maximum size of the header, which contains names, shapes and the card
-_KEY = "policy"  # the only key, because the library writes several keys in random order
+_KEY = "policy"  # only one key, because the library would write several keys in random order
 _PER_MODE = ("beliefs", "banks")  # left out if the belief is shared, as in older files
 _LATER = (*_PER_MODE, "base")  # fields that older files do not have
 

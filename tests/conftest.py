@@ -26,7 +26,7 @@ compiling = []
 
 
 def pytest_sessionstart(session):
-    """Compile the loops once for all test processes, while these collect their tests."""
+    """Compile the loops once for all test processes, while the processes collect their tests."""
     if getattr(
         session.config.option, "numprocesses", None
     ):  # only in the process that starts the others

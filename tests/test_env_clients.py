@@ -21,7 +21,7 @@ EKF = {"modes": ["ekf"]}
 
 
 class Closeness:
-    """A reward that does not equal its copies, so that each copy would have to be compiled anew."""
+    """A reward that differs from its own copies, so that each copy would be compiled anew."""
 
     compiled = 0
 

@@ -1,4 +1,4 @@
-"""Tests that NaN beliefs are counted and cause a warning, and that averages do not hide them."""
+"""Tests that NaN beliefs are counted, cause a warning, and make the means of their episodes NaN."""
 
 import math
 
@@ -23,10 +23,10 @@ STEPS, KEY = 15, "nonfinite_beliefs"
 
 
 def rotten(x, P, measurement, gate):
-    """Update as an EKF, but return a NaN belief after an unlikely (not an extreme) measurement."""
+    """Update as an EKF, but return a NaN belief if the NIS of the first link is from 20 to 90."""
     after = ekf(x, P, measurement, gate)
     lost = where(after.nis[0] > 20.0, math.nan, 0.0)
-    lost = where(after.nis[0] > 90.0, 0.0, lost)  # trials of algorithms use extreme ones
+    lost = where(after.nis[0] > 90.0, 0.0, lost)  # the check of new algorithms must not see a NaN
     return after._replace(x=[after.x[0] + lost, *after.x[1:]])
 
 

@@ -41,7 +41,7 @@ def go_on(env, steps, actions):
 @pytest.mark.parametrize("configuration", representative(CONFIGURATIONS, "ends early", "short"))
 @pytest.mark.parametrize("mode", AUTORESET)
 def test_environments_continue_from_a_state_saved_at_any_step(mode, configuration):
-    """Restore a state in a new environment, in one with other episodes, and where it was saved."""
+    """Restore a state in a new environment, in one with other episodes, and in the original."""
     env = make(mode, **CONFIGURATIONS[configuration])
     elsewhere = make(mode, **CONFIGURATIONS[configuration])
     elsewhere.reset(seed=50)

@@ -24,7 +24,7 @@ def page_to_renew(path: Path) -> str:
 
 
 def renewed(page: str, tables: Mapping[str, str]) -> str:
-    """Return a page in which every marked table is replaced by the new table of the same title.
+    """Return a page with every marked table replaced by the table in ``tables`` of its title.
 
     Raises:
         ValueError: the page names a table that is not among the new ones.

@@ -1,7 +1,7 @@
 """The command line ``mmwave-loc <command>``.
 
-A command is a module in ``experiments`` that begins with its options. Options are read before
-anything large is imported, so that help and mistakes are shown at once.
+A command is a module in ``experiments`` that declares its options, in a class ``Args``, and a
+``main``. Options are read before anything large is imported, so help and mistakes appear at once.
 """
 
 import importlib
@@ -64,7 +64,7 @@ def _in_one_line(text: str) -> str:
 
 
 def _leave(code: int) -> NoReturn:
-    """Exit; print no traceback if nobody reads the output any more."""
+    """Exit; print no traceback if the reader of the output has closed it."""
     try:
         print(end="", flush=True)
     except OSError:
@@ -101,7 +101,7 @@ def _complain(program: str, error: BaseException, debug: bool) -> None:
     if debug:
         traceback.print_exception(error)
     if isinstance(error, OSError) and error.errno is not None and error.filename is None:
-        # Errors about files name the file, so this one is about a stream or the working folder.
+        # An OSError without a file's name is about standard output or the working folder.
         missing = isinstance(error, FileNotFoundError)
         line = f"{'the working folder' if missing else 'standard output'}: {error.strerror}"
     elif isinstance(error, (ValueError, OSError)):

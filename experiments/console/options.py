@@ -69,9 +69,9 @@ class ModeArgs(WorldArgs):
 
     modes: tuple[str, ...] = ()
     """modes to use instead of the profile's ekf and ukf: names (ekf, ukf, ckf, ekf-robust,
-    ukf-robust) and mode files; policies are then fixed-NAME, likelihood-rule, imm and, with two
-    modes, speed-rule, which uses the first mode for low and the second for high mobility; learned
-    policies have their own modes"""
+    ukf-robust) and mode files. Policies that can use them: fixed-NAME, likelihood-rule, imm, and
+    with two modes speed-rule (the first for low mobility, the second for high). Learned policies
+    keep their own modes"""
     observation: str = "full"
     """observation that your own agents were trained with: full or prior; policy files record it"""
     beliefs: str = "shared"
@@ -116,10 +116,10 @@ class TaskArgs:
     """radio to train with on the street, if --places is not given: handset, standard, high or a
     JSON file"""
     places: tuple[str, ...] = ()
-    """places to train at, instead of --radio: each is SCENE:RADIO, such as street:handset, with
-    names or JSON files; then, each optional, the seconds between epochs (:0.1, default: 1), the
-    measured quantities (:range+azimuth, default: all) and :offset for a clock with an offset;
-    environments, and episodes that judge policies, are spread evenly over places"""
+    """places to train at, instead of --radio. Each is SCENE:RADIO (names or JSON files), such as
+    street:handset, followed if needed by the seconds between epochs (:0.1, default: 1), the
+    measured quantities (:range+azimuth, default: all), and :offset for a clock with an offset.
+    Environments, and episodes that judge policies, are spread evenly over the places"""
     beliefs: Literal["shared", "per-mode"] = "shared"
     """shared: all modes work on one belief; per-mode: every mode keeps its own belief, and the
     agent says which one to trust"""
@@ -127,11 +127,11 @@ class TaskArgs:
     """modes to choose from: names and mode files; by default the radio's ekf and ukf or, with
     --beliefs per-mode, its best bank"""
     observation: str = "full"
-    """what the agent observes: full, or prior, which leaves out how well each mode explains the
-    coming epoch"""
+    """features that the agent observes: full; or prior, without those that say how well each mode
+    explains the coming epoch"""
     reward: str = "tracking"
-    """tracking or log-score (minus the IMM's reward if the hyperparameters set "paired"), or
-    paired: the tracking reward minus the IMM's (the bank's IMM with --beliefs per-mode)"""
+    """tracking; log-score; or paired: the tracking reward minus that of an IMM (with --beliefs
+    per-mode, of the bank's IMM). "paired" in the hyperparameters subtracts it from any reward"""
     nees_weight: float = 0.2
     """weight of the NEES in the tracking reward"""
 

@@ -1,7 +1,7 @@
 """Parser of a command's options: tyro reads them from the dataclass that declares them.
 
-The docstring of a dataclass is the help, and its last paragraph is an example. The text below a
-field is the help for its option. A mistake is reported in one line.
+The docstring of the dataclass is the help of the command; its last paragraph is an example. The
+string below a field is the help of the option. A mistake is reported in one line.
 """
 
 import ast
@@ -19,7 +19,7 @@ from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 T = TypeVar("T")
 WIDTH = 80  # maximum width of help texts, columns
-UNLIMITED = 10_000  # columns; so wide that tyro breaks no word of a message
+UNLIMITED = 10_000  # number of columns with which tyro breaks no line of a message
 RULE = re.compile(r"^ +-+ *$", re.MULTILINE)  # line between the parts of tyro's messages
 
 

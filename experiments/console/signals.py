@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 # Those signals that the system has; Windows has no SIGHUP.
 ENDING = tuple(getattr(signal, n) for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n))
 SOON_S = 0.01  # delay after which a signal that could not be handled is sent again
-SAME_S = 1.0  # repeats within this time are one signal, sent both to the process and to its group
+SAME_S = 1.0  # within this time, a repeat is the same signal, sent to the process and its group
 
 
 class Ended(SystemExit):
@@ -31,7 +31,7 @@ def _told(number: int) -> str:
 def answered(
     numbers: Sequence[int], answer: Callable[[int, Any], None] | signal.Handlers
 ) -> Iterator[None]:
-    """Handle signals with a function in the block; ignored ones stay ignored (as under nohup)."""
+    """Handle signals in the block by a function; those ignored before (by nohup) stay ignored."""
     before = {number: signal.getsignal(number) for number in numbers}
     heeded = {number: old for number, old in before.items() if old is not signal.SIG_IGN}
     for number in heeded:
@@ -66,7 +66,7 @@ def ended_by_signals() -> Iterator[None]:
         try:
             yield
         except BaseException as other:
-            # Ray's C code replaces the exception; a progress bar fails if the terminal is gone.
+            # Ray's C code may have replaced Ended, or a progress bar failed without a terminal.
             if came and not isinstance(other, Ended):
                 raise Ended(came) from None
             raise

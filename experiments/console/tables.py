@@ -16,11 +16,17 @@ CELL = re.compile(r"((?:\\.|[^|\\])*)\|")  # a cell, with the | that ends it
 UNIT = re.compile(r" (?=(?:m|s|%)(?: |$))")  # the space before a unit, where a line must not break
 GLUED = "\u00a0"  # a space where :mod:`textwrap` does not break
 GAP = 2  # spaces between columns
-# Characters that are markup in Markdown or HTML; _ within a word and < before a number are not.
+# Characters that are markup in Markdown or HTML, such as _ unless it is within a word.
 _READ = re.compile(
     r"[\\`*|$~]|<(?=[A-Za-z/!?])|&(?=[A-Za-z#])|\](?=[(\[:])"
     r"|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])"
 )
+_LATEX = str.maketrans(
+    {char: rf"\{char}" for char in "&%$#_{}"}
+    | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+    | {"±": r"$\pm$"}
+)
+_MINUS = re.compile(r"(?<![\w-])-(?=\d)")
 _ESCAPED = re.compile(r"\\([\\`*|$~<&\]_])")
 
 
@@ -35,7 +41,7 @@ def escaped(text: str) -> str:
 
 
 def unescaped(markdown: str) -> str:
-    """Return the plain text that :func:`escaped` was given."""
+    """Return the plain text from which :func:`escaped` made this Markdown."""
     return _ESCAPED.sub(r"\1", markdown)
 
 
@@ -44,6 +50,17 @@ def grid(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     table = [[escaped(str(cell)) for cell in cells] for cells in (header, *rows)]
     lines = ["| " + " | ".join(cells) + " |" for cells in table]
     return "\n".join([lines[0], "|---" * len(header) + "|", *lines[1:]])
+
+
+def booktabs(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Return a LaTeX table of plain text in the style of the package booktabs, without a float."""
+    head, *body = (
+        " & ".join(_MINUS.sub("$-$", printable(str(cell)).translate(_LATEX)) for cell in cells)
+        for cells in (header, *rows)
+    )
+    lines = [rf"\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}", r"\toprule", head + r" \\"]
+    lines += [r"\midrule", *(row + r" \\" for row in body), r"\bottomrule", r"\end{tabular}"]
+    return "\n".join(lines) + "\n"
 
 
 def show(text: str) -> None:
@@ -66,7 +83,7 @@ def show(text: str) -> None:
 def _tables(text: str, width: int) -> Iterator[list[str]]:
     """Split a Markdown table into tables that fit a width; yield the lines of each.
 
-    Each of them repeats the first column. Headers are folded at spaces; cells are never folded.
+    Every table repeats the first column. Headers are folded at spaces; cells are never folded.
     """
     lines = (
         [unescaped(cell.strip()) for cell in CELL.findall(line[1:])] for line in text.splitlines()

@@ -1,7 +1,7 @@
 """Versions, threads, cached kernels and a self-test: ``mmwave-loc --version --json``.
 
-Kernels (compiled functions) are compiled on the machine that runs them, with the compiler installed
-there. The self-test compares their results with those of the same equations on Python's floats.
+Kernels (compiled functions) are made on the machine that runs them, by the compiler that is
+installed. The self-test compares their results with the same equations on Python's floats.
 """
 
 import os

@@ -36,7 +36,7 @@ def runs_of(args: EpisodeArgs, names: Sequence[str]) -> dict[str, Run]:
 
 
 def task_of(args: ModeArgs) -> Task:
-    """Return the task of an environment; each argument is the option of the same name."""
+    """Return the task of an environment whose arguments are the options of the same names."""
     return _task(args, args.modes or None, args.beliefs)
 
 

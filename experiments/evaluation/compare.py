@@ -25,7 +25,7 @@ USUAL_EPISODES = 200
 
 @contextmanager
 def _warnings_in_lines() -> Iterator[None]:
-    """Print every warning once, on one line, without the place in our code."""
+    """Print every warning once, on one line, without the line of our code that caused it."""
     with warnings.catch_warnings():
         warnings.simplefilter("once")
         warnings.showwarning = lambda message, *_: print(
@@ -64,10 +64,10 @@ def compare(
             :func:`~experiments.evaluation.contenders.contenders`.
         scenario, radio: same as in the environment.
         episodes: number of episodes, 200 by default; results to publish need 1000 or more.
-        seed: seed of the first episode, 0 by default; seeds for training start far above.
+        seed: seed of the first episode, 0 by default; training uses seeds from 10 million on.
         modes, observation, beliefs: settings that agents were trained with, as in the environment;
-            policy files hold their own. An "imm" among the policies uses these modes. If
-            they come from a bank or mode file with a transition and a quantile, it uses those, too.
+            policy files hold their own. The IMM named "imm" mixes these modes, with the transition
+            and quantile of the bank or mode file that contains the modes, if there is one.
         data: recorded episodes or episodes of your own, as in the environment's ``episodes``.
         world: further arguments of the environment: ``scene``, ``dt``, ``episode_steps``,
             ``planar``, ``odometry``, ``reward``.
@@ -80,8 +80,8 @@ def compare(
     Raises:
         ValueError: ``policies`` is not a dict; ``episodes`` is not a number; a scenario, radio or
             contender is unknown; a name occurs twice; or an agent fails to load, raises, or does
-            not return actions. All errors come
-            before any episode runs, except that of an agent which fails during the episodes.
+            not return actions. Errors are raised before any episode runs, except those of agents
+            that fail in an episode.
         FileNotFoundError: there is no such file.
     """
     if not isinstance(policies, Mapping):

@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from experiments.console.tables import escaped, grid
+from experiments.evaluation.branches import CLAIRVOYANT
+from experiments.evaluation.contenders import BEST_IMM, RULE
 from experiments.evaluation.intervals import Interval, bootstrap, rounded
 from experiments.evaluation.runner import Scores
 from experiments.evaluation.seeds import Selection
@@ -17,6 +19,23 @@ from mmwave_env.io.lookup import as_cell
 from mmwave_env.metrics import HEADERS, METRICS, TERMS
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import EpisodeSource
+
+MISSING = "-"  # in tables
+
+
+def score_of(gain: float, possible: float) -> float | None:
+    """Return the score of a policy: 0 is the paper's rule, 100 the clairvoyant.
+
+    Args:
+        gain: reward of the policy minus that of the rule.
+        possible: reward of the clairvoyant minus that of the rule; there is no score below 0.
+    """
+    return 100.0 * (gain / possible) if possible > 0.0 else None
+
+
+def score_cell(score: float | None) -> str:
+    """Return a score as tables show it."""
+    return MISSING if score is None else str(round(score))
 
 
 @dataclass(frozen=True)
@@ -58,6 +77,15 @@ class Comparison:
         names = content["scenario"], content["radio"]
         return cls(*names, selection, dict(policies), table("paired"))
 
+    @property
+    def scores(self) -> dict[str, float | None]:
+        """Return the score of every contender if the rule and the clairvoyant are among them."""
+        if not {RULE, CLAIRVOYANT} <= self.policies.keys():
+            return {}
+        rewards = {name: row["reward"].mean for name, row in self.policies.items()}
+        possible = rewards[CLAIRVOYANT] - rewards[RULE]
+        return {name: score_of(own - rewards[RULE], possible) for name, own in rewards.items()}
+
     def margin(self, policy: str, other: str) -> Interval | None:
         """Return one policy's reward minus another's; None if the two are not paired."""
         if pair := self.paired.get(f"{policy} - {other}"):
@@ -72,7 +100,7 @@ class Comparison:
         # The title names an unusual reward, since rewards of different kinds are not comparable.
         reward = "" if self.reward == "tracking" else f", reward {escaped(self.reward)}"
         parts = [f"### {escaped(self.scenario)}, {escaped(self.radio)}, {self.selection}{reward}\n"]
-        parts.append(self._table(METRICS))
+        parts.append(grid(*self.table(METRICS)))
         if self.paired:
             intervals = ", 95 % intervals" if len(self.selection) > 1 else ""
             pairs = {f"{a} - {b}": b for a, b in product(self.policies, repeat=2)}
@@ -85,15 +113,20 @@ class Comparison:
             parts += [f"\nPaired differences of the reward{intervals}:\n", table]
         return "\n".join(parts) + "\n"
 
-    def _table(self, metrics: Iterable[str]) -> str:
+    def table(self, metrics: Collection[str]) -> tuple[list[str], list[list[str]]]:
+        """Return a header, and each policy's means ± 95 % half-widths; with rewards also scores."""
         rows = [[name, *(rounded(row[m]) for m in metrics)] for name, row in self.policies.items()]
-        return grid(["policy", *(HEADERS[metric] for metric in metrics)], rows)
+        header, scores = ["policy", *(HEADERS[metric] for metric in metrics)], self.scores
+        if scores and "reward" in metrics:
+            header.append("score")
+            rows = [[*row, score_cell(scores[row[0]])] for row in rows]
+        return header, rows
 
     @property
     def terms(self) -> str:
         """Return a Markdown table of both terms of the tracking reward, error and NEES."""
         about = "The terms of the tracking reward, which is minus their sum:"
-        return f"\n{about}\n\n{self._table(TERMS)}\n"
+        return f"\n{about}\n\n{grid(*self.table(TERMS))}\n"
 
 
 def episodes_csv(scores: dict[str, Scores], selection: Selection, source: EpisodeSource) -> str:
@@ -118,7 +151,7 @@ def references(scores: dict[str, Scores]) -> list[str]:
     """Return the names of the reference contenders: best fixed mode, paper's rule and IMMs."""
     fixed = [name for name in scores if name.startswith("fixed-")]
     best = max(fixed, key=lambda name: scores[name]["reward"].mean(), default=None)
-    return [n for n in (best, "speed-rule", "imm", "imm-best") if n is not None and n in scores]
+    return [n for n in (best, RULE, "imm", BEST_IMM) if n is not None and n in scores]
 
 
 def compare_scores(scores: dict[str, Scores], own: Sequence[str] = (), **more: Any) -> Comparison:

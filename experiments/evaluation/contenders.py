@@ -7,11 +7,13 @@ from functools import partial
 from pathlib import Path
 
 from experiments.evaluation.agents import GUIDE, Act, agent_from, is_agent, tried
+from experiments.evaluation.branches import CLAIRVOYANT, Clairvoyant
 from experiments.evaluation.runs import Run, require_no_smoke
 from mmwave_env.filters.bank import (
     Bank,
     Modes,
     Transition,
+    bank_from,
     bank_over,
     best_bank,
     default_modes,
@@ -27,6 +29,7 @@ from mmwave_env.task import bank_and_modes
 from policies import FixedMode, LikelihoodRule, Policy, SpeedRule, learned_policy, shipped_policies
 
 BEST_IMM = "imm-best"  # the IMM with the modes of best_bank
+RULE = "speed-rule"  # the paper's rule
 OTHERS = ("a .safetensors file", "the folder of a run", "module:function, without folder and .py")
 # Learned contenders; their shipped policy files are for one radio (NAME-RADIO) or for all (NAME).
 SHIPPED = ("ppo", "guided", "guided-ppo", "corrector")
@@ -40,8 +43,8 @@ class Contender:
         name: name on the command line and in results.
         modes: filter modes to choose from or to mix.
         policy: function from the observation table to a policy; None for the IMM of the modes.
-        transition, nis_quantile: same as in :class:`~mmwave_env.filters.bank.Bank`; used by an IMM,
-            and if every mode keeps its own belief.
+        transition, nis_quantile: same as in :class:`~mmwave_env.filters.bank.Bank`; used only if
+            the modes interact (an IMM, or beliefs "per-mode").
         observation: observation of the policy, "full" or "prior".
         beliefs: beliefs of the modes, "shared" or "per-mode".
         bank_of: function from a radio profile to the policy's bank for that radio; None for a
@@ -153,13 +156,13 @@ def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:
 
 
 def _of_any_modes(bank: Bank) -> dict[str, Make]:
-    """Return the contenders that any bank allows: each of its modes alone, rules and the IMM."""
+    """Return the contenders over a bank's modes: each mode alone, the rules and the IMM."""
     names = [mode.name for mode in bank.modes]
     policies: dict[str, Callable[[Observation], Policy]] = {
         f"fixed-{name}": _fixed(i) for i, name in enumerate(names)
     }
     if len(names) == 2:
-        policies["speed-rule"] = SpeedRule
+        policies[RULE] = SpeedRule
     if len(names) > 1:
         policies["likelihood-rule"] = lambda table: LikelihoodRule(table, names)
     makes: dict[str, Make] = {n: partial(Contender, n, bank.modes, p) for n, p in policies.items()}
@@ -172,9 +175,9 @@ def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
     Args:
         radio: radio profile, a name or a JSON file.
         modes: modes of the contenders, as in ``MmWaveLoc-v0``; the IMM has the transition and
-            quantile of a bank or mode file that states them. With None, the modes are the profile's
-            EKF and UKF; its CKF, the IMM of its best bank, and the learned policies shipped for it
-            are added.
+            quantile of a bank or mode file that states them. None stands for the profile's EKF and
+            UKF, and adds three kinds of contenders: the CKF, the IMM of the profile's best bank,
+            and the learned policies that are shipped for the profile.
     """
     if modes is not None:
         return _of_any_modes(bank_over(modes, radio))
@@ -194,8 +197,9 @@ def contender_from(
     """Return a contender by name; see :func:`contenders`.
 
     Args:
-        name: name of a contender or shipped policy, a policy file (``.safetensors``), the folder
-            of a run (its median training is used), or module:function, as in
+        name: name of a contender or shipped policy, "clairvoyant" (the ceiling of switching
+            between the modes of a bank), a policy file (``.safetensors``), the folder of a run (its
+            median training is used), or module:function, as in
             :func:`~experiments.evaluation.agents.agent_from`.
         radio, modes: same as in :func:`contenders`.
         observation, beliefs: settings of a user's agent, as in :meth:`Contender.own`.
@@ -208,6 +212,10 @@ def contender_from(
     known, shipped = contenders(radio, modes), shipped_policies()
     if name in known:
         return known[name]()
+    if name == CLAIRVOYANT:
+        banks = partial(bank_from, modes)
+        knows = Contender(name, (), lambda table: Clairvoyant(), beliefs="per-mode", bank_of=banks)
+        return knows.at(radio)
     if name in shipped or name.endswith(".safetensors"):
         require_no_smoke(name, learned_policy(name).card.command)
         return Contender.learned(name, radio=radio)
@@ -221,6 +229,6 @@ def contender_from(
             f"{name}: found a model of Stable-Baselines3, expected a policy file; mmwave-loc "
             f"convert {name} {Path(name).with_suffix('.safetensors').name} makes one ({GUIDE})"
         )
-    # A policy shipped for all radios is in both lists.
-    everything = dict.fromkeys([*known, *shipped, *OTHERS])
+    # A dict drops repeated names: some shipped policies are also among the known contenders.
+    everything = dict.fromkeys([*known, *shipped, CLAIRVOYANT, *OTHERS])
     raise ValueError(unknown("policy", name, everything))

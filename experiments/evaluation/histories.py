@@ -21,8 +21,8 @@ def history_of(
 ) -> History:
     """Return the prior and the contender's results in every epoch of an episode with a true track.
 
-    The modes of the history are the actions of a policy; of an IMM, the most probable mode of each
-    epoch, whose gates are also shown. Streets are None if they are unknown.
+    For a policy, the modes in the history are its actions. For an IMM, they are the most probable
+    modes, and the accepted and rejected groups are those of these modes.
 
     Raises:
         ValueError: the policy fails.

@@ -1,9 +1,9 @@
 """Means and their 95 % bootstrap intervals, over episodes and over training seeds.
 
-Scores of trainings, an array (seeds, episodes), are crossed: every training seed is judged on
-the same episodes. So complete rows and complete columns are resampled, independently of each
-other (Owen 2007). The stratified bootstrap of rliable (Agarwal et al. 2021) assumes that each
-run of each task is a separate training, and would count K policies on n episodes as K n trainings.
+Scores of trainings are an array (seeds, episodes), because every training is judged on the same
+episodes. So complete rows and complete columns are resampled, independently of each other (Owen
+2007). The stratified bootstrap of rliable (Agarwal et al. 2021) would not fit: it assumes that each
+score comes from a separate training, and would count K policies on n episodes as K n trainings.
 """
 
 import math
@@ -103,7 +103,7 @@ def _intervals(*columns: Array) -> list[Interval]:
 def bootstrap_ratio(over: Array, under: Array) -> list[Interval]:
     """Return ratios of the column means of two arrays (episodes, k), with 95 % intervals.
 
-    A ratio is NaN if its denominator is 0; its interval is NaN if that is so in any resample.
+    A ratio is NaN if its denominator is 0, an interval if the denominator of any resample is 0.
     """
 
     def ratios(means: Array) -> Array:
@@ -132,8 +132,8 @@ def few_seeds_factor(seeds: int) -> float:
 def crossed_bootstrap(scores: Array) -> Interval:
     """Return the mean of scores (seeds, episodes) with its 95 % interval over both axes.
 
-    The means of the seeds are spread apart by :func:`few_seeds_factor` before resampling. This
-    does not change the part of the interval that is due to episodes.
+    Before resampling, the deviations of the seeds' means are multiplied by
+    :func:`few_seeds_factor`. The part of the interval that is due to episodes does not change.
     """
     K, n = scores.shape
     apart = scores.mean(axis=1, keepdims=True) - scores.mean()

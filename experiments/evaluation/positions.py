@@ -49,7 +49,7 @@ def positions_markdown(title: str, rows: Mapping[str, Any], risk: float) -> str:
     """Return a table of errors and protection levels, with a note on the columns.
 
     ``rows`` are figures of :class:`~mmwave_env.localization.position_errors.PositionErrors` by the
-    name below ``title``; ``risk`` is that with which an error may exceed its protection level.
+    name below ``title``; ``risk`` is the probability that an error exceeds its protection level.
     """
     cells = [
         [f"{name}, {kind}", *row_of(errors)]

@@ -1,11 +1,12 @@
 """The benchmark's protocol: the sites at which contenders are judged, some unseen in training.
 
-docs/benchmark.md explains it. An *entry* holds a contender's figures at every site.
+docs/benchmark.md explains the benchmark. An *entry* has a contender's figures at every site.
 """
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,10 @@ import numpy as np
 from experiments.console.options import WorldArgs
 from experiments.console.tables import grid
 from experiments.evaluation.asked import source_of
-from experiments.evaluation.contenders import BEST_IMM, contender_from, contenders
+from experiments.evaluation.branches import CLAIRVOYANT
+from experiments.evaluation.comparison import MISSING, score_cell, score_of
+from experiments.evaluation.contenders import BEST_IMM, RULE, contender_from, contenders
+from experiments.evaluation.hard import HARD_SOURCES
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.runner import Scores, score_contenders
 from experiments.evaluation.seeds import Selection
@@ -24,13 +28,15 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import EpisodeSource
 
-TRAINED, UNSEEN_KIND, RECORDED = KINDS = ("to train in", "unseen", "recorded")
+TRAINED, UNSEEN_KIND, RECORDED, HARD = KINDS = ("to train in", "unseen", "recorded", "hard")
 UNSEEN_SCENES, UNSEEN_RADIOS = ("avenue", "plaza", "alley"), ("tablet",)
 UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
 OTHER_RADIOS = ("handset", "standard")  # radios for unseen streets and for recordings
 # Episodes and recordings of the published tables; docs/data.md lists later recordings.
 EPISODES, DRAWS = 2000, 200  # number of episodes at each simulated site, and on each recording
+CEILING_EPISODES, CEILING_DRAWS = 400, 20  # scores are over as many of the first ones
 RECORDINGS = ("canyon28_pedestrian", "canyon28_vehicle")
+PUBLISHED = Path(__file__).parents[2] / "docs" / "leaderboard"  # folder of the published entries
 
 
 def unseen_file(name: str) -> str:
@@ -44,30 +50,39 @@ class Site:
 
     name: str
     kind: str  # one of :data:`KINDS`
-    scene: str | None  # name or file of the street; None for a recording
     radio: str  # name or file of the radio
-    data: str | None = None  # name of the recording; None for a simulated street
+    make: Callable[[], EpisodeSource]  # function that returns the source of the site's episodes
+
+    @classmethod
+    def of(cls, name: str, kind: str, options: WorldArgs) -> "Site":
+        """Return the site that options of commands describe."""
+        return cls(name, kind, options.radio, partial(source_of, options))
 
     @property
     def source(self) -> EpisodeSource:
         """Return the source of the site's episodes."""
-        return source_of(WorldArgs(scene=self.scene, radio=self.radio, data=self.data))
+        return self.make()
 
 
 def sites() -> list[Site]:
-    """Return all sites: nine for training, unseen streets, an unseen radio, and recordings."""
+    """Return all sites: for training, unseen streets, an unseen radio, recordings, hard ones."""
     unseen = {name: unseen_file(name) for name in UNSEEN}
-    trained = [Site(f"{s}:{r}", TRAINED, s, r) for s in SCENES for r in RADIOS]
+    at = WorldArgs
+    trained = [Site.of(f"{s}:{r}", TRAINED, at(scene=s, radio=r)) for s in SCENES for r in RADIOS]
     streets = [
-        Site(f"{name}:{radio}", UNSEEN_KIND, unseen[name], radio)
-        for name in UNSEEN_SCENES
-        for radio in OTHER_RADIOS
+        Site.of(f"{s}:{r}", UNSEEN_KIND, at(scene=unseen[s], radio=r))
+        for s in UNSEEN_SCENES
+        for r in OTHER_RADIOS
     ]
-    radios = [Site(f"street:{r}", UNSEEN_KIND, "street", unseen[r]) for r in UNSEEN_RADIOS]
+    radios = [
+        Site.of(f"street:{r}", UNSEEN_KIND, at(scene="street", radio=unseen[r]))
+        for r in UNSEEN_RADIOS
+    ]
     recorded = [
-        Site(f"{r}:{radio}", RECORDED, None, radio, r) for r in RECORDINGS for radio in OTHER_RADIOS
+        Site.of(f"{d}:{r}", RECORDED, at(data=d, radio=r)) for d in RECORDINGS for r in OTHER_RADIOS
     ]
-    return [*trained, *streets, *radios, *recorded]
+    hard = [Site(name, HARD, name.split(":")[1], make) for name, make in HARD_SOURCES.items()]
+    return [*trained, *streets, *radios, *recorded, *hard]
 
 
 @dataclass(frozen=True)
@@ -83,18 +98,26 @@ class Judged:
         return self.scores[name]["reward"] - self.scores[rival]["reward"]
 
     def figures(self, name: str) -> dict[str, Any]:
-        """Return a contender's figures at this site: means, and its gain over every IMM."""
+        """Return a contender's figures at this site: means, and its gain over rule and IMMs."""
         gains = {imm: self.gain(name, imm) for imm in self.imms if imm != name}
         own = [self.scores[name][metric] for metric in ("reward", "ate_m")]
         columns = np.stack([*own, *gains.values()], axis=1)
         reward, ate_m, *minus = (interval.json for interval in bootstrap(columns))
+        counted = {"kind": self.site.kind, "episodes": len(columns)}
+        (over_rule,) = bootstrap(self.gain(name, RULE)[: scored_over(counted), None])
         return {
-            "kind": self.site.kind,
-            "episodes": len(columns),
+            **counted,
             "reward": reward,
             "ate_m": ate_m,
+            "over_rule": over_rule.json,
             "minus": dict(zip(gains, minus, strict=True)),
         }
+
+
+def scored_over(figures: Mapping[str, Any]) -> int:
+    """Return the number of episodes at a site that a score is over."""
+    recorded, episodes = figures["kind"] == RECORDED, int(figures["episodes"])
+    return min(episodes, CEILING_DRAWS if recorded else CEILING_EPISODES)
 
 
 def require_contenders(names: Sequence[str]) -> None:
@@ -112,12 +135,13 @@ def require_contenders(names: Sequence[str]) -> None:
 
 
 def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
-    """Run contenders and every IMM at a site, on the same episodes."""
+    """Run contenders, the paper's rule and every IMM at a site, on the same episodes."""
     selection = Selection(range(seed, seed + episodes))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # modes are untuned for an unseen radio on purpose
         imms = [name for name in contenders(site.radio) if name.startswith("imm")]
-        chosen = [contender_from(name, site.radio) for name in dict.fromkeys([*names, *imms])]
+        everybody = dict.fromkeys([*names, RULE, *imms])
+        chosen = [contender_from(name, site.radio) for name in everybody]
         scores = score_contenders(chosen, site.source, site.radio, selection)
     return Judged(site, scores, tuple(imms))
 
@@ -146,14 +170,40 @@ def read_entry(path: Path) -> dict[str, Any]:
     """
 
     def checked(content: dict[str, Any]) -> dict[str, Any]:
-        missing = [site.name for site in sites() if site.name not in content["sites"]]
-        if missing:
+        kinds = {TRAINED, UNSEEN_KIND, RECORDED, *content["mean_gain"]}  # old entries lack a kind
+        needed = [site.name for site in sites() if site.kind in kinds]
+        if missing := [name for name in needed if name not in content["sites"]]:
             raise ValueError(f"sites: missing {', '.join(missing)}")
-        ranking([content], 0, 0)  # raises if tables can't show the entry
-        by_site([content])
+        add_scores([content], content)  # raises if tables can't show the entry
+        tables_of([content], content)
         return content
 
     return read_json(path, "an entry", checked)
+
+
+def ceiling_in(*folders: Path) -> Mapping[str, Any] | None:
+    """Return the entry of the clairvoyant from the first folder that has one; None without."""
+    paths = (folder / f"{CLAIRVOYANT}.json" for folder in folders)
+    return next((read_entry(path) for path in paths if path.is_file()), None)
+
+
+def add_scores(entries: Iterable[dict[str, Any]], ceiling: Mapping[str, Any] | None) -> None:
+    """Set the scores of entries; None without rule and ceiling on the same episodes."""
+    tops = ceiling["sites"] if ceiling else {}
+    for content in entries:
+        for name, at in content["sites"].items():
+            top = tops.get(name, {})
+            at["score"] = None
+            if "over_rule" in at and "over_rule" in top and scored_over(at) == scored_over(top):
+                at["score"] = score_of(at["over_rule"]["mean"], top["over_rule"]["mean"])
+
+
+def tables_of(
+    entries: Sequence[Mapping[str, Any]], ceiling: Mapping[str, Any] | None
+) -> dict[str, str]:
+    """Return all tables of entries with their scores, by title."""
+    scores = by_score(entries, ceiling)
+    return {"leaderboard": ranking(entries), "scores": scores, "sites": by_site(entries)}
 
 
 def standing(figures: dict[str, Any]) -> str:
@@ -167,28 +217,34 @@ def standing(figures: dict[str, Any]) -> str:
     return "below" if any(high < 0.0 for _, high in intervals) else "level"
 
 
-def ranking(entries: Sequence[Mapping[str, Any]], episodes: int, draws: int) -> str:
+def ranking(entries: Sequence[Mapping[str, Any]]) -> str:
     """Return a Markdown table of all entries, ranked by their mean gain at the sites to train in.
 
-    Entries with fewer ``episodes`` at a simulated site, or ``draws`` on a recording, than the
-    protocol requires are marked and come last, because luck would decide their rank.
+    Entries with fewer episodes at a simulated site, or draws on a recording, than the protocol
+    requires are marked and come last, because luck would decide their rank. Of the clairvoyant it
+    requires only those that scores are over.
     """
     rows: list[tuple[bool, float, list[Any]]] = []
     for content in entries:
         at, gains = content["sites"].values(), content["mean_gain"]
         recorded = min(site["episodes"] for site in at if site["kind"] == RECORDED)
         simulated = min(site["episodes"] for site in at if site["kind"] != RECORDED)
+        knows = content["entry"] == CLAIRVOYANT
+        episodes, draws = (CEILING_EPISODES, CEILING_DRAWS) if knows else (EPISODES, DRAWS)
         short = simulated < episodes or recorded < draws
         cells = [content["entry"].removesuffix("/policy.safetensors")]
         cells.append(f"{simulated} / {recorded}{' (too few)' if short else ''}")
         for kind in KINDS:
-            stands = [standing(site) for site in at if site["kind"] == kind]
+            here = [site for site in at if site["kind"] == kind]
+            scores = [site["score"] for site in here] or [None]
+            stands = [standing(site) for site in here]
             counts = [str(stands.count(where)) for where in ("above", "level", "below")]
-            cells += [Interval.of(gains[kind]), " / ".join(counts)]
+            gain = [Interval.of(gains[kind]), " / ".join(counts)] if here else [MISSING] * 2
+            cells += [score_cell(None if None in scores else np.mean(scores)), *gain]
         rows.append((short, -gains[TRAINED]["mean"], cells))
     header = ["entry", "episodes / draws"]
     for kind in KINDS:
-        header += [f"{kind}: minus imm-best", "above / level / below every IMM"]
+        header += [f"{kind}: score", "minus imm-best", "above / level / below every IMM"]
     return grid(header, [cells for *_, cells in sorted(rows, key=lambda row: row[:2])])
 
 
@@ -205,8 +261,26 @@ def by_site(entries: Sequence[Mapping[str, Any]]) -> str:
     for site in sites():
         cells = [site.name]
         for at in shown.values():
+            if site.name not in at:
+                cells.append(MISSING)
+                continue
             gains = at[site.name]["minus"]
             best = min(gains, key=lambda imm: gains[imm]["mean"])
             cells.append(f"{Interval.of(gains[best])} ({best})")
         rows.append(cells)
     return grid(["site", *shown], rows)
+
+
+def by_score(entries: Sequence[Mapping[str, Any]], ceiling: Mapping[str, Any] | None) -> str:
+    """Return a Markdown table of scores by site, beside what 100 stands for.
+
+    Policy files and the clairvoyant are left out if there are other entries.
+    """
+    named = {content["entry"]: content["sites"] for content in entries}
+    shown = {n: at for n, at in named.items() if n != CLAIRVOYANT and "/" not in n} or named
+    tops, rows = ceiling["sites"] if ceiling else {}, []
+    for site in sites():
+        top = tops.get(site.name, {}).get("over_rule")
+        cells = (score_cell(at.get(site.name, {}).get("score")) for at in shown.values())
+        rows.append([site.name, Interval.of(top) if top else MISSING, *cells])
+    return grid(["site", f"{CLAIRVOYANT} minus {RULE}", *shown], rows)

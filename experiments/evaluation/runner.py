@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from experiments.console.progress import bars
 from experiments.evaluation.agents import require_actions
+from experiments.evaluation.branches import Clairvoyant
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.seeds import Selection
 from mmwave_env.compiler.program import rows_of
@@ -82,10 +83,10 @@ def run_contender(
     Args:
         contender, policy, episodes, scoring: same as in :func:`score`, except that episodes need
             ground truth only if ``scoring.planar``.
-        shown: parts of the environment's state, such as "mixture.probability", to return as
-            they are just before each choice of the policy; ignored for an IMM.
-        after: parts of the state to return with the values that they have after every epoch; every
-            contender has "x", "P", "memory.nis", "memory.accepted" and "memory.rejected".
+        shown: names of parts of the environment's state, such as "mixture.probability"; their
+            values just before each choice of the policy are returned; ignored for an IMM.
+        after: names of parts whose values after every epoch are returned; every contender has "x",
+            "P", "memory.nis", "memory.accepted" and "memory.rejected".
 
     Returns:
         "reward" and "nees" (n, T); "error" (n, T, 3) in m; for a policy also "mode" (n, T), its
@@ -124,6 +125,8 @@ def _run(
     engine = Engine(pipeline, n, scoring.reward, contender.observation, contender.bank)
     engine.reset(episodes)
     policy.reset(np.ones(n, bool))
+    if isinstance(policy, Clairvoyant):
+        policy.foresee(engine)
     program = engine.batch.program
     rows = rows_of(program.parts(names))
     outputs, taken = np.empty((n, T, len(rows))), np.empty((n, T), np.int8)
@@ -147,7 +150,7 @@ def _run(
 def _corrected(
     results: EpochResults, corrections: Sequence[Correction], pipeline: Pipeline, reward: Reward
 ) -> EpochResults:
-    """Correct the belief after every epoch; return the results that this changes."""
+    """Correct the belief after every epoch; return the results that depend on the belief."""
     shift, log_factor, trusted = (
         np.stack(parts, axis=1) for parts in zip(*corrections, strict=True)
     )

@@ -46,7 +46,7 @@ class TrainingSeeds:
 
     run: Run  # names and outcomes of the trainings
     reward: Figure  # reward of the trainings
-    minus: dict[str, Figure]  # by rival, the reward minus the rival's, episode by episode
+    minus: dict[str, Figure]  # by rival: differences from its reward, episode by episode
     best_imm: str | None  # the IMM with the best reward; None if there is no IMM
 
     @property
@@ -100,7 +100,7 @@ def seeds_markdown(seeds: TrainingSeeds) -> str:
         ["mean over seeds", *(column.mean for column in columns)],
     ]
     about = (
-        f"Over training seeds, {escaped(run.name)}, best on tuning seeds first; 95 % intervals "
-        "over episodes for each seed, over seeds and episodes for the mean:"
+        f"Over training seeds, {escaped(run.name)}, best on tuning seeds first. 95 % intervals are "
+        "over episodes for a seed, and over seeds and episodes for the mean:"
     )
     return f"\n{about}\n\n{grid(header, rows)}\n"

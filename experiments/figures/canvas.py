@@ -10,7 +10,7 @@ from mmwave_env.io.lookup import printable, require_extra, spelled
 from mmwave_env.rendering.theme import THEMES, hex_of
 
 STYLE = Path(__file__).with_name("publication.mplstyle")
-UNDATED: dict[str, dict[str, Any]] = {  # without dates, so that equal pictures are equal files
+UNDATED: dict[str, dict[str, Any]] = {  # metadata without dates: equal pictures are equal files
     ".png": {},
     ".svg": {"Date": None},
     ".pdf": {"CreationDate": None},
@@ -19,6 +19,10 @@ COLORS = [hex_of(color) for color in THEMES["light"].modes]  # colors of modes, 
 NO_MODE = hex_of(THEMES["light"].none)
 
 LEGEND_COLUMNS = 2  # number of columns in a legend below panels
+FONT_PT = 10.0
+PHONE_MM = 117.0  # width of a picture for a phone
+STACKED_MM = 170.0  # up to this width, panels are stacked
+MM_PER_IN = 25.4
 
 
 def require_picture(option: str, path: Path) -> None:
@@ -38,7 +42,9 @@ def require_picture(option: str, path: Path) -> None:
 
 
 @contextmanager
-def picture(path: Path, width_in: float, height_in: float) -> Iterator[Any]:
+def picture(
+    path: Path, width_in: float, height_in: float, font_pt: float = FONT_PT
+) -> Iterator[Any]:
     """Yield a matplotlib figure to draw into, and write it to a .png, .svg or .pdf file at the end.
 
     The figure has the project's style, whatever matplotlib settings the user has. The file is
@@ -49,7 +55,7 @@ def picture(path: Path, width_in: float, height_in: float) -> Iterator[Any]:
     from matplotlib.rcsetup import cycler
 
     colors = {"axes.prop_cycle": cycler(color=COLORS)}
-    with style.context([STYLE, colors], after_reset=True):
+    with style.context([STYLE, colors | {"font.size": font_pt}], after_reset=True):
         figure = Figure(figsize=(width_in, height_in))
         yield figure
         suffix = path.suffix.lower()
@@ -85,23 +91,33 @@ def legend_beside(axes: Any, **options: Any) -> None:
 
 
 @contextmanager
-def panels(path: Path, count: int, entries: int, narrow: bool) -> Iterator[tuple[Any, list[Any]]]:
-    """Yield a picture and its ``count`` panels, side by side or (``narrow``) stacked, for a phone.
+def panels(
+    path: Path, count: int, entries: int, width_mm: float | None
+) -> Iterator[tuple[Any, list[Any]]]:
+    """Yield a picture and its ``count`` panels: side by side, or stacked if they would be narrow.
 
-    There is room for a legend with ``entries`` labels, which :func:`legend_of` draws.
+    There is room for a legend with ``entries`` labels, which :func:`legend_of` draws. Letters
+    shrink in pictures that are narrower than usual, so that labels fit.
     """
-    if narrow:
-        size = 4.6, 2.9 * count + 0.3 + 0.2 * (-(-entries // LEGEND_COLUMNS))
+    usual = PHONE_MM / MM_PER_IN if stacked(width_mm) else 2.2 + 4.4 * count
+    width = usual if width_mm is None else width_mm / MM_PER_IN
+    if stacked(width_mm):
+        height = 0.63 * width * count + 0.3 + 0.2 * (-(-entries // LEGEND_COLUMNS))
     else:
-        size = 2.2 + 4.4 * count, max(4.2, 1.0 + 0.19 * entries)
-    with picture(path, *size) as figure:
-        grid = figure.subplots(*((count, 1) if narrow else (1, count)), squeeze=False)
+        height = max(4.2, 1.0 + 0.19 * entries) * width / usual
+    with picture(path, width, height, FONT_PT * min(1.0, width / usual)) as figure:
+        grid = figure.subplots(*((count, 1) if stacked(width_mm) else (1, count)), squeeze=False)
         yield figure, list(grid.flat)
 
 
-def legend_of(figure: Any, axes: Any, narrow: bool, handles: Sequence[Any]) -> None:
+def stacked(width_mm: float | None) -> bool:
+    """Return whether the panels of a picture of this width are stacked."""
+    return width_mm is not None and width_mm <= STACKED_MM
+
+
+def legend_of(figure: Any, axes: Any, width_mm: float | None, handles: Sequence[Any]) -> None:
     """Draw the legend of a picture from :func:`panels`; the handles contain the labels."""
-    if narrow:
+    if stacked(width_mm):
         figure.legend(handles=handles, loc="outside lower left", ncols=LEGEND_COLUMNS)
     else:
         legend_beside(axes, handles=handles)

@@ -22,9 +22,11 @@ def _style(number: int) -> dict[str, Any]:
     return {"color": f"C{number}", "ls": _STYLES[number // len(COLORS) % len(_STYLES)]}
 
 
-def draw_error_cdf(errors_m: Mapping[str, Array], path: Path, narrow: bool = False) -> None:
+def draw_error_cdf(
+    errors_m: Mapping[str, Array], path: Path, width_mm: float | None = None
+) -> None:
     """Draw the distributions (CDF) of contenders' horizontal and vertical errors (..., 3), m."""
-    with panels(path, 2, len(errors_m), narrow) as (figure, (left, right)):
+    with panels(path, 2, len(errors_m), width_mm) as (figure, (left, right)):
         labels = contenders(errors_m)
         for number, (name, errors) in enumerate(errors_m.items()):
             look = _style(number) | {"label": labels[name]}
@@ -39,22 +41,22 @@ def draw_error_cdf(errors_m: Mapping[str, Array], path: Path, narrow: bool = Fal
             axes.set_yticks(SHARES, [f"{100.0 * share:.0f} %" for share in SHARES])
             axes.set_ylabel("share of epochs with a smaller error")
             plain_numbers(axes.xaxis)
-        legend_of(figure, right, narrow, left.lines[::2])
+        legend_of(figure, right, width_mm, left.lines[::2])
 
 
 def draw_consistency(
-    time_s: Array, nees: Mapping[str, Array], dof: int, path: Path, narrow: bool = False
+    time_s: Array, nees: Mapping[str, Array], dof: int, path: Path, width_mm: float | None = None
 ) -> None:
     """Draw the NEES over time with its chi-square bounds, and the distribution of the NEES.
 
     Args:
         time_s: (T,) times since the first epoch of an episode.
         nees: (n, T) NEES of n episodes, by contender; it covers ``dof`` coordinates.
-        path, narrow: arguments of :func:`~experiments.figures.canvas.panels`.
+        path, width_mm: arguments of :func:`~experiments.figures.canvas.panels`.
     """
     episodes = len(next(iter(nees.values())))
     low, high = chi2.ppf([0.025, 0.975], episodes * dof) / (episodes * dof)
-    with panels(path, 2, len(nees) + 2, narrow) as (figure, (over_time, whole)):
+    with panels(path, 2, len(nees) + 2, width_mm) as (figure, (over_time, whole)):
         bounds = over_time.axhspan(low, high, color="0.7", lw=0.0, label=BOUNDS)
         whole.plot([0.0, 1.0], [0.0, 1.0], color="0.5", lw=4.0, alpha=0.6, label="consistent")
         names = contenders(nees)
@@ -68,11 +70,11 @@ def draw_consistency(
         plain_numbers(over_time.yaxis)
         whole.set(xlabel="chi-square probability p", ylabel="share of NEES below its p-quantile")
         whole.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
-        legend_of(figure, whole, narrow, [bounds, *whole.lines])
+        legend_of(figure, whole, width_mm, [bounds, *whole.lines])
 
 
 def draw_learning_curves(
-    figures: Mapping[str, Mapping[str, Sequence[Line]]], path: Path, narrow: bool = False
+    figures: Mapping[str, Mapping[str, Sequence[Line]]], path: Path, width_mm: float | None = None
 ) -> None:
     """Draw quantities over the steps of training, with one line per training and a line at zero.
 
@@ -82,7 +84,7 @@ def draw_learning_curves(
 
     runs = list(dict.fromkeys(run for table in figures.values() for run in table))
     labels = contenders(runs)
-    with panels(path, len(figures), len(runs), narrow) as (figure, axes_of):
+    with panels(path, len(figures), len(runs), width_mm) as (figure, axes_of):
         handles = {}
         for axes, (label, table) in zip(axes_of, figures.items(), strict=True):
             for run, lines in table.items():
@@ -93,4 +95,4 @@ def draw_learning_curves(
             axes.set(xscale="log", xlabel="steps", ylabel=caption(label))
             axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 500k, 2M
             axes.xaxis.set_minor_formatter(NullFormatter())
-        legend_of(figure, axes_of[-1], narrow, [*handles.values()])
+        legend_of(figure, axes_of[-1], width_mm, [*handles.values()])

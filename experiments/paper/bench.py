@@ -26,7 +26,7 @@ from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 
 CHUNK = 128  # number of tracks at a time: few enough for their arrays to stay in the caches
-TUNED_ON = {"pedestrian": 0, "vehicle": 1}  # index of the user's mode among the shipped modes
+TUNED_ON = {"pedestrian": 0, "vehicle": 1}  # index of the shipped mode tuned for a kind of user
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def _tracks(mode: Mode, episodes: Sequence[Episode], planar: bool) -> Sequence[A
     better_x, better_P = smooth(x, P, x_predicted, P_predicted, np.diff(episodes[0].time_s), planar)
     better = error + better_x[..., :3] - x[..., :3]
     covariance = unpack(list(np.moveaxis(better_P, -1, 0)), zero=pipeline.known_axes)
-    # NEES depends only on state minus truth, so the error can replace the state, and 0 the truth.
+    # NEES depends only on state minus truth: pass the error as the state, and 0 as the truth.
     offset = Belief(list(np.moveaxis(better, -1, 0)), covariance, pipeline.position_axes)
     return error, nees, better, offset.nees([0.0] * 3)
 

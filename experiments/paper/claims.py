@@ -36,8 +36,8 @@ def _ates(runs: Sequence[Errors]) -> list[np.ndarray]:
 
 @section(
     "One tuning, three algorithms",
-    "Filtered, not smoothed, with gates, adaptive scaling and the process noise tuned for the kind "
-    "of user. Differences are paired, episode by episode.",
+    "Filters with gates, adaptive scaling and the process noise tuned for the kind of user; "
+    "tracks are not smoothed. Differences are paired, episode by episode.",
     "user | radio | anchors | EKF: ATE m | UKF: ATE m | CKF: ATE m | UKF - EKF: m | CKF - UKF: m",
     labels=3,
 )
@@ -54,10 +54,10 @@ def algorithms(bench: Bench) -> Iterator[Row]:
 
 @section(
     "What each step brings",
-    "Tuned modes, coupled Q. Changes of the filtered ATE are paired differences from the paper's "
-    "pipeline (first row of each group, with recovery from lock-out). Robust: the noise of a "
-    "doubtful link is inflated instead of rejecting the link, and there is no adaptive scaling. "
-    "Blockage-aware: the noise of a link is also inflated when its SNR drops.",
+    "Tuned modes, coupled Q. The change is the filtered ATE minus that of the paper's pipeline "
+    "with recovery from lock-out (first row of a group), episode by episode. Robust modes inflate "
+    "the noise of a doubtful link instead of rejecting the link, and have no adaptive scaling. "
+    "Blockage-aware modes also inflate the noise of a link whose SNR drops.",
     "user | radio | pipeline | filtered ATE m | change m | NEES | in 95 % bounds | smoothed ATE m",
     labels=3,
 )
@@ -86,7 +86,7 @@ def steps(bench: Bench) -> Iterator[Row]:
 
 @section(
     "Adaptive scaling and wrong process noise",
-    "Standard profile, filtered, gates with recovery; sigma_v is the tuned value times the factor.",
+    "Filters whose gates recover, standard profile; sigma_v is the tuned value times the factor.",
     "user | factor of sigma_v | ATE m: fixed | adaptive | in 95 % bounds: fixed | adaptive",
     labels=2,
 )
@@ -105,8 +105,8 @@ def adaptation(bench: Bench) -> Iterator[Row]:
 
 @section(
     "RTS smoothing",
-    "Tuned modes with gates and adaptive scaling, windows of 200 epochs. A ratio of 0.5 "
-    'would be the paper\'s "halves".',
+    "Tuned modes with gates and adaptive scaling, smoothed in windows of 200 epochs. The ratio "
+    "should be 0.5 if smoothing halved the ATE, as the paper says.",
     "user | radio | process noise | filtered ATE m | smoothed ATE m | ratio",
     labels=3,
 )
@@ -121,9 +121,9 @@ def smoothing(bench: Bench) -> Iterator[Row]:
 
 @section(
     "What optimizing takes off the ATE",
-    "The untuned filter, the tuned one with gates and adaptive scaling, and the same after "
-    "smoothing; coupled Q. The paper's own tables imply reductions of 72 % (EKF) and 46 % (UKF) "
-    "for pedestrians, 99 % and 80 % for vehicles.",
+    "ATE of untuned filters, of the tuned filter with gates and adaptive scaling, and of its "
+    "smoothed track, with coupled Q. The paper's tables imply reductions of 72 % (EKF) and 46 % "
+    "(UKF) for pedestrians, of 99 % and 80 % for vehicles.",
     "user | radio | untuned EKF m | tuned and gated m | smoothed m | reduction from EKF % | from "
     "UKF % | from CKF %",
     labels=2,
@@ -141,7 +141,7 @@ def improvement(bench: Bench) -> Iterator[Row]:
 
 @section(
     "Vehicle ATE against process noise, m",
-    "Standard profile, filtered, plain diagonal Q with sigma_p 0.1 m, no adaptive scaling. The "
+    "Filters with a diagonal Q (sigma_p 0.1 m) and without adaptive scaling, standard profile. The "
     "paper's Table II has 158 m for the EKF, 8.7 m for the UKF and 12.9 m for the CKF.",
     "sigma_v m/s | EKF, no gates | UKF, no gates | EKF, gates, no recovery | UKF, gates, no "
     "recovery | EKF, gates, recovery | UKF, gates, recovery",
@@ -162,10 +162,9 @@ def process_noise(bench: Bench) -> Iterator[Row]:
 
 @section(
     "Doppler in hertz, or as printed",
-    "Filtered ATE in m, tuned modes. As printed: the filter predicts v'(p - p1)/|p - p1| in m/s "
-    "plus b in Hz for a shift that the receiver measures in Hz (93 Hz for 1 m/s at 28 GHz). Read "
-    "as m/s: the filter reads the value in Hz as m/s, and also assumes noise that is 93 times "
-    "smaller.",
+    "Filtered ATE in m, tuned modes. The receiver measures the shift in Hz (93 Hz for 1 m/s at 28 "
+    "GHz). As printed: the filter predicts it as v'(p - p1)/|p - p1| in m/s plus b in Hz. Read as "
+    "m/s: the filter takes the value in Hz for m/s, and assumes noise that is 93 times smaller.",
     "user | radio | gates: in hertz | as printed | no gates: in hertz | as printed | read as m/s",
     labels=2,
 )
@@ -192,7 +191,7 @@ def _drifting_in_hz(mode: Mode, episode: Episode) -> Mode:
 
 
 def _read_as_mps(episode: Episode) -> Episode:
-    """Return the episode with the Doppler shift's value in Hz taken as m/s, and noise in m/s."""
+    """Return the episode with the Doppler shift's value in Hz taken as m/s, its noise in m/s."""
     sigma = episode.sigma.copy()
     sigma[:, episode.layout.doppler] /= episode.hz_per_mps
     return replace(episode, hz_per_mps=1.0, sigma=sigma)
@@ -211,10 +210,10 @@ def resolution(bench: Bench) -> Section:
     )
     return Section(
         "Range at 100 MHz",
-        f"c / B is {SPEED_OF_LIGHT / scene.bandwidth_hz:.2f} m: two paths closer than that are not "
-        f"resolved. One path alone is measured to 1 cm from {centimeter_db:.0f} dB on; the median "
-        f"SNR of the standard profile's direct link is {np.median(links):.0f} dB, and the floor of "
-        f"its range error is {radio.range_floor_m[0]:g} m.",
+        f"c / B is {SPEED_OF_LIGHT / scene.bandwidth_hz:.2f} m; paths whose lengths differ by less "
+        f"are not resolved. One path alone is measured to 1 cm from {centimeter_db:.0f} dB on; the "
+        f"median SNR of the standard profile's direct link is {np.median(links):.0f} dB, and the "
+        f"floor of its range error is {radio.range_floor_m[0]:g} m.",
         "SNR dB | Cramer-Rao bound of the range, m",
         rows=[[f"{snr:g}", float(bound)] for snr, bound in zip(snr_db, sigma, strict=True)],
     )
@@ -222,8 +221,8 @@ def resolution(bench: Bench) -> Section:
 
 @section(
     "The 5.99 gate of a 3-D NEES, %",
-    "Share of epochs beyond the gate. Measured: EKF mode without adaptive scaling on "
-    "pedestrians, standard profile, without blockage and multipath.",
+    "Share of epochs whose NEES exceeds the gate. Measured with the EKF mode, without adaptive "
+    "scaling, on pedestrians with the standard profile, without blockage and multipath.",
     "gate | 3 axes | 2 axes | measured, 3 axes",
 )
 def consistency_gate(bench: Bench) -> Iterator[Row]:
@@ -263,9 +262,9 @@ def _accuracy(errors: Errors) -> Row:
 @section(
     "Headline accuracy: the high profile",
     f"The paper's smoothed ATE: {', '.join(f'{user} {ate:g} m' for user, ate in HEADLINE.items())}"
-    ". In 3-D a consistent filter has a median NEES of 2.37 and a mean of 3; on flat terrain, "
-    "where the height is known (paper, Sec. II-A), 1.39 and 2. Its share within the bounds is "
-    "0.95. Robust modes are also blockage-aware.",
+    ". A consistent filter has a median NEES of 2.37 and a mean of 3 in 3-D, and of 1.39 and 2 on "
+    "flat terrain, where the height is known (paper, Sec. II-A). 95 % of its NEES are within the "
+    "bounds. Robust modes are also blockage-aware.",
     "user | terrain | channel | pipeline | smoothed: ATE m | smoothed: median NEES | smoothed: in "
     "95 % bounds | smoothed: mean NEES | filtered: ATE m | filtered: median NEES | filtered: in "
     "95 % bounds | filtered: mean NEES",
@@ -307,8 +306,8 @@ def _changes(radio: Radio) -> dict[str, dict[str, object]]:
 
 @section(
     "Error budget of the high profile, 3-D, smoothed",
-    "Robust, blockage-aware updates; one change of the radio at a time, with the process noise "
-    "tuned for the unchanged profile. x, y, z: root mean square errors.",
+    "Modes with robust, blockage-aware updates and the process noise tuned for the unchanged "
+    "profile. Each row changes the radio in one way. x, y, z: root mean square errors.",
     "user | radio | ATE m | x m | y m | z m",
     labels=2,
 )

@@ -50,7 +50,7 @@ def untuned(algorithm: str, coupling: bool) -> Mode:
 
 
 def _row(name: str, printed: Published | None, forms: Sequence[Scores]) -> Row:
-    """Return a row: per metric the paper's value, then ours for each form of process noise."""
+    """Return a row: for each metric the paper's value, then ours by form of process noise."""
     ours = iter(bootstrap(np.stack([scores[m] for m in PRINTED for scores in forms], axis=1)))
     row: Row = [name]
     for metric in PRINTED:

@@ -27,6 +27,8 @@ from mmwave_env.interface.reward import reward_name
 from mmwave_env.io.files import write_json, write_text
 from mmwave_env.localization.position_errors import require_risk
 
+WIDTH_MM = (80.0, 500.0)  # widths of pictures in which everything can be read
+
 
 class Results(NamedTuple):
     """Results of a comparison: tables, values, and pictures to draw."""
@@ -49,18 +51,25 @@ def report(command: str, args: EpisodeArgs, made: Results) -> None:
 
 
 def results(
-    args: EpisodeArgs, names: Sequence[str], pictures: Mapping[str, Path] = MappingProxyType({})
+    args: EpisodeArgs,
+    names: Sequence[str],
+    pictures: Mapping[str, Path] = MappingProxyType({}),
+    width_mm: float | None = None,
 ) -> Results:
     """Run contenders on the episodes that options select.
 
     For the folder of a run, its median training is shown. ``pictures`` are files to draw, by
-    option: "errors" and "consistency".
+    option: "errors" and "consistency", ``width_mm`` wide.
 
     Raises:
         ValueError: an option is not valid, or both pictures have the same file.
         OSError: a picture can't be written.
     """
     require_risk(args.risk)
+    if width_mm is not None and not WIDTH_MM[0] <= width_mm <= WIDTH_MM[1]:
+        raise ValueError(
+            f"width_mm: found {width_mm:g}, expected {WIDTH_MM[0]:g} to {WIDTH_MM[1]:g}"
+        )
     for option, path in pictures.items():
         require_picture(option, path)
     if len(set(pictures.values())) < len(pictures):
@@ -101,9 +110,9 @@ def results(
         figures = content["position_errors"] = positions.figures()
         text += f"\n{positions_markdown('policy', figures['policies'], args.risk)}"
     drawings: dict[str, Callable[[], None]] = {
-        "errors": lambda: draw_error_cdf(epochs.errors_m, pictures["errors"]),
+        "errors": lambda: draw_error_cdf(epochs.errors_m, pictures["errors"], width_mm),
         "consistency": lambda: draw_consistency(
-            epochs.time_s, epochs.nees, 2 if args.planar else 3, pictures["consistency"]
+            epochs.time_s, epochs.nees, 2 if args.planar else 3, pictures["consistency"], width_mm
         ),
     }
     return Results(comparison, text, content, [drawings[name] for name in pictures])

@@ -27,7 +27,7 @@ RULES: dict[str, tuple[Rule, str]] = {  # each rule, and the name of its speed i
 
 
 class Choice(NamedTuple):
-    """Modes to run, what chooses between them, and a description of this choice."""
+    """Modes to run, the rule or policy that chooses between them, and words for this choice."""
 
     switching: Switching
     why: str
@@ -64,7 +64,7 @@ def require_one_choice(args: LogArgs) -> None:
 
 
 def choice_of(args: LogArgs, radio: str, block: LogBlock) -> Choice:
-    """Return the choice that options ask for; by default a policy, or without elevations an IMM.
+    """Return the choice of the options; by default a policy or, without elevations, an IMM.
 
     ``block`` is the beginning of the log.
 

@@ -33,7 +33,7 @@ class _Sums:
 
     def __init__(self, anchors: int) -> None:
         self.epochs, self.links = 0, np.zeros(anchors, np.int64)
-        self.irregular: Counter[str] = Counter()  # counts by a description of what was counted
+        self.irregular: Counter[str] = Counter()  # number of irregular epochs, by description
         self.first_s = self.last_s = self.step_s = np.nan
         self.distance_m = self.moving_s = self.fastest_mps = 0.0
         self._before = np.empty((0, 4))  # time and true position of the last epoch
@@ -62,7 +62,7 @@ class _Sums:
             f"steps of the ground truth faster than {FASTEST_MPS:g} m/s": speed > FASTEST_MPS,
             "epochs in which no anchor was measured": ~links.any(axis=1),
         } | {
-            f"epochs with only some values of {name}, which counts as missing in them": incomplete
+            f"epochs in which {name} lacks some values and so counts as missing": incomplete
             for name, incomplete in zip(block.layout.group_names, block.incomplete.T, strict=True)
         }
         self.irregular.update({words: int(epochs.sum()) for words, epochs in counted.items()})
@@ -74,7 +74,7 @@ class _Sums:
 
 
 def diagnosed(args: LogArgs, log: Path, scene: Scene, truth_file: Path | None) -> None:
-    """Show facts about a log, and the likely mistakes whose correction makes it consistent.
+    """Show facts about a log, and whether undoing a likely mistake makes it consistent.
 
     Raises:
         LogError: the log is damaged.
@@ -191,5 +191,5 @@ def diagnosis_markdown(findings: Sequence[Finding]) -> str:
         f"{_verdict(findings)}\n\n{grid(header, rows)}\n\nThe columns are the median NIS / dof of "
         "the worst anchor (farthest from 1) and of the Doppler shift. In a consistent log, the "
         "user is also mostly below the base station, and the SNR and the Doppler shift are "
-        f"plausible.{impossible}\n"
+        f"plausible. Of several rows with yes, the first is the most likely.{impossible}\n"
     )

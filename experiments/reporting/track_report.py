@@ -15,7 +15,7 @@ from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.numerics.numbers import Array
 
-_POINTS = 6000  # maximum number of points in a picture; a long track has at least half as many
+_POINTS = 6000  # maximum number of points in a picture; pictures of long tracks have half to all
 _POSITION = [0, 1, 3, 1, 2, 4, 3, 4, 5]  # the position's part of a packed covariance
 
 
@@ -82,7 +82,7 @@ def _course(figures: dict[str, Any]) -> list[str]:
     lines.append(f"modes {escaped(f['rule'])}: {shares} of the epochs{switches}")
     lines.append(f"noise of radio {escaped(f['radio'])}")
     if "trusted" in f:
-        lines.append(f"corrections of the filtered track were trusted to {_percent(f['trusted'])}")
+        lines.append(f"corrections of the filtered track were scaled to {_percent(f['trusted'])}")
     if "clock" in f:
         keys = "range_bias_m", "deviation_m"
         ahead, deviation = (f["clock"][key] / SPEED_OF_LIGHT * 1e9 for key in keys)
@@ -114,7 +114,7 @@ def _groups(groups: dict[str, Any]) -> str:
 
 
 def _clock(truth: dict[str, Any]) -> str:
-    """Return the end of a sentence on true positions, and a sentence on their clock's offset."""
+    """Return the end of the sentence on true positions, and a sentence on their clock."""
     between, clock = truth["interpolated"], truth["clock"]
     away = f"{1e3 * truth['nearest_pose_s']:.1f} ms from the nearest pose on average"
     said = f", {between} of them between poses, {away}." if between else "."
@@ -134,7 +134,7 @@ def _association(counts: dict[str, Any]) -> list[str]:
         lines.append(f"{counts['incomplete']} paths with only some of their values were left out")
     if between["epochs"]:
         lines.append(
-            f"{between['epochs']} epochs without a track, whose {between['paths']} paths were "
+            f"{between['epochs']} epochs have no track; their {between['paths']} paths were "
             "assigned to no anchor"
         )
     return lines

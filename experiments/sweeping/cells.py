@@ -83,7 +83,7 @@ def training_of(values: Values) -> tuple[Training, Hyperparameters]:
 
 
 def kept(folder: Path, spec: Spec) -> set[str]:
-    """Return the names of cells, or trials, with rows in a folder; refuse another sweep's rows."""
+    """Return the names of the cells or trials stored in a folder; refuse another sweep's rows."""
     names = {path.stem for path in folder.glob("[!.]*.parquet")}  # hidden files are incomplete
     for name in names:
         if not (name.startswith(spec.trial) if spec.free else name in spec.cells):

@@ -30,9 +30,9 @@ RUNGS, SHARE = 9, 3  # parameters of early stopping: docs/sweep.md
 
 @contextmanager
 def connected(address: str | None, workers: int | None) -> Iterator[None]:
-    """Connect, within the block, to the cluster at an address, which receives this code.
+    """Connect, within the block, to the cluster at an address, and send this code to the cluster.
 
-    With None, start Ray on this machine with so many workers, by default one per core.
+    Without an address, start Ray on this machine with ``workers``, by default one per core.
     """
     os.environ |= ENVIRONMENT | ({"RAY_NUM_REDIS_GET_RETRIES": "1"} if address else {})
     import ray

@@ -19,7 +19,7 @@ from mmwave_env.io.files import parse_json, read_text
 from mmwave_env.io.lookup import choose, quoted, require_extra
 from mmwave_env.io.records import Bound, counts, hints_of, require
 
-MOST_CELLS = 100_000  # more are a mistake, since a cell takes a second or longer
+MOST_CELLS = 100_000  # a cell takes a second or longer, so more cells must be a mistake
 HYPERPARAMETER = "hyperparameters."  # prefix of the names of axes that are hyperparameters
 
 Count = Annotated[int, counts(1, 10**12)]
@@ -179,6 +179,6 @@ def _values(key: str, content: Any) -> Sequence[Any]:
     values = [tuple(v) if isinstance(v, list) else v for v in (content if several else [content])]
     if not values or len(set(map(repr, values))) < len(values):
         raise ValueError(f"{key}: found {quoted(content)}, expected values without repeats")
-    if any(isinstance(value, float) for value in values):  # in a column, all numbers have one type
+    if any(isinstance(value, float) for value in values):  # numbers of a column must have one type
         return [float(value) if type(value) is int else value for value in values]
     return values

@@ -15,7 +15,7 @@ STEPS = 210  # enough to end all episodes and to draw the next ones
 
 
 def fresh(name: str, n: int) -> tuple[float, float]:
-    """Start Python, make an environment there, and measure the time and memory of its steps.
+    """Start Python, make an environment in it, and measure the time and memory of steps.
 
     ``n`` is the number of environments in a vector environment; 0 for a single environment. Return
     the seconds from Python's start to the end of the first step; and peak resident memory, MiB

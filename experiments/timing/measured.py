@@ -51,7 +51,7 @@ class Rates:
 
 
 class Measured:
-    """The measured rates, limits, times and memory; a list has one entry per round or process.
+    """All measured values; each list has one entry for a round, or for a new process.
 
     ``sizes`` are numbers of environments in the native vector environment.
     """
@@ -169,9 +169,9 @@ class Measured:
 
 
 def kernels() -> dict[str, Operations]:
-    """Count the operations of each filter, and of an environment's step with its simulated world.
+    """Count the operations of each filter, and of an environment's step with its simulation.
 
-    Rare events of the world (changes of gait, crossings) are left out.
+    Rare events of the simulation (changes of gait, crossings) are left out.
     """
     pipeline, drawn = workloads.pipeline(), workloads.source()
     layout, modes = pipeline.layout, named_modes(workloads.RADIO)

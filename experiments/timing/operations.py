@@ -1,7 +1,7 @@
 """Exact counts of the operations of a function of numbers, obtained by running it.
 
-:class:`~mmwave_env.compiler.lanes.Lanes` (SIMD values) emit instructions through an LLVM builder.
-With a builder that records instructions instead, the function need not be compiled.
+:class:`~mmwave_env.compiler.lanes.Lanes` (SIMD values) emit instructions through an LLVM builder. A
+builder that only records them counts the instructions of a function without compiling it.
 """
 
 from collections import Counter
@@ -22,7 +22,7 @@ _COMMUTE = ("fadd", "fmul", "and_", "or_")  # instructions whose operands may be
 class Operations(NamedTuple):
     """Numbers of SIMD instructions, each of which works on eight environments."""
 
-    fused: int = 0  # multiply-adds, which combine a sum with a product that nothing else uses
+    fused: int = 0  # multiply-adds: a sum of which one term is a product that is not used elsewhere
     add: int = 0  # remaining sums and differences
     multiply: int = 0  # remaining products
     divide: int = 0

@@ -1,7 +1,7 @@
 """Lower bound on the time that a core needs for the operations of a kernel (roofline).
 
-In this model all arithmetic shares the vector pipes, so a mix of operations in the kernel's
-proportions is timed, on independent chains in registers. Loads and stores have their own pipes and
+This model assumes that all arithmetic shares the vector pipes. So a mix of operations in the
+kernel's proportions is timed, on independent chains. Loads and stores have their own pipes and
 are timed separately; the limit is the longer of the two times. The model leaves out waits for
 results, register spills, caches, and the fetching of long code.
 """
@@ -64,7 +64,7 @@ def _steps(operations: Operations) -> dict[str, float]:
 
 @cache
 def _chains(order: tuple[str, ...], chains: int) -> Any:
-    """Compile steps on independent chains; each kind of step takes one chain after another."""
+    """Compile steps on independent chains; steps of one kind are on different chains, in turn."""
 
     def build(rows: Any) -> None:
         factor, term, other, *x = (rows[row] for row in range(3 + chains))

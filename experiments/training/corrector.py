@@ -1,9 +1,9 @@
 """Training of a corrector by supervision on simulated episodes.
 
-The truth of a simulated epoch is known, so the network learns the errors of its base directly: the
-loss is the length of the error that is left, over the size of the belief, plus a small share of the
-negative log-likelihood of the error, which teaches the factors on the deviations. Nothing that the
-network answers changes the base, so episodes are played once, and every episode is new.
+In a simulation the truth is known, so the network learns the errors of its base from examples. The
+loss is the length of the remaining error, in standard deviations of the belief, plus a small share
+of the error's negative log-likelihood, from which the network learns to scale the deviations. Its
+corrections do not change the base. So the base plays each episode once, and no episode is repeated.
 """
 
 from collections.abc import Iterator
@@ -30,9 +30,9 @@ from mmwave_env.numerics.numbers import Array
 from policies.policy_file import CORRECTIONS, Tensors
 
 EVALUATE = 32  # number of updates between two evaluations
-FIRST = 3  # number of additional rounds of episodes that the first update uses, for the scales
-OUTSIDE = 1e-4  # share of the values of a feature on each side that count as beyond its range
-MOST_LENGTH, MOST_SQUARE = 20.0, 50.0  # limits in the loss, against lost tracks
+FIRST = 3  # number of additional rounds of episodes in the first update, to estimate the scales
+OUTSIDE = 1e-4  # share of a feature's values below its range; the same share is above its range
+MOST_LENGTH, MOST_SQUARE = 20.0, 50.0  # limits in the loss, so that lost tracks do not dominate it
 CONSTANT = 1e-3  # added to standard deviations, which are 0 for a feature that never changes
 
 
@@ -84,7 +84,7 @@ class CorrectorTraining:
 
     Args:
         job: training to run; continues from a checkpoint in its folder, if any.
-        tell: function that is called with news; a timestep is an epoch learned from.
+        tell: function that is called with news, in which timesteps count epochs of episodes.
 
     Raises:
         ValueError: the checkpoint is damaged.
@@ -122,7 +122,7 @@ class CorrectorTraining:
         return record.close()
 
     def _update(self) -> dict[str, float]:
-        """Learn from new episodes at all places and at random; return figures for the log."""
+        """Learn from new episodes, at places and random ones; return figures for the log."""
         job, stand = self._job, self._record.stand
         hyper = job.hyperparameters
         lots = list(self.data.lots())
@@ -193,7 +193,7 @@ def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]
 
     Args:
         lots: lots to mix.
-        size: number of episodes in a lot of the shortest; lots of longer episodes have fewer.
+        size: number of episodes in a lot if episodes are short; lots of longer ones have fewer.
         rng: generator of the order.
     """
     shortest = min(len(lot.features) for lot in lots)

@@ -1,8 +1,8 @@
 """Episodes for a corrector to learn from: features, errors and beliefs of its base.
 
-Half of the episodes are at the places of the training. The others are at random: streets, carrier
-and radio, rate of epochs, clock, which quantities and anchors are measured, and by which factor
-the receiver misjudges its noise. Without them, a network learns its places by heart.
+Half of the episodes are at the places of the training. In the others, streets, carrier, radio, rate
+of epochs and clock are random, and so are the measured quantities and anchors and the factor by
+which the receiver misjudges its noise. Without random episodes, a network memorizes its places.
 """
 
 from collections.abc import Iterator
@@ -29,6 +29,7 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import EpisodeBatch, columns_of
 from mmwave_env.world.keys import keys_at, stream_of
 from mmwave_env.world.simulated import SimulatedSource
+from mmwave_env.world.trajectory import Trajectory, Ways
 from policies import LearnedSwitch
 from policies.corrector import BASE_IMM
 
@@ -43,10 +44,17 @@ SUBSETS = (  # measured quantities of receivers that lack some
     ("range", "azimuth", "departure"),
     ("range", "azimuth"),
 )
-# Probabilities that a receiver at random lacks quantities, has a clock with an offset, misjudges
-# its noise, measures only some anchors, or does not know its orientation exactly.
+# Probabilities that a random receiver lacks quantities, has a clock with an offset, misjudges its
+# noise, measures only some anchors, or does not know its orientation exactly.
 LACKING, DRIFTING, MISJUDGING, FEWER, TURNED = 0.3, 0.15, 0.3, 0.15, 0.15
 ORIENTATION_RAD = 0.1  # standard deviation of an orientation that is not known exactly
+# Share of the episodes at random whose users weave and vary their speed, as real users do. All
+# other users keep to the middle of the street, and the network would learn to rely on that.
+WEAVING = 0.5
+WAYS = 64  # number of weaving users from which the episodes of a lot are drawn
+WEAVE_S = (8.0, 40.0)  # periods of weaving at an episode's highest speed
+WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # largest change of the velocity, in speeds, and of the position
+WEAVING_BEHIND_M = (20.0, 60.0)  # walls behind the last street, with room to turn and weave
 
 
 class Lot(NamedTuple):
@@ -64,7 +72,7 @@ class Lot(NamedTuple):
 
 
 class CorrectorData:
-    """A source of lots of episodes that no training has seen before.
+    """A source of lots of episodes, in which no episode occurs twice.
 
     Args:
         task: task of the training.
@@ -87,7 +95,7 @@ class CorrectorData:
         return self._switch.bank(radio) if self._switch else self._task.banks[radio]
 
     def lots(self) -> Iterator[Lot]:
-        """Play and yield one lot at every place, and as many as needed at random."""
+        """Play and yield one lot at every place, and lots at random until their share is right."""
         places, share = self._task.places, self._hyper.random_share
         for place in places:
             rng = self._rng()
@@ -103,14 +111,14 @@ class CorrectorData:
         return np.random.default_rng((self._seed, self.played))
 
     def _at_some_rate(self, source: SimulatedSource, rng: np.random.Generator) -> SimulatedSource:
-        """Return a source with a step at random; at 10 Hz, every other lot has long episodes."""
+        """Return the source with a random step; half of the lots with short steps are long."""
         dt, long = float(rng.choice(STEPS_S)), rng.random() < 0.5
         return replace(
             source, dt=dt, epochs=self._hyper.long_epochs if dt <= 0.2 and long else EPOCHS
         )
 
     def _at_random(self, rng: np.random.Generator) -> Lot:
-        """Play episodes in streets and with a receiver at random."""
+        """Play episodes in random streets with a random receiver."""
         profile = self._radios[str(rng.choice(list(self._radios)))]
         scene = replace(
             WIDE_SCENE,
@@ -125,12 +133,14 @@ class CorrectorData:
             scene, radio, self._task.scenario, measurements=subset, clock=clock
         )
         source = self._at_some_rate(source, rng)
+        if rng.random() < WEAVING:
+            source = weaving(replace(source, scene=replace(scene, behind_m=WEAVING_BEHIND_M)), rng)
         return self._play(source, self.bank(profile.name), rng)
 
     def _play(
         self, source: SimulatedSource, bank: Bank, rng: np.random.Generator | None = None
     ) -> Lot:
-        """Play the base on new episodes; with ``rng``, of a receiver with some flaws."""
+        """Play the base on new episodes; ``rng`` draws flaws of the receiver, None draws none."""
         n = max(1, self._hyper.num_envs * EPOCHS // max(source.epochs, EPOCHS))
         keys = keys_at(self._stream, np.arange(self.played, self.played + n, dtype=np.uint64))
         self.played += n
@@ -153,6 +163,27 @@ class CorrectorData:
             features[t] = observations[:, columns]
         size = batch.layout.state_size
         return _lot(features, *np.split(outputs, [size, len(rows) - 3], axis=2))
+
+
+def weaving(source: SimulatedSource, rng: np.random.Generator) -> SimulatedSource:
+    """Return a source whose users weave, in one of the streets of a source of random streets.
+
+    Their positions are those of simulated users plus, along each street axis, a sine of the
+    distance traveled, so that they stand still where the simulated users do.
+    """
+    source = replace(source, scene=source.scene_of(int(rng.integers(2**63))))
+    batch = source.sample_batch(rng.integers(2**63, size=WAYS, dtype=np.uint64))
+    truth = batch.table[:, :, rows_of(columns_of(batch.layout).truth)]
+    truth = truth[np.ptp(truth[:, :, :2], axis=1).max(axis=1) > WEAVE_M]
+    speed = np.linalg.norm(truth[:, :, 3:], axis=2, keepdims=True)
+    fastest, shape = speed.max(axis=1, keepdims=True), (len(truth), 1, 2)
+    radian = fastest * rng.uniform(*WEAVE_S, shape) / (2.0 * np.pi)  # distance per radian, m
+    slope = np.minimum(rng.uniform(0.0, WEAVE_SLOPE, shape), WEAVE_M / radian)
+    angle = np.cumsum(speed, axis=1) * source.dt / radian + rng.uniform(0.0, 2.0 * np.pi, shape)
+    truth[:, :, :2] += slope * radian * np.sin(angle)
+    truth[:, :, 3:5] += slope * np.cos(angle) * speed
+    ways = [Trajectory("weaving", source.time_s, way[:, :3], way[:, 3:]) for way in truth]
+    return replace(source, scenario=Ways("weaving", ways))
 
 
 def _lot(features: NDArray[np.float32], x: Array, P: Array, error: Array) -> Lot:

@@ -1,4 +1,4 @@
-"""Evaluation of a policy during its training, on tuning seeds, against untrained rivals."""
+"""Evaluation of a policy during its training, on tuning seeds, against rules and IMMs."""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -68,7 +68,7 @@ class Evaluator:
         }
 
     def _scores(self, contender_at: Callable[[str], Contender]) -> Scores:
-        """Compute the scores of a contender, made for each place's radio, on all episodes."""
+        """Compute a contender's scores on all episodes; ``contender_at`` makes it for a radio."""
         parts = []
         for place, episodes in self._at:
             contender = contender_at(place.radio)

@@ -29,7 +29,7 @@ class PpoHyperparameters:
 
     num_envs: Count  # number of environments stepped at once
     n_steps: Count  # epochs of each environment between two updates
-    batch_size: Annotated[int, counts(2, MOST)]  # a single advantage can't be normalized
+    batch_size: Annotated[int, counts(2, MOST)]  # 2 or more, to normalize advantages in a batch
     n_epochs: Count  # passes over the collected epochs
     # learning_rate, ent_coef: values at the start; both fall linearly
     learning_rate: Positive
@@ -154,8 +154,8 @@ def shipped_hyperparameters(algorithm: str, beliefs: str = "shared") -> Path:
 def falling(last: float, left: float) -> float:
     """Return the share of a rate that remains when a fraction of the training is left.
 
-    The last update may go beyond the end of the training, where the fraction is negative: the rate
-    then falls further, but stays positive.
+    The last update may end after the planned end of the training, where the fraction is negative.
+    The rate then falls further, but stays positive.
 
     Args:
         last: share of the rate at the end.

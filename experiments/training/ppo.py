@@ -23,7 +23,7 @@ from policies.policy_file import Tensors
 # Number of updates between two rows of the log (LOG), and between two evaluations before (EARLY)
 # and after (LATER) the policy first beats the paper's rule.
 LOG, EARLY, LATER = 4, 2, 16
-MOMENTS = ("mean", "var", "count")  # attributes that hold the moments of all observations so far
+MOMENTS = ("mean", "var", "count")  # attributes with the statistics of all observations so far
 
 
 class PpoTraining(BaseCallback):

@@ -97,7 +97,7 @@ def _started(job: Job[Any]) -> tuple[Connection, BaseProcess]:
 
 
 def _train(job: Job[Any], line: Connection) -> None:
-    """Run one training in this process; end quietly once the parent no longer listens."""
+    """Run one training in this process; end quietly if the parent has closed the connection."""
     try:
         with ended_by_signals():
             if job.outcome.is_file():

@@ -23,11 +23,11 @@ STEP = "timesteps"
 
 
 class ProgressLog(KVWriter):
-    """A log of a training; each row has figures about recent episodes and the update after them.
+    """A log of a training; each row has figures of recent episodes and of the update after them.
 
     Args:
         folder: folder of ``progress.csv`` and TensorBoard's events.
-        rows: rows so far, if a training continues; later events in the folder are dropped.
+        rows: earlier rows of a training that continues; events after the last of them are dropped.
     """
 
     def __init__(self, folder: Path, rows: list[dict[str, float]]) -> None:
@@ -39,7 +39,7 @@ class ProgressLog(KVWriter):
     def write(
         self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0
     ) -> None:
-        """Add a row; leave out Stable-Baselines3's times, which restart with the process."""
+        """Add a row without the times of Stable-Baselines3, which begin anew in every process."""
         numbers = {
             key: float(value) for key, value in key_values.items() if not key.startswith("time/")
         }
@@ -48,7 +48,7 @@ class ProgressLog(KVWriter):
         self.rows.append({STEP: float(step), **numbers})
 
     def save(self) -> None:
-        """Write the CSV file; the cell of a figure that a row lacks is empty."""
+        """Write the CSV file; if a row lacks a figure, its cell is empty."""
         names = dict.fromkeys(name for row in self.rows for name in row)
         text = io.StringIO()
         table = csv.DictWriter(text, list(names), lineterminator="\n")
@@ -62,7 +62,7 @@ class ProgressLog(KVWriter):
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Write the rest of the log; after an exception, only end the thread that writes events."""
+        """Write the rest of the log; after an exception, only stop the thread of the events."""
         if kind is None:
             self.save()
             self._events.close()
@@ -79,9 +79,9 @@ class Record:
         tell: function that is called with news of the training.
 
     Attributes:
-        stand: state of the training: updates and timesteps so far; "best", figures of the best
-            policy, and "beat_rule", when a policy first beat the paper's rule, both None at first.
-            Further entries of a checkpoint stay until the trainer takes them out.
+        stand: state of the training: numbers of updates and timesteps; "best", the figures of the
+            best policy; "beat_rule", the time at which a policy first beat the paper's rule (both
+            None before); and the trainer's own entries of a checkpoint, until it removes them.
         log: log of the training's progress.
 
     Raises:

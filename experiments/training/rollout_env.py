@@ -1,17 +1,12 @@
-"""Environments at several places, with rollouts that measure the value of every action.
+"""Environments at several places, with rollouts that measure the value of every action."""
 
-The world does not depend on actions. So copies of an environment have the same measurements
-whatever their actions are, and differences of value between actions are free of the noise between
-episodes (common random numbers).
-"""
-
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.evaluation.branches import Act, Branches
 from experiments.training.actor import Normalization
 from experiments.training.training_task import TrainingTask, require_environments
 from mmwave_env.compiler.lanes import WIDTH
@@ -27,7 +22,6 @@ STATE = ("rows", "table", "length", "epoch")  # arrays of a batch that determine
 CONSTANT = 1e-4  # added to standard deviations, which are 0 for a feature that never changes
 
 Observations = NDArray[np.float32]
-Act = Callable[[Observations], Index]
 
 
 class Tried(NamedTuple):
@@ -74,10 +68,9 @@ class RolloutEnv:
         self._place = block % len(places)
         pipeline = _one_pipeline(task, {source.layout for source in self._sources})
         bank = task.bank if task.beliefs == "per-mode" else None
-        same = (task.reward, task.observation, bank)
-        self._engine = Engine(pipeline, n, *same)
+        self._engine = Engine(pipeline, n, task.reward, task.observation, bank)
         self.observation = self._engine.observation
-        self._copies = Engine(pipeline, n * len(self.observation.actions), *same)
+        self._branches = Branches(self._engine, horizon)
         if bank:
             for i, place in enumerate(places):
                 here = np.flatnonzero(self._place == i)
@@ -121,7 +114,7 @@ class RolloutEnv:
         self.observations[places] = begun[places]
 
     def measured_normalization(self, clip: float) -> Normalization:
-        """Measure mean and deviation of observations, with action 0, for an episode's length.
+        """Measure mean and deviation of observations in an episode in which all actions are 0.
 
         Args:
             clip: number of deviations from the mean at which observations are clipped.
@@ -142,32 +135,9 @@ class RolloutEnv:
                 (actions * n, features): first the n copies that began with action 0, then the n
                 copies that began with action 1, and so on.
         """
-        n, actions = len(self._everyone), len(self.observation.actions)
-        self._copy()
-        values, taken = np.zeros((actions, n)), np.repeat(np.arange(actions), n)
-        for weights in self._weights.T:
-            observations, rewards = self._copies.step(taken, self._reward_row)
-            values += weights * rewards[:, 0].reshape(actions, n)
-            taken = act(observations)
-        state = self._engine.batch.state
+        values, state = self._branches.values(act, self._weights), self._engine.batch.state
         whole = state.epoch - 1 + self._horizon <= state.length
-        return Tried(self.observations[whole], values.T[whole])
-
-    def _copy(self) -> None:
-        """Copy each environment for every action, with the epochs up to the horizon."""
-        state, batch = self._engine.batch.state, self._copies.batch
-        actions, n = len(self.observation.actions), len(self._everyone)
-        columns = state.table.shape[2]
-        if batch.state.table.shape[1] != self._horizon:
-            table = np.empty((actions * n, self._horizon, columns))
-            length = np.full(actions * n, self._horizon)
-            batch.state = batch.state._replace(table=table, length=length)
-        # Past the end of an episode its last epoch is repeated; such values are discarded.
-        epochs = np.minimum(state.epoch[:, None] + np.arange(self._horizon), self.epochs - 1)
-        ahead = state.table[self._everyone[:, None], epochs]
-        batch.state.table.reshape(actions, *ahead.shape)[:] = ahead
-        batch.state.rows.reshape(actions, *state.rows.shape)[:] = state.rows
-        batch.state.epoch[:] = 0
+        return Tried(self.observations[whole], values[whole])
 
     def state(self) -> dict[str, Any]:
         """Return a copy of all state that determines the future, for :meth:`restore`."""

@@ -93,7 +93,7 @@ def place_from(text: str) -> Place:
 
 
 def _option(word: str) -> tuple[str, Any]:
-    """Return name and value of the attribute of a place that a word after its radio describes."""
+    """Return the name and the value of a :class:`Place`'s attribute, given its word."""
     if word in CLOCKS:
         return "clock", word
     if word[0] in ".-" or word[0].isdigit():
@@ -193,7 +193,7 @@ class TrainingTask:
 
 
 def banks_of(modes: Sequence[str], places: Sequence[Place], beliefs: str) -> dict[str, Bank]:
-    """Return the bank of modes that a policy chooses from with each radio, by the radio's name.
+    """Return, by the name of a radio, the bank of modes from which a policy chooses with it.
 
     Args:
         modes: names and mode files, as on the command line; empty for the defaults.

@@ -131,8 +131,8 @@ Value = Callable[[Bank, int], float]
 
 # Ranges to search:
 ODDS = (-14.0, 8.0)  # log(probability to change to another mode / probability to stay)
-# A sigma_v below its range earns a slightly higher reward, but only because simulated users walk
-# so straight. A user who weaves by a few degrees, as in a recording, would escape such a filter.
+# A sigma_v below this range earns a slightly higher reward, because simulated users walk straight.
+# But a filter with it would lose a user whose direction varies by a few degrees, as in recordings.
 FREE = {
     "sigma_p": (0.005, 2.0),
     "sigma_v": (0.04, 6.0),

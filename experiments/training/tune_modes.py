@@ -27,8 +27,8 @@ RANGES = {
     "sigma_b_mps": (0.01, 0.5),
     "spread_gain": (1e-4, 0.1),
 }
-# NIS is capped at this chi-square quantile in a likelihood. On data simulated with the filter's
-# own model, 0.99 would bias sigma_v by -6 %, 0.999 by less than 1 %.
+# Likelihoods cap the NIS at this chi-square quantile. On data simulated with the filter's own
+# model, a cap at 0.99 would bias sigma_v by -6 %, a cap at 0.999 by less than 1 %.
 CAP = 0.999
 POINTS = (6, 11)  # number of grid points along the second and the first parameter
 STEP = 0.3  # size of the first simplex in logarithms: changes a parameter by about a third

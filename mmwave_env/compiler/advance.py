@@ -197,10 +197,10 @@ def advance(begin, end, run, blank, state, io):  # type: ignore[no-untyped-def]
     bring rows into the caches.
 
     A program reads its rows in an order that hardware prefetchers cannot guess. If the blocks of
-    all environments do not fit into the core's own caches, reading the rows once in order halves
-    the time of a program. The epochs that the next block will load lie a whole episode apart in the
-    table, so they are prefetched. The code of a feed and the code of a program do not fit into the
-    core's first cache together, so each runs for some blocks in a row.
+    all environments do not fit into the core's own caches, reading the rows once in order, before
+    the program runs, halves its time. In the table, the next epochs of two tracks lie an episode
+    apart, so the epochs of the next block are prefetched. The core's first cache can't hold the
+    code of a feed and of a program together, so each runs for some blocks in a row.
     All loops are plain because numba takes long to compile slices of arrays.
 
     Args:

@@ -8,8 +8,8 @@ edit in another file, if the function calls code there; some versions also miss 
 the file's time and size unchanged. Processes that start at the same time can mix up numba's files,
 and a damaged file or a full disk ends the program. This cache names its folder after a hash of all
 sources and writes each compiled function to one file; after any error with a file the function is
-compiled again. A checksum detects a damaged file before its content is run. A process whose sources
-are edited while it runs does not use files, because it may run either version of the sources.
+compiled again. A checksum detects a damaged file before its content is run. If a source is edited
+while a process runs, the process stops using files: its code may be of either version.
 
 The files are pickles, like numba's own, and reading a pickle runs code that its author chose. So
 folders and files are private to this user: the cache rejects links and anything that another user
@@ -114,8 +114,8 @@ def _folder() -> Path | None:
 def kept_functions() -> dict[str, Any]:
     """Describe the folder for this process's compiled functions; create it if possible.
 
-    Return it as "place", None if no private folder can be written; the number of "functions" in it,
-    which belong to this version of the sources; and the "bytes" of their files.
+    Return the folder under "place" (None if no private folder can be written), and under
+    "functions" and "bytes" the number and the size of the compiled functions in this folder.
     """
     folder = _folder()
     sizes = [file.stat().st_size for file in folder.iterdir()] if folder else []
@@ -133,7 +133,7 @@ def _prune(place: Path) -> None:
 
 
 def _version() -> str | None:
-    """Return a hash of all that compiled code depends on; None if the sources are not files."""
+    """Return a hash of everything that affects compiled code; None if the sources are not files."""
     # Unlike rglob, glob passes over folders that another process has just removed.
     sources = sorted(_PACKAGE / name for name in glob(_SOURCES, root_dir=_PACKAGE, recursive=True))
     if not sources:
@@ -244,8 +244,8 @@ class LazyJit:
 
     After that, or as soon as its compiled form is found on disk, the compiled form runs. The
     functions that it calls must run both ways, as with ``numba.extending.register_jitable``.
-    ``plain_work``, in any unit, such as epochs, is the work that each process does before it
-    compiles.
+    ``plain_work`` is the amount of work that each process does in plain Python before it compiles
+    the function; the unit is the caller's, such as epochs.
     """
 
     def __init__(self, function: Callable[..., Any], plain_work: int) -> None:
@@ -254,7 +254,7 @@ class LazyJit:
         self._left = plain_work
 
     def choice(self, work: int, *arguments: Any) -> Any:
-        """Return the plain or the compiled function, for an amount of work with these arguments.
+        """Return the function that an amount of work with these arguments should use.
 
         If threads share the work, call this once for all threads.
         """

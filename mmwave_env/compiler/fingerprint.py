@@ -1,9 +1,9 @@
 """Fingerprints: names that identify what a function of numbers computes.
 
 To get its name, a function runs once on numbers that record every operation. Two functions share a
-name only if they use the same operations on the same rows and constants, so each can run the
-compiled code of the other. So a user's function in a mode or reward needs no name of its own, and a
-change in it is never missed. Recording takes a hundredth of the time that compiling takes.
+name only if they use the same operations on the same rows and constants; then each can run the
+compiled code of the other. So users need not name the functions of their modes and rewards, and a
+change in such a function is never missed. Recording takes a hundredth of the time of compiling.
 """
 
 from collections.abc import Callable, Sequence
@@ -36,7 +36,7 @@ class _Recorded:
 
 
 def _references(operands: Sequence[Any]) -> list[int | float]:
-    """Return each operand as its number on the tape (an integer), or a constant as a float."""
+    """Return recorded operands as their numbers on the tape (int), and constants as floats."""
     return [a.number if isinstance(a, _Recorded) else float(a) for a in operands]
 
 

@@ -1,8 +1,9 @@
 """Programs: functions of numbers, compiled to run epoch after epoch for many environments.
 
-A program maps a workspace tree to a workspace tree. The leaves of a workspace are the rows of an
-array (blocks, rows, 8), eight environments to a block. The first field of a workspace,
-``incoming``, is set before each run, from a table of whole tracks or by a :class:`Feed`.
+A *workspace* is a tree of all numbers that a program reads and writes in an environment. The
+program is a function from a workspace to the workspace one epoch later. Workspaces are stored in
+an array (blocks, rows, 8): a block has eight environments, and a row for each number of the tree.
+Before each run, the field ``incoming`` of a workspace is set from a table or by a :class:`Feed`.
 """
 
 import os
@@ -27,11 +28,11 @@ Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
 Blocks = tuple[int, int]  # first block, and the block after the last
 
 NO_ROWS = np.empty(0, np.int64)
-# Number of block epochs to run as plain Python before compiling, which takes the time of 4000.
+# Number of epochs of blocks to run as plain Python before compiling, which takes as long as 4000.
 PLAIN_BLOCK_EPOCHS = 1000
 
-# numba's own lock guards every compilation. A child forked while another thread holds the lock
-# would wait forever, as that thread is not in the child; so a fork waits for the compilation.
+# numba holds a lock while it compiles. A child that is forked meanwhile would wait forever for the
+# lock, because the child lacks the thread that releases it. So a fork first waits for the lock.
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(
         before=global_compiler_lock.acquire,
@@ -67,8 +68,8 @@ class Feed(NamedTuple):
     run: int
     settings: Array  # (rows, 8) read only, the same for all blocks
     kept: Array  # (blocks, rows, 8) the feed's workspace, changed in place
-    timed: int  # the one incoming row that ``run`` does not compute; it is set from ``times``
-    times: Array  # (epochs,) the value of that row in each epoch
+    timed: int  # number of the incoming row that is set from ``times``; ``run`` computes the rest
+    times: Array  # (epochs,) the value of this row in each epoch
 
     @classmethod
     def none(cls) -> "Feed":

@@ -34,14 +34,14 @@ def share(
     if threads == 1 or len(jobs) == 1:
         return [function(*job) for job in jobs]
     results: list[Any] = [None] * len(jobs)
-    waiting = iter(range(len(jobs)))  # next() is atomic
+    waiting = iter(range(len(jobs)))  # shared by the threads: next() is atomic
 
     def work(here: Lock) -> None:
         with here:
             for i in waiting:
                 results[i] = function(*jobs[i])
 
-    # Wait for locks, not for futures: an interrupt may come before submit() returns a future.
+    # Wait for locks instead of futures: after an interrupt in submit(), a future may be lost.
     places = [Lock() for _ in range(min(threads, len(jobs)) - 1)]
     others: list[Future[None]] = []
     try:

@@ -1,8 +1,8 @@
 """Transposes between tables and blocks of SIMD lanes.
 
 In a table the numbers of one environment are contiguous; in a block each lane holds one
-environment. Compiled code moves eight by eight numbers at a time and transposes them in registers;
-moving single numbers would take as long as an EKF's epoch. The environments of a block may be
+environment. Compiled code moves 8 x 8 numbers at a time and transposes them in registers, because
+moving them one by one would take as long as an epoch of an EKF. The environments of a block may be
 anywhere in a table, so functions receive an address for each environment.
 """
 
@@ -98,7 +98,7 @@ def _compiled_scatter(kind: ir.Type) -> Callable[..., Any]:
                 first = min(tile, count - WIDTH)
                 turn_out(block.ctypes.data, rows.ctypes.data, targets.ctypes.data, first)
 
-        # Code cached by two processes is linked by name: equal names would mix up the precisions.
+        # Compiled code is found by its name, so each precision needs a name of its own.
         compiled.__qualname__ += f".{kind}"
         return compiled
 

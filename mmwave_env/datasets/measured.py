@@ -19,7 +19,7 @@ from mmwave_env.world.checks import refuse
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MeasuredTrack(Track):
-    """T epochs of one user as a receiver measured them, with the true positions.
+    """T epochs of one user with measurements of a real receiver, and with the true positions.
 
     :meth:`from_arrays` makes a track from arrays;
     :func:`~mmwave_env.datasets.log_folder.read_log_folder` reads one from files.
@@ -150,8 +150,8 @@ def _as_partial(
 ) -> dict[str, Any]:
     """Return the fields of a track that a partial layout changes; {} if no such layout is needed.
 
-    ``heard`` (T, L) says whether a link has an SNR; the standard deviations of a measurement, by
-    its name, are (T, L) or (T,).
+    ``heard`` (T, L) says whether a link has an SNR. ``deviations`` has the standard deviations
+    (T, L) or (T,) by the name of the measurement.
     """
     layout: Layout = fields["layout"]
     rows, sigma = fields["measurement"], np.full_like(fields["measurement"], np.nan)

@@ -28,8 +28,8 @@ from mmwave_env.numerics.numbers import Array, Index, Mask, wrap
 from mmwave_env.world.checks import refuse, require_epochs, require_increasing
 from mmwave_env.world.episode import Episode, shapes_of
 
-# Limits of the median errors of range, m, and angles, rad: an error above _FAR can't be noise, an
-# error below _NEAR is acceptable.
+# Limits of the median errors of ranges (m) and angles (rad). Noise can't cause a median above _FAR;
+# a median below _NEAR is acceptable.
 _FAR, _NEAR = (50.0, 0.5, 0.5, 0.5), (5.0, 0.05, 0.05, 0.05)
 _NOISE = 0.6745 * np.sqrt(2.0)  # median absolute difference of two N(0, 1) errors
 _ENOUGH = 20  # minimum number of epochs for a median
@@ -97,8 +97,8 @@ class Track(ABC):
         """Return the epochs of the track, all or a slice, as an episode with known true positions.
 
         The prior is drawn around the true state. If the bias of the oscillator is unknown, the mean
-        of its prior is 0. With a clock in the layout, the clock offset of a recording is
-        drawn, without changing the other draws; a measured track already contains its own.
+        of its prior is 0. With a clock in the layout, a recording gets a random clock offset, which
+        does not change the other draws; the ranges of a measured track already contain one.
 
         Raises:
             ValueError: the true position in an epoch is not known.
@@ -148,10 +148,10 @@ class Track(ABC):
     ) -> tuple[dict[str, Any], Array]:
         """Check arrays; return the fields of a :class:`Track`, and the links' SNR or gain (T, L).
 
-        Arrays are those of the constructors ``from_arrays``: ``links`` (T, L) in the order of
-        ``LINK``, NaN where not measured, or None; the name and the array of the ``strength``, SNR
-        or gain; true positions and velocities (T, 3). ``signal`` is carrier frequency and
-        bandwidth, Hz.
+        The arrays are those of ``from_arrays``. ``links`` has one array (T, L) or None for each
+        measurement of ``LINK``, with NaN where not measured. ``strength`` is the name and the array
+        of the SNR or gain, ``truth`` the true positions and velocities (T, 3), and ``signal`` the
+        carrier frequency and the bandwidth, Hz.
 
         Raises:
             ValueError: an array has the wrong shape, or times do not increase.

@@ -45,7 +45,7 @@ class Batch(Generic[Workspace]):
         ahead: number of epochs that the program has run before the one that an action completes.
 
     Attributes:
-        at: the workspace tree with row numbers as leaves; its fields select the rows to read.
+        at: tree like the workspace, with row numbers in place of values; selects the rows to read.
         state: the environments' workspaces, episodes and next epochs.
         parts: (first, end) numbers of the blocks that each thread runs in an epoch.
     """
@@ -133,7 +133,7 @@ class Batch(Generic[Workspace]):
         self.restart(places)
 
     def attach(self, source: SimulatedSource) -> None:
-        """Attach a source, whose episodes are simulated from the next :meth:`begin` on."""
+        """Prepare for the episodes of a source, which :meth:`begin` starts; do so only once."""
         if not self.state.feed.run:
             blank = source.begin(np.zeros(1, np.uint64)).worlds
             feed = source.feed(np.tile(blank, (self.n, 1)))
@@ -192,7 +192,7 @@ class Batch(Generic[Workspace]):
         self._run(len(state.rows) * io.outputs.shape[1], jobs)
 
     def span(self, tree: Any) -> slice:
-        """Return the slice of rows of a subtree of ``at``, which are contiguous."""
+        """Return the slice of the rows of a subtree of ``at``; these rows are contiguous."""
         numbers = flatten(tree)
         return slice(numbers[0], numbers[-1] + 1)
 

@@ -26,7 +26,7 @@ from mmwave_env.world.keys import Keys
 class Engine:
     """N environments that step together: episodes and actions in, observations and scores out.
 
-    To *consider* an epoch is to run the modes on it, before an action chooses among their results.
+    *Considering* an epoch means running the modes on it, before an action chooses a result.
 
     Args:
         pipeline: modes and layout.

@@ -34,7 +34,7 @@ from mmwave_env.task import Task
 from mmwave_env.world.episode import EpisodeBatch
 from mmwave_env.world.keys import Streams
 
-REPLAYED, FILTERED = 64, 256  # episodes that one job processes; more would need much memory
+REPLAYED, FILTERED = 64, 256  # episodes in one job of replaying and of filtering, to save memory
 
 
 class Baseline:
@@ -103,8 +103,8 @@ class Baseline:
 class Environment:
     """Environments on an engine, which can be copied by ``deepcopy`` and ``pickle``.
 
-    A copy creates compiled code and references to it again, and copies everything else. A deep
-    copy shares the task, which no step changes, and with it the source of episodes.
+    A copy creates compiled code and references to this code anew, and copies everything else. A
+    deep copy shares the task, including the source of episodes, because no step changes the task.
     """
 
     _engine: Engine
@@ -209,7 +209,7 @@ class Environment:
             rewards[places] -= self._baseline.rest(places)
 
     def _set_up_noting(self) -> None:
-        """Set up, and remember which attributes this creates, because a copy creates its own."""
+        """Set up; remember the attributes that this creates, because a copy creates its own."""
         attributes = set(vars(self))
         self._set_up()
         self._remade = frozenset(vars(self)) - attributes

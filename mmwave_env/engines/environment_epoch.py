@@ -1,8 +1,8 @@
 """An epoch of an environment whose modes share a belief, and of one with a belief per mode.
 
-A step takes the result that the action chose as the new belief (mean and covariance), scores it
-against the truth, loads the next epoch and runs every mode on it. All modes run before the action,
-because the observation shows the result of each mode. No action changes the world.
+A step takes the result of the chosen mode as the new belief (mean and covariance), scores the
+belief against the truth, loads the next epoch and runs every mode on it. Modes run before the next
+action, because the observation shows the result of each. No action changes the world.
 
 If the modes share a belief, their results are *candidates*, and the action chooses one. If every
 mode keeps its own, the modes interact as in an IMM (:mod:`mmwave_env.filters.imm`), and an action
@@ -133,14 +133,14 @@ class PerModeState(NamedTuple):
     pending: PendingEpoch  # the epoch whose mixture waits for an action
     mixture: Mixture  # belief after that epoch
     spread_averages_hz: list[Number]  # average Doppler spread, for each of SPREAD_MEMORIES
-    # except for the observation, all further fields refer to the last epoch with an action:
+    # all fields below, except the observation, belong to the last epoch with an action:
     mode_probabilities: list[Number]  # (modes,) probabilities after the action
     # x, P: (7,), (28,) the combined belief
     x: list[Number]
     P: list[Number]
     memory: Memory  # memory of the most probable mode; its preferences cover all modes
     observation: list[Number]  # (features,)
-    # reward to nees: same as in :class:`EnvState`
+    # the fields from ``reward`` to ``nees`` are the same as in :class:`EnvState`
     reward: Number
     reward_terms: list[Number]
     truth: list[Number]

@@ -61,7 +61,7 @@ def blank_environment(
 
 
 def pending_of(incoming: Incoming, epoch: Epoch, observation: Observation) -> PendingEpoch:
-    """Return what is needed of an epoch that the modes have just run on."""
+    """Return the parts of an epoch that are still needed after the modes have run on it."""
     last = incoming if observation.kind == "signed" else ()
     return PendingEpoch(epoch.dt, epoch.visible, incoming.truth, epoch.measured, last)
 
@@ -76,7 +76,7 @@ def last_of(w: Any, layout: Layout, probabilities: Vector = ()) -> LastEpoch | N
 def begun(
     w: Any, x: list[Number], P: list[Number], memory: Memory, pipeline: Pipeline
 ) -> tuple[list[Number], list[Number], Memory]:
-    """Return the belief (7,), (28,) and memory, or those at the prior if the track starts over."""
+    """Return belief (7,), (28,) and memory; if a track starts over, the prior and a new memory."""
     blank, first = initial_memory(pipeline.layout, len(pipeline.modes)), w.is_first > 0.5
     x, P = select(first, w.site.prior_x, x), select(first, w.site.prior_P, P)
     return x, P, select(first, blank, memory)

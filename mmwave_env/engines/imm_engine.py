@@ -56,7 +56,7 @@ class ImmState(NamedTuple):
     x_predicted: list[Number]
     P_predicted: list[Number]
     memory: Memory  # memory of the most probable mode
-    # reward, error, nees: same as in :class:`~mmwave_env.engines.environment_epoch.EnvState`
+    # reward, error, nees: as in :class:`~mmwave_env.engines.environment_epoch.EnvState`
     reward: Number
     error: list[Number]
     nees: Number

@@ -1,10 +1,10 @@
 """Fixed-interval smoothing of interacting modes, backwards over a finished track of an IMM.
 
-A Rauch-Tung-Striebel smoother that treats the mixture as one Gaussian is overconfident if the bank
-contains a mode with little process noise. Here every mode has its own smoothed belief. In each step
-back, each pair (mode j now, mode i in the following epoch) is smoothed with the motion model of
-mode i, and the pairs with the same j are merged. The weight of a pair is the probability of i given
-all measurements, times the probability of j given i. The latter depends on how well mode i,
+If a bank contains a mode with little process noise, a Rauch-Tung-Striebel smoother that treats the
+mixture as one Gaussian is overconfident. Here every mode has its own smoothed belief. A step back
+smooths each pair (mode j in this epoch, mode i in the following one) with the motion model of mode
+i, then merges the pairs with the same j. The weight of a pair is the probability of i given all
+measurements, times the probability of j given i. The second factor depends on how well mode i,
 starting from the belief of j, predicts the smoothed state.
 
 Sources: Kim 1994, "Dynamic linear models with Markov-switching" (pairs, and their merging); Barber

@@ -78,8 +78,8 @@ class PolicyTracker:
     def run(self, *names: str) -> dict[str, Array]:
         """Filter the loaded episode once, in the same way as :meth:`Tracker.run`.
 
-        A corrector adds three parts: "corrected_x" and "corrected_P", the belief to show, and
-        "trusted".
+        A corrector adds the parts "corrected_x" and "corrected_P", which are the corrected belief,
+        and "trusted", the factor by which the correction was scaled.
         """
         if self._starts:
             self._policy.reset(np.array([True]))

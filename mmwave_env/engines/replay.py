@@ -118,7 +118,7 @@ class Replay:
         forward, backward = self._forward, self._backward
         site = rows_of(forward.index.site)
         rows = fill(blocks_of(self._start, len(actions)), site, episodes.site)
-        figures = np.empty((len(self._show), *actions.shape))  # numpy then sums contiguous numbers
+        figures = np.empty((len(self._show), *actions.shape))  # contiguous, so that sums are fast
         _both_ways(
             ReplayCode(forward.on_lanes(), forward.index.action, self._keep),
             ReplayCode(backward.on_lanes(), 0, self._show),

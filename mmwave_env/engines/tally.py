@@ -85,8 +85,8 @@ class Tally:
 def count(counts, e, k, x, y, z, nees):  # type: ignore[no-untyped-def]
     """Count epoch ``k`` of an episode, from 0, with its position error (m) and NEES.
 
-    Up to the burn-in, each epoch replaces the earlier ones, so that the last epoch of an episode
-    counts even if the episode is shorter than the burn-in.
+    During the burn-in, each epoch replaces the earlier epochs in the sums. So an episode that is
+    shorter than the burn-in is scored by its last epoch.
 
     Args:
         counts: a :class:`Counts`, changed in place.

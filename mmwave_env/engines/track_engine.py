@@ -112,7 +112,7 @@ class EpisodeFilter(Generic[Workspace]):
     """N tracks of a program, each filtered from the first epoch of an episode to the last.
 
     Args:
-        batch: batch of N environments; values that episodes do not contain must be set beforehand.
+        batch: batch of N environments, in which values that episodes lack are already set.
 
     Attributes:
         program: the program of an epoch.
@@ -147,7 +147,7 @@ class EpisodeFilter(Generic[Workspace]):
 
         Args:
             names: parts of the program's state to return, such as "x" or "memory.nis".
-            actions: (n, epochs) values for ``action`` in the state; None for zeros.
+            actions: (n, epochs) values of the state's part ``action``; None for zeros.
 
         Returns:
             For each name, (n, epochs) if it is a single number, else (n, epochs, numbers).

@@ -1,7 +1,7 @@
 """The step of many environments, from actions to infos, in one call of compiled code.
 
-With few environments, the Python code around that call takes a third of a step or more, so it
-avoids assembling and splitting arrays.
+With few environments, the Python code around that call takes a third of a step or more. So this
+code neither assembles nor splits arrays.
 """
 
 from typing import Any, NamedTuple
@@ -45,7 +45,7 @@ class ActionHistory:
             self.set_all(np.pad(self.all(), ((missing, 0), (0, 0))))
 
     def next(self) -> None:
-        """Go on to the next row, once the modes of a step are in the current one."""
+        """Go on to the next row, after the modes of a step were written to the current row."""
         self.turn = (self.turn + 1) % len(self.rows)
 
     def of(self, places: Index, steps: int) -> Modes:

@@ -129,7 +129,9 @@ def bank_as_written(bank: Bank) -> dict[str, Any]:
     Raises:
         ValueError: same as for :func:`as_written`.
     """
-    return {**asdict(bank), "modes": [as_written(mode) for mode in bank.modes]}
+    modes = [as_written(mode) for mode in bank.modes]
+    transition = None if bank.transition is None else [list(row) for row in bank.transition]
+    return {**asdict(bank), "modes": modes, "transition": transition}
 
 
 @cache  # so that it warns only once for each radio
@@ -159,7 +161,7 @@ def shipped_modes(radio: str, coupling: bool = True) -> tuple[Mode, ...]:
 
 
 def default_modes(radio: str | Radio = "handset") -> tuple[Mode, Mode]:
-    """Return the two actions of ``MmWaveLoc-v0``: the paper's EKF and UKF pipelines."""
+    """Return the two default modes of ``MmWaveLoc-v0``: the paper's EKF and UKF pipelines."""
     low, high = shipped_modes(_tuned_profile(radio_from(radio)))
     return low, high
 

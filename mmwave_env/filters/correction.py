@@ -1,8 +1,8 @@
 """Corrections of a belief's position in the frame of motion.
 
 The *frame of motion* has axes along the estimated horizontal velocity, across it (to the left) and
-up. A correction moves the estimated position by so many standard deviations of the belief along
-each axis, and scales these deviations.
+up. A correction has two numbers for each axis: how many standard deviations of the belief the
+estimated position moves, and the factor by which this deviation is scaled.
 """
 
 from typing import NamedTuple
@@ -21,8 +21,8 @@ SLOWEST_MPS = 1e-3  # below this speed, the x axis counts as the direction of mo
 class Frame(NamedTuple):
     """The frame of motion, in which features are written and corrections are applied."""
 
-    cosine: Number  # of the angle from the x axis to the direction of motion
-    sine: Number
+    cosine: Number  # cosine of the angle from the x axis to the direction of motion
+    sine: Number  # sine of this angle
 
     @classmethod
     def of(cls, velocity: Vector) -> "Frame":

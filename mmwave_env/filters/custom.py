@@ -1,9 +1,9 @@
 """Trial runs of a user's algorithm before it is compiled: on floats, and on imitated SIMD lanes.
 
-The compiler calls a function once, with lanes, numbers that stand for eight environments. A trial
-run uses probes instead. They refuse the same operations as lanes, but each carries an actual value,
-hidden from the function. So a trial takes milliseconds, can name the line that asked for a value,
-and detects a function that returns different values on lanes than on floats.
+The compiler calls a function once, with numbers called lanes that stand for eight environments. A
+trial run uses probes instead: numbers that refuse the same operations as lanes, but carry a value
+that the function can't see. So a trial takes milliseconds, can name the line that asked for a
+value, and detects a function that returns different values on lanes than on floats.
 """
 
 import linecache

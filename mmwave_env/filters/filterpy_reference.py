@@ -5,9 +5,9 @@ function and its Jacobian come from :class:`~mmwave_env.filters.textbook.Sensor`
 without fused azimuths or latents. Tests, the benchmark and users in doubt compare the two
 implementations. Run such modes on floats: ``Engine(filterpy_pipeline(...), on_floats=True)``.
 
-An update works in coordinates relative to the prior mean, dx = x - m and dz = z - h(m): angle
-differences stay far from +-pi, so filterpy's plain subtraction is right, and no digits
-cancel in the CKF's covariance, which filterpy computes from raw second moments.
+An update works in coordinates relative to the prior mean m: dx = x - m and dz = z - h(m). Small
+values are needed for two reasons. filterpy subtracts angles without wrapping them. And it computes
+the CKF's covariance from raw second moments, in which digits of large values cancel.
 """
 
 from collections.abc import Callable
@@ -186,7 +186,7 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
 def _update(
     filter_: _Filter, mean: Vector, covariance: Matrix, measurement: Measurement, gate: Gate
 ) -> Posterior:
-    """Update with all visible groups, and again if gates reject some or inflate their noise."""
+    """Update with all visible groups; then again if gates reject groups or inflate their noise."""
     x, P = np.array(mean, float), np.array(covariance, float)
     layout, relative = measurement.layout, _Relative(x, measurement)
     R = np.diag(np.array(measurement.variance, float))

@@ -1,8 +1,8 @@
-"""Interacting multiple models: all modes run, weighted by how well they explain the data.
+"""Interacting multiple models (IMM): all modes run, weighted by how well they explain the data.
 
-Sources: Blom and Bar-Shalom 1988; Bar-Shalom, Li and Kirubarajan 2001, Sec. 11.6.6. The modes
-are the pipelines that an agent switches between, each with its own gates and scaling. The book's
-form with matrices is ``mix``, ``reweigh`` and ``combine`` of :mod:`~mmwave_env.filters.textbook`.
+The modes are the pipelines that an agent switches between, each with its own gates and scaling.
+Sources: Blom and Bar-Shalom 1988; Bar-Shalom, Li and Kirubarajan 2001, Sec. 11.6.6. The functions
+``mix``, ``reweigh`` and ``combine`` of :mod:`~mmwave_env.filters.textbook` follow the book's form.
 """
 
 from collections.abc import Sequence
@@ -31,8 +31,8 @@ class ImmSettings(NamedTuple):
 
     transition: list[list[Number]]  # (modes, modes) probabilities (from, to) over a second
     tunings: list[Tuning]  # motion model of every mode
-    # (groups,) limits for :func:`~mmwave_env.filters.update.limited_likelihood`; infinite for the
-    # textbook's IMM. In a partial layout, (4,) limits for groups with 1 to 4 measured rows
+    # (groups,) limits for :func:`~mmwave_env.filters.update.limited_likelihood`, infinite in the
+    # textbook's IMM. In a partial layout, (4,) limits for groups with 1, 2, 3 and 4 measured rows
     limits: list[Number]
 
 
@@ -60,7 +60,7 @@ def begin(pipeline: Pipeline, x: Vector, P: Vector) -> Mixture:
 
 
 def stay_matrix(modes: int, stay: float = DEFAULT_STAY) -> tuple[tuple[float, ...], ...]:
-    """Return transition probabilities (from, to): ``stay``, and equal ones to the other modes."""
+    """Return probabilities (from, to): ``stay`` on the diagonal, equal ones elsewhere in a row."""
     if modes == 1:
         return ((1.0,),)
     move = (1.0 - stay) / (modes - 1)
@@ -100,8 +100,8 @@ def mix(mixture: Mixture, transition: Matrix) -> tuple[list[Number], list[tuple[
 def over_step(transition: Matrix, dt: Number) -> list[list[Number]]:
     """Return transition probabilities (from, to) over a step, given the probabilities per second.
 
-    Mode i is left at a rate of 1 - p_ii per second. A step longer than a second counts as one
-    second, so that rows stay probabilities; so does the step 0 of an episode's first epoch.
+    Over dt seconds, the probability of leaving mode i is (1 - p_ii) dt. A longer step counts as
+    1 s, so that rows stay probabilities; the first step of an episode, 0 s, counts as 1 s, too.
     """
     step = step_weight(dt)
     return [
@@ -111,7 +111,7 @@ def over_step(transition: Matrix, dt: Number) -> list[list[Number]]:
 
 
 def step_weight(dt: Number) -> Number:
-    """Return the fraction of a change per second that occurs in a step of dt seconds."""
+    """Return a step's length, s, limited to 1; the first step of a track, whose dt is 0, gets 1."""
     return where(dt > 0.0, minimum(dt, 1.0), 1.0)
 
 
@@ -190,7 +190,7 @@ def _normalized(weights: Sequence[Number]) -> list[Number]:
 
 
 def most_probable(mixture: Mixture) -> Number:
-    """Return the number of the most probable mode, from 0; in a tie, of the first one."""
+    """Return the number, from 0, of the most probable mode; of equals, the first mode wins."""
     number: Number = 0.0
     best = mixture.probability[0]
     for m, probability in enumerate(mixture.probability[1:], start=1):
@@ -200,7 +200,7 @@ def most_probable(mixture: Mixture) -> Number:
 
 
 def most_probable_memory(mixture: Mixture) -> Memory:
-    """Return the memory of the most probable mode, with its number as the mode that ran last."""
+    """Return the memory of the most probable mode; this mode then counts as the last that ran."""
     number = most_probable(mixture)
     memory: Memory = tree_at(number, [track.memory for track in mixture.tracks])
     return memory._replace(mode=number)
@@ -216,9 +216,9 @@ def estimate(mixture: Mixture) -> tuple[list[Number], list[list[Number]]]:
 def prediction(now: ImmEpoch, dt: Number, hz_per_mps: Number) -> tuple[list[Number], list[Number]]:
     """Return the mixture's mean (7,) and packed covariance (28,) before an epoch's update.
 
-    The Rauch-Tung-Striebel smoother assumes x_predicted = F x + noise, where the noise does not
-    depend on x. So the accelerations of modes are treated as noise, and their correlation with the
-    modes' means is left out; with it, smoothed variances could fall below zero.
+    The Rauch-Tung-Striebel smoother assumes x_predicted = F x + noise, with noise independent of x.
+    So the known accelerations of the modes are treated as noise, as if they did not correlate with
+    the modes' means. With the correlation, smoothed variances could become negative.
     """
     moved = [move(x, dt, hz_per_mps) for x in now.mixed]
     shifts = [

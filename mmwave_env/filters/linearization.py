@@ -1,19 +1,18 @@
 """Two linearizations of a measurement at a Gaussian prior: tangent and sigma points.
 
-The prior is x = m + L xi with xi ~ N(0, I) and L the lower Cholesky factor. Both linearizations
-express a group of measurements as linear in *latents* eta:
+The prior is x = m + L xi with xi ~ N(0, I), where L is the lower Cholesky factor of the covariance.
+Both linearizations express a group of measurements as a linear function of *latents* eta:
 
     h(x) = h(m) + mean shift + V eta + noise,   eta = (xi, kappa)
 
-The tangent (EKF) has V = dh/dx L and no curvature latents kappa. Sigma points m +- s L_j
-give V_j = (up - down) / 2s and, per curved column, one curvature latent with
-V_kappa_j = up + down, because the 2n + 1 points' covariance is exactly V cov(eta) V' with
-cov(kappa) = (w / 2) I + bend w^2 1 1'. So one computation serves both filters.
+The tangent (EKF) has V = dh/dx L, and no curvature latents kappa. For sigma points m +- s L_j, let
+up and down be the changes of h at the two points. Then V_j = (up - down) / 2s, and each column j
+along which h is curved has a curvature latent with V_kappa_j = up + down. With cov(kappa) =
+(w / 2) I + bend w^2 1 1', V cov(eta) V' is exactly the covariance of the 2n + 1 points.
 
-Only columns 0 to 2 of L move the position, so latents are kept in the order
-[xi_0..2, kappa, xi_3..6]: the links depend only on the first 3 + len(kappa) latents. With a clock
-they also depend on its range bias, which column 3 then moves (:func:`factor_of`):
-[xi_0..3, kappa, xi_4..7].
+Only columns 0 to 2 of L move the position. So the order of the latents is [xi_0..2, kappa,
+xi_3..6], and links depend only on the first 3 + len(kappa). The range bias of a clock also affects
+links; column 3 moves it (:func:`factor_of`), and the order is [xi_0..3, kappa, xi_4..7].
 
 Source: Julier and Uhlmann 2004, Sec. IV (scaled sigma points as in van der Merwe 2004).
 The cubature filter (Arasaratnam and Haykin 2009) is alpha = 1, beta = 0, kappa = 0. The textbook

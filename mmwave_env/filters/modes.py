@@ -37,8 +37,8 @@ class Tuning(NamedTuple):
 class Mode:
     """One filter pipeline of the paper (Sec. III).
 
-    Process noise is given per square root of a second, so a tuning is valid at any rate; at
-    the paper's dt = 1 s the figures are the standard deviations per epoch.
+    The unit of process noise contains 1 / sqrt(s), so a tuning is valid at any rate of epochs. At
+    the paper's rate, dt = 1 s, the values are the standard deviations per epoch.
 
     Attributes:
         name: name to show in tables and messages; up to 80 characters.

@@ -41,7 +41,7 @@ Predictor = Callable[
 def _linear_prediction(
     mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: Number, hz_per_mps: Number
 ) -> tuple[list[Number], Matrix]:
-    """Return the Kalman prediction, exact for every algorithm because the motion is linear."""
+    """Return the Kalman prediction; the motion is linear, so it is exact for every algorithm."""
     return move(x, dt, hz_per_mps), predict_covariance(P, noise, dt, hz_per_mps)
 
 
@@ -53,7 +53,7 @@ class Pipeline:
         modes: the modes that are available.
         layout: rows of the measurement vector.
         planar: whether the terrain is flat: z and vz stay at their prior values (paper, Sec. II-A).
-            Sigma points keep the spacing for seven state components.
+            Sigma points are spaced as if all seven components of the state were uncertain.
         predict, update: the filter's two steps, which the filterpy reference replaces.
 
     Raises:

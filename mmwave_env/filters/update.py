@@ -98,11 +98,11 @@ def update(
 ) -> Posterior:
     """Gate every group at the prior N(x, P), then condition on the groups that passed.
 
-    The links depend only on the first three columns of the factor L of P (four with a clock) and
-    their curvatures, the *coupled latents*. So they add up to a small information matrix B over
-    these latents, with posterior covariance B^-1; rows that depend on the velocity are added one by
-    one. The new covariance is L B^-1 L' + sum over free columns L_j L_j' - sum gain c c', a sum
-    of squares except for the last term, which comes from the rows that are added one by one.
+    The links depend only on the *coupled latents*: the first three columns of the factor L of P
+    (four with a clock) and their curvatures. So all links add up to a small information matrix B
+    of these latents, whose posterior covariance is B^-1. Rows that depend on the velocity are added
+    one by one. The new covariance is L B^-1 L' + sum over free columns L_j L_j' - sum gain c c', a
+    sum of squares except for the last term, which comes from the rows added one by one.
 
     The result equals the textbook update with all rows at once, K = P H' S^-1, x + K y,
     P - K S K' (:func:`mmwave_env.filters.textbook.update`).
@@ -196,8 +196,8 @@ class ModeResult(NamedTuple):
 def limited_likelihood(candidate: ModeResult, limits: Vector) -> Number:
     """Return the log-likelihood with the NIS of each group counted only up to its limit (groups,).
 
-    Without limits the tail of a Gaussian falls so fast that a single link off the line of sight
-    would decide which mode is right, in favor of the mode that believes the outlier.
+    The tail of a Gaussian falls so fast that, without limits, a single outlier (a link off the line
+    of sight) would decide which mode seems right: the one whose prediction is nearest to it.
     """
     excess = [maximum(nis - limit, 0.0) for nis, limit in zip(candidate.nis, limits, strict=True)]
     return candidate.log_likelihood + 0.5 * dot(excess, [1.0] * len(excess))

@@ -69,8 +69,8 @@ def drawn_rows(at: Any, span: Callable[[Any], slice]) -> dict[str, slice]:
 def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
     """Return infos (n, ...) of the environments in ``where`` (n,), as Gymnasium batches them.
 
-    The arrays are modified: for other environments they become 0 or None. Every key gets a mask
-    ``_key``; all masks are the same array. If ``where`` is False everywhere, there are no keys.
+    Values of other environments are replaced by 0 or None, in place. Every key gets a mask
+    ``_key``; all masks are the same array. If ``where`` is False everywhere, the result is empty.
     """
     if not where.any():
         return {}

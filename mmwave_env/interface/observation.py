@@ -1,8 +1,8 @@
 """Observation: one table of features that defines the space, the documentation and the values.
 
-Every feature is standardized by the mean and the deviation of its kind, which are constants of the
-package, so that an observation has the same meaning everywhere and networks need no normalization.
-Rare values far from the mean are limited to ten deviations.
+Every feature is standardized by the mean and the deviation of its kind. These are constants of the
+package, so an observation has the same meaning everywhere, and networks need no normalization.
+Values farther than ten deviations from the mean, which are rare, are limited to this distance.
 """
 
 import inspect

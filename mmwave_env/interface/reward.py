@@ -31,8 +31,8 @@ _SMALLEST_NEES = 1e-12
 class TrackingReward:
     """-(error_weight min(error, error_limit_m) + nees_weight min(|ln(NEES / d)|, nees_limit)).
 
-    It penalizes the distance from the truth and a NEES that is too large or too small. The NEES is
-    that of each epoch, so inflating P does not pay. d is the number of estimated position axes.
+    The reward falls with the distance from the truth, and with a NEES that is too large or too
+    small in an epoch, so that inflating P does not pay. d is the number of estimated position axes.
     """
 
     error_weight: float = 1.0

@@ -2,8 +2,8 @@
 
 Directions are those of the *frame of motion*: along the estimated horizontal velocity, across it
 (to the left) and up. No feature depends on an absolute position or direction: if the world is
-turned and shifted, they stay the same. So what a network learns from them in one street applies in
-another. They describe the last epoch, and know nothing of the coming one.
+turned and shifted, the features stay the same. So a network that learns from them in one street
+also works in another. All features describe the last epoch; none depends on the coming epoch.
 """
 
 from functools import partial
@@ -17,7 +17,7 @@ from mmwave_env.models.measurement import Epoch, direction
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import PI, Number, Vector, log, maximum, minimum, sqrt, where, wrap
 
-_LEAST_M = 0.05  # lower limit of a deviation across the line of sight that residuals are divided by
+_LEAST_M = 0.05  # minimum of the standard deviations, m, by which residuals are divided
 _LEAST_RAD = 1e-3
 _LEAST_S = 1e-3
 _WAYS = ("along", "across")
@@ -102,7 +102,7 @@ def _ray(view: View, anchor: int) -> tuple[list[Number], Number, tuple[Number, N
 
 
 def _residual(view: View, layout: Layout, anchor: int, name: str) -> tuple[Number, Number]:
-    """Return a row's squashed residual along and across, each times a unit vector's component."""
+    """Return the components, along and across, of a row's squashed residual in its direction."""
     row, outward = _ROWS[name]
     step, flat, (distance, azimuth, _) = _ray(view, anchor)
     scale = 1.0 / maximum(flat, 1.0)

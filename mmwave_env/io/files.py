@@ -14,7 +14,7 @@ from typing import Any, BinaryIO, TypeVar
 T = TypeVar("T")
 
 TEXT_BYTES = 16 << 20  # maximum size of a text file; longer logs and tracks are read in blocks
-JSON_BYTES = 8 << 20  # maximum size of a JSON file, a hundred times that of our largest one
+JSON_BYTES = 8 << 20  # maximum size of a JSON file; our largest one has a hundredth of it
 JSON_DEPTH = 50  # maximum depth of nested lists and objects
 
 _KINDS = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a FIFO", stat.S_IFSOCK: "a socket"}
@@ -122,9 +122,9 @@ def read_json(path: Path, kind: str, make: Callable[[dict[str, Any]], T], see: s
     Args:
         path: path of the file.
         kind: kind of the file, for messages, such as "a mode file".
-        make: function of the object. If it fails because a key is missing or a value has another
+        make: function of the object. If it fails because of a missing key or a value of a wrong
             type, the error is converted to the ValueError below.
-        see: name of the description of this kind of file, for messages.
+        see: page that describes this kind of file, for messages.
 
     Raises:
         ValueError: the file is invalid; the message names the file and what is wrong in it.

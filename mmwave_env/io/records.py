@@ -1,7 +1,8 @@
 """Dataclasses that are stored in JSON files; the types of fields define their valid values.
 
-The types serve three purposes: a dataclass refuses values that do not fit (:func:`require_fields`),
-JSON files are read into it (:func:`read_object`), and mmwave_env/data/schemas describes the files.
+The types serve three purposes: a dataclass refuses values that do not fit (:func:`require_fields`);
+JSON files are read into it (:func:`read_object`); and the schemas in mmwave_env/data/schemas, which
+describe these files, are made from the types.
 """
 
 import math
@@ -126,7 +127,7 @@ def _is_list(value: Any) -> bool:
 
 
 def _said(hint: Any) -> str:
-    """Return words for a type, which follow "expected" in messages."""
+    """Return the words for a type that follow "expected" in messages."""
     origin, inside = get_origin(hint), get_args(hint)
     if hint in _KINDS:
         return _KINDS[hint][1]

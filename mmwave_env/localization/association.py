@@ -1,12 +1,12 @@
 """Association of paths with anchors, epoch by epoch, for logs of paths without anchor numbers.
 
-A separate filter follows the user (``path_tracker.py``). In every epoch it predicts the user's
-state, and paths are assigned to anchors by global nearest neighbor at that prediction. The result
-is an ordinary log, so all code that localizes a log can localize this one.
+A separate filter follows the user (``path_tracker.py``) and predicts the user's state in every
+epoch. Given this state, global nearest neighbor assigns the paths to anchors. The result is an
+ordinary log, so all code that localizes a log can localize it.
 
-A track begins with the hypothesis that some path is the line of sight, if this explains enough
-paths of the coming epochs. A new track begins if the track is lost, or explains fewer paths than
-another hypothesis.
+A track begins with the hypothesis that some path is the line of sight, if the hypothesis explains
+enough paths of the coming epochs. A new track replaces the current track if the latter is lost, or
+explains fewer paths than a new hypothesis.
 """
 
 from collections.abc import Iterable, Iterator
@@ -78,8 +78,8 @@ def associate(
         epochs: epochs of the log of paths.
         scene: scene whose anchors were measured.
         radio: profile of the receiver: standard deviations by SNR, oscillator, prior.
-        mode: filter mode that follows the user during association; choose one for high mobility,
-            because its predictions are uncertain enough for any user.
+        mode: filter mode that follows the user during association. Choose a mode for high mobility,
+            whose predictions are uncertain enough for any user.
         tally: counter of the associations.
 
     Raises:
@@ -134,7 +134,7 @@ def _block(paths: PathEpoch, epoch: Epoch, begins: bool) -> LogBlock:
 
 
 def _windows(epochs: Iterable[PathEpoch], size: int) -> Iterator[list[PathEpoch]]:
-    """Yield every epoch with the next ``size - 1``; before a LogError or the end, with fewer."""
+    """Yield lists of an epoch and up to ``size - 1`` epochs after it, fewer before the end."""
     held: list[PathEpoch] = []
     try:
         for epoch in epochs:

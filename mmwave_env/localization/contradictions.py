@@ -1,8 +1,8 @@
 """Contradictions between a log and its scene, caused by wrong units, signs or frames.
 
-Most mistakes can't be seen in a single row, but a track made from wrong rows does not fit the rows,
-or its geometry is impossible. The limits are wide: at most 10 of 1000 correct logs are flagged
-(``tests/localization/test_contradictions.py``).
+Most mistakes can't be seen in a single row. But the track that a filter computes from wrong rows
+does not fit these rows, or is impossible. The limits are wide: at most 10 of 1000 correct logs
+contradict them (``tests/localization/test_contradictions.py``).
 """
 
 from collections.abc import Iterator, Mapping
@@ -59,8 +59,8 @@ def _misfits(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Contradiction]
             continue
         nis, share = group["nis_per_dof"], group["rejected_share"]
         low, high = NIS_LIMITS
-        # A filter with large process noise predicts the Doppler shift and odometry far better than
-        # its covariance says: on correct logs their NIS is often a tenth of its expected value.
+        # With large process noise, a filter predicts Doppler shift and odometry far better than its
+        # covariance says. Even on correct logs, their NIS is often a tenth of its expected value.
         if not name.startswith("anchor"):
             low = 0.0
         if nis is not None and not low <= nis <= high:

@@ -1,10 +1,10 @@
 """Diagnosis of a log: the search for a likely mistake that, once undone, makes it consistent.
 
 A hypothesis is a way to read the values in the file. For every hypothesis, the same filter
-without gates computes a track from the first epochs. A hypothesis fits if NIS / dof is near 1 and
-:mod:`~mmwave_env.localization.contradictions` finds nothing against it. Hypotheses that make the
-log consistent are ranked by the likelihood of the file's own values, so that different units can
-be compared. If no single mistake explains the log, pairs are tried. The log is never changed.
+without gates computes a track from the first epochs. A hypothesis makes the log consistent if NIS /
+dof is near 1 and :mod:`~mmwave_env.localization.contradictions` reports nothing. Such hypotheses
+are ranked by the likelihood of the values as they are in the file, because values in different
+units can't be compared. If no single mistake explains the log, pairs of mistakes are tried.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -56,8 +56,8 @@ class Reading(NamedTuple):
     # scene, radio: scene and radio of the measurements
     scene: Scene
     radio: Radio
-    # sum of the logarithms of the factors by which values of the file were multiplied; added to the
-    # log-likelihood of the new values, it gives the log-likelihood of the values in the file
+    # sum of the logarithms of the factors by which values of the file were multiplied; this sum
+    # plus the log-likelihood of the new values is the log-likelihood of the values in the file
     log_scale: float = 0.0
 
 

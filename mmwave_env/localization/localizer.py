@@ -1,9 +1,9 @@
-"""Localization of a measurement log, block by block (paper, Algorithm 1, Step 3; or by an IMM).
+"""Localization of a measurement log by one mode, a rule (paper, Algorithm 1), an IMM or a policy.
 
-A track begins with a first position, which gives its prior, and begins anew after a long gap
-(``segments.py``). Every ``window`` epochs, counted from the beginning of a track, are smoothed
-together. A log may be larger than memory, and its track does not depend on how it is cut into
-blocks.
+A log is a sequence of blocks of epochs, because it may be larger than memory; the length of the
+blocks does not change the track. The log is divided into segments at long gaps (``segments.py``).
+In each segment, a track starts from a first position and is filtered; then every ``window`` epochs
+of it are smoothed together.
 """
 
 import os
@@ -44,8 +44,8 @@ CORRECTED = ("corrected_x", "corrected_P", "trusted")  # parts that a corrector 
 class TrackBlock(LogBlock):
     """T consecutive epochs of a log in one segment, with their track.
 
-    The links that gave the prior are not ``visible``. With an IMM, beliefs are the moments of its
-    mixture, and its mode is the most probable one.
+    The links from which the prior was computed are not ``visible``. With an IMM, a belief is the
+    mean and covariance of the mixture, and ``mode`` is the most probable mode.
     """
 
     planar: bool  # whether z and vz are known exactly
@@ -60,8 +60,8 @@ class TrackBlock(LogBlock):
     mode: Index  # (T,) number of the mode that ran
     nis: Array  # (T, groups) NIS in that mode; 0 where not visible
     accepted: Mask  # (T, groups) whether the gate accepted the group
-    # (T,) share of a corrector's corrections that is left in x and P, NaN without a corrector;
-    # smoothing begins at the filtered belief without corrections
+    # (T,) factor from 0 to 1 by which a corrector's correction was scaled before it was applied to
+    # x and P; NaN without a corrector. The smoothed belief does not contain corrections
     trusted: Array
 
 

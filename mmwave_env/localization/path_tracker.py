@@ -1,8 +1,8 @@
 """Tracker of a user from propagation paths without anchor numbers, by testing hypotheses.
 
-A track begins with the hypothesis that *this path is the line of sight*. The path gives a
-position, which the paths of the next epochs fit or do not fit. Tracks are immutable values, so
-several of them can be tried in parallel.
+A track begins with the hypothesis that *this path is the line of sight*. The path gives a position,
+and the paths of the next epochs confirm or contradict this position. Tracks are immutable values,
+so several hypotheses can be tried side by side.
 
 Paths are assigned to anchors by global nearest neighbor: the assignment with the smallest sum of
 NIS in which each path and each anchor occurs at most once, and an anchor without a path costs as
@@ -65,7 +65,7 @@ def assign(nis: Array, gate: float) -> Index:
 def disagreement(paths: Array, sigma: Array) -> Array:
     """Compute the NIS (n,), 1 degree of freedom, between arrival and departure of paths (n, 4).
 
-    Both angles measure the same bearing, so this needs no belief (paper, Sec. II-B).
+    Both angles measure the same bearing, so no position need be known (paper, Sec. II-B).
     """
     group = link_group([1.0] * 7, [0.0] * 3, list(paths.T), list(np.square(sigma).T))
     return np.asarray(group.spare_nis)
@@ -138,8 +138,8 @@ class PathTracker:
         best, fitted = self._best(track, paths, coming)
         if best is None:
             return None
-        # The path that begins the track proves nothing, but a further path in every epoch does. The
-        # velocity of a new track is unknown, so its gates are wide: it must explain clearly more.
+        # The path from which the track begins always fits; a further path in every epoch is proof.
+        # A new track has an unknown velocity and so wide gates: it must explain clearly more paths.
         own = 0.0 if track is None else self._fitted(track, coming) + CLEARLY_MORE * len(coming)
         if fitted - 1 < max(own, len(coming)):
             return None
@@ -166,7 +166,7 @@ class PathTracker:
         return fitted
 
     def _beginnings(self, track: PathTrack | None, paths: PathEpoch) -> Iterator[PathTrack]:
-        """Yield a track for every path that may be the line of sight and is not explained yet."""
+        """Yield a track for every path that may be the line of sight, except those of ``track``."""
         links = self._links(paths)
         sights = links.z[0]
         likely = gives_fix(sights) & (disagreement(sights, links.sigma[0]) < self._disagreement)
@@ -180,7 +180,7 @@ class PathTracker:
                 yield begun
 
     def _begin(self, paths: PathEpoch, links: _Links, path: int) -> PathTrack | None:
-        """Return a track with this path as line of sight; None if the user were behind a wall."""
+        """Return a track with this path as line of sight; None if it begins behind a wall."""
         anchors, fix = self._scene.anchors_m, (links.z[0, path], links.sigma[0, path])
         mean, covariance = prior_from_fix(anchors[0], *fix, self._radio, self._scene)
         distance = np.linalg.norm(mean[:3] - anchors, axis=1)

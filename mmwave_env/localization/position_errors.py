@@ -1,9 +1,9 @@
 """Statistics of position errors: percentiles, shares of epochs and protection levels.
 
-Errors are horizontal (the length in x and y) and vertical (the absolute value of z). Shares are
-those of errors within the distances that 3GPP TS 22.261, Table 7.3.2.2-1, defines for positioning
-services. A track may be larger than memory, so errors are kept in temporary files, 16 bytes per
-epoch and kind.
+The horizontal error is the length of the error in x and y, the vertical error its absolute value in
+z. Shares count the epochs with an error within the distances that 3GPP TS 22.261, Table 7.3.2.2-1,
+defines for positioning services. A track may be larger than memory, so errors are kept in temporary
+files, 16 bytes per epoch and kind.
 
 A protection level is a bound that an error exceeds with a stated risk if the covariance is right.
 With position errors e ~ N(0, P), the level at risk r is the distance that |e| exceeds with

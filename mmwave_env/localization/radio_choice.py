@@ -10,15 +10,15 @@ from mmwave_env.numerics.numbers import Array, wrap
 from mmwave_env.world.episode import NEUTRAL_SNR_DB
 
 _FEWEST = 20  # minimum number of second differences for a median
-_ROBUST = 1.4826 / np.sqrt(6.0)  # standard deviation / median absolute second difference, of noise
+_ROBUST = 1.4826 / np.sqrt(6.0)  # ratio for white noise: deviation / median |second difference|
 
 
 def nearest_radio(block: LogBlock, scene: Scene) -> str:
     """Return the name of the shipped profile whose standard deviations are nearest to a log's.
 
-    A row's standard deviation is the median of those that the receiver states, if it states any;
-    otherwise it follows from second differences in time, in which a steady motion cancels. Nearest
-    means the least mean squared difference of logarithms, over the rows that were measured.
+    The standard deviation of a measurement (such as the range) is the median of the values that the
+    receiver states. If it states none, the deviation is estimated from second differences in time,
+    in which steady motion cancels. The nearest profile has the least mean squared log ratio.
     """
     measured = np.array([_deviation(block, row) for row in range(len(LINK))])
     snr = block.snr_db[np.isfinite(block.snr_db)]

@@ -1,12 +1,12 @@
 """Segments of a log, each tracked separately, and their first positions.
 
-A filter can predict over some seconds without a link; after half a minute it is often lost, and
-confident of a wrong position. So a segment ends after a long gap, and the next one begins with the
-next epoch that determines a position, its first fix.
+A filter can predict over some seconds without a link. After half a minute it is often far from the
+user, with a covariance that is too small. So a segment ends after a long gap, and the next segment
+begins with the next epoch that determines a position, the first fix.
 
-A complete link of the base station gives this position directly. If the log lacks columns for
-that, all links of the epoch give it together, by nonlinear least squares with the height of the
-streets as a weak prior.
+A complete link of the base station gives this position directly. If the log lacks columns for such
+a link, the position is computed from all links of the epoch, by nonlinear least squares with the
+height of the streets as a weak prior.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -28,7 +28,7 @@ from mmwave_env.numerics.numbers import Array, Mask
 # mean position of the anchors.
 HEIGHT_SIGMA_M, _FARTHEST_M = 2.0, 1e3
 _WORST_FIX_M = 50.0  # maximum horizontal standard deviation of a position to begin a track with
-_AMBIGUOUS = 12.0  # if the squared errors of two solutions differ by less, either may be right
+_AMBIGUOUS = 12.0  # two solutions are both possible if their squared errors differ by less
 _UNKNOWN = [0, 1, 2, 7]  # components of the state: the position, and the range bias of a clock
 _DIRECTIONS, _STARTS_M, _ROUNDS = 12, (10.0, 40.0, 160.0), 15
 
@@ -171,7 +171,7 @@ def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator
         LogError: from ``blocks``, after the epochs before the damage.
         ValueError: no epoch determines a position with which a track could begin.
     """
-    held: LogBlock | None = None  # held until its number of dropped epochs is known
+    held: LogBlock | None = None  # block to yield once its number of dropped epochs is known
     skipped, incomplete = 0, 0
     last_s: float | None = None  # last time with a measurement; None between segments
     try:
@@ -242,7 +242,7 @@ def _end(block: LogBlock, last_s: float, begins: bool) -> tuple[int, float | Non
     The time is None if the segment ends in this block; ``begins`` says whether it starts here.
     """
     measured = block.visible[:, : block.layout.anchors].any(axis=1)
-    if block.layout.odometry:  # its dead reckoning bridges even two minutes
+    if block.layout.odometry:  # with odometry alone, a filter keeps the track for two minutes
         measured |= block.visible[:, -1]
     latest = np.maximum.accumulate(np.where(measured, block.time_s, last_s))
     before = np.concatenate([[last_s], latest[:-1]])

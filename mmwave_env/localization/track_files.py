@@ -44,7 +44,7 @@ def require_own_files(track: Path) -> None:
     """Refuse to replace a file, unless it is an earlier track or the table of one.
 
     A track and its table can be made again from their log. Any other file may be the only copy:
-    a ground-truth track is a TUM file, too, and the user never typed the name of the table.
+    ground truth is a TUM file, too, and the name of the table is not one that the user typed.
 
     Raises:
         ValueError: a file that ``localize`` did not write has one of the names.

@@ -67,14 +67,14 @@ class Accuracy:
 
 
 class Pairs:
-    """Pairs of scored epochs that are a second apart, or a time step if a step is longer."""
+    """Pairs of scored epochs that are a second apart, or one time step if it is longer."""
 
     def __init__(self) -> None:
         # time between the epochs of a pair: the multiple of the time step nearest to a second
         self.apart_s: float | None = None
         self._slack_s = 0.0
-        self._first_s = np.empty(0)  # first times of the log, for its time step
-        self._time_s, self._segment = np.empty(0), np.empty(0, np.int64)  # scored epochs that wait
+        self._first_s = np.empty(0)  # the first times of the log, from which its step is estimated
+        self._time_s, self._segment = np.empty(0), np.empty(0, np.int64)  # epochs still to pair
 
     def add(self, time_s: Array, scored: Index, segment: int) -> None:
         """Add epochs of the log (T,), the indices of the scored ones, and the segment of all."""
@@ -84,7 +84,7 @@ class Pairs:
         self._segment = np.concatenate([self._segment, np.full(len(scored), segment)])
 
     def take(self, end: bool) -> tuple[Index, Index, int]:
-        """Return indices of pairs of waiting epochs, and how many epochs need not wait longer."""
+        """Return the indices of pairs among the waiting epochs, and how many epochs to drop now."""
         nothing = np.empty(0, np.intp)
         if self.apart_s is None:
             if len(self._first_s) < (2 if end else _ENOUGH):

@@ -101,7 +101,7 @@ class Tracker:
         self._log: LiveLog | None = None
         self._filter: Any = None
         self._last_s: float | None = None  # time of the last measurement; None before a track
-        # time, Doppler spread, mode, and what the smoother needs, for each of the last epochs
+        # time, Doppler spread, mode and input of the smoother, for each of the last epochs
         self._late: deque[tuple[float, float, str, dict[str, Array]]] = deque(maxlen=lag + 1)
 
     def update(self, rows: Iterable[Mapping[str, Any]]) -> Position | None:
@@ -183,7 +183,7 @@ class Tracker:
         return episode.visible[0].tolist(), float(block.doppler_spread_hz[0])
 
     def _load_quickly(self, epoch: LiveEpoch) -> tuple[list[bool], float] | None:
-        """Do as :meth:`_load`, but faster, within a track; None if full checks are needed."""
+        """Load an epoch as :meth:`_load` does, but faster; return None if it needs full checks."""
         if not epoch.placed or not self._sound:
             return None
         (numbers, doppler_anchor), layout, at = epoch.placed, self._layout, self._at

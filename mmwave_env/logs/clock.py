@@ -6,11 +6,11 @@ by
 
     e = c + (dh/dp) (tau v + s) + noise
 
-for every row of a link, a range or an angle h(p) at position p; v is the velocity. The constant c
-is a bias of the row, and s is a shift of the frame by some meters, so only changes of the velocity
-reveal a clock offset: on a straight line at constant speed tau is unobservable. tau is the
-least-squares estimate. Errors are correlated over seconds, so the standard error comes from the
-jackknife: the spread of estimates that each leave out one stretch of time (B. Efron, C. Stein,
+for every row of a link: a range or an angle h(p) at position p. The velocity is v, the constant c
+is a bias of the row, and s is a shift of the frame by some meters. Only changes of the velocity
+distinguish tau from s and c: on a straight line at constant speed, tau is unobservable. tau is
+estimated by least squares. Errors are correlated over seconds, so the standard error comes from
+the jackknife: the spread of estimates that each leave out one stretch of time (B. Efron, C. Stein,
 "The jackknife estimate of variance", 1981).
 
 The formula is only correct to first order: in tenths of a second a user moves by meters, over
@@ -125,7 +125,7 @@ def _linear(log: LogBlock, scene: Scene, truth: TrueEpochs) -> tuple[ClockOffset
 
     p, v = truth.position_m, truth.velocity_mps
     error = difference(log.measurement[:, : layout.doppler], exact(p))
-    if log.layout.clock:  # its drift would look like an offset of the track
+    if log.layout.clock:  # the drift of the user's clock would look like an offset of the track
         error[:, 0::4] = np.nan
     error[~np.repeat(log.visible[:, : layout.anchors], 4, axis=1)] = np.nan
     middle, deviation = np.full((2, layout.doppler), np.nan)
@@ -164,7 +164,7 @@ def _fit(sums: Array) -> tuple[float, float] | None:
     ones = sums[:, 0]
     of_means = ones[:, :, None] * ones[:, None] / np.maximum(ones[:, :1, None], 1.0)
     centered = (sums - of_means).sum(axis=0)[1:, 1:]
-    # Whatever s explains is removed from the error and from its derivative with respect to tau.
+    # Remove the part that s explains from the error and from its derivative with respect to tau.
     by_shift = np.linalg.pinv(centered[2:, 2:], hermitian=True) @ centered[2:, :2]
     error, rate = np.vstack([np.eye(2), -by_shift]).T
     changes, errors = float(rate @ centered @ rate), float(error @ centered @ error)

@@ -15,7 +15,7 @@ from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.scene import Scene
 
 _NUMBERS = {float, int, np.float64}  # types whose text form is parsed to the same number
-_MARGIN = 1e-9  # share of a limit; values this near to it need the full checks
+_MARGIN = 1e-9  # values need the full checks if they are this near to a limit, as a share of it
 
 
 class LiveEpoch(NamedTuple):
@@ -23,8 +23,8 @@ class LiveEpoch(NamedTuple):
 
     time_s: float
     block: Callable[[], LogBlock]  # returns the epoch as a block, T = 1
-    # values at their :func:`~mmwave_env.logs.log.places`, NaN where not measured; and the anchor
-    # of the Doppler shift, from 0. None if a column has angles in a frame other than the map's
+    # values in the order of :func:`~mmwave_env.logs.log.places`, NaN where not measured; and the
+    # anchor of the Doppler shift, from 0. None if a column has angles in another frame than the map
     placed: tuple[list[float], int] | None
 
 

@@ -49,9 +49,8 @@ class LogBlock(Block):
     time_s: Array  # (T,) increasing, also across blocks
     measurement: Array  # (T, rows) m, rad, Hz, m/s; angles in [-pi, pi)
     sigma: Array  # (T, rows) the receiver's own standard deviations; NaN where it states none
-    # (T, groups) whether every value of the group was measured. Links and the Doppler shift need
-    # the SNR, too, because their noise follows from it. In a partial layout, whether any value
-    # with known noise was measured
+    # (T, groups) whether every value of the group was measured (links and the Doppler shift also
+    # need an SNR). In a partial layout, whether at least one value with known noise was measured
     visible: Mask
     # (T, groups) whether the group is lost because only some of its values were measured. In a
     # partial layout, whether a value is lost because its noise is unknown
@@ -175,10 +174,11 @@ def _require_measurements(path: Path, blocks: Iterable[LogBlock]) -> Iterator[Lo
 
 
 def places(layout: Layout) -> dict[str, tuple[int, int]]:
-    """Return, for every quantity, the index of the first anchor's value and the step per anchor.
+    """Return where the values of every quantity are in the array of an epoch.
 
-    The array with all values of an epoch contains the rows of the layout, their standard
-    deviations, the SNRs (L,) and the Doppler spread. The step is 0 for quantities of the epoch.
+    The array contains the rows of the layout, their standard deviations, the SNRs (L,) and the
+    Doppler spread. For each quantity, return the index of the first anchor's value and the step to
+    the next anchor's; the step is 0 if the quantity belongs to the epoch.
     """
     rows = {quantity: (row, 4) for row, quantity in enumerate(LINK_QUANTITIES)}
     rows["doppler"] = layout.doppler, 0

@@ -126,7 +126,7 @@ def _anchor_checks(table: Table, anchors: int) -> Iterator[_Check]:
 
 
 def _one_value(table: Table, quantity: str) -> _Check:
-    """Return the check that rows of an epoch don't contradict each other."""
+    """Return the check that the rows of an epoch have the same value of a quantity."""
     values = table.raw(quantity)
     first = table.first(values)[table.epoch]
     return _Check(

@@ -64,7 +64,7 @@ class Block:
 def in_windows(
     blocks: Iterable[AnyBlock], window: int, segment: Callable[[AnyBlock], int] = lambda block: 0
 ) -> Iterator[AnyBlock]:
-    """Yield the same epochs in blocks of complete windows; at the end of a segment, yield the rest.
+    """Yield the epochs in blocks of complete windows; a segment's last window may be shorter.
 
     A LogError of ``blocks`` is raised only after the epochs before it were yielded. ``segment``
     returns the number of a block's segment; blocks of different segments are not joined.
@@ -129,7 +129,7 @@ class Table(Block):
     def links(self) -> Array:
         """Return the rows of links (n, 4), m and rad; departures are in the frame of the map.
 
-        If the log has azimuths of arrival as seen at the base station, these are returned.
+        Azimuths of arrival at the base station are returned as they are, if the log has them.
         """
         arrival = self[STATION if STATION in self.columns else "aoa_azimuth"]
         departure = self["aod_azimuth"]

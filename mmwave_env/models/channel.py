@@ -1,8 +1,8 @@
 """Effects of the channel on the links: shadowing, blockage, multipath and detection.
 
 Like the filters, the channel is written as functions of plain numbers, so that it can also be
-compiled to simulate eight episodes at once on SIMD lanes. Random numbers are drawn beforehand and
-passed in; a :class:`ChannelState` carries what persists from one epoch to the next.
+compiled to simulate eight episodes at once on SIMD lanes. The functions receive random numbers that
+were drawn before; a :class:`ChannelState` is the state of the channel between two epochs.
 """
 
 import math
@@ -92,7 +92,7 @@ class Spell(NamedTuple):
 
 
 class ChannelState(NamedTuple):
-    """The part of the channel that persists from one epoch to the next."""
+    """The state of the channel between two epochs."""
 
     shadowing: list[Number]  # (L,) shadowing, in units of its standard deviation
     # blockage, multipath: (L,) spell of each link

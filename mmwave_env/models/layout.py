@@ -4,9 +4,9 @@ The measurement vector contains, for each anchor l = 1..L, a *link* of four rows
 elevation of arrival, azimuth of departure]; then the Doppler shift; then, optionally, odometry
 [speed, heading] (paper, Sec. II-B).
 
-Each *group* of rows (a link, the Doppler shift, the odometry) is gated separately. It is present or
-missing as a whole, except in a *partial* layout: there each row may be missing alone, and the
-Doppler shift may belong to any anchor instead of anchor 1.
+Each *group* of rows (a link, the Doppler shift, the odometry) is gated separately. A group is
+present or missing as a whole, except in a *partial* layout, in which single rows may be missing,
+and in which the Doppler shift may belong to any anchor instead of anchor 1.
 
 With a *clock* that is not synchronized, the state has an eighth component: the range bias B of the
 user's clock, the speed of light times its offset, which is added to every range.

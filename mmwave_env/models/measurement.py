@@ -9,14 +9,14 @@ The paper prints the first term in m/s and adds b in hertz; we scale it to hertz
 its sign (positive while the range grows). :mod:`mmwave_env.models.layout` says which quantity is
 in which row.
 
-A group is described by three things: its value, its Jacobian, and its exact change under a finite
-step of the state. Filters with sigma points need the change; it does not jump where angles wrap.
+A group is described by its value, its Jacobian, and its exact change when the state changes by a
+finite step. Filters with sigma points need this change, which does not jump where angles wrap.
 
 Straight below or above an anchor the azimuth is undefined, and at the anchor itself the elevation
-is, too. Near there, the gradient of the azimuth grows as 1 / (horizontal distance), and the
-information that it gives to a filter grows as the square of that. Lengths up to :data:`NEAREST_M`
-therefore count as 0, and an undefined angle carries no information: its rows have innovation,
-gradient and change 0.
+is undefined, too. Near these points, the gradient of the azimuth grows as 1 / (horizontal
+distance), and the information that a filter takes from the azimuth grows as the gradient's square.
+So lengths up to :data:`NEAREST_M` count as 0, and an undefined angle carries no information: its
+row has innovation, gradient and change 0.
 """
 
 from collections.abc import Callable
@@ -38,7 +38,7 @@ from mmwave_env.numerics.numbers import (
 )
 
 SPEED_OF_LIGHT = 299_792_458.0  # m/s
-# An antenna's position is not known to a millimeter; rounding at 1000 km is far smaller (1e-10 m).
+# Antennas' positions are less exact than this; rounding at 1000 km is far smaller (1e-10 m).
 NEAREST_M = 1e-3
 _SLOWEST_ODOMETRY = 1e-3  # m/s; lower limit that keeps heading and speed differentiable at rest
 

@@ -19,8 +19,8 @@ class ProcessNoise(NamedTuple):
 
     # (7,) variances, m^2, (m/s)^2 and Hz^2; with a clock (8,), the last in m^2
     diagonal: list[Number]
-    # (3,) covariances of position and velocity per axis, m^2/s; with a clock (4,), the last is that
-    # of its range bias and the oscillator's bias, m Hz
+    # (3,) covariances of position and velocity per axis, m^2/s; with a clock (4,), the last is the
+    # covariance of the clock's range bias and the oscillator's bias, m Hz
     coupling: list[Number]
 
 
@@ -49,9 +49,9 @@ def with_clock(
 ) -> ProcessNoise:
     """Add the noise of the range bias B of the user's clock to the process noise over a step, s.
 
-    One oscillator drives the carrier and the clock. Its bias b therefore changes B at the rate
-    b / hz_per_mps, like a velocity, and the noise of b moves B within the step as velocity noise
-    moves the position in :func:`white_noise_acceleration`; the clock's own noise is added to this
+    One oscillator drives the carrier and the clock. So its bias b changes B at the rate
+    b / hz_per_mps, like a velocity. Within a step, the noise of b moves B as velocity noise moves
+    the position in :func:`white_noise_acceleration`; the clock's own noise is added to this
     (Groves 2013, Sec. 9.4.2; Brown and Hwang 2012, Sec. 9.3).
     """
     half, drift = coupling * (0.5 * dt) / hz_per_mps, noise.diagonal[-1]
@@ -68,9 +68,9 @@ def move(x: Vector, dt: Number, hz_per_mps: Number | None = None) -> list[Number
 def accelerate(x: Vector, acceleration: Number, dt: Number) -> list[Number]:
     """Return the mean (7,) after a step with a known acceleration along the horizontal velocity.
 
-    In the terms of Bar-Shalom et al. 2001, Sec. 5.2, the acceleration (m/s^2) is a known input: it
-    changes the mean (7,) after ``dt`` seconds at constant velocity, but not the covariance of that
-    model. Braking, by a negative acceleration, ends at a standstill.
+    The acceleration (m/s^2) is a known input (Bar-Shalom et al. 2001, Sec. 5.2): it changes the
+    mean (7,) that a constant velocity leads to after ``dt`` seconds, but not the covariance. A
+    negative acceleration brakes, at most to a standstill.
     """
     v = x[3:5]
     speed = sqrt(v[0] * v[0] + v[1] * v[1] + STANDING_MPS**2)
@@ -83,9 +83,9 @@ def accelerate(x: Vector, acceleration: Number, dt: Number) -> list[Number]:
 def turn(x: Vector, rate: Number, dt: Number) -> list[Number]:
     """Return the mean (7,) after a step with a known turn rate: along an arc, at the same speed.
 
-    This is the coordinated turn of Bar-Shalom et al. 2001, Sec. 11.7.1, as a known input: a rate
-    (rad/s, positive to the left) moves the mean (7,) after ``dt`` seconds at constant velocity, but
-    not the covariance of that model.
+    This is the coordinated turn of Bar-Shalom et al. 2001, Sec. 11.7.1, as a known input: the rate
+    (rad/s, positive to the left) changes the mean (7,) that a constant velocity leads to after
+    ``dt`` seconds, but not the covariance.
     """
     angle, (vx, vy) = rate * dt, x[3:5]
     straight = angle * angle < _LEAST_RAD**2

@@ -8,9 +8,10 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI, Array, wrap
 
-GAP_S = 15.0  # longest gap to bridge: gaps of 10 s lose none of 100 vehicles, of 20 s some
+# Longest gap in a track; filters lost none of 100 vehicles in gaps of 10 s, and some in 20 s.
+GAP_S = 15.0
 STEEPEST_FIX_RAD = math.radians(85.0)  # 5 degrees (2.5 sigma of a handset) off the vertical
-# Deviation per horizontal axis of an unknown velocity: twice this is the filters' limit, 20 m/s.
+# Standard deviation per horizontal axis of an unknown velocity: half of the filters' limit, 20 m/s.
 UNKNOWN_VELOCITY_MPS = 10.0
 
 

@@ -2,7 +2,7 @@
 
 The noise is a floor (calibration, array errors) plus the Cramer-Rao bound at the link's SNR, in
 quadrature. Blockage lowers the SNR of a link and biases its measurements; multipath biases them
-without changing the SNR. The filters are not told of either.
+without changing the SNR. The filters do not know which links are affected.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Random radios, so that a policy in training cannot memorize the noise of one profile."""
+"""Random radio profiles for training, so that a policy cannot memorize the noise of one profile."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -8,7 +8,7 @@ import numpy as np
 from mmwave_env.io.records import between, require_fields
 from mmwave_env.models.radio import Radio
 
-# Fields that differ from radio to radio by a factor. Angle floors stay below their limit.
+# Fields that are multiplied by a random factor, which is never so large that angles are invalid.
 _SCALED = (
     "aoa_floor_rad", "aod_floor_rad", "elevation_floor_rad", "doppler_floor_mps",
     "prior_position_m", "prior_height_m", "prior_velocity_mps", "prior_bias_mps",
@@ -21,12 +21,12 @@ _PAIRS = ("range_floor_m", "multipath_range_m")  # pairs of numbers that share a
 
 @dataclass(frozen=True)
 class RandomRadio:
-    """Radios whose floors, rates and budgets are those of a profile, each by a random factor.
+    """A distribution of radios: a profile with noise, rates and link budget changed at random.
 
     Attributes:
-        profile: profile in the middle; it determines the modes, too.
-        factor: largest factor; logarithms of factors are uniform between those of 1 / factor and
-            factor.
+        profile: profile to change; filters use its modes.
+        factor: largest factor that a field is multiplied by; the smallest is 1 / factor, and the
+            logarithm of a factor is uniformly distributed between the two.
         budget_db: largest change of the link budget.
     """
 

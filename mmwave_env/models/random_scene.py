@@ -97,7 +97,7 @@ class RandomScene:
         )
 
 
-# Streets of almost any size, for policies that must work on streets of which nothing is known.
+# Streets of almost any size, for policies that must work in unknown streets.
 WIDE_SCENE = RandomScene(
     WIDE, block_m=(40.0, 240.0), beside_m=(3.0, 40.0), height_m=(3.0, 25.0), behind_m=(3.0, 60.0)
 )

@@ -1,10 +1,9 @@
 """Elementary functions of numbers, where a number is a float, an array or eight SIMD lanes.
 
 The mathematics of this package is written once, as plain functions of numbers. Called with floats,
-they are the reference for tests; with arrays, they check recorded signal paths and score complete
-tracks; with :class:`~mmwave_env.compiler.lanes.Lanes`, they become one SIMD kernel. Python's
-operators work on all three; this module contains the few functions that depend on the kind of
-number.
+these functions are the reference for tests; with arrays, they check recorded signal paths and score
+complete tracks; with :class:`~mmwave_env.compiler.lanes.Lanes`, they become a SIMD kernel. Python's
+operators work on all three kinds of numbers. This module has the functions that depend on the kind.
 
 The description of an array argument or attribute begins with its shape. Functions of numbers follow
 three rules: they do not branch on a value (use :func:`where`), they use lists instead of arrays,

@@ -15,7 +15,7 @@ from mmwave_env.rendering.canvas import Canvas, Point, Rect, ellipse
 from mmwave_env.rendering.history import History
 from mmwave_env.rendering.theme import Color, Theme
 
-_MEMORY_S, _LAG_S = 20.0, 4.0  # period of averages, and time constant of their weights
+_MEMORY_S, _LAG_S = 20.0, 4.0  # length of moving averages, and time constant of their weights
 _AHEAD_S = 4.0  # time in which the user would travel from the center to the edge
 _LEAST_M = 25.0  # minimum distance from the center to the upper edge
 _INNER = 0.5  # share of the picture's height and width in which user and estimate stay

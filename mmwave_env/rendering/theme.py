@@ -1,7 +1,7 @@
 """Light and dark colors for videos; figures and reports use the same colors for modes.
 
-The colors of modes are from Okabe and Ito (2008), which color-blind readers can distinguish, in an
-order that keeps neighbors far apart; some are lighter or darker, to contrast with the background.
+The colors of modes are those of Okabe and Ito (2008), which color-blind readers can distinguish.
+Their order keeps neighbors far apart; some are lighter or darker, to contrast with the background.
 """
 
 from collections.abc import Sequence

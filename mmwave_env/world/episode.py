@@ -132,7 +132,7 @@ class Episode:
     ) -> "Episode":
         """Return an episode of measured arrays; noise that is not stated follows from the radio.
 
-        The other arguments are attributes.
+        Other arguments are the attributes with these names.
 
         Args:
             scene, radio: scene whose anchors were measured, and profile of the receiver.
@@ -163,7 +163,7 @@ class Episode:
 
     @cached_property
     def usable(self) -> Mask:
-        """Return which groups (T, groups) are visible and finite; one row is enough if partial."""
+        """Return which groups (T, groups) are visible with finite rows: all, or one if partial."""
         finite, starts = self._finite, [rows.start for rows in self.layout.groups]
         if self.layout.partial:
             return self.visible & np.logical_or.reduceat(finite, starts, axis=1)  # type: ignore[no-any-return]
@@ -192,7 +192,7 @@ class Episode:
             raise ValueError(f"{self._record}: found no truth, which reward and metrics need")
 
     def on_flat_ground(self, height_m: float | None = None) -> "Episode":
-        """Return the episode with vz 0 and a known height in its prior, by default the true one."""
+        """Return the episode whose prior has vz 0 and a known height, by default the true one."""
         if height_m is None:
             self.require_truth()
             height_m = self.truth_position_m[0, 2]  # type: ignore[index]

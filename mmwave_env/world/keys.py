@@ -1,8 +1,8 @@
 """Keys of episodes: 64 bits that determine everything in a simulated episode.
 
-The seed of an environment determines its stream, a number of 64 bits. The key of its n-th episode
-is the n-th output of SplitMix64 (Steele, Lea and Flood 2014), which starts at the stream. A key is
-a function of stream and n, so many environments can draw their keys at once without a generator.
+The seed of an environment determines its *stream*, a number of 64 bits. The generator SplitMix64
+(Steele, Lea and Flood 2014) starts at the stream, and its n-th output is the key of the n-th
+episode. A key is a function of stream and n, so many environments can draw their keys at once.
 """
 
 import operator

@@ -30,7 +30,7 @@ class Traveler(NamedTuple):
     """The state of a traveler: its position and motion, the way ahead and its plans.
 
     The way ahead is a straight stretch, then an arc over a crossing (no arc if the way leads
-    straight on). The crossing after that is known too, since braking may begin before the first.
+    straight on). The second crossing is known, too: braking for it may begin before the first one.
     """
 
     due: Number  # 1 if an event is due before the next substep: gait, crossing or phase
@@ -102,9 +102,9 @@ def wanted_acceleration(t: Traveler, net: Net) -> Number:
     Two things ahead limit the speed. A turn at a crossing limits it to v_c with v_c^2 = lateral
     acceleration times radius; a red light limits it to v_c = 0 one meter before the crossing.
     Braking at b over a distance d reduces v to v_c, where v^2 = v_c^2 + 2 b d. Travelers plan with
-    half of their b, so they aim at the speed v with v^2 = v_c^2 + b d. To slow down from their
-    current v, they need to brake at (v^2 - v_c^2) / 2 d, where d leaves out the distance traveled
-    until braking has built up; if this exceeds 0.7 b, they brake as hard as needed, up to b.
+    half of their b, so they aim at the speed v with v^2 = v_c^2 + b d. From their current v, they
+    must brake at (v^2 - v_c^2) / 2 d, where d does not include the distance that they travel until
+    braking has built up. If this exceeds 0.7 b, they brake as hard as needed, up to b.
     """
     left, turns, turns_after = t.stretch - t.traveled, t.arc > 0.0, abs(t.turn_after) > 0.5
     beyond = left + net.block - where(turns_after, t.radius, 0.0)

@@ -51,8 +51,8 @@ class Begun(NamedTuple):
 
     Attributes:
         kinds: (n,) index of the kind of user, or of the given way.
-        worlds: (n, numbers) state of each simulated world before the first epoch; only the state
-            of the receiver if a way is given.
+        worlds: (n, numbers) state of each simulated world before the first epoch; if a way is
+            given, only the state of its receiver.
         truth: (n, epochs, 6) true positions and velocities if a way is given, or (n, epochs, 0).
         first: (n, 7) true states at the first epoch.
         sites: (n, numbers) rows of :meth:`Episode.site`.

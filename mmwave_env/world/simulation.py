@@ -135,7 +135,7 @@ def measure(
 
 
 def _run_on(receiver: ReceiverState, bias_hz: Number, clock: Vector) -> Clock | tuple[()]:
-    """Return the clock an epoch later, moved by noise and by both epochs' mean oscillator bias."""
+    """Return the clock one epoch later, which noise and the oscillator's mean bias have moved."""
     if not isinstance(receiver.clock, Clock):
         return ()
     (half_step, sigma_m), dice = clock, Dice(receiver.clock.dice)
@@ -282,8 +282,8 @@ def as_measured(layout: Layout) -> Program[AsMeasured]:
 
 # --- the beginning of an episode: everything that is drawn before its first epoch
 
-# Each key seeds three streams of random numbers. So the receiver and the rate of epochs do not
-# affect a user's way, and the user's clock affects neither the way nor the receiver's noise.
+# Each key seeds three streams of random numbers. So a user's way does not depend on the receiver
+# and the rate of epochs, and neither the way nor the receiver's noise depend on the user's clock.
 USER, RECEIVER, CLOCK = 0, 1, 2
 
 
@@ -292,9 +292,9 @@ class FirstDraws(NamedTuple):
 
     receiver: ReceiverState
     user: UserState  # not used if a way is given
-    choice: Number  # number of the kind of user; or uniform in [0, 1), to choose a given way
+    choice: Number  # number of the kind of user; or uniform in [0, 1), to choose among given ways
     first: list[Number]  # (7,) true state at the first epoch; 0 if a way is given
-    # (7,) error of the prior's mean; with a clock, minus its bias follows
+    # (7,) error of the prior's mean; with a clock, the negative of its bias is appended
     prior_noise: list[Number]
 
 
@@ -311,7 +311,7 @@ class Beginning(NamedTuple):
 
 
 def begin(w: Beginning, streets: RandomScene | None) -> Beginning:
-    """Draw the beginning of an episode; the episode of a key depends on the order of the draws."""
+    """Draw the beginning of an episode; another order of draws would change every episode."""
     dice, others = Dice(seeded(w.key[0], USER)), Dice(seeded(w.key[0], RECEIVER))
     scene = streets.draw_numbers(dice) if streets else w.scene
     user, position, velocity = w.begun.user, [0.0, 0.0], [0.0, 0.0]

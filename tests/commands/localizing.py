@@ -1,4 +1,4 @@
-"""Helpers that run ``mmwave-loc localize`` on a recorded walk, a recorded ride, or changed logs."""
+"""Helpers that run ``mmwave-loc localize`` on the shipped logs (a walk, a ride) or changed ones."""
 
 import json
 import subprocess

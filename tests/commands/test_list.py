@@ -13,7 +13,7 @@ from mmwave_env.world import mobility
 from tests.cli import assert_one_clear_line, command, succeed
 
 NAMES = {
-    "policies": contenders("handset"),
+    "policies": [*contenders("handset"), "clairvoyant"],
     "scenarios": mobility.SCENARIOS,
     "radios": RADIOS,
     "scenes": [*SCENES, RANDOM],

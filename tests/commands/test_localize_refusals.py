@@ -29,7 +29,7 @@ OLD = (
 )
 
 
-KEPT = {  # a user's file -> the --out that would replace it, and the refusal
+KEPT = {  # a user's file: the value of --out that would replace it, and the message
     "trip.csv": ("trip.tum", "trip.csv, which is not a table of a track"),
     "path.tum": ("path.tum", "which is not a track of mmwave-loc localize"),  # not among the inputs
     "truth.tum": ("truth.tum", "which is also"),

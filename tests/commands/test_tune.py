@@ -1,4 +1,4 @@
-"""Tests that tuning finds the noise with which data were made, and finds the shipped modes."""
+"""Tests that tuning finds the noise that data were simulated with, and the shipped modes."""
 
 import json
 import shlex

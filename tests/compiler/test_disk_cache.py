@@ -1,4 +1,4 @@
-"""Tests of the disk cache of compiled functions: its versions, its folders and whom it trusts."""
+"""Tests of the disk cache of compiled functions: versions, folders, and files of other users."""
 
 import os
 import shutil
@@ -106,7 +106,7 @@ source.write_text(source.read_text().replace("x * 2", "x * 3"))
 
 @pytest.mark.slow
 def test_a_process_whose_sources_change_stores_nothing(package):
-    """Check this because such a process may store old code under the name of the new code."""
+    """Check that old code is not stored under the name of the new code."""
     finished(started(package, EDITED + SCRIPT))
     assert kept(package) == []
     assert run(package) == (61, 0)

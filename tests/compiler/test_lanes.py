@@ -284,7 +284,7 @@ def test_odometry_on_lanes_equals_odometry_on_floats(planar):
 
 @pytest.mark.slow
 def test_lanes_equal_floats_for_a_user_at_rest_with_odometry():
-    """Check this because the heading of a user at rest is not defined."""
+    """Let users start at rest, where the heading is not defined."""
     episodes = [
         replace(episode, prior_mean=episode.prior_mean * [1, 1, 1, 0, 0, 0, 1])
         for episode in simulated(3, epochs=10, odometry=True)

@@ -1,6 +1,6 @@
 """Tests that a command replaces damaged or planted compiled functions, and never runs planted code.
 
-test_disk_cache.py tests each check of such files by itself, with a small package.
+test_disk_cache.py tests every check of these files separately, with a small package.
 """
 
 import os

@@ -172,7 +172,7 @@ def test_after_an_interrupt_the_running_jobs_end_and_no_other_begins(tmp_path):
 @pytest.mark.slow
 @posix
 def test_an_environment_continues_after_an_interrupted_step(tmp_path):
-    """Check that the metrics include the actions and the results of that step."""
+    """Check that the metrics include the actions and the results of the interrupted step."""
     code = """
     def interrupted(*arguments):
         stepping.share = share

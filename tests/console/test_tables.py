@@ -1,4 +1,4 @@
-"""Tests that text from outside is escaped wherever it is shown, and of tables on terminals."""
+"""Tests that users' text is escaped wherever it is shown, and that tables fit on terminals."""
 
 import io
 import re
@@ -12,7 +12,7 @@ from rich.markdown import Markdown
 
 from experiments.console import progress as terminal
 from experiments.console.progress import progress, say, tracked
-from experiments.console.tables import escaped, grid, printable_lines, show, unescaped
+from experiments.console.tables import booktabs, escaped, grid, printable_lines, show, unescaped
 from mmwave_env.io.lookup import LONGEST, as_cell, as_name, did_you_mean, is_name, printable, quoted
 
 NAMES = st.text(st.characters(codec=None), max_size=200)
@@ -34,6 +34,13 @@ def test_names_are_short_and_printable():
         assert is_name(name)
     for name in ("", "a\nb", "\x1b[31m", "\udcff", "\u202e", "x" * (LONGEST + 1), 7, None, ["a"]):
         assert not is_name(name)
+
+
+def test_latex_tables_show_every_character():
+    table = booktabs(["policy", "95 %"], [["a_b & c-1", "-0.5 ± 0.1"], ["{x}^2", "#~$\\"]])
+    assert r"a\_b \& c-1 & $-$0.5 $\pm$ 0.1 \\" in table and r"policy & 95 \% \\" in table
+    last = r"\{x\}\textasciicircum{}2 & \#\textasciitilde{}\$\textbackslash{} \\"
+    assert last in table
 
 
 @given(NAMES)

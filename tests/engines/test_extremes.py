@@ -1,4 +1,4 @@
-"""Tests of the envelope of inputs: within it beliefs are sound, values beyond it are refused."""
+"""Tests that beliefs are sound within the envelope of inputs, and values beyond it are refused."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -40,7 +40,7 @@ class Quantity:
     put: Callable[[Episode, float], Episode]
 
     def within(self):
-        """Return a value just within each end of the bound; for an end of 0, return 0 itself."""
+        """Return a value just within each end of the bound, and 0 itself for an end of 0."""
         return [end * (1.0 - out) for end, out in self._ends()]
 
     def beyond(self):
@@ -181,7 +181,7 @@ def test_an_episode_beyond_the_envelope_is_refused_by_name(quantity, value, epis
 
 
 def numbers_of(record):
-    """Yield each numeric field's name and bound, and a function that makes a value of a number."""
+    """Yield each numeric field's name and bound, and a function from a number to its value."""
     for name, hint in hints_of(type(record)).items():
         hint = next(iter(get_args(hint)), hint) if NoneType in get_args(hint) else hint
         inside = get_args(hint)[:1] if get_origin(hint) is Annotated else ()

@@ -1,4 +1,4 @@
-"""Tests of the engine that runs an IMM over complete episodes, even those of another engine."""
+"""Tests of the engine that runs an IMM over complete episodes."""
 
 import numpy as np
 import pytest

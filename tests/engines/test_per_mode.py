@@ -117,7 +117,7 @@ def test_a_replay_repeats_the_results_of_the_engine(planar):
 
 @pytest.mark.slow
 def test_two_equal_modes_are_smoothed_as_a_single_filter():
-    """Check that smoothing equals that of one filter, whichever of the equal modes is trusted."""
+    """Check that the smoothed track is that of one filter, whichever of the modes is trusted."""
     mode = Mode("a", "ukf", sigma_v=1.2)
     twins, episodes = Bank((mode, replace(mode, name="b"))), simulated(5, epochs=T)
     actions = np.random.default_rng(4).integers(0, 3, (5, T)).astype(np.uint8)

@@ -81,6 +81,16 @@ def test_paired_differences_are_taken_episode_by_episode():
     assert paired.high - paired.low < 0.01 * (alone.high - alone.low)
 
 
+def test_scores_run_from_the_paper_s_rule_at_0_to_the_clairvoyant_at_100():
+    table = scores(mine=[-1, -2], speed_rule=[-3, -4], clairvoyant=[1, 0], worse=[-5, -4])
+    result = compare_scores(table, **WHAT)
+    assert result.scores == {"mine": 50.0, "speed-rule": 0.0, "clairvoyant": 100.0, "worse": -25.0}
+    header, rows = result.table(METRICS)
+    assert header[-1] == "score" and [row[-1] for row in rows] == ["50", "0", "100", "-25"]
+    del table["clairvoyant"]
+    assert "score" not in str(compare_scores(table, **WHAT))
+
+
 @pytest.mark.parametrize(
     ("share", "shown"),
     [(None, "-"), (0.0, "0.0 %"), (0.0123, "1.2 %"), (0.00089, "0.089 %"), (0.9988, "99.88 %")],

@@ -1,18 +1,25 @@
 """Tests of the leaderboard's protocol: its sites, unseen streets, and the standing of an entry."""
 
+import json
+
 import numpy as np
 import pytest
 
+from experiments.evaluation.hard import HARD_SOURCES
 from experiments.evaluation.protocol import (
+    HARD,
     KINDS,
     RECORDED,
     TRAINED,
     UNSEEN,
     Judged,
+    add_scores,
     entry,
     judge,
+    read_entry,
     sites,
     standing,
+    tables_of,
     unseen_file,
 )
 from mmwave_env.models.radio import RADIOS
@@ -34,8 +41,8 @@ def test_unseen_streets_differ_in_carrier_and_geometry():
 
 def test_the_protocol_has_the_documented_numbers_of_sites():
     kinds = [site.kind for site in sites()]
-    assert [kinds.count(kind) for kind in KINDS] == [9, 7, 4]
-    assert len({site.name for site in sites()}) == 20
+    assert [kinds.count(kind) for kind in KINDS] == [9, 7, 4, 5]
+    assert len({site.name for site in sites()}) == 25
     assert all(site.source.layout.anchors == 3 for site in sites())
 
 
@@ -61,8 +68,86 @@ def test_an_entry_is_above_or_below_the_imms_or_level_with_them(gains, expected)
     base, noise = rng.normal(size=400), rng.normal(0.0, 0.1, 400)
     noise -= noise.mean()
     rewards = {"mine": base, "imm": base - gains[0] + noise, "imm-best": base - gains[1] - noise}
+    rewards["speed-rule"] = base
     scores = {name: {"reward": reward, "ate_m": base} for name, reward in rewards.items()}
     judged = Judged(sites()[0], scores, ("imm", "imm-best"))
     assert standing(judged.figures("mine")) == expected
     assert entry("mine", [judged])["mean_gain"][TRAINED]["mean"] == pytest.approx(gains[1])
     assert RECORDED not in entry("mine", [judged])["mean_gain"]
+
+
+def entries():
+    """Return entries whose rewards are constant at every site."""
+    rewards = {"mine": -2.0, "imm-best": -2.5, "speed-rule": -3.0, "clairvoyant": -1.0}
+    scores = {
+        name: dict.fromkeys(("reward", "ate_m"), np.full(3, r)) for name, r in rewards.items()
+    }
+    judged = [Judged(site, scores, ("imm-best",)) for site in sites()]
+    return {name: entry(name, judged) for name in rewards}
+
+
+def test_the_rule_has_score_0_and_the_clairvoyant_100_at_every_site():
+    made = entries()
+    add_scores(made.values(), made["clairvoyant"])
+    for name, expected in {"mine": 50, "imm-best": 25, "speed-rule": 0, "clairvoyant": 100}.items():
+        assert [at["score"] for at in made[name]["sites"].values()] == [expected] * len(sites())
+    tables = tables_of(list(made.values()), made["clairvoyant"])
+    for site in sites():
+        assert f"| {site.name} | 2.000 [2.000, 2.000] | 50 | 25 | 0 |" in tables["scores"]
+
+
+def test_without_the_clairvoyant_or_in_an_old_entry_scores_and_hard_sites_are_dashes(tmp_path):
+    old, ceiling = (entries()[name] for name in ("mine", "clairvoyant"))
+    old["sites"] = {n: at for n, at in old["sites"].items() if at["kind"] != HARD}
+    del old["mean_gain"][HARD]
+    (tmp_path / "old.json").write_text(json.dumps(old))
+    content = read_entry(tmp_path / "old.json")
+    for known, shown in ((ceiling, "50"), (None, "-")):
+        add_scores([content], known)
+        tables = tables_of([content], known)
+        row = f"7 / 0 / 0 | {shown} | 0.500 [0.500, 0.500] | 4 / 0 / 0 | - | - | - |"
+        assert row in tables["leaderboard"]
+        assert f" | {shown} |\n| street:standard" in tables["scores"]
+        assert tables["scores"].endswith(" | - |")
+    assert tables["sites"].endswith("| range-azimuth:handset | - |")
+    for at in content["sites"].values():
+        at["episodes"] = 2  # of the three that the clairvoyant played
+    add_scores([content], ceiling)
+    assert {at["score"] for at in content["sites"].values()} == {None}
+
+
+@pytest.fixture(scope="module")
+def hard():
+    """Return four episodes of every hard site."""
+    keys = np.arange(4, dtype=np.uint64)
+    return {name.split(":")[0]: make().episodes(keys) for name, make in HARD_SOURCES.items()}
+
+
+def test_a_car_turns_at_square_corners_at_10_mps(hard):
+    for episode in hard["corners"]:
+        moved = np.diff(episode.truth_position_m[:, :2], axis=0)
+        np.testing.assert_allclose(np.linalg.norm(moved, axis=1), 10.0)
+        straight = (moved[:-1] * moved[1:]).sum(axis=1) / 100.0  # cosine of the change of heading
+        assert set(np.round(straight, 9)) == {0.0, 1.0}
+        assert (np.diff(np.flatnonzero(straight < 0.5)) == 8).all()
+
+
+def test_a_bus_stands_every_300_m(hard):
+    for episode in hard["bus"]:
+        gone = np.cumsum(np.linalg.norm(np.diff(episode.truth_position_m, axis=0), axis=1))
+        stands = np.append(False, np.diff(gone) < 1e-9)
+        stops = gone[np.flatnonzero(np.diff(stands.astype(int)) == 1)]
+        assert len(stops) >= 3 and np.diff(stops) == pytest.approx(300.0)
+
+
+def test_the_receivers_of_hard_sites_lack_what_the_sites_say(hard):
+    ordinary = next(s for s in sites() if s.name == "street:handset").source
+    keys = np.arange(4, dtype=np.uint64)
+    for stated, true in zip(hard["noise-twice"], ordinary.episodes(keys), strict=True):
+        np.testing.assert_array_equal(stated.measurement, true.measurement)
+        np.testing.assert_allclose(stated.sigma, 0.5 * true.sigma)
+    assert all(episode.layout.clock for episode in hard["clock-offset"])
+    for episode in hard["range-azimuth"]:
+        links = np.isfinite(episode.measurement[:, :12]).reshape(-1, 3, 4).any(axis=(0, 1))
+        assert links.tolist() == [True, True, False, False]
+        assert np.isnan(episode.measurement[:, 12]).all()

@@ -65,7 +65,7 @@ def numbers(low, high, shape=()):
 
 @st.composite
 def problems(draw, odometry=False, anchors=None, outliers=True, partial=False, clock=False):
-    """Draw an update with all anchors at least 20 m away horizontally: nothing is singular."""
+    """Draw an update that is not singular: all anchors are at least 20 m away horizontally."""
     L = draw(st.integers(1, 5)) if anchors is None else anchors
     position = draw(numbers(-200, 200, (3,)))
     heading, speed = draw(numbers(-3.14, 3.14)), draw(numbers(3.0 if odometry else 0.0, 20))

@@ -1,4 +1,4 @@
-"""Tests of the interacting multiple model (IMM) against single filters; also a textbook IMM."""
+"""Tests of the interacting multiple model (IMM) against single filters and a textbook's IMM."""
 
 from dataclasses import replace
 
@@ -63,8 +63,8 @@ def textbook_imm(episode, modes, transitions, nis_quantile=1.0, change=None):
     """Run the IMM of Bar-Shalom, Li and Kirubarajan 2001, Sec. 11.6.6, without gates or scaling.
 
     ``modes`` are pairs (method, Q of one second), ``transitions`` has one matrix per epoch. In
-    likelihoods, NIS is limited to a chi-square quantile. ``change(t, probabilities)`` returns what
-    replaces the probabilities after epoch t. Returns x (T, 7), P (T, 7, 7), probabilities (T, M).
+    likelihoods, NIS is limited to a chi-square quantile. ``change(t, probabilities)`` returns new
+    probabilities after epoch t. The results are x (T, 7), P (T, 7, 7) and probabilities (T, M).
     """
     most = chi2.ppf(nis_quantile, [4, 4, 4, 1])
     sensor = textbook.Sensor(episode.scene_anchors_m, episode.hz_per_mps)

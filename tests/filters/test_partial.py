@@ -1,4 +1,4 @@
-"""Tests of tracks in partial layouts: equal to plain ones if no row is missing, else consistent."""
+"""Tests that tracks in partial layouts equal plain ones if no row is missing, or are consistent."""
 
 from dataclasses import replace
 

@@ -51,7 +51,7 @@ def test_an_update_with_missing_rows_equals_the_textbook(algorithm, odometry, ga
 @given(problem=problems(anchors=9))
 @settings(max_examples=3, deadline=None)
 def test_determinants_of_many_links_equal_the_textbook(problem):
-    """Use nine links: their factors are too many to be multiplied before taking a logarithm."""
+    """Use nine links, more than can be multiplied before a logarithm is taken."""
     expected = problem.textbook(textbook.tangent, Gate(None))
     assert_same(problem.ours(ekf, Gate(None)), expected)
 

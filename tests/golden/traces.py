@@ -1,7 +1,7 @@
 """Golden traces: outputs of filters, smoother and environments, one row per epoch, and costs.
 
 A trace is a function that returns rows: dicts by column, whose first cell names the row. Episodes
-are given by keys, because the keys that a seed draws may change, but not the episode of a key.
+are chosen by key: a version may draw other keys from a seed, but a key always gives its episode.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -146,7 +146,7 @@ def rollout(keys: Sequence[int | None], **arguments: Any) -> Iterator[Row]:
 def vector_rollout(keys: Sequence[int], later: Sequence[int], **arguments: Any) -> Iterator[Row]:
     """Play the episodes of keys in parallel; reset an ended episode to a key of ``later``.
 
-    Before that reset, the autoreset begins an episode that depends on a seed and is not shown.
+    Before this reset, the autoreset begins another episode, which is not part of the trace.
     """
     n = len(keys)
     env = gym.make_vec(ID, num_envs=n, autoreset_mode="SameStep", **arguments)

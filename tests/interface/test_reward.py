@@ -1,4 +1,4 @@
-"""Tests of rewards: computed by hand and with SciPy, users' own, and paired with the IMM."""
+"""Tests of rewards: shipped ones against SciPy, users' own, and those paired with an IMM."""
 
 import math
 from dataclasses import replace
@@ -255,7 +255,7 @@ def imm_rewards(seed, episodes, reward=REWARDS["tracking"], **task):
     ids=["three modes", "flat"],
 )
 def test_paired_rewards_are_rewards_minus_those_of_the_imm_on_the_same_episodes(task):
-    """Check that they are equal to the last bit, for any modes of the agent."""
+    """Check that both are equal to the last bit, for any modes of the agent."""
     n, epochs = 5, 3 * task["episode_steps"]
     envs = {
         reward: gym.make_vec(

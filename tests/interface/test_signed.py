@@ -1,4 +1,4 @@
-"""Tests of signed features: against formulas in numpy, and that they know no place or direction."""
+"""Tests that signed features equal formulas in numpy and do not depend on place or direction."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Tests of file access: only regular files of limited size, no partial results, clear errors."""
+"""Tests that only regular files of limited size are read, and that results are never partial."""
 
 import errno
 import json

@@ -1,4 +1,4 @@
-"""Tests that likely mistakes in a log are refused or cause a warning, and are diagnosed."""
+"""Tests that likely mistakes in a log are refused or cause a warning, and that --diagnose tells."""
 
 from contextlib import suppress
 from copy import deepcopy
@@ -90,7 +90,7 @@ def test_a_wrong_order_of_anchors_causes_a_warning_and_is_diagnosed(folder, orde
     scene = reordered(right, order)
     assert doubts(read_log(folder / "log.csv", scene), scene)
     best = findings(folder / "log.csv", scene)[0]
-    # The numbers that the log's anchors have in the wrong scene.
+    # The wrong scene has the anchors 1, 2 and 3 of the log under these numbers.
     names = ", ".join(str(order.index(n) + 1) for n in (1, 2, 3))
     assert best.hypothesis == f"anchors are the scene's {names}" and not best.contradictions
 

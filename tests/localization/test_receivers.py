@@ -84,7 +84,7 @@ def walk(path, receiver, seed):
 
 
 def by_textbook(log, scene, x, P, flat):
-    """Run a textbook EKF on a log from the belief at its first epoch; return the means (T, 3)."""
+    """Run a textbook EKF on a log, starting from a belief (x, P); return the means (T, 3)."""
     sensor, means = Sensor(scene.anchors_m, scene.hz_per_mps), [x[:3]]
     for t in range(1, len(log)):
         dt, z = log.time_s[t] - log.time_s[t - 1], log.measurement[t]

@@ -91,7 +91,7 @@ def assert_variance(values, variance):
 
 
 def changes(on):
-    """Return, for epochs that are on, whether the next is off; for others, whether it is on."""
+    """Return whether a spell ends, for epochs in one; and whether one begins, for the others."""
     before, after = on[:-1], on[1:]
     return ~after[before], after[~before]
 

@@ -104,7 +104,7 @@ def many():
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_numbers_have_their_distributions(many, kind):
-    """Test distributions at 99.9 % each, and moments at four standard errors."""
+    """Test each distribution at 99.9 %, and its moments at four standard errors."""
     values, exact = many[kind].ravel(), KINDS[kind]
     n = values.size
     assert n == 10_000_000
@@ -125,7 +125,7 @@ def test_tails_of_normal_numbers_have_the_right_weight(many, sigma):
 
 @pytest.mark.slow
 def test_consecutive_numbers_and_keys_are_not_correlated(many):
-    """Compare numbers of a key, and of consecutive keys, which are the lanes of a block.
+    """Compare consecutive numbers of a key, and the numbers of consecutive keys (lanes of a block).
 
     Each correlation of n pairs has a standard error of 1 / sqrt(n); bounds are at 99.9 % for all
     lags together (Bonferroni).

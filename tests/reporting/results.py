@@ -1,4 +1,4 @@
-"""Small results as commands write them, a hostile name, and a parser of report pages."""
+"""Data for tests of reports: small results files, a name that attacks web pages, a page parser."""
 
 import json
 import re
@@ -18,12 +18,12 @@ def interval(mean):
 
 
 def metrics(mean):
-    """Return all metrics; their means are this one and the following integers."""
+    """Return every metric in the form of result files, with means that count up from ``mean``."""
     return {metric: interval(mean + i) for i, metric in enumerate(METRICS)}
 
 
 def comparison(names=("imm", "speed-rule"), **more):
-    """Return a comparison of policies whose rewards are -1, -2, ..., paired with the first."""
+    """Return a comparison: rewards are -1, -2, ..., and differences are from the first policy."""
     first, *others = names
     content = {"scenario": "mixed", "radio": "handset", "episodes": 2, "seed": 0}
     content |= {
@@ -37,7 +37,7 @@ def comparison(names=("imm", "speed-rule"), **more):
 
 
 def run(folder: Path, over=2):
-    """Make a folder as train makes it, with two trainings, of which ``over`` have ended."""
+    """Make the folder of a run of two trainings, of which ``over`` have ended."""
     log = "timesteps,tuning/reward,tuning/minus imm\n1000,,\n2000,-1.5,0.25\n4000,-1.4,0.3\n"
     for seed in range(2):
         training = folder / f"seed-{seed}"

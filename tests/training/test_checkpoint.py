@@ -130,7 +130,7 @@ def test_a_checkpoint_with_other_content_is_refused(tmp_path, state, named):
 
 
 def test_a_checkpoint_of_another_network_is_refused(tmp_path):
-    """Use one whose checksum and kind are right, but whose content does not fit this training."""
+    """Use a checkpoint of the right kind and checksum whose content does not fit this training."""
     path = tmp_path / "checkpoint.pt"
     write_checkpoint(path, BEGIN | {"learner": {"timesteps": 3}, "env": {}})
     with refuses("checkpoint.pt", "updates"):

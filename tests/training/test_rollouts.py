@@ -165,7 +165,7 @@ def test_sampled_actions_follow_the_probabilities_of_the_network():
 
 
 def test_the_learner_forgets_the_oldest_states():
-    """Replace a full memory, in unequal portions, by states in which the other action is best."""
+    """Fill the memory; then replace it, in unequal parts, by states with another best action."""
     model, (fresh, best) = learner(), states(1000, 9, turned=True)
     model.remember(states(512, 0)[0])
     for seed, n in enumerate((300, 200, 12), start=1):

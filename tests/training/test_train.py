@@ -95,7 +95,7 @@ def test_the_exported_actor_chooses_the_actions_of_the_trained_one(tmp_path):
 
 
 def test_a_training_reports_its_periodic_evaluations(tmp_path):
-    """Check also that the outcome has the best; a search needs all of them to stop early."""
+    """Check also that the outcome has the best evaluation; a search needs all to stop early."""
     heard = []
     outcome = train(job_of(tmp_path), heard.append)
     rewards = {news.timesteps: news.evaluation["reward"] for news in heard if news.evaluation}
@@ -254,7 +254,7 @@ def test_a_run_with_other_options_is_not_resumed(tmp_path):
 
 
 def test_a_run_with_other_modes_banks_or_hyperparameters_is_not_resumed(tmp_path):
-    """Check this because mode files may change, and so may the modes that names stand for."""
+    """Change a mode file, the modes that a name stands for, a bank, or a hyperparameter."""
     path = written(tmp_path / "mine.json", {})
     resume = ("--resume", "--hyperparameters", path, "--out")
     folder = folder_of(tmp_path / "modes", modes=MODES, hyperparameters=path)

@@ -18,7 +18,7 @@ def numbers(*values):
 
 
 def test_keys_are_the_published_numbers_of_splitmix64():
-    """Compare with those that Rosetta Code lists for the state 1234567, from Vigna's C code."""
+    """Compare with the numbers of Vigna's C code, as Rosetta Code lists them for state 1234567."""
     keys = keys_at(numbers(1234567), np.arange(3, dtype=np.uint64))
     assert keys.tolist() == [6457827717110365317, 3203168211198807973, 9817491932198370423]
 
@@ -35,7 +35,7 @@ def test_the_stream_of_a_seed_begins_with_numpys_seed_sequence():
 
 
 def test_a_stream_without_a_seed_begins_at_random():
-    """Check also that its state can be saved and restored, and then gives the same keys again."""
+    """Check also that a stream with a restored state gives the same keys again."""
     streams, again, places = Streams(2), Streams(2), np.arange(2)
     assert streams.seeds() == (-1, -1)  # unknown seeds
     again.set_states(streams.states())

@@ -35,8 +35,8 @@ SOURCES = {
     ),
 }
 KEYS = np.random.default_rng(0).integers(0, 2**64, 20, np.uint64)
-# For two in a thousand other keys, the trajectories of the simulations differ: sums round
-# differently, so that an event, such as the end of a gait, is one substep later in one of them.
+# For two in a thousand keys, the trajectories of both simulations differ: sums are rounded
+# differently, so that an event, such as the end of a gait, is a substep later in one of them.
 
 
 class PlainDice:

@@ -60,7 +60,7 @@ def test_velocities_in_a_file_are_used(tmp_path):
     v=st.lists(st.floats(-9.0, 9.0), min_size=3, max_size=3),
 )
 def test_constant_acceleration_is_resampled_exactly(dt, steps, a, v):
-    """Check that differences give exact velocities but at the ends, and cubics exact positions."""
+    """Check that resampled positions are exact, and velocities, too, except at the ends."""
     t = np.cumsum(steps)
     position = np.outer(t, v) + 0.5 * np.outer(t * t, a)
     velocity = v + np.outer(t, a)

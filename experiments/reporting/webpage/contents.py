@@ -5,14 +5,15 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from experiments.evaluation.comparison import Comparison
-from experiments.evaluation.intervals import Interval, rounded
+from experiments.evaluation.intervals import Interval
 from experiments.evaluation.positions import HEADER, KINDS, percent, row_of
+from experiments.figures.canvas import PHONE_MM
 from experiments.figures.curves import draw_consistency, draw_error_cdf, draw_learning_curves
 from experiments.reporting.track_report import track_markdown
 from experiments.reporting.webpage.markup import drawn, element, html_of, table
 from experiments.reporting.webpage.played import Played, ranking, watched_names
 from experiments.reporting.webpage.sources import Source
-from mmwave_env.metrics import HEADERS, METRICS
+from mmwave_env.metrics import METRICS
 
 
 class Verdict(NamedTuple):
@@ -72,11 +73,7 @@ def _track_verdict(c: Mapping[str, Any]) -> Verdict:
 
 
 def _compared(comparison: Comparison) -> Iterator[str]:
-    rows = [
-        [name, *(rounded(row[metric]) for metric in METRICS)]
-        for name, row in comparison.policies.items()
-    ]
-    header = ["contender", *(HEADERS[metric] for metric in METRICS)]
+    header, rows = comparison.table(METRICS)
     yield table("Means ± half of their 95 % intervals, best reward first", header, rows)
     pairs = [
         [name, other, pair["reward"], pair["ate_m"]]
@@ -100,7 +97,7 @@ def _trainings(source: Source) -> Iterator[str]:
     yield table("The best policy of each training, on tuning seeds", header, rows)
     for rival in rivals:
         lines = {source.path: [curve[rival] for curve in curves if rival in curve]}
-        draw = partial(draw_learning_curves, {f"reward minus {rival}'s": lines}, narrow=True)
+        draw = partial(draw_learning_curves, {f"reward minus {rival}'s": lines}, width_mm=PHONE_MM)
         yield drawn(f"Learning curves against {rival} on tuning seeds, a line per training", draw)
 
 
@@ -126,10 +123,10 @@ def errors_of(source: Source, played: Played) -> Iterator[str]:
         yield element("p", note, "note")
     errors_m, nees = played.epochs.errors_m, played.epochs.nees
     if shown := [name for name in watched_names(ranked) if name in errors_m]:
-        draw = partial(draw_error_cdf, {name: errors_m[name] for name in shown}, narrow=True)
+        draw = partial(draw_error_cdf, {name: errors_m[name] for name in shown}, width_mm=PHONE_MM)
         yield drawn(f"Distribution of errors (CDF), {played.which}", draw)
         chosen, axes = {name: nees[name] for name in shown}, 2 if played.positions.planar else 3
-        draw = partial(draw_consistency, played.epochs.time_s, chosen, axes, narrow=True)
+        draw = partial(draw_consistency, played.epochs.time_s, chosen, axes, width_mm=PHONE_MM)
         yield drawn(f"NEES and its chi-square bounds, {played.which}", draw)
 
 

@@ -46,7 +46,7 @@ def page_of(args: PageArgs) -> str:
 
 
 def _folded(verdicts: Sequence[Verdict], parts: Sequence[str]) -> str:
-    """Return each source's part under the source's name, folded except for the first."""
+    """Return the parts of all sources, each under its source's name; all but one are folded."""
     named = [(verdict.name, part) for verdict, part in zip(verdicts, parts, strict=True) if part]
     return "".join(
         f"<details{'' if number else ' open'}><summary>{text(name)}</summary>{part}</details>"
@@ -72,7 +72,7 @@ def _player(verdicts: Sequence[Verdict], played: Sequence[Played]) -> str:
 
 def _html(verdicts: Sequence[Verdict], sections: Mapping[str, str], data: Any) -> str:
     """Return the complete page; placeholders in inserted text are not replaced."""
-    # JSON that is safe in a script element: nothing in it can end the element
+    # escape the JSON so that none of its text can end the script element
     content = json.dumps(data, allow_nan=False, separators=(",", ":"))
     titles = {re.sub(r"\W+", "-", t.lower()): t for t, section in sections.items() if section}
     parts = {

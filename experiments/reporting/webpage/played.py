@@ -30,7 +30,7 @@ from mmwave_env.rendering.theme import THEMES, hex_of
 
 LONGEST = 600  # maximum number of epochs that can be watched
 ROWS = slice(LONGEST)
-WATCHED = 8  # maximum number of contenders to watch: the best by reward, and the rule
+WATCHED = 8  # maximum number of contenders to watch: the best by reward, and the paper's rule
 RULE = "speed-rule"
 AFTER = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected", "memory.mode")
 
@@ -44,7 +44,7 @@ class Played:
     epochs: EpochErrors = field(default_factory=lambda: EpochErrors({}))
     positions: Positions = field(default_factory=lambda: Positions({}))
     shown: list[dict[str, Any]] = field(default_factory=list)  # episodes to watch, as JSON
-    # by name, the reason why a contender is missing; under "", why all are
+    # reason why a contender is missing, by its name; under the name "", why all are missing
     missing: dict[str, str] = field(default_factory=dict)
 
 
@@ -63,7 +63,7 @@ def play(source: Source, most: int, watched: int) -> Played:
             return _play_episodes(source, most, watched)
     except (ValueError, OSError) as error:
         return Played(missing={"": str(error)})
-    return Played(missing={"": "none were asked for"})
+    return Played(missing={"": "no episodes were asked for"})
 
 
 def _play_episodes(source: Source, most: int, watched: int) -> Played:

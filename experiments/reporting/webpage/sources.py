@@ -17,7 +17,7 @@ NEEDED = {  # required keys by kind of results
 class Source(NamedTuple):
     """Results of one command."""
 
-    path: str  # path as given; for a part of a file, followed by the part's title
+    path: str  # path as the user typed it; for a part of a file, the part's title is appended
     kind: str  # "comparison", "track" or "run"
     content: Mapping[str, Any]  # content of the file; for a run, its summary with "curves"
 

@@ -1,19 +1,19 @@
 """Assignment of ray-traced paths to anchors: a base station and its mirror images.
 
-The line of sight is the link to the station. A path that bounces once, at q, appears to a
-receiver at p to come in a straight line from the station's mirror image at g (paper, Sec. II):
+The line of sight is the link to the station. If a path bounces once, at q, the receiver at p sees
+the signal come from the mirror image a of the station at g (paper, Sec. II):
 
     a = q + |g - q| (q - p) / |q - p|
 
-For a flat wall this image is the same for all receivers, so clusters of images are the virtual
-anchors. Arrival and range are already those of the straight line from the virtual anchor; the
-direction of departure is measured at the station, before the bounce, so it is mirrored.
+A flat wall gives all receivers the same image, so each cluster of images is a virtual anchor. The
+arrival and the range of a path are those of the straight line from the image. Its departure is
+measured at the station, before the bounce, and must be mirrored.
 
 Other paths (two bounces, diffraction, scattering, transmission) are left out: they have no fixed
 image, or their image can't be computed from their first point of interaction.
 
-Paths are given as :class:`StationPaths`, which does not depend on the file format. Its values mean
-the same as those in the files, but angles are in radians.
+Paths are passed as :class:`StationPaths`, whatever the file format. Its values have the meaning of
+the values in the files, but angles are in radians.
 """
 
 from collections.abc import Callable
@@ -29,7 +29,7 @@ from mmwave_env.models.measurement import SPEED_OF_LIGHT, direction
 from mmwave_env.numerics.numbers import PI, Array, Index, Mask, wrap
 from mmwave_env.world.checks import refuse_in
 
-TOLERANCE_M = 0.05  # closer points count as the same; rounding to float32 moves them by 1e-4 m
+TOLERANCE_M = 0.05  # points closer than this are the same; float32 rounding moves them 1e-4 m
 # Values of ``interactions``, which have a digit for each interaction on the way to the receiver.
 LINE_OF_SIGHT, REFLECTION = 0.0, 1.0
 
@@ -38,8 +38,8 @@ LINE_OF_SIGHT, REFLECTION = 0.0, 1.0
 class StationPaths:
     """The paths between one base station and E receivers, at most P for each receiver.
 
-    If ``interactions`` of a path is 1, all its values are finite; if it is 0, all except the bounce
-    are finite. The values of other paths are meaningless.
+    A path whose ``interactions`` are 1 has finite values; one with 0 has them except for the
+    bounce. The values of other paths are meaningless.
     """
 
     name: str  # name of the station in the files
@@ -110,7 +110,7 @@ class StationLinks:
 
 
 def find_links(paths: StationPaths, position_m: Array) -> StationLinks:
-    """Find the anchors that paths to receivers at positions (E, 3) lead to.
+    """Find the anchor of each path from a station to receivers at positions (E, 3).
 
     Raises:
         ValueError: a path contradicts the positions of receiver and anchor, or has a gain above
@@ -135,7 +135,7 @@ def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, Index]:
     station, q = paths.position_m, paths.bounce_m
     member = np.where(paths.interactions == LINE_OF_SIGHT, 0, -1)
     if not (member == 0).any():
-        none = "no line of sight (0) in any epoch; the first epoch is that"
+        none = "no line of sight (0) in any epoch; the file named here is that of the first epoch"
         paths.refuse("inter", 0, none, "at least one")
     reflected = paths.interactions == REFLECTION
     back = q - position_m[:, None]

@@ -52,8 +52,8 @@ def read_deepmimo(
     Args:
         folder: folder of a DeepMIMO v4 scenario.
         virtual_anchors: maximum number of virtual anchors; those seen most often are kept.
-        bandwidth_hz: bandwidth of the signal. The scenario's own bandwidth is not used, because
-            no path depends on it.
+        bandwidth_hz: bandwidth of the signal, instead of the scenario's bandwidth, on which no
+            path depends.
         dt_s: time step to use instead of ``trajectory.csv``; velocities are then computed from the
             positions.
         users: indices of receivers, from 0. For a static scenario, one index per epoch; for a
@@ -106,8 +106,8 @@ def _way_of(scenario: Scenario, epochs: Index, dt_s: float | None) -> Trajectory
 
     Raises:
         FileNotFoundError: ``dt_s`` is None, and ``trajectory.csv`` is missing.
-        ValueError: the file is damaged, its positions are not those of the receivers, or no user
-            can move like this: epochs are more than 15 s apart, or the speed is impossible.
+        ValueError: the file is damaged, its positions are not those of the receivers, epochs are
+            more than 15 s apart, or the speed is impossible for a user.
     """
     position = scenario.positions(epochs)
     if dt_s is not None:
@@ -150,7 +150,7 @@ def _links(
         return [(links, k) for k in [0, *images[:virtual_anchors]]]
     in_sight = [s for s in stations if (s.interactions == LINE_OF_SIGHT).any()]
     if not in_sight:
-        none = "no line of sight (0) to any station in any epoch; the first epoch is that"
+        none = "no line of sight (0) to any station; the file named here is that of the first epoch"
         stations[0].refuse("inter", 0, none, "at least one")
     by_station = [find_links(station, position_m) for station in in_sight]
     return [(links, 0) for links in sorted(by_station, key=lambda links: -links.epochs_seen[0])]

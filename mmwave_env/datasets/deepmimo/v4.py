@@ -1,9 +1,9 @@
 """Reader of DeepMIMO v4 scenario folders; it also checks the propagation paths in the files.
 
-A scenario is a folder with ``params.json`` and one array per file, named
-``{key}_t{txset}_tx{tx}_r{rxset}.npz`` (or ``.npy``). A dynamic scenario has one sub-folder with
-such files per scene; sorted by name, the sub-folders are in order of time. Times and velocities
-are not stored.
+A scenario is a folder with ``params.json`` and with arrays, each in a file of its own that is named
+``{key}_t{txset}_tx{tx}_r{rxset}.npz`` (or ``.npy``). In a dynamic scenario, these files are in
+sub-folders, one for each scene (moment in time). The names of the sub-folders sort in the order of
+time, but the files contain neither times nor velocities.
 """
 
 import re
@@ -35,7 +35,7 @@ class Scenario:
     """A description of a scenario folder, whose paths have not been read yet."""
 
     folder: Path  # folder of the scenario
-    scenes: tuple[Path, ...]  # folders with the arrays in order of time; or the folder, if static
+    scenes: tuple[Path, ...]  # folder of each scene, in order of time; only ``folder`` if static
     stations: tuple[str, ...]  # names of the base stations, as in the names of the files
     receiver_set: str  # the set of receivers, such as ``001``
     receivers: int  # number of receivers in every scene
@@ -47,12 +47,12 @@ class Scenario:
         return self.scenes != (self.folder,)
 
     def name_of(self, epoch: Index) -> str:
-        """Return the name, for messages, of the receiver with this scene and row (2,)."""
+        """Return the name of an epoch's receiver for messages; ``epoch`` is scene and row (2,)."""
         scene, row = epoch.tolist()
         return f"receiver {row}" + (f" in {self.scenes[scene].name}" if self.is_dynamic else "")
 
     def epochs(self, users: int | Sequence[int] | Index | None) -> Index:
-        """Return the scene, and the receiver's row in its arrays, of every epoch (E, 2).
+        """Return (E, 2), for every epoch: its scene, and the row of its receiver in the arrays.
 
         Args:
             users: rows of receivers, from 0. For a static scenario, one row per epoch, or None for
@@ -82,11 +82,11 @@ class Scenario:
         return np.column_stack([scenes, np.broadcast_to(rows.reshape(-1), len(scenes))])
 
     def file(self, scene: int, key: str, station: str) -> Path:
-        """Return the file of a key, which must exist."""
+        """Return the file with the array ``key``; refuse a missing file."""
         return find_array(self.scenes[scene], f"{key}_{station}_r{self.receiver_set}")
 
     def positions(self, epochs: Index) -> Array:
-        """Return positions (E, 3), m, of receivers, given as :meth:`epochs` returns them."""
+        """Return the positions (E, 3), m, of the receivers that :meth:`epochs` returned (E, 2)."""
         parts = []
         for scene, rows in _by_scene(epochs):
             file = self.file(scene, "rx_pos", self.stations[0])

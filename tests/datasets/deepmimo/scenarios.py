@@ -75,8 +75,8 @@ def shortened(folder, epochs, suffix=".npz", source=VEHICLE):
 def dynamic_twin(static, folder, others=0):
     """Write a dynamic scenario with a scene for every receiver of a static one.
 
-    The arrays of a scene have only as many paths as occur in it. Its last receiver
-    is the user; the ``others`` before it stand still at the position of the first epoch.
+    The arrays of a scene have room only for the paths that occur in it. The last receiver of a
+    scene is the user; the ``others`` before it stand still at the position of the first epoch.
     """
     folder.mkdir()
     shutil.copy(static / TRUTH, folder)

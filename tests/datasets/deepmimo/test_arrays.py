@@ -112,7 +112,7 @@ def test_a_forged_header_is_refused_without_allocating_memory(tmp_path, name):
         read_array(file, "delay", (4, "P"))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    # For the packed file, numpy allocates all the memory that is claimed, but does not touch it.
+    # For the packed file, numpy reserves all memory that the header claims, but does not use it.
     assert peak < SMALL or name == "1e12 rows, packed"
 
 

@@ -1,0 +1,112 @@
+"""Branches of environments, in which every action is tried, and a policy that knows the truth.
+
+The world does not depend on actions. So branches of an environment have the same measurements
+whatever their actions are, and differences of value between actions are free of the noise between
+episodes (common random numbers).
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.compiler.lanes import WIDTH
+from mmwave_env.compiler.program import rows_of
+from mmwave_env.engines.batch import Batch
+from mmwave_env.engines.env_engine import Engine
+from mmwave_env.numerics.numbers import Array, Index
+from mmwave_env.world.episode import columns_of
+from policies import Policy
+
+CLAIRVOYANT = "clairvoyant"
+HORIZON_S = 15.0  # how far the clairvoyant looks ahead; beyond it, actions hardly matter
+BLIND = (
+    f"policy: found {CLAIRVOYANT} where there is no truth, expected another policy; it stands only "
+    "in comparisons on episodes with true positions"
+)
+
+Act = Callable[[NDArray[np.float32]], Index]
+
+
+class Branches:
+    """A copy of an engine's n environments for every action, to run ahead of them.
+
+    Args:
+        engine: engine whose episodes are loaded as tables.
+        horizon: number of epochs to run ahead.
+    """
+
+    def __init__(self, engine: Engine, horizon: int) -> None:
+        self._batch, self.horizon = engine.batch, horizon
+        self._actions, at = len(engine.observation.actions), engine.at
+        n = self._actions * len(engine.batch.state.rows) * WIDTH  # whole blocks are copied
+        program, layout = engine.batch.program, engine.batch.layout
+        self._copies = Batch(program, layout, n, rows_of(at.action))
+        self._copies.make_room(horizon)
+        self._copies.state.length[:] = horizon
+        self._io = self._copies.io(output_rows=rows_of(at.reward), obs_rows=rows_of(at.observation))
+
+    def values(self, act: Act, weights: NDArray[np.floating[Any]]) -> Array:
+        """Try every action in the current state of every environment.
+
+        Args:
+            act: function that chooses the actions after the first, for observations (copies,
+                features): first of the copies that began with action 0, then with action 1, ...
+            weights: (n, horizon) weights of the rewards.
+
+        Returns:
+            The sums (n, actions) of weighted rewards; nothing is added after an episode's end.
+        """
+        state, copies, io = self._batch.state, self._copies.state, self._io
+        ahead = state.epoch[:, None] + np.arange(self.horizon)
+        # Past the end of an episode its last epoch is repeated, without weight.
+        weights = np.where(ahead - 1 < state.length[:, None], weights, 0.0)
+        some = np.minimum(np.arange(len(state.rows) * WIDTH), len(ahead) - 1)
+        epochs = np.minimum(ahead, state.length[:, None] - 1)[some]
+        coming = state.table[some[:, None], epochs]
+        copies.table.reshape(self._actions, *coming.shape)[:] = coming
+        copies.rows.reshape(self._actions, *state.rows.shape)[:] = state.rows
+        copies.epoch[:] = 0
+        values = np.zeros((self._actions, len(some)))
+        taken = np.repeat(np.arange(self._actions), len(some))
+        for weight in weights[some].T:
+            io.inputs[:, 0, 0] = taken
+            self._copies.advance(io)
+            values += weight * io.outputs[:, 0, 0].reshape(values.shape)
+            taken = act(io.observations[:, 0])
+        return values.T[: len(ahead)]
+
+
+class Clairvoyant(Policy):
+    """A policy that knows the truth, the ceiling of switching.
+
+    In every epoch it tries each action (trust no mode, or one of them) on the same measurements,
+    followed by no trust, and takes the action with the largest sum of rewards within
+    :data:`HORIZON_S`. It knows the noise, too, so a switcher without the truth is far below it.
+    """
+
+    _branches: Branches | None = None
+
+    def foresee(self, engine: Engine) -> None:
+        """Look into the episodes of an engine, which have just been loaded.
+
+        Raises:
+            ValueError: an episode has no truth.
+        """
+        state, layout = engine.batch.state, engine.batch.layout
+        if not np.isfinite(state.table[:, 0, columns_of(layout).truth]).all():
+            raise ValueError(BLIND)
+        step_s = engine.steps_s(np.arange(len(state.length))).min()
+        horizon = min(math.ceil(HORIZON_S / step_s - 1e-6), state.table.shape[1])
+        self._branches = Branches(engine, horizon)
+
+    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
+        """Return actions (n,)."""
+        if self._branches is None:
+            raise ValueError(BLIND)
+        weights = np.ones(self._branches.horizon)
+        values = self._branches.values(lambda shown: np.zeros(len(shown), np.int64), weights)
+        best: NDArray[np.int64] = values.argmax(axis=1)
+        return best

@@ -1,0 +1,74 @@
+"""Tests of the clairvoyant, which tries every action with the truth at hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from experiments.evaluation import branches
+from experiments.evaluation.contenders import contender_from
+from experiments.evaluation.runner import run_contender, score
+from mmwave_env.compiler.program import rows_of
+from mmwave_env.engines.env_engine import Engine
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.reward import TrackingReward
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
+from mmwave_env.world.simulated import SimulatedSource
+from tests.refusals import refuses
+from tests.training.actors import HANDSET
+
+N, EPOCHS = 5, 30  # five environments leave lanes of their block without one
+EPISODES = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=EPOCHS).episodes(
+    np.arange(N, dtype=np.uint64)
+)
+LAYOUT = EPISODES[0].layout
+
+
+def begun(walked):
+    """Return an engine with a bank after some epochs without trust."""
+    engine = Engine(Pipeline(HANDSET.modes, LAYOUT), N, TrackingReward(), "full", HANDSET)
+    engine.reset(EPISODES)
+    for _ in range(walked):
+        engine.step(np.int64(0))
+    return engine
+
+
+def rest(walked, action):
+    """Return the rewards (N,) from an epoch on if no mode is trusted after a first action."""
+    engine, total = begun(walked), 0.0
+    for taken in [action, *[np.int64(0)] * (EPOCHS - walked - 1)]:
+        total += engine.step(taken, rows_of(engine.at.reward))[1][:, 0]
+    return total
+
+
+@pytest.mark.parametrize("walked", [0, 25])
+def test_a_decision_that_looks_to_the_end_earns_the_most_that_one_action_can(walked, monkeypatch):
+    monkeypatch.setattr(branches, "HORIZON_S", 1000.0)
+    policy, engine = branches.Clairvoyant(), begun(0)
+    policy.foresee(engine)
+    for _ in range(walked):
+        engine.step(np.int64(0))
+    best = rest(walked, policy(engine.observations()))
+    every = [rest(walked, np.int64(action)) for action in range(len(HANDSET.modes) + 1)]
+    np.testing.assert_allclose(best, np.max(every, axis=0), rtol=1e-9)
+    assert (best > every[0]).any()
+
+
+def test_the_clairvoyant_is_above_the_imm_of_its_bank_and_leaves_episodes_as_they_are():
+    policy, imm = (contender_from(name, "handset", HANDSET) for name in ("clairvoyant", "imm"))
+    knows, mixes = (score(c, c.start(LAYOUT), EPISODES)["reward"] for c in (policy, imm))
+    assert knows.mean() > mixes.mean()
+    actions = run_contender(policy, policy.start(LAYOUT), EPISODES)["mode"]
+    engine = begun(0)
+    rewards = [engine.step(now, rows_of(engine.at.reward))[1][:, 0] for now in actions.T]
+    np.testing.assert_allclose(np.mean(rewards[10:], axis=0), knows, rtol=1e-9)
+
+
+def test_the_clairvoyant_is_refused_where_there_is_no_truth():
+    policy = contender_from("clairvoyant", "handset", HANDSET)
+    unknown = [replace(e, truth_position_m=None, truth_velocity_mps=None) for e in EPISODES]
+    with refuses("policy"):
+        run_contender(policy, policy.start(LAYOUT), unknown)
+    with refuses("policy"):  # as when it localizes a log
+        policy.start(LAYOUT)(begun(0).observations())
