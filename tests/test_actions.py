@@ -12,13 +12,14 @@ from gymnasium.error import InvalidAction
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
-from experiments.evaluation.contenders import contender_from
+from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.runner import run_contender
 from mmwave_env.engines.tally import exceeds
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.localization.position_errors import horizontal_level
 from mmwave_env.metrics import RISK
 from policies import Corrector, LearnedSwitch
+from policies.corrector import Correction
 from tests.refusals import refuses
 from tests.vector_checker import forward, same
 
@@ -146,6 +147,35 @@ def test_the_shipped_corrector_earns_as_an_agent_what_its_evaluation_says():
     contender = contender_from("corrector", "handset")
     expected = run_contender(contender, contender.start(env.source.layout), episodes)["reward"]
     np.testing.assert_allclose(np.transpose(earned), expected, atol=1e-5)
+
+
+class Shifting:
+    """An agent of `compare` that trusts no mode, and always corrects in the same way."""
+
+    observation, beliefs, modes = "signed", "per-mode", PER_MODE["modes"]
+    numbers = np.array([0.5, -0.3, 0.2, 0.1, 0.3, -0.4])
+
+    def reset(self, begins):
+        """Forget nothing."""
+
+    def __call__(self, observations):
+        return np.zeros(len(observations), int)
+
+    def correct(self, observations):
+        shift, log_factor = (
+            np.tile(self.numbers, (len(observations), 1)).reshape(-1, 2, 3).swapaxes(0, 1)
+        )
+        return Correction(shift, log_factor, np.ones(len(observations)))
+
+
+def test_the_evaluation_of_an_own_agent_corrects_as_the_environment_does():
+    env = gym.make_vec(ID, num_envs=4, episode_steps=30, **KINDS["correction"]).unwrapped
+    _, infos = env.reset(seed=0)
+    earned = [env.step(np.tile(Shifting.numbers, (4, 1)))[1] for _ in range(30)]
+    contender = Contender.own("shifting", Shifting(), "handset")
+    start = contender.start(env.source.layout)
+    expected = run_contender(contender, start, env.source.episodes(infos["episode_key"]))["reward"]
+    np.testing.assert_allclose(np.transpose(earned), expected, atol=1e-9)
 
 
 def test_a_paired_reward_subtracts_that_of_the_same_belief_without_correction():
