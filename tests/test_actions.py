@@ -187,6 +187,17 @@ def test_a_paired_reward_subtracts_that_of_the_same_belief_without_correction():
     np.testing.assert_allclose(paired, plain - before, atol=1e-5)
 
 
+@pytest.mark.torch
+def test_stable_baselines3_trains_on_numbers(kind):
+    sb3, adapter = pytest.importorskip("stable_baselines3"), pytest.importorskip("mmwave_env.sb3")
+    envs = gym.make_vec(ID, num_envs=4, autoreset_mode="SameStep", episode_steps=6, **kind)
+    envs = adapter.SB3VecEnv(envs)
+    model = sb3.PPO("MlpPolicy", envs, n_steps=16, batch_size=32, n_epochs=1, device="cpu")
+    assert len(model.learn(64).ep_info_buffer) == 4 * (16 // 6)
+    model = sb3.SAC("MlpPolicy", envs, learning_starts=8, batch_size=8, gamma=0.0, device="cpu")
+    assert model.learn(40).num_timesteps == 40
+
+
 # --- refusals
 
 
