@@ -1,4 +1,4 @@
-"""MO-Gymnasium: a front of position error against consistency, over constant weights of modes."""
+"""MO-Gymnasium: the Pareto front of position error and consistency, for constant mode weights."""
 
 import gymnasium as gym
 import numpy as np
@@ -13,7 +13,8 @@ class Terms(gym.Wrapper):
         super().__init__(env)
         env.unwrapped.reward_space = Box(-np.inf, 0.0, (2,))  # where MO-Gymnasium looks
 
-    def step(self, action):  # noqa: D102
+    def step(self, action):
+        """Step the environment; return both terms instead of the reward."""
         observation, _, *ends, info = self.env.step(action)
         return observation, info["reward_terms"][:2].astype(np.float32), *ends, info
 
@@ -23,7 +24,7 @@ env = MORecordEpisodeStatistics(Terms(gym.make("mmwave_env:MmWaveLoc-v0", **opti
 
 
 def terms(weights):
-    """Return both terms per epoch, the mean of ten tuning episodes."""
+    """Return both terms of the reward per epoch, averaged over ten tuning episodes."""
     total = np.zeros(2)
     for seed in range(5_000_000, 5_000_010):
         env.reset(seed=seed)

@@ -20,7 +20,7 @@ usual = {"gamma": 0.0, "seed": 10_000_000, "device": "cpu"}  # corrections have 
 if "sac" in sys.argv:
     model = SAC("MlpPolicy", envs, 1e-3, 500_000, 50_000, 1024, ent_coef=0.003, **usual)
 else:
-    small = {"log_std_init": -2.0}  # explores corrections that are small
+    small = {"log_std_init": -2.0}  # explore only small corrections
     model = PPO("MlpPolicy", envs, 1e-3, 16, 2048, 6, policy_kwargs=small, **usual)
 model.learn(total_timesteps=2_000_000)
 

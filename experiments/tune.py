@@ -1,5 +1,6 @@
-"""mmwave-loc tune: the process noise of modes, or a complete bank, tuned on tuning seeds."""
+"""mmwave-loc tune: modes, a complete bank, or protection levels, tuned on tuning seeds."""
 
+import math
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -13,9 +14,11 @@ class Args(JsonArgs):
 
     With --bank, tune the five modes of imm-best and the transition between them instead, by the
     reward of their IMM in all scenes at 1 Hz and 10 Hz (needs the extra "tune").
+    With --levels, train and calibrate the protection levels anew (needs the extra "train").
 
     mmwave-loc tune --radio handset --out modes.json
     mmwave-loc tune --bank --radio phone.json --episodes 900 --out bank.json
+    mmwave-loc tune --levels --out policies/data/levels.json
     """
 
     radio: str = "handset"
@@ -38,11 +41,15 @@ class Args(JsonArgs):
     """tune a bank instead of single modes"""
     evaluations: int = 1000
     """with --bank, maximum number of evaluations"""
+    levels: bool = False
+    """train the network of the protection levels on training seeds, and calibrate it on tuning
+    seeds, with the shipped policies; no option but --seed, --out and --json applies"""
     out: Path | None = None
-    """write the tuned modes to this mode file, to use as --modes or modes="""
+    """write the tuned modes to this mode file, to use as --modes or modes=; or the levels"""
 
 
 OF_MODES = ("modes", "scenarios", "free", "objective", "diagonal")  # meaningless with --bank
+OF_LEVELS = ("levels", "seed", "out", "json")  # all options that --levels has
 Content = dict[str, Any]  # content of a JSON file
 
 
@@ -59,8 +66,23 @@ def _tuned_bank(args: Args) -> tuple[Content, Content]:
     name = radio_from(args.radio).name
     bank = tuned_bank(args.radio, args.episodes, args.seed, args.evaluations)
     reward, gain = (Interval.of(bank["held_out"][column]) for column in ("reward", "minus imm"))
-    say(f"{name}: reward {reward}, minus that of imm {gain}, on as many other episodes")
+    say(f"{name}, on as many other episodes: reward {reward}, gain over imm {gain}")
     return bank, {}
+
+
+def _tuned_levels(args: Args) -> tuple[Content, Content]:
+    """Train and calibrate levels, and print the factors of the calibration; return both."""
+    from experiments.console.progress import say
+    from experiments.training.levels import tuned_levels
+
+    for option in fields(Args):
+        if option.name not in OF_LEVELS and getattr(args, option.name) != option.default:
+            raise ValueError(f"{option.name}: cannot be combined with --levels")
+    content = tuned_levels(args.seed)
+    for risk, both in zip(content["risks"], content["constants"], strict=True):
+        horizontal, vertical = map(math.exp, both)
+        say(f"risk {risk:g}: factor {horizontal:.3f} horizontally, {vertical:.3f} vertically")
+    return content, {}
 
 
 def _tuned_modes(args: Args) -> tuple[Content, Content]:
@@ -112,7 +134,8 @@ def main(args: Args) -> None:
         require_writable(args.out)
         if args.out.resolve() == Path(args.radio).resolve():
             raise ValueError(f"out: found {args.out}, which is the radio; expected another file")
-    content, figures = _tuned_bank(args) if args.bank else _tuned_modes(args)
+    tuned = _tuned_levels if args.levels else _tuned_bank if args.bank else _tuned_modes
+    content, figures = tuned(args)
     made = provenance("tune", args)
     if args.json:
         write_json(args.json, made | content | figures)

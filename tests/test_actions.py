@@ -28,7 +28,7 @@ PER_MODE = {"beliefs": "per-mode", "modes": ["ekf", "ukf"]}
 
 
 def alternating(table):
-    """Return a base: it trusts one of the modes, or none, depending on a feature."""
+    """Return a base policy that trusts one of the modes, or none, depending on a feature."""
     column = table.names.index("coming NIS anchor 1 ukf")
     return lambda shown: np.digitize(shown[:, column], [-0.5, 0.5])
 
@@ -67,7 +67,7 @@ def test_the_environment_passes_gymnasium_s_checker(name, more):
     env = gym.make(ID, episode_steps=5, disable_env_checker=True, **KINDS[name], **more)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        warnings.filterwarnings("ignore", ".*symmetric and normalized")  # RescaleAction does that
+        warnings.filterwarnings("ignore", ".*symmetric and normalized")  # RescaleAction normalizes
         check_env(env.unwrapped, skip_render_check=True)
 
 
@@ -202,7 +202,7 @@ def test_stable_baselines3_trains_on_numbers(kind):
 
 
 def bad(limits):
-    """Yield actions that are not within limits (k,), as arrays of numbers should be."""
+    """Yield actions that are not arrays of k numbers within the limits (k,)."""
     for value in (math.nan, math.inf, limits[-1] * 1.001):
         yield np.append(np.zeros(len(limits) - 1), value)
     yield from (np.zeros(len(limits) + 1), np.zeros((1, len(limits))), 0, None, "none")

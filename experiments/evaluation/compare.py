@@ -119,7 +119,7 @@ def compare(
 
 
 def evaluate(policy: Agent, **where: Any) -> Comparison:
-    """Evaluate an agent, in any form that the ``policies`` of :func:`compare` may have.
+    """Evaluate an agent, given in any form that :func:`compare` accepts in ``policies``.
 
     Return its metrics with 95 % intervals; ``where`` are further arguments of :func:`compare`.
     """

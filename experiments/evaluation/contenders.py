@@ -128,6 +128,11 @@ class Contender:
         return Bank(self.modes, self.transition, self.nis_quantile)
 
     @property
+    def mixes(self) -> bool:
+        """Return whether the modes keep their own beliefs, which are mixed."""
+        return self.policy is None or self.beliefs == "per-mode"
+
+    @property
     def actions(self) -> list[str]:
         """Return the names of the actions that the policy chooses from."""
         return action_names(self.modes, self.beliefs)

@@ -9,12 +9,12 @@ import numpy as np
 from experiments.console.tables import grid
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.runner import EpochResults
+from mmwave_env.localization.levels import PARTS, Levels
 from mmwave_env.localization.position_errors import DISTANCES_M, SHARES, PositionErrors
-from mmwave_env.metrics import RISK, scored
+from mmwave_env.metrics import scored
 from mmwave_env.numerics.numbers import Array
 
 KINDS = ("horizontal", "vertical")
-PARTS = ("P",)  # parts of the state that :meth:`Positions.add` needs for every epoch
 HEADER = (
     *(f"{100.0 * share:.0f} % m" for share in SHARES),
     *(f"within {limit:g} m" for limit in DISTANCES_M),
@@ -28,28 +28,36 @@ class Positions:
     """Position errors of all scored epochs, with protection levels."""
 
     names: Mapping[str, str]  # names in figures, by contender; other contenders are skipped
-    risk: float = RISK  # probability that an error exceeds its level, if covariances are right
+    levels: Levels = field(default_factory=Levels)
+    anchors: int = 3  # number of anchors in the episodes
     planar: bool = False  # whether the height is known
     errors: dict[str, PositionErrors] = field(default_factory=dict)  # by the name in figures
 
     def add(self, contender: Contender, time_s: Array, results: EpochResults) -> None:
-        """Add a contender's epoch results on some episodes; they must include :data:`PARTS`."""
+        """Add a contender's epoch results on some episodes.
+
+        They must include :data:`~mmwave_env.localization.levels.PARTS`.
+        """
         if contender.name in self.names:
             name, counts = self.names[contender.name], scored(len(time_s))
-            errors = self.errors.setdefault(name, PositionErrors(self.risk, self.planar))
-            errors.add(results["error"][:, counts], results["P"][:, counts])
+            errors = self.errors.setdefault(name, PositionErrors(self.levels.risk, self.planar))
+            parts = [*(results[part] for part in PARTS), results.get("trusted")]
+            self.levels.reset()
+            factors = self.levels.factors(self.anchors, contender.mixes, time_s, *parts)
+            errors.add(*(v[:, counts] for v in (results["error"], results["P"], factors)))
 
     def figures(self) -> dict[str, Any]:
         """Return errors and levels in the form that results files store."""
         policies = {name: errors.figures() for name, errors in self.errors.items()}
-        return {"risk": self.risk, "policies": policies}
+        return {"risk": self.levels.risk, "levels": self.levels.kind, "policies": policies}
 
 
-def positions_markdown(title: str, rows: Mapping[str, Any], risk: float) -> str:
+def positions_markdown(title: str, rows: Mapping[str, Any], risk: float, kind: str) -> str:
     """Return a table of errors and protection levels, with a note on the columns.
 
-    ``rows`` are figures of :class:`~mmwave_env.localization.position_errors.PositionErrors` by the
-    name below ``title``; ``risk`` is the probability that an error exceeds its protection level.
+    ``rows`` are figures of :class:`~mmwave_env.localization.position_errors.PositionErrors`, by the
+    names in the column ``title``; ``risk`` is the probability that an error exceeds its level, and
+    ``kind`` the kind of the levels.
     """
     cells = [
         [f"{name}, {kind}", *row_of(errors)]
@@ -59,8 +67,8 @@ def positions_markdown(title: str, rows: Mapping[str, Any], risk: float) -> str:
     return (
         f"{grid([title, *HEADER], cells)}\n\n50 % m is the error that 50 % of the epochs stay "
         "below, and so on; within 1 m is the share of the epochs with at most this error. Level is "
-        f"the median protection level; at a risk of {risk:g}, errors should exceed their levels in "
-        f"{percent(risk)} of the epochs.\n"
+        f"the median {kind} protection level; at a risk of {risk:g}, errors should exceed their "
+        f"levels in {percent(risk)} of the epochs.\n"
     )
 
 

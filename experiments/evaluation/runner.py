@@ -66,7 +66,7 @@ def score(
     scoring: Scoring = PLAIN,
 ) -> Scores:
     """Return metrics per episode of a contender and its policy, on equally long episodes."""
-    results = _run(contender, policy, _packed(episodes, scoring), scoring)
+    results = run_batch(contender, policy, _packed(episodes, scoring), scoring)
     return _summary(results, episodes[0].time_s, scoring)
 
 
@@ -94,7 +94,7 @@ def run_contender(
         ground truth, the first three are NaN.
     """
     packed = EpisodeBatch.of(episodes) if not scoring.planar else _packed(episodes, scoring)
-    return _run(contender, policy, packed, scoring, shown, after)
+    return run_batch(contender, policy, packed, scoring, shown, after)
 
 
 def _packed(episodes: Sequence[Episode], scoring: Scoring) -> EpisodeBatch:
@@ -105,11 +105,11 @@ def _packed(episodes: Sequence[Episode], scoring: Scoring) -> EpisodeBatch:
     return packed.on_flat_ground() if scoring.planar else packed
 
 
-def _run(
+def run_batch(
     contender: Contender,
     policy: Policy | None,
     episodes: EpisodeBatch,
-    scoring: Scoring,
+    scoring: Scoring = PLAIN,
     shown: Sequence[str] = (),
     after: Sequence[str] = (),
 ) -> EpochResults:
@@ -258,7 +258,7 @@ def score_contenders(
             if not first:
                 _warn_of_short(time_s)
             for contender, policy in zip(chosen, policies, strict=True):
-                results = _run(contender, policy, batch, scoring, after=after)
+                results = run_batch(contender, policy, batch, scoring, after=after)
                 _warn_of_nonfinite(contender, results)
                 parts[contender.name].append(_summary(results, time_s, scoring))
                 for callback in watch:

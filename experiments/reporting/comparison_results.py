@@ -17,7 +17,7 @@ from experiments.evaluation.asked import (
 )
 from experiments.evaluation.comparison import Comparison, compare_scores, episodes_csv
 from experiments.evaluation.histories import EpochErrors
-from experiments.evaluation.positions import PARTS, Positions, positions_markdown
+from experiments.evaluation.positions import Positions, positions_markdown
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.runs import trainings
 from experiments.evaluation.training_seeds import over_training_seeds, seeds_markdown
@@ -25,7 +25,7 @@ from experiments.figures.canvas import require_picture
 from experiments.figures.curves import draw_consistency, draw_error_cdf
 from mmwave_env.interface.reward import reward_name
 from mmwave_env.io.files import write_json, write_text
-from mmwave_env.localization.position_errors import require_risk
+from mmwave_env.localization.levels import PARTS, Levels
 
 WIDTH_MM = (80.0, 500.0)  # widths of pictures in which everything can be read
 
@@ -65,7 +65,7 @@ def results(
         ValueError: an option is not valid, or both pictures have the same file.
         OSError: a picture can't be written.
     """
-    require_risk(args.risk)
+    levels = Levels(args.risk, args.levels)
     if width_mm is not None and not WIDTH_MM[0] <= width_mm <= WIDTH_MM[1]:
         raise ValueError(
             f"width_mm: found {width_mm:g}, expected {WIDTH_MM[0]:g} to {WIDTH_MM[1]:g}"
@@ -78,7 +78,8 @@ def results(
     scoring, selection = Scoring.of(task), selection_of(args)
     files = {name: runs[name].policy if name in runs else name for name in names}
     shown = {file: name for name, file in files.items()}
-    epochs, positions = EpochErrors(shown), Positions(shown, args.risk, args.planar)
+    epochs = EpochErrors(shown)
+    positions = Positions(shown, levels, task.source.layout.anchors, args.planar)
     scores_of = score_contenders(
         [contender_of(args, file) for file in trainings(names, runs)],
         task.source,
@@ -108,7 +109,8 @@ def results(
         content["training_seeds"] = {spread.run.name: spread.json for spread in seeds}
     if args.percentiles:
         figures = content["position_errors"] = positions.figures()
-        text += f"\n{positions_markdown('policy', figures['policies'], args.risk)}"
+        rows = figures["policies"]
+        text += f"\n{positions_markdown('policy', rows, args.risk, args.levels)}"
     drawings: dict[str, Callable[[], None]] = {
         "errors": lambda: draw_error_cdf(epochs.errors_m, pictures["errors"], width_mm),
         "consistency": lambda: draw_consistency(

@@ -12,6 +12,7 @@ from experiments.console.progress import note
 from experiments.reporting.log_choice import choice_of, require_one_choice
 from mmwave_env.io.files import parse_json
 from mmwave_env.io.lookup import printable, quoted
+from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.radio_choice import nearest_radio
 from mmwave_env.localization.tracker import Position, Tracker
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog
@@ -39,7 +40,7 @@ def run_live(args: LogArgs) -> None:
     if args.lag < 0:
         raise ValueError(f"lag: found {args.lag}, expected 0 or more epochs")
     require_one_choice(args)
-    clock = clock_from(args.clock)
+    clock, levels = clock_from(args.clock), Levels(args.risk, args.levels)
     scene = scene_from(args.scene)
     tracker: Tracker | None = None
     for epoch in _epochs(sys.stdin.buffer, scene, args.snr, clock):
@@ -48,8 +49,9 @@ def run_live(args: LogArgs) -> None:
             radio = nearest_radio(block, scene) if args.radio == AUTO else args.radio
             choice = choice_of(args, radio, block)
             tracker = Tracker(
-                scene, choice.switching, radio, height_m=args.height, lag=max(args.lag, 1)
-            )
+                scene, choice.switching, radio, height_m=args.height, lag=max(args.lag, 1),
+                levels=levels,
+            )  # fmt: skip
             note(f"a new track begins: modes {choice.why}, radio {radio}")
         position = tracker.step(epoch)
         if position:
@@ -66,7 +68,7 @@ def _content(position: Position) -> dict[str, Any]:
 def _epochs(
     stream: BinaryIO, scene: Scene, snr_db: float | None, clock: bool
 ) -> Iterator[LiveEpoch]:
-    """Read rows, CSV below a header or JSON objects; yield the epochs that they form.
+    """Read rows (CSV below a header, or JSON objects); yield the epochs that they form.
 
     An object is a row, or all rows of an epoch: {"rows": [...]}. The first object has all columns.
     """

@@ -31,8 +31,8 @@ from mmwave_env.io.files import require_writable, write_json
 from mmwave_env.io.lookup import as_name
 from mmwave_env.localization.association import Association, associate
 from mmwave_env.localization.contradictions import contradictions
+from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.localizer import TrackBlock, localize
-from mmwave_env.localization.position_errors import require_risk
 from mmwave_env.localization.radio_choice import nearest_radio
 from mmwave_env.localization.track_files import require_own_files, table_beside, track_files
 from mmwave_env.localization.track_scores import Course, Groups, TruthScores
@@ -76,9 +76,9 @@ def inputs(args: LogArgs) -> Inputs:
 def _check(args: LogArgs, files: Inputs) -> None:
     """Refuse options that contradict each other, and outputs that would replace other files."""
     if args.diagnose and (args.out or args.plot):
-        raise ValueError("diagnose: cannot be combined with --out or --plot, as it has no track")
+        raise ValueError("diagnose: cannot be combined with --out or --plot, which need a track")
     if args.diagnose and args.associate:
-        beside = "--associate, as it needs anchor numbers"
+        beside = "--associate, because a diagnosis needs anchor numbers"
         raise ValueError(f"diagnose: cannot be combined with {beside}")
     for name in ("diagnose", "associate"):
         if getattr(args, name) and args.clock != "synchronized":
@@ -91,7 +91,7 @@ def _check(args: LogArgs, files: Inputs) -> None:
         )
     if args.height is not None and not np.isfinite(args.height):
         raise ValueError(f"height: found {args.height}, expected a number of meters")
-    require_risk(args.risk)
+    Levels(args.risk, args.levels)  # refuses a risk that the levels don't cover
     if args.plot is not None:
         require_picture("plot", args.plot)
     owners: dict[Path, str] = {}
@@ -155,7 +155,8 @@ def _work(args: LogArgs, files: Inputs, scene: Scene, epochs_per_block: int) -> 
 
 def _track(args: LogArgs, work: Work, window: int | None) -> Iterator[TrackBlock]:
     switching = work.choice.switching
-    return localize(work.blocks, work.scene, work.radio, switching, window, args.height)
+    levels = Levels(args.risk, args.levels)
+    return localize(work.blocks, work.scene, work.radio, switching, window, args.height, levels)
 
 
 def beginning(args: LogArgs, epochs: int) -> tuple[TrackBlock, Work]:
@@ -182,7 +183,7 @@ def _run(args: LogArgs, work: Work) -> tuple[dict[str, Any], TrackSampler, Value
     error: ValueError | None = None
     with ExitStack() as stack:
         title = as_name(Path(inputs(args).log.name.removesuffix(".gz")).stem)
-        more = (names, work.scene, title, work.choice.switching.corrects)
+        more = (names, work.scene, title, work.choice.switching.corrects, args.risk)
         writers = [stack.enter_context(track_files(out, *more)) for out in args.out]
         report = stack.enter_context(progress("localizing"))
         try:
@@ -204,7 +205,10 @@ def _run(args: LogArgs, work: Work) -> tuple[dict[str, Any], TrackSampler, Value
         truth.warn_if_few(scores.scored, course.epochs, course.first_s, course.last_s)
         first_epochs = first[0].joined(first)
         clock = clock_offset(first_epochs, work.scene, lambda time_s: Truth(truth.path).at(time_s))
-        figures["truth"] = scores.figures() | {"clock": clock and clock.figures()}
+        figures["truth"] = scores.figures() | {
+            "levels": args.levels,
+            "clock": clock and clock.figures(),
+        }
         if clock and clock.matters:
             warnings.warn(f"{truth.path}: {clock.advice}", stacklevel=2)
         scores.warn_if_far("filtered")

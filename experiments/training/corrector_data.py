@@ -1,8 +1,9 @@
 """Episodes for a corrector to learn from: features, errors and beliefs of its base.
 
 Half of the episodes are at the places of the training. In the others, streets, carrier, radio, rate
-of epochs and clock are random, and so are the measured quantities and anchors and the factor by
-which the receiver misjudges its noise. Without random episodes, a network memorizes its places.
+of epochs and clock are random, and so are the measured quantities, the measured anchors, and the
+factor by which the receiver misjudges its noise. Without random episodes, a network memorizes its
+places.
 """
 
 from collections.abc import Iterator
@@ -48,17 +49,17 @@ SUBSETS = (  # measured quantities of receivers that lack some
 # noise, measures only some anchors, or does not know its orientation exactly.
 LACKING, DRIFTING, MISJUDGING, FEWER, TURNED = 0.3, 0.15, 0.3, 0.15, 0.15
 ORIENTATION_RAD = 0.1  # standard deviation of an orientation that is not known exactly
-# Share of the episodes at random whose users weave and vary their speed, as real users do. All
-# other users keep to the middle of the street, and the network would learn to rely on that.
+# Share of the random episodes whose users weave and vary their speed, as real users do. All other
+# users keep to the middle of the street; from them alone, the network would learn to rely on that.
 WEAVING = 0.5
 WAYS = 64  # number of weaving users from which the episodes of a lot are drawn
 WEAVE_S = (8.0, 40.0)  # periods of weaving at an episode's highest speed
-WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # largest change of the velocity, in speeds, and of the position
+WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # largest change of velocity, divided by speed, and of position
 WEAVING_BEHIND_M = (20.0, 60.0)  # walls behind the last street, with room to turn and weave
 
 
 class Lot(NamedTuple):
-    """Episodes of equal length, epochs first.
+    """Episodes of equal length, in arrays whose first axis is the epochs.
 
     Attributes:
         features: (T, n, features) what a corrector reads after every epoch.
@@ -95,14 +96,19 @@ class CorrectorData:
         return self._switch.bank(radio) if self._switch else self._task.banks[radio]
 
     def lots(self) -> Iterator[Lot]:
-        """Play and yield one lot at every place, and lots at random until their share is right."""
+        """Play and yield one lot at every place, then enough random lots to reach their share."""
+        for radio, batch in self.batches():
+            yield self._play(batch, self.bank(radio))
+
+    def batches(self) -> Iterator[tuple[str, EpisodeBatch]]:
+        """Draw the episodes of these lots; yield each with the radio whose bank it needs."""
         places, share = self._task.places, self._hyper.random_share
         for place in places:
             rng = self._rng()
             source = place.source(self._task.scenario)
             if place.dt == 1.0:
                 source = self._at_some_rate(source, rng)
-            yield self._play(source, self.bank(place.profile))
+            yield place.profile, self._draw(source)
         for _ in range(round(len(places) * share / (1.0 - share))):
             yield self._at_random(self._rng())
 
@@ -111,14 +117,14 @@ class CorrectorData:
         return np.random.default_rng((self._seed, self.played))
 
     def _at_some_rate(self, source: SimulatedSource, rng: np.random.Generator) -> SimulatedSource:
-        """Return the source with a random step; half of the lots with short steps are long."""
+        """Return a source with a random step; if it is short, half the lots have long episodes."""
         dt, long = float(rng.choice(STEPS_S)), rng.random() < 0.5
         return replace(
             source, dt=dt, epochs=self._hyper.long_epochs if dt <= 0.2 and long else EPOCHS
         )
 
-    def _at_random(self, rng: np.random.Generator) -> Lot:
-        """Play episodes in random streets with a random receiver."""
+    def _at_random(self, rng: np.random.Generator) -> tuple[str, EpisodeBatch]:
+        """Draw episodes in random streets with a random receiver."""
         profile = self._radios[str(rng.choice(list(self._radios)))]
         scene = replace(
             WIDE_SCENE,
@@ -135,18 +141,20 @@ class CorrectorData:
         source = self._at_some_rate(source, rng)
         if rng.random() < WEAVING:
             source = weaving(replace(source, scene=replace(scene, behind_m=WEAVING_BEHIND_M)), rng)
-        return self._play(source, self.bank(profile.name), rng)
+        batch = self._draw(source)
+        _spoil(batch, rng)
+        return profile.name, batch
 
-    def _play(
-        self, source: SimulatedSource, bank: Bank, rng: np.random.Generator | None = None
-    ) -> Lot:
-        """Play the base on new episodes; ``rng`` draws flaws of the receiver, None draws none."""
+    def _draw(self, source: SimulatedSource) -> EpisodeBatch:
+        """Draw new episodes, fewer if they are long."""
         n = max(1, self._hyper.num_envs * EPOCHS // max(source.epochs, EPOCHS))
         keys = keys_at(self._stream, np.arange(self.played, self.played + n, dtype=np.uint64))
         self.played += n
-        batch = source.sample_batch(keys)
-        if rng is not None:
-            _spoil(batch, rng)
+        return source.sample_batch(keys)
+
+    def _play(self, batch: EpisodeBatch, bank: Bank) -> Lot:
+        """Play the base on episodes."""
+        n, epochs, _ = batch.table.shape
         pipeline = Pipeline(bank.modes, batch.layout)
         engine = Engine(pipeline, n, TrackingReward(), "signed", bank)
         engine.reset(batch)
@@ -154,10 +162,10 @@ class CorrectorData:
         wanted = [feature.name for feature in after_update(pipeline, per_mode=True)]
         columns = [engine.observation.names.index(name) for name in wanted]
         rows = rows_of([engine.at.x, engine.at.P, engine.at.error])
-        outputs = np.empty((source.epochs, n, len(rows)))
-        features = np.empty((source.epochs, n, len(columns)), np.float32)
+        outputs = np.empty((epochs, n, len(rows)))
+        features = np.empty((epochs, n, len(columns)), np.float32)
         observations = engine.observations()
-        for t in range(source.epochs):
+        for t in range(epochs):
             actions = act(observations) if act else np.zeros(n, np.int64)
             observations, outputs[t] = engine.step(actions, rows)
             features[t] = observations[:, columns]
@@ -166,7 +174,7 @@ class CorrectorData:
 
 
 def weaving(source: SimulatedSource, rng: np.random.Generator) -> SimulatedSource:
-    """Return a source whose users weave, in one of the streets of a source of random streets.
+    """Return a source whose users weave, in one scene drawn from a source with random scenes.
 
     Their positions are those of simulated users plus, along each street axis, a sine of the
     distance traveled, so that they stand still where the simulated users do.
@@ -201,7 +209,7 @@ def _lot(features: NDArray[np.float32], x: Array, P: Array, error: Array) -> Lot
 
 
 def _spoil(batch: EpisodeBatch, rng: np.random.Generator) -> None:
-    """Let a receiver misjudge noise or orientation, or miss some anchors, in place."""
+    """Make the receiver of a batch misjudge noise or orientation, or miss some anchors."""
     at, layout = columns_of(batch.layout), batch.layout
     sigma = batch.table[:, :, rows_of(at.signed_sigma)]
     if rng.random() < MISJUDGING:

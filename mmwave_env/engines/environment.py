@@ -40,8 +40,8 @@ REPLAYED, FILTERED = 64, 256  # episodes in one job of replaying and of filterin
 class Baseline:
     """The baseline of a paired reward: the rewards of an IMM on the episodes of a batch.
 
-    No action changes an episode, so these rewards are known once the episode is loaded. The
-    baseline of a correction is the belief that it corrects, whose reward its program computes.
+    No action changes an episode, so these rewards are known once the episode is loaded. If actions
+    are corrections, the baseline is the uncorrected belief; the program computes its reward.
 
     Args:
         task: the task, whose baseline is the IMM.
@@ -209,7 +209,7 @@ class Environment:
             rewards[places] -= self._baseline.rest(places)
 
     def _set_up_noting(self) -> None:
-        """Set up; remember the attributes that this creates, because a copy creates its own."""
+        """Call ``_set_up``; remember which attributes it creates, as they are not copied."""
         attributes = set(vars(self))
         self._set_up()
         self._remade = frozenset(vars(self)) - attributes

@@ -111,7 +111,7 @@ def shared_epoch(
 
 
 class Reported(NamedTuple):
-    """The epoch that was corrected; its fields are those of :class:`PerModeState` of that epoch."""
+    """The epoch that was corrected; fields mean the same as in :class:`PerModeState`."""
 
     x: list[Number]
     P: list[Number]

@@ -1,7 +1,7 @@
 """The step of many environments, from actions to infos, in one call of compiled code.
 
-With few environments, the Python code around that call takes a third of a step or more. So this
-code neither assembles nor splits arrays.
+With few environments, the Python code around that call takes a third of a step's time or more. So
+the Python code neither assembles nor splits arrays.
 """
 
 from typing import Any, NamedTuple
@@ -71,7 +71,7 @@ class StepResult(NamedTuple):
     # accepted, rejected: (n, groups); (n, 0) if steps return no infos
     accepted: Mask
     rejected: Mask
-    cost: Array  # (n,) 1.0 where an error exceeds its level; (0,) if there are no infos
+    cost: Array  # (n,) 1.0 where an error exceeds its protection level; (0,) without infos
 
 
 class StepColumns(NamedTuple):
@@ -136,7 +136,7 @@ class Stepper:
 
         Args:
             actions: (n,) numbers of the modes; infos keep this array.
-            numbers: (n, k) weights or corrections, and ``actions`` are zeros; None if they are not.
+            numbers: (n, k) weights or corrections, or None; if given, ``actions`` are zeros.
 
         Returns:
             New results; the number of environments without epochs left; and new infos about all
@@ -160,7 +160,7 @@ class Stepper:
         program = batch.program.on_lanes(), batch.program.blank
         arguments = (*program, batch.state, io, self._read, chosen, result, memory)
         jobs = [(begin, end, *arguments) for begin, end in batch.parts]
-        history.next()  # here, so that no interrupt can come between the step and this line
+        history.next()  # before the step, because an interrupt after it could skip this line
         ended = sum(self._run(len(batch.state.rows), jobs))
         if not self._told:
             return result, ended, {}

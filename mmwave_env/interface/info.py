@@ -33,7 +33,7 @@ INFOS = {
 
 
 def reported(at: Any) -> Any:
-    """Return the part of an environment's workspace that describes the epoch of its infos."""
+    """Return the part of an environment's workspace about the epoch that its infos describe."""
     return getattr(at, "reported", ()) or at
 
 
@@ -141,8 +141,8 @@ def warn_of_nonfinite(stacklevel: int = 3) -> None:
     """Warn that an episode ended with beliefs that were not finite; Python shows this once."""
     warnings.warn(
         "an episode ended in which the belief was NaN or infinite, so its metrics are NaN; "
-        f"info[{NONFINITE_KEY!r}] is the number of epochs after which it was not "
-        "finite (docs/reliability.md)",
+        f"info[{NONFINITE_KEY!r}] is the number of epochs with such a belief "
+        "(docs/reliability.md)",
         RuntimeWarning,
         stacklevel,
     )

@@ -24,6 +24,7 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
 from mmwave_env.interface.observation import Observation
+from mmwave_env.localization.levels import GAUSSIAN, Levels
 from mmwave_env.localization.segments import first_fix, segments
 from mmwave_env.logs.log import LogBlock
 from mmwave_env.logs.log_tables import LogError, in_windows
@@ -63,6 +64,7 @@ class TrackBlock(LogBlock):
     # (T,) factor from 0 to 1 by which a corrector's correction was scaled before it was applied to
     # x and P; NaN without a corrector. The smoothed belief does not contain corrections
     trusted: Array
+    level_factors: Array  # (T, 2) factors on the Gaussian protection levels of both beliefs
 
 
 @dataclass(frozen=True)
@@ -131,7 +133,7 @@ class Switching:
 def learned(path: str | os.PathLike[str], radio: str) -> Switching:
     """Return the modes and the policy of a policy file, or of a shipped policy.
 
-    A switcher with several banks gets the one of ``radio``.
+    If a switcher has several banks, its bank for ``radio`` is used.
     """
     policy = learned_policy(path)
     modes = policy.bank(radio) if policy.beliefs == "per-mode" else policy.modes
@@ -145,6 +147,7 @@ def localize(
     switching: Switching,
     window: int | None = SMOOTHING_WINDOW,
     height_m: float | None = None,
+    levels: Levels | None = None,
 ) -> Iterator[TrackBlock]:
     """Yield the track of a log.
 
@@ -156,12 +159,14 @@ def localize(
         switching: the modes, and the rule or policy that chooses between them.
         window: number of epochs that are smoothed together; None for no smoothing.
         height_m: height of flat terrain, if it is known (paper, Sec. II-A).
+        levels: protection levels; None for Gaussian ones.
 
     Raises:
         LogError: from ``blocks``; or a belief became NaN or infinite.
         ValueError: no epoch determines a position with which a track could begin.
     """
-    track = _filtered(segments(blocks, scene, radio), scene, radio, switching, height_m)
+    levels = levels or Levels(kind=GAUSSIAN)
+    track = _filtered(segments(blocks, scene, radio), scene, radio, switching, height_m, levels)
     return track if window is None else _smoothed(track, window, scene, switching)
 
 
@@ -171,6 +176,7 @@ def _filtered(
     radio: Radio,
     switching: Switching,
     height_m: float | None,
+    levels: Levels,
 ) -> Iterator[TrackBlock]:
     """Yield the filtered track of the segments of a log."""
     tracker: EpisodeFilter[Any] | PolicyTracker | None = None
@@ -190,6 +196,13 @@ def _filtered(
         if correction[0] is not None:
             track |= dict(zip(("x", "P", "trusted"), correction, strict=True))
         track |= {"smooth_x": track["x"], "smooth_P": track["P"], "visible": episode.visible}
+        if block.begins:
+            levels.reset()
+        gates = track["nis"], track["accepted"], episode.visible & ~track["accepted"]
+        read = [values[None] for values in (track["x"], track["P"], *gates, track["trusted"])]
+        track["level_factors"] = levels.factors(
+            block.layout.anchors, switching.bank is not None, block.time_s, *read
+        )[0]
         sound = np.isfinite(track["x"]).all(axis=1) & np.isfinite(track["P"]).all(axis=1)
         end = len(block) if sound.all() else int(np.argmin(sound))
         if end:
@@ -205,14 +218,14 @@ def _filtered(
 def episode_from(block: LogBlock, scene: Scene, radio: Radio, begins: bool = True) -> Episode:
     """Return epochs of a log as an episode without true positions.
 
-    If a track ``begins`` here, its prior comes from the first epoch, and the links that gave it are
+    If a track ``begins`` here, its prior comes from links of the first epoch. These links are then
     not visible, so that they are not used twice. Otherwise the prior is meaningless.
     """
     n = block.layout.state_size
     prior, visible = (np.zeros(n), np.eye(n)), block.visible
     if begins:
         fix = first_fix(block, 0, scene, radio)
-        assert fix is not None  # segments begin with one
+        assert fix is not None  # every segment begins with a first fix
         prior, visible = fix.prior, visible.copy()
         visible[0] &= ~fix.used
     return Episode.measured(

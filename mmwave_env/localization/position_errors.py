@@ -7,9 +7,9 @@ files, 16 bytes per epoch and kind.
 
 A protection level is a bound that an error exceeds with a stated risk if the covariance is right.
 With position errors e ~ N(0, P), the level at risk r is the distance that |e| exceeds with
-probability r. A track has integrity if its errors do not exceed the levels more often than that (P.
-D. Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed.,
-2013, ch. 17).
+probability r. A track has integrity if its errors do not exceed the levels more often than that
+(Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed., 2013,
+ch. 17).
 
 Vertically |e| has a normal distribution folded at zero: level = sigma_z Phi^-1(1 - r/2).
 Horizontally, let a >= b be the standard deviations along the axes of the ellipse of the 2 x 2
@@ -62,9 +62,14 @@ def vertical_level(P: Array, risk: float) -> Array:
     return -ndtri(0.5 * risk) * np.sqrt(np.maximum(P[..., 5], 0.0))  # type: ignore[no-any-return]
 
 
+def gaussian_levels(P: Array, risk: float) -> Array:
+    """Compute horizontal and vertical levels (..., 2), m, from packed covariances P (..., 6+)."""
+    return np.stack([horizontal_level(P, risk), vertical_level(P, risk)], axis=-1)
+
+
 @lru_cache(maxsize=16)
 def _multiples(risk: float) -> Array:
-    """Compute the level divided by a, (ratios,), for every ratio b / a, by bisection."""
+    """Compute the quotient level / a (ratios,) for every ratio b / a, by bisection."""
     spread = np.cos(_ANGLES) ** 2 + np.outer(_RATIOS**2, np.sin(_ANGLES) ** 2)
     low, high = np.zeros(len(_RATIOS)), np.full(len(_RATIOS), np.sqrt(-2.0 * np.log(risk)))
     for _ in range(_HALVINGS):
@@ -169,11 +174,15 @@ class PositionErrors:
         if not planar:
             self.kinds["vertical"] = BoundedErrors()
 
-    def add(self, error: Array, P: Array) -> None:
-        """Add errors (..., 3), m, and packed covariances (..., 6 or more), position first."""
-        self.kinds["horizontal"].add(horizontal(error), horizontal_level(P, self.risk))
+    def add(self, error: Array, P: Array, factors: Array | float = 1.0) -> None:
+        """Add errors (..., 3), m, and packed covariances (..., 6 or more), position first.
+
+        ``factors`` (..., 2) are those of :class:`~mmwave_env.localization.levels.Levels`.
+        """
+        level = gaussian_levels(P, self.risk) * factors
+        self.kinds["horizontal"].add(horizontal(error), level[..., 0])
         if "vertical" in self.kinds:
-            self.kinds["vertical"].add(vertical(error), vertical_level(P, self.risk))
+            self.kinds["vertical"].add(vertical(error), level[..., 1])
 
     def figures(self) -> dict[str, dict[str, Any]]:
         """Return the statistics of the errors by kind."""

@@ -12,7 +12,9 @@ from mmwave_env.io.files import atomic_path, naming
 from mmwave_env.io.lookup import as_cell
 from mmwave_env.localization.localizer import TrackBlock
 from mmwave_env.localization.map_files import MAP_FILES, map_file
+from mmwave_env.localization.position_errors import gaussian_levels
 from mmwave_env.logs.tum import COLUMNS, tum_lines
+from mmwave_env.metrics import RISK
 from mmwave_env.models.scene import Scene
 
 TRACK_ENDINGS = (".tum", ".txt")
@@ -24,6 +26,7 @@ _TABLE_HEADER = (
     "time_s,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m,vx_mps,vy_mps,vz_mps,"
     "sigma_vx_mps,sigma_vy_mps,sigma_vz_mps,mode"
 )
+_LEVELS_HEADER = ",horizontal_level_m,vertical_level_m"
 
 
 def table_beside(track: Path) -> Path | None:
@@ -74,7 +77,12 @@ Write = Callable[[TrackBlock], None]
 
 @contextmanager
 def track_files(
-    track: Path, modes: Sequence[str], scene: Scene, name: str = "", corrected: bool = False
+    track: Path,
+    modes: Sequence[str],
+    scene: Scene,
+    name: str = "",
+    corrected: bool = False,
+    risk: float = RISK,
 ) -> Iterator[Write]:
     """Yield a function that writes the next block of a track; at the end, put the files in place.
 
@@ -85,6 +93,7 @@ def track_files(
         scene: the scene; files for maps need its origin.
         name: name of the track in files for maps.
         corrected: whether a corrector runs; tables then say how far it is trusted.
+        risk: risk of the protection levels in tables.
 
     Raises:
         ValueError: the file is for a map, but the scene has no origin.
@@ -93,10 +102,13 @@ def track_files(
         with map_file(track, scene, name) as write:
             yield write
     elif (table := table_beside(track)) is None:
-        with _table_file(track, modes, corrected) as write:
+        with _table_file(track, modes, corrected, risk) as write:
             yield write
     else:
-        with _table_file(table, modes, corrected) as write_row, _tum_file(track) as write_pose:
+        with (
+            _table_file(table, modes, corrected, risk) as write_row,
+            _tum_file(track) as write_pose,
+        ):
 
             def write_both(block: TrackBlock) -> None:
                 write_pose(block)
@@ -120,11 +132,13 @@ def _tum_file(track: Path) -> Iterator[Write]:
 
 
 @contextmanager
-def _table_file(path: Path, modes: Sequence[str], corrected: bool) -> Iterator[Write]:
+def _table_file(path: Path, modes: Sequence[str], corrected: bool, risk: float) -> Iterator[Write]:
     names = [_as_cell(name) for name in modes]
-    row = ("%r" + ",%.6f" * 3 + ",%.6g" * 3 + ",%.6f" * 3 + ",%.6g" * 3 + ",%s%s\n").__mod__
+    row = (
+        "%r" + ",%.6f" * 3 + ",%.6g" * 3 + ",%.6f" * 3 + ",%.6g" * 3 + ",%s,%.6g,%.6g%s\n"
+    ).__mod__
     with atomic_path(path) as beside, beside.open("w", encoding="utf-8", newline="\n") as table:
-        table.write(_TABLE_HEADER + ",trusted" * corrected + "\n")
+        table.write(_TABLE_HEADER + _LEVELS_HEADER + ",trusted" * corrected + "\n")
 
         def write(block: TrackBlock) -> None:
             x = block.smooth_x
@@ -133,9 +147,10 @@ def _table_file(path: Path, modes: Sequence[str], corrected: bool) -> Iterator[W
             numbers = np.column_stack(
                 [block.time_s, x[:, :3], sigma[:, :3], x[:, 3:6], sigma[:, 3:]]
             ).tolist()
+            levels = gaussian_levels(block.smooth_P, risk) * block.level_factors
             trusted = [f",{value:.4f}" * corrected for value in block.trusted.tolist()]
-            cells = zip(numbers, block.mode.tolist(), trusted, strict=True)
-            rows = [row((*n, names[m], last)) for n, m, last in cells]
+            cells = zip(numbers, block.mode.tolist(), levels.tolist(), trusted, strict=True)
+            rows = [row((*n, names[m], *bounds, last)) for n, m, bounds, last in cells]
             with naming(path):
                 table.writelines(rows)
 

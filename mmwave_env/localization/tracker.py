@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.localizer import (
     CORRECTED,
     Switching,
@@ -17,6 +18,7 @@ from mmwave_env.localization.localizer import (
     smoothed,
 )
 from mmwave_env.localization.map_files import geodetic
+from mmwave_env.localization.position_errors import gaussian_levels
 from mmwave_env.localization.segments import can_begin
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog
 from mmwave_env.logs.log import LogBlock
@@ -44,7 +46,8 @@ class Position(NamedTuple):
         geodetic: latitude and longitude (degrees) and height (m); None in a scene without origin.
         clock_m, clock_sigma_m: range bias of the user's clock and its standard deviation; None
             if clocks are synchronized.
-        trusted: share of a corrector's correction that was applied, 0 to 1; None without one.
+        trusted: share of the correction that was applied, 0 to 1; None without a corrector.
+        levels_m: horizontal and vertical protection level; None if none were asked for.
     """
 
     time_s: float
@@ -59,6 +62,7 @@ class Position(NamedTuple):
     clock_m: float | None = None
     clock_sigma_m: float | None = None
     trusted: float | None = None
+    levels_m: list[float] | None = None
 
 
 class Tracker:
@@ -80,6 +84,7 @@ class Tracker:
         height_m: height of flat terrain, if it is known.
         lag: number of epochs by which :meth:`smoothed` lags behind.
         clock: "synchronized", or "offset" if the offset of the user's clock is unknown.
+        levels: protection levels to compute; None for none.
     """
 
     def __init__(
@@ -91,7 +96,9 @@ class Tracker:
         height_m: float | None = None,
         lag: int = 10,
         clock: str = "synchronized",
+        levels: Levels | None = None,
     ) -> None:
+        self._levels = levels
         self._clock = clock_from(clock)
         self._scene, self._radio = scene_from(scene), radio_from(radio)
         self._switching = (
@@ -101,8 +108,10 @@ class Tracker:
         self._log: LiveLog | None = None
         self._filter: Any = None
         self._last_s: float | None = None  # time of the last measurement; None before a track
-        # time, Doppler spread, mode and input of the smoother, for each of the last epochs
-        self._late: deque[tuple[float, float, str, dict[str, Array]]] = deque(maxlen=lag + 1)
+        # time, Doppler spread, mode, factors on levels and input of the smoother, for each of the
+        # last epochs
+        self._late: deque[tuple[float, float, str, Array | None, dict[str, Array]]]
+        self._late = deque(maxlen=lag + 1)
 
     def update(self, rows: Iterable[Mapping[str, Any]]) -> Position | None:
         """Process the rows of an epoch; return the belief after it.
@@ -150,15 +159,24 @@ class Tracker:
         x, P, trusted = (parts.pop(name, None) for name in CORRECTED)
         if trusted is None:
             x, P = parts["x"], parts["P"]
+        accepted, nis = parts["memory.accepted"], parts["memory.nis"]
+        factors = None
         if begins:
             self._late.clear()
+        if self._levels:
+            if begins:
+                self._levels.reset()
+            known = np.array([np.nan]) if trusted is None else trusted
+            read = [part[None] for part in (x, P, nis, accepted, visible - accepted, known)]
+            at = self._layout.anchors, self._switching.bank is not None, np.array([time_s])
+            factors = self._levels.factors(*at, *read)[0, 0]
         mode = self._names[int(parts["memory.mode"][0])]
-        self._late.append((time_s, spread_hz, mode, parts))
-        accepted, nis = parts["memory.accepted"][0].tolist(), parts["memory.nis"][0].tolist()
+        self._late.append((time_s, spread_hz, mode, factors, parts))
+        passed, numbers = accepted[0].tolist(), nis[0].tolist()
         groups = [g for g, is_seen in enumerate(visible) if is_seen]
         return self._position(
-            time_s, x[0], P[0], mode, {self._groups[g]: nis[g] for g in groups},
-            [self._groups[g] for g in groups if accepted[g] < 0.5], begins,
+            time_s, x[0], P[0], mode, {self._groups[g]: numbers[g] for g in groups},
+            [self._groups[g] for g in groups if passed[g] < 0.5], begins, factors,
         )._replace(trusted=None if trusted is None else float(trusted[0]))  # fmt: skip
 
     def _prepare(self, layout: Layout) -> None:
@@ -217,25 +235,29 @@ class Tracker:
         """
         if len(self._late) < (self._late.maxlen or 0):
             return None
-        times, spreads, modes, parts = zip(*self._late, strict=True)
+        times, spreads, modes, factors, parts = zip(*self._late, strict=True)
         x, P = smoothed(
             self._switching, self._layout, self._height_m is not None, self._scene,
             np.concatenate(list(map(filtered_of, parts)))[None], np.array([times]),
             np.array([spreads]),
         )  # fmt: skip
-        return self._position(times[0], x[0, 0], P[0, 0], modes[0], {}, [], False)
+        return self._position(times[0], x[0, 0], P[0, 0], modes[0], {}, [], False, factors[0])
 
     def _position(
         self, time_s: float, x: Array, P: Array, mode: str, nis: dict[str, float],
-        rejected: list[str], begins: bool,
+        rejected: list[str], begins: bool, factors: Array | None,
     ) -> Position:  # fmt: skip
         xx, yx, yy, zx, zy, zz = P[:6].tolist()
         covariance = [[xx, yx, zx], [yx, yy, zy], [zx, zy, zz]]
         origin, place = self._scene.origin, None
         if origin is not None:
             place = geodetic(origin, x[None, :3])[0].tolist()
-        clock = [float(x[7]), float(np.sqrt(P[35]))] if len(x) > 7 else []
-        return Position(
+        clock: list[Any] = [float(x[7]), float(np.sqrt(P[35]))] if len(x) > 7 else []
+        position = Position(
             time_s, x[:3].tolist(), covariance, x[3:6].tolist(), mode, nis, rejected, begins,
             place, *clock,
         )  # fmt: skip
+        if self._levels is None or factors is None:
+            return position
+        levels = gaussian_levels(P, self._levels.risk) * factors
+        return position._replace(levels_m=levels.tolist())

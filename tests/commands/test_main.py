@@ -141,6 +141,7 @@ MISTAKES = {
     "an option without its value": (("evaluate", "--json"), "--json"),
     "a required option missing": (("simulate",), "--out PATH"),
     "a required argument missing": (("report",), "results"),
+    "a risk without levels": (("compare", "--risk", "0.05"), "risk: found 0.05, expected 0.01 or"),
     "a risk of zero": (("evaluate", "--risk", "0"), "risk: found"),
     "recorded steps": (("evaluate", *RECORDED, "--dt", "0.5"), "dt: found"),
     "mistyped name": (("evaluate", "--radio", "hand-set"), "'hand-set', did you mean handset[?]"),
@@ -175,7 +176,7 @@ def test_an_interrupt_while_the_program_starts_ends_with_one_line(module):
     code = (
         "import os, signal, sys\n"
         "from experiments.console.main import main\n"
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell may ignore it
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # background jobs ignore it
         "class Interrupt:\n"
         "    def find_spec(self, name, path=None, target=None):\n"
         f"        if name == {module!r}: os.kill(os.getpid(), signal.SIGINT)\n"

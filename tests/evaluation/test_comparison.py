@@ -106,7 +106,7 @@ def test_distances_have_three_digits_and_a_share_is_followed_by_its_interval():
 
 
 def test_a_table_of_errors_has_a_row_for_each_kind_even_without_errors():
-    table = positions_markdown("policy", {"a|b": PositionErrors().figures()}, 1e-3)
+    table = positions_markdown("policy", {"a|b": PositionErrors().figures()}, 1e-3, "gaussian")
     header, _, *rows = table.splitlines()[:4]
     assert header == f"| policy | {' | '.join(HEADER)} |" and not set(HEADER) & {*HEADERS.values()}
     cells = " | -" * len(HEADER)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mmwave_env.localization.localizer import TrackBlock
+from mmwave_env.localization.position_errors import gaussian_levels
 from mmwave_env.localization.track_files import require_own_files, table_beside, track_files
 from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.layout import Layout
@@ -17,6 +18,7 @@ from tests.refusals import refuses
 NAMES = ["slow", 'fast, "wild"']
 FORMULAS = ['=HYPERLINK("http://evil","x")', "@SUM(1)"]
 SCENE = SCENES["street"]
+KINDS = ("horizontal", "vertical")
 
 
 def some_track(epochs, seed=0):
@@ -33,6 +35,7 @@ def some_track(epochs, seed=0):
     track = {"x": x, "P": P, "filtered": np.hstack([x, P])}
     track |= {"smooth_x": x + 1.0, "smooth_P": 2.0 * P, "mode": rng.integers(2, size=epochs)}
     track |= {"nis": rng.random((epochs, 4)), "accepted": groups, "planar": False, "trusted": zeros}
+    track["level_factors"] = 1.0 + rng.random((epochs, 2))
     return TrackBlock(*log, zeros > 0.0, 1.0, **track)
 
 
@@ -76,6 +79,9 @@ def test_a_track_is_written_in_blocks_as_tum_and_as_a_table(tmp_path):
     for i, name in enumerate(("x_m", "y_m", "z_m", "vx_mps", "vy_mps", "vz_mps")):
         np.testing.assert_allclose(numbers.pop(name), x[:, i], atol=1e-6)
         np.testing.assert_allclose(numbers.pop(f"sigma_{name}"), diagonal[:, i], rtol=1e-5)
+    factors = np.concatenate([b.level_factors for b in blocks])
+    for kind, level in zip(KINDS, (gaussian_levels(P, 1e-3) * factors).T, strict=True):
+        np.testing.assert_allclose(numbers.pop(f"{kind}_level_m"), level, rtol=1e-5)
     assert not numbers
 
 

@@ -116,7 +116,8 @@ def errors_of(source: Source, played: Played) -> Iterator[str]:
     if policies:
         note = (
             "50 % m is the error that 50 % of the epochs stay below, and so on; within 1 m is the "
-            "share of the epochs with at most this error. Level is the median protection level; at "
+            "share of the epochs with at most this error. Level is the median "
+            f"{figures.get('levels', 'gaussian')} protection level; at "
             f"a risk of {figures['risk']:g}, errors should exceed their levels in "
             f"{percent(figures['risk'])} of the epochs."
         )

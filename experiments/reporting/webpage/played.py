@@ -20,6 +20,7 @@ from experiments.reporting.webpage.sources import Source
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.io.lookup import printable
+from mmwave_env.localization.levels import Levels
 from mmwave_env.metrics import nees_interval
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.scene import Streets
@@ -83,7 +84,8 @@ def _play_episodes(source: Source, most: int, watched: int) -> Played:
         truth = np.column_stack([episode.time_s, episode.truth_position_m, speed_mps])
         anchors_m = episode.scene_anchors_m
         shown.append(_scenery(name, episode.layout, anchors_m, streets, axes, truth))
-    positions = Positions(alike, args.risk, scoring.planar)
+    levels = Levels(args.risk, args.levels)
+    positions = Positions(alike, levels, task.source.layout.anchors, scoring.planar)
     played = Played(str(selection), EpochErrors(alike), positions, shown, missing)
 
     def keep(contender: Contender, _: Array, epochs: EpochResults) -> None:

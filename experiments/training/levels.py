@@ -1,0 +1,130 @@
+"""Training and calibration of protection levels (:mod:`mmwave_env.localization.levels`).
+
+The network learns quantiles of the logarithm of an error over its Gaussian level, by the pinball
+loss, on the kinds of episodes that correctors learn from. Other episodes calibrate it.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from experiments.evaluation.contenders import contender_from
+from experiments.evaluation.runner import run_batch
+from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED
+from experiments.training.corrector_data import CorrectorData
+from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
+from experiments.training.training_task import TrainingTask, banks_of, places_from
+from mmwave_env.compiler.program import rows_of
+from mmwave_env.interface.reward import TrackingReward
+from mmwave_env.localization.levels import GAUSSIAN, PARTS, Levels, Network
+from mmwave_env.localization.position_errors import gaussian_levels, horizontal, vertical
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
+from mmwave_env.numerics.numbers import Array
+from mmwave_env.world.episode import columns_of
+
+RISKS = (1e-2, 1e-3)
+POLICIES = ("guided", "corrector")  # both play every episode, and so does one of the others
+OTHERS = ("imm-best", "imm", "speed-rule", "fixed-ekf", "fixed-ukf")
+SEED = TRAINING_SEED + 9 * SEEDS_EACH  # episodes that no corrector was trained on
+ENVS, ROUNDS, CALIBRATION = 64, 24, 8  # episodes of a place; rounds of all places
+HIDDEN, STEPS, BATCH, RATE = 64, 5000, 8192, 3e-3  # the rate falls linearly
+EVERY = 4  # epochs that follow each other are alike: of every four, one is learned from
+OUTSIDE = 1e-4  # share of the values of a feature on each side that count as beyond its range
+LEAST_M = 1e-4  # smaller errors count as this
+
+
+def _played(seed: int, rounds: int) -> Iterator[tuple[Array, Array]]:
+    """Play episodes; yield features (n, T, features) and errors over levels for every policy.
+
+    The latter are logarithms (n, T, risks, 2), horizontal and vertical.
+    """
+    places = places_from([f"{scene}:{radio}" for scene in SCENES for radio in RADIOS])
+    banks = banks_of((), places, "per-mode")
+    task = TrainingTask("mixed", places, banks, "signed", TrackingReward(), "per-mode")
+    hyper: Any = read_hyperparameters(shipped_hyperparameters("corrector"), "corrector")
+    data, rng = (
+        CorrectorData(task, replace(hyper, num_envs=ENVS), seed),
+        np.random.default_rng(seed),
+    )
+    for radio, batch in (lot for _ in range(rounds) for lot in data.batches()):
+        time_s = batch.table[0, :, rows_of([columns_of(batch.layout).dt])[0]].cumsum()
+        for name in (*POLICIES, str(rng.choice(OTHERS))):
+            contender = contender_from(name, radio)
+            of = run_batch(contender, contender.start(batch.layout), batch, after=PARTS)
+            parts = [*(of[part] for part in PARTS), of.get("trusted")]
+            features = Levels(kind=GAUSSIAN).features(
+                batch.layout.anchors, contender.mixes, time_s, *parts
+            )
+            error = np.stack([horizontal(of["error"]), vertical(of["error"])], axis=-1)
+            levels = np.stack([gaussian_levels(of["P"], risk) for risk in RISKS], axis=-2)
+            ratio = np.maximum(error, LEAST_M)[..., None, :] / levels
+            yield features.astype(np.float32), np.log(ratio).astype(np.float32)
+
+
+def _trained(features: Array, logs: Array, steps: int) -> Network:
+    """Return a network, not yet calibrated, for the quantiles of logs (n, risks, 2)."""
+    torch.set_num_threads(1)
+    torch.manual_seed(0)
+    some = features[::16].astype(float)
+    low, high = np.quantile(some, (OUTSIDE, 1.0 - OUTSIDE), axis=0)
+    mean, sigma = some.mean(axis=0), some.std(axis=0) + 1e-3
+    inside = np.clip(features, low.astype(np.float32), high.astype(np.float32))
+    x = torch.from_numpy((inside - mean.astype(np.float32)) / sigma.astype(np.float32))
+    y, risk = torch.from_numpy(logs), torch.tensor(RISKS)[:, None]
+    linear = [nn.Linear(*ends) for ends in pairwise([x.shape[1], HIDDEN, HIDDEN, 2 * len(RISKS)])]
+    network = nn.Sequential(linear[0], nn.Tanh(), linear[1], nn.Tanh(), linear[2])
+    optimizer = torch.optim.Adam(network.parameters(), RATE)
+    for step in range(steps):
+        optimizer.param_groups[0]["lr"] = RATE * (1.0 - step / steps)
+        rows = torch.randint(len(x), (BATCH,))
+        above = y[rows] - network(x[rows]).unflatten(-1, (-1, 2))
+        pinball = torch.maximum((1.0 - risk) * above, -risk * above)
+        loss = (pinball / risk.sqrt()).mean()  # the root balances the risks
+        optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimizer.step()
+    layers = [tuple(part.detach().double().numpy() for part in f.parameters()) for f in linear]
+    weight, bias = layers[0]
+    layers[0] = weight / sigma, bias - weight / sigma @ mean
+    return Network([*RISKS], np.zeros((len(RISKS), 2)), low, high, layers)
+
+
+def _constants(network: Network, seed: int, rounds: int) -> Array:
+    """Return the constants (risks, 2) of the calibration.
+
+    All episodes have the same weight, and one more has infinite errors (Lee et al. 2023).
+    """
+    over = [logs - network.log_factors(features) for features, logs in _played(seed, rounds)]
+    episodes = sum(map(len, over)) / (1 + len(POLICIES))
+    weight = np.concatenate([np.full(part[..., 0, 0].size, 1.0 / part.shape[1]) for part in over])
+    scores = np.concatenate([part.reshape(-1, 2 * len(RISKS)) for part in over])
+    scores[~np.isfinite(scores)] = np.inf
+    constants = []
+    for risk, column in zip(np.repeat(RISKS, 2), scores.T, strict=True):
+        order = column.argsort()
+        share = weight[order].cumsum() / weight.sum() * episodes / (episodes + 1.0)
+        constants.append(np.append(column[order], np.inf)[np.sum(share < 1.0 - risk)])
+    return np.reshape(constants, (-1, 2))
+
+
+def tuned_levels(
+    seed: int, rounds: int = ROUNDS, calibration: int = CALIBRATION, steps: int = STEPS
+) -> dict[str, Any]:
+    """Return what a file of levels holds; ``seed`` is the calibration's, the training has its own.
+
+    ``rounds`` and ``calibration`` are numbers of rounds of episodes, ``steps`` of gradient steps.
+    """
+    lots = [[part[:, ::EVERY].copy() for part in lot] for lot in _played(SEED, rounds)]
+    features, logs = (
+        np.concatenate([part.reshape(-1, *part.shape[2:]) for part in parts])
+        for parts in zip(*lots, strict=True)
+    )
+    sound = np.isfinite(features).all(axis=1) & np.isfinite(logs).all(axis=(1, 2))
+    network = _trained(features[sound], logs[sound], steps)
+    return network._replace(constants=_constants(network, seed, calibration)).as_written()

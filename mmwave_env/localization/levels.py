@@ -1,0 +1,184 @@
+"""Protection levels that hold: Gaussian levels times factors that a network learned.
+
+A Gaussian level (:mod:`mmwave_env.localization.position_errors`) holds only if the covariance is
+right. A small network reads what every filter knows after an epoch, and answers by which factor
+errors exceed the Gaussian level with the stated risk: a quantile regression. One constant per risk
+and direction corrects it by split conformal prediction on other episodes (Y. Romano, R. Patterson
+and E. Candès, "Conformalized quantile regression", NeurIPS 2019; for epochs that belong to
+episodes: Y. Lee, R. F. Barber and R. Willett, "Distribution-free inference with hierarchical data",
+2023). docs/errors.md says what this guarantees; experiments/training/levels.py trains it.
+"""
+
+from base64 import b64decode, b64encode
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.resources import files
+from itertools import chain
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mmwave_env.io.files import read_json
+from mmwave_env.io.lookup import choose
+from mmwave_env.localization.position_errors import gaussian_levels, require_risk
+from mmwave_env.metrics import RISK
+from mmwave_env.numerics.numbers import Array
+
+PARTS = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected")  # that features need
+CALIBRATED, GAUSSIAN = KINDS = ("calibrated", "gaussian")
+_MEMORY = np.array([[0.6], [0.9], [0.97]])  # weights of the past in running means, per second
+_LEAST, _LEAST_S = 1e-9, 1e-2
+
+
+class Network(NamedTuple):
+    """A network with its calibration.
+
+    Attributes:
+        risks: (R,) covered risks.
+        constants: (R, 2) what the calibration adds to its answers, horizontally and vertically.
+        low, high: (features,) limits of the features in the training.
+        layers: weights (outputs, inputs) and biases of the layers.
+    """
+
+    risks: list[float]
+    constants: Array
+    low: Array
+    high: Array
+    layers: Sequence[tuple[Array, ...]]
+
+    @classmethod
+    def of(cls, content: Mapping[str, Any]) -> "Network":
+        """Return the network that a file holds."""
+        low, high, *flat = (_numbers(text) for text in content["tensors"])
+        layers = [(w.reshape(len(b), -1), b) for w, b in zip(flat[::2], flat[1::2], strict=True)]
+        return cls(content["risks"], np.array(content["constants"]), low, high, layers)
+
+    def as_written(self) -> dict[str, Any]:
+        """Return the content of a file with the network."""
+        tensors = self.low, self.high, *chain(*self.layers)
+        texts = [b64encode(tensor.astype("<f4").tobytes()).decode() for tensor in tensors]
+        return {"risks": self.risks, "constants": self.constants.tolist(), "tensors": texts}
+
+    def log_factors(self, features: Array) -> Array:
+        """Return logarithms of factors (..., R, 2), given features (..., features)."""
+        values = np.fmin(np.fmax(features, self.low), self.high)  # the limit instead of NaN
+        *hidden, (weight, bias) = self.layers
+        for w, b in hidden:
+            values = np.tanh(values @ w.T + b)
+        answer = values @ weight.T + bias
+        return answer.reshape(*answer.shape[:-1], -1, 2) + self.constants  # type: ignore[no-any-return]
+
+
+def _numbers(text: str) -> Array:
+    return np.frombuffer(b64decode(text), "<f4").astype(float)
+
+
+@cache
+def shipped() -> Network:
+    """Return the network of the package."""
+    path = Path(str(files("policies").joinpath("data", "levels.json")))
+    return read_json(path, "a calibration of levels", Network.of)
+
+
+class Levels:
+    """Protection levels of tracks that are filtered side by side.
+
+    Args:
+        risk: probability that an error exceeds its level.
+        kind: "calibrated", or "gaussian" for the levels that covariances promise.
+
+    Raises:
+        ValueError: the kind is unknown, or its levels do not cover the risk.
+    """
+
+    def __init__(self, risk: float = RISK, kind: str = CALIBRATED) -> None:
+        require_risk(risk)
+        choose(dict.fromkeys(KINDS), kind, "levels")
+        self.risk, self.kind = risk, kind
+        if kind == CALIBRATED and risk not in shipped().risks:
+            covered = " or ".join(f"{known:g}" for known in shipped().risks)
+            raise ValueError(
+                f"risk: found {risk:g}, expected {covered}, which the calibrated levels cover; "
+                "--levels gaussian takes any risk"
+            )
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past, because new tracks begin."""
+        self._means: Array | None = None  # (n, 3, numbers) running means
+        self._first_s = self._last_s = 0.0
+
+    def factors(self, anchors: int, mixes: bool, time_s: Array, *parts: Any) -> Array:
+        """Return factors (n, T, 2) on horizontal and vertical Gaussian levels.
+
+        Arguments are those of :meth:`features`.
+        """
+        if self.kind == GAUSSIAN:
+            return np.ones((*parts[0].shape[:2], 2))
+        logs = shipped().log_factors(self.features(anchors, mixes, time_s, *parts))
+        return np.exp(logs[..., shipped().risks.index(self.risk), :])  # type: ignore[no-any-return]
+
+    def features(self, anchors: int, mixes: bool, time_s: Array, *parts: Any) -> Array:
+        """Return the features (n, T, features) of n tracks, whose T epochs follow earlier ones.
+
+        Args:
+            anchors: number of anchors.
+            mixes: whether beliefs are those of a bank, whose modes interact.
+            time_s: (T,) times of the epochs.
+            parts: beliefs x (n, T, 7 or 8) and P (n, T, 28 or 36), packed; NIS of every group of
+                measurements, and which ones were accepted or rejected (n, T, groups); and,
+                optionally, trust in a corrector (n, T), which is NaN without a corrector.
+        """
+        x, P, nis, accepted, rejected, trusted = (*parts, None)[:6]
+        now = np.stack([*_gates(anchors, nis, accepted, rejected), *_sizes(P)], axis=-1)
+        if self._means is None:
+            self._means = np.repeat(now[:, 0, None], len(_MEMORY), axis=1)
+            self._first_s = self._last_s = float(time_s[0])
+        dt = np.diff(time_s, prepend=self._last_s)
+        self._last_s = float(time_s[-1])
+        means = np.empty((*now.shape[:2], *self._means.shape[1:]))
+        for t, keep in enumerate(_MEMORY ** dt[:, None, None]):
+            means[:, t] = self._means = keep * self._means + (1.0 - keep) * now[:, t, None]
+        clocks = np.log(np.maximum(dt, _LEAST_S)), np.log1p(time_s - self._first_s)
+        known = np.full(now.shape[:2], np.nan) if trusted is None else trusted
+        corrected = np.isfinite(known)
+        rest = [*_shape(x, P), *clocks, corrected, np.where(corrected, known, 1.0), float(mixes)]
+        alone = np.stack(np.broadcast_arrays(*rest), axis=-1)
+        return np.concatenate([now, alone, means.reshape(*now.shape[:2], -1)], axis=-1)
+
+
+def _gates(anchors: int, nis: Any, accepted: Any, rejected: Any) -> list[Array]:
+    """Return numbers (n, T) on innovations and gates, as many for any number of links."""
+    measured = accepted + rejected
+    links, nis = measured[..., :anchors].sum(axis=-1), nis * measured
+    return [
+        np.log1p(nis[..., :anchors].max(axis=-1)),
+        np.log1p(nis[..., :anchors].sum(axis=-1) / np.maximum(links, 1.0)),
+        rejected[..., :anchors].mean(axis=-1),
+        1.0 - links / anchors,
+        accepted[..., :anchors].sum(axis=-1) < 0.5,
+        np.log1p(nis[..., anchors]),
+        rejected[..., anchors],
+        1.0 - measured[..., anchors],
+    ]
+
+
+def _sizes(P: Array) -> list[Array]:
+    """Return logarithms (n, T) of the Gaussian levels; of a known height, the horizontal one."""
+    horizontal, vertical = np.moveaxis(gaussian_levels(P, RISK), -1, 0)
+    vertical = np.where(P[..., 5] > 0.0, vertical, horizontal)
+    return [np.log(np.maximum(level, _LEAST)) for level in (horizontal, vertical)]
+
+
+def _shape(x: Array, P: Array) -> list[Array]:
+    """Return numbers (n, T) on the position's ellipse, and on the velocity."""
+    xx, xy, yy, vx, vy = P[..., 0], P[..., 1], P[..., 2], x[..., 3], x[..., 4]
+    mean, square = np.maximum(0.5 * (xx + yy), _LEAST), vx * vx + vy * vy
+    along = vx * vx * xx + 2.0 * vx * vy * xy + vy * vy * yy
+    return [
+        np.log(np.sqrt(np.maximum(xx * yy - xy * xy, _LEAST**2)) / mean),
+        np.log(np.maximum(along / (mean * np.maximum(square, 1e-2)), 1e-2)),
+        0.5 * np.log(np.maximum(P[..., 9] + P[..., 14], _LEAST)),
+        np.log1p(np.sqrt(square)),
+    ]

@@ -1,0 +1,137 @@
+"""Tests of calibrated protection levels: what they cover, and that they are the same everywhere."""
+
+import numpy as np
+import pytest
+
+from experiments.evaluation.contenders import contender_from
+from experiments.evaluation.positions import Positions
+from experiments.evaluation.runner import score_contenders
+from experiments.evaluation.seeds import Selection
+from mmwave_env.localization.levels import PARTS, Levels, Network
+from mmwave_env.localization.localizer import Switching, TrackBlock, learned, localize
+from mmwave_env.localization.position_errors import PositionErrors, gaussian_levels
+from mmwave_env.localization.tracker import Tracker
+from mmwave_env.task import task_from
+from tests.localization.test_policy_tracks import RADIO, SCENE, blocks, rows  # noqa: F401
+from tests.refusals import refuses
+
+N, T, ANCHORS = 3, 40, 3
+FRESH = 5_900_000  # first of the tuning seeds that nothing was calibrated on
+
+
+def parts(seed=0):
+    """Return random parts of filters: x, P, NIS, accepted and rejected groups, and trust."""
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(N, T, 7, 7))
+    P = (root @ np.swapaxes(root, 2, 3))[(..., *np.tril_indices(7))]
+    fate = rng.integers(3, size=(N, T, ANCHORS + 1))
+    nis = rng.chisquare(4, fate.shape)
+    return [rng.normal(size=(N, T, 7)), P, nis, fate == 0, fate == 1, rng.random((N, T))]
+
+
+def watched(levels, policies, source, radio, seeds):
+    """Return errors over levels (episodes, epochs, 2) by policy."""
+    over = {}
+
+    def keep(contender, time_s, results):
+        levels.reset()
+        read = [*(results[part] for part in PARTS), results.get("trusted")]
+        factors = levels.factors(ANCHORS, contender.mixes, time_s, *read)
+        bounds = gaussian_levels(results["P"], levels.risk) * factors
+        error = results["error"]
+        sizes = np.stack([np.hypot(error[..., 0], error[..., 1]), abs(error[..., 2])], axis=-1)
+        over[contender.name] = sizes / bounds
+
+    chosen = [contender_from(name, radio) for name in policies]
+    score_contenders(chosen, source, radio, Selection(seeds), watch=[keep], after=PARTS)
+    return over
+
+
+def test_a_risk_that_no_calibration_covers_and_an_unknown_kind_are_refused():
+    with pytest.raises(ValueError, match="risk: found 0.05, expected 0.01 or 0.001"):
+        Levels(0.05)
+    with refuses("levels"):
+        Levels(kind="exact")
+    assert Levels(0.05, "gaussian").factors(ANCHORS, True, np.arange(T), *parts()).tolist() == (
+        np.ones((N, T, 2)).tolist()
+    )
+
+
+@pytest.mark.parametrize("risk", [0.01, 0.001])
+def test_factors_are_positive_and_finite_whatever_a_filter_went_through(risk):
+    x, P, nis, accepted, rejected, trusted = parts()
+    levels = Levels(risk)
+    for extreme in (
+        [x, 1e-12 * P, nis, accepted, rejected, trusted],
+        [1e3 * x, 1e8 * P, 1e9 * nis, accepted & False, rejected, None],
+        [0.0 * x, P, nis, accepted & False, rejected & False, np.nan * trusted],
+        [x, 0.0 * P, np.inf * (1.0 + nis), accepted, rejected, trusted],
+    ):
+        levels.reset()
+        with np.errstate(invalid="ignore"):
+            factors = levels.factors(ANCHORS, True, 0.1 * np.arange(T), *extreme)
+        assert factors.shape == (N, T, 2) and np.isfinite(factors).all() and (factors > 0.0).all()
+
+
+def test_epochs_in_pieces_have_the_factors_of_the_whole_track():
+    read, time_s = parts(), np.cumsum(np.random.default_rng(1).random(T))
+    whole, levels = Levels().factors(ANCHORS, True, time_s, *read), Levels()
+    cut = [slice(0, 1), slice(1, 25), slice(25, T)]
+    pieces = [levels.factors(ANCHORS, True, time_s[i], *(part[:, i] for part in read)) for i in cut]
+    np.testing.assert_allclose(np.concatenate(pieces, axis=1), whole, rtol=1e-9)
+    levels.reset()
+    np.testing.assert_allclose(levels.factors(ANCHORS, True, time_s, *read), whole, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["corrector", "ekf"])
+def test_live_levels_are_those_of_the_complete_log(rows, name):  # noqa: F811
+    modes = learned("ppo-standard", "standard").modes[:1]
+    switching = Switching(modes) if name == "ekf" else learned(name, "standard")
+    track = TrackBlock.joined(
+        list(localize(blocks(50), SCENE, RADIO, switching, window=None, levels=Levels()))
+    )
+    tracker = Tracker(SCENE, switching, "standard", levels=Levels())
+    live = [tracker.update(epoch).levels_m for epoch in rows]
+    expected = gaussian_levels(track.P, 1e-3) * track.level_factors
+    np.testing.assert_allclose(live, expected, rtol=1e-6)
+    assert tracker.smoothed().levels_m[0] > 0.0
+    assert Tracker(SCENE, switching, "standard").update(rows[0]).levels_m is None
+
+
+def test_gaussian_levels_are_those_that_covariances_promise():
+    task, plain = task_from(radio="handset", episode_steps=30), PositionErrors(0.05)
+    positions = Positions({"imm": "imm"}, Levels(0.05, "gaussian"))
+
+    def add(contender, time_s, results):
+        plain.add(results["error"][:, 10:], results["P"][:, 10:])
+
+    watch, seeds = [positions.add, add], Selection(range(FRESH, FRESH + 8))
+    score_contenders(["imm"], task.source, "handset", seeds, watch=watch, after=PARTS)
+    expected = {"risk": 0.05, "levels": "gaussian", "policies": {"imm": plain.figures()}}
+    assert positions.figures() == expected
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("place", ["street:handset", "o1:standard", "dynamic-doppler:high"])
+@pytest.mark.parametrize("risk", [0.01, 0.001])
+def test_errors_exceed_levels_at_most_as_often_as_stated(place, risk):
+    """Fail only if a share is above the risk at a confidence of 99.9 %, over 300 episodes."""
+    scene, radio = place.split(":")
+    source, seeds = task_from(scene=scene, radio=radio).source, range(FRESH, FRESH + 300)
+    policies = ("guided", "corrector", "imm-best")
+    for name, over in watched(Levels(risk), policies, source, radio, seeds).items():
+        shares = (over > 1.0).mean(axis=1)
+        deviation = shares.std(axis=0) / np.sqrt(len(shares))
+        assert (shares.mean(axis=0) - 3.1 * deviation <= risk).all(), name
+
+
+@pytest.mark.slow
+@pytest.mark.torch
+def test_levels_are_trained_and_calibrated_for_all_risks():
+    pytest.importorskip("torch")
+    from experiments.training.levels import RISKS, tuned_levels
+
+    network = Network.of(tuned_levels(5_000_000, rounds=1, calibration=1, steps=200))
+    features = Levels(kind="gaussian").features(ANCHORS, True, np.arange(T), *parts())
+    factors = network.log_factors(features)
+    assert factors.shape == (N, T, len(RISKS), 2) and np.isfinite(factors).all()
