@@ -19,8 +19,8 @@ class Terms(gym.Wrapper):
         return observation, info["reward_terms"][:2].astype(np.float32), *ends, info
 
 
-env = gym.make("mmwave_env:MmWaveLoc-v0", beliefs="per-mode", action="weights")
-env = MORecordEpisodeStatistics(Terms(env))
+options = {"beliefs": "per-mode", "modes": ["ekf", "ukf"], "action": "weights"}
+env = MORecordEpisodeStatistics(Terms(gym.make("mmwave_env:MmWaveLoc-v0", **options)))
 
 
 def terms(weights):
@@ -35,13 +35,7 @@ def terms(weights):
     return total
 
 
-rng, found = np.random.default_rng(0), {(0.0,) * env.action_space.shape[0]: None}
-for _ in range(100):
-    *_, weights = found
-    found[weights] = terms(np.array(weights))
-    front = {w: t for w, t in found.items() if not any((o > t).all() for o in found.values())}
-    parent = list(front)[rng.integers(len(front))]
-    found[tuple(np.clip(parent + rng.normal(0.0, 0.5, len(parent)), -3.0, 3.0))] = None
-    found = {w: t for w, t in found.items() if t is None or w in front}
-for weights, (error, consistency) in sorted(front.items(), key=lambda row: row[1][0]):
-    print(f"error {-error:.3f}, inconsistency {-consistency:.3f}: weights {np.round(weights, 1)}")
+tried = [(terms(weights), weights) for weights in np.random.default_rng(0).uniform(-1, 1, (40, 2))]
+front = [(t, w) for t, w in tried if not any((other > t).all() for other, _ in tried)]
+for (error, consistency), weights in sorted(front, key=lambda row: row[0][0]):
+    print(f"error {-error:.3f}, inconsistency {-consistency:.4f}: weights {weights.round(2)}")

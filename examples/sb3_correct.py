@@ -35,7 +35,7 @@ def reward(act, episodes=500):
     return np.mean(rewards[10:], axis=0)
 
 
-mine = reward(lambda seen: model.predict(seen, deterministic=True)[0])
-base = reward(lambda seen: np.zeros((len(seen), 6)))
+mine = reward(lambda shown: model.predict(shown, deterministic=True)[0])
+base = reward(lambda shown: np.zeros((len(shown), 6)))
 print(f"sb3: reward {mine.mean():.3f}\nguided: reward {base.mean():.3f}")
 print(f"difference: {np.mean(mine - base):.4f} ± {1.96 * np.std(mine - base) / 500**0.5:.4f}")

@@ -20,8 +20,8 @@ from mmwave_env.interface.info import (
     NONFINITE_KEY,
     STATE_KEYS,
     info_rows,
+    reported,
     step_info,
-    told,
     warn_of_nonfinite,
     worded,
 )
@@ -284,7 +284,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         at, span = self._engine.at, self._engine.span
         self._io, self._counts = self._engine.io(), self._tally.in_python()
         self._observed, self._error = self._engine.obs_rows, span(at.error)
-        self._spread = span(told(at).P[:3])
+        self._spread = span(reported(at).P[:3])
         self._told = {
             key: part if isinstance(part, int) else span(part)
             for key, part in info_rows(at).items()

@@ -1,4 +1,4 @@
-"""Tests that examples run and beat the best fixed mode, and that the notebook runs.
+"""Tests that examples run and beat the best fixed mode or guided, and that the notebook runs.
 
 Examples whose libraries are not installed are skipped; `make examples` installs them all.
 """
@@ -11,12 +11,13 @@ import shlex
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from tests.paths import ROOT
 
 FOLDER = ROOT / "examples"
-MAKERS = {"raytrace", "sumo", "minari_collect"}  # make data instead of training an agent
+MAKERS = {"raytrace", "sumo", "minari_collect", "mo_front"}  # do not train an agent
 EXAMPLES = {path.stem: path for path in sorted(FOLDER.glob("*.py")) if path.stem not in MAKERS}
 
 
@@ -52,7 +53,7 @@ def test_an_example_is_short(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_an_example_beats_the_best_fixed_mode(name, tmp_path):
+def test_an_example_beats_the_best_fixed_mode_or_its_base(name, tmp_path):
     source = EXAMPLES[name].read_text("utf-8")
     for module in imported(source):
         pytest.importorskip(module, exc_type=ImportError)
@@ -62,7 +63,18 @@ def test_an_example_beats_the_best_fixed_mode(name, tmp_path):
         done = subprocess.run(program, env=env, capture_output=True, text=True, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
     reward = rewards(done.stdout)
-    assert next(iter(reward.values())) > reward["fixed-ukf"], done.stdout
+    bar = "guided" if "guided" in reward else "fixed-ukf"
+    assert next(iter(reward.values())) > reward[bar], done.stdout
+
+
+@pytest.mark.slow
+def test_a_front_trades_error_for_consistency():
+    pytest.importorskip("mo_gymnasium")
+    program = [sys.executable, "-W", "ignore", str(FOLDER / "mo_front.py")]
+    printed = subprocess.run(program, check=True, capture_output=True, text=True).stdout
+    points = np.array(re.findall(r"error (\S+), inconsistency (\S+):", printed), float)
+    assert len(points) > 2 and (np.diff(points[:, 0]) < 0).all()
+    assert (np.diff(points[:, 1]) >= 0).all()
 
 
 def test_the_docs_list_every_example_with_pinned_versions():

@@ -115,7 +115,7 @@ def run_batch(
 ) -> EpochResults:
     """Do what :func:`run_contender` does, for episodes that are already packed."""
     pipeline, names = Pipeline(contender.modes, episodes.layout, scoring.planar), (*PARTS, *after)
-    corrector = policy if isinstance(policy, Corrector) else None
+    corrector = cast(Corrector, policy) if hasattr(policy, "correct") else None
     if corrector:
         names = tuple(dict.fromkeys((*names, *BELIEF, "truth")))
     if policy is None:

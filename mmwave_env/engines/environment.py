@@ -24,7 +24,7 @@ from mmwave_env.engines.vector_step import ActionHistory, Stepper
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import MODE, limits_of
-from mmwave_env.interface.info import SMOOTHED_KEY, drawn_rows, told
+from mmwave_env.interface.info import SMOOTHED_KEY, drawn_rows, reported
 from mmwave_env.interface.reward import term_names
 from mmwave_env.metrics import INFO_KEYS, ate, scored
 from mmwave_env.models.scene import Streets
@@ -88,7 +88,7 @@ class Baseline:
         """
         batch = self._batch
         if batch.ahead:
-            earned = batch.read(batch.at.told.reward, np.float32)[places]
+            earned = batch.read(batch.at.reported.reward, np.float32)[places]
         else:
             earned = self._rewards[places, batch.completed[places] - 1]
         rewards[places] = rewards[places].astype(np.float32) - earned
@@ -153,7 +153,7 @@ class Environment:
             ResetNeeded: no episode is under way.
         """
         self._require_begun("belief")
-        pipeline, at = self._engine.pipeline, told(self._engine.at)
+        pipeline, at = self._engine.pipeline, reported(self._engine.at)
         x, P = (self._engine.read(part)[environment].tolist() for part in (at.x, at.P))
         return Belief(x, unpack(P, pipeline.known_axes), pipeline.position_axes)
 

@@ -16,7 +16,7 @@ from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import PLAIN_BLOCK_EPOCHS, Repeated, StepIO, rows_of
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.tally import Counts, Tally, count, exceeds
-from mmwave_env.interface.info import COST_KEY, FLAGS, STATE_KEYS, info_rows, mask_keys, told
+from mmwave_env.interface.info import COST_KEY, FLAGS, STATE_KEYS, info_rows, mask_keys, reported
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.numerics.pytree import flatten
 
@@ -112,7 +112,7 @@ class Stepper:
         self._known = {} if infos == "none" else info_rows(at)
         shown = self._known if infos == "all" else {}
         parts = {"reward": at.reward, "nees": at.nees, "error": at.error}
-        parts["covariance"] = told(at).P[:3]
+        parts["covariance"] = reported(at).P[:3]
         parts |= {key: [] for key in FLAGS} | shown
         ends = np.cumsum([len(flatten(part)) for part in parts.values()]).tolist()
         begins = dict(zip(parts, [0, *ends], strict=False))

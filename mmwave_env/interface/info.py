@@ -32,9 +32,9 @@ INFOS = {
 }
 
 
-def told(at: Any) -> Any:
+def reported(at: Any) -> Any:
     """Return the part of an environment's workspace about the epoch that its infos describe."""
-    return getattr(at, "told", ()) or at
+    return getattr(at, "reported", ()) or at
 
 
 def info_rows(at: Any) -> dict[str, Any]:
@@ -43,7 +43,7 @@ def info_rows(at: Any) -> dict[str, Any]:
     Args:
         at: workspace of :mod:`~mmwave_env.engines.environment_epoch` with row numbers as leaves.
     """
-    of = told(at)
+    of = reported(at)
     memory = of.memory
     rows = {"position_error_m": at.distance, "nees": at.nees}
     rows |= {key: getattr(memory, key) for key in ("nis", *FLAGS, "gamma")}
@@ -62,7 +62,7 @@ def drawn_rows(at: Any, span: Callable[[Any], slice]) -> dict[str, slice]:
     """
     rows = info_rows(at)
     parts = {name: rows[name] for name in ("truth", "estimate", "nees", "accepted", "rejected")}
-    parts |= {"P": told(at).P, "dt": at.pending.dt, "anchors": at.site.anchors}
+    parts |= {"P": reported(at).P, "dt": at.pending.dt, "anchors": at.site.anchors}
     return {name: span(part) for name, part in parts.items()}
 
 
