@@ -234,7 +234,7 @@ def test_bad_numbers_are_refused_and_change_nothing(kind):
         {"action": "correction", "smoothed": True},
         {"action": "correction", "observation": "prior"},
     ],
-    ids=str,
+    ids=" ".join,
 )
 def test_arguments_that_do_not_fit_are_refused(arguments):
     name = [*arguments][-1] if arguments.get("beliefs") != "shared" else "action"
