@@ -79,9 +79,10 @@ def _tuned_levels(args: Args) -> tuple[Content, Content]:
         if option.name not in OF_LEVELS and getattr(args, option.name) != option.default:
             raise ValueError(f"{option.name}: cannot be combined with --levels")
     content = tuned_levels(args.seed)
-    for risk, both in zip(content["risks"], content["constants"], strict=True):
-        horizontal, vertical = map(math.exp, both)
-        say(f"risk {risk:g}: factor {horizontal:.3f} horizontally, {vertical:.3f} vertically")
+    for kind, constants in zip(("filter", "bank", "corrector"), content["constants"], strict=True):
+        for risk, both in zip(content["risks"], constants, strict=True):
+            horizontal, vertical = map(math.exp, both)
+            say(f"{kind}, risk {risk:g}: factors {horizontal:.3f} and {vertical:.3f} (vertical)")
     return content, {}
 
 

@@ -29,33 +29,35 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import columns_of
 
 RISKS = (1e-2, 1e-3)
-POLICIES = ("guided", "corrector")  # both play every episode, and so does one of the others
-OTHERS = ("imm-best", "imm", "speed-rule", "fixed-ekf", "fixed-ukf")
+# One policy of each kind plays every episode: single filters, banks and correctors.
+POLICIES = (("speed-rule", "fixed-ekf", "fixed-ukf"), ("guided", "imm-best"), ("corrector",))
+PLACES = [f"{scene}:{radio}" for scene in SCENES for radio in RADIOS]
 SEED = TRAINING_SEED + 9 * SEEDS_EACH  # episodes that no corrector was trained on
-ENVS, ROUNDS, CALIBRATION = 64, 24, 8  # episodes of a place; rounds of all places
+ENVS, ROUNDS, CALIBRATION = 64, 24, 18  # episodes of a place; rounds of all places
 HIDDEN, STEPS, BATCH, RATE = 64, 5000, 8192, 3e-3  # the rate falls linearly
 EVERY = 4  # epochs that follow each other are alike: of every four, one is learned from
 OUTSIDE = 1e-4  # share of the values of a feature on each side that count as beyond its range
 LEAST_M = 1e-4  # smaller errors count as this
 
 
-def _played(seed: int, rounds: int) -> Iterator[tuple[Array, Array]]:
+def _played(seed: int, rounds: int, **changes: float) -> Iterator[tuple[Array, Array]]:
     """Play episodes; yield features (n, T, features) and errors over levels for every policy.
 
-    The latter are logarithms (n, T, risks, 2), horizontal and vertical.
+    The latter are logarithms (n, T, risks, 2), horizontal and vertical. ``changes`` are those of
+    the corrector's hyperparameters.
     """
-    places = places_from([f"{scene}:{radio}" for scene in SCENES for radio in RADIOS])
+    places = places_from(PLACES)
     banks = banks_of((), places, "per-mode")
     task = TrainingTask("mixed", places, banks, "signed", TrackingReward(), "per-mode")
     hyper: Any = read_hyperparameters(shipped_hyperparameters("corrector"), "corrector")
     data, rng = (
-        CorrectorData(task, replace(hyper, num_envs=ENVS), seed),
+        CorrectorData(task, replace(hyper, num_envs=ENVS, **changes), seed),
         np.random.default_rng(seed),
     )
     for radio, batch in (lot for _ in range(rounds) for lot in data.batches()):
         time_s = batch.table[0, :, rows_of([columns_of(batch.layout).dt])[0]].cumsum()
-        for name in (*POLICIES, str(rng.choice(OTHERS))):
-            contender = contender_from(name, radio)
+        for names in POLICIES:
+            contender = contender_from(str(rng.choice(names)), radio)
             of = run_batch(contender, contender.start(batch.layout), batch, after=PARTS)
             parts = [*(of[part] for part in PARTS), of.get("trusted")]
             features = Levels(kind=GAUSSIAN).features(
@@ -92,25 +94,42 @@ def _trained(features: Array, logs: Array, steps: int) -> Network:
     layers = [tuple(part.detach().double().numpy() for part in f.parameters()) for f in linear]
     weight, bias = layers[0]
     layers[0] = weight / sigma, bias - weight / sigma @ mean
-    return Network([*RISKS], np.zeros((len(RISKS), 2)), low, high, layers)
+    constants = np.zeros((len(POLICIES), len(RISKS), 2))
+    return Network([*RISKS], constants, low, high, layers)
 
 
 def _constants(network: Network, seed: int, rounds: int) -> Array:
-    """Return the constants (risks, 2) of the calibration.
+    """Return the constants (kinds, risks, 2) of the calibration.
 
-    All episodes have the same weight, and one more has infinite errors (Lee et al. 2023).
+    They are those of split conformal prediction over all places, in which one more episode has
+    infinite errors (Lee et al. 2023), or larger, so that no place exceeds a risk on its own.
     """
-    over = [logs - network.log_factors(features) for features, logs in _played(seed, rounds)]
-    episodes = sum(map(len, over)) / (1 + len(POLICIES))
-    weight = np.concatenate([np.full(part[..., 0, 0].size, 1.0 / part.shape[1]) for part in over])
-    scores = np.concatenate([part.reshape(-1, 2 * len(RISKS)) for part in over])
-    scores[~np.isfinite(scores)] = np.inf
+    over: list[list[Array]] = [[] for _ in range(len(PLACES) * len(POLICIES))]
+    for i, (features, logs) in enumerate(_played(seed, rounds, random_share=0.0)):
+        over[i % len(over)].append(logs - network.log_factors(features))
     constants = []
+    for kind in range(len(POLICIES)):
+        places = over[kind :: len(POLICIES)]
+        pooled = _quantiles([part for parts in places for part in parts], 1)
+        constants.append(np.max([pooled, *(_quantiles(parts, 0) for parts in places)], axis=0))
+    return np.reshape(constants, (len(POLICIES), len(RISKS), 2))
+
+
+def _quantiles(parts: list[Array], infinite: int) -> Array:
+    """Return what shares of logs (n, T, risks, 2) equal to the risks exceed.
+
+    All episodes have the same weight; ``infinite`` further ones have infinite logs.
+    """
+    episodes = sum(map(len, parts)) + infinite
+    weight = np.concatenate([np.full(part[..., 0, 0].size, 1.0 / part.shape[1]) for part in parts])
+    scores = np.concatenate([part.reshape(-1, 2 * len(RISKS)) for part in parts])
+    scores[~np.isfinite(scores)] = np.inf
+    quantiles = []
     for risk, column in zip(np.repeat(RISKS, 2), scores.T, strict=True):
         order = column.argsort()
-        share = weight[order].cumsum() / weight.sum() * episodes / (episodes + 1.0)
-        constants.append(np.append(column[order], np.inf)[np.sum(share < 1.0 - risk)])
-    return np.reshape(constants, (-1, 2))
+        share = weight[order].cumsum() / episodes
+        quantiles.append(np.append(column[order], np.inf)[np.sum(share < 1.0 - risk)])
+    return np.array(quantiles)
 
 
 def tuned_levels(

@@ -29,6 +29,7 @@ PARTS = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected")  # that f
 CALIBRATED, GAUSSIAN = KINDS = ("calibrated", "gaussian")
 _MEMORY = np.array([[0.6], [0.9], [0.97]])  # weights of the past in running means, per second
 _LEAST, _LEAST_S = 1e-9, 1e-2
+_KIND = [16, 18]  # the features that tell whether there is a corrector, and a bank
 
 
 class Network(NamedTuple):
@@ -36,7 +37,8 @@ class Network(NamedTuple):
 
     Attributes:
         risks: (R,) covered risks.
-        constants: (R, 2) what the calibration adds to its answers, horizontally and vertically.
+        constants: (3, R, 2) what the calibration adds to its answers, horizontally and vertically,
+            for a single filter, for a bank, and for a corrector.
         low, high: (features,) limits of the features in the training.
         layers: weights (outputs, inputs) and biases of the layers.
     """
@@ -67,7 +69,8 @@ class Network(NamedTuple):
         for w, b in hidden:
             values = np.tanh(values @ w.T + b)
         answer = values @ weight.T + bias
-        return answer.reshape(*answer.shape[:-1], -1, 2) + self.constants  # type: ignore[no-any-return]
+        kinds = features[..., _KIND].sum(axis=-1).astype(int)
+        return answer.reshape(*answer.shape[:-1], -1, 2) + self.constants[kinds]  # type: ignore[no-any-return]
 
 
 def _numbers(text: str) -> Array:
