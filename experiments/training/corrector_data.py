@@ -29,6 +29,7 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import EpisodeBatch, columns_of
 from mmwave_env.world.keys import keys_at, stream_of
 from mmwave_env.world.simulated import SimulatedSource
+from mmwave_env.world.trajectory import Trajectory, Ways
 from policies import LearnedSwitch
 from policies.corrector import BASE_IMM
 
@@ -47,6 +48,13 @@ SUBSETS = (  # measured quantities of receivers that lack some
 # its noise, measures only some anchors, or does not know its orientation exactly.
 LACKING, DRIFTING, MISJUDGING, FEWER, TURNED = 0.3, 0.15, 0.3, 0.15, 0.15
 ORIENTATION_RAD = 0.1  # standard deviation of an orientation that is not known exactly
+# Share of the episodes at random whose users weave and vary their speed, as real users do. All
+# other users keep to the middle of the street, and the network would learn to rely on that.
+WEAVING = 0.5
+WAYS = 64  # number of weaving users from which the episodes of a lot are drawn
+WEAVE_S = (8.0, 40.0)  # periods of weaving at an episode's highest speed
+WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # largest change of the velocity, in speeds, and of the position
+WEAVING_BEHIND_M = (20.0, 60.0)  # walls behind the last street, with room to turn and weave
 
 
 class Lot(NamedTuple):
@@ -125,6 +133,8 @@ class CorrectorData:
             scene, radio, self._task.scenario, measurements=subset, clock=clock
         )
         source = self._at_some_rate(source, rng)
+        if rng.random() < WEAVING:
+            source = weaving(replace(source, scene=replace(scene, behind_m=WEAVING_BEHIND_M)), rng)
         return self._play(source, self.bank(profile.name), rng)
 
     def _play(
@@ -153,6 +163,27 @@ class CorrectorData:
             features[t] = observations[:, columns]
         size = batch.layout.state_size
         return _lot(features, *np.split(outputs, [size, len(rows) - 3], axis=2))
+
+
+def weaving(source: SimulatedSource, rng: np.random.Generator) -> SimulatedSource:
+    """Return a source whose users weave, in one of the streets of a source of random streets.
+
+    Their positions are those of simulated users plus, along each street axis, a sine of the
+    distance traveled, so that they stand still where the simulated users do.
+    """
+    source = replace(source, scene=source.scene_of(int(rng.integers(2**63))))
+    batch = source.sample_batch(rng.integers(2**63, size=WAYS, dtype=np.uint64))
+    truth = batch.table[:, :, rows_of(columns_of(batch.layout).truth)]
+    truth = truth[np.ptp(truth[:, :, :2], axis=1).max(axis=1) > WEAVE_M]
+    speed = np.linalg.norm(truth[:, :, 3:], axis=2, keepdims=True)
+    fastest, shape = speed.max(axis=1, keepdims=True), (len(truth), 1, 2)
+    radian = fastest * rng.uniform(*WEAVE_S, shape) / (2.0 * np.pi)  # distance per radian, m
+    slope = np.minimum(rng.uniform(0.0, WEAVE_SLOPE, shape), WEAVE_M / radian)
+    angle = np.cumsum(speed, axis=1) * source.dt / radian + rng.uniform(0.0, 2.0 * np.pi, shape)
+    truth[:, :, :2] += slope * radian * np.sin(angle)
+    truth[:, :, 3:5] += slope * np.cos(angle) * speed
+    ways = [Trajectory("weaving", source.time_s, way[:, :3], way[:, 3:]) for way in truth]
+    return replace(source, scenario=Ways("weaving", ways))
 
 
 def _lot(features: NDArray[np.float32], x: Array, P: Array, error: Array) -> Lot:

@@ -129,7 +129,9 @@ def bank_as_written(bank: Bank) -> dict[str, Any]:
     Raises:
         ValueError: same as for :func:`as_written`.
     """
-    return {**asdict(bank), "modes": [as_written(mode) for mode in bank.modes]}
+    modes = [as_written(mode) for mode in bank.modes]
+    transition = None if bank.transition is None else [list(row) for row in bank.transition]
+    return {**asdict(bank), "modes": modes, "transition": transition}
 
 
 @cache  # so that it warns only once for each radio

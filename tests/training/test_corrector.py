@@ -9,10 +9,16 @@ pytest.importorskip("stable_baselines3")
 import torch
 
 from experiments.training.corrector import CorrectorTraining, loss_of, mixed
-from experiments.training.corrector_data import EPOCHS, CorrectorData
+from experiments.training.corrector_data import (
+    EPOCHS,
+    WEAVING_BEHIND_M,
+    CorrectorData,
+    weaving,
+)
 from experiments.training.hyperparameters import CorrectorHyperparameters
 from experiments.training.job import Job
 from mmwave_env.metrics import BURN_IN
+from mmwave_env.models.random_scene import WIDE_SCENE
 from policies import Corrector
 from tests.training.test_rollout_env import task
 from tests.training.test_rollouts import Interrupted, interrupt_after, silent
@@ -56,6 +62,17 @@ def test_mixed_lots_hold_every_episode_once_and_several_places(lots):
     origin = {episode: i for i, lot in enumerate(lots) for episode in episodes(lot)}
     assert sorted(e for lot in shuffled for e in episodes(lot)) == sorted(origin)
     assert max(len({origin[e] for e in episodes(lot)}) for lot in shuffled) > 1
+
+
+def test_weaving_users_move_along_both_street_axes_with_the_velocity_that_is_stated():
+    scene = replace(WIDE_SCENE, behind_m=WEAVING_BEHIND_M)
+    source = replace(task().places[0].source("mixed"), dt=0.1, scene=scene)
+    ways = np.concatenate(weaving(source, np.random.default_rng(1)).ways.tables)
+    velocity = (ways[2:, :2] - ways[:-2, :2]) / 0.2
+    assert np.median(np.abs(velocity - ways[1:-1, 3:5])) < 0.05
+    moving = ways[np.linalg.norm(ways[:, 3:5], axis=1) > 0.5, 3:5]
+    # Users who do not weave leave one axis only in corners.
+    assert (np.abs(moving).min(axis=1) > 0.01).mean() > 0.8
 
 
 def test_no_episode_is_played_twice():
