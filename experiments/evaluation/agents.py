@@ -10,7 +10,11 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
+from mmwave_env.models.layout import Layout
+from mmwave_env.numerics.numbers import Array
+from mmwave_env.world.episode import EpisodeBatch
 from policies import Policy
 
 Act = Callable[[NDArray[np.float32]], Any]  # observations (n, features) -> actions (n,)
@@ -19,6 +23,28 @@ MODULE = re.compile(r"[\w.]+:[\w.]+")
 GUIDE = "docs/own-agent.md"
 OF_A_MODEL = "for a model, use lambda seen: model.predict(seen, deterministic=True)[0]"
 TRIED = 3  # number of random observations to try an agent on
+
+
+class Estimator(Policy):
+    """An agent that tracks users by itself instead of choosing filters; it is for comparisons."""
+
+    def estimate(self, pipeline: Pipeline, episodes: EpisodeBatch) -> tuple[Array, Array]:
+        """Return means (n, T, 7) and packed covariances (n, T, 28) after every epoch.
+
+        With a clock they are (n, T, 8) and (n, T, 36). The truth in the episodes is off limits.
+
+        Args:
+            pipeline: the radio's default modes, layout and terrain.
+            episodes: n episodes of T epochs.
+        """
+        raise NotImplementedError
+
+    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
+        """Refuse to choose a mode."""
+        raise ValueError(
+            f"policy: found {type(self).__name__}, which chooses no modes, expected another "
+            "policy; it stands only in comparisons"
+        )
 
 
 class _Function(Policy):
@@ -62,11 +88,13 @@ def agent_from(name: str) -> Act:
 def tried(name: str, agent: Act, table: Observation) -> Policy:
     """Return an agent as a policy; check that it returns actions for a few random observations.
 
-    Its optional method ``reset(begins)`` is called, too.
+    Its optional method ``reset(begins)`` is called, too. An estimator is returned as it is.
 
     Raises:
         ValueError: the agent is not a function, raises, or does not return actions.
     """
+    if isinstance(agent, Estimator):
+        return agent
     if not callable(agent):
         raise ValueError(
             f"policy {name}: found {agent!r}, expected a function from observations (n, features) "
@@ -90,6 +118,17 @@ def tried(name: str, agent: Act, table: Observation) -> Policy:
 def in_one_line(error: Exception) -> str:
     """Return the type and the first line of an exception that a user's code raised."""
     return f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
+
+
+def require_beliefs(
+    name: str, returned: Any, shape: tuple[int, int], layout: Layout
+) -> tuple[Array, Array]:
+    """Return an estimator's means and packed covariances; refuse arrays of other shapes."""
+    wanted = [(*shape, layout.state_size), (*shape, layout.triangle)]
+    found = [np.shape(part) for part in returned]
+    if found != wanted:
+        raise ValueError(f"beliefs of {name}: found shapes {found}, expected {wanted} ({GUIDE})")
+    return returned[0], returned[1]
 
 
 def require_actions(name: str, returned: Any, n: int, count: int) -> NDArray[np.integer[Any]]:

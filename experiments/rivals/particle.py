@@ -1,0 +1,123 @@
+"""A bootstrap particle filter (Gordon, Salmond and Smith 1993; Arulampalam et al. 2002).
+
+Particles move as the radio's UKF mode assumes and are weighted by the likelihood of each
+measurement, whose noise has a Student-t distribution; so outliers need no gates.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.evaluation.agents import Estimator
+from experiments.rivals.noise import DOF, log_density, stated
+from mmwave_env.compiler.program import BatchState, Program, StepIO, blocks_of, fill, rows_of
+from mmwave_env.filters.pipeline import Pipeline, predict
+from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import Site, blank_site, groups_of
+from mmwave_env.numerics.linalg import cholesky, pack, unpack
+from mmwave_env.numerics.numbers import Array, Matrix, Number
+from mmwave_env.numerics.pytree import unflatten
+from mmwave_env.world.episode import EpisodeBatch, Incoming, blank_incoming
+
+PARTICLES = 10_000
+LEAST_M = 0.001  # deviation added to the estimate, as few particles may be left after an outlier
+SPREAD = 0.35  # h of the kernel that moves resampled particles apart, in deviations of the cloud
+KEPT = (1.0 - SPREAD**2) ** 0.5  # factor on deviations before, so that the covariance stays
+
+
+class Weighed(NamedTuple):
+    """A particle in an epoch."""
+
+    incoming: Incoming
+    site: Site
+    x: list[Number]  # (7,) its state
+    log_likelihood: Number  # of the epoch's measurement in this state
+
+
+@lru_cache(maxsize=8)
+def _program(layout: Layout, dof: float) -> Program[Weighed]:
+    """Return the compiled program that weighs particles."""
+
+    def function(w: Weighed) -> Weighed:
+        epoch = w.incoming.epoch(layout)
+        total: Number = 0.0
+        degrees, groups = (
+            layout.degrees(epoch.measured),
+            groups_of(w.x, stated(epoch, w.site, layout)),
+        )
+        for group, k, visible in zip(groups, degrees, epoch.visible, strict=True):
+            nis = group.spare_nis
+            for residual, variance in zip(group.innovation, group.variance, strict=True):
+                nis = nis + residual * residual / variance
+            total = total + visible * log_density(nis, k, dof)
+        return w._replace(log_likelihood=total)
+
+    site = blank_site(layout)
+    return Program(function, Weighed(blank_incoming(layout), site, site.prior_x, 0.0))
+
+
+class Particles(Estimator):
+    """A cloud of particles; its mean and covariance are the belief.
+
+    Resampled particles are moved apart by a kernel that keeps mean and covariance (Musso, Oudjane
+    and Le Gland 2001; West 1993), because the process hardly moves the height.
+
+    Args:
+        count: number of particles.
+        dof: degrees of freedom of the measurement noise; many for Gaussian noise.
+    """
+
+    def __init__(self, count: int = PARTICLES, dof: float = DOF) -> None:
+        if count < 2:
+            raise ValueError(f"particles: found {count}, expected at least 2")
+        self._count, self._dof = count, dof
+
+    def estimate(self, pipeline: Pipeline, episodes: EpisodeBatch) -> tuple[Array, Array]:
+        """Return means and packed covariances; the random numbers follow from the prior."""
+        rows = zip(episodes.table, episodes.site, strict=True)
+        x, P = zip(*(self._track(pipeline, table, site) for table, site in rows), strict=True)
+        return np.array(x), np.array(P)
+
+    def _track(self, pipeline: Pipeline, table: Array, row: Array) -> tuple[Array, Array]:
+        """Return the means (T, 7) and packed covariances (T, 28) of an episode."""
+        layout, mode, n = pipeline.layout, pipeline.modes[-1], self._count
+        site, blank = unflatten(blank_site(layout), iter(row)), blank_incoming(layout)
+        rng = np.random.default_rng(row.view(np.uint32))
+        program = _program(layout, self._dof)
+        rows = fill(blocks_of(program.start, n), rows_of(program.index.site), np.tile(row, (n, 1)))
+        state = BatchState.of(np.empty((n, 1, table.shape[1])), rows)
+        io = StepIO.of(n, 1, rows_of(program.index.x), rows_of(program.index.log_likelihood))
+
+        def noise(covariance: Matrix) -> Array:
+            return np.array(cholesky(covariance)) @ rng.standard_normal((layout.state_size, n))
+
+        x = np.array(site.prior_x)[:, None] + noise(unpack(site.prior_P, pipeline.known_axes))
+        weight, apart = np.zeros(n), [0.0] * layout.triangle  # logarithms; kernel's covariance
+        beliefs = []
+        for values in table:
+            epoch = unflatten(blank, iter(values)).epoch(layout)
+            moved, Q = predict(pipeline, mode, list(x), apart, 1.0, epoch, site.hz_per_mps)
+            x = np.array(moved) + noise(Q)
+            io.inputs[:, 0], state.table[:], state.epoch[:] = x.T, values, 0
+            program.run_on_lanes(state, io)
+            weight = weight + io.outputs[:, 0, 0]
+            share = np.exp(weight - weight.max())
+            share /= share.sum()
+            mean = x @ share
+            away = x - mean[:, None]
+            P = (away * share) @ away.T + LEAST_M**2 * np.eye(len(x))
+            beliefs.append((mean, pack(P)))
+            few = 1.0 / (share @ share) < 0.5 * n
+            apart = pack(SPREAD**2 * few * P)
+            if few:
+                x, weight = mean[:, None] + KEPT * away[:, resampled(share, rng)], np.zeros(n)
+        means, covariances = zip(*beliefs, strict=True)
+        return np.array(means), np.array(covariances)
+
+
+def resampled(share: Array, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Draw the numbers of particles in proportion to their shares, by systematic resampling."""
+    places = (np.arange(len(share)) + rng.random()) / len(share)
+    return np.minimum(np.searchsorted(np.cumsum(share), places), len(share) - 1)
