@@ -4,7 +4,7 @@ import importlib
 import os
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, cast
 
 import numpy as np
@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
-from mmwave_env.models.layout import Layout
-from mmwave_env.numerics.numbers import Array
-from mmwave_env.world.episode import EpisodeBatch
+from mmwave_env.models.measurement import Epoch, Site, blank_site
+from mmwave_env.numerics.numbers import Array, Vector
+from mmwave_env.numerics.pytree import unflatten
+from mmwave_env.world.episode import EpisodeBatch, blank_incoming
 from policies import Policy
 
 Act = Callable[[NDArray[np.float32]], Any]  # observations (n, features) -> actions (n,)
@@ -26,18 +27,50 @@ TRIED = 3  # number of random observations to try an agent on
 
 
 class Estimator(Policy):
-    """An agent that tracks users by itself instead of choosing filters; it is for comparisons."""
+    """An agent that tracks users by itself instead of choosing filters, for comparisons.
 
-    def estimate(self, pipeline: Pipeline, episodes: EpisodeBatch) -> tuple[Array, Array]:
-        """Return means (n, T, 7) and packed covariances (n, T, 28) after every epoch.
+    Attributes:
+        at_once: whether numbers are arrays (n,) of all episodes, instead of floats of one.
+    """
 
-        With a clock they are (n, T, 8) and (n, T, 36). The truth in the episodes is off limits.
+    at_once = False
 
-        Args:
-            pipeline: the radio's default modes, layout and terrain.
-            episodes: n episodes of T epochs.
+    def track(
+        self, pipeline: Pipeline, site: Site, epochs: Iterator[Epoch]
+    ) -> Iterable[tuple[Vector, Vector]]:
+        """Yield a mean (7,) and a packed covariance (28,) after every epoch.
+
+        The pipeline has the radio's default modes, the layout and the terrain. With a clock, the
+        state has eight components.
         """
         raise NotImplementedError
+
+    def estimate(self, pipeline: Pipeline, episodes: EpisodeBatch) -> tuple[Array, Array]:
+        """Return means (n, T, 7) and packed covariances (n, T, 28) of n episodes.
+
+        Raises:
+            ValueError: a belief has another shape, or an epoch has none.
+        """
+        layout, (n, T, _) = pipeline.layout, episodes.table.shape
+        blank, shape = blank_incoming(layout), (n,) if self.at_once else ()
+        parts: list[Any] = [[], []]
+        for some in [slice(None)] if self.at_once else range(n):
+            site = unflatten(blank_site(layout), iter(episodes.site[some].T))
+            rows = np.moveaxis(episodes.table[some], -2, 0)
+            epochs = (unflatten(blank, iter(row.T)).epoch(layout) for row in rows)
+            beliefs = list(self.track(pipeline, site, epochs))
+            found = len(beliefs), {(len(x), len(P)) for x, P in beliefs}
+            expected = T, {(layout.state_size, layout.triangle)}
+            if found != expected:
+                raise ValueError(
+                    f"beliefs of {type(self).__name__}: found {found[0]} with sizes {found[1]}, "
+                    f"expected {T} with sizes {expected[1]}, of means and packed covariances"
+                )
+            for made, values in zip(parts, zip(*beliefs, strict=True), strict=True):
+                full = [[np.broadcast_to(v, shape) for v in numbers] for numbers in values]
+                made.append(np.moveaxis(np.array(full, float), -1, 0) if self.at_once else full)
+        x, P = (np.array(made, float).reshape(n, T, -1) for made in parts)
+        return x, P
 
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
         """Refuse to choose a mode."""
@@ -118,17 +151,6 @@ def tried(name: str, agent: Act, table: Observation) -> Policy:
 def in_one_line(error: Exception) -> str:
     """Return the type and the first line of an exception that a user's code raised."""
     return f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
-
-
-def require_beliefs(
-    name: str, returned: Any, shape: tuple[int, int], layout: Layout
-) -> tuple[Array, Array]:
-    """Return an estimator's means and packed covariances; refuse arrays of other shapes."""
-    wanted = [(*shape, layout.state_size), (*shape, layout.triangle)]
-    found = [np.shape(part) for part in returned]
-    if found != wanted:
-        raise ValueError(f"beliefs of {name}: found shapes {found}, expected {wanted} ({GUIDE})")
-    return returned[0], returned[1]
 
 
 def require_actions(name: str, returned: Any, n: int, count: int) -> NDArray[np.integer[Any]]:

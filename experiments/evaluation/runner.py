@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.console.progress import bars
-from experiments.evaluation.agents import Estimator, require_actions, require_beliefs
+from experiments.evaluation.agents import Estimator, require_actions
 from experiments.evaluation.branches import Clairvoyant
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.seeds import Selection
@@ -124,8 +124,7 @@ def _run(
         return imm.run(episodes, *names)
     n, T, _ = episodes.table.shape
     if isinstance(policy, Estimator):
-        beliefs = policy.estimate(pipeline, episodes)
-        x, P = require_beliefs(contender.name, beliefs, (n, T), episodes.layout)
+        x, P = policy.estimate(pipeline, episodes)
         truth = episodes.table[:, :, columns_of(episodes.layout).truth]
         return {"x": x, "P": P, **_scored(belief_of(x, P, pipeline), truth, scoring.reward)}
     engine = Engine(pipeline, n, scoring.reward, contender.observation, contender.bank)

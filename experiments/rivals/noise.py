@@ -7,7 +7,7 @@ weigh little (Piché, Särkkä and Hartikainen 2012; Roth, Özkan and Gustafsson
 slowly forgotten, the filter adapts to its noise (Särkkä and Nummenmaa 2009).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -23,15 +23,13 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline, measurement_of, predict
 from mmwave_env.filters.update import Algorithm, Posterior, ekf
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.measurement import Epoch, Group, Measurement, Site, blank_site, groups_of
+from mmwave_env.models.measurement import Epoch, Group, Measurement, Site, groups_of
 from mmwave_env.numerics.linalg import dot, pack
-from mmwave_env.numerics.numbers import Array, Matrix, Number, Vector, log
-from mmwave_env.numerics.pytree import unflatten
-from mmwave_env.world.episode import EpisodeBatch, blank_incoming
+from mmwave_env.numerics.numbers import Matrix, Number, Vector, log
 from policies import Policy
 
-DOF = 4.0  # degrees of freedom of Student-t noise, chosen on tuning seeds
-MEMORY = 0.8  # share of the adaptive filter's knowledge that is left after an epoch, likewise
+DOF = 3.0  # degrees of freedom of Student-t noise, chosen on tuning seeds
+MEMORY = 0.5  # share of the adaptive filter's knowledge that is left after an epoch, likewise
 ITERATIONS = 3
 EVERYTHING = Gate(None)
 
@@ -134,26 +132,24 @@ class StudentImm(Policy):
 class Variational(Estimator):
     """The radio's UKF with an adaptive factor on the noise of every group, instead of gates."""
 
+    at_once = True
+
     def __init__(self, memory: float = MEMORY) -> None:
         if not 0.0 < memory < 1.0:
             raise ValueError(f"memory: found {memory}, expected above 0 and below 1")
         self._memory = memory
 
-    def estimate(self, pipeline: Pipeline, episodes: EpisodeBatch) -> tuple[Array, Array]:
-        """Return means (n, T, 7) and packed covariances (n, T, 28)."""
-        layout, mode, beliefs = pipeline.layout, pipeline.modes[-1], []
-        site = unflatten(blank_site(layout), iter(episodes.site.T))
+    def track(
+        self, pipeline: Pipeline, site: Site, epochs: Iterator[Epoch]
+    ) -> Iterator[tuple[Vector, Vector]]:
+        """Yield means and packed covariances."""
+        layout, mode = pipeline.layout, pipeline.modes[-1]
         x, P = site.prior_x, site.prior_P
         shape = rate = [0.5 * k / (1.0 - self._memory) for k in layout.widths]
-        for values in np.moveaxis(episodes.table, 0, -1):
-            epoch = unflatten(blank_incoming(layout), iter(values)).epoch(layout)
-            moved, P = predict(pipeline, mode, x, P, 1.0, epoch, site.hz_per_mps)
+        for epoch in epochs:
+            moved, spread = predict(pipeline, mode, x, P, 1.0, epoch, site.hz_per_mps)
             shape, rate = ([self._memory * value for value in part] for part in (shape, rate))
             measurement = stated(epoch, site, layout)
-            _, after, shape, rate = adapted(moved, P, measurement, shape, rate, mode.update)
+            _, after, shape, rate = adapted(moved, spread, measurement, shape, rate, mode.update)
             x, P = after.x, pack(after.P)
-            beliefs.append(
-                (np.stack(np.broadcast_arrays(*x), -1), np.stack(np.broadcast_arrays(*P), -1))
-            )
-        means, covariances = zip(*beliefs, strict=True)
-        return np.stack(means, axis=1), np.stack(covariances, axis=1)
+            yield x, P

@@ -4,6 +4,7 @@ Particles move as the radio's UKF mode assumes and are weighted by the likelihoo
 measurement, whose noise has a Student-t distribution; so outliers need no gates.
 """
 
+from collections.abc import Iterator
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -15,11 +16,11 @@ from experiments.rivals.noise import DOF, log_density, stated
 from mmwave_env.compiler.program import BatchState, Program, StepIO, blocks_of, fill, rows_of
 from mmwave_env.filters.pipeline import Pipeline, predict
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.measurement import Site, blank_site, groups_of
+from mmwave_env.models.measurement import Epoch, Site, blank_site, groups_of
 from mmwave_env.numerics.linalg import cholesky, pack, unpack
-from mmwave_env.numerics.numbers import Array, Matrix, Number
-from mmwave_env.numerics.pytree import unflatten
-from mmwave_env.world.episode import EpisodeBatch, Incoming, blank_incoming
+from mmwave_env.numerics.numbers import Array, Matrix, Number, Vector
+from mmwave_env.numerics.pytree import flatten
+from mmwave_env.world.episode import blank_incoming
 
 PARTICLES = 10_000
 LEAST_M = 0.001  # deviation added to the estimate, as few particles may be left after an outlier
@@ -30,7 +31,7 @@ KEPT = (1.0 - SPREAD**2) ** 0.5  # factor on deviations before, so that the cova
 class Weighed(NamedTuple):
     """A particle in an epoch."""
 
-    incoming: Incoming
+    incoming: Epoch
     site: Site
     x: list[Number]  # (7,) its state
     log_likelihood: Number  # of the epoch's measurement in this state
@@ -41,21 +42,20 @@ def _program(layout: Layout, dof: float) -> Program[Weighed]:
     """Return the compiled program that weighs particles."""
 
     def function(w: Weighed) -> Weighed:
-        epoch = w.incoming.epoch(layout)
         total: Number = 0.0
         degrees, groups = (
-            layout.degrees(epoch.measured),
-            groups_of(w.x, stated(epoch, w.site, layout)),
+            layout.degrees(w.incoming.measured),
+            groups_of(w.x, stated(w.incoming, w.site, layout)),
         )
-        for group, k, visible in zip(groups, degrees, epoch.visible, strict=True):
+        for group, k, visible in zip(groups, degrees, w.incoming.visible, strict=True):
             nis = group.spare_nis
             for residual, variance in zip(group.innovation, group.variance, strict=True):
                 nis = nis + residual * residual / variance
             total = total + visible * log_density(nis, k, dof)
         return w._replace(log_likelihood=total)
 
-    site = blank_site(layout)
-    return Program(function, Weighed(blank_incoming(layout), site, site.prior_x, 0.0))
+    site, blank = blank_site(layout), blank_incoming(layout).epoch(layout)
+    return Program(function, Weighed(blank, site, site.prior_x, 0.0))
 
 
 class Particles(Estimator):
@@ -74,20 +74,16 @@ class Particles(Estimator):
             raise ValueError(f"particles: found {count}, expected at least 2")
         self._count, self._dof = count, dof
 
-    def estimate(self, pipeline: Pipeline, episodes: EpisodeBatch) -> tuple[Array, Array]:
-        """Return means and packed covariances; the random numbers follow from the prior."""
-        rows = zip(episodes.table, episodes.site, strict=True)
-        x, P = zip(*(self._track(pipeline, table, site) for table, site in rows), strict=True)
-        return np.array(x), np.array(P)
-
-    def _track(self, pipeline: Pipeline, table: Array, row: Array) -> tuple[Array, Array]:
-        """Return the means (T, 7) and packed covariances (T, 28) of an episode."""
+    def track(
+        self, pipeline: Pipeline, site: Site, epochs: Iterator[Epoch]
+    ) -> Iterator[tuple[Vector, Vector]]:
+        """Yield means and packed covariances; the random numbers follow from the prior."""
         layout, mode, n = pipeline.layout, pipeline.modes[-1], self._count
-        site, blank = unflatten(blank_site(layout), iter(row)), blank_incoming(layout)
-        rng = np.random.default_rng(row.view(np.uint32))
+        rng = np.random.default_rng(np.array(site.prior_x).view(np.uint32))
         program = _program(layout, self._dof)
-        rows = fill(blocks_of(program.start, n), rows_of(program.index.site), np.tile(row, (n, 1)))
-        state = BatchState.of(np.empty((n, 1, table.shape[1])), rows)
+        values = np.tile(flatten(site), (n, 1))
+        rows = fill(blocks_of(program.start, n), rows_of(program.index.site), values)
+        state = BatchState.of(np.empty((n, 1, len(program.blank))), rows)
         io = StepIO.of(n, 1, rows_of(program.index.x), rows_of(program.index.log_likelihood))
 
         def noise(covariance: Matrix) -> Array:
@@ -95,12 +91,10 @@ class Particles(Estimator):
 
         x = np.array(site.prior_x)[:, None] + noise(unpack(site.prior_P, pipeline.known_axes))
         weight, apart = np.zeros(n), [0.0] * layout.triangle  # logarithms; kernel's covariance
-        beliefs = []
-        for values in table:
-            epoch = unflatten(blank, iter(values)).epoch(layout)
+        for epoch in epochs:
             moved, Q = predict(pipeline, mode, list(x), apart, 1.0, epoch, site.hz_per_mps)
             x = np.array(moved) + noise(Q)
-            io.inputs[:, 0], state.table[:], state.epoch[:] = x.T, values, 0
+            io.inputs[:, 0], state.table[:], state.epoch[:] = x.T, flatten(epoch), 0
             program.run_on_lanes(state, io)
             weight = weight + io.outputs[:, 0, 0]
             share = np.exp(weight - weight.max())
@@ -108,13 +102,11 @@ class Particles(Estimator):
             mean = x @ share
             away = x - mean[:, None]
             P = (away * share) @ away.T + LEAST_M**2 * np.eye(len(x))
-            beliefs.append((mean, pack(P)))
+            yield mean, pack(P)
             few = 1.0 / (share @ share) < 0.5 * n
             apart = pack(SPREAD**2 * few * P)
             if few:
                 x, weight = mean[:, None] + KEPT * away[:, resampled(share, rng)], np.zeros(n)
-        means, covariances = zip(*beliefs, strict=True)
-        return np.array(means), np.array(covariances)
 
 
 def resampled(share: Array, rng: np.random.Generator) -> NDArray[np.intp]:
