@@ -16,8 +16,9 @@ import pytest
 from tests.paths import ROOT
 
 FOLDER = ROOT / "examples"
-MAKERS = {"raytrace", "sumo", "minari_collect"}  # make data instead of training an agent
-EXAMPLES = {path.stem: path for path in sorted(FOLDER.glob("*.py")) if path.stem not in MAKERS}
+# make data, or compare filters, instead of training an agent
+OTHERS = {"raytrace", "sumo", "minari_collect", "stone_soup"}
+EXAMPLES = {path.stem: path for path in sorted(FOLDER.glob("*.py")) if path.stem not in OTHERS}
 
 
 def imported(source: str) -> set[str]:

@@ -31,6 +31,7 @@ from policies import Policy
 DOF = 3.0  # degrees of freedom of Student-t noise, chosen on tuning seeds
 MEMORY = 0.5  # share of the adaptive filter's knowledge that is left after an epoch, likewise
 ITERATIONS = 3
+LEAST_VARIANCE = 1e-9  # of a known height (m^2) and climb
 EVERYTHING = Gate(None)
 
 
@@ -147,8 +148,11 @@ class Variational(Estimator):
         x, P = site.prior_x, site.prior_P
         shape = rate = [0.5 * k / (1.0 - self._memory) for k in layout.widths]
         for epoch in epochs:
-            moved, spread = predict(pipeline, mode, x, P, 1.0, epoch, site.hz_per_mps)
+            moved, predicted = predict(pipeline, mode, x, P, 1.0, epoch, site.hz_per_mps)
             shape, rate = ([self._memory * value for value in part] for part in (shape, rate))
+            spread = [list(row) for row in predicted]
+            for axis in pipeline.known_axes:  # arrays can't be structural zeros
+                spread[axis][axis] = spread[axis][axis] + LEAST_VARIANCE
             measurement = stated(epoch, site, layout)
             _, after, shape, rate = adapted(moved, spread, measurement, shape, rate, mode.update)
             x, P = after.x, pack(after.P)
