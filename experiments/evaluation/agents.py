@@ -52,25 +52,22 @@ class Estimator(Policy):
             ValueError: a belief has another shape, or an epoch has none.
         """
         layout, (n, T, _) = pipeline.layout, episodes.table.shape
-        blank, shape = blank_incoming(layout), (n,) if self.at_once else ()
-        parts: list[Any] = [[], []]
+        size, blank, tracks = layout.state_size, blank_incoming(layout), []
         for some in [slice(None)] if self.at_once else range(n):
             site = unflatten(blank_site(layout), iter(episodes.site[some].T))
             rows = np.moveaxis(episodes.table[some], -2, 0)
             epochs = (unflatten(blank, iter(row.T)).epoch(layout) for row in rows)
-            beliefs = list(self.track(pipeline, site, epochs))
-            found = len(beliefs), {(len(x), len(P)) for x, P in beliefs}
-            expected = T, {(layout.state_size, layout.triangle)}
-            if found != expected:
+            beliefs = [[*x, *P] for x, P in self.track(pipeline, site, epochs)]
+            shape = len(beliefs), len(min(beliefs, key=len, default=()))
+            if shape != (T, size + layout.triangle):
                 raise ValueError(
-                    f"beliefs of {type(self).__name__}: found {found[0]} with sizes {found[1]}, "
-                    f"expected {T} with sizes {expected[1]}, of means and packed covariances"
+                    f"beliefs of {type(self).__name__}: found {shape[0]} with {shape[1]} numbers, "
+                    f"expected {T} with {size} of a mean and {layout.triangle} of a covariance"
                 )
-            for made, values in zip(parts, zip(*beliefs, strict=True), strict=True):
-                full = [[np.broadcast_to(v, shape) for v in numbers] for numbers in values]
-                made.append(np.moveaxis(np.array(full, float), -1, 0) if self.at_once else full)
-        x, P = (np.array(made, float).reshape(n, T, -1) for made in parts)
-        return x, P
+            full = np.array([np.broadcast_arrays(site.hz_per_mps, *row)[1:] for row in beliefs])
+            tracks.append(np.moveaxis(full, -1, 0) if self.at_once else full)
+        made = np.reshape(np.array(tracks, float), (n, T, -1))
+        return made[..., :size], made[..., size:]
 
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
         """Refuse to choose a mode."""

@@ -17,11 +17,11 @@ from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.filters.bank import Modes
 from mmwave_env.filters.belief import Belief
-from mmwave_env.filters.correction import belief_of, corrected_all
+from mmwave_env.filters.correction import corrected_all
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import Reward, TrackingReward, terms_of, total
 from mmwave_env.metrics import BURN_IN, METRICS, TERMS, scored, summary
-from mmwave_env.numerics.linalg import pack
+from mmwave_env.numerics.linalg import pack, unpack
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.task import Task
 from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource, columns_of
@@ -126,7 +126,10 @@ def _run(
     if isinstance(policy, Estimator):
         x, P = policy.estimate(pipeline, episodes)
         truth = episodes.table[:, :, columns_of(episodes.layout).truth]
-        return {"x": x, "P": P, **_scored(belief_of(x, P, pipeline), truth, scoring.reward)}
+        mean, packed = (list(np.moveaxis(part, -1, 0)) for part in (x, P))
+        axes, known = pipeline.position_axes, pipeline.known_axes
+        belief = Belief(mean, unpack(packed, known), axes)
+        return {"x": x, "P": P, **_scored(belief, truth, scoring.reward)}
     engine = Engine(pipeline, n, scoring.reward, contender.observation, contender.bank)
     engine.reset(episodes)
     policy.reset(np.ones(n, bool))

@@ -7,13 +7,9 @@ weigh little (Piché, Särkkä and Hartikainen 2012; Roth, Özkan and Gustafsson
 slowly forgotten, the filter adapts to its noise (Särkkä and Nummenmaa 2009).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
 
 from experiments.evaluation.agents import Estimator
 from mmwave_env.filters.bank import Bank, default_modes
@@ -26,7 +22,7 @@ from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, Group, Measurement, Site, groups_of
 from mmwave_env.numerics.linalg import dot, pack
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, log
-from policies import Policy
+from policies import FixedMode
 
 DOF = 3.0  # degrees of freedom of Student-t noise, chosen on tuning seeds
 MEMORY = 0.5  # share of the adaptive filter's knowledge that is left after an epoch, likewise
@@ -41,37 +37,28 @@ def stated(epoch: Epoch, site: Site, layout: Layout) -> Measurement:
 
 
 def log_density(nis: Number, rows: Number, dof: float) -> Number:
-    """Return the log density of Student-t noise, without the terms that do not contain the NIS."""
+    """Return the log density of Student-t noise, except for terms without the NIS."""
     return -0.5 * (dof + rows) * log(1.0 + nis / dof)
 
 
-class Adapted(NamedTuple):
-    """The result of an update with unknown factors on the variances of every group."""
-
-    first: Posterior  # with the factors expected before
-    posterior: Posterior
-    shape: list[Number]  # (groups,) parameters of the inverse gamma distributions
-    rate: list[Number]
-
-
 def adapted(
-    x: Vector,
-    P: Matrix,
-    measurement: Measurement,
-    shape: Sequence[Number],
-    rate: Sequence[Number],
-    base: Algorithm,
-    iterations: int = ITERATIONS,
-) -> Adapted:
-    """Update a belief and the distributions (groups,) of the factors on the variances.
+    x: Vector, P: Matrix, measurement: Measurement, shape: Vector, rate: Vector, base: Algorithm
+) -> tuple[list[Posterior], list[Number], list[Number]]:
+    """Update a belief and the inverse gamma distributions of the factors on the variances.
 
-    The ``base`` is the update for Gaussian noise; it runs once per iteration, without gates.
+    Args:
+        x, P, measurement: same as for any algorithm.
+        shape, rate: (groups,) parameters of the distributions.
+        base: update for Gaussian noise; the first iteration uses the factors expected before.
+
+    Returns:
+        The posterior of every iteration, and the new parameters.
     """
     widths, visible = measurement.layout.widths, measurement.visible
     degrees = measurement.layout.degrees(measurement.measured)
     after = [a + 0.5 * v * k for a, v, k in zip(shape, visible, degrees, strict=True)]
     factors, posteriors = [b / a for a, b in zip(shape, rate, strict=True)], []
-    for _ in range(iterations):
+    for _ in range(ITERATIONS):
         of_rows = [factor for factor, k in zip(factors, widths, strict=True) for _ in range(k)]
         variance = [v * factor for v, factor in zip(measurement.variance, of_rows, strict=True)]
         posterior = base(x, P, measurement._replace(variance=variance), EVERYTHING)
@@ -79,7 +66,7 @@ def adapted(
         new = [b + 0.5 * v * q for b, v, q in zip(rate, visible, misfits, strict=True)]
         factors = [b / a for a, b in zip(after, new, strict=True)]
         posteriors.append(posterior)
-    return Adapted(posteriors[0], posteriors[-1], after, new)
+    return posteriors, after, new
 
 
 def misfit(group: Group, P: Matrix) -> Number:
@@ -103,31 +90,26 @@ def student_t(
     With many degrees of freedom the result is that of the ``base`` without gates.
     """
     same = [0.5 * dof] * len(measurement.visible)
-    first, (x, P, *_), *_ = adapted(x, P, measurement, same, same, base)
-    likelihood = first.log_likelihood
-    degrees = measurement.layout.degrees(measurement.measured)
+    (first, *_, last), _, _ = adapted(x, P, measurement, same, same, base)
+    likelihood, degrees = first.log_likelihood, measurement.layout.degrees(measurement.measured)
     for nis, k in zip(first.nis, degrees, strict=True):
         likelihood = likelihood + (0.5 * nis + log_density(nis, k, dof))
-    return Posterior(x, P, first.nis, first.accepted, likelihood)
+    return last._replace(nis=first.nis, accepted=first.accepted, log_likelihood=likelihood)
 
 
-class StudentImm(Policy):
+class StudentImm(FixedMode):
     """The IMM over a radio's EKF and UKF, both with Student-t updates instead of gates."""
 
     beliefs = "per-mode"
 
+    def __init__(self) -> None:
+        super().__init__(0)  # trusts no mode
+
     def bank(self, radio: str) -> Bank:
         """Return the bank for a radio, in which a mode continues with probability 0.95."""
-        return Bank(
-            tuple(
-                replace(m, algorithm=partial(student_t, base=m.update), gate=None, adaptive=False)
-                for m in default_modes(radio)
-            )
-        )
-
-    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
-        """Trust no mode (n,)."""
-        return np.zeros(len(observation), np.int64)
+        plain = [replace(mode, gate=None, adaptive=False) for mode in default_modes(radio)]
+        heavy = (replace(m, algorithm=partial(student_t, base=m.update)) for m in plain)
+        return Bank(tuple(heavy))
 
 
 class Variational(Estimator):
@@ -154,6 +136,6 @@ class Variational(Estimator):
             for axis in pipeline.known_axes:  # arrays can't be structural zeros
                 spread[axis][axis] = spread[axis][axis] + LEAST_VARIANCE
             measurement = stated(epoch, site, layout)
-            _, after, shape, rate = adapted(moved, spread, measurement, shape, rate, mode.update)
-            x, P = after.x, pack(after.P)
+            posteriors, shape, rate = adapted(moved, spread, measurement, shape, rate, mode.update)
+            x, P = posteriors[-1].x, pack(posteriors[-1].P)
             yield x, P

@@ -98,27 +98,19 @@ def corrected(belief: Belief, shift: Vector, log_factor: Vector) -> Belief:
     return Belief(x, P, belief.axes)
 
 
-def belief_of(x: Array, P: Array, pipeline: Pipeline) -> Belief:
-    """Return means (..., 7) and packed covariances (..., 28) as one belief of arrays (...).
-
-    A single belief becomes a belief of floats. The pipeline knows whether the height is known.
-    """
-    mean, packed = numbers_of(x), numbers_of(P)
-    return Belief(mean, unpack(packed, pipeline.known_axes), pipeline.position_axes)
-
-
 def corrected_all(
     x: Array, P: Array, shift: Array, log_factor: Array, pipeline: Pipeline
 ) -> Belief:
-    """Return corrected beliefs as one belief, as :func:`belief_of` does.
+    """Return corrected beliefs as one belief of arrays (...), or of floats for a single belief.
 
     Args:
-        x, P, pipeline: same as for :func:`belief_of`.
+        x, P: (..., 7), (..., 28) means and packed covariances.
         shift, log_factor: (..., 3) as for :func:`corrected`.
+        pipeline: pipeline of the filters, which knows whether the height is known.
     """
-    return corrected(belief_of(x, P, pipeline), numbers_of(shift), numbers_of(log_factor))
-
-
-def numbers_of(values: Array) -> list[Number]:
-    """Return an array (..., k) as k numbers: arrays (...), or floats if it is (k,)."""
-    return values.tolist() if values.ndim == 1 else list(np.moveaxis(values, -1, 0))
+    mean, packed, *correction = (
+        part.tolist() if part.ndim == 1 else list(np.moveaxis(part, -1, 0))
+        for part in (x, P, shift, log_factor)
+    )
+    belief = Belief(mean, unpack(packed, pipeline.known_axes), pipeline.position_axes)
+    return corrected(belief, *correction)
