@@ -17,8 +17,9 @@ import pytest
 from tests.paths import ROOT
 
 FOLDER = ROOT / "examples"
-MAKERS = {"raytrace", "sumo", "minari_collect", "mo_front"}  # do not train an agent
-EXAMPLES = {path.stem: path for path in sorted(FOLDER.glob("*.py")) if path.stem not in MAKERS}
+# make data, draw a front, or compare filters, instead of training an agent
+OTHERS = {"raytrace", "sumo", "minari_collect", "mo_front", "stone_soup"}
+EXAMPLES = {path.stem: path for path in sorted(FOLDER.glob("*.py")) if path.stem not in OTHERS}
 
 
 def imported(source: str) -> set[str]:

@@ -35,7 +35,7 @@ SEES = {
     "experiments.console": LIBRARY,
     "experiments.evaluation": LIBRARY | {"experiments.console"},
     **dict.fromkeys(
-        ["experiments.figures", "experiments.training"],
+        ["experiments.figures", "experiments.training", "experiments.rivals"],
         LIBRARY | {"experiments.console", "experiments.evaluation"},
     ),
     **dict.fromkeys(
