@@ -79,7 +79,7 @@ def arrays_of(paths):
 
 
 def joined(blocks):
-    """Concatenate arrays along receivers; pad arrays with fewer paths with NaN."""
+    """Concatenate arrays along receivers; fill the places of missing paths with NaN."""
     most = max(block.shape[1] for block in blocks)
     fill = [[(0, 0), (0, most - b.shape[1])] + [(0, 0)] * (b.ndim - 2) for b in blocks]
     return np.concatenate(

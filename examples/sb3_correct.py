@@ -20,7 +20,7 @@ usual = {"gamma": 0.0, "seed": 10_000_000, "device": "cpu"}  # corrections have 
 if "sac" in sys.argv:
     model = SAC("MlpPolicy", envs, 1e-3, 500_000, 50_000, 1024, ent_coef=0.003, **usual)
 else:
-    small = {"log_std_init": -2.0}  # explores corrections that are small
+    small = {"log_std_init": -2.0}  # explore only small corrections
     model = PPO("MlpPolicy", envs, 1e-3, 16, 2048, 6, policy_kwargs=small, **usual)
 model.learn(total_timesteps=2_000_000)
 
@@ -35,7 +35,7 @@ def reward(act, episodes=500):
     return np.mean(rewards[10:], axis=0)
 
 
-mine = reward(lambda seen: model.predict(seen, deterministic=True)[0])
-base = reward(lambda seen: np.zeros((len(seen), 6)))
+mine = reward(lambda shown: model.predict(shown, deterministic=True)[0])
+base = reward(lambda shown: np.zeros((len(shown), 6)))
 print(f"sb3: reward {mine.mean():.3f}\nguided: reward {base.mean():.3f}")
 print(f"difference: {np.mean(mine - base):.4f} ± {1.96 * np.std(mine - base) / 500**0.5:.4f}")

@@ -78,7 +78,7 @@ def write_ways(path, ways):
 
 
 def make_traffic(out, seconds, seed, blocks=2, block_m=80):
-    """Write the file of traffic ``out``, with SUMO's netgenerate, randomTrips.py and sumo."""
+    """Write the traffic file ``out`` with SUMO's netgenerate, randomTrips.py and sumo."""
     home = Path(distribution("eclipse-sumo").locate_file("sumo"))
 
     def run(program, options, *values):

@@ -23,15 +23,15 @@ class Args(EpisodeArgs):
     policies: Annotated[tuple[str, ...], arg(aliases=("--policy",))] = ()
     """names from mmwave-loc list policies, policy files (.safetensors), folders of runs from
     mmwave-loc train, and module:function, a function without arguments that returns an agent; by
-    default all policies that have a name, except clairvoyant, which knows the truth; beside
-    speed-rule (0) and clairvoyant (100), policies have a score"""
+    default all policies that have a name, except clairvoyant, which knows the truth. If speed-rule
+    and clairvoyant are among them, each policy gets a score: 0 is speed-rule, 100 clairvoyant"""
     errors: Path | None = None
     """draw the distribution (CDF) of horizontal and of vertical errors to this .png, .svg or .pdf
     file"""
     consistency: Path | None = None
     """draw NEES over time, with its chi-square bounds, to this file"""
     width_mm: float | None = None
-    """width of these pictures, mm, such as that of a column of a journal"""
+    """width of these pictures, mm, such as the width of a journal's column"""
     table: Path | None = None
     """write the table of means to this .tex file: LaTeX, for the package booktabs"""
 

@@ -27,6 +27,9 @@ class Args:
     """seed of the first episode; test seeds start at 0"""
     out: Path = Path("results/leaderboard")
     """folder of entries, one JSON file each"""
+    keep: bool = False
+    """keep entries that are in the folder; judge the other policies one after the other, and write
+    each entry at once, so that the same command goes on after a stop"""
     docs: Path | None = None
     """Markdown page in which to replace the tables after `<!-- table: ... -->` by the new ones"""
 
@@ -45,20 +48,24 @@ def main(args: Args) -> None:
         if getattr(args, name) < 2:
             raise ValueError(f"{name}: found {getattr(args, name)}, expected at least 2")
     page = page_to_renew(args.docs) if args.docs else ""
-    judged = []
-    if args.policies:
-        protocol.require_contenders(args.policies)
+    protocol.require_contenders(args.policies)
+    folders, groups = (args.out, protocol.PUBLISHED), [args.policies] if args.policies else []
+    stems = {name: re.sub(r"[^\w.-]+", "-", name).strip("-") for name in args.policies}
+    files = {name: args.out / f"{stem}.json" for name, stem in stems.items()}
+    if args.keep:
+        groups = [(name,) for name, file in files.items() if not file.exists()]
+    ceiling = protocol.ceiling_in(*folders)
+    for names in groups:
+        judged = []
         for site in protocol.sites():
-            note(f"{site.name} ({site.kind})")
+            note(f"{', '.join(names)}: {site.name} ({site.kind})")
             count = args.draws if site.kind == protocol.RECORDED else args.episodes
-            judged.append(protocol.judge(args.policies, site, count, args.seed))
-    made = {name: protocol.entry(name, judged) for name in args.policies}
-    folders = (args.out, protocol.PUBLISHED)
-    ceiling = made.get(CLAIRVOYANT) or protocol.ceiling_in(*folders)
-    protocol.add_scores(made.values(), ceiling)
-    for name, entry in made.items():
-        file = re.sub(r"[^\w.-]+", "-", name).strip("-")
-        write_json(args.out / f"{file}.json", provenance("leaderboard", args) | entry)
+            judged.append(protocol.judge(names, site, count, args.seed))
+        made = {name: protocol.entry(name, judged) for name in names}
+        ceiling = made.get(CLAIRVOYANT) or ceiling
+        protocol.add_scores(made.values(), ceiling)
+        for name, entry in made.items():
+            write_json(files[name], provenance("leaderboard", args) | entry)
     entries = [protocol.read_entry(path) for path in sorted(args.out.glob("*.json"))]
     if not entries:
         raise ValueError(f"out: found no entries in {args.out}; --policies makes some")

@@ -42,7 +42,7 @@ POLICIES = {
     "guided": "learned policy that says which mode of imm-best to trust",
     "corrector": "guided, and a recurrent network that corrects its positions",
     "guided-ppo": "same as guided, but trained only with PPO",
-    "clairvoyant": "no contender: knows the truth, the ceiling of switching; runs only if named",
+    "clairvoyant": "knows the truth, and marks the ceiling of switching; runs only if named",
 }
 
 

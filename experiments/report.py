@@ -7,7 +7,7 @@ from experiments.console.options import PageArgs
 
 @dataclass(kw_only=True)
 class Args(PageArgs):
-    """Make one web page of results, which needs neither a network nor anything installed.
+    """Make one web page of results; the page needs neither a network nor anything installed.
 
     It says who won by how much, and has tables, distributions of errors (CDF) and episodes to
     play. Results are JSON files (--json) from compare, demo and localize, and folders of runs from

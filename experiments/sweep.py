@@ -18,7 +18,7 @@ class Args:
     """
 
     spec: Positional[Path]
-    """TOML or JSON file: one table, [evaluate] or [train], whose lists are combined, or [search]"""
+    """TOML or JSON file of one table: [search]; or [evaluate] or [train], to combine their lists"""
     out: Path | None = None
     """folder of the results, one Parquet file per cell (default: runs/sweep-NAME)"""
     address: str | None = None

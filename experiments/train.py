@@ -17,8 +17,9 @@ class Args(TaskArgs):
     seeds: int = 5
     """number of trainings"""
     total_timesteps: int | None = None
-    """length of each training: number of epochs (default: 4000000) or, with rollouts, of states in
-    which every action is tried (default: 1200000); rounded up to complete updates"""
+    """length of each training: number of epochs (default: 4000000, corrector: 150000000) or, with
+    rollouts, of states in which every action is tried (default: 1200000); rounded up to complete
+    updates"""
     hyperparameters: Path | None = None
     """JSON file of hyperparameters, instead of the algorithm's default file in
     experiments/training, such as ppo.json or, with --beliefs per-mode, guided-ppo.json"""
@@ -28,7 +29,7 @@ class Args(TaskArgs):
     jobs: int = min(2, os.cpu_count() or 1)
     """number of trainings to run at once"""
     checkpoint_every: int = 32
-    """number of updates between two checkpoints of a training, from which --resume continues"""
+    """number of updates between two checkpoints of a training; --resume continues from the last"""
     out: Path = Path("runs/train")
     """folder of the run: one folder per seed, policy.safetensors (of the median seed) and
     summary.json"""

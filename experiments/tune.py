@@ -66,7 +66,7 @@ def _tuned_bank(args: Args) -> tuple[Content, Content]:
     name = radio_from(args.radio).name
     bank = tuned_bank(args.radio, args.episodes, args.seed, args.evaluations)
     reward, gain = (Interval.of(bank["held_out"][column]) for column in ("reward", "minus imm"))
-    say(f"{name}: reward {reward}, minus that of imm {gain}, on as many other episodes")
+    say(f"{name}, on as many other episodes: reward {reward}, gain over imm {gain}")
     return bank, {}
 
 

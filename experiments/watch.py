@@ -136,7 +136,7 @@ def _show(
     histories: "Sequence[History]",
     rows: Sequence[int],
 ) -> None:
-    """Write the video, or play it in a window until it is closed or a key ends it."""
+    """Write the video, or play it until the user closes the window or ends it with a key."""
     from experiments.console.progress import progress, say
     from mmwave_env.rendering.picture import Playback
     from mmwave_env.rendering.video import write_video

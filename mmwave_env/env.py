@@ -20,8 +20,8 @@ from mmwave_env.interface.info import (
     NONFINITE_KEY,
     STATE_KEYS,
     info_rows,
+    reported,
     step_info,
-    told,
     warn_of_nonfinite,
     worded,
 )
@@ -105,9 +105,9 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
       later. The action corrects the belief of that epoch, to which reward and infos then belong.
       The filters go on without corrections, so actions have no later effect (use a discount of 0);
       `reward="paired"` subtracts the reward of the belief without correction. The filters are an
-      IMM, or steered by `base`, a function from the table of their observations to an agent without
-      memory, such as `partial(LearnedSwitch, "guided")`. The shipped corrector's answers, as
-      actions, earn what `mmwave-loc compare` shows for it.
+      IMM. An agent without memory can steer it: `base` is a function that takes the table of the
+      filters' features and returns the agent, such as `partial(LearnedSwitch, "guided")`. Actions
+      that the shipped corrector returns earn what `mmwave-loc compare` shows for it.
 
     ## Rewards
 
@@ -284,7 +284,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         at, span = self._engine.at, self._engine.span
         self._io, self._counts = self._engine.io(), self._tally.in_python()
         self._observed, self._error = self._engine.obs_rows, span(at.error)
-        self._spread = span(told(at).P[:3])
+        self._spread = span(reported(at).P[:3])
         self._told = {
             key: part if isinstance(part, int) else span(part)
             for key, part in info_rows(at).items()
@@ -383,7 +383,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         return observation, float(rewards[0]), terminated, truncated, info
 
     def _take(self, action: Any) -> int:
-        """Pass an action to the engine and return its mode, 0 if it is numbers; or refuse it."""
+        """Pass an action to the engine, or refuse it; return its mode, or 0 if it is numbers."""
         inputs = self._io.inputs[0, 0]
         if len(self._limits):
             inputs[1:] = numbers_in("action", action, self._limits)

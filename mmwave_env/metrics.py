@@ -47,7 +47,7 @@ def rpe(error: Array, delta: int = 1) -> Array:
 
 
 def nees_interval(axes: int = 3, share: float = 0.95) -> tuple[float, float]:
-    """Return the two-sided interval that contains a share of the NEES of a consistent filter."""
+    """Return the two-sided interval that holds a consistent filter's NEES in a share of epochs."""
     from scipy.special import chdtri
 
     tail = (1.0 - share) / 2.0

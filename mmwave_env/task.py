@@ -31,7 +31,8 @@ from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Scenario
 
 EPISODE_STEPS = 200
-# from the table of observations to an agent: observations (n, features) -> actions (n,)
+# function from the table of observations to an agent; the agent is a function from observations
+# (n, features) to actions (n,)
 Base = Callable[[Observation], Callable[[NDArray[np.float32]], Any]]
 
 
@@ -48,7 +49,8 @@ class Task:
     # reward of every remaining epoch after a divergence; None if episodes continue after one
     worst: float | None
     action: str = MODE  # kind of actions
-    base: Base | None = None  # whose beliefs actions correct; None for the IMM of the bank
+    # agent whose beliefs are corrected by the actions; None for the IMM of the bank
+    base: Base | None = None
 
     def draw(self, rng: np.random.Generator) -> Episode:
         """Draw the next episode of an environment."""
@@ -79,7 +81,7 @@ class Task:
         return scene.streets if self.simulated.travels or scene.streets_known else None
 
     def require_keys(self, seed: Any) -> None:
-        """Refuse a key if episodes have no keys, or beside a seed, which also draws a key."""
+        """Refuse a key if episodes have no keys, or if a seed is given, which also sets the key."""
         if not self.has_keys:
             raise ValueError(
                 f"options['episode_key']: found a key, but {self.source.name!r} is recorded or "
@@ -93,7 +95,7 @@ class Task:
 
     @property
     def simulated(self) -> SimulatedSource:
-        """Return the source as a simulated one, which it is if episodes have keys."""
+        """Return the source as a ``SimulatedSource``; call this only if episodes have keys."""
         return cast(SimulatedSource, self.source)
 
 
@@ -156,7 +158,7 @@ def task_from(**arguments: Any) -> Task:
     if asked.terminate_on_divergence:
         if getattr(pays, "worst", None) is None:
             raise ValueError(
-                "terminate_on_divergence: needs a reward with its lowest value as attribute worst"
+                "terminate_on_divergence: needs a reward with an attribute worst, its lowest value"
             )
         worst = pays.worst - max(mode.cost for mode in pipeline.modes)  # type: ignore[attr-defined]
     acts = asked.action, asked.base
@@ -169,7 +171,9 @@ def _require_action(asked: TaskArguments) -> None:
     if asked.action != MODE and asked.beliefs != "per-mode":
         raise ValueError(f'action: found {asked.action!r}, which needs beliefs="per-mode"')
     if asked.base is not None and not (asked.action == CORRECTION and callable(asked.base)):
-        raise ValueError(f"base: found {asked.base!r}, expected a function, for corrections alone")
+        raise ValueError(
+            f"base: found {asked.base!r}, expected a function, and action={CORRECTION!r}"
+        )
 
 
 def bank_and_modes(

@@ -293,7 +293,10 @@ class MmWaveLocVectorEnv(
         return infos
 
     def _checked(self, actions: Any) -> tuple[Index, Array | None]:
-        """Return copies of modes (N,) and of numbers; refuse what is invalid and not ignored."""
+        """Return the actions, copied: modes (N,), and numbers (None if the actions are modes).
+
+        Invalid actions are refused, except in environments that ignore their action.
+        """
         self._require_begun("step")
         if self._ended and self.autoreset_mode == AutoresetMode.DISABLED:
             raise ResetNeeded(

@@ -3,7 +3,7 @@
 After every update, the network reads residuals and beliefs, and returns a correction of the
 position and factors for its standard deviations. Only the output is corrected: the filters of the
 base, a switcher or an IMM, continue from their own beliefs. If features are outside the range that
-the network saw in training, its corrections are scaled down, to none if they are far outside.
+the network saw in training, corrections are scaled down; far outside the range, there are none.
 """
 
 import os
@@ -26,7 +26,8 @@ BASE_IMM = "imm-best"  # base without a switcher: the IMM of the policy's bank
 # "Trust" is the factor, 0 to 1, by which corrections are scaled
 RANGE_FADE = 2.0  # trust is exp(-2 d) if a feature is d standard deviations outside its range
 RECOVERY = 0.1  # increase of trust per epoch; slow, as the memory still contains strange epochs
-# disagreement of the ensemble, in corrected deviations, up to which trust is 1, and from which 0
+# disagreement of the ensemble, in corrected deviations: trust is 1 up to the first value, and 0
+# from the second value on
 SPREAD = (0.5, 1.0)
 
 
@@ -81,7 +82,7 @@ class Corrector(LearnedPolicy, Policy):
              for name in ("ih", "hh")]
             for rows in (slice(2 * units), slice(2 * units, None))
         )  # fmt: skip
-        # of the squares of the members' differences, for each direction
+        # matrix that averages the squares of the members' differences, for each direction
         members = (self._out[0].shape[1] - CORRECTIONS) // 3
         self._average = np.tile(np.eye(3, dtype=np.float32), (members, 1)) / np.float32(members)
         self._hidden = np.zeros((0, units), np.float32)
@@ -127,7 +128,7 @@ class Corrector(LearnedPolicy, Policy):
         return self.correct_features(taken(signed.astype(np.float32), *self._of_track))
 
     def correct_features(self, features: Array) -> Correction:
-        """Return corrections, given the features (n, features) of the last epoch alone."""
+        """Return corrections, given only the network's features (n, features) of the last epoch."""
         inside = np.fmin(np.fmax(features, self._low), self._high)  # the limit instead of NaN
         beyond = np.abs(features - inside).max(axis=1)
         strange = np.fmax(np.exp(-RANGE_FADE * beyond), 0.0)  # 0 if a feature is NaN
@@ -175,7 +176,7 @@ class Corrector(LearnedPolicy, Policy):
 
 
 def _mean_and_differences(weight: Array, bias: Array) -> tuple[Array, Array]:
-    """Return weight and bias of the members' mean (6), and of each member's shift minus it (3)."""
+    """Return weight and bias of the members' mean, then of their shifts minus the mean shift."""
     members = np.concatenate([weight, bias[None]]).reshape(len(weight) + 1, -1, CORRECTIONS)
     mean = members.mean(axis=1)
     differences = (members - mean[:, None])[..., :3]

@@ -109,8 +109,9 @@ class LearnedPolicy:
         """Find the policy's features, by name, in columns.
 
         Returns:
-            The positions of the features in the columns, None if both are the same; and for each
-            feature the value to use if its anchor is missing, NaN if not, or None if none is.
+            The positions of the features in the columns, or None if the columns are exactly the
+            features; and, for each feature, the value to use because its anchor is missing (NaN if
+            the anchor exists), or None if no anchor is missing.
         """
         features, columns = self.card.features, {column.name: column for column in shown}
         anchors = {

@@ -27,9 +27,8 @@ compiling = []
 
 def pytest_sessionstart(session):
     """Compile the loops once for all test processes, while the processes collect their tests."""
-    if getattr(
-        session.config.option, "numprocesses", None
-    ):  # only in the process that starts the others
+    # Only the process that starts the others has a value for this option.
+    if getattr(session.config.option, "numprocesses", None):
         compiling.append(subprocess.Popen([sys.executable, "-c", LOOPS]))
 
 

@@ -75,7 +75,7 @@ def blocks_of(page: Path) -> list[Block]:
     matches = list(BLOCK.finditer(text))
     ends = [*(match.start() for match in matches[1:]), len(text)]
     blocks = []
-    for match, end in zip(matches, ends, strict=False):  # a page without blocks has one end
+    for match, end in zip(matches, ends, strict=False):  # without blocks, there is still an end
         line, tables = (
             text.count("\n", 0, match.start("text")),
             TABLE.finditer(text, match.end(), end),
@@ -89,7 +89,7 @@ class Session:
 
     Args:
         page: page whose blocks are run.
-        folder: empty folder, in which docs/ becomes a link to that folder of the checkout.
+        folder: empty folder, to which the session adds a link to the checkout's docs/.
     """
 
     def __init__(self, page: Path, folder: Path) -> None:

@@ -12,13 +12,14 @@ from gymnasium.error import InvalidAction
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
-from experiments.evaluation.contenders import contender_from
+from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.runner import run_contender
 from mmwave_env.engines.tally import exceeds
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.localization.position_errors import horizontal_level
 from mmwave_env.metrics import RISK
 from policies import Corrector, LearnedSwitch
+from policies.corrector import Correction
 from tests.refusals import refuses
 from tests.vector_checker import forward, same
 
@@ -27,9 +28,9 @@ PER_MODE = {"beliefs": "per-mode", "modes": ["ekf", "ukf"]}
 
 
 def alternating(table):
-    """Return a base: it trusts one of the modes, or none, depending on a feature."""
+    """Return a base policy that trusts one of the modes, or none, depending on a feature."""
     column = table.names.index("coming NIS anchor 1 ukf")
-    return lambda seen: np.digitize(seen[:, column], [-0.5, 0.5])
+    return lambda shown: np.digitize(shown[:, column], [-0.5, 0.5])
 
 
 KINDS = {
@@ -66,7 +67,7 @@ def test_the_environment_passes_gymnasium_s_checker(name, more):
     env = gym.make(ID, episode_steps=5, disable_env_checker=True, **KINDS[name], **more)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        warnings.filterwarnings("ignore", ".*symmetric and normalized")  # RescaleAction does that
+        warnings.filterwarnings("ignore", ".*symmetric and normalized")  # RescaleAction normalizes
         check_env(env.unwrapped, skip_render_check=True)
 
 
@@ -144,8 +145,37 @@ def test_the_shipped_corrector_earns_as_an_agent_what_its_evaluation_says():
         observations, reward, *_ = env.step(np.hstack([shift, log_factor]))
         earned.append(reward)
     contender = contender_from("corrector", "handset")
-    told = run_contender(contender, contender.start(env.source.layout), episodes)["reward"]
-    np.testing.assert_allclose(np.transpose(earned), told, atol=1e-5)
+    expected = run_contender(contender, contender.start(env.source.layout), episodes)["reward"]
+    np.testing.assert_allclose(np.transpose(earned), expected, atol=1e-5)
+
+
+class Shifting:
+    """An agent of `compare` that trusts no mode, and always corrects in the same way."""
+
+    observation, beliefs, modes = "signed", "per-mode", PER_MODE["modes"]
+    numbers = np.array([0.5, -0.3, 0.2, 0.1, 0.3, -0.4])
+
+    def reset(self, begins):
+        """Forget nothing."""
+
+    def __call__(self, observations):
+        return np.zeros(len(observations), int)
+
+    def correct(self, observations):
+        shift, log_factor = (
+            np.tile(self.numbers, (len(observations), 1)).reshape(-1, 2, 3).swapaxes(0, 1)
+        )
+        return Correction(shift, log_factor, np.ones(len(observations)))
+
+
+def test_the_evaluation_of_an_own_agent_corrects_as_the_environment_does():
+    env = gym.make_vec(ID, num_envs=4, episode_steps=30, **KINDS["correction"]).unwrapped
+    _, infos = env.reset(seed=0)
+    earned = [env.step(np.tile(Shifting.numbers, (4, 1)))[1] for _ in range(30)]
+    contender = Contender.own("shifting", Shifting(), "handset")
+    start = contender.start(env.source.layout)
+    expected = run_contender(contender, start, env.source.episodes(infos["episode_key"]))["reward"]
+    np.testing.assert_allclose(np.transpose(earned), expected, atol=1e-9)
 
 
 def test_a_paired_reward_subtracts_that_of_the_same_belief_without_correction():
@@ -157,11 +187,22 @@ def test_a_paired_reward_subtracts_that_of_the_same_belief_without_correction():
     np.testing.assert_allclose(paired, plain - before, atol=1e-5)
 
 
+@pytest.mark.torch
+def test_stable_baselines3_trains_on_numbers(kind):
+    sb3, adapter = pytest.importorskip("stable_baselines3"), pytest.importorskip("mmwave_env.sb3")
+    envs = gym.make_vec(ID, num_envs=4, autoreset_mode="SameStep", episode_steps=6, **kind)
+    envs = adapter.SB3VecEnv(envs)
+    model = sb3.PPO("MlpPolicy", envs, n_steps=16, batch_size=32, n_epochs=1, device="cpu")
+    assert len(model.learn(64).ep_info_buffer) == 4 * (16 // 6)
+    model = sb3.SAC("MlpPolicy", envs, learning_starts=8, batch_size=8, gamma=0.0, device="cpu")
+    assert model.learn(40).num_timesteps == 40
+
+
 # --- refusals
 
 
 def bad(limits):
-    """Yield actions that are not within limits (k,), as arrays of numbers should be."""
+    """Yield actions that are not arrays of k numbers within the limits (k,)."""
     for value in (math.nan, math.inf, limits[-1] * 1.001):
         yield np.append(np.zeros(len(limits) - 1), value)
     yield from (np.zeros(len(limits) + 1), np.zeros((1, len(limits))), 0, None, "none")
@@ -193,7 +234,7 @@ def test_bad_numbers_are_refused_and_change_nothing(kind):
         {"action": "correction", "smoothed": True},
         {"action": "correction", "observation": "prior"},
     ],
-    ids=str,
+    ids=" ".join,
 )
 def test_arguments_that_do_not_fit_are_refused(arguments):
     name = [*arguments][-1] if arguments.get("beliefs") != "shared" else "action"
@@ -206,7 +247,7 @@ def test_arguments_that_do_not_fit_are_refused(arguments):
     "answer", [np.array([3]), np.array([-1]), np.array([0.0]), np.zeros(2, int)]
 )
 def test_a_base_must_return_actions(answer):
-    env = gym.make(ID, action="correction", base=lambda table: lambda seen: answer, **PER_MODE)
+    env = gym.make(ID, action="correction", base=lambda table: lambda shown: answer, **PER_MODE)
     with refuses("actions of base"):
         env.reset(seed=0)
 

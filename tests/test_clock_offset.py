@@ -103,7 +103,7 @@ def biases(n, **arguments):
 
 
 def test_the_offset_is_drawn_and_the_oscillator_drives_it():
-    """Compare the bias's rate with the Doppler shift that motion does not explain, over f_c / c."""
+    """Compare the bias's growth with the Doppler shift (in m/s) that motion does not explain."""
     bias, shifted = biases(400, radio="standard", episode_steps=60, scenario="pedestrian")
     first = bias[:, 0][np.isfinite(bias[:, 0])]
     assert abs(first.mean()) < 4.0 * SIGMA_M / 20.0

@@ -267,7 +267,7 @@ def test_options_that_are_not_a_dict_are_refused(options):
 @pytest.mark.parametrize("make", [gym.make, gym.make_vec])
 @pytest.mark.parametrize("name", ["frameskip", "epsiode_steps", "data"])
 def test_an_unknown_argument_raises_the_usual_error_of_python(make, name):
-    """Check the exact message, after which TorchRL tries again without `frameskip`."""
+    """Check the exact message, which makes TorchRL try again without `frameskip`."""
     with pytest.raises(TypeError, match=f"unexpected keyword argument '{name}'"):
         make(ID, **{name: 1})
 

@@ -1,4 +1,4 @@
-"""Tests that examples run and beat the best fixed mode, and that the notebook runs.
+"""Tests that examples run and beat the best fixed mode or guided, and that the notebook runs.
 
 Examples whose libraries are not installed are skipped; `make examples` installs them all.
 """
@@ -11,13 +11,15 @@ import shlex
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from tests.paths import ROOT
 
 FOLDER = ROOT / "examples"
-MAKERS = {"raytrace", "sumo", "minari_collect"}  # make data instead of training an agent
-EXAMPLES = {path.stem: path for path in sorted(FOLDER.glob("*.py")) if path.stem not in MAKERS}
+# make data, draw a front, or compare filters, instead of training an agent
+OTHERS = {"raytrace", "sumo", "minari_collect", "mo_front", "stone_soup"}
+EXAMPLES = {path.stem: path for path in sorted(FOLDER.glob("*.py")) if path.stem not in OTHERS}
 
 
 def imported(source: str) -> set[str]:
@@ -52,7 +54,7 @@ def test_an_example_is_short(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_an_example_beats_the_best_fixed_mode(name, tmp_path):
+def test_an_example_beats_the_best_fixed_mode_or_its_base(name, tmp_path):
     source = EXAMPLES[name].read_text("utf-8")
     for module in imported(source):
         pytest.importorskip(module, exc_type=ImportError)
@@ -62,7 +64,18 @@ def test_an_example_beats_the_best_fixed_mode(name, tmp_path):
         done = subprocess.run(program, env=env, capture_output=True, text=True, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
     reward = rewards(done.stdout)
-    assert next(iter(reward.values())) > reward["fixed-ukf"], done.stdout
+    bar = "guided" if "guided" in reward else "fixed-ukf"
+    assert next(iter(reward.values())) > reward[bar], done.stdout
+
+
+@pytest.mark.slow
+def test_a_front_trades_error_for_consistency():
+    pytest.importorskip("mo_gymnasium")
+    program = [sys.executable, "-W", "ignore", str(FOLDER / "mo_front.py")]
+    printed = subprocess.run(program, check=True, capture_output=True, text=True).stdout
+    points = np.array(re.findall(r"error (\S+), inconsistency (\S+):", printed), float)
+    assert len(points) > 2 and (np.diff(points[:, 0]) < 0).all()
+    assert (np.diff(points[:, 1]) >= 0).all()
 
 
 def test_the_docs_list_every_example_with_pinned_versions():
@@ -76,32 +89,53 @@ def test_the_docs_list_every_example_with_pinned_versions():
     assert {example for *_, example in rows} == set(EXAMPLES)
 
 
-PATH = ROOT / "docs" / "notebooks" / "first_switcher.ipynb"
-NOTEBOOK = json.loads(PATH.read_text("utf-8"))
-CODE = [cell for cell in NOTEBOOK["cells"] if cell["cell_type"] == "code"]
+NOTEBOOKS = ROOT / "docs" / "notebooks"
+STORED = {"first_switcher": 0, "corrector": 5}  # number of pictures stored with a notebook
 
 
-def test_the_notebook_is_stored_without_outputs():
-    assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in CODE)
-    assert all(cell["metadata"] == {} for cell in NOTEBOOK["cells"])
-    assert set(NOTEBOOK["metadata"]) == {"kernelspec", "language_info"}
-    assert set(NOTEBOOK["metadata"]["language_info"]) == {"name"}  # without the version of Python
+@pytest.mark.parametrize("name", STORED)
+def test_notebooks_are_stored_with_their_pictures_alone(name):
+    notebook = json.loads((NOTEBOOKS / f"{name}.ipynb").read_text("utf-8"))
+    code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert all(cell["execution_count"] is None for cell in code)
+    assert all(cell["metadata"] == {} for cell in notebook["cells"])
+    assert set(notebook["metadata"]) == {"kernelspec", "language_info"}
+    assert set(notebook["metadata"]["language_info"]) == {"name"}  # without the version of Python
+    outputs = [output for cell in code for output in cell["outputs"]]
+    assert sum("image/png" in output["data"] for output in outputs) == STORED[name]
+    assert STORED[name] or outputs == []
 
 
-@pytest.mark.slow
-@pytest.mark.torch
-def test_the_notebook_runs_and_its_agent_beats_the_rules():
+def outputs_of(name):
+    """Run a notebook; return what it printed, and the data that it showed."""
     nbclient, nbformat = map(pytest.importorskip, ("nbclient", "nbformat"))
-    notebook = nbformat.read(PATH, as_version=4)
+    notebook = nbformat.read(NOTEBOOKS / f"{name}.ipynb", as_version=4)
     nbformat.validate(notebook)
-    folder = {"metadata": {"path": PATH.parent}}  # where Jupyter runs it
+    folder = {"metadata": {"path": NOTEBOOKS}}  # where Jupyter runs it
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
         nbclient.NotebookClient(notebook, resources=folder, timeout=600).execute()
     outputs = [o for cell in notebook.cells if cell.cell_type == "code" for o in cell.outputs]
     printed = "".join(output["text"] for output in outputs if output.get("name"))
+    return printed, [output["data"] for output in outputs if "data" in output]
+
+
+@pytest.mark.slow
+def test_the_notebook_of_the_corrector_shows_that_every_step_helps():
+    _, shown = outputs_of("corrector")
+    assert sum("image/png" in data for data in shown) == STORED["corrector"]
+    errors = eval(shown[0]["text/plain"])
+    assert errors["speed-rule"] > errors["imm-best"] > errors["guided"] > errors["corrector"]
+    (table,) = (data["text/markdown"] for data in shown if "text/markdown" in data)
+    gaussian, calibrated = (float(share) for share in re.findall(r"([\d.]+) %", table))
+    assert gaussian > 0.3 > calibrated
+
+
+@pytest.mark.slow
+@pytest.mark.torch
+def test_the_notebook_runs_and_its_agent_beats_the_rules():
+    printed, shown = outputs_of("first_switcher")
     assert "Warning: speed" not in printed
-    shown = [output["data"] for output in outputs if "data" in output]
     assert sum("image/png" in data for data in shown) == 3
     (tables,) = (data["text/markdown"] for data in shown if "text/markdown" in data)
     header, mine = (

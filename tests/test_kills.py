@@ -21,7 +21,7 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork"),
 ]
-HITS, TRIES = 3, 15  # for each command and signal: required interruptions, and most tries
+HITS, TRIES = 3, 15  # for each command and signal: required interruptions, maximum number of tries
 TOLD = "told.txt"  # file with a command's output, next to the command's folder
 LOG, SCENE = (str(LOGS / "canyon28_vehicle" / name) for name in ("log.csv", "scene.json"))
 FEW = ("--episodes", "4", "--episode-steps", "30")
@@ -54,7 +54,7 @@ def contents(folder):
 
 
 def begun(words, folder, most):
-    """Start a process with the command, limit its files to ``most`` bytes, and return its id."""
+    """Run the command in a new process that can write ``most`` bytes per file; return its id."""
     (folder.parent / TOLD).write_text("")
     child = os.fork()
     if child:
@@ -84,7 +84,7 @@ def begun(words, folder, most):
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
-    """Return a function from a command's name to its inputs, its files and its duration."""
+    """Return a function that finds the inputs, outputs and duration of a command by its name."""
     known = {}
 
     def find(name):

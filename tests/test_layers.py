@@ -8,7 +8,7 @@ from graphlib import TopologicalSorter
 
 from tests.paths import ROOT
 
-EVERYBODY = {"mmwave_env", "io", "metrics"}  # all may import these; mmwave_env is its __init__.py
+EVERYBODY = {"mmwave_env", "io", "metrics"}  # all may import these; mmwave_env: its __init__.py
 FILTER_SIDE = {"numerics", "models", "filters"}
 WORLDS = FILTER_SIDE | {"compiler", "world", "interface", "task"}
 ENVIRONMENT = WORLDS | {"engines", "rendering"}
@@ -31,11 +31,11 @@ SEES = {
     "sb3": {"vector_env"},
     **dict.fromkeys(EVERYBODY, frozenset({"numerics"})),
     "rendering": {"numerics", "models"},  # draws arrays, and needs no filters or episodes
-    # All folders of experiments may import the library and, except the console, the console.
+    # All folders of experiments may import the library; all but the console may import the console.
     "experiments.console": LIBRARY,
     "experiments.evaluation": LIBRARY | {"experiments.console"},
     **dict.fromkeys(
-        ["experiments.figures", "experiments.training"],
+        ["experiments.figures", "experiments.training", "experiments.rivals"],
         LIBRARY | {"experiments.console", "experiments.evaluation"},
     ),
     **dict.fromkeys(
@@ -128,7 +128,7 @@ def test_an_import_that_breaks_the_rules_is_described():
 
 def test_only_the_entry_point_imports_commands_by_name():
     by_name = {module for module, target, _ in IMPORTS if target == ANY}
-    agents = "experiments.evaluation.agents"  # imports modules of users that the command line names
+    agents = "experiments.evaluation.agents"  # imports users' modules, named on the command line
     assert by_name == {"experiments.console.main", agents}
     callers = {module for module, target, _ in ARROWS if target == "experiments.console.main"}
     assert callers == {"experiments.console.__main__"}

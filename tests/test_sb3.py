@@ -1,4 +1,4 @@
-"""Tests of the adapter to Stable-Baselines3, whose checker also checks single environments."""
+"""Tests of the adapter to Stable-Baselines3, and of single environments with its checker."""
 
 import warnings
 
@@ -43,7 +43,7 @@ CONFIGURATIONS = {
 
 
 def assert_same(info, expected):
-    """Check that infos are equal; in ``episode``, allow for single precision, ignore wall times."""
+    """Check that infos are equal, except for rounding and wall times in ``episode``."""
     info, expected = dict(info), dict(expected)
     ours, theirs = info.pop("episode", None), expected.pop("episode", None)
     assert info.keys() == expected.keys()

@@ -46,7 +46,7 @@ NO_TOKENS = {getattr(tokenize, name) for name in ["COMMENT", "NL", "NEWLINE", "I
 
 
 def tokens(text: str) -> int:
-    """Count tokens of Python without docstrings; packing more into a line does not lower this."""
+    """Count Python tokens without docstrings; packing more into a line does not lower the count."""
     return sum(
         token.type not in NO_TOKENS and not token.string.startswith(('"""', 'r"""'))
         for token in tokenize.generate_tokens(io.StringIO(text).readline)

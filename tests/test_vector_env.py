@@ -279,8 +279,8 @@ def test_wrong_seeds_are_refused(seed):
 def peak_bytes(n):
     """Return numpy's peak memory while environments are stepped over the end of all episodes.
 
-    Resident memory is not used: it varies by megabytes, as the kernel hands out huge pages. With
-    several threads, the maximum would depend on which jobs are done at the same time.
+    This is not resident memory, which varies by megabytes because the operating system hands out
+    huge pages. With several threads, the maximum would depend on which jobs run at the same time.
     """
     tracemalloc.start()
     try:

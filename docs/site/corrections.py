@@ -3,7 +3,7 @@
 ``PYTHONPATH=. python docs/site/corrections.py`` plays test episodes for about two minutes.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -61,14 +61,14 @@ class Played(NamedTuple):
     errors: dict[str, Array]
 
 
-def play(radio: str) -> Played:
-    """Play the contenders on test episodes with a radio."""
-    episodes = draw_episodes(SimulatedSource(SCENES["street"], RADIOS[radio]), range(EPISODES))
+def play(radio: str, names: Sequence[str] = NAMES, count: int = EPISODES) -> Played:
+    """Play contenders on test episodes with a radio."""
+    episodes = draw_episodes(SimulatedSource(SCENES["street"], RADIOS[radio]), range(count))
     truth = np.stack([
         np.concatenate([e.truth_position_m, e.truth_velocity_mps], axis=1) for e in episodes
     ])  # fmt: skip
     errors = {}
-    for name in NAMES:
+    for name in names:
         contender = contender_from(name, radio)
         policy = contender.start(episodes[0].layout)
         errors[name] = run_contender(contender, policy, episodes)["error"]

@@ -25,7 +25,8 @@ MIRRORED = {  # pages of the site whose files are outside docs/
     "changelog.md": "CHANGELOG.md",
     "security.md": "SECURITY.md",
 }
-NOTEBOOKS = {"notebooks/first_switcher.md": "docs/notebooks/first_switcher.ipynb"}
+SHOWN = ("first_switcher", "corrector")
+NOTEBOOKS = {f"notebooks/{name}.md": f"docs/notebooks/{name}.ipynb" for name in SHOWN}
 REPORTS = {"docs/results.json": "report.html"}  # results that the site shows as a web page
 API = {  # page: title, modules and folders of modules
     "environment": ("Around the environment", ["vector_env", "sb3"]),
@@ -144,18 +145,29 @@ The same stands in [CITATION.cff]({source_of("CITATION.cff")}), which reference 
 
 
 def notebook_page(path: Path) -> str:
-    """Return the cells of a notebook one below the other, with a link to the file."""
+    """Return the cells of a notebook and their stored outputs, with a link to the file."""
     first, *others = json.loads(path.read_text("utf-8"))["cells"]
     # A reference, since :func:`relinked` turns inline links to a notebook into links to this page.
     parts = [
         "".join(first["source"]),
-        "This page is a notebook, shown without its outputs: it is made to be run. [Download it]"
+        "This page is a notebook with its stored outputs, and is made to be run. [Download it]"
         f"[file]{{ download }}.\n\n[file]: {path.name}",
     ]
     for cell in others:
         source = "".join(cell["source"])
         parts.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
+        parts += [_shown(output["data"]) for output in cell.get("outputs", ())]
     return "\n\n".join(parts) + "\n"
+
+
+def _shown(data: dict[str, Any]) -> str:
+    """Return an output of a cell as Markdown: a picture, a table or text."""
+    if "image/png" in data:
+        image = "".join("".join(data["image/png"]).split())
+        return f'<img alt="output of the cell above" src="data:image/png;base64,{image}">'
+    if "text/markdown" in data:
+        return "".join(data["text/markdown"])
+    return f"```text\n{''.join(data['text/plain'])}\n```"
 
 
 def modules_of(part: str) -> Iterator[str]:

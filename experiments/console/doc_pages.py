@@ -24,7 +24,7 @@ def page_to_renew(path: Path) -> str:
 
 
 def renewed(page: str, tables: Mapping[str, str]) -> str:
-    """Return a page with every marked table replaced by the table in ``tables`` of its title.
+    """Return a page in which every marked table is replaced by the one of its title in ``tables``.
 
     Raises:
         ValueError: the page names a table that is not among the new ones.

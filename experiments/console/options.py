@@ -134,7 +134,8 @@ class TaskArgs:
     explains the coming epoch"""
     reward: str = "tracking"
     """tracking; log-score; or paired: the tracking reward minus that of an IMM (with --beliefs
-    per-mode, of the bank's IMM). "paired" in the hyperparameters subtracts it from any reward"""
+    per-mode, of the bank's IMM). With "paired": true in the hyperparameters, the IMM's reward is
+    subtracted from a reward of any kind"""
     nees_weight: float = 0.2
     """weight of the NEES in the tracking reward"""
 
@@ -186,7 +187,7 @@ class FilterArgs:
 
 @dataclass(kw_only=True)
 class AlgorithmArgs:
-    """Options of the paper's Algorithm 1, which runs instead of a policy if any of them is set."""
+    """Options of the paper's Algorithm 1, which replaces the policy if any of these is set."""
 
     speed: str | None = None
     """Algorithm 1: the user's speed, m/s, which selects the pipeline that runs; or auto, to decide

@@ -19,7 +19,7 @@ from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 T = TypeVar("T")
 WIDTH = 80  # maximum width of help texts, columns
-UNLIMITED = 10_000  # number of columns with which tyro breaks no line of a message
+UNLIMITED = 10_000  # number of columns at which tyro does not wrap the lines of a message
 RULE = re.compile(r"^ +-+ *$", re.MULTILINE)  # line between the parts of tyro's messages
 
 
@@ -49,7 +49,7 @@ def parse(arguments: type[T], words: Sequence[str], program: str) -> T:
     try:
         with (
             _columns(width if helped else UNLIMITED),
-            redirect_stdout(sys.stdout if helped else box),  # tyro needs its encoding
+            redirect_stdout(sys.stdout if helped else box),  # tyro needs stdout's encoding
             redirect_stderr(box),
         ):
             parsed = tyro.cli(read, prog=program, description="", args=words, config=config)
@@ -86,7 +86,7 @@ def described(arguments: type[Any]) -> type[Any]:
 
 
 def _texts(declares: type[Any]) -> dict[str, str]:
-    """Return the text below every field that a class declares itself."""
+    """Return the text below every field that a class itself declares."""
     (tree,) = ast.parse(textwrap.dedent(inspect.getsource(declares))).body
     assert isinstance(tree, ast.ClassDef)
     texts = {}

@@ -60,6 +60,6 @@ def progress(label: str) -> Iterator[Callable[[float], None]]:
 
 
 def tracked(values: Iterable[T], label: str, total: int | None = None) -> Iterator[T]:
-    """Yield values, with a bar that counts them; ``total`` is None for the length of a sequence."""
+    """Yield values, and count them in a bar; a sequence needs no ``total``, as it has a length."""
     with bars() as shown:
         yield from shown.track(values, total=total, description=label)

@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 # Those signals that the system has; Windows has no SIGHUP.
 ENDING = tuple(getattr(signal, n) for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n))
 SOON_S = 0.01  # delay after which a signal that could not be handled is sent again
-SAME_S = 1.0  # within this time, a repeat is the same signal, sent to the process and its group
+SAME_S = 1.0  # a repeat within this time is the same signal, sent to the process and to its group
 
 
 class Ended(SystemExit):

@@ -4,13 +4,18 @@ import importlib
 import os
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
+from mmwave_env.models.measurement import Epoch, Site, blank_site
+from mmwave_env.numerics.numbers import Array, Vector
+from mmwave_env.numerics.pytree import unflatten
+from mmwave_env.world.episode import EpisodeBatch, blank_incoming
 from policies import Policy
 
 Act = Callable[[NDArray[np.float32]], Any]  # observations (n, features) -> actions (n,)
@@ -19,6 +24,57 @@ MODULE = re.compile(r"[\w.]+:[\w.]+")
 GUIDE = "docs/own-agent.md"
 OF_A_MODEL = "for a model, use lambda seen: model.predict(seen, deterministic=True)[0]"
 TRIED = 3  # number of random observations to try an agent on
+
+
+class Estimator(Policy):
+    """An agent that tracks users by itself instead of choosing filters, for comparisons.
+
+    Attributes:
+        at_once: whether numbers are arrays (n,) of all episodes, instead of floats of one.
+    """
+
+    at_once = False
+
+    def track(
+        self, pipeline: Pipeline, site: Site, epochs: Iterator[Epoch]
+    ) -> Iterable[tuple[Vector, Vector]]:
+        """Yield a mean (7,) and a packed covariance (28,) after every epoch.
+
+        The pipeline has the radio's default modes, the layout and the terrain. With a clock, the
+        state has eight components.
+        """
+        raise NotImplementedError
+
+    def estimate(self, pipeline: Pipeline, episodes: EpisodeBatch) -> tuple[Array, Array]:
+        """Return means (n, T, 7) and packed covariances (n, T, 28) of n episodes.
+
+        Raises:
+            ValueError: a belief has another shape, or an epoch has none.
+        """
+        layout, (n, T, _) = pipeline.layout, episodes.table.shape
+        size, blank, tracks = layout.state_size, blank_incoming(layout), []
+        for some in [slice(None)] if self.at_once else range(n):
+            site = unflatten(blank_site(layout), iter(episodes.site[some].T))
+            rows = np.moveaxis(episodes.table[some], -2, 0)
+            epochs = (unflatten(blank, iter(row.T)).epoch(layout) for row in rows)
+            beliefs = [[*x, *P] for x, P in self.track(pipeline, site, epochs)]
+            shape = len(beliefs), len(min(beliefs, key=len, default=()))
+            if shape != (T, size + layout.triangle):
+                raise ValueError(
+                    f"beliefs of {type(self).__name__}: found {shape[0]} with {shape[1]} numbers, "
+                    f"expected {T} with {size} of a mean and {layout.triangle} of a covariance"
+                )
+            full = np.array([np.broadcast_arrays(site.hz_per_mps, *row)[1:] for row in beliefs])
+            tracks.append(np.moveaxis(full, -1, 0) if self.at_once else full)
+        made = np.reshape(np.array(tracks, float), (n, T, -1))
+        return made[..., :size], made[..., size:]
+
+    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
+        """Refuse to choose a mode."""
+        raise ValueError(
+            f"policy: found {type(self).__name__}, which chooses no modes, expected another "
+            "policy; it stands only in comparisons"
+        )
 
 
 class _Function(Policy):
@@ -62,11 +118,13 @@ def agent_from(name: str) -> Act:
 def tried(name: str, agent: Act, table: Observation) -> Policy:
     """Return an agent as a policy; check that it returns actions for a few random observations.
 
-    Its optional method ``reset(begins)`` is called, too.
+    Its optional method ``reset(begins)`` is called, too. An estimator is returned as it is.
 
     Raises:
         ValueError: the agent is not a function, raises, or does not return actions.
     """
+    if isinstance(agent, Estimator):
+        return agent
     if not callable(agent):
         raise ValueError(
             f"policy {name}: found {agent!r}, expected a function from observations (n, features) "

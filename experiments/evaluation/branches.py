@@ -23,8 +23,8 @@ from policies import Policy
 CLAIRVOYANT = "clairvoyant"
 HORIZON_S = 15.0  # how far the clairvoyant looks ahead; beyond it, actions hardly matter
 BLIND = (
-    f"policy: found {CLAIRVOYANT} where there is no truth, expected another policy; it stands only "
-    "in comparisons on episodes with true positions"
+    f"policy: found {CLAIRVOYANT} where the truth is unknown, expected another policy; "
+    f"{CLAIRVOYANT} works only in comparisons on episodes with true positions"
 )
 
 Act = Callable[[NDArray[np.float32]], Index]
@@ -52,8 +52,8 @@ class Branches:
         """Try every action in the current state of every environment.
 
         Args:
-            act: function that chooses the actions after the first, for observations (copies,
-                features): first of the copies that began with action 0, then with action 1, ...
+            act: function from observations (copies, features) to the actions after the first one;
+                the copies that began with action 0 come first, then those with action 1, ...
             weights: (n, horizon) weights of the rewards.
 
         Returns:
@@ -82,15 +82,15 @@ class Branches:
 class Clairvoyant(Policy):
     """A policy that knows the truth, the ceiling of switching.
 
-    In every epoch it tries each action (trust no mode, or one of them) on the same measurements,
-    followed by no trust, and takes the action with the largest sum of rewards within
+    In every epoch it tries each action (trust one mode, or none) on the same measurements, trusts
+    no mode in the epochs after it, and takes the action with the largest sum of rewards within
     :data:`HORIZON_S`. It knows the noise, too, so a switcher without the truth is far below it.
     """
 
     _branches: Branches | None = None
 
     def foresee(self, engine: Engine) -> None:
-        """Look into the episodes of an engine, which have just been loaded.
+        """Look into the episodes that an engine has just loaded.
 
         Raises:
             ValueError: an episode has no truth.

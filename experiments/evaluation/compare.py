@@ -59,7 +59,8 @@ def compare(
             anything that ``mmwave-loc compare --policies`` accepts: a policy file,
             "module:function", the folder of a run, or a name. A function may have a method
             ``reset(begins)``, whose bool (n,) marks the episodes that begin, and attributes
-            ``modes``, ``observation`` and ``beliefs``, which override the arguments here.
+            ``modes``, ``observation`` and ``beliefs``, which override the arguments here. If it
+            also has a method ``correct``, its corrections are scored (docs/own-agent.md).
         beside: names of known contenders to compare with, from
             :func:`~experiments.evaluation.contenders.contenders`.
         scenario, radio: same as in the environment.
@@ -118,7 +119,7 @@ def compare(
 
 
 def evaluate(policy: Agent, **where: Any) -> Comparison:
-    """Evaluate an agent, in any form that the ``policies`` of :func:`compare` may have.
+    """Evaluate an agent, given in any form that :func:`compare` accepts in ``policies``.
 
     Return its metrics with 95 % intervals; ``where`` are further arguments of :func:`compare`.
     """

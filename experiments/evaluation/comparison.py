@@ -28,7 +28,8 @@ def score_of(gain: float, possible: float) -> float | None:
 
     Args:
         gain: reward of the policy minus that of the rule.
-        possible: reward of the clairvoyant minus that of the rule; there is no score below 0.
+        possible: reward of the clairvoyant minus that of the rule; the score is None unless this
+            is positive.
     """
     return 100.0 * (gain / possible) if possible > 0.0 else None
 
@@ -114,7 +115,7 @@ class Comparison:
         return "\n".join(parts) + "\n"
 
     def table(self, metrics: Collection[str]) -> tuple[list[str], list[list[str]]]:
-        """Return a header, and each policy's means ± 95 % half-widths; with rewards also scores."""
+        """Return a header and a row per policy: means ± 95 % half-widths; with rewards, a score."""
         rows = [[name, *(rounded(row[m]) for m in metrics)] for name, row in self.policies.items()]
         header, scores = ["policy", *(HEADERS[metric] for metric in metrics)], self.scores
         if scores and "reward" in metrics:

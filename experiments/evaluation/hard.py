@@ -19,7 +19,7 @@ STREET, HANDSET = SCENES["street"], RADIOS["handset"]
 
 @dataclass(frozen=True)
 class Misstated(SimulatedSource):
-    """A source of episodes whose receiver states its noise times a wrong factor."""
+    """A source of episodes whose receiver misstates its noise by a constant factor."""
 
     stated: float = 1.0
 

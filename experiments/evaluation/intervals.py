@@ -103,7 +103,7 @@ def _intervals(*columns: Array) -> list[Interval]:
 def bootstrap_ratio(over: Array, under: Array) -> list[Interval]:
     """Return ratios of the column means of two arrays (episodes, k), with 95 % intervals.
 
-    A ratio is NaN if its denominator is 0, an interval if the denominator of any resample is 0.
+    A ratio is NaN if its denominator is 0. Its interval is NaN if any resample's denominator is 0.
     """
 
     def ratios(means: Array) -> Array:

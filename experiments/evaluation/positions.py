@@ -55,9 +55,9 @@ class Positions:
 def positions_markdown(title: str, rows: Mapping[str, Any], risk: float, kind: str) -> str:
     """Return a table of errors and protection levels, with a note on the columns.
 
-    ``rows`` are figures of :class:`~mmwave_env.localization.position_errors.PositionErrors` by the
-    name below ``title``; ``risk`` is the probability that an error exceeds its protection level,
-    and ``kind`` the kind of the levels.
+    ``rows`` are figures of :class:`~mmwave_env.localization.position_errors.PositionErrors`, by the
+    names in the column ``title``; ``risk`` is the probability that an error exceeds its level, and
+    ``kind`` the kind of the levels.
     """
     cells = [
         [f"{name}, {kind}", *row_of(errors)]

@@ -34,7 +34,7 @@ UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
 OTHER_RADIOS = ("handset", "standard")  # radios for unseen streets and for recordings
 # Episodes and recordings of the published tables; docs/data.md lists later recordings.
 EPISODES, DRAWS = 2000, 200  # number of episodes at each simulated site, and on each recording
-CEILING_EPISODES, CEILING_DRAWS = 400, 20  # scores are over as many of the first ones
+CEILING_EPISODES, CEILING_DRAWS = 400, 20  # scores use only this many, the first ones
 RECORDINGS = ("canyon28_pedestrian", "canyon28_vehicle")
 PUBLISHED = Path(__file__).parents[2] / "docs" / "leaderboard"  # folder of the published entries
 
@@ -115,7 +115,7 @@ class Judged:
 
 
 def scored_over(figures: Mapping[str, Any]) -> int:
-    """Return the number of episodes at a site that a score is over."""
+    """Return the number of a site's first episodes that a score uses."""
     recorded, episodes = figures["kind"] == RECORDED, int(figures["episodes"])
     return min(episodes, CEILING_DRAWS if recorded else CEILING_EPISODES)
 
@@ -170,7 +170,7 @@ def read_entry(path: Path) -> dict[str, Any]:
     """
 
     def checked(content: dict[str, Any]) -> dict[str, Any]:
-        kinds = {TRAINED, UNSEEN_KIND, RECORDED, *content["mean_gain"]}  # old entries lack a kind
+        kinds = {TRAINED, UNSEEN_KIND, RECORDED, *content["mean_gain"]}  # old entries lack HARD
         needed = [site.name for site in sites() if site.kind in kinds]
         if missing := [name for name in needed if name not in content["sites"]]:
             raise ValueError(f"sites: missing {', '.join(missing)}")
@@ -182,13 +182,16 @@ def read_entry(path: Path) -> dict[str, Any]:
 
 
 def ceiling_in(*folders: Path) -> Mapping[str, Any] | None:
-    """Return the entry of the clairvoyant from the first folder that has one; None without."""
+    """Return the clairvoyant's entry from the first folder that has one; None if none has."""
     paths = (folder / f"{CLAIRVOYANT}.json" for folder in folders)
     return next((read_entry(path) for path in paths if path.is_file()), None)
 
 
 def add_scores(entries: Iterable[dict[str, Any]], ceiling: Mapping[str, Any] | None) -> None:
-    """Set the scores of entries; None without rule and ceiling on the same episodes."""
+    """Set the scores of entries at their sites.
+
+    A score is None unless entry and ceiling were compared with the rule on the same episodes.
+    """
     tops = ceiling["sites"] if ceiling else {}
     for content in entries:
         for name, at in content["sites"].items():
@@ -221,8 +224,8 @@ def ranking(entries: Sequence[Mapping[str, Any]]) -> str:
     """Return a Markdown table of all entries, ranked by their mean gain at the sites to train in.
 
     Entries with fewer episodes at a simulated site, or draws on a recording, than the protocol
-    requires are marked and come last, because luck would decide their rank. Of the clairvoyant it
-    requires only those that scores are over.
+    requires are marked and come last, because luck would decide their rank. The clairvoyant needs
+    only the episodes and draws that scores use.
     """
     rows: list[tuple[bool, float, list[Any]]] = []
     for content in entries:
@@ -272,7 +275,7 @@ def by_site(entries: Sequence[Mapping[str, Any]]) -> str:
 
 
 def by_score(entries: Sequence[Mapping[str, Any]], ceiling: Mapping[str, Any] | None) -> str:
-    """Return a Markdown table of scores by site, beside what 100 stands for.
+    """Return a Markdown table of scores by site, beside the gain over the rule that 100 stands for.
 
     Policy files and the clairvoyant are left out if there are other entries.
     """

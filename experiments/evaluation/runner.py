@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.console.progress import bars
-from experiments.evaluation.agents import require_actions
+from experiments.evaluation.agents import Estimator, require_actions
 from experiments.evaluation.branches import Clairvoyant
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.seeds import Selection
@@ -16,14 +16,15 @@ from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.filters.bank import Modes
+from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.correction import corrected_all
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import Reward, TrackingReward, terms_of, total
 from mmwave_env.metrics import BURN_IN, METRICS, TERMS, scored, summary
-from mmwave_env.numerics.linalg import pack
+from mmwave_env.numerics.linalg import pack, unpack
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.task import Task
-from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource
+from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource, columns_of
 from mmwave_env.world.simulated import SimulatedSource
 from policies import Corrector, Policy
 from policies.corrector import Correction
@@ -115,13 +116,20 @@ def run_batch(
 ) -> EpochResults:
     """Do what :func:`run_contender` does, for episodes that are already packed."""
     pipeline, names = Pipeline(contender.modes, episodes.layout, scoring.planar), (*PARTS, *after)
-    corrector = policy if isinstance(policy, Corrector) else None
+    corrector = cast(Corrector, policy) if hasattr(policy, "correct") else None
     if corrector:
         names = tuple(dict.fromkeys((*names, *BELIEF, "truth")))
     if policy is None:
         imm = ImmEngine(pipeline, scoring.reward, contender.transition, contender.nis_quantile)
         return imm.run(episodes, *names)
     n, T, _ = episodes.table.shape
+    if isinstance(policy, Estimator):
+        x, P = policy.estimate(pipeline, episodes)
+        truth = episodes.table[:, :, columns_of(episodes.layout).truth]
+        mean, packed = (list(np.moveaxis(part, -1, 0)) for part in (x, P))
+        axes, known = pipeline.position_axes, pipeline.known_axes
+        belief = Belief(mean, unpack(packed, known), axes)
+        return {"x": x, "P": P, **_scored(belief, truth, scoring.reward)}
     engine = Engine(pipeline, n, scoring.reward, contender.observation, contender.bank)
     engine.reset(episodes)
     policy.reset(np.ones(n, bool))
@@ -155,14 +163,21 @@ def _corrected(
         np.stack(parts, axis=1) for parts in zip(*corrections, strict=True)
     )
     belief = corrected_all(results["x"], results["P"], shift, log_factor, pipeline)
-    truth = list(np.moveaxis(results["truth"], -1, 0))
     return {
         "x": np.stack(belief.x, axis=-1),
         "P": np.stack(pack(belief.P), axis=-1),
+        "trusted": trusted,
+        **_scored(belief, results["truth"], reward),
+    }
+
+
+def _scored(belief: Belief, true_states: Array, reward: Reward) -> EpochResults:
+    """Return the scores of a belief of arrays (n, T), given true states (n, T, 6)."""
+    truth = list(np.moveaxis(true_states, -1, 0))
+    return {
         "error": np.stack(belief.error(truth), axis=-1),
         "nees": belief.nees(truth),
         "reward": total(terms_of(reward, belief, truth)),
-        "trusted": trusted,
     }
 
 

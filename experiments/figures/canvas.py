@@ -75,7 +75,7 @@ def caption(name: str) -> str:
 def contenders(names: Iterable[str]) -> dict[str, str]:
     """Map names of contenders to their labels in a picture.
 
-    A path is shortened to as many of its last parts as distinguish it from all other names.
+    A path is shortened to its shortest ending that distinguishes it from all other names.
     """
     parts, shown = {name: Path(name).parts for name in names}, {}
     for name, own in parts.items():
@@ -124,7 +124,7 @@ def legend_of(figure: Any, axes: Any, width_mm: float | None, handles: Sequence[
 
 
 def plain_numbers(axis: Any) -> None:
-    """Label a logarithmic axis with plain numbers: powers of ten, maybe also 2 and 5 times them."""
+    """Label a logarithmic axis in plain numbers: powers of ten and, if few, 2 and 5 times them."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     low, high = axis.get_view_interval()

@@ -1,4 +1,4 @@
-"""Picture of a track, seen from above with error ellipses, its error over time, and its modes."""
+"""Picture of a track: its view from above with error ellipses, its error over time, its modes."""
 
 import textwrap
 from collections.abc import Sequence
@@ -107,7 +107,7 @@ def _draw_ellipses(axes: Any, track: DrawnTrack) -> None:
 
 
 def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
-    """Draw the anchors whose distance from the track is at most its extent (or 30 m)."""
+    """Draw the anchors not farther from the track than its extent, or 30 m if that is more."""
     low, high = position.min(axis=0), position.max(axis=0)
     reach = max(float((high - low).max()), 30.0)
     middle = 0.5 * (low + high)

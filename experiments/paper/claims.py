@@ -129,7 +129,7 @@ def smoothing(bench: Bench) -> Iterator[Row]:
     labels=2,
 )
 def improvement(bench: Bench) -> Iterator[Row]:
-    """Measure by how much optimizing reduces the untuned filters' errors ("30 to 60 %")."""
+    """Measure by how much optimizing reduces untuned filters' errors (the paper: "30 to 60 %")."""
     for setting in SETTINGS:
         tuned, best = _ates(bench.run(setting.tuned(), setting))
         before = _ates([bench.run(untuned(a, True), setting).filtered for a in ALGORITHMS])
@@ -191,7 +191,7 @@ def _drifting_in_hz(mode: Mode, episode: Episode) -> Mode:
 
 
 def _read_as_mps(episode: Episode) -> Episode:
-    """Return the episode with the Doppler shift's value in Hz taken as m/s, its noise in m/s."""
+    """Return the episode with Doppler shifts in Hz taken as m/s, and noise converted to m/s."""
     sigma = episode.sigma.copy()
     sigma[:, episode.layout.doppler] /= episode.hz_per_mps
     return replace(episode, hz_per_mps=1.0, sigma=sigma)
@@ -203,7 +203,7 @@ def resolution(bench: Bench) -> Section:
     ideal = replace(radio, range_floor_m=(1e-9, 1e-9))
     snr_db = np.array([0.0, 10.0, 20.0, 30.0, 40.0])
     sigma = ideal.sigma(np.tile(snr_db[:, None], 3), scene, Layout())[:, 0]
-    # The bound is proportional to 1 / sqrt(SNR), here far above the floor.
+    # The bound is proportional to 1 / sqrt(SNR), because the floor is negligible here.
     centimeter_db = snr_db[-1] + 20.0 * math.log10(sigma[-1] / 0.01)
     links = np.concatenate(
         [e.snr_db[e.usable[:, 0], 0] for e in bench.episodes(Setting("pedestrian", "standard"))]

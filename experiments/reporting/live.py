@@ -68,7 +68,7 @@ def _content(position: Position) -> dict[str, Any]:
 def _epochs(
     stream: BinaryIO, scene: Scene, snr_db: float | None, clock: bool
 ) -> Iterator[LiveEpoch]:
-    """Read rows, CSV below a header or JSON objects; yield the epochs that they form.
+    """Read rows (CSV below a header, or JSON objects); yield the epochs that they form.
 
     An object is a row, or all rows of an epoch: {"rows": [...]}. The first object has all columns.
     """

@@ -20,7 +20,7 @@ from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed,
 DEFAULT_POLICY = "corrector"
 # Without elevations, "guided" trusts wrong modes too often to be useful (docs/learning.md).
 WITHOUT_ELEVATIONS = "imm-best"
-RULES: dict[str, tuple[Rule, str]] = {  # each rule, and the name of its speed in messages
+RULES: dict[str, tuple[Rule, str]] = {  # each rule, and what messages call its speed
     "prediction": (by_predicted_speed, "the predicted"),
     "odometry": (by_odometry_speed, "odometry's"),
 }
@@ -64,7 +64,7 @@ def require_one_choice(args: LogArgs) -> None:
 
 
 def choice_of(args: LogArgs, radio: str, block: LogBlock) -> Choice:
-    """Return the choice of the options; by default a policy or, without elevations, an IMM.
+    """Return the choice that options ask for; by default a policy or, without elevations, an IMM.
 
     ``block`` is the beginning of the log.
 

@@ -76,9 +76,9 @@ def inputs(args: LogArgs) -> Inputs:
 def _check(args: LogArgs, files: Inputs) -> None:
     """Refuse options that contradict each other, and outputs that would replace other files."""
     if args.diagnose and (args.out or args.plot):
-        raise ValueError("diagnose: cannot be combined with --out or --plot, as it has no track")
+        raise ValueError("diagnose: cannot be combined with --out or --plot, which need a track")
     if args.diagnose and args.associate:
-        beside = "--associate, as it needs anchor numbers"
+        beside = "--associate, because a diagnosis needs anchor numbers"
         raise ValueError(f"diagnose: cannot be combined with {beside}")
     for name in ("diagnose", "associate"):
         if getattr(args, name) and args.clock != "synchronized":

@@ -15,14 +15,14 @@ from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.numerics.numbers import Array
 
-_POINTS = 6000  # maximum number of points in a picture; pictures of long tracks have half to all
+_POINTS = 6000  # maximum number of points in a picture; a long track gets at least half of them
 _POSITION = [0, 1, 3, 1, 2, 4, 3, 4, 5]  # the position's part of a packed covariance
 
 
 class TrackSampler:
     """Every n-th epoch of a track, where n is a power of two that grows with the track.
 
-    ``modes`` are names, and ``anchors_m`` (L, 3) positions, the physical gNB first.
+    ``modes`` are names; ``anchors_m`` (L, 3) are positions, the physical gNB first.
     """
 
     def __init__(self, modes: Sequence[str], anchors_m: Array) -> None:

@@ -130,7 +130,7 @@ class Measured:
         }
 
     def fractions(self) -> Rounds:
-        """Return the minimum time of a step on a core, divided by the time that it took."""
+        """Return the minimum time of a step on a core, divided by the measured time of the step."""
         workloads = self.filters | {name: self.rates[name] for name in self.natives(1)}
         return {
             name: np.multiply(self.limits_of(name), rates.steps_per_s).tolist()

@@ -1,9 +1,9 @@
 """Lower bound on the time that a core needs for the operations of a kernel (roofline).
 
 This model assumes that all arithmetic shares the vector pipes. So a mix of operations in the
-kernel's proportions is timed, on independent chains. Loads and stores have their own pipes and
-are timed separately; the limit is the longer of the two times. The model leaves out waits for
-results, register spills, caches, and the fetching of long code.
+kernel's proportions is timed, in several chains that do not wait for each other. Loads and
+stores have their own pipes and are timed separately; the limit is the longer of the two times. The
+model leaves out waits for results, register spills, caches, and the fetching of long code.
 """
 
 import time
@@ -64,7 +64,7 @@ def _steps(operations: Operations) -> dict[str, float]:
 
 @cache
 def _chains(order: tuple[str, ...], chains: int) -> Any:
-    """Compile steps on independent chains; steps of one kind are on different chains, in turn."""
+    """Compile steps on independent chains; steps of the same kind use the chains in turn."""
 
     def build(rows: Any) -> None:
         factor, term, other, *x = (rows[row] for row in range(3 + chains))

@@ -90,7 +90,7 @@ def filterpy() -> Laps:
 
 
 def filterpy_episode(twin: Pipeline, episode: Episode) -> float:
-    """Filter an episode with all modes; return the total reward of always choosing the last one."""
+    """Filter an episode with all modes; return the total reward if the last mode is always used."""
     layout, memory, reward = twin.layout, initial_memory(twin.layout, 1), TrackingReward()
     site = unflatten(blank_site(layout), iter(episode.site().tolist()))
     blank = blank_incoming(layout)

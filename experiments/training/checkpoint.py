@@ -15,7 +15,7 @@ from experiments.evaluation.runs import require_outcome
 from mmwave_env.io.files import first_line, read_bounded, write_bytes
 from mmwave_env.io.lookup import quoted
 
-MOST_BYTES = 1 << 30  # size limit of a checkpoint; stored states of rollouts take up most of it
+MOST_BYTES = 1 << 30  # size limit of a checkpoint; those of rollouts hold many states
 
 
 def write_checkpoint(path: Path, state: dict[str, Any]) -> None:

@@ -2,7 +2,7 @@
 
 In a simulation the truth is known, so the network learns the errors of its base from examples. The
 loss is the length of the remaining error, in standard deviations of the belief, plus a small share
-of the error's negative log-likelihood, from which the network learns to scale the deviations. Its
+of the error's negative log-likelihood, from which the network learns to scale the deviations. The
 corrections do not change the base. So the base plays each episode once, and no episode is repeated.
 """
 
@@ -122,7 +122,7 @@ class CorrectorTraining:
         return record.close()
 
     def _update(self) -> dict[str, float]:
-        """Learn from new episodes, at places and random ones; return figures for the log."""
+        """Learn from episodes at the places and in random streets; return figures for the log."""
         job, stand = self._job, self._record.stand
         hyper = job.hyperparameters
         lots = list(self.data.lots())
@@ -193,7 +193,7 @@ def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]
 
     Args:
         lots: lots to mix.
-        size: number of episodes in a lot if episodes are short; lots of longer ones have fewer.
+        size: number of episodes in a lot of short episodes; a lot of longer episodes has fewer.
         rng: generator of the order.
     """
     shortest = min(len(lot.features) for lot in lots)

@@ -1,8 +1,9 @@
 """Episodes for a corrector to learn from: features, errors and beliefs of its base.
 
 Half of the episodes are at the places of the training. In the others, streets, carrier, radio, rate
-of epochs and clock are random, and so are the measured quantities and anchors and the factor by
-which the receiver misjudges its noise. Without random episodes, a network memorizes its places.
+of epochs and clock are random, and so are the measured quantities, the measured anchors, and the
+factor by which the receiver misjudges its noise. Without random episodes, a network memorizes its
+places.
 """
 
 from collections.abc import Iterator
@@ -48,17 +49,17 @@ SUBSETS = (  # measured quantities of receivers that lack some
 # noise, measures only some anchors, or does not know its orientation exactly.
 LACKING, DRIFTING, MISJUDGING, FEWER, TURNED = 0.3, 0.15, 0.3, 0.15, 0.15
 ORIENTATION_RAD = 0.1  # standard deviation of an orientation that is not known exactly
-# Share of the episodes at random whose users weave and vary their speed, as real users do. All
-# other users keep to the middle of the street, and the network would learn to rely on that.
+# Share of the random episodes whose users weave and vary their speed, as real users do. All other
+# users keep to the middle of the street; from them alone, the network would learn to rely on that.
 WEAVING = 0.5
 WAYS = 64  # number of weaving users from which the episodes of a lot are drawn
 WEAVE_S = (8.0, 40.0)  # periods of weaving at an episode's highest speed
-WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # largest change of the velocity, in speeds, and of the position
+WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # largest change of velocity, divided by speed, and of position
 WEAVING_BEHIND_M = (20.0, 60.0)  # walls behind the last street, with room to turn and weave
 
 
 class Lot(NamedTuple):
-    """Episodes of equal length, epochs first.
+    """Episodes of equal length, in arrays whose first axis is the epochs.
 
     Attributes:
         features: (T, n, features) what a corrector reads after every epoch.
@@ -95,7 +96,7 @@ class CorrectorData:
         return self._switch.bank(radio) if self._switch else self._task.banks[radio]
 
     def lots(self) -> Iterator[Lot]:
-        """Play and yield one lot at every place, and lots at random until their share is right."""
+        """Play and yield one lot at every place, then enough random lots to reach their share."""
         for radio, batch in self.batches():
             yield self._play(batch, self.bank(radio))
 
@@ -116,7 +117,7 @@ class CorrectorData:
         return np.random.default_rng((self._seed, self.played))
 
     def _at_some_rate(self, source: SimulatedSource, rng: np.random.Generator) -> SimulatedSource:
-        """Return the source with a random step; half of the lots with short steps are long."""
+        """Return a source with a random step; if it is short, half the lots have long episodes."""
         dt, long = float(rng.choice(STEPS_S)), rng.random() < 0.5
         return replace(
             source, dt=dt, epochs=self._hyper.long_epochs if dt <= 0.2 and long else EPOCHS
@@ -173,7 +174,7 @@ class CorrectorData:
 
 
 def weaving(source: SimulatedSource, rng: np.random.Generator) -> SimulatedSource:
-    """Return a source whose users weave, in one of the streets of a source of random streets.
+    """Return a source whose users weave, in one scene drawn from a source with random scenes.
 
     Their positions are those of simulated users plus, along each street axis, a sine of the
     distance traveled, so that they stand still where the simulated users do.
@@ -208,7 +209,7 @@ def _lot(features: NDArray[np.float32], x: Array, P: Array, error: Array) -> Lot
 
 
 def _spoil(batch: EpisodeBatch, rng: np.random.Generator) -> None:
-    """Let a receiver misjudge noise or orientation, or miss some anchors, in place."""
+    """Make the receiver of a batch misjudge noise or orientation, or miss some anchors."""
     at, layout = columns_of(batch.layout), batch.layout
     sigma = batch.table[:, :, rows_of(at.signed_sigma)]
     if rng.random() < MISJUDGING:

@@ -77,6 +77,6 @@ class Evaluator:
 
 
 def _gains(differences: dict[str, Array]) -> dict[str, Interval]:
-    """Return intervals of mean differences, by the rival that is subtracted, as "minus NAME"."""
+    """Return intervals of mean differences, each under "minus NAME" with the name of the rival."""
     intervals = bootstrap(np.stack(list(differences.values()), axis=1))
     return {f"minus {name}": gain for name, gain in zip(differences, intervals, strict=True)}

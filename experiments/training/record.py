@@ -27,7 +27,7 @@ class ProgressLog(KVWriter):
 
     Args:
         folder: folder of ``progress.csv`` and TensorBoard's events.
-        rows: earlier rows of a training that continues; events after the last of them are dropped.
+        rows: earlier rows of a training that continues; events after the last row are dropped.
     """
 
     def __init__(self, folder: Path, rows: list[dict[str, float]]) -> None:
@@ -80,8 +80,8 @@ class Record:
 
     Attributes:
         stand: state of the training: numbers of updates and timesteps; "best", the figures of the
-            best policy; "beat_rule", the time at which a policy first beat the paper's rule (both
-            None before); and the trainer's own entries of a checkpoint, until it removes them.
+            best policy, if any; "beat_rule", the time at which a policy first beat the paper's
+            rule, if any; and the trainer's own entries of a checkpoint, until it removes them.
         log: log of the training's progress.
 
     Raises:
@@ -117,7 +117,7 @@ class Record:
         Args:
             actor: tensors of the policy.
             table: table of the features that the policy observes.
-            features: names of those that its network reads; None for all.
+            features: names of the features that the policy's network reads; None for all.
 
         Returns:
             Mean figures for the log.

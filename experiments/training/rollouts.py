@@ -132,7 +132,8 @@ class RolloutLearner:
     def restore(self, state: dict[str, Any]) -> None:
         """Restore the exact :meth:`state` of another learner."""
         self.network.load_state_dict(state["network"])
-        self._optimizer.load_state_dict(deepcopy(state["optimizer"]))  # it would share the tensors
+        # Without a copy, the optimizer would share the tensors of ``state``.
+        self._optimizer.load_state_dict(deepcopy(state["optimizer"]))
         self._observations[:], self._gains[:] = state["observations"], state["gains"]
         self._seen = state["seen"]
 

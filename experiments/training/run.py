@@ -37,11 +37,8 @@ if TYPE_CHECKING:
     from experiments.train import Args
 
 SMOKE_EPISODES = 20  # number of episodes to judge the policy of a smoke run on
-TIMESTEPS = {
-    "ppo": 4_000_000,
-    "rollouts": 1_200_000,
-    "corrector": 100_000_000,
-}  # default length of a training
+# default length of a training
+TIMESTEPS = {"ppo": 4_000_000, "rollouts": 1_200_000, "corrector": 150_000_000}
 
 # Options that do not affect a policy; the command in a policy file leaves them out.
 ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")
@@ -226,8 +223,8 @@ def train(args: "Args") -> None:
     if args.smoke:
         say(
             "",
-            f"A smoke run, judged on {SMOKE_EPISODES} episodes: training works. To see how well, "
-            "run it without --smoke; evaluate and compare refuse the policy of a smoke run.",
+            f"A smoke run, judged on {SMOKE_EPISODES} episodes, shows that training works. To see "
+            "how well, train without --smoke; evaluate and compare refuse a smoke run's policy.",
         )
     else:
         say("", f"{args.out / 'policy.safetensors'} is from the median seed, {median['seed']}")

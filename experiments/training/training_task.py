@@ -193,7 +193,7 @@ class TrainingTask:
 
 
 def banks_of(modes: Sequence[str], places: Sequence[Place], beliefs: str) -> dict[str, Bank]:
-    """Return, by the name of a radio, the bank of modes from which a policy chooses with it.
+    """Return, for the name of each radio, the bank of modes that a policy uses with this radio.
 
     Args:
         modes: names and mode files, as on the command line; empty for the defaults.

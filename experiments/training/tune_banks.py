@@ -132,7 +132,7 @@ Value = Callable[[Bank, int], float]
 # Ranges to search:
 ODDS = (-14.0, 8.0)  # log(probability to change to another mode / probability to stay)
 # A sigma_v below this range earns a slightly higher reward, because simulated users walk straight.
-# But a filter with it would lose a user whose direction varies by a few degrees, as in recordings.
+# But such a filter would lose a user whose direction varies by a few degrees, as in recordings.
 FREE = {
     "sigma_p": (0.005, 2.0),
     "sigma_v": (0.04, 6.0),
@@ -205,7 +205,7 @@ def best_bank_of(space: SearchSpace, value: Value, evaluations: int) -> Bank:
 
     Points are compared only within a generation, so each generation may have its own episodes. The
     center of the search then wanders around the optimum of all episodes, and the mean of the
-    centers is closer to the optimum than the last one (Polyak and Juditsky 1992).
+    centers is closer to the optimum than the last center (Polyak and Juditsky 1992).
 
     Args:
         space: space to search.

@@ -104,7 +104,7 @@ def _loaded(model: str) -> tuple[Any, dict[str, Any]]:
 
 
 def _normalization(path: Path | None, box: Any) -> Normalization:
-    """Read the normalization in a file of ``VecNormalize``; if None, keep observations as is."""
+    """Read the normalization in a file of ``VecNormalize``; without a file, change nothing."""
     low, high = box.low.astype(float), box.high.astype(float)
     as_they_are = Normalization(low, high, np.zeros(box.shape), np.ones(box.shape))
     if path is None:

@@ -62,8 +62,8 @@ def compiled_callback(signature: Any, function: Callable[..., Any]) -> Any:
     """Compile a function as ``numba.cfunc`` does, with the disk cache.
 
     Code may differ between processes without a change in the sources, for example if it calls a
-    user's function. The function's qualified name must then differ, too, because files and symbols
-    are named after it.
+    user's function. The qualified name of ``function`` must then differ, too, because files and
+    symbols are named after it.
     """
     arguments, returned = normalize_signature(signature)
     callback = _with_cache(CFunc(function, (arguments, returned), {}, {}), function)
@@ -146,7 +146,7 @@ def _version() -> str | None:
 
 
 def _edited() -> bool:
-    """Return whether a source has changed since this process read the first one."""
+    """Return whether a source has changed since this process began to read the sources."""
     with suppress(OSError):
         sources = glob(_SOURCES, root_dir=_PACKAGE, recursive=True)
         files = (os.stat(_PACKAGE / name) for name in sources)
@@ -242,8 +242,8 @@ class _Kept(NullCache):  # type: ignore[misc]
 class LazyJit:
     """A function that runs as plain Python until it has done a given amount of work.
 
-    After that, or as soon as its compiled form is found on disk, the compiled form runs. The
-    functions that it calls must run both ways, as with ``numba.extending.register_jitable``.
+    After that, or as soon as its compiled form is found on disk, the compiled form runs. All
+    functions that it calls must run in both forms, as with ``numba.extending.register_jitable``.
     ``plain_work`` is the amount of work that each process does in plain Python before it compiles
     the function; the unit is the caller's, such as epochs.
     """

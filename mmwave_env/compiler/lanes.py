@@ -239,7 +239,7 @@ def kernel(function: Callable[[Any], None], ends: Sequence[int]) -> Any:
 
     ``rows[i]`` reads row i as Lanes and ``rows[i] = value`` writes it. The function is called once,
     when numba compiles the caller. ``ends`` are the rows where the parts end. The numba function
-    has one argument, a tuple with the address of each part, (rows, 8) doubles.
+    has one argument: a tuple with the address of each part, which is an array (rows, 8) of doubles.
     """
 
     @intrinsic  # type: ignore[untyped-decorator]

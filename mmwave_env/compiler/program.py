@@ -28,7 +28,8 @@ Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
 Blocks = tuple[int, int]  # first block, and the block after the last
 
 NO_ROWS = np.empty(0, np.int64)
-# Number of epochs of blocks to run as plain Python before compiling, which takes as long as 4000.
+# Number of times that a block runs an epoch in plain Python before the loop is compiled.
+# Compiling takes as long as 4000 of these runs.
 PLAIN_BLOCK_EPOCHS = 1000
 
 # numba holds a lock while it compiles. A child that is forked meanwhile would wait forever for the
@@ -126,9 +127,9 @@ def tree_kernel(
 ) -> Any:
     """Return a numba function that applies a function of numbers to a workspace, in place.
 
-    The function maps a tree to a tree of the same shape as the ``template``, whose leaves in order
-    are the rows. :func:`~mmwave_env.compiler.lanes.kernel` describes ``ends`` (None for one part)
-    and the returned function.
+    The function maps a tree to a tree; both have the shape of the ``template``. The leaves of a
+    tree, in order, are the rows. :func:`~mmwave_env.compiler.lanes.kernel` describes ``ends``
+    (None for one part) and the returned function.
     """
     size = len(flatten(template))
 

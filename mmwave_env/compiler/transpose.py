@@ -171,7 +171,7 @@ def _turn_in(_, block, sources, first):  # type: ignore[no-untyped-def]
 def _turn_out(kind: ir.Type) -> Any:
     @intrinsic  # type: ignore[untyped-decorator]
     def turn_out(_, block, rows, targets, first):  # type: ignore[no-untyped-def]
-        """Store block rows ``rows[first:first + 8]``, from number ``first`` of each target on."""
+        """Store block rows ``rows[first:first + 8]`` in each target, from number ``first`` on."""
 
         def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
             block, rows, targets, first = arguments

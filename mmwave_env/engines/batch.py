@@ -2,7 +2,7 @@
 
 The workspace of such a program begins with three fields that a :class:`Batch` fills in:
 ``incoming``, the next epoch (:class:`~mmwave_env.world.episode.Incoming`); ``site``; and
-``is_first``, 1 if an episode begins, which the program sets back to 0.
+``is_first``, which is 1 if an episode begins. The program sets ``is_first`` back to 0.
 """
 
 from collections.abc import Sequence
@@ -42,7 +42,7 @@ class Batch(Generic[Workspace]):
         input_rows: leaves of ``program.index`` that receive an input in every epoch.
         on_floats: whether to run in plain Python instead of on SIMD lanes.
         threads: number of threads that may work at once; results do not depend on it.
-        ahead: number of epochs that the program has run before the one that an action completes.
+        ahead: how many epochs the program runs ahead of actions: 1 if they are corrections, else 0.
 
     Attributes:
         at: tree like the workspace, with row numbers in place of values; selects the rows to read.
@@ -71,7 +71,7 @@ class Batch(Generic[Workspace]):
 
     @property
     def completed(self) -> Index:
-        """Return the numbers (n,) of epochs that actions completed; later ones wait for actions."""
+        """Return how many epochs (n,) actions have completed; later epochs wait for actions."""
         return self.state.epoch - 1 - self.ahead
 
     def load(
@@ -133,7 +133,7 @@ class Batch(Generic[Workspace]):
         self.restart(places)
 
     def attach(self, source: SimulatedSource) -> None:
-        """Prepare for the episodes of a source, which :meth:`begin` starts; do so only once."""
+        """Make the feed that simulates episodes of a source; later calls do nothing."""
         if not self.state.feed.run:
             blank = source.begin(np.zeros(1, np.uint64)).worlds
             feed = source.feed(np.tile(blank, (self.n, 1)))

@@ -64,7 +64,7 @@ class Engine:
             observation = "signed"
         table = Observation(pipeline, observation, "per-mode" if bank else "shared")
         self.observation, self._shown = table, cast(Any, slice(None))
-        if ahead:  # the other features know the coming epoch
+        if ahead:  # leave out the features that already know the coming epoch
             self.observation = table.only(after_update(pipeline, per_mode=True))
             self._shown = [table.names.index(name) for name in self.observation.names]
         self._base = base(table) if base else None

@@ -24,7 +24,7 @@ from mmwave_env.engines.vector_step import ActionHistory, Stepper
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import MODE, limits_of
-from mmwave_env.interface.info import SMOOTHED_KEY, drawn_rows, told
+from mmwave_env.interface.info import SMOOTHED_KEY, drawn_rows, reported
 from mmwave_env.interface.reward import term_names
 from mmwave_env.metrics import INFO_KEYS, ate, scored
 from mmwave_env.models.scene import Streets
@@ -40,8 +40,8 @@ REPLAYED, FILTERED = 64, 256  # episodes in one job of replaying and of filterin
 class Baseline:
     """The baseline of a paired reward: the rewards of an IMM on the episodes of a batch.
 
-    No action changes an episode, so these rewards are known once the episode is loaded. The
-    baseline of a correction is the belief that it corrects, whose reward its program computes.
+    No action changes an episode, so these rewards are known once the episode is loaded. If actions
+    are corrections, the baseline is the uncorrected belief; the program computes its reward.
 
     Args:
         task: the task, whose baseline is the IMM.
@@ -88,7 +88,7 @@ class Baseline:
         """
         batch = self._batch
         if batch.ahead:
-            earned = batch.read(batch.at.told.reward, np.float32)[places]
+            earned = batch.read(batch.at.reported.reward, np.float32)[places]
         else:
             earned = self._rewards[places, batch.completed[places] - 1]
         rewards[places] = rewards[places].astype(np.float32) - earned
@@ -153,7 +153,7 @@ class Environment:
             ResetNeeded: no episode is under way.
         """
         self._require_begun("belief")
-        pipeline, at = self._engine.pipeline, told(self._engine.at)
+        pipeline, at = self._engine.pipeline, reported(self._engine.at)
         x, P = (self._engine.read(part)[environment].tolist() for part in (at.x, at.P))
         return Belief(x, unpack(P, pipeline.known_axes), pipeline.position_axes)
 
@@ -209,7 +209,7 @@ class Environment:
             rewards[places] -= self._baseline.rest(places)
 
     def _set_up_noting(self) -> None:
-        """Set up; remember the attributes that this creates, because a copy creates its own."""
+        """Call ``_set_up``; remember which attributes it creates, as they are not copied."""
         attributes = set(vars(self))
         self._set_up()
         self._remade = frozenset(vars(self)) - attributes

@@ -110,8 +110,8 @@ def shared_epoch(
     )
 
 
-class Told(NamedTuple):
-    """The epoch that was corrected; its fields are those of :class:`PerModeState` of that epoch."""
+class Reported(NamedTuple):
+    """The epoch that was corrected; fields mean the same as in :class:`PerModeState`."""
 
     x: list[Number]
     P: list[Number]
@@ -147,7 +147,7 @@ class PerModeState(NamedTuple):
     error: list[Number]
     distance: Number
     nees: Number
-    told: Told | tuple[()]  # the corrected epoch, if actions are corrections
+    reported: Reported | tuple[()]  # the corrected epoch, if actions are corrections
 
 
 def per_mode_epoch(
@@ -162,14 +162,16 @@ def per_mode_epoch(
         mixture = trusting(w.mixture, w.action, dt)
     x, covariance = estimate(mixture)
     belief = Belief(x, covariance, pipeline.position_axes)
-    told: Told | tuple[()] = ()
+    reported: Reported | tuple[()] = ()
     scored = truth
     if action == CORRECTION:
         scored = w.truth
         before = Belief(w.x, unpack(w.P, zero=pipeline.known_axes), pipeline.position_axes)
         belief = corrected(before, w.numbers[:3], w.numbers[3:])
         earned = total(terms_of(reward, before, scored))
-        told = Told(belief.x, pack(belief.P), scored, w.memory, w.mode_probabilities, earned)
+        reported = Reported(
+            belief.x, pack(belief.P), scored, w.memory, w.mode_probabilities, earned
+        )
     probabilities = mixture.probability
     memory = most_probable_memory(mixture)._replace(preference=w.memory.preference)
 
@@ -199,8 +201,8 @@ def per_mode_epoch(
         memory=memory,
         observation=observation.values(view),
         truth=select(is_first, w.incoming.truth, truth),
-        told=told,
-        **scores(belief, scored, reward, 0.0 if told else tree_at(w.action, costs)),
+        reported=reported,
+        **scores(belief, scored, reward, 0.0 if reported else tree_at(w.action, costs)),
     )
 
 
@@ -225,14 +227,14 @@ def program_of(
     arguments: Any = {"pipeline": pipeline, "observation": observation, "reward": reward}
     if per_mode:
         even = [1.0 / modes] * modes
-        told = Told(blank["x"], blank["P"], blank["truth"], blank["memory"], even, 0.0)
+        reported = Reported(blank["x"], blank["P"], blank["truth"], blank["memory"], even, 0.0)
         template = PerModeState(
             numbers=[0.0] * len(limits_of(action, modes)),
             settings=settings_of(Bank(pipeline.modes), layout),
             mixture=begin(pipeline, blank["x"], blank["P"]),
             spread_averages_hz=[0.0] * len(SPREAD_MEMORIES),
             mode_probabilities=even,
-            told=told if action == CORRECTION else (),
+            reported=reported if action == CORRECTION else (),
             **blank,
         )
         return Program(partial(per_mode_epoch, action=action, **arguments), template)

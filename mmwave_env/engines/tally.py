@@ -15,10 +15,10 @@ LENGTH, SQUARED, CHANGE, NEES, INSIDE, LARGEST = range(6)
 NONFINITE = 6  # number of epochs, burn-in included, with an error or NEES that is not finite
 SUMS = 7
 
-# squares of the horizontal protection level at risk RISK, in deviations along the longer axis of
-# the ellipse of the errors: if the other axis is 0, and if it is as long
+# squares of the horizontal protection level at risk RISK, divided by the variance along the longer
+# axis of the error ellipse: NARROWEST if the other axis is 0, WIDEST if both axes are equal
 NARROWEST, WIDEST = NormalDist().inv_cdf(0.5 * RISK) ** 2, -2.0 * math.log(RISK)
-ANGLES, LEAST = 64, 1e-12  # in a quadrant; smallest variance, m^2
+ANGLES, LEAST = 64, 1e-12  # number of angles in a quadrant; smallest variance, m^2
 
 
 class Counts(NamedTuple):
@@ -117,11 +117,11 @@ def count(counts, e, k, x, y, z, nees):  # type: ignore[no-untyped-def]
 
 @register_jitable
 def exceeds(x, y, xx, xy, yy):  # type: ignore[no-untyped-def]
-    """Return 1.0 if a horizontal error exceeds its level at risk RISK, or is NaN; else 0.0.
+    """Return 1.0 if a horizontal error exceeds its protection level, or is NaN; else 0.0.
 
-    That is, if errors (x, y), m, with covariance (xx, xy, yy), m^2, are larger with a probability
-    below the risk. Most errors are so small or large that this needs no integral;
-    :mod:`mmwave_env.localization.position_errors` has it.
+    The error (x, y), m, with covariance (xx, xy, yy), m^2, exceeds the level if larger errors have
+    a probability below RISK. Most errors are so small or so large that this probability need not be
+    integrated; :mod:`mmwave_env.localization.position_errors` explains the integral.
     """
     squared, middle = x * x + y * y, 0.5 * (xx + yy)
     if squared <= NARROWEST * middle:

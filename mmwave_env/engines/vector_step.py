@@ -1,7 +1,7 @@
 """The step of many environments, from actions to infos, in one call of compiled code.
 
-With few environments, the Python code around that call takes a third of a step or more. So this
-code neither assembles nor splits arrays.
+With few environments, the Python code around that call takes a third of a step's time or more. So
+the Python code neither assembles nor splits arrays.
 """
 
 from typing import Any, NamedTuple
@@ -16,7 +16,7 @@ from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import PLAIN_BLOCK_EPOCHS, Repeated, StepIO, rows_of
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.tally import Counts, Tally, count, exceeds
-from mmwave_env.interface.info import COST_KEY, FLAGS, STATE_KEYS, info_rows, mask_keys, told
+from mmwave_env.interface.info import COST_KEY, FLAGS, STATE_KEYS, info_rows, mask_keys, reported
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.numerics.pytree import flatten
 
@@ -71,7 +71,7 @@ class StepResult(NamedTuple):
     # accepted, rejected: (n, groups); (n, 0) if steps return no infos
     accepted: Mask
     rejected: Mask
-    cost: Array  # (n,) 1.0 where an error exceeds its level; (0,) if there are no infos
+    cost: Array  # (n,) 1.0 where an error exceeds its protection level; (0,) without infos
 
 
 class StepColumns(NamedTuple):
@@ -112,7 +112,7 @@ class Stepper:
         self._known = {} if infos == "none" else info_rows(at)
         shown = self._known if infos == "all" else {}
         parts = {"reward": at.reward, "nees": at.nees, "error": at.error}
-        parts["covariance"] = told(at).P[:3]
+        parts["covariance"] = reported(at).P[:3]
         parts |= {key: [] for key in FLAGS} | shown
         ends = np.cumsum([len(flatten(part)) for part in parts.values()]).tolist()
         begins = dict(zip(parts, [0, *ends], strict=False))
@@ -136,7 +136,7 @@ class Stepper:
 
         Args:
             actions: (n,) numbers of the modes; infos keep this array.
-            numbers: (n, k) weights or corrections, and ``actions`` are zeros; None if they are not.
+            numbers: (n, k) weights or corrections, or None; if given, ``actions`` are zeros.
 
         Returns:
             New results; the number of environments without epochs left; and new infos about all
@@ -160,7 +160,7 @@ class Stepper:
         program = batch.program.on_lanes(), batch.program.blank
         arguments = (*program, batch.state, io, self._read, chosen, result, memory)
         jobs = [(begin, end, *arguments) for begin, end in batch.parts]
-        history.next()  # here, so that no interrupt can come between the step and this line
+        history.next()  # before the step, because an interrupt after it could skip this line
         ended = sum(self._run(len(batch.state.rows), jobs))
         if not self._told:
             return result, ended, {}

@@ -33,7 +33,7 @@ class Frame(NamedTuple):
         return cls(where(moving, vx * scale, 1.0), where(moving, vy * scale, 0.0))
 
     def into(self, x: Number, y: Number) -> tuple[Number, Number]:
-        """Return the components along and across of a horizontal vector."""
+        """Return the components of a horizontal vector: along and across."""
         return self.cosine * x + self.sine * y, self.cosine * y - self.sine * x
 
     def out(self, along: Number, across: Number) -> tuple[Number, Number]:
@@ -72,7 +72,7 @@ def corrected(belief: Belief, shift: Vector, log_factor: Vector) -> Belief:
     """Return a belief whose position was moved and whose position deviations were scaled.
 
     The covariance P becomes M P M', where M scales the position along, across and up and leaves the
-    other components as they are; so it stays positive definite.
+    other components as they are. So the covariance stays positive definite.
 
     Args:
         belief: belief to correct.
@@ -107,7 +107,7 @@ def corrected_all(
     Args:
         x, P: (..., 7), (..., 28) means and packed covariances.
         shift, log_factor: (..., 3) as for :func:`corrected`.
-        pipeline: pipeline of the filters, which knows whether the height is known.
+        pipeline: pipeline of the filters, which says whether the height is known.
     """
     mean, packed, *correction = (
         part.tolist() if part.ndim == 1 else list(np.moveaxis(part, -1, 0))

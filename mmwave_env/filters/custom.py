@@ -62,8 +62,8 @@ class _Trial(NamedTuple):
 
     x: list[Number]
     P: list[Number]
-    measured: list[Any]  # the fields of a Measurement before its layout
-    rows: list[Any]  # the fields after its layout; empty unless the layout is partial
+    measured: list[Any]  # the fields of a Measurement that precede ``layout``
+    rows: list[Any]  # the fields that follow ``layout``; empty unless the layout is partial
     force: Number
 
 
@@ -198,7 +198,7 @@ def _run(mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial)
         if isinstance(force, FloatTracer) and isinstance(error, TypeError | AttributeError):
             advice = f"{advice}\n{_LANES_KNOW}"
         line = line_of(error, mode.update) or begin_of(mode.update)  # the function was not entered
-        raise _error(mode, "failed on trial", line, advice) from error
+        raise _error(mode, "failed in a trial run", line, advice) from error
     for name, argument, old in zip(("x", "P", "measurement"), arguments, before, strict=True):
         new = flatten(argument)
         if len(new) != len(old) or any(a is not b for a, b in zip(new, old, strict=True)):

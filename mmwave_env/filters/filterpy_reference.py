@@ -2,7 +2,7 @@
 
 Prediction, sigma points, innovation, gain and covariance come from filterpy; the measurement
 function and its Jacobian come from :class:`~mmwave_env.filters.textbook.Sensor`, row by row,
-without fused azimuths or latents. Tests, the benchmark and users in doubt compare the two
+without shortcuts (fused azimuths, latents). Tests, the benchmark and users in doubt compare the two
 implementations. Run such modes on floats: ``Engine(filterpy_pipeline(...), on_floats=True)``.
 
 An update works in coordinates relative to the prior mean m: dx = x - m and dz = z - h(m). Small

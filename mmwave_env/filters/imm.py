@@ -60,7 +60,7 @@ def begin(pipeline: Pipeline, x: Vector, P: Vector) -> Mixture:
 
 
 def stay_matrix(modes: int, stay: float = DEFAULT_STAY) -> tuple[tuple[float, ...], ...]:
-    """Return probabilities (from, to): ``stay`` on the diagonal, equal ones elsewhere in a row."""
+    """Return probabilities (from, to): ``stay`` on the diagonal, the rest of a row is equal."""
     if modes == 1:
         return ((1.0,),)
     move = (1.0 - stay) / (modes - 1)
@@ -100,8 +100,8 @@ def mix(mixture: Mixture, transition: Matrix) -> tuple[list[Number], list[tuple[
 def over_step(transition: Matrix, dt: Number) -> list[list[Number]]:
     """Return transition probabilities (from, to) over a step, given the probabilities per second.
 
-    Over dt seconds, the probability of leaving mode i is (1 - p_ii) dt. A longer step counts as
-    1 s, so that rows stay probabilities; the first step of an episode, 0 s, counts as 1 s, too.
+    Over dt seconds, the probability of leaving mode i is (1 - p_ii) dt. A step of more than 1 s
+    counts as 1 s, so that rows stay probabilities; so does the first step of an episode, 0 s.
     """
     step = step_weight(dt)
     return [

@@ -32,7 +32,7 @@ class Memory(NamedTuple):
     lockout: Number  # number of consecutive epochs in which every visible link failed its gate
     window: list[Number]  # (WINDOW,) latest NIS / dof of the accepted groups
     gamma: Number  # adaptive scale of Q and R
-    # nis, accepted, rejected: (groups,) in the last epoch; a missing group is neither of the latter
+    # nis, accepted, rejected: (groups,) in the last epoch; missing groups have 0 in all three
     nis: list[Number]
     accepted: list[Number]
     rejected: list[Number]
@@ -42,8 +42,8 @@ class Memory(NamedTuple):
     unfixed_s: Number  # seconds since a link was last accepted
     snr_mean_db: list[Number]  # (L,) slow mean SNR per link
     spread_average_hz: Number  # slow average of the Doppler spread
-    # (2, modes) fast and slow average of the difference between each mode and the last mode in
-    # :func:`~mmwave_env.filters.update.capped_log_likelihood`
+    # (2, modes) fast and slow average of each mode's
+    # :func:`~mmwave_env.filters.update.capped_log_likelihood` minus that of the last mode in order
     preference: list[list[Number]]
 
 

@@ -157,7 +157,7 @@ def _distance(view: View, anchor: int) -> Number:
 
 
 def _links(layout: Layout, distances: bool) -> list[Feature]:
-    """Return features of the coming epoch's links; with them, the distances or a count of links."""
+    """Return features of the coming epoch's links, and their distances or else their number."""
     table = []
     for a in range(layout.anchors):
         table += [

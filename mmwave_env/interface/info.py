@@ -32,9 +32,9 @@ INFOS = {
 }
 
 
-def told(at: Any) -> Any:
-    """Return the part of an environment's workspace that describes the epoch of its infos."""
-    return getattr(at, "told", ()) or at
+def reported(at: Any) -> Any:
+    """Return the part of an environment's workspace about the epoch that its infos describe."""
+    return getattr(at, "reported", ()) or at
 
 
 def info_rows(at: Any) -> dict[str, Any]:
@@ -43,7 +43,7 @@ def info_rows(at: Any) -> dict[str, Any]:
     Args:
         at: workspace of :mod:`~mmwave_env.engines.environment_epoch` with row numbers as leaves.
     """
-    of = told(at)
+    of = reported(at)
     memory = of.memory
     rows = {"position_error_m": at.distance, "nees": at.nees}
     rows |= {key: getattr(memory, key) for key in ("nis", *FLAGS, "gamma")}
@@ -62,7 +62,7 @@ def drawn_rows(at: Any, span: Callable[[Any], slice]) -> dict[str, slice]:
     """
     rows = info_rows(at)
     parts = {name: rows[name] for name in ("truth", "estimate", "nees", "accepted", "rejected")}
-    parts |= {"P": told(at).P, "dt": at.pending.dt, "anchors": at.site.anchors}
+    parts |= {"P": reported(at).P, "dt": at.pending.dt, "anchors": at.site.anchors}
     return {name: span(part) for name, part in parts.items()}
 
 
@@ -141,8 +141,8 @@ def warn_of_nonfinite(stacklevel: int = 3) -> None:
     """Warn that an episode ended with beliefs that were not finite; Python shows this once."""
     warnings.warn(
         "an episode ended in which the belief was NaN or infinite, so its metrics are NaN; "
-        f"info[{NONFINITE_KEY!r}] is the number of epochs after which it was not "
-        "finite (docs/reliability.md)",
+        f"info[{NONFINITE_KEY!r}] is the number of epochs with such a belief "
+        "(docs/reliability.md)",
         RuntimeWarning,
         stacklevel,
     )

@@ -164,7 +164,7 @@ def _check(reward: Reward) -> None:
         raise _refused(reward, "cannot run on lanes", refusal, str(refusal)) from None
     except Exception as error:
         advice = f"{type(error).__name__}: {error}"
-        raise _refused(reward, "failed on trial", error, advice) from error
+        raise _refused(reward, "failed in a trial run", error, advice) from error
     if not terms or not all(isinstance(name, str) for name in terms):
         raise _refused(reward, f"returned terms named {list(terms)}, expected one or more strings")
     for value in terms.values():

@@ -102,7 +102,7 @@ def _ray(view: View, anchor: int) -> tuple[list[Number], Number, tuple[Number, N
 
 
 def _residual(view: View, layout: Layout, anchor: int, name: str) -> tuple[Number, Number]:
-    """Return the components, along and across, of a row's squashed residual in its direction."""
+    """Return a row's squashed residual as a vector: its components along and across."""
     row, outward = _ROWS[name]
     step, flat, (distance, azimuth, _) = _ray(view, anchor)
     scale = 1.0 / maximum(flat, 1.0)
@@ -121,12 +121,12 @@ def _residual(view: View, layout: Layout, anchor: int, name: str) -> tuple[Numbe
 
 
 def _turned(angle: Number) -> Number:
-    """Return an angle between -5 pi and 3 pi in [-pi, pi]."""
+    """Wrap an angle that is between -5 pi and 3 pi to [-pi, pi]."""
     return wrap(where(angle < -PI, angle + 2.0 * PI, angle))
 
 
 def _deviation(view: View, anchor: int, name: str) -> Number:
-    """Return the standard deviation of a row, across the ray if it is an angle, m."""
+    """Return the standard deviation of a row, m; that of an angle is measured across the ray."""
     row, outward = _ROWS[name]
     sigma, (_, flat, _) = view.last.epoch.sigma[4 * anchor + row], _ray(view, anchor)
     return maximum(sigma if outward else sigma * flat, _LEAST_M)
@@ -163,7 +163,7 @@ def _link(layout: Layout, a: int) -> list[Feature]:
     for name in _ROWS:
         meaning = f"residual of the {name} after the update, in deviations: sign(q) ln(1 + |q|)"
         table += [
-            *(Feature(f"{name} residual {way} {of}", f"{meaning}, times the component {way} of its "
+            *(Feature(f"{name} residual {way} {of}", f"{meaning}, times the {way} component of its "
                       "direction; 0 if missing", "", -10, 10, partial(residual, name, i),
                       f"{name} residual {way}") for i, way in enumerate(_WAYS)),
             Feature(f"{name} deviation {of}", "ln of the standard deviation, in meters at the "

@@ -14,7 +14,7 @@ from typing import Any, BinaryIO, TypeVar
 T = TypeVar("T")
 
 TEXT_BYTES = 16 << 20  # maximum size of a text file; longer logs and tracks are read in blocks
-JSON_BYTES = 8 << 20  # maximum size of a JSON file; our largest one has a hundredth of it
+JSON_BYTES = 8 << 20  # maximum size of a JSON file; our largest file is a hundredth of this
 JSON_DEPTH = 50  # maximum depth of nested lists and objects
 
 _KINDS = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a FIFO", stat.S_IFSOCK: "a socket"}
@@ -165,7 +165,7 @@ def _target_of(path: Path) -> Path:
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """Yield a temporary file with the same folder and endings, which replaces ``path`` at the end.
+    """Yield a temporary file that replaces ``path`` at the end; folder and suffixes are the same.
 
     If the block fails, the temporary file is removed and ``path`` stays as it was. Missing folders
     are created. The permissions of a new file follow the umask; those of a replaced file are kept.

@@ -77,7 +77,7 @@ class MissingExtraError(ImportError, ValueError):
 
 
 def require_extra(package: str, extra: str, user: str) -> None:
-    """Raise an error, before any work is done, if a package that the user needs is missing.
+    """Raise an error, before any work is done, if a package is missing; ``user`` is what needs it.
 
     Raises:
         MissingExtraError: the package is not installed; the message says how to get it.

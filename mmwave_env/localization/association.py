@@ -36,7 +36,7 @@ class Association:
         self._associated, self._missed = np.zeros((2, anchors), np.int64)
 
     def add(self, paths: PathEpoch, labels: Index | None, begins: bool) -> None:
-        """Add an epoch; ``labels`` (L,) are the anchors' paths, or None without a track."""
+        """Add an epoch; ``labels`` (L,) give the path of each anchor; None if there is no track."""
         self.epochs += 1
         self.starts += begins
         self._paths += len(paths.snr_db)

@@ -1,4 +1,4 @@
-"""Diagnosis of a log: the search for a likely mistake that, once undone, makes it consistent.
+"""Diagnosis of a log: the search for a likely mistake whose correction makes it consistent.
 
 A hypothesis is a way to read the values in the file. For every hypothesis, the same filter
 without gates computes a track from the first epochs. A hypothesis makes the log consistent if NIS /
@@ -167,7 +167,7 @@ def hypotheses(scene: Scene, radio: Radio) -> dict[str, Mistake]:
         cure = f"name the columns of angles after their unit, such as aoa_azimuth_{suffix}"
         mistakes[f"angles are in {unit}"] = _scaled(_ANGLES, factor), cure
     for error, (factor, unit) in _FACTORS.items():
-        cure = f"multiply it by {factor:g}, or name the column after its true unit, such as"
+        cure = f"multiply values by {factor:g}, or name the column after its true unit, such as"
         mistakes[f"time of flight is {error}"] = _scaled([_RANGE], factor), f"{cure} toa_{unit}"
         mistakes[f"time is {error}"] = partial(_timed, factor), f"{cure} time_{unit}"
     for unit, suffix, factor in (("m/s", "mps", scene.hz_per_mps), ("kHz", "khz", 1e3)):

@@ -133,7 +133,7 @@ class Switching:
 def learned(path: str | os.PathLike[str], radio: str) -> Switching:
     """Return the modes and the policy of a policy file, or of a shipped policy.
 
-    A switcher with several banks gets the one of ``radio``.
+    If a switcher has several banks, its bank for ``radio`` is used.
     """
     policy = learned_policy(path)
     modes = policy.bank(radio) if policy.beliefs == "per-mode" else policy.modes
@@ -218,14 +218,14 @@ def _filtered(
 def episode_from(block: LogBlock, scene: Scene, radio: Radio, begins: bool = True) -> Episode:
     """Return epochs of a log as an episode without true positions.
 
-    If a track ``begins`` here, its prior comes from the first epoch, and the links that gave it are
+    If a track ``begins`` here, its prior comes from links of the first epoch. These links are then
     not visible, so that they are not used twice. Otherwise the prior is meaningless.
     """
     n = block.layout.state_size
     prior, visible = (np.zeros(n), np.eye(n)), block.visible
     if begins:
         fix = first_fix(block, 0, scene, radio)
-        assert fix is not None  # segments begin with one
+        assert fix is not None  # every segment begins with a first fix
         prior, visible = fix.prior, visible.copy()
         visible[0] &= ~fix.used
     return Episode.measured(

@@ -4,10 +4,10 @@ A track begins with the hypothesis that *this path is the line of sight*. The pa
 and the paths of the next epochs confirm or contradict this position. Tracks are immutable values,
 so several hypotheses can be tried side by side.
 
-Paths are assigned to anchors by global nearest neighbor: the assignment with the smallest sum of
-NIS in which each path and each anchor occurs at most once, and an anchor without a path costs as
-much as the gate (Blackman and Popoli 1999, Sec. 6.4). The NIS is the one that the filters compute,
-with the measurement linearized at the prediction, as in an EKF.
+Paths are assigned to anchors by global nearest neighbor (Blackman and Popoli 1999, Sec. 6.4). Each
+path and each anchor is used at most once. Among all such assignments, the one with the smallest sum
+of NIS is chosen, where an anchor without a path adds as much as the gate. The NIS is the one that
+the filters compute, with the measurement linearized at the prediction, as in an EKF.
 """
 
 from collections.abc import Iterator, Sequence
@@ -63,9 +63,10 @@ def assign(nis: Array, gate: float) -> Index:
 
 
 def disagreement(paths: Array, sigma: Array) -> Array:
-    """Compute the NIS (n,), 1 degree of freedom, between arrival and departure of paths (n, 4).
+    """Compute the NIS (n,) between the azimuths of arrival and departure of paths (n, 4).
 
-    Both angles measure the same bearing, so no position need be known (paper, Sec. II-B).
+    It has 1 degree of freedom. Both angles measure the same bearing, so the user's position is not
+    needed (paper, Sec. II-B).
     """
     group = link_group([1.0] * 7, [0.0] * 3, list(paths.T), list(np.square(sigma).T))
     return np.asarray(group.spare_nis)
@@ -115,7 +116,7 @@ class PathTracker:
         self._memory = initial_memory(layout, 1)
         self._gate = float(chdtri(4, 1.0 - GATE_QUANTILE))
         self._disagreement = float(chdtri(1, 1.0 - GATE_QUANTILE))
-        unheard = np.zeros((1, layout.anchors))  # SNRs, which odometry does not depend on
+        unheard = np.zeros((1, layout.anchors))  # any SNRs: odometry does not depend on them
         self._odometry_sigma = radio.sigma(unheard, scene, layout)[0, layout.doppler + 1 :].tolist()
 
     def follow(self, track: PathTrack, paths: PathEpoch) -> PathTrack:
@@ -138,8 +139,9 @@ class PathTracker:
         best, fitted = self._best(track, paths, coming)
         if best is None:
             return None
-        # The path from which the track begins always fits; a further path in every epoch is proof.
-        # A new track has an unknown velocity and so wide gates: it must explain clearly more paths.
+        # The path with which a track begins always fits, so it does not count. To be believed, the
+        # new track must explain at least one path per coming epoch, and clearly more than ``track``
+        # does: at first its velocity is unknown, so its gates are wide.
         own = 0.0 if track is None else self._fitted(track, coming) + CLEARLY_MORE * len(coming)
         if fitted - 1 < max(own, len(coming)):
             return None

@@ -7,9 +7,9 @@ files, 16 bytes per epoch and kind.
 
 A protection level is a bound that an error exceeds with a stated risk if the covariance is right.
 With position errors e ~ N(0, P), the level at risk r is the distance that |e| exceeds with
-probability r. A track has integrity if its errors do not exceed the levels more often than that (P.
-D. Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed.,
-2013, ch. 17).
+probability r. A track has integrity if its errors do not exceed the levels more often than that
+(Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed., 2013,
+ch. 17).
 
 Vertically |e| has a normal distribution folded at zero: level = sigma_z Phi^-1(1 - r/2).
 Horizontally, let a >= b be the standard deviations along the axes of the ellipse of the 2 x 2
@@ -69,7 +69,7 @@ def gaussian_levels(P: Array, risk: float) -> Array:
 
 @lru_cache(maxsize=16)
 def _multiples(risk: float) -> Array:
-    """Compute the level divided by a, (ratios,), for every ratio b / a, by bisection."""
+    """Compute the quotient level / a (ratios,) for every ratio b / a, by bisection."""
     spread = np.cos(_ANGLES) ** 2 + np.outer(_RATIOS**2, np.sin(_ANGLES) ** 2)
     low, high = np.zeros(len(_RATIOS)), np.full(len(_RATIOS), np.sqrt(-2.0 * np.log(risk)))
     for _ in range(_HALVINGS):

@@ -18,7 +18,8 @@ def nearest_radio(block: LogBlock, scene: Scene) -> str:
 
     The standard deviation of a measurement (such as the range) is the median of the values that the
     receiver states. If it states none, the deviation is estimated from second differences in time,
-    in which steady motion cancels. The nearest profile has the least mean squared log ratio.
+    in which steady motion cancels. The nearest profile is the one with the smallest mean square of
+    the logarithms of the ratios between the log's and the profile's deviations.
     """
     measured = np.array([_deviation(block, row) for row in range(len(LINK))])
     snr = block.snr_db[np.isfinite(block.snr_db)]

@@ -1,8 +1,8 @@
 """Segments of a log, each tracked separately, and their first positions.
 
 A filter can predict over some seconds without a link. After half a minute it is often far from the
-user, with a covariance that is too small. So a segment ends after a long gap, and the next segment
-begins with the next epoch that determines a position, the first fix.
+user, with a covariance that is too small. So a segment ends after a long gap. The next segment
+begins with the next epoch that determines a position, called the first fix of the segment.
 
 A complete link of the base station gives this position directly. If the log lacks columns for such
 a link, the position is computed from all links of the epoch, by nonlinear least squares with the
@@ -24,8 +24,8 @@ from mmwave_env.models.radio import CLOCK_OFFSET_S, Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Mask
 
-# Standard deviations of the weak prior: height around that of the streets; x and y around the
-# mean position of the anchors.
+# Standard deviations of the weak prior: of the height, whose mean is the height of the streets, and
+# of x and y, whose mean is the mean position of the anchors.
 HEIGHT_SIGMA_M, _FARTHEST_M = 2.0, 1e3
 _WORST_FIX_M = 50.0  # maximum horizontal standard deviation of a position to begin a track with
 _AMBIGUOUS = 12.0  # two solutions are both possible if their squared errors differ by less
@@ -126,7 +126,10 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
 
 
 def _state(unknown: Array) -> list[float]:
-    """Return the state (7,) of a user at rest at a position (3,); with a clock, (8,) from (4,)."""
+    """Return the state of a user at rest: (7,), or (8,) with the range bias of a clock.
+
+    ``unknown`` is the position (3,), or with a clock (4,) the position and the range bias.
+    """
     return [*unknown[:3].tolist(), *[0.0] * 4, *unknown[3:].tolist()]
 
 
@@ -237,9 +240,10 @@ def _first_fix(block: LogBlock, scene: Scene, radio: Radio) -> int:
 
 
 def _end(block: LogBlock, last_s: float, begins: bool) -> tuple[int, float | None]:
-    """Count the block's epochs that are in the segment; also return its last measurement's time.
+    """Count the block's epochs in the segment; also return the time of the last measurement so far.
 
-    The time is None if the segment ends in this block; ``begins`` says whether it starts here.
+    The time is None if the segment ends in this block; ``begins`` says whether the segment starts
+    with this block.
     """
     measured = block.visible[:, : block.layout.anchors].any(axis=1)
     if block.layout.odometry:  # with odometry alone, a filter keeps the track for two minutes

@@ -77,7 +77,7 @@ class Pairs:
         self._time_s, self._segment = np.empty(0), np.empty(0, np.int64)  # epochs still to pair
 
     def add(self, time_s: Array, scored: Index, segment: int) -> None:
-        """Add epochs of the log (T,), the indices of the scored ones, and the segment of all."""
+        """Add epochs (T,) of one segment of the log, and the indices of those that are scored."""
         more = time_s[: _ENOUGH - len(self._first_s)]
         self._first_s = np.concatenate([self._first_s, more])
         self._time_s = np.concatenate([self._time_s, time_s[scored]])

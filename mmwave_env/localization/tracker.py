@@ -46,7 +46,7 @@ class Position(NamedTuple):
         geodetic: latitude and longitude (degrees) and height (m); None in a scene without origin.
         clock_m, clock_sigma_m: range bias of the user's clock and its standard deviation; None
             if clocks are synchronized.
-        trusted: share of a corrector's correction that was applied, 0 to 1; None without one.
+        trusted: share of the correction that was applied, 0 to 1; None without a corrector.
         levels_m: horizontal and vertical protection level; None if none were asked for.
     """
 

@@ -144,8 +144,8 @@ def _linear(log: LogBlock, scene: Scene, truth: TrueEpochs) -> tuple[ClockOffset
     while log.time_s[-1] - log.time_s[0] >= _STRETCHES * stretch_s:
         stretch_s *= 2.0
     ends_at = np.flatnonzero(np.diff((log.time_s - log.time_s[0]) // stretch_s)) + 1
-    # Sums, per stretch and row, of products of 1, the error, and its derivatives with respect to
-    # tau and s.
+    # For every stretch and row: sums over epochs of the products of any two of these terms: 1, the
+    # error, and its derivatives with respect to tau and s.
     sums = np.array([np.einsum("tri,trj->rij", part, part) for part in np.split(terms, ends_at)])
     sums = sums[sums[:, :, 0, 0].any(axis=1)]
     total, n = sums.sum(axis=0), len(sums)
@@ -164,7 +164,7 @@ def _fit(sums: Array) -> tuple[float, float] | None:
     ones = sums[:, 0]
     of_means = ones[:, :, None] * ones[:, None] / np.maximum(ones[:, :1, None], 1.0)
     centered = (sums - of_means).sum(axis=0)[1:, 1:]
-    # Remove the part that s explains from the error and from its derivative with respect to tau.
+    # From the error and from its derivative with respect to tau, subtract the part that s explains.
     by_shift = np.linalg.pinv(centered[2:, 2:], hermitian=True) @ centered[2:, :2]
     error, rate = np.vstack([np.eye(2), -by_shift]).T
     changes, errors = float(rate @ centered @ rate), float(error @ centered @ error)

@@ -15,7 +15,7 @@ from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.scene import Scene
 
 _NUMBERS = {float, int, np.float64}  # types whose text form is parsed to the same number
-_MARGIN = 1e-9  # values need the full checks if they are this near to a limit, as a share of it
+_MARGIN = 1e-9  # share of a limit; values nearer than this to the limit need the full checks
 
 
 class LiveEpoch(NamedTuple):
@@ -24,7 +24,7 @@ class LiveEpoch(NamedTuple):
     time_s: float
     block: Callable[[], LogBlock]  # returns the epoch as a block, T = 1
     # values in the order of :func:`~mmwave_env.logs.log.places`, NaN where not measured; and the
-    # anchor of the Doppler shift, from 0. None if a column has angles in another frame than the map
+    # anchor of the Doppler shift, from 0. None if some angles are not in the map's frame
     placed: tuple[list[float], int] | None
 
 
@@ -79,9 +79,9 @@ class LiveLog:
         self._last_s = -inf
 
     def add(self, row: str | Mapping[str, Any], number: int = 0) -> list[LiveEpoch]:
-        """Add a row, a line of CSV or values by column; return the epochs that are over now.
+        """Add a row, as a line of CSV or as values by column; return the epochs that are over now.
 
-        Messages name its number in the source.
+        Error messages name ``number``, the number of the row in the source.
 
         Raises:
             LogError: the row is damaged or late, and is ignored.

@@ -58,8 +58,8 @@ class LogBlock(Block):
     doppler_anchor: Index  # (T,) index, from 0, of the anchor with the Doppler shift
     snr_db: Array  # (T, L); -inf (no signal) where no SNR was measured
     doppler_spread_hz: Array  # (T,); 0 where none was measured
-    # (T,) whether a track must begin anew here, because its association with anchors contradicts
-    # the epochs before. It is never set in a log with anchor numbers
+    # (T,) whether the filters must begin a new track here, because the association of paths with
+    # anchors began one. Always False in a log with anchor numbers
     restarts: Mask
     share: float  # share of the file read so far, 0 to 1
     whole_columns: bool = True  # whether the log has a column for each value of a link
@@ -134,13 +134,13 @@ def read_log(
 
 
 def with_clock(log: LogFile) -> LogFile:
-    """Return a log whose ranges have the offset of the user's clock; refuse one without ranges.
+    """Return a log whose ranges contain the clock's offset; refuse a log without ranges.
 
     Ranges from round-trip times don't count, because they do not contain the offset.
     """
     ranges = log.columns.get("toa")
     if ranges is None or ranges.name.startswith("rtt"):
-        problem = "no range" if ranges is None else f"{ranges.name}, which does not contain it"
+        problem = "no range" if ranges is None else f"{ranges.name}, which lacks this offset"
         raise LogError(
             f"{log.path}: clock: found offset with {problem}, expected one-way times or ranges, "
             "such as toa_s, or a synchronized clock"

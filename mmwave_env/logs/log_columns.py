@@ -13,7 +13,10 @@ from mmwave_env.numerics.numbers import Number
 
 
 class Unit(NamedTuple):
-    """A unit: value * multiply / divide is SI; dividing by powers of ten rounds correctly."""
+    """A unit: a value in SI units is value * multiply / divide.
+
+    ``divide`` avoids factors such as 0.001, which are not exact, so that values round correctly.
+    """
 
     multiply: float = 1.0
     divide: float = 1.0

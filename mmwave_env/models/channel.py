@@ -186,7 +186,7 @@ def channel_epoch(
     """Simulate one epoch of the channel to anchors at distances (L,), m, at a speed, m/s.
 
     In the episode's first epoch (``is_first``), the state is drawn from its stationary
-    distribution, without multipath and outages; otherwise it follows the one ``before``.
+    distribution, without multipath and outages; otherwise it follows the state ``before``.
     """
     c, rho = channel, channel.correlation
     innovation = sqrt(1.0 - rho * rho)

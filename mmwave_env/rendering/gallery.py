@@ -44,10 +44,10 @@ class Gallery:
         streets: Callable[[int], Streets | None],
         workspace: Callable[[int], Array],
     ) -> None:
-        """Start the recordings of some environments over, with the prior in their workspaces.
+        """Begin new recordings of some environments, with the prior in their workspaces.
 
-        Episodes have names (N,); ``streets`` and ``workspace`` return those of an environment, the
-        latter as an array (size,).
+        ``names`` (N,) are those of the episodes. For the index of an environment, ``streets``
+        returns its streets, and ``workspace`` its workspace (size,).
         """
         for index in indices[indices < len(self.recorders)].tolist():
             self.recorders[index].begin(names[index], streets(index), workspace(index))

@@ -29,8 +29,8 @@ def legend_rows(modes: int) -> int:
 class Picture:
     """Painter of the epochs of an episode.
 
-    The picture is ``size`` px high and wide, has a title if it is not empty, and at least so many
-    ``rows`` in its legend of ``modes``, the names of the actions.
+    The picture is ``size`` px high and wide, and has a ``title`` unless that is empty. Its legend
+    shows ``modes``, the names of the actions, in at least ``rows`` rows.
     """
 
     def __init__(
@@ -50,8 +50,9 @@ class Picture:
     def draw(self, history: History, beside: Sequence[History] = ()) -> NDArray[np.uint8]:
         """Draw the last epoch of a history and the trajectory so far; return (size, size, 3).
 
-        The picture depends only on the arguments: the same history gives the same picture. The
-        scales of speed and error also fit the histories shown ``beside`` it, of the same episode.
+        The picture depends only on the arguments: the same history gives the same picture. Pictures
+        of the histories ``beside``, of the same episode, are shown next to it; the scales of speed
+        and error fit them, too.
         """
         canvas, theme, unit = self._canvas, self._theme, self._canvas.unit
         legend = unit * (15.0 * self._rows + 4.0)
@@ -188,7 +189,7 @@ class Strip:
     ticks: tuple[float, ...] = ()
 
     def heights(self, values: Array | float) -> Array:
-        """Return the heights of values, 0 at the lower edge to 1; values outside are clipped."""
+        """Return the heights of values, clipped to the strip: 0 (lower edge) to 1 (upper edge)."""
         low, high = self.values
         shown = np.fmax(np.fmin(values, high), low)  # NaN is drawn at the upper edge
         if self.ticks:

@@ -60,7 +60,10 @@ class Theme(NamedTuple):
     modes: tuple[Color, ...]
 
     def for_modes(self, names: Sequence[str]) -> "Theme":
-        """Return the theme with a color per action; a mode's color does not depend on "none"."""
+        """Return the theme with one color per action.
+
+        The action "none" has its own color, so that it does not shift the colors of the modes.
+        """
         colors = cycle(self.modes)
         return self._replace(
             modes=tuple(self.none if name == "none" else next(colors) for name in names)
@@ -89,7 +92,9 @@ FRAMES_PER_SECOND = 10  # default speed of videos and windows
 
 
 def require_drawable(size: int, theme: str, purpose: str) -> None:
-    """Refuse, before any work is done, a picture that can't be drawn, for an option that needs it.
+    """Refuse a picture that can't be drawn, before any work is done.
+
+    Messages about a missing package name the ``purpose`` of the picture.
 
     Raises:
         ValueError: the size, px, or the theme is invalid.

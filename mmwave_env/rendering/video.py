@@ -39,8 +39,8 @@ def write_video(
 ) -> None:
     """Write a video completely or, if that fails, not at all; an existing file is then kept.
 
-    ``draw`` returns the picture (height, width, 3) of a number, and ``report`` receives the share
-    that is done; :func:`require_video` has checked the path.
+    ``draw`` returns the picture (height, width, 3) for one of the ``numbers``, and ``report``
+    receives the share that is done; :func:`require_video` has checked the path.
     """
 
     def pictures() -> Iterator[NDArray[np.uint8]]:

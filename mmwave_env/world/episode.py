@@ -132,7 +132,7 @@ class Episode:
     ) -> "Episode":
         """Return an episode of measured arrays; noise that is not stated follows from the radio.
 
-        Other arguments are the attributes with these names.
+        Arguments that are not listed here are attributes of the episode.
 
         Args:
             scene, radio: scene whose anchors were measured, and profile of the receiver.
@@ -163,7 +163,10 @@ class Episode:
 
     @cached_property
     def usable(self) -> Mask:
-        """Return which groups (T, groups) are visible with finite rows: all, or one if partial."""
+        """Return which groups (T, groups) are visible and have only finite rows.
+
+        In a partial layout, one finite row is enough.
+        """
         finite, starts = self._finite, [rows.start for rows in self.layout.groups]
         if self.layout.partial:
             return self.visible & np.logical_or.reduceat(finite, starts, axis=1)  # type: ignore[no-any-return]
@@ -192,7 +195,7 @@ class Episode:
             raise ValueError(f"{self._record}: found no truth, which reward and metrics need")
 
     def on_flat_ground(self, height_m: float | None = None) -> "Episode":
-        """Return the episode whose prior has vz 0 and a known height, by default the true one."""
+        """Return the episode with a prior of vz 0 and known height, by default the true height."""
         if height_m is None:
             self.require_truth()
             height_m = self.truth_position_m[0, 2]  # type: ignore[index]

@@ -135,7 +135,7 @@ def measure(
 
 
 def _run_on(receiver: ReceiverState, bias_hz: Number, clock: Vector) -> Clock | tuple[()]:
-    """Return the clock one epoch later, which noise and the oscillator's mean bias have moved."""
+    """Return the clock one epoch later, moved by noise and by the oscillator's mean bias."""
     if not isinstance(receiver.clock, Clock):
         return ()
     (half_step, sigma_m), dice = clock, Dice(receiver.clock.dice)

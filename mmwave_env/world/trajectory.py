@@ -18,7 +18,7 @@ from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.world.mobility import FASTEST_MPS, Mobility, mobilities_of
 
 REACH_M = (1.0, 5000.0)  # distances for which the path loss is valid (3GPP TR 38.901, UMi)
-STANDING_M, STANDING_S = 0.1, 60.0  # if users move less in this time, are positions in degrees?
+STANDING_M, STANDING_S = 0.1, 60.0  # less motion than this in this time suggests degrees
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class Trajectory:
         lines: (N,) line numbers of the rows in their file, for messages; None without a file.
 
     Raises:
-        ValueError: a row is wrong; the message names the error and its line or row, from 1.
+        ValueError: a row is wrong; the message names the error and the line or row, counted from 1.
     """
 
     name: str
@@ -80,8 +80,8 @@ class Trajectory:
             way, integral = np.linalg.norm(moved, axis=1).sum(), fast[1:] @ step[1:]
             if integral > 2.0 * way + STANDING_M:
                 raise ValueError(
-                    f"{self.name}: vx, vy, vz: found speeds that add up to {integral:.6g} m, "
-                    f"expected about {way:.6g} m, as the positions do: are they in m/s?"
+                    f"{self.name}: vx, vy, vz: found speeds that give a path of {integral:.6g} m, "
+                    f"expected about {way:.6g} m, as x, y, z give: are the speeds in m/s?"
                 )
         if t[-1] - t[0] >= STANDING_S and np.ptp(p, axis=0).max() < STANDING_M:
             warnings.warn(

@@ -1,4 +1,4 @@
-"""Helpers that run ``mmwave-loc localize`` on the shipped logs (a walk, a ride) or changed ones."""
+"""Helpers that run ``mmwave-loc localize`` on shipped logs (a walk, a ride) or changed copies."""
 
 import json
 import subprocess

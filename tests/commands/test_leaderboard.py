@@ -1,10 +1,13 @@
 """Tests of ``mmwave-loc leaderboard``."""
 
 import json
+import shutil
 
 import pytest
 
+from experiments.evaluation import protocol
 from experiments.evaluation.protocol import entry, judge, sites
+from experiments.leaderboard import Args, main
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT
 
@@ -34,6 +37,22 @@ def test_entries_are_ranked_and_a_page_is_updated(entries, tmp_path):
     assert all(f"| {site.name} | " in shown for site in sites())
     for line in shown.splitlines():
         assert line in page.read_text()
+
+
+@pytest.mark.slow
+def test_entries_that_are_kept_are_not_judged_again(entries, tmp_path, monkeypatch):
+    shutil.copy(entries / "imm-best.json", tmp_path)
+    judged = set()
+
+    def judging(names, *rest):
+        judged.update(names)
+        return judge(names, *rest)
+
+    monkeypatch.setattr(protocol, "judge", judging)
+    main(Args(policies=("imm-best", "speed-rule"), episodes=2, draws=2, keep=True, out=tmp_path))
+    assert judged == {"speed-rule"}
+    made, expected = ((f / "speed-rule.json").read_text() for f in (tmp_path, entries))
+    assert json.loads(made)["sites"].keys() == json.loads(expected)["sites"].keys()
 
 
 @pytest.mark.slow

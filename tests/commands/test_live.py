@@ -13,7 +13,7 @@ WORDS = ("localize", "-", "--live", "--scene", str(WALK / "scene.json"), "--radi
 
 
 def live(content, *more):
-    """Run the command on bytes; return its JSON lines, the lines of errors and the exit code."""
+    """Run the command on bytes; return its JSON lines, lines of standard error and exit code."""
     words = [sys.executable, "-m", "experiments.console", *WORDS, *more]
     done = subprocess.run(words, input=content, env=environment(), capture_output=True, check=False)
     positions = [json.loads(line) for line in done.stdout.splitlines()]
@@ -40,9 +40,8 @@ def as_json(lines, whole):
 def test_every_epoch_has_a_line_and_the_last_position_is_that_of_the_track_file(tmp_path):
     content = (WALK / "log.csv").read_bytes()
     positions, errors, code = live(content, "--speed", "1")
-    assert (
-        code == 0 and len(positions) == 400 and len(errors) == 1
-    )  # the note on what chooses modes
+    # The only line of standard error is the note on what chooses the modes.
+    assert code == 0 and len(positions) == 400 and len(errors) == 1
     figures(
         WALK, "--speed", "1", "--radio", "standard", "--no-smoothing", "--out", tmp_path / "t.tum"
     )

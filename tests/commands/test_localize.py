@@ -145,7 +145,7 @@ def test_the_printed_figures_equal_those_in_the_json_file(capsys, tmp_path):
         assert len(numbers) == 5 and " | ".join(f"{value:.3f}" for value in numbers) in shown
     groups = results["groups"]
     assert list(groups) == ["anchor 1", "anchor 2", "anchor 3", "Doppler", "all"]
-    assert groups["anchor 1"]["seen"] == 399  # the link of one epoch gave the prior
+    assert groups["anchor 1"]["seen"] == 399  # of 400: the prior used the first
     assert results["error"] is None
     assert all(abs(groups[f"anchor {a}"]["nis_in_bounds"] - 0.95) < 0.03 for a in (1, 2, 3))
 
@@ -189,7 +189,7 @@ def test_epochs_before_the_first_line_of_sight_are_counted(capsys, tmp_path):
 def test_a_restart_or_an_end_at_a_long_gap_is_reported(capsys, tmp_path):
     """Use the walk at a tenth of its rate, without the epochs from 100 to 129 s.
 
-    In the second case, anchor 1 is not visible after these epochs, so that the track ends there.
+    In the second case, anchor 1 is never visible after this gap, so the track ends at the gap.
     """
     log, gap = tmp_path / "gap.csv", range(100, 130)
     header, *lines = lines_of()

@@ -85,7 +85,7 @@ def test_one_run_writes_several_files_and_the_track_in_maps_has_the_name_of_the_
     assert track.name == line["properties"]["name"] == "my_ride"
     tables = [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")]
     assert "t.geojson (smoothed track), new/t.tum (smoothed track), new/t.csv (its" in shown
-    succeed(*MAPPED, "new/t.tum", "new/t.csv", cwd=mapped)  # a table of one's own
+    succeed(*MAPPED, "new/t.tum", "new/t.csv", cwd=mapped)  # names the table, too
     assert [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")] == tables
 
 
@@ -113,7 +113,7 @@ def test_an_error_while_printing_is_reported():
 @pytest.mark.skipif(os.name != "posix", reason="needs FIFOs")
 @pytest.mark.parametrize("option", ["log", "--scene", "--truth", "--modes", "--radio"])
 def test_a_fifo_is_refused_before_it_is_read(tmp_path, option):
-    """Reading a FIFO would never end; tests/io/test_files.py tests other irregular files."""
+    """Use FIFOs, as reading one never ends; tests/io/test_files.py uses other special files."""
     odd = tmp_path / ("odd.csv" if option == "log" else "odd.json")
     os.mkfifo(odd)
     files = {"log": RIDE / "log.csv", "--scene": RIDE / "scene.json", option: odd}

@@ -24,9 +24,8 @@ from tests.commands.localizing import (
     with_line,
 )
 
-OLD = (
-    f"# {' '.join(COLUMNS)}; mmwave-loc localize\n"  # first line of a track, which may be replaced
-)
+# A file that begins with this line is a track written by localize, so localize may replace it.
+OLD = f"# {' '.join(COLUMNS)}; mmwave-loc localize\n"
 
 
 KEPT = {  # a user's file: the value of --out that would replace it, and the message

@@ -176,7 +176,7 @@ def test_an_interrupt_while_the_program_starts_ends_with_one_line(module):
     code = (
         "import os, signal, sys\n"
         "from experiments.console.main import main\n"
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell may ignore it
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # background jobs ignore it
         "class Interrupt:\n"
         "    def find_spec(self, name, path=None, target=None):\n"
         f"        if name == {module!r}: os.kill(os.getpid(), signal.SIGINT)\n"

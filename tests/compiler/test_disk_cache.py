@@ -45,7 +45,7 @@ def started(package, script=SCRIPT, **variables):
     """Start a process that imports the package; its home is the folder that contains ``site``."""
     home = package.parent.parent
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "XDG"))}
-    # Edits here keep time and size, by which Python checks its bytecode, so it must write none.
+    # Edits here keep time and size. Python would then use old bytecode, so it must write none.
     own = {"PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1", "HOME": str(home)}
     every = {name: value for name, value in (clean | own | variables).items() if value is not None}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -59,7 +59,7 @@ def finished(process):
 
 
 def run(package, **variables):
-    """Return the function's result in a new process, and how often it was read from disk."""
+    """Return the function's result in a new process, and how often its code was read from disk."""
     value, hits = finished(started(package, **variables))
     return int(value), int(hits)
 

@@ -39,7 +39,7 @@ run("list", [])
 
 @pytest.fixture
 def writing(tmp_path):
-    """Return a function that starts that command for result.json and waits until it is writing."""
+    """Return a function that starts WRITING for result.json and waits until it prints "writing"."""
     started = []
 
     def start(**options):
@@ -62,9 +62,8 @@ def test_a_signal_removes_half_written_files(writing, tmp_path, sent):
     command = writing(preexec_fn=heeds)
     assert len(list(tmp_path.iterdir())) == 1
     command.send_signal(sent)
-    command.send_signal(
-        sent if sent in ENDING else 0
-    )  # may come twice: to a process and to its group
+    # These signals may come twice: once to the process, once to its group.
+    command.send_signal(sent if sent in ENDING else 0)
     out, err = command.communicate(timeout=30)
     assert command.returncode == 128 + sent and out == ""
     end = "interrupted" if sent == signal.SIGINT else f"ended by {sent.name}"

@@ -1,4 +1,4 @@
-"""Tests of folders with a log, its scene and its truth: written, and played as episodes."""
+"""Tests of writing folders with a log, its scene and its truth, and playing them as episodes."""
 
 import shutil
 from dataclasses import replace

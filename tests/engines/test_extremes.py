@@ -1,4 +1,4 @@
-"""Tests that beliefs are sound within the envelope of inputs, and values beyond it are refused."""
+"""Tests that beliefs are sound within the envelope of inputs and that values beyond are refused."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -181,7 +181,7 @@ def test_an_episode_beyond_the_envelope_is_refused_by_name(quantity, value, epis
 
 
 def numbers_of(record):
-    """Yield each numeric field's name and bound, and a function from a number to its value."""
+    """Yield name, bound and a function from a number to a value, for each numeric field."""
     for name, hint in hints_of(type(record)).items():
         hint = next(iter(get_args(hint)), hint) if NoneType in get_args(hint) else hint
         inside = get_args(hint)[:1] if get_origin(hint) is Annotated else ()

@@ -18,7 +18,7 @@ from mmwave_env.world.simulated import SimulatedSource
 from tests.refusals import refuses
 from tests.training.actors import HANDSET
 
-N, EPOCHS = 5, 30  # five environments leave lanes of their block without one
+N, EPOCHS = 5, 30  # five environments do not fill the eight lanes of a block
 EPISODES = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=EPOCHS).episodes(
     np.arange(N, dtype=np.uint64)
 )
@@ -35,7 +35,7 @@ def begun(walked):
 
 
 def rest(walked, action):
-    """Return the rewards (N,) from an epoch on if no mode is trusted after a first action."""
+    """Sum the rewards (N,) of an action after some epochs, and of trusting no mode from then on."""
     engine, total = begun(walked), 0.0
     for taken in [action, *[np.int64(0)] * (EPOCHS - walked - 1)]:
         total += engine.step(taken, rows_of(engine.at.reward))[1][:, 0]
@@ -70,5 +70,5 @@ def test_the_clairvoyant_is_refused_where_there_is_no_truth():
     unknown = [replace(e, truth_position_m=None, truth_velocity_mps=None) for e in EPISODES]
     with refuses("policy"):
         run_contender(policy, policy.start(LAYOUT), unknown)
-    with refuses("policy"):  # as when it localizes a log
+    with refuses("policy"):  # foresee was not called, as in localizing a log
         policy.start(LAYOUT)(begun(0).observations())

@@ -33,7 +33,7 @@ def test_intervals_agree_with_scipy_s_bootstrap(n):
     values = np.random.default_rng(0).exponential(2.0, (n, 2))
     ours = bootstrap(values)
     # Monte-Carlo error of a 2.5 % quantile from R resamples of a nearly normal mean, in
-    # standard errors of the mean. Two results differ by 4.5 sqrt(2) errors once in 10^5.
+    # standard errors of the mean. Two results differ by more than 4.5 sqrt(2) errors once in 10^5.
     quantile_error = np.sqrt(0.025 * 0.975 / RESAMPLES) / norm.pdf(norm.ppf(0.025))
     for column, interval in zip(values.T, ours, strict=True):
         same = {"n_resamples": RESAMPLES, "method": "percentile", "rng": np.random.default_rng(0)}
@@ -74,9 +74,8 @@ def test_each_column_has_a_ratio_which_is_nan_if_the_denominator_is_zero():
     assert (equal.mean, half.mean) == pytest.approx((1.0, 0.5))
     assert np.isnan([nothing.mean, nothing.low, nothing.high]).all()
     (once,) = bootstrap_ratio(over[:, :1], np.eye(50)[:, :1])
-    assert (
-        once.mean == pytest.approx(over[:, 0].sum()) and not once.known
-    )  # some resamples have only zeros in the denominator
+    # Here, some resamples have only zeros in the denominator.
+    assert once.mean == pytest.approx(over[:, 0].sum()) and not once.known
 
 
 # --- over training seeds

@@ -4,7 +4,7 @@ Users move as the modes assume (white-noise acceleration, oscillator drift), sta
 prior and are measured with Gaussian noise, far enough from the anchors for measurements to be
 nearly linear across the prior. Then NEES and NIS are chi-square for every algorithm, and
 errors exceed protection levels as often as the levels state.
-In 1 % of seeds, one of a test's checks fails by chance (Bonferroni); the seed is 0.
+With 1 % of seeds, a test fails by chance (Bonferroni over its checks); the seed is 0.
 """
 
 import numpy as np

@@ -14,7 +14,7 @@ LOG_FACTOR = st.lists(st.floats(-2.0, 2.0), min_size=3, max_size=3)
 
 
 def belief_of(seed=0, angle=0.5, speed=3.0, axes=(0, 1, 2)):
-    """Return a belief with a random covariance that moves in a direction (rad)."""
+    """Return a belief, with a random covariance, about a user who moves in a direction (rad)."""
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(7, 7))
     x = rng.normal(size=7)

@@ -15,7 +15,8 @@ from tests.filters.tracks import OwnModel, assert_same_beliefs, pipeline_of, pro
 OURS = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 ANCHORS = np.array([[0.0, 0.0, 10.0], [80.0, 60.0, 12.0], [-50.0, 70.0, 15.0]])
 MEANT = {"vertical": [1, 3], "anchor": [1, 2, 3, 12]}  # rows that carry no information
-OFFSETS = {  # offset of the mean from the first anchor, m; key of MEANT, or None if no row is in it
+# Offset of the mean from the first anchor, m; key of MEANT, or None if every row has information.
+OFFSETS = {
     "below": ((0.0, 0.0, -8.5), "vertical"),
     "above": ((0.0, 0.0, 20.0), "vertical"),
     "too close to its vertical": ((0.6 * NEAREST_M, -0.6 * NEAREST_M, -8.5), "vertical"),

@@ -1,4 +1,4 @@
-"""Tests that tracks in partial layouts equal plain ones if no row is missing, or are consistent."""
+"""Tests that tracks in partial layouts are consistent, and equal plain ones if all rows exist."""
 
 from dataclasses import replace
 

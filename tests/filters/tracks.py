@@ -67,7 +67,7 @@ def spoiled(episode, seed):
 
 
 def some_rows(episode, rng, share):
-    """Return the episode with a random share of its rows and random ``doppler_anchor``."""
+    """Return the episode with only a ``share`` of its rows, and with random ``doppler_anchor``."""
     whole = episode.only(MEASUREMENTS)
     gone = rng.random(whole.measurement.shape) >= share
     measurement = np.where(gone, np.nan, whole.measurement)
@@ -106,9 +106,9 @@ def process_noise(mode):
 class OwnModel:
     """Model of users who start, move and are measured exactly as a filter assumes.
 
-    ``start`` (7,) and ``prior`` (7,) are mean and standard deviations of the first state, Q (7, 7)
-    is the process noise of one second, ``sigma`` (rows,) the measurement noise, times a lognormal
-    factor (spread ``fading``) per row and epoch; groups are visible with probability ``detection``.
+    ``start`` (7,) and ``prior`` (7,) are mean and standard deviations of the first state. Q (7, 7)
+    is the process noise of one second. The measurement noise is ``sigma`` (rows,) times a lognormal
+    factor (spread ``fading``) per row and epoch. Groups are visible with probability ``detection``.
     """
 
     sensor: textbook.Sensor

@@ -1,7 +1,7 @@
 """Golden traces: outputs of filters, smoother and environments, one row per epoch, and costs.
 
-A trace is a function that returns rows: dicts by column, whose first cell names the row. Episodes
-are chosen by key: a version may draw other keys from a seed, but a key always gives its episode.
+A trace is a function that yields rows. A row is a dict by column; its first cell names the row.
+Episodes are chosen by key: versions may draw other keys from a seed, but a key keeps its episode.
 """
 
 from collections.abc import Callable, Iterator, Sequence

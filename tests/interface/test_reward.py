@@ -255,7 +255,7 @@ def imm_rewards(seed, episodes, reward=REWARDS["tracking"], **task):
     ids=["three modes", "flat"],
 )
 def test_paired_rewards_are_rewards_minus_those_of_the_imm_on_the_same_episodes(task):
-    """Check that both are equal to the last bit, for any modes of the agent."""
+    """Check that paired rewards equal differences to the last bit, whatever the agent's modes."""
     n, epochs = 5, 3 * task["episode_steps"]
     envs = {
         reward: gym.make_vec(

@@ -1,4 +1,4 @@
-"""Tests that likely mistakes in a log are refused or cause a warning, and that --diagnose tells."""
+"""Tests that likely mistakes in a log are refused or cause a warning, and are diagnosed."""
 
 from contextlib import suppress
 from copy import deepcopy

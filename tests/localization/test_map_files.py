@@ -40,7 +40,7 @@ def written(tmp_path, ending, blocks):
 
 
 def places(blocks):
-    """Return latitude, longitude and height (n, 3), by pymap3d from azimuths and distances."""
+    """Compute latitude, longitude and height (n, 3) from azimuths and distances with pymap3d."""
     x, y, up = np.concatenate([block.smooth_x[:, :3] for block in blocks]).T
     angle, length = np.arctan2(y, x), np.hypot(x, y)
     azimuth = np.degrees(np.radians(ORIGIN.bearing_deg) - angle)
@@ -92,7 +92,7 @@ def test_nmea_has_positions_and_standard_deviations(tmp_path):
 
 
 def area(ring):
-    """Return the area in m^2 of a ring of longitudes and latitudes, near the origin."""
+    """Return the area in m^2 of a ring, given as longitudes and latitudes near the origin."""
     longitude, latitude = np.array(ring).T
     where = ORIGIN.latitude_deg, ORIGIN.longitude_deg, ORIGIN.height_m
     east, north, _ = pymap3d.geodetic2enu(latitude, longitude, ORIGIN.height_m, *where)

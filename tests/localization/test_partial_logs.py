@@ -1,4 +1,4 @@
-"""Tests of logs that lack quantities, state their noise, or have any anchor's Doppler shift."""
+"""Tests of logs that lack quantities, state their noise, or have Doppler shifts of any anchor."""
 
 import csv
 
@@ -80,7 +80,7 @@ def test_a_link_that_lacks_one_number_is_used_with_its_other_numbers(tmp_path):
     np.testing.assert_array_equal(block.visible, whole.visible)
     measured, before = np.isfinite(block.measurement), np.isfinite(whole.measurement)
     assert (measured.sum(axis=0) == before.sum(axis=0) * (measured.any(axis=0))).all()
-    assert (~measured.any(axis=0)).sum() == 3  # one row of each link
+    assert (~measured.any(axis=0)).sum() == 3  # each link lacks a row
 
 
 def test_standard_deviations_in_a_log_are_used_and_make_an_snr_unnecessary(tmp_path):
@@ -146,7 +146,7 @@ def test_a_log_that_cannot_give_a_track_is_refused(tmp_path, field, columns, cha
 
 
 def test_the_nearest_radio_is_the_profile_with_the_noise_of_the_log(tmp_path):
-    assert nearest_radio(read(WALK / "log.csv"), SCENE) == "standard"  # it made the log
+    assert nearest_radio(read(WALK / "log.csv"), SCENE) == "standard"  # the radio of the log
     coarse = {"range_sigma_m": 0.9, "aoa_azimuth_sigma_deg": 4.0}
     path = written(tmp_path / "log.csv", ("time_s", "anchor", "toa_s", "aoa_azimuth_rad"), **coarse)
     assert nearest_radio(read(path), SCENE) == "handset"

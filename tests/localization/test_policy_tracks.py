@@ -1,4 +1,4 @@
-"""Tests of tracks (live and of logs) whose modes a policy chooses, against the engine."""
+"""Tests of tracks (live and from logs) whose modes a policy chooses, compared with the engine."""
 
 import csv
 from dataclasses import replace

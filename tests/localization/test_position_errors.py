@@ -1,4 +1,4 @@
-"""Tests that statistics of position errors, added in any pieces, equal those of NumPy."""
+"""Tests that statistics of position errors equal NumPy's, in whatever pieces errors are added."""
 
 import json
 

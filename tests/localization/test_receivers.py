@@ -39,12 +39,12 @@ RECEIVERS = {  # what is measured, step in s, number of anchors
     "range, azimuth and Doppler shift": ((*RANGE_AZIMUTH, "doppler"), 0.1, 2),
 }
 MODE = Mode("plain", gate=None, adaptive=False, recovery=None, sigma_v=0.3, sigma_vz=0.005)
-# A single anchor without elevations needs the height: without it the textbook EKF diverges, too.
+# One anchor without elevations needs a known height: otherwise, even the textbook EKF diverges.
 RADIO, WALKS, EPOCHS, SETTLED = RADIOS["standard"], 8, 120, 20
 
 
 def noise(dt, hz_per_mps, flat):
-    """Return Q (7, 7) of a step by the tuning of the mode: white-noise acceleration."""
+    """Return the process noise Q (7, 7) of a step: white-noise acceleration with MODE's tuning."""
     velocity = np.square([MODE.sigma_v, MODE.sigma_v, MODE.sigma_vz]) * dt
     position = np.square([MODE.sigma_p, MODE.sigma_p, MODE.sigma_pz]) * dt
     drift = (MODE.sigma_b_mps * hz_per_mps) ** 2 * dt
@@ -148,5 +148,5 @@ def test_places_are_found_from_range_and_azimuth_of_one_anchor_at_the_users_heig
     )
     tracks = json.loads((tmp_path / "r.json").read_text())["truth"]["tracks"]
     assert tracks["smoothed"]["ate_m"] < tracks["filtered"]["ate_m"] < 0.45
-    assert 1.0 < tracks["filtered"]["nees"] < 3.0  # 2 for two free axes
+    assert 1.0 < tracks["filtered"]["nees"] < 3.0  # its expectation for two free axes is 2
     assert tracks["filtered"]["in_bounds"] > 0.85

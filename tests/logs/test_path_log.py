@@ -1,4 +1,4 @@
-"""Tests of logs whose rows are paths without anchor numbers: reading them, and their errors."""
+"""Tests of reading logs whose rows are paths without anchor numbers, and of refusing wrong ones."""
 
 from dataclasses import replace
 from functools import lru_cache

@@ -25,7 +25,7 @@ def truth_of(folder, time_s, position_m, monkeypatch, block_bytes=200):
 
 
 def expected(pose_s, position, time_s):
-    """Return position and velocity by SciPy's cubic and NumPy's gradient between gaps."""
+    """Interpolate positions and velocities between gaps with SciPy's cubic and NumPy's gradient."""
     p, v = np.full((2, len(time_s), 3), np.nan)
     runs = np.split(np.arange(len(pose_s)), np.flatnonzero(np.diff(pose_s) > BRIDGED_S) + 1)
     for run in runs:
@@ -170,7 +170,7 @@ def test_the_standard_error_of_an_offset_is_the_spread_over_many_logs():
 
 
 def test_the_offset_equals_a_least_squares_fit_of_all_unknowns_at_once():
-    """Give NumPy's lstsq columns for the clock, for the frame and for each row's bias."""
+    """Fit columns for the clock, for the frame and for each row's bias with NumPy's lstsq."""
     time_s, rng = np.arange(0.0, 30.0, 0.25), np.random.default_rng(4)
     log, truth = log_of(time_s, user(time_s)[0], rng), late(time_s, 0.05, (0.3, 0.2, 0.0))
     position, velocity, _ = truth

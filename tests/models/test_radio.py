@@ -91,7 +91,7 @@ def assert_variance(values, variance):
 
 
 def changes(on):
-    """Return whether a spell ends, for epochs in one; and whether one begins, for the others."""
+    """Return, for epochs in a spell, whether it ends and, for others, whether one begins."""
     before, after = on[:-1], on[1:]
     return ~after[before], after[~before]
 

@@ -1,4 +1,4 @@
-"""Tests of correctors: memory, trust, files; PyTorch is the reference of the network."""
+"""Tests of correctors: memory, trust, files, and a comparison of their network with PyTorch."""
 
 import numpy as np
 import pytest

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow
 
 N, SEED = 100, 5_400_000
 MOST_HARM = 0.02  # reward per epoch
-FACTORS = (1.0, 4.0, 8.0, 16.0)  # of the stated noise
+FACTORS = (1.0, 4.0, 8.0, 16.0)  # by which the stated noise is wrong
 
 
 def turned(episode, angle=0.2):
@@ -81,13 +81,13 @@ def played(name, radio, episodes):
 
 
 def against_base(radio, episodes):
-    """Return reward minus that of the base (n,), and how far corrections are trusted (n, T)."""
+    """Return the gain in reward over the base (n,), and how far corrections are trusted (n, T)."""
     ours, trusted = played("corrector", radio, episodes)
     return ours - played("guided", radio, episodes)[0], trusted
 
 
 def gain(case, n=N):
-    """Play n episodes of a case, and return what :func:`against_base` does."""
+    """Play n episodes of a case, and return the results of :func:`against_base`."""
     source, radio, wrong = CASES[case]
     episodes = source.episodes(np.arange(SEED, SEED + n, dtype=np.uint64))
     return against_base(radio, [wrong(e) for e in episodes] if wrong else episodes)
@@ -114,7 +114,7 @@ def test_it_is_hardly_below_its_base_where_it_was_never_trained(case):
 
 
 def trust(too):
-    """Return for every factor the gain over the base, and how far corrections are trusted."""
+    """Yield gain and trust for each factor; stated noise is too high (too=1) or low (too=-1)."""
     keys = np.arange(SEED, SEED + 20, dtype=np.uint64)
     for factor in FACTORS:
         source = Misstated(SCENES["street"], RADIOS["standard"], stated=factor**too)

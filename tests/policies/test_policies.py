@@ -30,7 +30,7 @@ def table():
 
 
 def observe(table, **features):
-    """Return observations (n, features) of mean values, except for the features given."""
+    """Return observations (n, features) with the given features, and the means of all others."""
     columns = {name.replace("_", " "): np.atleast_1d(v) for name, v in features.items()}
     n = max(len(column) for column in columns.values())
     observation = np.zeros((n, len(table)))
@@ -93,7 +93,7 @@ def test_above_the_design_window_the_rule_warns_once_and_keeps_its_mode(table):
 
 @pytest.mark.parametrize("pace", ["fast", "slow"])
 def test_the_likelihood_rule_chooses_the_mode_with_the_highest_preference(table, pace):
-    # Preferences are relative to the last mode (ckf), whose own is 0.
+    # Preferences are relative to the last mode (ckf), whose own preference is 0.
     scores = np.random.default_rng(0).normal(0.0, 5.0, (100, 2))
     features = {f"preference_{pace}_ekf": scores[:, 0], f"preference_{pace}_ukf": scores[:, 1]}
     actions = LikelihoodRule(table, list(THREE), pace)(observe(table, **features))
@@ -138,7 +138,7 @@ def test_speed_rules_of_tracks_switch_at_the_threshold_of_the_paper(speed, mode)
 @pytest.mark.filterwarnings("ignore:speed .* is outside the design window")
 @pytest.mark.parametrize("radio", RADIOS)
 def test_no_threshold_of_the_speed_rule_beats_zero(radio):
-    """Use tuning seeds; with a threshold of zero the rule is fixed-ukf (docs/results.md)."""
+    """Use tuning seeds; a rule with a threshold of zero acts like fixed-ukf (docs/results.md)."""
     source = SimulatedSource(scene_from("street"), radio_from(radio))
     episodes = draw_episodes(source, range(TUNING_SEED, TUNING_SEED + 500))
     rule = contender_from("speed-rule", radio)

@@ -128,7 +128,7 @@ def test_a_file_cut_off_anywhere_is_refused(path, length):
 
 
 def read_or_refused(path, content):
-    """Return the policy, or None if the file is refused by name."""
+    """Return the policy, or None if the file is refused with an error that names it."""
     path.write_bytes(content)
     try:
         return read_policy(path)

@@ -18,7 +18,7 @@ def many(n=3, mode="NextStep", **arguments):
 
 
 def single(seed, steps, before=0, **arguments):
-    """Return a single environment's picture after complete episodes and some steps of another."""
+    """Return a single environment's picture after ``before`` skipped episodes and some steps."""
     env = gym.make(ID, render_mode="rgb_array", episode_steps=STEPS, **arguments).unwrapped
     env.reset(seed=seed)
     for _ in range(before):

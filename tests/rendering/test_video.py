@@ -1,4 +1,4 @@
-"""Tests of video files, which are read back, and of their pictures side by side."""
+"""Tests of video files, which are read back, and of pictures of several policies side by side."""
 
 import sys
 

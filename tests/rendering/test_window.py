@@ -79,7 +79,7 @@ def test_an_environment_shows_every_epoch_from_the_prior_on(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux needs a variable")
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux needs DISPLAY")
 def test_the_error_without_a_display_names_the_variables(monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER", "SDL_VIDEO_DRIVER"):
         monkeypatch.delenv(name, raising=False)

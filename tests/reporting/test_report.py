@@ -79,7 +79,7 @@ def test_tracks_and_training_runs_have_their_tables_and_a_title(tmp_path, track)
 
 @pytest.mark.slow
 def test_episodes_that_are_played_again_are_those_that_were_compared(tmp_path):
-    """Check that the means of the file, over its episodes, are those of the episodes played."""
+    """Check that the means in the file are those of the episodes that the report plays again."""
     file = tmp_path / "r.json"
     options = "--policies imm guided speed-rule --episodes 3 --episode-steps 40 --seed 7"
     succeed("compare", *options.split(), "--percentiles", "--json", file)

@@ -1,4 +1,4 @@
-"""Tests of checkpoints (read back, damaged and forged) and the progress log of trainings."""
+"""Tests of checkpoints (read back, damaged, forged) and of the progress log of trainings."""
 
 import io
 import os
@@ -130,7 +130,7 @@ def test_a_checkpoint_with_other_content_is_refused(tmp_path, state, named):
 
 
 def test_a_checkpoint_of_another_network_is_refused(tmp_path):
-    """Use a checkpoint of the right kind and checksum whose content does not fit this training."""
+    """Use a checkpoint of correct form and checksum that does not fit this training."""
     path = tmp_path / "checkpoint.pt"
     write_checkpoint(path, BEGIN | {"learner": {"timesteps": 3}, "env": {}})
     with refuses("checkpoint.pt", "updates"):

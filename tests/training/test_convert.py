@@ -84,7 +84,7 @@ def environment(normalized=False, **arguments):
 
 
 def trained(kind, env):
-    """Return a model after a few steps, whose actions depend on the observations."""
+    """Return a model that was trained for a few steps; its actions depend on the observations."""
     algorithm, policy, options = ALGORITHMS[kind]
     model = algorithm(policy, env, seed=1, **options)
     model.learn(32, **{"use_masking": False} if kind == "maskable" else {})

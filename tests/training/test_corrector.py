@@ -1,4 +1,4 @@
-"""Tests of the training of correctors: data, interruptions, policy files, and what it learns."""
+"""Tests of the training of correctors: data, interruptions, policy files, and what they learn."""
 
 from dataclasses import replace
 
@@ -71,7 +71,7 @@ def test_weaving_users_move_along_both_street_axes_with_the_velocity_that_is_sta
     velocity = (ways[2:, :2] - ways[:-2, :2]) / 0.2
     assert np.median(np.abs(velocity - ways[1:-1, 3:5])) < 0.05
     moving = ways[np.linalg.norm(ways[:, 3:5], axis=1) > 0.5, 3:5]
-    # Users who do not weave leave one axis only in corners.
+    # Other users move along one axis at a time, except in corners.
     assert (np.abs(moving).min(axis=1) > 0.01).mean() > 0.8
 
 

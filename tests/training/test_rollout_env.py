@@ -178,7 +178,7 @@ def assert_same_ends(infos, expected):
 
 @pytest.mark.slow
 def test_several_places_together_equal_each_place_alone():
-    """Count seeds across places, and let the episodes of the second place end earlier."""
+    """Number seeds across places, and let the episodes of the second place end earlier."""
     together = PlacesVecEnv(TASK, PAIRED)
     first, second = alone(PLACES[0], 3), alone(PLACES[1], 2)
     together.seed(10_000_000)

@@ -60,7 +60,7 @@ def interrupt_after(news):
 
 
 def test_an_interrupted_training_continues_to_the_same_result(tmp_path):
-    """Interrupt it repeatedly, even at an evaluation, and let its memory of states overflow."""
+    """Interrupt a training repeatedly, even at an evaluation; let its memory of states overflow."""
     whole, job = job_of(tmp_path / "whole"), job_of(tmp_path / "part", checkpoint_every=2)
     train(whole)
     for news in (3, 2, 4):
@@ -95,7 +95,7 @@ QUICK = replace(LARGE, batch_size=1024, learning_rate=0.002, hidden=(32, 32), fi
 
 @pytest.mark.slow
 def test_a_short_training_beats_the_rule_and_the_imm_from_scratch(tmp_path):
-    """Train a policy with the modes of the rule, which starts as good as the IMM of these modes."""
+    """Train a policy that has the rule's modes and starts as good as the IMM of these modes."""
     modes = Bank(default_modes("handset"))
     street = TrainingTask(
         "mixed", PLACES[:1], {"handset": modes}, "full", TrackingReward(), "per-mode"

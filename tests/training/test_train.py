@@ -95,7 +95,7 @@ def test_the_exported_actor_chooses_the_actions_of_the_trained_one(tmp_path):
 
 
 def test_a_training_reports_its_periodic_evaluations(tmp_path):
-    """Check also that the outcome has the best evaluation; a search needs all to stop early."""
+    """Check the outcome's best evaluation, too. (To stop early, a search needs all evaluations.)"""
     heard = []
     outcome = train(job_of(tmp_path), heard.append)
     rewards = {news.timesteps: news.evaluation["reward"] for news in heard if news.evaluation}
@@ -153,7 +153,7 @@ BAD = {
 
 
 def written(path, change):
-    """Write a file of hyperparameters with a change; None leaves one out."""
+    """Write a file of hyperparameters with changes; those that are None are left out."""
     if isinstance(change, str):
         path.write_text(change)
     else:

@@ -1,7 +1,7 @@
 """Tests of simulated episodes against a plain NumPy simulation with the same random numbers.
 
-The plain simulation defines the episode of a key: which numbers are drawn before the first epoch,
-and then in every epoch, in which order; trajectory and reception have separate generators.
+The plain simulation defines the episode of a key: it shows which numbers are drawn, in which
+order, before the first epoch and in every epoch. Trajectory and reception have separate generators.
 """
 
 import numpy as np
@@ -35,7 +35,7 @@ SOURCES = {
     ),
 }
 KEYS = np.random.default_rng(0).integers(0, 2**64, 20, np.uint64)
-# For two in a thousand keys, the trajectories of both simulations differ: sums are rounded
+# For two in a thousand keys, the two simulations give different trajectories: they round sums
 # differently, so that an event, such as the end of a gait, is a substep later in one of them.
 
 

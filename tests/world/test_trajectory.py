@@ -60,7 +60,7 @@ def test_velocities_in_a_file_are_used(tmp_path):
     v=st.lists(st.floats(-9.0, 9.0), min_size=3, max_size=3),
 )
 def test_constant_acceleration_is_resampled_exactly(dt, steps, a, v):
-    """Check that resampled positions are exact, and velocities, too, except at the ends."""
+    """Check resampled rows and, except at the ends, velocities computed from positions."""
     t = np.cumsum(steps)
     position = np.outer(t, v) + 0.5 * np.outer(t * t, a)
     velocity = v + np.outer(t, a)

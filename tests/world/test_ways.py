@@ -23,7 +23,7 @@ def straight(seconds, y=-80.0, speed=2.0, name="way"):
 
 
 def write(folder, ways, header="t,id,x,y,z"):
-    """Write a file of ways by id, in the order of time, as traffic simulators do."""
+    """Write a file of ways (a dict by id), in the order of time, as traffic simulators do."""
     pairs = [
         (i, row) for i, way in ways.items() for row in zip(way.time_s, way.position_m, strict=True)
     ]

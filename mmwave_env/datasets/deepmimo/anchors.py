@@ -12,8 +12,8 @@ measured at the station, before the bounce, and must be mirrored.
 Other paths (two bounces, diffraction, scattering, transmission) are left out: they have no fixed
 image, or their image can't be computed from their first point of interaction.
 
-Paths are passed as :class:`StationPaths`, whatever the file format. Its values have the meaning of
-the values in the files, but angles are in radians.
+Paths are passed as :class:`StationPaths`, whatever the file format. Values have the same meaning
+as in the files, but angles are in radians.
 """
 
 from collections.abc import Callable
@@ -38,8 +38,8 @@ LINE_OF_SIGHT, REFLECTION = 0.0, 1.0
 class StationPaths:
     """The paths between one base station and E receivers, at most P for each receiver.
 
-    A path whose ``interactions`` are 1 has finite values; one with 0 has them except for the
-    bounce. The values of other paths are meaningless.
+    If the ``interactions`` of a path are 1, all its values are finite; if they are 0, all except
+    ``bounce_m``. The values of other paths are meaningless.
     """
 
     name: str  # name of the station in the files
@@ -83,10 +83,10 @@ _TOLERANCES = (2.0 * TOLERANCE_M, 0.02, 0.02, 0.02)  # m, rad; wrong conventions
 
 @dataclass(frozen=True, eq=False)
 class StationLinks:
-    """The anchors that the paths of a station lead to, and the exact measurements on them."""
+    """The anchors that the paths of a station lead to, and the exact measurements of the paths."""
 
     paths: StationPaths  # paths of the station, for E receivers, P paths each
-    anchors_m: Array  # (K, 3) position of the station, then of its images as discovered
+    anchors_m: Array  # (K, 3) position of the station, then of its images as they were found
     member: Index  # (E, P) index of the anchor that a path leads to; -1 for none
     rows: Array  # (E, P, 4) rows of a link, as in ``LINK``: m, rad; NaN if there is no anchor
 
@@ -135,8 +135,8 @@ def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, Index]:
     station, q = paths.position_m, paths.bounce_m
     member = np.where(paths.interactions == LINE_OF_SIGHT, 0, -1)
     if not (member == 0).any():
-        none = "no line of sight (0) in any epoch; the file named here is that of the first epoch"
-        paths.refuse("inter", 0, none, "at least one")
+        expected = "one in at least one epoch; the file named here is that of the first epoch"
+        paths.refuse("inter", 0, "no line of sight (0)", expected)
     reflected = paths.interactions == REFLECTION
     back = q - position_m[:, None]
     with np.errstate(all="ignore"):  # a reflection at the receiver itself is refused below

@@ -52,8 +52,8 @@ def read_deepmimo(
     Args:
         folder: folder of a DeepMIMO v4 scenario.
         virtual_anchors: maximum number of virtual anchors; those seen most often are kept.
-        bandwidth_hz: bandwidth of the signal, instead of the scenario's bandwidth, on which no
-            path depends.
+        bandwidth_hz: bandwidth of the signal; it replaces the scenario's, because the paths do
+            not depend on it.
         dt_s: time step to use instead of ``trajectory.csv``; velocities are then computed from the
             positions.
         users: indices of receivers, from 0. For a static scenario, one index per epoch; for a
@@ -99,10 +99,10 @@ def read_deepmimo(
 
 
 def _way_of(scenario: Scenario, epochs: Index, dt_s: float | None) -> Trajectory:
-    """Return times, positions and velocities of epochs (E, 2), scenes and receivers.
+    """Return times, positions and velocities of epochs (E, 2), each a scene and a receiver.
 
-    With a time step, velocities are computed from the positions; otherwise both come from
-    ``trajectory.csv``.
+    With ``dt_s``, velocities are computed from the positions; without it, times and velocities
+    come from ``trajectory.csv``.
 
     Raises:
         FileNotFoundError: ``dt_s`` is None, and ``trajectory.csv`` is missing.
@@ -150,7 +150,7 @@ def _links(
         return [(links, k) for k in [0, *images[:virtual_anchors]]]
     in_sight = [s for s in stations if (s.interactions == LINE_OF_SIGHT).any()]
     if not in_sight:
-        none = "no line of sight (0) to any station; the file named here is that of the first epoch"
-        stations[0].refuse("inter", 0, none, "at least one")
+        expected = "one to at least one station; the file named here is only the first one read"
+        stations[0].refuse("inter", 0, "no line of sight (0)", expected)
     by_station = [find_links(station, position_m) for station in in_sight]
     return [(links, 0) for links in sorted(by_station, key=lambda links: -links.epochs_seen[0])]

@@ -52,7 +52,7 @@ class Scenario:
         return f"receiver {row}" + (f" in {self.scenes[scene].name}" if self.is_dynamic else "")
 
     def epochs(self, users: int | Sequence[int] | Index | None) -> Index:
-        """Return (E, 2), for every epoch: its scene, and the row of its receiver in the arrays.
+        """Return, as (E, 2), every epoch's scene and the row of its receiver in the arrays.
 
         Args:
             users: rows of receivers, from 0. For a static scenario, one row per epoch, or None for
@@ -76,8 +76,8 @@ class Scenario:
         scenes = np.arange(len(self.scenes))
         if rows.size not in (1, len(scenes)):
             raise ValueError(
-                f"users: found {rows.size}, expected 1 or {len(scenes)}, one for each scene of "
-                f"{self.folder}, which has {self.receivers} receivers in each"
+                f"users: found {rows.size} indices, expected 1, or {len(scenes)}: one for each "
+                f"scene of {self.folder}; every scene has {self.receivers} receivers"
             )
         return np.column_stack([scenes, np.broadcast_to(rows.reshape(-1), len(scenes))])
 
@@ -100,7 +100,7 @@ class Scenario:
         return as_name(self.folder.resolve().name)
 
     def paths(self, epochs: Index, base_station: int | None = None) -> list[StationPaths]:
-        """Read the paths between each base station, or only one of them, and some receivers.
+        """Read the paths from every base station, or from only one station, to some receivers.
 
         Args:
             epochs: (E, 2) scenes, in increasing order, and rows, as :meth:`epochs` returns them.

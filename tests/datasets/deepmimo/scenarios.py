@@ -100,7 +100,7 @@ def reflect(point, normal, offset):
 
 
 def write_hall(folder, gnb, receivers, walls, link=LINK):
-    """Write a scenario: line of sight, one reflection off each infinite wall (normal, offset)."""
+    """Write a scenario with line of sight and one reflection per infinite wall (normal, offset)."""
     (folder / "params.json").write_text((VEHICLE / "params.json").read_text())
     N, P = len(receivers), 1 + len(walls)
     set_counts(folder, N)

@@ -10,7 +10,7 @@ from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from tests.datasets.deepmimo.scenarios import dynamic_twin, shortened
 from tests.paths import RECORDINGS
 
-# It needs numpy below 2.3, and therefore a virtual environment of its own.
+# DeepMIMO needs numpy below 2.3, and therefore a virtual environment of its own.
 deepmimo = pytest.importorskip("deepmimo", reason="make deepmimo runs it")
 
 ANGLES = {"aoa": "arrival", "aod": "departure"}

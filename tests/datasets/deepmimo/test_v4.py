@@ -1,4 +1,4 @@
-"""Tests of reading DeepMIMO v4 folders: static and dynamic, formats of arrays, sets, refusals.
+"""Tests of reading DeepMIMO v4 folders: scenes, formats of arrays, sets of receivers, refusals.
 
 Random damage is tested in tests/test_damaged_files.py.
 """

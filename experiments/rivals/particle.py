@@ -1,0 +1,115 @@
+"""A bootstrap particle filter (Gordon, Salmond and Smith 1993; Arulampalam et al. 2002).
+
+Particles move as the radio's UKF mode assumes and are weighted by the likelihood of each
+measurement, whose noise has a Student-t distribution; so outliers need no gates.
+"""
+
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.evaluation.agents import Estimator
+from experiments.rivals.noise import DOF, log_density, stated
+from mmwave_env.compiler.program import BatchState, Program, StepIO, blocks_of, fill, rows_of
+from mmwave_env.filters.pipeline import Pipeline, predict
+from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import Epoch, Site, blank_site, groups_of
+from mmwave_env.numerics.linalg import cholesky, pack, unpack
+from mmwave_env.numerics.numbers import Array, Matrix, Number, Vector
+from mmwave_env.numerics.pytree import flatten
+from mmwave_env.world.episode import blank_incoming
+
+PARTICLES = 10_000
+LEAST_M = 0.001  # deviation added to the estimate, as few particles may be left after an outlier
+SPREAD = 0.35  # h of the kernel that moves resampled particles apart, in deviations of the cloud
+KEPT = (1.0 - SPREAD**2) ** 0.5  # factor on deviations before, so that the covariance stays
+
+
+class Weighed(NamedTuple):
+    """A particle in an epoch."""
+
+    incoming: Epoch
+    site: Site
+    x: list[Number]  # (7,) its state
+    log_likelihood: Number  # of the epoch's measurement in this state
+
+
+@lru_cache(maxsize=8)
+def _program(layout: Layout, dof: float) -> Program[Weighed]:
+    """Return the compiled program that weighs particles."""
+
+    def function(w: Weighed) -> Weighed:
+        total: Number = 0.0
+        degrees, groups = (
+            layout.degrees(w.incoming.measured),
+            groups_of(w.x, stated(w.incoming, w.site, layout)),
+        )
+        for group, k, visible in zip(groups, degrees, w.incoming.visible, strict=True):
+            nis = group.spare_nis
+            for residual, variance in zip(group.innovation, group.variance, strict=True):
+                nis = nis + residual * residual / variance
+            total = total + visible * log_density(nis, k, dof)
+        return w._replace(log_likelihood=total)
+
+    site, blank = blank_site(layout), blank_incoming(layout).epoch(layout)
+    return Program(function, Weighed(blank, site, site.prior_x, 0.0))
+
+
+class Particles(Estimator):
+    """A cloud of particles; its mean and covariance are the belief.
+
+    Resampled particles are moved apart by a kernel that keeps mean and covariance (Musso, Oudjane
+    and Le Gland 2001; West 1993), because the process hardly moves the height.
+
+    Args:
+        count: number of particles.
+        dof: degrees of freedom of the measurement noise; many for Gaussian noise.
+    """
+
+    def __init__(self, count: int = PARTICLES, dof: float = DOF) -> None:
+        if count < 2:
+            raise ValueError(f"particles: found {count}, expected at least 2")
+        self._count, self._dof = count, dof
+
+    def track(
+        self, pipeline: Pipeline, site: Site, epochs: Iterator[Epoch]
+    ) -> Iterator[tuple[Vector, Vector]]:
+        """Yield means and packed covariances; the random numbers follow from the prior."""
+        layout, mode, n = pipeline.layout, pipeline.modes[-1], self._count
+        rng = np.random.default_rng(np.array(site.prior_x).view(np.uint32))
+        program = _program(layout, self._dof)
+        values = np.tile(flatten(site), (n, 1))
+        rows = fill(blocks_of(program.start, n), rows_of(program.index.site), values)
+        state = BatchState.of(np.empty((n, 1, len(program.blank))), rows)
+        io = StepIO.of(n, 1, rows_of(program.index.x), rows_of(program.index.log_likelihood))
+
+        def noise(covariance: Matrix) -> Array:
+            return np.array(cholesky(covariance)) @ rng.standard_normal((layout.state_size, n))
+
+        x = np.array(site.prior_x)[:, None] + noise(unpack(site.prior_P, pipeline.known_axes))
+        weight, apart = np.zeros(n), [0.0] * layout.triangle  # logarithms; kernel's covariance
+        for epoch in epochs:
+            moved, Q = predict(pipeline, mode, list(x), apart, 1.0, epoch, site.hz_per_mps)
+            x = np.array(moved) + noise(Q)
+            io.inputs[:, 0], state.table[:], state.epoch[:] = x.T, flatten(epoch), 0
+            program.run_on_lanes(state, io)
+            weight = weight + io.outputs[:, 0, 0]
+            share = np.exp(weight - weight.max())
+            share /= share.sum()
+            mean = x @ share
+            away = x - mean[:, None]
+            P = (away * share) @ away.T + LEAST_M**2 * np.eye(len(x))
+            yield mean, pack(P)
+            few = 1.0 / (share @ share) < 0.5 * n
+            apart = pack(SPREAD**2 * few * P)
+            if few:
+                x, weight = mean[:, None] + KEPT * away[:, resampled(share, rng)], np.zeros(n)
+
+
+def resampled(share: Array, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Draw the numbers of particles in proportion to their shares, by systematic resampling."""
+    places = (np.arange(len(share)) + rng.random()) / len(share)
+    return np.minimum(np.searchsorted(np.cumsum(share), places), len(share) - 1)

@@ -1,0 +1,149 @@
+"""Tests of the rivals: particles, Student-t and adaptive noise, and estimators as contenders."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from experiments.evaluation.agents import Estimator
+from experiments.evaluation.contenders import Contender, contender_from
+from experiments.evaluation.runner import Scoring, run_contender
+from experiments.rivals.noise import EVERYTHING, StudentImm, Variational, adapted, stated, student_t
+from experiments.rivals.particle import Particles, resampled
+from mmwave_env.filters import Mode, Pipeline, ekf, ukf
+from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import exact_rows
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
+from mmwave_env.numerics.linalg import unpack
+from mmwave_env.world.simulated import SimulatedSource
+from tests.refusals import refuses
+
+PLAIN = Mode("plain", "ekf", sigma_v=1.0, sigma_vz=0.5, gate=None, adaptive=False)
+SOURCE = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=20)
+MANY = 1e9  # degrees of freedom that make Student-t noise Gaussian
+
+
+def episodes(n, source=SOURCE):
+    return source.episodes(np.arange(n, dtype=np.uint64))
+
+
+def played(agent, some, planar=False):
+    contender = Contender.own("own", agent, "handset", [PLAIN])
+    policy = contender.start(some[0].layout, planar)
+    return run_contender(contender, policy, some, Scoring(planar=planar), after=("x", "P"))
+
+
+class Seen(Estimator):
+    """An estimator that keeps what it is given, and returns beliefs of some size."""
+
+    def __init__(self, size=7, epochs=None):
+        self.size, self.epochs = size, epochs
+
+    def track(self, pipeline, site, epochs):
+        self.site, self.given = site, list(epochs)
+        for _ in self.given[: self.epochs]:
+            yield site.prior_x[: self.size], site.prior_P
+
+
+def priors_and_measurements():
+    """Yield priors and measurements on floats, from an episode with all groups and from others."""
+    for episode in episodes(3):
+        seen = Seen()
+        played(seen, [episode])
+        for epoch in seen.given[::5]:
+            P = unpack(seen.site.prior_P)
+            yield seen.site.prior_x, P, stated(epoch, seen.site, episode.layout)
+
+
+def test_particles_agree_with_the_ekf_where_all_is_nearly_linear():
+    """Much noise leaves thousands of particles: Monte Carlo errors are a few percent."""
+    good = replace(SOURCE, radio=RADIOS["standard"])
+    some = [replace(episode, sigma=4.0 * episode.sigma) for episode in episodes(4, good)]
+    cloud, kalman = (
+        played(agent, some)
+        for agent in (Particles(dof=MANY), lambda seen: np.zeros(len(seen), int))
+    )
+    # position and velocity; the EKF's bias is biased, as the Doppler shift is nonlinear
+    diagonal = [i * (i + 1) // 2 + i for i in range(6)]
+    deviation = np.sqrt(kalman["P"][..., diagonal])
+    away = np.abs(cloud["x"] - kalman["x"])[..., :6] / deviation
+    assert away.mean(axis=(0, 1)).max() < 0.15
+    ratio = np.sqrt(cloud["P"][..., diagonal]) / deviation
+    np.testing.assert_allclose(ratio.mean(axis=(0, 1)), 1.0, atol=0.08)
+
+
+def test_resampling_is_in_proportion_to_the_shares():
+    share = np.array([0.5, 0.0, 0.25, 0.125, 0.125, 0.0, 0.0, 0.0])
+    drawn = resampled(share, np.random.default_rng(0))
+    assert np.bincount(drawn, minlength=8).tolist() == [4, 0, 2, 1, 1, 0, 0, 0]
+
+
+@pytest.mark.parametrize("base", [ekf, ukf])
+def test_student_t_noise_with_many_degrees_of_freedom_is_gaussian(base):
+    for prior in priors_and_measurements():
+        ours, theirs = student_t(*prior, EVERYTHING, base=base, dof=MANY), base(*prior, EVERYTHING)
+        for part, expected in zip(ours, theirs, strict=True):
+            np.testing.assert_allclose(part, expected, rtol=1e-6, atol=1e-6)
+
+
+def test_an_outlier_hardly_moves_a_belief_with_student_t_noise():
+    x, P, measurement = next(priors_and_measurements())
+    false = measurement._replace(z=[measurement.z[0] + 200.0, *measurement.z[1:]])
+
+    def moved(update):
+        shifted, expected = (update(x, P, z, EVERYTHING).x[:3] for z in (false, measurement))
+        return np.linalg.norm(np.subtract(shifted, expected))
+
+    assert moved(student_t) < 0.1 * moved(ekf)
+
+
+def test_adaptive_noise_converges_to_the_true_noise():
+    """The receiver states half of the deviations, so the factor on variances is 4."""
+    x, _, seen = next(priors_and_measurements())
+    layout, rng, P = seen.layout, np.random.default_rng(0), (1e-6 * np.eye(7)).tolist()
+    exact = exact_rows(x[:3], x[3:6], seen.anchors, seen.hz_per_mps, layout)
+    exact[layout.doppler] += x[6]
+    exact, shape = np.array(exact), [50.0] * len(layout.groups)
+    rate = shape
+    for _ in range(1000):
+        z = exact + 2.0 * np.sqrt(seen.variance) * rng.standard_normal(layout.size)
+        shape, rate = ([0.99 * value for value in part] for part in (shape, rate))
+        everywhere = seen._replace(z=z.tolist(), visible=[1.0] * len(layout.groups))
+        *_, shape, rate = adapted(x, P, everywhere, shape, rate, ekf)
+    # the memory holds 100 epochs: 400 rows of a link and 100 of the Doppler shift
+    np.testing.assert_allclose(np.divide(rate, shape), 4.0, rtol=0.3)
+
+
+def test_beliefs_of_another_size_and_missing_epochs_are_refused():
+    for agent in (Seen(size=6), Seen(epochs=3)):
+        with refuses("beliefs of Seen"):
+            played(agent, episodes(2))
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"clock": True}, {"measurements": ("range", "azimuth")}], ids=str
+)
+@pytest.mark.parametrize("agent", [Particles(500), Variational()], ids=lambda a: type(a).__name__)
+def test_rivals_track_with_any_receiver_and_on_flat_ground(agent, options):
+    some = episodes(2, replace(SOURCE, **options))
+    for planar in (False, True):
+        results = played(agent, some, planar)
+        assert np.linalg.norm(results["error"], axis=-1).mean() < 10.0
+        assert np.isfinite(results["nees"]).all()
+
+
+def test_a_rival_is_a_contender_by_its_name():
+    contender = contender_from("experiments.rivals:variational", "handset")
+    results = run_contender(contender, contender.start(SOURCE.layout), episodes(2))
+    assert results["reward"].shape == (2, SOURCE.epochs)
+    Pipeline(StudentImm().bank("handset").modes, Layout())  # tries the update as lanes would
+
+
+def test_bad_settings_are_refused():
+    with refuses("particles"):
+        Particles(1)
+    with refuses("memory"):
+        Variational(1.0)
+    with refuses("policy"):
+        Variational()(np.zeros((1, 3), np.float32))
