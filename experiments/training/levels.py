@@ -4,7 +4,7 @@ The network learns quantiles of the logarithm of an error over its Gaussian leve
 loss, on the kinds of episodes that correctors learn from. Other episodes calibrate it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -29,8 +29,10 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import columns_of
 
 RISKS = (1e-2, 1e-3)
-# One policy of each kind plays every episode: single filters, banks and correctors.
-POLICIES = (("speed-rule", "fixed-ekf", "fixed-ukf"), ("guided", "imm-best"), ("corrector",))
+SINGLE = ("speed-rule", "fixed-ekf", "fixed-ukf")
+# One policy of each group plays every episode, in the training and in the calibration.
+LEARNED_FROM = (("guided",), ("corrector",), ("imm-best", "imm", *SINGLE))
+KINDS = (SINGLE, ("guided", "imm-best"), ("corrector",))
 PLACES = [f"{scene}:{radio}" for scene in SCENES for radio in RADIOS]
 SEED = TRAINING_SEED + 9 * SEEDS_EACH  # episodes that no corrector was trained on
 ENVS, ROUNDS, CALIBRATION = 64, 24, 18  # episodes of a place; rounds of all places
@@ -40,7 +42,9 @@ OUTSIDE = 1e-4  # share of the values of a feature on each side that count as be
 LEAST_M = 1e-4  # smaller errors count as this
 
 
-def _played(seed: int, rounds: int, **changes: float) -> Iterator[tuple[Array, Array]]:
+def _played(
+    seed: int, rounds: int, policies: Sequence[tuple[str, ...]], **changes: float
+) -> Iterator[tuple[Array, Array]]:
     """Play episodes; yield features (n, T, features) and errors over levels for every policy.
 
     The latter are logarithms (n, T, risks, 2), horizontal and vertical. ``changes`` are those of
@@ -56,7 +60,7 @@ def _played(seed: int, rounds: int, **changes: float) -> Iterator[tuple[Array, A
     )
     for radio, batch in (lot for _ in range(rounds) for lot in data.batches()):
         time_s = batch.table[0, :, rows_of([columns_of(batch.layout).dt])[0]].cumsum()
-        for names in POLICIES:
+        for names in policies:
             contender = contender_from(str(rng.choice(names)), radio)
             of = run_batch(contender, contender.start(batch.layout), batch, after=PARTS)
             parts = [*(of[part] for part in PARTS), of.get("trusted")]
@@ -94,7 +98,7 @@ def _trained(features: Array, logs: Array, steps: int) -> Network:
     layers = [tuple(part.detach().double().numpy() for part in f.parameters()) for f in linear]
     weight, bias = layers[0]
     layers[0] = weight / sigma, bias - weight / sigma @ mean
-    constants = np.zeros((len(POLICIES), len(RISKS), 2))
+    constants = np.zeros((len(KINDS), len(RISKS), 2))
     return Network([*RISKS], constants, low, high, layers)
 
 
@@ -104,15 +108,15 @@ def _constants(network: Network, seed: int, rounds: int) -> Array:
     They are those of split conformal prediction over all places, in which one more episode has
     infinite errors (Lee et al. 2023), or larger, so that no place exceeds a risk on its own.
     """
-    over: list[list[Array]] = [[] for _ in range(len(PLACES) * len(POLICIES))]
-    for i, (features, logs) in enumerate(_played(seed, rounds, random_share=0.0)):
+    over: list[list[Array]] = [[] for _ in range(len(PLACES) * len(KINDS))]
+    for i, (features, logs) in enumerate(_played(seed, rounds, KINDS, random_share=0.0)):
         over[i % len(over)].append(logs - network.log_factors(features))
     constants = []
-    for kind in range(len(POLICIES)):
-        places = over[kind :: len(POLICIES)]
+    for kind in range(len(KINDS)):
+        places = over[kind :: len(KINDS)]
         pooled = _quantiles([part for parts in places for part in parts], 1)
         constants.append(np.max([pooled, *(_quantiles(parts, 0) for parts in places)], axis=0))
-    return np.reshape(constants, (len(POLICIES), len(RISKS), 2))
+    return np.reshape(constants, (len(KINDS), len(RISKS), 2))
 
 
 def _quantiles(parts: list[Array], infinite: int) -> Array:
@@ -139,7 +143,9 @@ def tuned_levels(
 
     ``rounds`` and ``calibration`` are numbers of rounds of episodes, ``steps`` of gradient steps.
     """
-    lots = [[part[:, ::EVERY].copy() for part in lot] for lot in _played(SEED, rounds)]
+    lots = [
+        [part[:, ::EVERY].copy() for part in lot] for lot in _played(SEED, rounds, LEARNED_FROM)
+    ]
     features, logs = (
         np.concatenate([part.reshape(-1, *part.shape[2:]) for part in parts])
         for parts in zip(*lots, strict=True)
