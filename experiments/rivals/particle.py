@@ -43,10 +43,8 @@ def _program(layout: Layout, dof: float) -> Program[Weighed]:
 
     def function(w: Weighed) -> Weighed:
         total: Number = 0.0
-        degrees, groups = (
-            layout.degrees(w.incoming.measured),
-            groups_of(w.x, stated(w.incoming, w.site, layout)),
-        )
+        groups = groups_of(w.x, stated(w.incoming, w.site, layout))
+        degrees = layout.degrees(w.incoming.measured)
         for group, k, visible in zip(groups, degrees, w.incoming.visible, strict=True):
             nis = group.spare_nis
             for residual, variance in zip(group.innovation, group.variance, strict=True):
