@@ -26,9 +26,9 @@ class Remembering:
 
     def __call__(self, observations):
         """Return actions."""
-        seen = envs.normalize_obs(observations)
-        actions, self.state = model.predict(seen, self.state, self.begins, deterministic=True)
-        self.begins = np.zeros(len(seen), bool)
+        normal = envs.normalize_obs(observations)
+        actions, self.state = model.predict(normal, self.state, self.begins, deterministic=True)
+        self.begins = np.zeros(len(normal), bool)
         return actions
 
 

@@ -67,11 +67,13 @@ def test_the_page_of_the_environment_is_its_docstring():
     assert module.PAGE.read_text("utf-8") == module.page(), "run: make generated"
 
 
-def test_the_page_of_a_notebook_shows_its_cells(hooks):
-    ((uri, name),) = hooks.NOTEBOOKS.items()
-    page, cells = hooks.made()[uri](), json.loads((ROOT / name).read_text("utf-8"))["cells"]
-    code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
-    assert re.findall(r"^```python\n(.*?)\n```$", page, re.DOTALL | re.MULTILINE) == code
+def test_the_page_of_a_notebook_shows_its_cells_and_their_outputs(hooks):
+    for uri, name in hooks.NOTEBOOKS.items():
+        page, cells = hooks.made()[uri](), json.loads((ROOT / name).read_text("utf-8"))["cells"]
+        cells = [cell for cell in cells if cell["cell_type"] == "code"]
+        code = ["".join(cell["source"]) for cell in cells]
+        assert re.findall(r"^```python\n(.*?)\n```$", page, re.DOTALL | re.MULTILINE) == code
+        assert page.count("<img ") == sum("image/png" in str(cell["outputs"]) for cell in cells)
 
 
 def test_the_page_of_help_texts_has_every_command(hooks):
