@@ -70,8 +70,8 @@ class Ukf(Estimator):
         if not models:
             return state
         model = nonlinear.CombinedReversibleGaussianMeasurementModel(models)
-        seen = Detection(StateVector(values), state.timestamp, measurement_model=model)
-        return self.updater(model).update(SingleHypothesis(state, seen))
+        visible = Detection(StateVector(values), state.timestamp, measurement_model=model)
+        return self.updater(model).update(SingleHypothesis(state, visible))
 
 
 class Particles(Ukf):
@@ -93,7 +93,7 @@ if __name__ == "__main__":
     rivals = {
         "stone-soup-ukf": Ukf(),
         "stone-soup-particle": Particles(),
-        "plain": lambda seen: np.zeros(len(seen), int),
+        "plain": lambda visible: np.zeros(len(visible), int),
     }
     rows = ("range", "azimuth", "elevation")
     print(
