@@ -70,8 +70,8 @@ class Ukf(Estimator):
         if not models:
             return state
         model = nonlinear.CombinedReversibleGaussianMeasurementModel(models)
-        visible = Detection(StateVector(values), state.timestamp, measurement_model=model)
-        return self.updater(model).update(SingleHypothesis(state, visible))
+        detection = Detection(StateVector(values), state.timestamp, measurement_model=model)
+        return self.updater(model).update(SingleHypothesis(state, detection))
 
 
 class Particles(Ukf):
@@ -93,7 +93,7 @@ if __name__ == "__main__":
     rivals = {
         "stone-soup-ukf": Ukf(),
         "stone-soup-particle": Particles(),
-        "plain": lambda visible: np.zeros(len(visible), int),
+        "plain": lambda shown: np.zeros(len(shown), int),
     }
     rows = ("range", "azimuth", "elevation")
     print(
