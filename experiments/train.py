@@ -23,9 +23,6 @@ class Args(TaskArgs):
     hyperparameters: Path | None = None
     """JSON file of hyperparameters, instead of the algorithm's default file in
     experiments/training, such as ppo.json or, with --beliefs per-mode, guided-ppo.json"""
-    smoke: bool = False
-    """run one seed and one update, which takes seconds, to check that everything is installed and
-    works; writes to runs/smoke unless --out names another folder; compare refuses its policy"""
     jobs: int = min(2, os.cpu_count() or 1)
     """number of trainings to run at once"""
     checkpoint_every: int = 32

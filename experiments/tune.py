@@ -3,14 +3,14 @@
 import math
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from experiments.console.options import TUNING_SEED, JsonArgs, WorldArgs
 
 
 @dataclass(kw_only=True)
 class Args(JsonArgs):
-    """Tune the process noise of modes by likelihood or by position error.
+    """Tune the process noise of modes by the likelihood of the measurements, without the truth.
 
     With --bank, tune the five modes of imm-best and the transition between them instead, by the
     reward of their IMM in all scenes at 1 Hz and 10 Hz (needs the extra "tune").
@@ -29,8 +29,6 @@ class Args(JsonArgs):
     """kind of user that each mode is tuned on, in the order of modes: names, JSON or CSV files"""
     free: tuple[str, ...] = ("sigma_v", "sigma_p")
     """parameters to tune: sigma_p, sigma_v, sigma_pz, sigma_vz, sigma_b_mps, spread_gain"""
-    objective: Literal["likelihood", "rmse"] = "likelihood"
-    """likelihood of the measurements (needs no ground truth), or root mean square position error"""
     diagonal: bool = False
     """use the paper's printed process noise, a diagonal matrix without coupling"""
     episodes: int = 300
@@ -48,7 +46,7 @@ class Args(JsonArgs):
     """write the tuned modes to this mode file, to use as --modes or modes=; or the levels"""
 
 
-OF_MODES = ("modes", "scenarios", "free", "objective", "diagonal")  # meaningless with --bank
+OF_MODES = ("modes", "scenarios", "free", "diagonal")  # meaningless with --bank
 OF_LEVELS = ("levels", "seed", "out", "json")  # all options that --levels has
 Content = dict[str, Any]  # content of a JSON file
 
@@ -92,7 +90,7 @@ def _tuned_modes(args: Args) -> tuple[Content, Content]:
     from experiments.evaluation.asked import source_of
     from experiments.evaluation.intervals import bootstrap
     from experiments.evaluation.seeds import draw_episodes
-    from experiments.training.tune_modes import OBJECTIVES, RANGES, objective_of, tune
+    from experiments.training.tune_modes import RANGES, objective_of, tune
     from mmwave_env.filters.bank import as_written, modes_from
     from mmwave_env.io.lookup import choose
     from mmwave_env.models.radio import radio_from
@@ -108,16 +106,15 @@ def _tuned_modes(args: Args) -> tuple[Content, Content]:
         raise ValueError(f"free: found {args.free}, expected one or more different names")
     for name in args.free:
         choose(RANGES, name, "free")
-    tuned, figures = [], []
+    tuned, figures, title = [], [], "log-likelihood per epoch"
     for mode, scenario in zip(modes, args.scenarios, strict=True):
         source = source_of(WorldArgs(scenario=scenario, radio=args.radio))
         episodes = draw_episodes(source, range(args.seed, args.seed + args.episodes))
         started = replace(mode, coupling=mode.coupling and not args.diagonal)
-        objective = objective_of(args.objective, started, episodes)
+        objective = objective_of(started, episodes)
         best = tune(started, args.free, objective)
         tuned.append(as_written(best))
         (value,) = bootstrap(objective(best)[:, None])
-        title = OBJECTIVES[args.objective][2]
         numbers = ", ".join(f"{name} {getattr(best, name):g}" for name in args.free)
         say(f"{mode.name} on {source.name}, {radio.name}: {numbers}: {title} {value}")
         figures.append({"mode": mode.name, "scenario": scenario, "objective": title} | value.json)

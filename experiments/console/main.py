@@ -35,7 +35,7 @@ GROUPS = {
     },
     "train": {
         "train": "train policies, with several training seeds",
-        "tune": "tune the process noise of modes, by likelihood or error",
+        "tune": "tune the process noise of modes by likelihood",
         "sweep": "run grids of comparisons and trainings, here or on a Ray cluster",
         "convert": "convert a model of Stable-Baselines3 to a file without code",
     },

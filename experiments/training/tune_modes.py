@@ -1,4 +1,4 @@
-"""Tuning of a mode's process noise: functions to maximize, and the search."""
+"""Tuning of a mode's process noise: the likelihood to maximize, and the search."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -48,29 +48,15 @@ def likelihood(history: dict[str, Array], layout: Layout) -> Array:
     return per_epoch
 
 
-def negative_mean_square(history: dict[str, Array], layout: Layout) -> Array:
-    """Return minus the mean square position error (episodes,), m^2."""
-    error = history["error"]
-    mean: Array = np.square(error[:, scored(error.shape[1])]).sum(axis=-1).mean(axis=-1)
-    return -mean
-
-
-OBJECTIVES = {
-    "likelihood": (likelihood, ("memory.nis", "log_likelihood"), "log-likelihood per epoch"),
-    "rmse": (negative_mean_square, ("error",), "minus the mean square error, m^2"),
-}
-
-
-def objective_of(name: str, mode: Mode, episodes: Sequence[Episode]) -> Objective:
-    """Return the objective (episodes,) as a function of modes with the algorithm of ``mode``."""
-    function, names, _ = OBJECTIVES[name]
+def objective_of(mode: Mode, episodes: Sequence[Episode]) -> Objective:
+    """Return the likelihood (episodes,) as a function of modes with the algorithm of ``mode``."""
     layout = episodes[0].layout
     tracker = Tracker(Pipeline((mode,), layout), len(episodes))
     tracker.load(episodes)
 
     def evaluate(tried: Mode) -> Array:
         tracker.tune([tried.tuning])
-        return function(tracker.run(*names), layout)
+        return likelihood(tracker.run("memory.nis", "log_likelihood"), layout)
 
     return evaluate
 

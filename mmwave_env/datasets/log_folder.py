@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from mmwave_env.datasets.deepmimo.v4 import PARAMS
-from mmwave_env.datasets.log_writer import write_log
+from mmwave_env.datasets.log_writer import log_columns, log_text
 from mmwave_env.datasets.measured import MeasuredTrack
-from mmwave_env.io.files import atomic_path, write_json, write_text
+from mmwave_env.io.files import write_json, write_text
 from mmwave_env.io.lookup import as_name
 from mmwave_env.logs.clock import clock_offset
 from mmwave_env.logs.log import LogBlock, read_log
@@ -99,8 +99,7 @@ def write_log_folder(folder: Path, episode: Episode, scene: Scene, origin: str) 
     Raises:
         OSError: a file can't be written.
     """
-    with atomic_path(folder / LOG) as log:
-        write_log(log, episode)
+    write_text(folder / LOG, log_text(log_columns(episode)))
     write_json(folder / SCENE, scene_json(scene))
     if episode.truth_position_m is None:
         (folder / TRUTH).unlink(missing_ok=True)

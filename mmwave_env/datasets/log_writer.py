@@ -1,12 +1,9 @@
 """Writer of measurement logs from episodes; :func:`~mmwave_env.logs.log.read_log` reads them."""
 
-import gzip
 import math
-from pathlib import Path
 
 import numpy as np
 
-from mmwave_env.logs.log_tables import SUFFIXES, LogError, require_arrow
 from mmwave_env.models.layout import LINK, sigma_name
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.numerics.numbers import PI, Array, Index, Mask
@@ -68,25 +65,3 @@ def log_text(columns: dict[str, Array]) -> str:
         ["" if math.isnan(v) else repr(v) for v in values.tolist()] for values in columns.values()
     ]
     return "".join(",".join(row) + "\n" for row in [tuple(columns), *zip(*words, strict=True)])
-
-
-def write_log(path: Path, episode: Episode) -> None:
-    """Write the log of an episode as CSV or Parquet, depending on the name of the file.
-
-    Raises:
-        LogError: the name has another ending, or pyarrow is missing.
-        OSError: the file can't be written.
-    """
-    name, columns = path.name.lower(), log_columns(episode)
-    if name.endswith(".parquet"):
-        pyarrow, parquet = require_arrow(path)
-        arrays = {
-            name: pyarrow.array(values, mask=np.isnan(values)) for name, values in columns.items()
-        }
-        parquet.write_table(pyarrow.table(arrays), path, write_page_checksum=True)
-    elif name.endswith(".csv.gz"):
-        path.write_bytes(gzip.compress(log_text(columns).encode(), mtime=0))
-    elif name.endswith(".csv"):
-        path.write_text(log_text(columns), encoding="utf-8", newline="\n")
-    else:
-        raise LogError(f"{path}: found {path.suffix!r}, expected one of {', '.join(SUFFIXES)}")

@@ -8,7 +8,6 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from mmwave_env.datasets.log_folder import read_log_folder, write_log_folder
-from mmwave_env.datasets.log_writer import write_log
 from mmwave_env.datasets.measured import MeasuredTrack
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.samples import log_names, sample_folder, source_from
@@ -18,6 +17,7 @@ from mmwave_env.models.scene import SCENES, read_scene
 from mmwave_env.world.keys import keys_of
 from mmwave_env.world.simulated import SimulatedSource
 from tests.cli import assert_one_clear_line, command, succeed
+from tests.logs.writing import write_log
 from tests.paths import LOGS, RECORDINGS
 from tests.refusals import refuses
 

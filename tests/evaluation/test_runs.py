@@ -52,13 +52,6 @@ def test_a_damaged_summary_is_named(folder, damage):
         Run.read(str(folder))
 
 
-def test_a_smoke_run_is_refused(folder):
-    summary = SUMMARY | {"command": "mmwave-loc train --radio high --smoke"}
-    (folder / "summary.json").write_text(json.dumps(summary))
-    with refuses(folder):
-        Run.read(str(folder))
-
-
 def test_an_unfinished_run_is_refused(folder):
     (folder / "summary.json").unlink()
     with refuses("summary.json", error=FileNotFoundError):

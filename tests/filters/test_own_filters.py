@@ -13,7 +13,6 @@ from scipy.stats import chi2
 
 from experiments.evaluation.runner import score_contenders
 from experiments.evaluation.seeds import Selection
-from mmwave_env.datasets.log_writer import write_log
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters.custom import AlgorithmError
@@ -29,6 +28,7 @@ from mmwave_env.world.simulated import SimulatedSource
 from tests.filters import gated_textbook
 from tests.filters.problems import assert_same, assume_clear_of, problems
 from tests.filters.tracks import STREET, simulated, track
+from tests.logs.writing import write_log
 from tests.paths import ROOT
 
 PAGE = (ROOT / "docs" / "own-filters.md").read_text()

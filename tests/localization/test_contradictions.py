@@ -6,13 +6,13 @@ from itertools import product
 import numpy as np
 import pytest
 
-from mmwave_env.datasets.log_writer import write_log
 from mmwave_env.localization.contradictions import contradictions
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
 from tests.localization.test_diagnosis import doubts
+from tests.logs.writing import write_log
 
 KINDS = ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")
 WORLDS = list(product(RADIOS.values(), SCENES.values(), KINDS))

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.datasets.log_writer import write_log
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.filters.bank import Bank, best_bank, default_modes
 from mmwave_env.filters.modes import robust
@@ -27,6 +26,7 @@ from mmwave_env.world.simulated import SimulatedSource
 from policies.speed_rule import by_odometry_speed, by_predicted_speed
 from tests.filters.tracks import track
 from tests.logs.by_hand import assert_same
+from tests.logs.writing import write_log
 from tests.refusals import refuses
 
 SCENE, RADIO = SCENES["street"], RADIOS["handset"]

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.datasets.log_writer import log_columns, log_text, write_log
+from mmwave_env.datasets.log_writer import log_columns, log_text
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
@@ -38,6 +38,7 @@ from tests.logs.by_hand import (
     store,
     text,
 )
+from tests.logs.writing import write_log
 from tests.refusals import refuses
 
 # --- damaged rows and headers
@@ -225,8 +226,6 @@ def test_a_log_without_any_measurement_is_refused_at_its_end(tmp_path, cells):
 def test_files_with_another_ending_are_refused(tmp_path, name):
     with refuses(name, error=LogError):
         read_log(store(tmp_path, text(rows()), name), SCENE)
-    with refuses(name, error=LogError):
-        write_log(tmp_path / name, episode())
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -343,9 +342,8 @@ class TestParquet:
         np.testing.assert_array_equal(block.visible, true.usable[: len(block)])
 
 
-@pytest.mark.parametrize("action", ["read", "write"])
-def test_the_error_about_missing_pyarrow_says_what_to_install(tmp_path, monkeypatch, action):
+def test_the_error_about_missing_pyarrow_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     path = store(tmp_path, "PAR1", "log.parquet")
     with pytest.raises(LogError, match=r'pip install "mmwave-loc\[data\]"'):
-        read_log(path, SCENE) if action == "read" else write_log(path, episode())
+        read_log(path, SCENE)

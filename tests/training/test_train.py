@@ -273,18 +273,7 @@ def test_a_damaged_manifest_is_refused(damaged, tmp_path):
     assert "run.json: not the manifest of a run" in line
 
 
-# --- a smoke run
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("algo", ["ppo", "rollouts"])
-def test_a_smoke_run_says_so_and_is_refused_as_a_result(algo, tmp_path):
-    for _ in range(2):  # the second run replaces the first
-        assert "A smoke run" in succeed("train", "--smoke", "--algo", algo, cwd=tmp_path)
-    for policy in ("runs/smoke", "runs/smoke/policy.safetensors"):
-        refusal = command("evaluate", "--policy", policy, cwd=tmp_path)
-        assert refusal.returncode == 2
-        assert f"{policy}: found the result of train --smoke" in refusal.stderr
+# --- a short run
 
 
 PLACES = ("street:handset", "o1:standard:0.5")
@@ -293,9 +282,10 @@ PLACES = ("street:handset", "o1:standard:0.5")
 @pytest.mark.slow
 def test_a_policy_trained_at_two_places_with_beliefs_per_mode_plays_at_a_third(tmp_path):
     """Run the commands train and then evaluate."""
-    shown = succeed("train", "--beliefs", "per-mode", "--places", *PLACES, "--smoke", cwd=tmp_path)
+    short = ("--seeds", 1, "--total-timesteps", 1, "--out", tmp_path / "run")
+    shown = succeed("train", "--beliefs", "per-mode", "--places", *PLACES, *short)
     assert "| minus imm-best |" in shown
-    (outcome,) = json.loads((tmp_path / "runs/smoke/summary.json").read_text())["seeds"]
+    (outcome,) = json.loads((tmp_path / "run/summary.json").read_text())["seeds"]
     best = outcome["best"]
     for rival in ("speed-rule", "imm", "imm-best"):
         each = [best[f"{place} minus {rival}"]["mean"] for place in PLACES]
@@ -303,11 +293,8 @@ def test_a_policy_trained_at_two_places_with_beliefs_per_mode_plays_at_a_third(t
         assert best[f"minus {rival}"]["mean"] == pytest.approx(np.mean(each))
     assert abs(best["minus imm-best"]["mean"]) < 0.05  # it starts near the IMM
 
-    smoke = tmp_path / "runs/smoke/policy.safetensors"
-    tensors, card = read_policy(smoke)
+    policy = tmp_path / "run/policy.safetensors"
+    _, card = read_policy(policy)
     assert card.beliefs == "per-mode" and list(card.banks) == ["handset", "standard"]
-    policy = write(
-        tmp_path / "whole.safetensors", tensors, replace(card, command="mmwave-loc train")
-    )
     words = ("--radio", "high", "--scene", "dynamic-doppler", "--episodes", 5)
     assert f"| {policy} |" in succeed("evaluate", "--policy", policy, *words)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from experiments.evaluation.comparison import Comparison
 from experiments.evaluation.intervals import Interval
-from experiments.evaluation.positions import HEADER, KINDS, percent, row_of
+from experiments.evaluation.positions import positions_markdown
 from experiments.figures.canvas import PHONE_MM
 from experiments.figures.curves import draw_consistency, draw_error_cdf, draw_learning_curves
 from experiments.reporting.track_report import track_markdown
@@ -109,19 +109,11 @@ def errors_of(source: Source, played: Played) -> Iterator[str]:
     if "position_errors" in source.content:
         which, figures = "all episodes", source.content["position_errors"]
     ranked, policies = ranking(source.content["policies"]), figures["policies"]
-    for kind in KINDS:
-        rows = [[n, *row_of(policies[n][kind])] for n in ranked if kind in policies.get(n, {})]
-        caption = f"{kind.capitalize()} errors in {which}, without the first 10 epochs of each"
-        yield table(caption, ["contender", *HEADER], rows) if rows else ""
     if policies:
-        note = (
-            "50 % m is the error that 50 % of the epochs stay below, and so on; within 1 m is the "
-            "share of the epochs with at most this error. Level is the median "
-            f"{figures.get('levels', 'gaussian')} protection level; at "
-            f"a risk of {figures['risk']:g}, errors should exceed their levels in "
-            f"{percent(figures['risk'])} of the epochs."
-        )
-        yield element("p", note, "note")
+        rows = {name: policies[name] for name in ranked if name in policies}
+        yield element("p", f"Errors in {which}, without the first 10 epochs of each", "caption")
+        kind = figures.get("levels", "gaussian")
+        yield html_of(positions_markdown("contender", rows, figures["risk"], kind))
     errors_m, nees = played.epochs.errors_m, played.epochs.nees
     if shown := [name for name in watched_names(ranked) if name in errors_m]:
         draw = partial(draw_error_cdf, {name: errors_m[name] for name in shown}, width_mm=PHONE_MM)
