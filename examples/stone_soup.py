@@ -70,8 +70,8 @@ class Ukf(Estimator):
         if not models:
             return state
         model = nonlinear.CombinedReversibleGaussianMeasurementModel(models)
-        seen = Detection(StateVector(values), state.timestamp, measurement_model=model)
-        return self.updater(model).update(SingleHypothesis(state, seen))
+        detection = Detection(StateVector(values), state.timestamp, measurement_model=model)
+        return self.updater(model).update(SingleHypothesis(state, detection))
 
 
 class Particles(Ukf):
@@ -93,7 +93,7 @@ if __name__ == "__main__":
     rivals = {
         "stone-soup-ukf": Ukf(),
         "stone-soup-particle": Particles(),
-        "plain": lambda seen: np.zeros(len(seen), int),
+        "plain": lambda observations: np.zeros(len(observations), int),
     }
     rows = ("range", "azimuth", "elevation")
     print(
