@@ -41,19 +41,19 @@ class Seen(Estimator):
         self.size, self.epochs = size, epochs
 
     def track(self, pipeline, site, epochs):
-        self.site, self.given = site, list(epochs)
-        for _ in self.given[: self.epochs]:
+        self.site, self.drawn = site, list(epochs)
+        for _ in self.drawn[: self.epochs]:
             yield site.prior_x[: self.size], site.prior_P
 
 
 def priors_and_measurements():
     """Yield priors and measurements on floats, from an episode with all groups and from others."""
     for episode in episodes(3):
-        seen = Seen()
-        played(seen, [episode])
-        for epoch in seen.given[::5]:
-            P = unpack(seen.site.prior_P)
-            yield seen.site.prior_x, P, stated(epoch, seen.site, episode.layout)
+        agent = Seen()
+        played(agent, [episode])
+        for epoch in agent.drawn[::5]:
+            P = unpack(agent.site.prior_P)
+            yield agent.site.prior_x, P, stated(epoch, agent.site, episode.layout)
 
 
 def test_particles_agree_with_the_ekf_where_all_is_nearly_linear():
@@ -62,7 +62,7 @@ def test_particles_agree_with_the_ekf_where_all_is_nearly_linear():
     some = [replace(episode, sigma=4.0 * episode.sigma) for episode in episodes(4, good)]
     cloud, kalman = (
         played(agent, some)
-        for agent in (Particles(dof=MANY), lambda seen: np.zeros(len(seen), int))
+        for agent in (Particles(dof=MANY), lambda rows: np.zeros(len(rows), int))
     )
     # position and velocity; the EKF's bias is biased, as the Doppler shift is nonlinear
     diagonal = [i * (i + 1) // 2 + i for i in range(6)]
@@ -100,16 +100,16 @@ def test_an_outlier_hardly_moves_a_belief_with_student_t_noise():
 
 def test_adaptive_noise_converges_to_the_true_noise():
     """The receiver states half of the deviations, so the factor on variances is 4."""
-    x, _, seen = next(priors_and_measurements())
-    layout, rng, P = seen.layout, np.random.default_rng(0), (1e-6 * np.eye(7)).tolist()
-    exact = exact_rows(x[:3], x[3:6], seen.anchors, seen.hz_per_mps, layout)
+    x, _, measurement = next(priors_and_measurements())
+    layout, rng, P = measurement.layout, np.random.default_rng(0), (1e-6 * np.eye(7)).tolist()
+    exact = exact_rows(x[:3], x[3:6], measurement.anchors, measurement.hz_per_mps, layout)
     exact[layout.doppler] += x[6]
     exact, shape = np.array(exact), [50.0] * len(layout.groups)
     rate = shape
     for _ in range(1000):
-        z = exact + 2.0 * np.sqrt(seen.variance) * rng.standard_normal(layout.size)
+        z = exact + 2.0 * np.sqrt(measurement.variance) * rng.standard_normal(layout.size)
         shape, rate = ([0.99 * value for value in part] for part in (shape, rate))
-        everywhere = seen._replace(z=z.tolist(), visible=[1.0] * len(layout.groups))
+        everywhere = measurement._replace(z=z.tolist(), visible=[1.0] * len(layout.groups))
         *_, shape, rate = adapted(x, P, everywhere, shape, rate, ekf)
     # the memory holds 100 epochs: 400 rows of a link and 100 of the Doppler shift
     np.testing.assert_allclose(np.divide(rate, shape), 4.0, rtol=0.3)
