@@ -147,3 +147,6 @@ def test_bad_settings_are_refused():
         Variational(1.0)
     with refuses("policy"):
         Variational()(np.zeros((1, 3), np.float32))
+    contender = Contender.own("own", Variational(), "handset")
+    with refuses("policy"):
+        run_contender(contender, Variational(), episodes(2), after=("memory.nis",))
