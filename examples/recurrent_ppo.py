@@ -26,9 +26,9 @@ class Remembering:
 
     def __call__(self, observations):
         """Return actions."""
-        normal = envs.normalize_obs(observations)
-        actions, self.state = model.predict(normal, self.state, self.begins, deterministic=True)
-        self.begins = np.zeros(len(normal), bool)
+        scaled = envs.normalize_obs(observations)
+        actions, self.state = model.predict(scaled, self.state, self.begins, deterministic=True)
+        self.begins = np.zeros(len(scaled), bool)
         return actions
 
 

@@ -93,7 +93,7 @@ if __name__ == "__main__":
     rivals = {
         "stone-soup-ukf": Ukf(),
         "stone-soup-particle": Particles(),
-        "plain": lambda shown: np.zeros(len(shown), int),
+        "plain": lambda observations: np.zeros(len(observations), int),
     }
     rows = ("range", "azimuth", "elevation")
     print(

@@ -23,6 +23,7 @@ Act = Callable[[NDArray[np.float32]], Any]  # observations (n, features) -> acti
 MODULE = re.compile(r"[\w.]+:[\w.]+")
 GUIDE = "docs/own-agent.md"
 OF_A_MODEL = "for a model, use lambda seen: model.predict(seen, deterministic=True)[0]"
+NO_FILTERS = "which runs no filters to show, expected another policy; it is for comparisons only"
 TRIED = 3  # number of random observations to try an agent on
 
 
@@ -71,10 +72,7 @@ class Estimator(Policy):
 
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
         """Refuse to choose a mode."""
-        raise ValueError(
-            f"policy: found {type(self).__name__}, which chooses no modes, expected another "
-            "policy; it stands only in comparisons"
-        )
+        raise ValueError(f"policy: found {type(self).__name__}, {NO_FILTERS}")
 
 
 class _Function(Policy):

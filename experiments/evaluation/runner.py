@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.console.progress import bars
-from experiments.evaluation.agents import Estimator, require_actions
+from experiments.evaluation.agents import NO_FILTERS, Estimator, require_actions
 from experiments.evaluation.branches import Clairvoyant
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.seeds import Selection
@@ -108,6 +108,8 @@ def run_contender(
         return imm.run(episodes, *names)
     n, T, _ = episodes.table.shape
     if isinstance(policy, Estimator):
+        if not {*shown, *after} <= {*BELIEF}:
+            raise ValueError(f"policy: found {contender.name}, {NO_FILTERS}")
         x, P = policy.estimate(pipeline, episodes)
         truth = episodes.table[:, :, columns_of(episodes.layout).truth]
         mean, packed = (list(np.moveaxis(part, -1, 0)) for part in (x, P))

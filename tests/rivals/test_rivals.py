@@ -41,19 +41,19 @@ class Seen(Estimator):
         self.size, self.epochs = size, epochs
 
     def track(self, pipeline, site, epochs):
-        self.site, self.given = site, list(epochs)
-        for _ in self.given[: self.epochs]:
+        self.site, self.drawn = site, list(epochs)
+        for _ in self.drawn[: self.epochs]:
             yield site.prior_x[: self.size], site.prior_P
 
 
 def priors_and_measurements():
     """Yield priors and measurements on floats, from an episode with all groups and from others."""
     for episode in episodes(3):
-        record = Seen()
-        played(record, [episode])
-        for epoch in record.given[::5]:
-            P = unpack(record.site.prior_P)
-            yield record.site.prior_x, P, stated(epoch, record.site, episode.layout)
+        agent = Seen()
+        played(agent, [episode])
+        for epoch in agent.drawn[::5]:
+            P = unpack(agent.site.prior_P)
+            yield agent.site.prior_x, P, stated(epoch, agent.site, episode.layout)
 
 
 def test_particles_agree_with_the_ekf_where_all_is_nearly_linear():
@@ -62,7 +62,7 @@ def test_particles_agree_with_the_ekf_where_all_is_nearly_linear():
     some = [replace(episode, sigma=4.0 * episode.sigma) for episode in episodes(4, good)]
     cloud, kalman = (
         played(agent, some)
-        for agent in (Particles(dof=MANY), lambda shown: np.zeros(len(shown), int))
+        for agent in (Particles(dof=MANY), lambda rows: np.zeros(len(rows), int))
     )
     # position and velocity; the EKF's bias is biased, as the Doppler shift is nonlinear
     diagonal = [i * (i + 1) // 2 + i for i in range(6)]
@@ -147,3 +147,6 @@ def test_bad_settings_are_refused():
         Variational(1.0)
     with refuses("policy"):
         Variational()(np.zeros((1, 3), np.float32))
+    contender = Contender.own("own", Variational(), "handset")
+    with refuses("policy"):
+        run_contender(contender, Variational(), episodes(2), after=("memory.nis",))
