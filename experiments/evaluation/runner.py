@@ -108,7 +108,7 @@ def run_contender(
         return imm.run(episodes, *names)
     n, T, _ = episodes.table.shape
     if isinstance(policy, Estimator):
-        if not {*shown, *after} <= {*BELIEF}:
+        if not {*after} <= {*BELIEF}:
             raise ValueError(f"policy: found {contender.name}, {NO_FILTERS}")
         x, P = policy.estimate(pipeline, episodes)
         truth = episodes.table[:, :, columns_of(episodes.layout).truth]
