@@ -16,28 +16,28 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 32_900,
-    "tokens of source": 224_300,
-    "files of source": 232,
-    "lines of tests": 26_700,
-    "tokens of tests": 239_200,
-    "words of docs": 41_700,
-    "pages of docs": 23,
-    "tracked files": 640,
-    "tracked MB": 8,
+    "lines of source": 34_250,
+    "tokens of source": 235_500,
+    "files of source": 239,
+    "lines of tests": 27_500,
+    "tokens of tests": 247_300,
+    "words of docs": 46_900,
+    "pages of docs": 24,
+    "tracked files": 670,
+    "tracked MB": 9,
     "commands": 14,
     "extras for users": 8,
     "virtual environments": 6,
     "lines that ruff may not format": 60,
 }
 ROOMS = {  # maximum lines of source in a folder
-    "experiments/evaluation": 1_800,
-    "experiments/training": 2_820,
+    "experiments/evaluation": 2_140,
+    "experiments/training": 2_940,
     "experiments/reporting/webpage": 1_060,
     "mmwave_env/datasets": 1_715,
-    "mmwave_env/engines": 2_200,
+    "mmwave_env/engines": 2_330,
     "mmwave_env/filters": 2_490,
-    "mmwave_env/localization": 2_500,
+    "mmwave_env/localization": 2_745,
     "mmwave_env/world": 2_140,
 }
 SOURCE = ("mmwave_env", "experiments", "policies")
