@@ -6,7 +6,8 @@ from pathlib import Path
 
 from mmwave_env.io.files import require_writable
 
-MARK = re.compile(r"<!-- table: (.*?) -->\n.*?<!-- end -->", re.DOTALL)
+# Tables titled "printed ..." are those that examples of the page print (tests/pages.py).
+MARK = re.compile(r"<!-- table: (?!printed)(.*?) -->\n.*?<!-- end -->", re.DOTALL)
 
 
 def page_to_renew(path: Path) -> str:
