@@ -20,6 +20,8 @@ from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed,
 DEFAULT_POLICY = "corrector"
 # Without elevations, "guided" trusts wrong modes too often to be useful (docs/learning.md).
 WITHOUT_ELEVATIONS = "imm-best"
+# Correctors read the deviation of the height, which a known height does not have.
+WITH_HEIGHT = "guided"
 RULES: dict[str, tuple[Rule, str]] = {  # each rule, and what messages call its speed
     "prediction": (by_predicted_speed, "the predicted"),
     "odometry": (by_odometry_speed, "odometry's"),
@@ -80,7 +82,7 @@ def choice_of(args: LogArgs, radio: str, block: LogBlock) -> Choice:
         if args.policy is None and not np.isfinite(elevations).any():
             why = f"of {WITHOUT_ELEVATIONS} (no elevations), weighted by their probability"
             return Choice(Switching(_bank(WITHOUT_ELEVATIONS, radio)), why)
-        name = args.policy or DEFAULT_POLICY
+        name = args.policy or (DEFAULT_POLICY if args.height is None else WITH_HEIGHT)
         contender = contender_from(name, radio)
         bank_or_modes = contender.bank or contender.modes
         if contender.policy is None:

@@ -27,6 +27,8 @@ AnyBlock = TypeVar("AnyBlock", bound="Block")
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 _BATCH_ROWS = 1 << 14
 _WHOLE = "a complete file"
+_NUMBER = "a number, or nothing if it was not measured"
+_ANCHOR = "the number of an anchor in the scene (1: the base station)"
 
 
 class LogError(ValueError):
@@ -282,7 +284,7 @@ def parse_carefully(log: LogFile, lines: list[str], first: int, share: float) ->
                 values[i] = number(word)
                 empty = not word or word.lower().lstrip("+-") == "nan"
                 if damage is None and math.isnan(values[i]) and not empty:
-                    expected = "a number, or nothing if it was not measured"
+                    expected = _ANCHOR if quantity == "anchor" else _NUMBER
                     damage = log.error(row, quantity, quoted(word), expected)
         cells.append(values)
         rows.append(row)
