@@ -14,7 +14,7 @@ class Args:
     folder --out; the tables show all entries in that folder. Scores need the entry of the
     clairvoyant, in that folder or in docs/leaderboard.
 
-    mmwave-loc leaderboard --policies imm-best --episodes 20 --draws 5
+    mmwave-loc leaderboard --policies imm-best --episodes 400 --draws 20
     """
 
     policies: tuple[str, ...] = ()

@@ -17,11 +17,11 @@ from tests.paths import ROOT
 
 BUDGET = {
     "lines of source": 34_250,
-    "tokens of source": 235_500,
+    "tokens of source": 235_600,
     "files of source": 239,
     "lines of tests": 27_500,
-    "tokens of tests": 247_300,
-    "words of docs": 46_900,
+    "tokens of tests": 247_400,
+    "words of docs": 47_400,
     "pages of docs": 24,
     "tracked files": 670,
     "tracked MB": 9,
