@@ -100,7 +100,7 @@ def test_episodes_that_are_played_again_are_those_that_were_compared(tmp_path):
         away = np.hypot(*(np.subtract(course[axis], episode[axis]) for axis in "xy"))
         assert (away <= np.array(course["error_m"]) + 0.03).all()
     _, *best = (row[0] for row in page.table("Means"))
-    rows = re.findall(r"<td[^>]*>([^<]+), (horizontal|vertical)</td>", page.page)
+    rows = re.findall(r">([^<>]+), (horizontal|vertical)</th>", page.page)
     assert rows == [(name, kind) for name in best for kind in ("horizontal", "vertical")]
 
 
