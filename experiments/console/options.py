@@ -111,7 +111,7 @@ class TaskArgs:
     algo: Literal["ppo", "rollouts", "corrector"] = "ppo"
     """ppo: PPO of Stable-Baselines3; rollouts: rollout policy iteration with common random numbers,
     which tries every action on the same measurements; corrector: a recurrent network that corrects
-    the beliefs of guided"""
+    the beliefs of the policy guided"""
     scenario: str = "mixed"
     """kind of user: a name (see mmwave-loc list scenarios) or a JSON file; or a trajectory of your
     own: a CSV file with columns t, x, y, z"""
@@ -134,8 +134,8 @@ class TaskArgs:
     explains the coming epoch"""
     reward: str = "tracking"
     """tracking; log-score; or paired: the tracking reward minus that of an IMM (with --beliefs
-    per-mode, of the bank's IMM). With "paired": true in the hyperparameters, the IMM's reward is
-    subtracted from a reward of any kind"""
+    per-mode, of the bank's IMM). A hyperparameter file with "paired": true subtracts the reward of
+    the IMM whatever the kind"""
     nees_weight: float = 0.2
     """weight of the NEES in the tracking reward"""
 
@@ -145,8 +145,8 @@ class TrackOutputArgs:
     """Options for the results of a log."""
 
     out: tuple[Path, ...] = ()
-    """write the track to these files: .tum (together with a .csv of standard deviations and modes),
-    only that .csv, or, for maps, .geojson, .gpx or .nmea, which need an origin in the scene"""
+    """write the track to these files: .tum, which also writes a .csv with standard deviations and
+    modes; .csv alone; or, for maps, .geojson, .gpx or .nmea, which need an origin in the scene"""
     plot: Path | None = None
     """draw the track to this .png, .svg or .pdf file"""
     json: Path | None = None

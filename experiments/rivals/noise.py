@@ -25,9 +25,9 @@ from mmwave_env.numerics.numbers import Matrix, Number, Vector, log
 from policies import FixedMode
 
 DOF = 3.0  # degrees of freedom of Student-t noise, chosen on tuning seeds
-MEMORY = 0.5  # share of the adaptive filter's knowledge that is left after an epoch, likewise
+MEMORY = 0.5  # share of its knowledge that the adaptive filter keeps per epoch, chosen likewise
 ITERATIONS = 3
-LEAST_VARIANCE = 1e-9  # of a known height (m^2) and climb
+LEAST_VARIANCE = 1e-9  # of a known height, m^2, and of its rate, (m/s)^2
 EVERYTHING = Gate(None)
 
 
@@ -49,7 +49,7 @@ def adapted(
     Args:
         x, P, measurement: same as for any algorithm.
         shape, rate: (groups,) parameters of the distributions.
-        base: update for Gaussian noise; the first iteration uses the factors expected before.
+        base: update for Gaussian noise; its first iteration uses the prior means of the factors.
 
     Returns:
         The posterior of every iteration, and the new parameters.
@@ -133,7 +133,7 @@ class Variational(Estimator):
             moved, predicted = predict(pipeline, mode, x, P, 1.0, epoch, site.hz_per_mps)
             shape, rate = ([self._memory * value for value in part] for part in (shape, rate))
             spread = [list(row) for row in predicted]
-            for axis in pipeline.known_axes:  # arrays can't be structural zeros
+            for axis in pipeline.known_axes:  # a variance of exactly 0 would divide by 0
                 spread[axis][axis] = spread[axis][axis] + LEAST_VARIANCE
             measurement = stated(epoch, site, layout)
             posteriors, shape, rate = adapted(moved, spread, measurement, shape, rate, mode.update)

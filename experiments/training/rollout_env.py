@@ -131,9 +131,9 @@ class RolloutEnv:
         """Try every action in all states whose episode goes on for at least the horizon.
 
         Args:
-            act: function from observations (actions * n, features) to the actions after the first
-                one; the n copies that began with action 0 come first, then the n copies that began
-                with action 1, and so on.
+            act: function that chooses all actions after the tried one, for observations
+                (actions * n, features) of copies of the environments: first the n copies that
+                began with action 0, then the n copies that began with action 1, and so on.
         """
         values, state = self._branches.values(act, self._weights), self._engine.batch.state
         whole = state.epoch - 1 + self._horizon <= state.length

@@ -64,7 +64,7 @@ class TrackBlock(LogBlock):
     # (T,) factor from 0 to 1 by which a corrector's correction was scaled before it was applied to
     # x and P; NaN without a corrector. The smoothed belief does not contain corrections
     trusted: Array
-    level_factors: Array  # (T, 2) factors on the Gaussian protection levels of both beliefs
+    level_factors: Array  # (T, 2) factors on the horizontal and vertical Gaussian levels
 
 
 @dataclass(frozen=True)

@@ -131,7 +131,7 @@ class Table(Block):
     def links(self) -> Array:
         """Return the rows of links (n, 4), m and rad; departures are in the frame of the map.
 
-        Azimuths of arrival at the base station are returned as they are, if the log has them.
+        If the log has azimuths of arrival at the base station, the rows contain these instead.
         """
         arrival = self[STATION if STATION in self.columns else "aoa_azimuth"]
         departure = self["aod_azimuth"]
