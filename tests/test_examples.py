@@ -124,7 +124,7 @@ def outputs_of(name):
 def test_the_notebook_of_the_corrector_shows_that_every_step_helps():
     _, shown = outputs_of("corrector")
     assert sum("image/png" in data for data in shown) == STORED["corrector"]
-    errors = eval(shown[0]["text/plain"])
+    errors = ast.literal_eval(shown[0]["text/plain"])
     assert errors["speed-rule"] > errors["imm-best"] > errors["guided"] > errors["corrector"]
     (table,) = (data["text/markdown"] for data in shown if "text/markdown" in data)
     gaussian, calibrated = (float(share) for share in re.findall(r"([\d.]+) %", table))

@@ -41,8 +41,8 @@ class Estimator(Policy):
     ) -> Iterable[tuple[Vector, Vector]]:
         """Yield a mean (7,) and a packed covariance (28,) after every epoch.
 
-        The pipeline has the radio's default modes, the layout and the terrain. With a clock, the
-        state has eight components.
+        Units are m, m/s and Hz; with a clock, shapes are (8,) and (36,). The pipeline has the
+        radio's default modes, the layout and the terrain.
         """
         raise NotImplementedError
 
