@@ -31,13 +31,13 @@ def main(args: Args) -> None:
     from experiments.console.provenance import options_of, provenance
     from experiments.console.tables import show
     from experiments.evaluation.asked import all_contenders
-    from experiments.evaluation.protocol import RECORDINGS
     from experiments.reporting.comparison_results import results
     from experiments.reporting.webpage.page import page_of
+    from mmwave_env.datasets.samples import sample_names
     from mmwave_env.io.files import write_json, write_text
 
     runs = [EpisodeArgs(episodes=args.episodes)]
-    runs += [EpisodeArgs(data=name, episodes=args.draws) for name in RECORDINGS]
+    runs += [EpisodeArgs(data=name, episodes=args.draws) for name in sample_names()]
     tables, everything, made = [], {}, provenance("demo", args)
     for run in runs:
         options = replace(run, percentiles=args.percentiles)

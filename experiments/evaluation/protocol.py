@@ -22,6 +22,7 @@ from experiments.evaluation.hard import HARD_SOURCES
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.runner import Scores, score_contenders
 from experiments.evaluation.seeds import Selection
+from mmwave_env.datasets.samples import sample_names
 from mmwave_env.io.files import read_json
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
@@ -32,10 +33,8 @@ TRAINED, UNSEEN_KIND, RECORDED, HARD = KINDS = ("to train in", "unseen", "record
 UNSEEN_SCENES, UNSEEN_RADIOS = ("avenue", "plaza", "alley"), ("tablet",)
 UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
 OTHER_RADIOS = ("handset", "standard")  # radios for unseen streets and for recordings
-# Episodes and recordings of the published tables; docs/data.md lists later recordings.
 EPISODES, DRAWS = 2000, 200  # number of episodes at each simulated site, and on each recording
 CEILING_EPISODES, CEILING_DRAWS = 400, 20  # scores use only this many, the first ones
-RECORDINGS = ("canyon28_pedestrian", "canyon28_vehicle")
 PUBLISHED = Path(__file__).parents[2] / "docs" / "leaderboard"  # folder of the published entries
 
 
@@ -79,7 +78,9 @@ def sites() -> list[Site]:
         for r in UNSEEN_RADIOS
     ]
     recorded = [
-        Site.of(f"{d}:{r}", RECORDED, at(data=d, radio=r)) for d in RECORDINGS for r in OTHER_RADIOS
+        Site.of(f"{name}:{r}", RECORDED, at(data=name, radio=r))
+        for name in sample_names()
+        for r in OTHER_RADIOS
     ]
     hard = [Site(name, HARD, name.split(":")[1], make) for name, make in HARD_SOURCES.items()]
     return [*trained, *streets, *radios, *recorded, *hard]
