@@ -1,63 +1,61 @@
 """A network that learns to localize without a filter, as an estimator for comparisons.
 
-python examples/recurrent_localizer.py 10000000 200
+python examples/recurrent_localizer.py 10000000 120
 mmwave-loc compare --policies examples.recurrent_localizer:Localizer fixed-ukf imm imm-best
 
-The first command trains on 200 lots of episodes, whose seeds begin at 10 000 000, and writes
+The first command trains on 120 lots of episodes, whose seeds begin at 10 000 000, and writes
 localizer.safetensors, which the second command reads. The network is told how a measurement depends
-on the user's state, but nothing about motion or noise. In every epoch it moves its last position by
-its last velocity and compares the measurements with those that it expects there. A recurrent layer
-then chooses by which share of each difference position, velocity and the oscillator's bias change,
-and a weight for each direction of measurement; the weights add up to the inverse of the covariance.
+on the user's state, but nothing about motion, and of noise what the receiver states. In every epoch
+it moves its last position by its last velocity and compares the measurements with those expected
+there. A recurrent layer then chooses by which share of each difference position, velocity and the
+oscillator's bias change, and a weight for each direction of measurement. The weights add up to the
+inverse of the covariance.
 """
 
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import torch
 from safetensors.torch import load_file, save_file
-from torch import Tensor, nn
+from torch import nn
 
 from experiments.evaluation.agents import Estimator
 from experiments.evaluation.protocol import TRAINED, sites
 from experiments.rivals.noise import stated
-from mmwave_env.models.layout import Layout
-from mmwave_env.models.measurement import Epoch, Site, blank_site, groups_of
+from mmwave_env.models.measurement import blank_site, groups_of
 from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.pytree import unflatten
 from mmwave_env.world.episode import blank_incoming, columns_of
 from mmwave_env.world.keys import keys_of
 
 FILE = "localizer.safetensors"
-EPISODES = 8  # from each place, in a lot
+EPISODES = 8  # number of episodes from each place in a lot
 STEPS_S = (1.0, 1.0, 1.0, 0.5, 0.25, 0.1)  # seconds between epochs in training, equally probable
 EPOCHS = 20  # number of epochs between two steps of the optimizer, through which gradients flow
-LEARNING_RATE = 3e-3
 FRONT, MEMORY = 32, 48  # widths of layers
 
 
-def rows_of(x: Tensor, site: Site, epoch: Epoch, layout: Layout) -> Tensor:
+def rows_of(x, site, epoch, layout):
     """Return the rows (n, 3 L + 1, 10) of an epoch, expanded at states x (n, 7).
 
     The rows are range, azimuth and elevation of every link, and the Doppler shift. Each consists of
-    innovation, variance, visibility and the gradient of the measurement.
+    innovation, variance, visibility and the gradient (7,) of the measurement.
     """
     state = [*x.detach().double().numpy().T]
+    groups = groups_of(state, stated(epoch, site, layout))[: layout.anchors + 1]
     rows = [
         np.broadcast_arrays(state[0], innovation, variance, visible, *gradient[:7])[1:]
-        for group, visible in zip(groups_of(state, stated(epoch, site, layout)), epoch.visible)
-        for innovation, variance, gradient in zip(group.innovation, group.variance, group.jacobian)
+        for group, visible in zip(groups, epoch.visible, strict=False)
+        for innovation, variance, gradient in zip(*group[:3], strict=True)
     ]
-    return torch.from_numpy(np.array(rows[: 3 * layout.anchors + 1], np.float32)).permute(2, 0, 1)
+    return torch.from_numpy(np.array(rows, np.float32)).permute(2, 0, 1)
 
 
 class Network(nn.Module):
-    """A gated recurrent unit of a user, and layers that all links share."""
+    """A recurrent layer for the user, and layers that all links share."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         self.link = nn.Linear(15, FRONT)
         self.recurrent = nn.GRUCell(FRONT + 7, MEMORY)
@@ -69,7 +67,7 @@ class Network(nn.Module):
             first = [-0.5, -0.5, -3.0, -1.5, -1.5, -5.0, 0.0, 0.0, 0.0]
             self.gains.bias.copy_(torch.tensor(first))
 
-    def forward(self, x: Tensor, kept: Tensor, rows: Tensor, others: Tensor) -> tuple[Tensor, ...]:
+    def forward(self, x, kept, rows, others):
         """Return new states, what is kept of the past, and inverse covariances (n, 3, 3).
 
         Args:
@@ -78,57 +76,46 @@ class Network(nn.Module):
             rows: (n, 3 L + 1, 10) from :func:`rows_of`.
             others: (n, 2) seconds since the last epoch, and Doppler spread, Hz.
         """
-        innovation, variance, visible, gradient = *rows[..., :3].unbind(-1), rows[..., 3:]
-        at_x = innovation - (gradient @ (x - x.detach())[..., None])[..., 0]  # for derivatives
-        (y, miss), (variance, noise) = ((a[:, :-1], a[:, -1:]) for a in (visible * at_x, variance))
+        (innovation, variance, visible), gradient = rows[..., :3].unbind(-1), rows[..., 3:]
+        innovation = visible * (innovation - (gradient @ (x - x.detach())[..., None])[..., 0])
+        miss, noise, heard = innovation[:, -1:], variance[:, -1:] ** 0.5, visible[:, -1:]
+        toward = gradient[:, -1, 3:6]
+        hz = toward.norm(dim=-1, keepdim=True).clamp(min=1.0)  # per m/s
         slope = gradient[:, :-1, :3].norm(dim=-1).clamp(min=1e-6)  # per meter
-        known, heard = visible[:, :-1] * (slope > 1e-6), visible[:, -1:]
-        basis, gap, sigma = (
-            gradient[:, :-1, :3] / slope[..., None],
-            y / slope,
-            variance**0.5 / slope,
-        )
+        basis, known = gradient[:, :-1, :3] / slope[..., None], visible[:, :-1] * (slope > 1e-6)
+        gap, sigma = innovation[:, :-1] / slope, variance[:, :-1] ** 0.5 / slope
         information = known / sigma**2
         total = ((basis @ basis.mT) ** 2 @ information[..., None])[..., 0].clamp(min=1e-9)
         share, count = information / total, known.sum(1, keepdim=True)  # of all in its direction
         scale = ((known / total).sum(1, keepdim=True) / count.clamp(min=1.0)) ** 0.5
         scale = torch.where(count > 0.0, scale, kept[:, -1:])
-        speeds = (basis @ x[:, 3:6, None])[..., 0]
-        parts = [torch.asinh(gap / sigma), known * sigma.log(), share, torch.asinh(speeds), known]
+        speeds = torch.asinh((basis @ x[:, 3:6, None])[..., 0])
+        parts = [torch.asinh(gap / sigma), known * sigma.log(), share, speeds, known]
         links = torch.tanh(self.link(torch.stack(parts, -1).unflatten(1, (-1, 3)).flatten(2)))
-        toward = gradient[:, -1, 3:6]
-        hz = toward.norm(dim=-1, keepdim=True).clamp(min=1.0)  # per m/s
-        whole = [
-            torch.asinh(miss / noise**0.5),
-            heard * (noise**0.5 / hz).log(),
-            heard,
-            scale.log(),
-        ]
+        whole = [torch.asinh(miss / noise), heard * (noise / hz).log(), heard, scale.log()]
         whole += [others[:, :1], torch.asinh(others[:, 1:] / hz)]
         whole += [torch.asinh(x[:, 3:6].norm(dim=-1, keepdim=True))]
         memory = self.recurrent(torch.cat([links.mean(1), *whole], 1), kept[:, :-1])
         of_user = memory[:, None].expand(-1, links.shape[1], -1)
         gains = self.gains(torch.tanh(self.head(torch.cat([links, of_user], -1))))
-        of_rows = gains.unflatten(-1, (3, 3)).transpose(1, 2).flatten(2)  # (n, 3, 3 L)
-        step, push = (((share * gap)[:, None] * torch.sigmoid(of_rows[:, :2])) @ basis).unbind(1)
+        gains = gains.unflatten(-1, (3, 3)).transpose(1, 2).flatten(2)  # (n, 3, 3 L)
+        step, push = ((share * gap)[:, None] * torch.sigmoid(gains[:, :2]) @ basis).unbind(1)
         faster, drift = (torch.sigmoid(self.of_doppler(memory) - 1.0) * miss).split(1, dim=1)
         x = x + torch.cat([2.0 * step, push + faster * toward / hz**2, drift], 1)
-        weight = of_rows[:, 2].clamp(-8.0, 8.0).exp() / scale**2
+        weight = gains[:, 2].clamp(-5.0, 5.0).exp() / scale**2
         inverse = basis.mT @ (weight[..., None] * basis) + 1e-4 * torch.eye(3)
         return x, torch.cat([memory, scale], 1), inverse
 
 
-def beliefs(
-    network: Network, layout: Layout, site: Site, epochs: Iterator[Epoch]
-) -> Iterator[tuple[Tensor, Tensor]]:
+def beliefs(network, layout, site, epochs):
     """Yield states (n, 7), and inverses of the covariances of positions (n, 3, 3)."""
     x = torch.from_numpy(np.stack(site.prior_x[:7], axis=1).astype(np.float32))
     kept = torch.cat([x.new_zeros(len(x), MEMORY), x.new_ones(len(x), 1)], 1)
     for number, epoch in enumerate(epochs):
         if number % EPOCHS == 0:
             x, kept = x.detach(), kept.detach()
-        numbers = np.broadcast_arrays(epoch.dt, epoch.doppler_spread_hz, site.prior_x[0])[:2]
-        others = torch.from_numpy(np.array(numbers, np.float32).T)
+        others = np.broadcast_arrays(epoch.dt, epoch.doppler_spread_hz, site.prior_x[0])[:2]
+        others = torch.from_numpy(np.array(others, np.float32).T)
         x = torch.cat([x[:, :3] + others[:, :1] * x[:, 3:6], x[:, 3:]], 1)
         x, kept, inverse = network(x, kept, rows_of(x, site, epoch, layout), others)
         yield x, inverse
@@ -139,11 +126,11 @@ class Localizer(Estimator):
 
     at_once = True
 
-    def __init__(self, file: str = FILE) -> None:
+    def __init__(self, file=FILE):
         self._network = Network()
         self._network.load_state_dict(load_file(file))
 
-    def track(self, pipeline: Any, site: Site, epochs: Iterator[Epoch]) -> Iterator[Any]:
+    def track(self, pipeline, site, epochs):
         """Yield means and packed covariances."""
         P = np.tile(np.eye(len(site.prior_x)), (len(site.prior_x[0]), 1, 1))
         with torch.no_grad():
@@ -153,7 +140,7 @@ class Localizer(Estimator):
                 yield [*x.double().numpy().T, *site.prior_x[7:]], spread
 
 
-def loss_of(error: Tensor, inverse: Tensor) -> Tensor:
+def loss_of(error, inverse):
     """Return the loss of errors (..., 3): the terms of the reward, and the log density."""
     squared = (error[..., None, :] @ inverse @ error[..., None])[..., 0, 0].clamp(min=1e-6)
     length = (error.square().sum(-1) + 1e-6) ** 0.5
@@ -161,38 +148,35 @@ def loss_of(error: Tensor, inverse: Tensor) -> Tensor:
     return (length.clamp(max=30.0) + 0.2 * (squared / 3.0).log().abs() + 0.1 * density).mean()
 
 
-def lots(seed: int, count: int) -> Iterator[Any]:
+def lots(seed, count):
     """Yield layout, site, epochs and true positions (T, n, 3) of episodes at places to train in."""
     rng, sources = np.random.default_rng(seed), [s.source for s in sites() if s.kind == TRAINED]
     for first in range(seed, seed + count * EPISODES, EPISODES):
-        keys, some = keys_of(range(first, first + EPISODES)), []
-        for source in sources:
-            some.append(replace(source, dt=float(rng.choice(STEPS_S))).sample_batch(keys))
-        layout, rows = some[0].layout, np.concatenate([batch.table for batch in some]).T
-        epochs = (
-            unflatten(blank_incoming(layout), iter(row)).epoch(layout)
-            for row in rows.swapaxes(0, 1)
-        )
-        site = unflatten(blank_site(layout), iter(np.concatenate([batch.site for batch in some]).T))
-        truth = torch.from_numpy(rows[columns_of(layout).truth[:3]].astype(np.float32))
-        yield layout, site, epochs, truth.permute(1, 2, 0)
+        keys = keys_of(range(first, first + EPISODES))
+        some = [replace(s, dt=float(rng.choice(STEPS_S))).sample_batch(keys) for s in sources]
+        layout, blank = some[0].layout, blank_incoming(some[0].layout)
+        table = np.concatenate([batch.table for batch in some]).transpose(1, 2, 0)
+        site = np.concatenate([batch.site for batch in some]).T
+        epochs = (unflatten(blank, iter(rows)).epoch(layout) for rows in table)
+        truth = torch.from_numpy(table[:, columns_of(layout).truth[:3]].astype(np.float32))
+        yield layout, unflatten(blank_site(layout), iter(site)), epochs, truth.mT
 
 
-def train(seed: int, count: int) -> Network:
-    """Train a network on lots of episodes."""
+def train(seed, count):
+    """Return a network trained on lots of episodes."""
     torch.manual_seed(seed)
     network = Network()
-    optimizer = torch.optim.Adam(network.parameters(), LEARNING_RATE)
+    optimizer = torch.optim.Adam(network.parameters(), lr=3e-3)
     schedule = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.01, count)
     for number, (*world, truth) in enumerate(lots(seed, count), 1):
         states, losses = beliefs(network, *world), []
         for true in truth.split(EPOCHS):
-            x, inverse = map(torch.stack, zip(*(next(states) for _ in true)))
+            x, inverse = map(torch.stack, zip(*(next(states) for _ in true), strict=True))
             loss = loss_of(true - x[..., :3], inverse)
             optimizer.zero_grad()
             loss.backward()
-            nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-            optimizer.step()
+            if nn.utils.clip_grad_norm_(network.parameters(), 1.0).isfinite():
+                optimizer.step()
             losses.append(loss.item())
         schedule.step()
         print(f"lot {number} of {count}: loss {np.mean(losses):.3f}")
