@@ -10,6 +10,7 @@ import re
 import shlex
 import subprocess
 import sys
+from dataclasses import replace
 from runpy import run_path
 from types import SimpleNamespace
 
@@ -17,16 +18,14 @@ import numpy as np
 import pytest
 
 from experiments.evaluation.compare import compare
+from experiments.evaluation.protocol import sites
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import blank_site
-from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.pytree import indices
 from mmwave_env.world.episode import columns_of
 from mmwave_env.world.keys import keys_of
-from mmwave_env.world.simulated import SimulatedSource
 from tests.paths import ROOT
 
 FOLDER = ROOT / "examples"
@@ -92,54 +91,51 @@ def test_a_front_trades_error_for_consistency():
 
 
 @pytest.fixture
-def localizer():
-    """Return the names of an example, and a network that is not trained."""
-    torch = pytest.importorskip("torch")
+def localizer(tmp_path, monkeypatch):
+    """Return the names of an example in a folder with the file of an untrained network."""
+    monkeypatch.chdir(tmp_path)
     names = SimpleNamespace(**run_path(str(FOLDER / "recurrent_localizer.py")))
-    torch.manual_seed(0)
-    return names, names.Network()
+    names.save_file(names.Network().state_dict(), names.FILE)
+    return names
 
 
-def saved(localizer, network, folder):
-    """Return an estimator with a network, by way of its file."""
-    localizer.save_file(network.state_dict(), folder / localizer.FILE)
-    return localizer.Localizer(folder / localizer.FILE)
+def on_a_street(**receiver):
+    """Return four short episodes."""
+    source = replace(sites()[0].source, epochs=30, **receiver)
+    return source.sample_batch(keys_of(range(5_000_000, 5_000_004)))
 
 
 @pytest.mark.torch
 @pytest.mark.parametrize("receiver", [{}, {"measurements": ("range", "azimuth")}, {"clock": True}])
-def test_a_localizer_always_states_a_covariance(localizer, tmp_path, receiver):
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=30, **receiver)
-    batch = source.sample_batch(keys_of(range(5_000_000, 5_000_004)))
+def test_a_localizer_always_states_a_covariance(localizer, receiver):
+    batch = on_a_street(**receiver)
     batch.table[:, 10:, columns_of(batch.layout).signed_sigma] = -1.0  # nothing is measured
-    x, P = saved(*localizer, tmp_path).estimate(Pipeline(default_modes(), batch.layout), batch)
+    x, P = localizer.Localizer().estimate(Pipeline(default_modes(), batch.layout), batch)
     assert np.isfinite(x).all()
-    P = np.moveaxis(np.array(unpack([*np.moveaxis(P, -1, 0)])), (0, 1), (-2, -1))
-    assert (np.linalg.eigvalsh(P) > 0.0).all()
+    assert (np.linalg.eigvalsh(np.moveaxis(unpack([*P.T]), (0, 1), (-2, -1))) > 0.0).all()
 
 
 @pytest.mark.torch
-def test_a_localizer_knows_no_direction(localizer, tmp_path):
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=30)
-    batch = source.sample_batch(keys_of(range(5_000_000, 5_000_004)))
-    estimator, pipeline = saved(*localizer, tmp_path), Pipeline(default_modes(), batch.layout)
+def test_a_localizer_knows_no_direction(localizer):
+    batch = on_a_street()
+    estimator, pipeline = localizer.Localizer(), Pipeline(default_modes(), batch.layout)
     before, _ = estimator.estimate(pipeline, batch)
     at, site = columns_of(batch.layout), indices(blank_site(batch.layout))
     batch.table[:, :, at.z[1 : batch.layout.doppler : 2]] += np.pi / 2  # azimuths
     for x, y in [*(a[:2] for a in site.anchors), site.prior_x[:2], site.prior_x[3:5]]:
         batch.site[:, [x, y]] = batch.site[:, [y, x]] * [-1.0, 1.0]
     after, _ = estimator.estimate(pipeline, batch)
-    turned = [-before[..., 1], before[..., 0], before[..., 2]]
-    np.testing.assert_allclose(np.moveaxis(after[..., :3], -1, 0), turned, atol=0.01)
+    turned = np.stack([-before[..., 1], before[..., 0], before[..., 2]], axis=-1)
+    np.testing.assert_allclose(after[..., :3], turned, atol=0.01)
 
 
 @pytest.mark.slow
 @pytest.mark.torch
-def test_a_localizer_learns(localizer, tmp_path):
-    names, _ = localizer
-    agents = {f"{n}-lots": saved(names, names.train(10_000_000, n), tmp_path) for n in (1, 12)}
+def test_a_localizer_learns(localizer):
+    localizer.save_file(localizer.train(10_000_000, 12).state_dict(), "trained.safetensors")
+    agents = {name: localizer.Localizer(f"{name}.safetensors") for name in ("localizer", "trained")}
     result = compare(agents, beside=(), episodes=20, seed=5_000_000)
-    assert result.paired["12-lots - 1-lots"]["reward"].low > 0.0
+    assert result.paired["trained - localizer"]["reward"].low > 0.0
 
 
 def test_the_docs_list_every_example_with_pinned_versions():
