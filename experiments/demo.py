@@ -8,7 +8,7 @@ from experiments.console.options import EpisodeArgs, JsonArgs, PageArgs
 
 @dataclass(kw_only=True)
 class Args(JsonArgs):
-    """Compare all policies on the simulated scenario `mixed` and on two ray-traced recordings.
+    """Compare all policies on the simulated scenario `mixed` and on the ray-traced recordings.
 
     The files in the folder --out also contain all paired differences, which are not printed.
 

@@ -18,8 +18,8 @@ class Args:
     """
 
     spec: Positional[Path]
-    """TOML or JSON file with one table: [search]; [evaluate] and [train] run every combination of
-    the values in their lists"""
+    """TOML or JSON file with one table, [evaluate], [train] or [search]; the first two run every
+    combination of the values in their lists"""
     out: Path | None = None
     """folder of the results, one Parquet file per cell (default: runs/sweep-NAME)"""
     address: str | None = None

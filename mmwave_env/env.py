@@ -106,8 +106,8 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
       The filters go on without corrections, so actions have no later effect (use a discount of 0);
       `reward="paired"` subtracts the reward of the belief without correction. The filters are an
       IMM. An agent without memory can steer it: `base` is a function that takes the table of the
-      filters' features and returns the agent, such as `partial(LearnedSwitch, "guided")`. Actions
-      that the shipped corrector returns earn what `mmwave-loc compare` shows for it.
+      filters' features and returns the agent, such as `partial(LearnedSwitch, "guided")`. With
+      the actions of the shipped corrector, you earn the reward that `mmwave-loc compare` shows.
 
     ## Rewards
 
@@ -383,7 +383,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         return observation, float(rewards[0]), terminated, truncated, info
 
     def _take(self, action: Any) -> int:
-        """Pass an action to the engine, or refuse it; return its mode, or 0 if it is numbers."""
+        """Pass an action to the engine, or refuse it; return its mode, or 0 for numbers."""
         inputs = self._io.inputs[0, 0]
         if len(self._limits):
             inputs[1:] = numbers_in("action", action, self._limits)

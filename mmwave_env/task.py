@@ -46,7 +46,7 @@ class Task:
     bank: Bank | None  # the bank of the modes if each keeps its own belief, else None
     reward: Reward  # function of (belief, truth)
     baseline: Bank | None  # bank of the IMM whose reward a paired reward subtracts, else None
-    # reward of every remaining epoch after a divergence; None if episodes continue after one
+    # reward of each epoch that remains after a divergence; None if a divergence ends no episode
     worst: float | None
     action: str = MODE  # kind of actions
     # agent whose beliefs are corrected by the actions; None for the IMM of the bank

@@ -35,8 +35,8 @@ class Correction(NamedTuple):
     """Corrections of n beliefs in the last epoch (:mod:`mmwave_env.filters.correction`).
 
     Attributes:
-        shift: (n, 3) along, across and up, in deviations of the belief.
-        log_factor: (n, 3) logarithms of factors on these deviations.
+        shift: (n, 3) shifts along, across and up, in standard deviations of the belief.
+        log_factor: (n, 3) logarithms of factors for these standard deviations.
         trusted: (n,) factor, 0 to 1, by which the network's answer was scaled.
     """
 
@@ -82,7 +82,7 @@ class Corrector(LearnedPolicy, Policy):
              for name in ("ih", "hh")]
             for rows in (slice(2 * units), slice(2 * units, None))
         )  # fmt: skip
-        # matrix that averages the squares of the members' differences, for each direction
+        # matrix that averages the squared differences of the ensemble's members, per direction
         members = (self._out[0].shape[1] - CORRECTIONS) // 3
         self._average = np.tile(np.eye(3, dtype=np.float32), (members, 1)) / np.float32(members)
         self._hidden = np.zeros((0, units), np.float32)
@@ -176,7 +176,10 @@ class Corrector(LearnedPolicy, Policy):
 
 
 def _mean_and_differences(weight: Array, bias: Array) -> tuple[Array, Array]:
-    """Return weight and bias of the members' mean, then of their shifts minus the mean shift."""
+    """Return weight and bias that give the members' mean, then each member's shift minus the mean.
+
+    The members are those of the ensemble.
+    """
     members = np.concatenate([weight, bias[None]]).reshape(len(weight) + 1, -1, CORRECTIONS)
     mean = members.mean(axis=1)
     differences = (members - mean[:, None])[..., :3]

@@ -13,7 +13,7 @@ The network of a corrector corrects the beliefs of its base:
 - ``low``, ``high`` (features,): range of every feature in training; normalization is in ``front``;
 - ``front``, ``head``, ``out``: layers with a ``.weight`` (out, in) and a ``.bias`` (out,);
 - ``gru.weight_ih``, ``gru.weight_hh``, ``gru.bias_ih``, ``gru.bias_hh``: the gated recurrent unit
-  between them, as PyTorch stores it: reset, update and new gate, one after the other.
+  between ``front`` and ``head``, as PyTorch stores it: reset, update and new gate in this order.
 
 The file's metadata contain, under "policy", a JSON object with the number of this format, the
 :class:`Card` and a checksum of card and tensors.

@@ -311,7 +311,7 @@ def test_divergence_gives_the_worst_reward_for_every_remaining_epoch():
     assert same(ended[:-1], surviving[:11])
     _, reward, terminated, truncated, info = ended[-1]
     assert terminated and not truncated
-    assert reward == pytest.approx(surviving[11][1] - 10.6 * 188)
+    assert reward == pytest.approx(surviving[11][1] - 10.6 * 188)  # the worst reward is -10.6
     assert set(info) == STEP_KEYS | END_KEYS and info["divergence"] == 1.0
 
 

@@ -1,4 +1,4 @@
-"""Tests that examples run and beat the best fixed mode or guided, and that the notebook runs.
+"""Tests that examples beat the best fixed mode or the policy `guided`, and that notebooks run.
 
 Examples whose libraries are not installed are skipped; `make examples` installs them all.
 """

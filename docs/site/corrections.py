@@ -25,7 +25,7 @@ from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 from policies import Corrector
 
-EPISODES, FEWER = 1000, 500  # numbers of test episodes of a table
+EPISODES, FEWER = 1000, 500  # test episodes: for errors and events; for groups of features
 NAMES = ("speed-rule", "imm-best", "guided", "corrector")
 AROUND = np.arange(-6, 16)  # epochs shown around an event
 GROUPS = {  # group of features -> words that the names of its features begin with
@@ -76,7 +76,7 @@ def play(radio: str, names: Sequence[str] = NAMES, count: int = EPISODES) -> Pla
 
 
 def in_motion(played: Played, vectors: Array) -> Array:
-    """Return horizontal vectors (n, T, 3) along, across and up, seen from the true velocity."""
+    """Return vectors (n, T, 3) as parts along and across the true horizontal velocity, and up."""
     heading = np.arctan2(played.truth[..., 4], played.truth[..., 3])
     cosine, sine = np.cos(heading), np.sin(heading)
     x, y, up = np.moveaxis(vectors, -1, 0)
@@ -84,7 +84,7 @@ def in_motion(played: Played, vectors: Array) -> Array:
 
 
 def events(played: Played) -> dict[str, NDArray[np.bool_]]:
-    """Return in which epochs (n, T) each kind of event begins: a speed of 0.5 m/s is the limit."""
+    """Return in which epochs (n, T) each kind of event begins; users above 0.5 m/s are moving."""
     speed = np.linalg.norm(played.truth[..., 3:5], axis=-1)
     moving = speed > 0.5
     visible = np.stack([e.visible[:, : e.layout.anchors].all(axis=1) for e in played.episodes])
@@ -117,7 +117,7 @@ def _lying(episode: Episode) -> NDArray[np.bool_]:
 
 
 def draw(played: Played, path: Path) -> None:
-    """Draw mean position errors (3D, m) and mean sizes of corrections along, around events."""
+    """Draw the mean 3D error, and the mean size of corrections along the motion, around events."""
     correction = played.errors["corrector"] - played.errors["guided"]
     along = in_motion(played, correction)[..., 0]
     with picture(path, 9.0, 6.0) as figure:
@@ -163,7 +163,7 @@ class Without(Corrector):
 
 
 def without_groups(radio: str) -> Iterator[tuple[str, Array]]:
-    """Yield how much reward corrections add to guided (n,), with all features and by group."""
+    """Yield what reward (n,) corrections add to guided, with all features or without a group."""
     episodes = draw_episodes(SimulatedSource(SCENES["street"], RADIOS[radio]), range(FEWER))
     layout = episodes[0].layout
 

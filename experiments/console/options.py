@@ -134,8 +134,8 @@ class TaskArgs:
     explains the coming epoch"""
     reward: str = "tracking"
     """tracking; log-score; or paired: the tracking reward minus that of an IMM (with --beliefs
-    per-mode, of the bank's IMM). A hyperparameter file with "paired": true subtracts the reward of
-    the IMM whatever the kind"""
+    per-mode, of the bank's IMM). If a hyperparameter file has "paired": true, the reward of the
+    IMM is subtracted from tracking and log-score, too"""
     nees_weight: float = 0.2
     """weight of the NEES in the tracking reward"""
 
@@ -187,7 +187,7 @@ class FilterArgs:
 
 @dataclass(kw_only=True)
 class AlgorithmArgs:
-    """Options of the paper's Algorithm 1, which replaces the policy if any of these is set."""
+    """Options of the paper's Algorithm 1; if any is set, the algorithm replaces the policy."""
 
     speed: str | None = None
     """Algorithm 1: the user's speed, m/s, which selects the pipeline that runs; or auto, to decide

@@ -66,7 +66,7 @@ def ended_by_signals() -> Iterator[None]:
         try:
             yield
         except BaseException as other:
-            # Ray's C code may have replaced Ended, or a progress bar failed without a terminal.
+            # Ray's C code may have replaced Ended, or a progress bar may have lost its terminal.
             if came and not isinstance(other, Ended):
                 raise Ended(came) from None
             raise

@@ -23,7 +23,7 @@ Act = Callable[[NDArray[np.float32]], Any]  # observations (n, features) -> acti
 MODULE = re.compile(r"[\w.]+:[\w.]+")
 GUIDE = "docs/own-agent.md"
 OF_A_MODEL = "for a model, use lambda seen: model.predict(seen, deterministic=True)[0]"
-NO_FILTERS = "which runs no filters to show, expected another policy; it is for comparisons only"
+NO_FILTERS = "which runs no filters and works only in comparisons, expected another policy"
 TRIED = 3  # number of random observations to try an agent on
 
 
@@ -31,7 +31,7 @@ class Estimator(Policy):
     """An agent that tracks users by itself instead of choosing filters, for comparisons.
 
     Attributes:
-        at_once: whether numbers are arrays (n,) of all episodes, instead of floats of one.
+        at_once: whether numbers are arrays (n,) of all episodes, instead of floats of one episode.
     """
 
     at_once = False
@@ -50,7 +50,7 @@ class Estimator(Policy):
         """Return means (n, T, 7) and packed covariances (n, T, 28) of n episodes.
 
         Raises:
-            ValueError: a belief has another shape, or an epoch has none.
+            ValueError: a belief has a wrong shape, or an epoch has no belief.
         """
         layout, (n, T, _) = pipeline.layout, episodes.table.shape
         size, blank, tracks = layout.state_size, blank_incoming(layout), []

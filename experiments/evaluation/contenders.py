@@ -180,9 +180,9 @@ def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
     Args:
         radio: radio profile, a name or a JSON file.
         modes: modes of the contenders, as in ``MmWaveLoc-v0``; the IMM has the transition and
-            quantile of a bank or mode file that states them. None stands for the profile's EKF and
-            UKF, and adds three kinds of contenders: the CKF, the IMM of the profile's best bank,
-            and the learned policies that are shipped for the profile.
+            NIS quantile of a bank or mode file that states them. None stands for the profile's EKF
+            and UKF, and adds three kinds of contenders: the CKF, the IMM of the profile's best
+            bank, and the learned policies that are shipped for the profile.
     """
     if modes is not None:
         return _of_any_modes(bank_over(modes, radio))

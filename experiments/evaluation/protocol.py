@@ -34,7 +34,7 @@ UNSEEN_SCENES, UNSEEN_RADIOS = ("avenue", "plaza", "alley"), ("tablet",)
 UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
 OTHER_RADIOS = ("handset", "standard")  # radios for unseen streets and for recordings
 EPISODES, DRAWS = 2000, 200  # number of episodes at each simulated site, and on each recording
-CEILING_EPISODES, CEILING_DRAWS = 400, 20  # scores use only this many, the first ones
+CEILING_EPISODES, CEILING_DRAWS = 400, 20  # scores use only these first episodes and draws
 PUBLISHED = Path(__file__).parents[2] / "docs" / "leaderboard"  # folder of the published entries
 
 
@@ -276,7 +276,7 @@ def by_site(entries: Sequence[Mapping[str, Any]]) -> str:
 
 
 def by_score(entries: Sequence[Mapping[str, Any]], ceiling: Mapping[str, Any] | None) -> str:
-    """Return a Markdown table of scores by site, beside the gain over the rule that 100 stands for.
+    """Return a Markdown table by site: the clairvoyant's gain over the rule, then every score.
 
     Policy files and the clairvoyant are left out if there are other entries.
     """

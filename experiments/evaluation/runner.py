@@ -181,7 +181,7 @@ def _warn_of_short(time_s: Array) -> None:
 
 
 def _warn_of_nonfinite(contender: Contender, results: EpochResults) -> None:
-    """Warn that a contender's means will be NaN, and why; no episode is left out."""
+    """Warn if NaN or infinite beliefs make a contender's means NaN; no episode is left out."""
     finite = np.isfinite(results["error"]).all(axis=-1) & np.isfinite(results["nees"])
     lost = np.count_nonzero(~finite.all(axis=1))
     if lost:

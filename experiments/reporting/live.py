@@ -96,7 +96,7 @@ def _epochs(
 
 
 def _objects(line: str, number: int) -> tuple[list[Any], bool]:
-    """Return the rows in a line, and whether they are a complete epoch; else raise a LogError."""
+    """Return a line's rows, and whether they are a complete epoch; a bad line raises LogError."""
     try:
         content = parse_json(line)
         rows = content.get("rows", [content])

@@ -3,8 +3,8 @@
 The variances of every group of a measurement are the stated ones times an unknown factor that has
 an inverse gamma distribution. Variational Bayes iterates between the belief and the factors. With a
 distribution that starts anew in every epoch, the noise has a Student-t distribution, and outliers
-weigh little (Piché, Särkkä and Hartikainen 2012; Roth, Özkan and Gustafsson 2013). With one that is
-slowly forgotten, the filter adapts to its noise (Särkkä and Nummenmaa 2009).
+weigh little (Piché, Särkkä and Hartikainen 2012; Roth, Özkan and Gustafsson 2013). With a
+distribution that is slowly forgotten, the filter adapts to its noise (Särkkä and Nummenmaa 2009).
 """
 
 from collections.abc import Iterator
@@ -37,7 +37,7 @@ def stated(epoch: Epoch, site: Site, layout: Layout) -> Measurement:
 
 
 def log_density(nis: Number, rows: Number, dof: float) -> Number:
-    """Return the log density of Student-t noise, except for terms without the NIS."""
+    """Return the log density of Student-t noise, without terms that do not depend on the NIS."""
     return -0.5 * (dof + rows) * log(1.0 + nis / dof)
 
 
@@ -85,7 +85,7 @@ def student_t(
     base: Algorithm = ekf,
     dof: float = DOF,
 ) -> Posterior:
-    """Update a belief with Student-t noise; an algorithm for a mode, which ignores the gate.
+    """Update a belief with Student-t noise, as the algorithm of a mode; the gate is ignored.
 
     With many degrees of freedom the result is that of the ``base`` without gates.
     """

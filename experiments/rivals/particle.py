@@ -24,8 +24,8 @@ from mmwave_env.world.episode import blank_incoming
 
 PARTICLES = 10_000
 LEAST_M = 0.001  # deviation added to the estimate, as few particles may be left after an outlier
-SPREAD = 0.35  # h of the kernel that moves resampled particles apart, in deviations of the cloud
-KEPT = (1.0 - SPREAD**2) ** 0.5  # factor on deviations before, so that the covariance stays
+SPREAD = 0.35  # width h of the kernel that spreads resampled particles, in deviations of the cloud
+KEPT = (1.0 - SPREAD**2) ** 0.5  # the cloud first shrinks by this factor, to keep its covariance
 
 
 class Weighed(NamedTuple):

@@ -122,7 +122,7 @@ class CorrectorTraining:
         return record.close()
 
     def _update(self) -> dict[str, float]:
-        """Learn from episodes at the places and in random streets; return figures for the log."""
+        """Learn from new episodes at the task's places and in random streets; return the loss."""
         job, stand = self._job, self._record.stand
         hyper = job.hyperparameters
         lots = list(self.data.lots())
@@ -139,7 +139,7 @@ class CorrectorTraining:
         return {"loss": float(np.mean(losses))}
 
     def _learn(self, lot: Lot) -> float:
-        """Take a gradient step on a lot; every member learns from half of the episodes."""
+        """Take a gradient step on a lot of episodes; every ensemble member learns from half."""
         hyper = self._job.hyperparameters
         error, deviation = torch.from_numpy(lot.error), torch.from_numpy(lot.deviation)
         losses = loss_of(self.answer(lot), error, deviation, hyper.likelihood_weight)

@@ -34,7 +34,7 @@ from mmwave_env.world.trajectory import Trajectory, Ways
 from policies import LearnedSwitch
 from policies.corrector import BASE_IMM
 
-STEPS_S = (1.0, 1.0, 0.5, 0.25, 0.1, 0.1, 0.1, 2.0)  # steps between epochs, equally probable
+STEPS_S = (1.0, 1.0, 0.5, 0.25, 0.1, 0.1, 0.1, 2.0)  # steps between epochs to draw from
 EPOCHS = 200
 SUBSETS = (  # measured quantities of receivers that lack some
     ("range", "azimuth", "elevation", "departure"),
@@ -55,7 +55,7 @@ WEAVING = 0.5
 WAYS = 64  # number of weaving users from which the episodes of a lot are drawn
 WEAVE_S = (8.0, 40.0)  # periods of weaving at an episode's highest speed
 WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # largest change of velocity, divided by speed, and of position
-WEAVING_BEHIND_M = (20.0, 60.0)  # walls behind the last street, with room to turn and weave
+WEAVING_BEHIND_M = (20.0, 60.0)  # distances from the last street to a wall, with room to weave
 
 
 class Lot(NamedTuple):
@@ -101,7 +101,7 @@ class CorrectorData:
             yield self._play(batch, self.bank(radio))
 
     def batches(self) -> Iterator[tuple[str, EpisodeBatch]]:
-        """Draw the episodes of these lots; yield each with the radio whose bank it needs."""
+        """Yield the episodes of each lot of :meth:`lots`, with the radio whose bank they need."""
         places, share = self._task.places, self._hyper.random_share
         for place in places:
             rng = self._rng()

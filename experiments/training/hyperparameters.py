@@ -95,7 +95,7 @@ class CorrectorHyperparameters:
     # held-out places, at which the policies that a training produces are compared
     judged_at: Annotated[tuple[Name, ...], Size(1, 100)]
     random_share: Probability  # share of episodes whose streets, radio and receiver are random
-    long_epochs: Count  # number of epochs of long episodes; only rates of 5 Hz or more have these
+    long_epochs: Count  # number of epochs of long episodes, which occur only at 5 Hz or more
     # front, units, head: numbers of neurons before, in and after the recurrent layer
     front: Count
     units: Count

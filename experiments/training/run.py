@@ -36,7 +36,7 @@ from mmwave_env.io.lookup import choose
 if TYPE_CHECKING:
     from experiments.train import Args
 
-# default length of a training
+# default number of environment steps in a training, by algorithm
 TIMESTEPS = {"ppo": 4_000_000, "rollouts": 1_200_000, "corrector": 150_000_000}
 
 # Options that do not affect a policy; the command in a policy file leaves them out.
@@ -126,7 +126,7 @@ def begin(args: "Args", manifest: dict[str, Any]) -> None:
 
 
 def _require_same(path: Path, manifest: dict[str, Any]) -> None:
-    """Refuse to resume a run with another manifest."""
+    """Refuse to resume a run that was begun with a different manifest."""
 
     def flat(run: dict[str, Any]) -> dict[str, Any]:
         """Return the manifest with one entry per hyperparameter, for a precise message."""
@@ -143,7 +143,7 @@ def _require_same(path: Path, manifest: dict[str, Any]) -> None:
 
 @contextmanager
 def shown(jobs: list[Any]) -> Iterator[Any]:
-    """Show a progress bar for each training; yield the function to call with its news."""
+    """Show a progress bar for each training; yield a function that takes a training's news."""
     with bars(TimeElapsedColumn()) as bar:
         tasks = {job.seed: bar.add_task(f"seed {job.seed}", total=job.timesteps) for job in jobs}
 

@@ -49,7 +49,7 @@ def likelihood(history: dict[str, Array], layout: Layout) -> Array:
 
 
 def objective_of(mode: Mode, episodes: Sequence[Episode]) -> Objective:
-    """Return the likelihood (episodes,) as a function of modes with the algorithm of ``mode``."""
+    """Return a function from a mode with the algorithm of ``mode`` to likelihoods (episodes,)."""
     layout = episodes[0].layout
     tracker = Tracker(Pipeline((mode,), layout), len(episodes))
     tracker.load(episodes)

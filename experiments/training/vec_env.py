@@ -91,7 +91,7 @@ class PlacesVecEnv(VecEnv):
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Restore the exact :meth:`state` of other environments."""
+        """Continue exactly like the environments that returned this :meth:`state`."""
         for i, (env, part) in enumerate(zip(self.envs, self._parts, strict=True)):
             env.restore(state[str(i)]["env"])
             part.restore(state[str(i)]["returns"])

@@ -90,7 +90,7 @@ def write_log_folder(folder: Path, episode: Episode, scene: Scene, origin: str) 
     """Write an episode so that :func:`read_log_folder` can read it; return the names of the files.
 
     Args:
-        folder: created if it does not exist.
+        folder: folder to write to; created if it does not exist.
         episode: the episode, whose prior is not written. If its true positions are unknown, an
             existing ``truth.tum`` is removed, because it does not belong to the new log.
         scene: scene of the episode.

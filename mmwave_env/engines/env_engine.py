@@ -124,7 +124,7 @@ class Engine:
             self.batch.make_room(task.simulated.epochs)
 
     def go_on(self, task: Task, tracks: BatchState) -> None:
-        """Continue from the state of a batch with the same task, in this process or another."""
+        """Continue from the state of a batch with the same task, even from another process."""
         if len(tracks.feed.kept):  # the address of compiled code differs between processes
             feed = tracks.feed._replace(run=task.simulated.world.on_lanes())
             tracks = tracks._replace(feed=feed)
@@ -160,7 +160,7 @@ class Engine:
         return io.observations[:, 0], io.outputs[:, 0]
 
     def lead(self, places: Index) -> None:
-        """Run environments just loaded one epoch ahead, if actions are corrections."""
+        """If actions are corrections, run one epoch ahead in environments that were just loaded."""
         if self.batch.ahead:
             self.start(places)
 
@@ -188,7 +188,7 @@ class Engine:
 
         Args:
             actions: numbers of modes, from 0; with a belief per mode, from 1, or 0 for no mode.
-            output_rows: (k,) numbers of rows to return: results of :func:`rows_of` for ``at``.
+            output_rows: (k,) rows to return; :func:`rows_of` returns those of a part of ``at``.
 
         Returns:
             The observations (n, features) and the output rows (n, k), in new arrays.

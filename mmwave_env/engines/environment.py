@@ -320,5 +320,5 @@ class RestorableEnvironment(Environment):
         if not self._task.has_keys:
             raise ValueError(
                 f"{call}: found episodes from your own source or a recording, expected "
-                "simulated ones, because the state of another source is not known here"
+                "simulated episodes, because the state of other sources is unknown"
             )

@@ -23,7 +23,8 @@ class PendingEpoch(NamedTuple):
     visible: list[Number]
     truth: list[Number]  # (6,) true position (m) and velocity (m/s)
     measured: Vector  # same as in :class:`~mmwave_env.models.measurement.Epoch`
-    incoming: Any = ()  # the complete epoch, if there are signed features
+    # the complete epoch, if there are signed features (:mod:`mmwave_env.interface.signed`)
+    incoming: Any = ()
 
 
 def blank_track(layout: Layout, modes: int) -> dict[str, Any]:

@@ -87,7 +87,7 @@ class StepColumns(NamedTuple):
 
 
 class StepMemory(NamedTuple):
-    """The record of a step for later steps and for the ends of episodes."""
+    """The data that a step records for later steps and for the ends of episodes."""
 
     counts: Counts  # sums for the metrics
     modes: Modes  # (T, n) the modes of the last T steps

@@ -52,7 +52,7 @@ def innovation_statistics(group: Group, V: Matrix, latents: Latents) -> tuple[Nu
 
 def chi_square_limits(quantile: float) -> list[float]:
     """Return the chi-square quantiles for 1 to 4 degrees of freedom; a group has at most 4."""
-    from scipy.special import chdtri  # imported here: describing a mode does not need it
+    from scipy.special import chdtri  # slow to import, and not needed to describe a mode
 
     return [float(chdtri(rows, 1.0 - quantile)) for rows in range(1, 5)]
 

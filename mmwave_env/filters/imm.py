@@ -101,7 +101,8 @@ def over_step(transition: Matrix, dt: Number) -> list[list[Number]]:
     """Return transition probabilities (from, to) over a step, given the probabilities per second.
 
     Over dt seconds, the probability of leaving mode i is (1 - p_ii) dt. A step of more than 1 s
-    counts as 1 s, so that rows stay probabilities; so does the first step of an episode, 0 s.
+    counts as 1 s, so that rows stay probabilities. The first step of an episode, 0 s, also counts
+    as 1 s.
     """
     step = step_weight(dt)
     return [
@@ -190,7 +191,7 @@ def _normalized(weights: Sequence[Number]) -> list[Number]:
 
 
 def most_probable(mixture: Mixture) -> Number:
-    """Return the number, from 0, of the most probable mode; of equals, the first mode wins."""
+    """Return the number, from 0, of the most probable mode; the first if several are equal."""
     number: Number = 0.0
     best = mixture.probability[0]
     for m, probability in enumerate(mixture.probability[1:], start=1):

@@ -206,7 +206,8 @@ def limited_likelihood(candidate: ModeResult, limits: Vector) -> Number:
 def capped_log_likelihood(candidate: ModeResult, degrees: Sequence[Number]) -> Number:
     """Return the log-likelihood for comparing modes, with NIS limited at :data:`CAP_QUANTILE`.
 
-    Groups have degrees of freedom (groups,), :meth:`~mmwave_env.models.layout.Layout.degrees`.
+    ``degrees`` (groups,) are the groups' degrees of freedom, from
+    :meth:`~mmwave_env.models.layout.Layout.degrees`.
     """
     limits = chi_square_limits(CAP_QUANTILE)
     return limited_likelihood(candidate, [at_degrees(limits, rows) for rows in degrees])

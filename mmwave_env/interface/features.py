@@ -157,7 +157,7 @@ def _distance(view: View, anchor: int) -> Number:
 
 
 def _links(layout: Layout, distances: bool) -> list[Feature]:
-    """Return features of the coming epoch's links, and their distances or else their number."""
+    """Return features of the coming epoch's links, with either their distances or their number."""
     table = []
     for a in range(layout.anchors):
         table += [

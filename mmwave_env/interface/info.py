@@ -140,7 +140,7 @@ def mask_keys(keys: Iterable[str]) -> list[str]:
 def warn_of_nonfinite(stacklevel: int = 3) -> None:
     """Warn that an episode ended with beliefs that were not finite; Python shows this once."""
     warnings.warn(
-        "an episode ended in which the belief was NaN or infinite, so its metrics are NaN; "
+        "the belief was NaN or infinite in an episode, so the metrics of the episode are NaN; "
         f"info[{NONFINITE_KEY!r}] is the number of epochs with such a belief "
         "(docs/reliability.md)",
         RuntimeWarning,

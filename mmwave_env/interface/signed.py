@@ -121,7 +121,7 @@ def _residual(view: View, layout: Layout, anchor: int, name: str) -> tuple[Numbe
 
 
 def _turned(angle: Number) -> Number:
-    """Wrap an angle that is between -5 pi and 3 pi to [-pi, pi]."""
+    """Wrap an angle, which must be between -5 pi and 3 pi, to [-pi, pi]."""
     return wrap(where(angle < -PI, angle + 2.0 * PI, angle))
 
 

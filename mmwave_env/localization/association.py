@@ -83,7 +83,7 @@ def associate(
         tally: counter of the associations.
 
     Raises:
-        LogError: from ``epochs``.
+        LogError: ``epochs`` raises it, or no receiver can have made the measurements.
     """
     return in_windows(_labelled(epochs, scene, radio, mode, tally), epochs_per_block)
 

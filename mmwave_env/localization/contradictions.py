@@ -2,7 +2,7 @@
 
 Most mistakes can't be seen in a single row. But the track that a filter computes from wrong rows
 does not fit these rows, or is impossible. The limits are wide: at most 10 of 1000 correct logs
-contradict them (``tests/localization/test_contradictions.py``).
+violate them (``tests/localization/test_contradictions.py``).
 """
 
 from collections.abc import Iterator, Mapping

@@ -1,10 +1,11 @@
-"""Diagnosis of a log: the search for a likely mistake whose correction makes it consistent.
+"""Diagnosis of a log: a search for the mistake whose correction makes the log consistent.
 
 A hypothesis is a way to read the values in the file. For every hypothesis, the same filter
-without gates computes a track from the first epochs. A hypothesis makes the log consistent if NIS /
-dof is near 1 and :mod:`~mmwave_env.localization.contradictions` reports nothing. Such hypotheses
-are ranked by the likelihood of the values as they are in the file, because values in different
-units can't be compared. If no single mistake explains the log, pairs of mistakes are tried.
+without gates computes a track from the first epochs. A hypothesis makes the log consistent if the
+NIS per degree of freedom (dof) is near 1 and :mod:`~mmwave_env.localization.contradictions` reports
+nothing. Such hypotheses are ranked by the likelihood of the values as they are in the file, because
+values in different units can't be compared. If no single mistake explains the log, pairs of
+mistakes are tried.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -53,7 +54,7 @@ class Reading(NamedTuple):
     """The epochs of a log, read as a hypothesis says."""
 
     block: LogBlock  # the epochs; angles need not be wrapped
-    # scene, radio: scene and radio of the measurements
+    # scene, radio: scene and radio with which, by the hypothesis, the log was measured
     scene: Scene
     radio: Radio
     # sum of the logarithms of the factors by which values of the file were multiplied; this sum
@@ -92,7 +93,10 @@ class Finding(NamedTuple):
 
 
 def _scaled(parts: Sequence[int], factor: float, offset: float = 0.0) -> Hypothesis:
-    """Return a hypothesis that scales parts of links, or the Doppler shift, and adds an offset."""
+    """Return a hypothesis that scales parts of links and adds an offset.
+
+    Without parts, it does the same to the Doppler shift.
+    """
 
     def change(reading: Reading) -> Reading:
         block, layout = reading.block, reading.block.layout
@@ -189,12 +193,13 @@ def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Fi
     """Try likely mistakes on the first epochs of a log.
 
     Scene and radio are those of the log, as far as known; the tracker uses tuning and algorithm of
-    ``mode``. Read the block with ``limits=False, odometry=False``.
+    ``mode``. :func:`~mmwave_env.logs.log.read_log` must have read the block with ``limits=False``
+    and ``odometry=False``.
 
     Returns:
         A finding for the log as it is and for every hypothesis. Hypotheses that make the log
         consistent come first, beginning with the most likely one; the others follow by their fit.
-        If only pairs of hypotheses make it consistent, the most likely pair comes first.
+        If only pairs of hypotheses make the log consistent, the most likely pair comes first.
 
     Raises:
         ValueError: there is no line of sight with which a track could begin.

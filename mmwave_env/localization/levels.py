@@ -1,12 +1,13 @@
 """Protection levels that hold: Gaussian levels times factors that a network learned.
 
 A Gaussian level (:mod:`mmwave_env.localization.position_errors`) holds only if the covariance is
-right. A small network reads what every filter knows after an epoch, and answers by which factor
-errors exceed the Gaussian level with the stated risk: a quantile regression. One constant per risk
-and direction corrects it by split conformal prediction on other episodes (Y. Romano, R. Patterson
-and E. Candès, "Conformalized quantile regression", NeurIPS 2019; for epochs that belong to
-episodes: Y. Lee, R. F. Barber and R. Willett, "Distribution-free inference with hierarchical data",
-2023). docs/errors.md says what this guarantees; experiments/training/levels.py trains it.
+right. A small network reads what every filter knows after an epoch, and returns a factor. Errors
+should exceed the Gaussian level times this factor with the stated risk: a quantile regression. Then
+one constant per risk and direction corrects the factor, by split conformal prediction on other
+episodes (Y. Romano, R. Patterson and E. Candès, "Conformalized quantile regression", NeurIPS 2019;
+for epochs that belong to episodes: Y. Lee, R. F. Barber and R. Willett, "Distribution-free
+inference with hierarchical data", 2023). docs/errors.md says what this guarantees;
+experiments/training/levels.py trains the network.
 """
 
 from base64 import b64decode, b64encode
@@ -25,20 +26,21 @@ from mmwave_env.localization.position_errors import gaussian_levels, require_ris
 from mmwave_env.metrics import RISK
 from mmwave_env.numerics.numbers import Array
 
-PARTS = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected")  # that features need
+# parts of a filter's state from which the features are computed
+PARTS = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected")
 CALIBRATED, GAUSSIAN = KINDS = ("calibrated", "gaussian")
 _MEMORY = np.array([[0.6], [0.9], [0.97]])  # weights of the past in running means, per second
 _LEAST, _LEAST_S = 1e-9, 1e-2
-_KIND = [16, 18]  # the features that tell whether there is a corrector, and a bank
+_KIND = [16, 18]  # indices of the features that tell whether there is a corrector, and a bank
 
 
 class Network(NamedTuple):
     """A network with its calibration.
 
     Attributes:
-        risks: (R,) covered risks.
-        constants: (3, R, 2) what the calibration adds to its answers, horizontally and vertically,
-            for a single filter, for a bank, and for a corrector.
+        risks: (R,) risks for which the network was trained and calibrated.
+        constants: (3, R, 2) what the calibration adds to the network's answers, horizontally and
+            vertically, for a single filter, for a bank, and for a corrector.
         low, high: (features,) limits of the features in the training.
         layers: weights (outputs, inputs) and biases of the layers.
     """
@@ -113,7 +115,7 @@ class Levels:
         self._first_s = self._last_s = 0.0
 
     def factors(self, anchors: int, mixes: bool, time_s: Array, *parts: Any) -> Array:
-        """Return factors (n, T, 2) on horizontal and vertical Gaussian levels.
+        """Return factors (n, T, 2) by which to multiply horizontal and vertical Gaussian levels.
 
         Arguments are those of :meth:`features`.
         """
@@ -123,7 +125,7 @@ class Levels:
         return np.exp(logs[..., shipped().risks.index(self.risk), :])  # type: ignore[no-any-return]
 
     def features(self, anchors: int, mixes: bool, time_s: Array, *parts: Any) -> Array:
-        """Return the features (n, T, features) of n tracks, whose T epochs follow earlier ones.
+        """Return the features (n, T, features) of the next T epochs of n tracks.
 
         Args:
             anchors: number of anchors.
@@ -152,7 +154,7 @@ class Levels:
 
 
 def _gates(anchors: int, nis: Any, accepted: Any, rejected: Any) -> list[Array]:
-    """Return numbers (n, T) on innovations and gates, as many for any number of links."""
+    """Return eight numbers (n, T) on innovations and gates, whatever the number of anchors."""
     measured = accepted + rejected
     links, nis = measured[..., :anchors].sum(axis=-1), nis * measured
     return [
@@ -168,7 +170,10 @@ def _gates(anchors: int, nis: Any, accepted: Any, rejected: Any) -> list[Array]:
 
 
 def _sizes(P: Array) -> list[Array]:
-    """Return logarithms (n, T) of the Gaussian levels; of a known height, the horizontal one."""
+    """Return logarithms (n, T) of both Gaussian levels.
+
+    If the height is known, the horizontal level takes the place of the vertical one.
+    """
     horizontal, vertical = np.moveaxis(gaussian_levels(P, RISK), -1, 0)
     vertical = np.where(P[..., 5] > 0.0, vertical, horizontal)
     return [np.log(np.maximum(level, _LEAST)) for level in (horizontal, vertical)]

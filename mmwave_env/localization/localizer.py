@@ -2,8 +2,8 @@
 
 A log is a sequence of blocks of epochs, because it may be larger than memory; the length of the
 blocks does not change the track. The log is divided into segments at long gaps (``segments.py``).
-In each segment, a track starts from a first position and is filtered; then every ``window`` epochs
-of it are smoothed together.
+In each segment, a track starts from a first position and is filtered; then the track is smoothed,
+``window`` epochs at a time.
 """
 
 import os
@@ -64,7 +64,7 @@ class TrackBlock(LogBlock):
     # (T,) factor from 0 to 1 by which a corrector's correction was scaled before it was applied to
     # x and P; NaN without a corrector. The smoothed belief does not contain corrections
     trusted: Array
-    level_factors: Array  # (T, 2) factors on the horizontal and vertical Gaussian levels
+    level_factors: Array  # (T, 2) factors for the horizontal and vertical Gaussian levels
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ ELLIPSE_SHARE = 0.95
 _ELLIPSE_NIS = -2.0 * np.log(1.0 - ELLIPSE_SHARE)  # chi-square quantile, 2 degrees of freedom
 Write = Callable[[TrackBlock], None]
 _CORNERS = 32  # number of corners of the polygon that stands for an ellipse
-_ELLIPSES_APART_S = 1.0  # minimum; with 100 ellipses per second, no map could open the file
+_ELLIPSES_APART_S = 1.0  # minimum; an ellipse per epoch could make the file too large for a map
 _GEOJSON = '{"type": "FeatureCollection", "features": ['
 _GPX = (
     '<?xml version="1.0" encoding="UTF-8"?>\n'

@@ -38,8 +38,8 @@ NO_PATH = -1
 def path_nis(x: Vector, P: Matrix, anchors: Matrix, paths: Array, sigma: Array) -> Array:
     """Compute the NIS (L, n) of every path as a link of every anchor, given x (7,), P (7, 7).
 
-    ``paths`` (L, n, 4) are rows of a link, m and rad, as each anchor would have measured the path,
-    and ``sigma`` their standard deviations.
+    ``paths`` (L, n, 4) contains each path as each anchor would have measured it: the rows of a
+    link, m and rad. ``sigma`` contains their standard deviations.
     """
     tangent, L = Tangent(), cholesky(P)
     latents, nis = tangent.latents(0), np.empty(paths.shape[:2])
@@ -141,7 +141,7 @@ class PathTracker:
             return None
         # The path with which a track begins always fits, so it does not count. To be believed, the
         # new track must explain at least one path per coming epoch, and clearly more than ``track``
-        # does: at first its velocity is unknown, so its gates are wide.
+        # does: at first the new track's velocity is unknown, so the gates are wide.
         own = 0.0 if track is None else self._fitted(track, coming) + CLEARLY_MORE * len(coming)
         if fitted - 1 < max(own, len(coming)):
             return None
@@ -168,7 +168,7 @@ class PathTracker:
         return fitted
 
     def _beginnings(self, track: PathTrack | None, paths: PathEpoch) -> Iterator[PathTrack]:
-        """Yield a track for every path that may be the line of sight, except those of ``track``."""
+        """Yield a track for each path that may be the line of sight, except paths of ``track``."""
         links = self._links(paths)
         sights = links.z[0]
         likely = gives_fix(sights) & (disagreement(sights, links.sigma[0]) < self._disagreement)

@@ -37,7 +37,7 @@ class Fix(NamedTuple):
     """A first position, from the links of one epoch."""
 
     prior: tuple[Array, Array]  # mean (7,) and covariance (7, 7) of the state
-    used: Mask  # (groups,) whether each group of measurements was used to compute it
+    used: Mask  # (groups,) whether each group of measurements was used to compute the prior
 
 
 def gives_fix(links: Array) -> Mask:

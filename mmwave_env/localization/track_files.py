@@ -30,7 +30,7 @@ _LEVELS_HEADER = ",horizontal_level_m,vertical_level_m"
 
 
 def table_beside(track: Path) -> Path | None:
-    """Return the path of the table of standard deviations beside a TUM file, None for others.
+    """Return the path of the table of standard deviations beside a TUM file; None for other files.
 
     Raises:
         ValueError: the ending of the file is not that of a track file.
@@ -47,7 +47,7 @@ def require_own_files(track: Path) -> None:
     """Refuse to replace a file, unless it is an earlier track or the table of one.
 
     A track and its table can be made again from their log. Any other file may be the only copy:
-    ground truth is a TUM file, too, and the name of the table is not one that the user typed.
+    ground truth may be a TUM file, too, and users do not type the name of the table themselves.
 
     Raises:
         ValueError: a file that ``localize`` did not write has one of the names.

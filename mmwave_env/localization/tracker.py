@@ -36,9 +36,9 @@ class Position(NamedTuple):
 
     Attributes:
         time_s: time of the epoch.
-        position_m: (3,) in the frame of the scene.
+        position_m: (3,) position in the frame of the scene.
         covariance_m2: (3, 3) covariance of the position.
-        velocity_mps: (3,) in the frame of the scene.
+        velocity_mps: (3,) velocity in the frame of the scene.
         mode: name of the mode that ran or, in a bank, of the most probable mode.
         nis: name of every group that was measured -> its NIS.
         rejected: names of the groups that the gates rejected.
@@ -107,8 +107,8 @@ class Tracker:
         self._snr_db, self._height_m = snr_db, height_m
         self._log: LiveLog | None = None
         self._filter: Any = None
-        self._last_s: float | None = None  # time of the last measurement; None before a track
-        # time, Doppler spread, mode, factors on levels and input of the smoother, for each of the
+        self._last_s: float | None = None  # time of the last measurement; None without a track
+        # time, Doppler spread, mode, factors for levels and input of the smoother, for each of the
         # last epochs
         self._late: deque[tuple[float, float, str, Array | None, dict[str, Array]]]
         self._late = deque(maxlen=lag + 1)

@@ -188,8 +188,8 @@ def whole_groups(
 
     Args:
         measurement: (T, rows), NaN where not measured.
-        heard: (T, L) whether a link's strength is known, which determines the noise of its rows;
-            the first link's strength also determines the noise of the Doppler shift.
+        heard: (T, L) whether a link's SNR is known. The SNR determines the noise of the link's
+            rows; that of the first link also determines the noise of the Doppler shift.
         layout: rows and groups.
     """
     starts = [group.start for group in layout.groups]

@@ -176,9 +176,10 @@ class Radio:
         """Return every row's noise floor and Cramer-Rao bound at 0 dB, both in squared units."""
         range_bound = SPEED_OF_LIGHT / (2.0 * math.pi * scene.bandwidth_hz / math.sqrt(12.0))
         elements = self.ue_elements, self.gnb_elements
+        # A single element has no aperture and cannot measure angles, so it counts as two.
         arrival, departure = (6.0 / ((max(n, 2) ** 2 - 1.0) * math.pi**2) for n in elements)
         angles = (self.aoa_floor_rad, self.elevation_floor_rad, self.aod_floor_rad)
-        floor, bound = [], []  # a single element has no aperture: angles need at least two
+        floor, bound = [], []
         for anchor in range(layout.anchors):
             floor += [self.range_floor_m[min(anchor, 1)], *angles]
             bound += [range_bound**2 / 2.0, arrival, arrival, departure]

@@ -50,9 +50,9 @@ class Picture:
     def draw(self, history: History, beside: Sequence[History] = ()) -> NDArray[np.uint8]:
         """Draw the last epoch of a history and the trajectory so far; return (size, size, 3).
 
-        The picture depends only on the arguments: the same history gives the same picture. Pictures
-        of the histories ``beside``, of the same episode, are shown next to it; the scales of speed
-        and error fit them, too.
+        The picture depends only on the arguments: the same history gives the same picture. The
+        histories ``beside`` belong to the same episode, and their pictures are shown next to this
+        one; the scales of speed and error fit all of them.
         """
         canvas, theme, unit = self._canvas, self._theme, self._canvas.unit
         legend = unit * (15.0 * self._rows + 4.0)

@@ -253,7 +253,7 @@ def shapes_of(layout: Layout, T: int) -> dict[str, tuple[int, ...]]:
 class EpisodeBatch(NamedTuple):
     """A batch of n episodes in the form that engines load."""
 
-    names: list[str]  # (n,)
+    names: list[str]  # (n,) names of the episodes
     nonfinite: Index  # (n,) number of groups with NaN or infinity, which count as missing
     length: Index  # (n,) number of epochs
     table: Array  # (n, epochs, columns) from :meth:`Episode.table`; unused after the length

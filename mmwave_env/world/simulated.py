@@ -237,7 +237,7 @@ class SimulatedSource:
 
     @property
     def travels(self) -> bool:
-        """Return whether users are simulated; otherwise they move on given ways, in a table."""
+        """Return whether users are simulated; otherwise a table contains their given ways."""
         return bool(self._plans)
 
     def begin(self, keys: Keys) -> Begun:

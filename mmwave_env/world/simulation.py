@@ -91,7 +91,7 @@ class WorldState(NamedTuple):
 def measure(
     truth: list[Number], settings: WorldSettings, receiver: ReceiverState, layout: Layout
 ) -> tuple[Incoming, ReceiverState]:
-    """Simulate the channel and the measurement of a user's epoch, and the receiver after it.
+    """Simulate the channel and the measurement in an epoch; also return the receiver after it.
 
     ``truth`` (6,) is the true position (m) and velocity (m/s).
     """
@@ -283,7 +283,7 @@ def as_measured(layout: Layout) -> Program[AsMeasured]:
 # --- the beginning of an episode: everything that is drawn before its first epoch
 
 # Each key seeds three streams of random numbers. So a user's way does not depend on the receiver
-# and the rate of epochs, and neither the way nor the receiver's noise depend on the user's clock.
+# or the rate of epochs, and neither the way nor the receiver's noise depends on the user's clock.
 USER, RECEIVER, CLOCK = 0, 1, 2
 
 

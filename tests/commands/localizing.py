@@ -21,7 +21,7 @@ def options(log, *more, folder=WALK):
 
 
 def figures(folder, *more, log=None, truth=True):
-    """Run the command on a sample, and return what it wrote as JSON."""
+    """Run the command on a sample, and return the content of the JSON file that it wrote."""
     with tempfile.TemporaryDirectory() as scratch:
         file = Path(scratch) / "figures.json"
         scored = ("--truth", folder / "truth.tum") if truth else ()

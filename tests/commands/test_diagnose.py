@@ -14,7 +14,7 @@ from tests.localization.mistakes import MISTAKES, read_columns, write_columns
 
 @pytest.fixture(scope="module")
 def downlink(tmp_path_factory):
-    """Return a log of the ride whose angles of arrival are those at the user, as in a downlink."""
+    """Return a log of the ride with angles of arrival at the user, as in a downlink."""
     log = tmp_path_factory.mktemp("downlink") / "log.csv"
     mistake = MISTAKES["arrival is at the user, as in a downlink"]
     write_columns(log, mistake(read_columns(RIDE / "log.csv")))

@@ -145,7 +145,7 @@ def test_the_printed_figures_equal_those_in_the_json_file(capsys, tmp_path):
         assert len(numbers) == 5 and " | ".join(f"{value:.3f}" for value in numbers) in shown
     groups = results["groups"]
     assert list(groups) == ["anchor 1", "anchor 2", "anchor 3", "Doppler", "all"]
-    assert groups["anchor 1"]["seen"] == 399  # of 400: the prior used the first
+    assert groups["anchor 1"]["seen"] == 399  # of 400 epochs: the first gave the prior
     assert results["error"] is None
     assert all(abs(groups[f"anchor {a}"]["nis_in_bounds"] - 0.95) < 0.03 for a in (1, 2, 3))
 

@@ -85,7 +85,7 @@ def test_one_run_writes_several_files_and_the_track_in_maps_has_the_name_of_the_
     assert track.name == line["properties"]["name"] == "my_ride"
     tables = [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")]
     assert "t.geojson (smoothed track), new/t.tum (smoothed track), new/t.csv (its" in shown
-    succeed(*MAPPED, "new/t.tum", "new/t.csv", cwd=mapped)  # names the table, too
+    succeed(*MAPPED, "new/t.tum", "new/t.csv", cwd=mapped)  # --out lists the table, too
     assert [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")] == tables
 
 

@@ -126,7 +126,7 @@ NOTHING = {
 
 
 @pytest.mark.parametrize("name", NOTHING)
-def test_a_log_without_a_track_does_not_change_the_output(capsys, tmp_path, name):
+def test_a_log_that_gives_no_track_leaves_existing_files_unchanged(capsys, tmp_path, name):
     content, message = NOTHING[name]
     log, out = tmp_path / "log.csv", tmp_path / "track.tum"
     log.write_text(content)

@@ -262,7 +262,7 @@ def assert_same_tracks(a, b):
     np.testing.assert_array_equal(a["memory.accepted"], b["memory.accepted"])
 
 
-@pytest.mark.parametrize("name", representative(OPTIONS, "default"))  # compiles 3 programs
+@pytest.mark.parametrize("name", representative(OPTIONS, "default"))  # each compiles 3 programs
 def test_filters_on_lanes_equal_filters_on_floats(name):
     """Run each filter alone, and with random switching between the filters."""
     actions = np.random.default_rng(0).integers(3, size=(60, 5))

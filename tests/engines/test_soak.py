@@ -63,7 +63,7 @@ def unsound(engine):
 
 
 def soaked(modes, users, n):
-    """Run damaged episodes with random modes; return when and which parts are unsound, or None."""
+    """Run damaged episodes with random modes; return the first unsound epoch and parts, or None."""
     engine = Engine(Pipeline(tuple(modes), Layout(3)), n, TrackingReward())
     for turn, (scenario, radio) in enumerate(users):
         rng = np.random.default_rng(turn)

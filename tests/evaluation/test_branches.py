@@ -26,7 +26,7 @@ LAYOUT = EPISODES[0].layout
 
 
 def begun(walked):
-    """Return an engine with a bank after some epochs without trust."""
+    """Return an engine with a bank after some epochs in which no mode is trusted (action 0)."""
     engine = Engine(Pipeline(HANDSET.modes, LAYOUT), N, TrackingReward(), "full", HANDSET)
     engine.reset(EPISODES)
     for _ in range(walked):
@@ -35,7 +35,7 @@ def begun(walked):
 
 
 def rest(walked, action):
-    """Sum the rewards (N,) of an action after some epochs, and of trusting no mode from then on."""
+    """Return the sum of rewards (N,) of an action after some epochs, then of trusting no mode."""
     engine, total = begun(walked), 0.0
     for taken in [action, *[np.int64(0)] * (EPOCHS - walked - 1)]:
         total += engine.step(taken, rows_of(engine.at.reward))[1][:, 0]
@@ -55,7 +55,7 @@ def test_a_decision_that_looks_to_the_end_earns_the_most_that_one_action_can(wal
     assert (best > every[0]).any()
 
 
-def test_the_clairvoyant_is_above_the_imm_of_its_bank_and_leaves_episodes_as_they_are():
+def test_the_clairvoyant_earns_more_than_the_imm_of_its_bank_and_does_not_change_episodes():
     policy, imm = (contender_from(name, "handset", HANDSET) for name in ("clairvoyant", "imm"))
     knows, mixes = (score(c, c.start(LAYOUT), EPISODES)["reward"] for c in (policy, imm))
     assert knows.mean() > mixes.mean()

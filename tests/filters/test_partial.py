@@ -1,4 +1,7 @@
-"""Tests that tracks in partial layouts are consistent, and equal plain ones if all rows exist."""
+"""Tests of partial layouts, in which any row of a measurement may be missing.
+
+Tracks are consistent; if no row is missing, they equal the tracks in a plain layout.
+"""
 
 from dataclasses import replace
 
@@ -57,7 +60,10 @@ def test_an_imm_in_a_partial_layout_without_missing_rows_equals_the_plain_imm():
 
 @pytest.fixture(scope="module")
 def runs():
-    """Run a filter on its own model with half the rows; return NEES, NIS and measured rows."""
+    """Return NEES, NIS and a mask of measured rows, for episodes that obey the filter's model.
+
+    Half of the rows are missing.
+    """
     model = far_from_the_anchors(process_noise(Mode("ekf", "ekf", **QUIET)))
     rng = np.random.default_rng(0)
     drawn = [some_rows(model.draw(rng, EPOCHS), rng, 0.5) for _ in range(RUNS)]

@@ -1,4 +1,4 @@
-"""Tests of the update against the textbook, which updates with all rows at once, unfused."""
+"""Tests of the update against the textbook, which uses all rows at once and fuses no azimuths."""
 
 import numpy as np
 import pytest
@@ -139,7 +139,7 @@ def test_values_of_a_missing_group_do_not_matter(algorithm, data):
 
 
 def link_to_the_east(azimuth_of_arrival, azimuth_of_departure):
-    """Return an update with an anchor 100 m to the east, whose azimuth of arrival is at the cut."""
+    """Return an update with an anchor 100 m to the east, where arrival azimuths are near +-pi."""
     sensor = textbook.Sensor(np.array([[100.0, 0.0, 10.0]]), HZ_PER_MPS)
     x = np.array([0.0, 0.0, 1.5, 3.0, -2.0, 0.1, 20.0])
     P = np.diag([4.0, 2.0, 0.5, 1.0, 1.0, 0.1, 900.0])

@@ -1,4 +1,4 @@
-"""Tests of calibrated protection levels: what they cover, and that they are the same everywhere."""
+"""Tests of calibrated protection levels: how often errors exceed them, and those of live tracks."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def parts(seed=0):
 
 
 def watched(levels, policies, source, radio, seeds):
-    """Return errors over levels (episodes, epochs, 2) by policy."""
+    """Return errors divided by levels (episodes, epochs, 2) by policy."""
     over = {}
 
     def keep(contender, time_s, results):

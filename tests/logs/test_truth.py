@@ -117,7 +117,7 @@ def exact_links(position_m, anchors_m):
 
 
 def log_of(time_s, position_m, rng, bias=0.0):
-    """Return the log of a receiver at given positions, with noise and a bias of every row."""
+    """Return a log of a receiver at given positions; all rows have noise, and a bias in sigma."""
     layout = Layout(3)
     sigma = np.tile([0.3, 0.01, 0.01, 0.02], 3)
     z = exact_links(position_m, STREET.anchors_m)
@@ -220,7 +220,7 @@ def test_a_short_log_or_an_unknown_ground_truth_gives_no_offset():
 
 
 @pytest.mark.parametrize("late_s", [-1.0, -0.5, -0.2, 0.2, 0.5, 1.0])
-def test_an_offset_is_found_even_if_it_is_too_large_for_linear_measurements(tmp_path, late_s):
+def test_an_offset_is_found_even_if_it_is_too_large_for_one_linearization(tmp_path, late_s):
     folder, path = sample_folder("canyon28_vehicle"), tmp_path / "truth.tum"
     poses = read_tum(folder / "truth.tum")
     path.write_text(tum_lines(poses.time_s + late_s, poses.position_m))

@@ -91,7 +91,7 @@ def assert_variance(values, variance):
 
 
 def changes(on):
-    """Return, for epochs in a spell, whether it ends and, for others, whether one begins."""
+    """Return, for epochs in a spell, whether the spell ends; for others, whether a spell begins."""
     before, after = on[:-1], on[1:]
     return ~after[before], after[~before]
 
@@ -246,7 +246,7 @@ def test_an_outage_affects_every_link():
     assert_share(ends, 1.0 - np.exp(-1.0 / 3.0))
 
 
-BIASES = {
+BIASES = {  # radio; range bias: least, mean excess over it, m; standard deviation of angles, deg
     "blockage": (replace(CLEAR, blockage_scale=0.5), 0.0, 3.0, 3.0),
     "multipath": (replace(CLEAR, multipath_rate_hz=0.008), 1.0, 4.0, 5.0),
 }

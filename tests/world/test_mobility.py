@@ -133,8 +133,8 @@ def test_users_stay_in_the_streets(tracks, name, scene):
     block = streets.block_m / MOBILITIES[name].blocks
     low = np.array([streets.x_m[0], streets.y_m[0]])
     high = np.array([streets.x_m[1], streets.y_m[1]])
-    # Users leave the center line of a street if they cut a corner, on an arc of radius R, or turn
-    # at a dead end: on a half circle, after which they walk back 2 R beside the line.
+    # Users leave the center line of a street where they cut a corner on an arc of radius R. At a
+    # dead end, they turn on a half circle, and then walk back 2 R beside the line.
     radius = BOUNDS[name].radius
     dead_ends = low[0] == high[0] or low[1] == high[1]
     aside = 2.0 * radius if dead_ends else (1.0 - np.sqrt(0.5)) * radius

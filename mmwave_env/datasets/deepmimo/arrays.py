@@ -1,4 +1,4 @@
-"""Reader of the arrays of a DeepMIMO v4 scenario, .npz or .npy files; pickles are refused."""
+"""Reader of the arrays in .npz or .npy files of a DeepMIMO v4 scenario; it refuses pickles."""
 
 import math
 import zipfile

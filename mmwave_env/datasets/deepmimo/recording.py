@@ -52,8 +52,8 @@ def read_deepmimo(
     Args:
         folder: folder of a DeepMIMO v4 scenario.
         virtual_anchors: maximum number of virtual anchors; those seen most often are kept.
-        bandwidth_hz: bandwidth of the signal; it replaces the scenario's, because the paths do
-            not depend on it.
+        bandwidth_hz: bandwidth of the signal; it may differ from the scenario's, because paths do
+            not depend on the bandwidth.
         dt_s: time step to use instead of ``trajectory.csv``; velocities are then computed from the
             positions.
         users: indices of receivers, from 0. For a static scenario, one index per epoch; for a
@@ -99,7 +99,7 @@ def read_deepmimo(
 
 
 def _way_of(scenario: Scenario, epochs: Index, dt_s: float | None) -> Trajectory:
-    """Return times, positions and velocities of epochs (E, 2), each a scene and a receiver.
+    """Return times, positions and velocities for epochs (E, 2), which are pairs (scene, receiver).
 
     With ``dt_s``, velocities are computed from the positions; without it, times and velocities
     come from ``trajectory.csv``.
