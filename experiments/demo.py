@@ -5,10 +5,12 @@ from pathlib import Path
 
 from experiments.console.options import EpisodeArgs, JsonArgs, PageArgs
 
+RECORDINGS = "canyon28_pedestrian", "canyon28_vehicle"
+
 
 @dataclass(kw_only=True)
 class Args(JsonArgs):
-    """Compare all policies on the simulated scenario `mixed` and on the ray-traced recordings.
+    """Compare all policies on the simulated scenario `mixed` and on two ray-traced recordings.
 
     The files in the folder --out also contain all paired differences, which are not printed.
 
@@ -33,11 +35,10 @@ def main(args: Args) -> None:
     from experiments.evaluation.asked import all_contenders
     from experiments.reporting.comparison_results import results
     from experiments.reporting.webpage.page import page_of
-    from mmwave_env.datasets.samples import sample_names
     from mmwave_env.io.files import write_json, write_text
 
     runs = [EpisodeArgs(episodes=args.episodes)]
-    runs += [EpisodeArgs(data=name, episodes=args.draws) for name in sample_names()]
+    runs += [EpisodeArgs(data=name, episodes=args.draws) for name in RECORDINGS]
     tables, everything, made = [], {}, provenance("demo", args)
     for run in runs:
         options = replace(run, percentiles=args.percentiles)
