@@ -59,7 +59,7 @@ def main(args: Args) -> None:
     say(
         f"All paired differences are in {args.out / 'tables.md'}, and all results in",
         f"{', '.join(map(str, files))}.",
-        f"{report.out} is a web page of them, with episodes to play: open it in a browser.",
+        f"{report.out} is a web page of the results, with episodes to play: open it in a browser.",
         "README.md and docs/results.md say what the columns mean.",
         "next: mmwave-loc list policies, or mmwave-loc compare --policies ppo imm --radio standard",
     )

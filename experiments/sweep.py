@@ -10,9 +10,9 @@ from tyro.conf import Positional
 class Args:
     """Run grids of evaluations and trainings, and searches for hyperparameters, on Ray.
 
-    A file says what to combine (docs/sweep.md); each combination is a cell. Cells in the folder
-    are not computed again, so that an interrupted sweep continues. If a cell fails, this is
-    reported, and the others continue.
+    A file says what to combine (docs/sweep.md); each combination is a cell. Cells whose results are
+    in the folder --out are not computed again, so that an interrupted sweep continues. If a cell
+    fails, this is reported, and the others continue.
 
     mmwave-loc sweep examples/sweep.toml
     """

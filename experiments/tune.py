@@ -26,7 +26,7 @@ class Args(JsonArgs):
     modes: tuple[str, ...] = ("ekf", "ukf")
     """modes to tune: ekf, ukf, ckf, ekf-robust, ukf-robust, mode files"""
     scenarios: tuple[str, ...] = ("pedestrian", "vehicle")
-    """kind of user that each mode is tuned on, in the order of modes: names, JSON or CSV files"""
+    """kinds of users to tune on, one for each mode, in the same order: names, JSON or CSV files"""
     free: tuple[str, ...] = ("sigma_v", "sigma_p")
     """parameters to tune: sigma_p, sigma_v, sigma_pz, sigma_vz, sigma_b_mps, spread_gain"""
     diagonal: bool = False
@@ -69,7 +69,7 @@ def _tuned_bank(args: Args) -> tuple[Content, Content]:
 
 
 def _tuned_levels(args: Args) -> tuple[Content, Content]:
-    """Tune levels, and print the factors; return the content of their file and an empty dict."""
+    """Tune protection levels, print their factors; return the file's content and an empty dict."""
     from experiments.console.progress import say
     from experiments.training.levels import tuned_levels
 
@@ -96,7 +96,7 @@ def _tuned_modes(args: Args) -> tuple[Content, Content]:
     from mmwave_env.models.radio import radio_from
 
     radio = radio_from(args.radio)
-    modes = modes_from(args.modes, radio.base)  # an untuned radio starts from its base's modes
+    modes = modes_from(args.modes, radio.base)  # an untuned radio starts from the modes of its base
     if len(args.scenarios) != len(modes):
         raise ValueError(
             f"scenarios: found {len(args.scenarios)}, expected {len(modes)}, one for each of the "

@@ -292,7 +292,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
 
     @property  # type: ignore[override]
     def spec(self) -> EnvSpec | None:
-        """Return the registered specification with the episodes' length, which wrappers ask for."""
+        """Return the registered specification; wrappers read the length of episodes from it."""
         return self._spec
 
     @spec.setter
@@ -300,7 +300,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         epochs = getattr(self.source, "epochs", None)
         self._spec = spec and replace(spec, max_episode_steps=epochs)
         # If `gym.make` cuts episodes from outside, their last step has no metrics. `gym.make`
-        # keeps the limit only in a local variable, which is read here.
+        # keeps its limit of steps only in a local variable, which is read here.
         make = sys._getframe(1).f_locals
         limit = make.get("max_episode_steps") or getattr(
             make.get("env_spec"), "max_episode_steps", None

@@ -46,7 +46,7 @@ def draw(seed=0, **changes):
 
 
 def adrift(drift_mps, epochs=200):
-    """Return a source: a user at rest, no measurements, and a prior velocity of ``drift_mps``."""
+    """Return a source without measurements; its user rests, but the prior has this velocity."""
     episode = draw(epochs=epochs)
     position = np.tile(episode.truth_position_m[0], (epochs, 1))
     return replay(

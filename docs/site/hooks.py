@@ -28,7 +28,7 @@ MIRRORED = {  # pages of the site whose files are outside docs/
 SHOWN = ("first_switcher", "corrector")
 NOTEBOOKS = {f"notebooks/{name}.md": f"docs/notebooks/{name}.ipynb" for name in SHOWN}
 REPORTS = {"docs/results.json": "report.html"}  # results that the site shows as a web page
-API = {  # page: title, modules and folders of modules
+API = {  # page: title, modules and folders in mmwave_env or, after a "/", in the checkout
     "environment": ("Around the environment", ["vector_env", "sb3"]),
     "signals": ("Rewards and observations", ["interface/", "metrics"]),
     "numerics": ("Numbers", ["numerics/numbers", "numerics/linalg"]),
@@ -140,7 +140,7 @@ Cite the software with the version you used, and the paper that it follows:
 }}
 ```
 
-The same stands in [CITATION.cff]({source_of("CITATION.cff")}), which reference managers read.
+The same entries are in [CITATION.cff]({source_of("CITATION.cff")}), which reference managers read.
 """
 
 
@@ -230,7 +230,7 @@ def pages() -> dict[str, str]:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Lead every relative link to a page of the site, or to the file on the code host."""
+    """Make relative links lead to pages of the site, or else to files on the code host."""
     uri = page.file.src_uri
     return relinked(markdown, uri, (ROOT / MIRRORED[uri]) if uri in MIRRORED else DOCS / uri)
 
@@ -241,7 +241,7 @@ def relinked(markdown: str, uri: str, source: Path) -> str:
     Args:
         markdown: text of the page, whose links are relative to ``source``.
         uri: address of the page on the site, relative to its top.
-        source: file that the page shows; for a page made at the build, a path without a file.
+        source: file that the page shows; for a page made at the build, there is no such file.
     """
 
     def mended(match: re.Match[str]) -> str:

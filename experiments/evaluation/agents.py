@@ -31,7 +31,8 @@ class Estimator(Policy):
     """An agent that tracks users by itself instead of choosing filters, for comparisons.
 
     Attributes:
-        at_once: whether numbers are arrays (n,) of all episodes, instead of floats of one episode.
+        at_once: whether one call of :meth:`track` handles all n episodes, with arrays (n,) as
+            numbers; otherwise each call handles one episode, with floats.
     """
 
     at_once = False
@@ -41,8 +42,8 @@ class Estimator(Policy):
     ) -> Iterable[tuple[Vector, Vector]]:
         """Yield a mean (7,) and a packed covariance (28,) after every epoch.
 
-        Units are m, m/s and Hz; with a clock, shapes are (8,) and (36,). The pipeline has the
-        radio's default modes, the layout and the terrain.
+        Units are m, m/s and Hz. If the clock's offset is unknown, shapes are (8,) and (36,). The
+        pipeline has the radio's default modes, the layout and the terrain.
         """
         raise NotImplementedError
 

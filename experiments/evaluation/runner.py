@@ -204,7 +204,7 @@ def _summary(results: EpochResults, time_s: Array, scoring: Scoring) -> Scores:
 
 
 def _drawn(selection: Selection, source: EpisodeSource) -> tuple[EpisodeBatch, Array]:
-    """Draw equally long episodes, ready to run; also return the times (T,) of the first one."""
+    """Draw equally long episodes, ready to run; also return the first episode's times (T,)."""
     keys = selection.keys(source)
     if keys is None:
         episodes = selection.draw(source)
@@ -229,7 +229,7 @@ def score_contenders(
         names: contenders, or names as in :func:`contender_from`, with these ``modes``.
         source, selection: episodes to run, by seeds or keys.
         radio: radio profile.
-        watch: functions that are called with a contender, the times (T,) and its epoch results.
+        watch: functions called with a contender, the times (T,) and the contender's epoch results.
         after: parts of the state for ``watch``, as in :func:`run_contender`.
 
     Raises:

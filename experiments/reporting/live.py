@@ -33,7 +33,7 @@ def run_live(args: LogArgs) -> None:
         ValueError: options contradict each other, or the input has neither header nor JSON.
     """
     if str(args.log) != "-" or args.scene is None:
-        raise ValueError("live: needs - as the log, and --scene")
+        raise ValueError('live: needs "-" (standard input) as the log, and --scene')
     for name in ("sample", "truth", "out", "plot", "json"):
         if getattr(args, name) not in (None, ()):
             raise ValueError(f"{name}: cannot be combined with --live; use the printed lines")

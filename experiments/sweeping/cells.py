@@ -88,8 +88,8 @@ def kept(folder: Path, spec: Spec) -> set[str]:
     for name in names:
         if not (name.startswith(spec.trial) if spec.free else name in spec.cells):
             raise ValueError(
-                f"{folder / name}.parquet: found a row of another sweep or version, or a file that "
-                "this sweep names was changed later; --out names another folder"
+                f"{folder / name}.parquet: found a row of another sweep or version (or a file that "
+                "the sweep names has changed since then); --out names another folder"
             )
     return names
 

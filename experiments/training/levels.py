@@ -1,6 +1,6 @@
 """Training and calibration of protection levels (:mod:`mmwave_env.localization.levels`).
 
-By the pinball loss, the network learns quantiles of log(error / Gaussian level), on the kinds of
+With the pinball loss, a network learns quantiles of log(error / Gaussian level), from the kinds of
 episodes that correctors learn from. Other episodes calibrate the network.
 """
 
@@ -30,14 +30,14 @@ from mmwave_env.world.episode import columns_of
 
 RISKS = (1e-2, 1e-3)
 SINGLE = ("speed-rule", "fixed-ekf", "fixed-ukf")
-# Groups of policies for training and for calibration; one policy of each plays every episode.
+# Groups of policies for training and calibration; one policy of every group plays an episode.
 LEARNED_FROM = (("guided",), ("corrector",), ("imm-best", "imm", *SINGLE))
 KINDS = (SINGLE, ("guided", "imm-best"), ("corrector",))
 PLACES = [f"{scene}:{radio}" for scene in SCENES for radio in RADIOS]
-SEED = TRAINING_SEED + 9 * SEEDS_EACH  # episodes that no corrector was trained on
-ENVS, ROUNDS, CALIBRATION = 64, 24, 18  # episodes of a place; rounds of training, of calibration
-HIDDEN, STEPS, BATCH, RATE = 64, 5000, 8192, 3e-3  # the rate falls linearly
-EVERY = 4  # epochs that follow each other are alike: of every four, one is learned from
+SEED = TRAINING_SEED + 9 * SEEDS_EACH  # seed of episodes that no corrector was trained on
+ENVS, ROUNDS, CALIBRATION = 64, 24, 18  # episodes per place; rounds to train, to calibrate
+HIDDEN, STEPS, BATCH, RATE = 64, 5000, 8192, 3e-3  # the learning rate falls linearly
+EVERY = 4  # neighboring epochs are alike, so the network learns from one in four
 OUTSIDE = 1e-4  # share of a feature's values below its range; the same share is above its range
 LEAST_M = 1e-4  # smaller errors count as this
 
@@ -91,7 +91,7 @@ def _trained(features: Array, logs: Array, steps: int) -> Network:
         rows = torch.randint(len(x), (BATCH,))
         above = y[rows] - network(x[rows]).unflatten(-1, (-1, 2))
         pinball = torch.maximum((1.0 - risk) * above, -risk * above)
-        loss = (pinball / risk.sqrt()).mean()  # the root balances the risks
+        loss = (pinball / risk.sqrt()).mean()  # the divisor gives all risks a similar weight
         optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
@@ -105,8 +105,8 @@ def _trained(features: Array, logs: Array, steps: int) -> Network:
 def _constants(network: Network, seed: int, rounds: int) -> Array:
     """Return the constants (kinds, risks, 2) of the calibration.
 
-    Split conformal prediction over all places, with one more episode of infinite errors (Lee et al.
-    2023), gives them. They are larger where a place alone would otherwise exceed a risk.
+    They come from split conformal prediction over all places, with one more episode of infinite
+    errors (Lee et al. 2023). If a single place needs larger constants, those are returned.
     """
     over: list[list[Array]] = [[] for _ in range(len(PLACES) * len(KINDS))]
     for i, (features, logs) in enumerate(_played(seed, rounds, KINDS, random_share=0.0)):
@@ -122,7 +122,7 @@ def _constants(network: Network, seed: int, rounds: int) -> Array:
 def _quantiles(parts: list[Array], infinite: int) -> Array:
     """Return, for each risk, the value that this share of the logs (n, T, risks, 2) exceeds.
 
-    All episodes have the same weight; ``infinite`` further ones have infinite logs.
+    All episodes weigh the same; ``infinite`` is the number of additional ones with infinite logs.
     """
     episodes = sum(map(len, parts)) + infinite
     weight = np.concatenate([np.full(part[..., 0, 0].size, 1.0 / part.shape[1]) for part in parts])

@@ -54,7 +54,7 @@ class RolloutEnv:
         observations: (n, features) latest observations, which need an action.
 
     Raises:
-        ValueError: n is too small or no multiple of eight, or banks need different programs.
+        ValueError: n is too small or not a multiple of eight, or banks need different programs.
     """
 
     def __init__(

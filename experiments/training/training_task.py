@@ -19,8 +19,8 @@ from mmwave_env.task import task_from
 from mmwave_env.world.simulated import SimulatedSource
 
 FORM = (
-    "SCENE:RADIO, optionally with :SECONDS between epochs, :QUANTITIES measured and :offset, such "
-    "as street:handset or o1:standard:0.1:range+azimuth"
+    "SCENE:RADIO, optionally with :SECONDS between epochs, :QUANTITIES measured and :offset (of "
+    "the user's clock), such as street:handset or o1:standard:0.1:range+azimuth"
 )
 
 
@@ -47,7 +47,7 @@ class Place:
 
     def __post_init__(self) -> None:
         source = self.source("mixed")
-        # The names inside JSON files count, not the names of the files.
+        # A JSON file may have any name, so the check reads the names that the files contain.
         for argument, name in (("scene", source.scene.name), ("radio", source.radio.name)):
             if name in UNSEEN:
                 raise ValueError(
@@ -150,7 +150,7 @@ class TrainingTask:
     Attributes:
         scenario, observation, beliefs: arguments of the same names.
         places: places to train at; every environment is at one place.
-        banks: banks of modes to choose from, by the name of a radio (:func:`banks_of`).
+        banks: banks of modes to choose from, by the name of their radio (:func:`banks_of`).
         reward: function of (belief, truth).
 
     Raises:

@@ -132,7 +132,7 @@ Value = Callable[[Bank, int], float]
 
 # Ranges to search:
 ODDS = (-14.0, 8.0)  # log(probability to change to another mode / probability to stay)
-# A sigma_v below this range earns a slightly higher reward, because simulated users walk straight.
+# A sigma_v below its range earns a slightly higher reward, because simulated users walk straight.
 # But such a filter would lose a user whose direction varies by a few degrees, as in recordings.
 FREE = {
     "sigma_p": (0.005, 2.0),

@@ -47,7 +47,7 @@ def unzipped(model: Path, normalize: Path | None) -> tuple[dict[str, NDArray[Any
         process.start()
         try:
             process.join()
-        finally:  # the process must also end if this one is interrupted
+        finally:  # end the process even if waiting for it is interrupted
             process.kill()
             process.join()
         try:

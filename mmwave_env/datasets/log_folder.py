@@ -29,11 +29,11 @@ def read_log_folder(folder: Path, clock: bool = False) -> MeasuredTrack:
     :class:`~mmwave_env.logs.truth.Truth` interpolates the true positions at the times of the
     epochs; true velocities are computed from their differences. The layout is partial if a link
     lacks some of its measurements or has its own standard deviations, or if an anchor other than
-    the base station has the Doppler shift. A warning says if the clocks of log and track differ.
+    the base station has the Doppler shift. Differing clocks of log and track cause a warning.
 
     Args:
         folder: contains ``log.csv`` (or ``.csv.gz``, ``.parquet``), ``scene.json``, ``truth.tum``.
-        clock: whether ranges have the offset of the user's clock.
+        clock: whether ranges contain an unknown offset of the user's clock.
 
     Raises:
         ValueError: a file is missing, damaged or not of the expected kind, or no epoch

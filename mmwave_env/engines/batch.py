@@ -83,7 +83,7 @@ class Batch(Generic[Workspace]):
         """Load episodes, which start new tracks or continue the current tracks.
 
         Args:
-            episodes: one episode for each of the places.
+            episodes: one episode for each environment in ``places``.
             places: numbers of the environments to load; None for all.
             gap_s: seconds since the last epoch that ran, for episodes that continue the track;
                 None to start over from the episodes' priors.
@@ -121,7 +121,7 @@ class Batch(Generic[Workspace]):
 
         Args:
             source: source of the episodes, the same in every call.
-            begun: the beginning of the episode at each of the places.
+            begun: the beginning of each environment's episode.
             places: numbers of the environments that begin.
         """
         self.attach(source)

@@ -64,7 +64,7 @@ class Engine:
             observation = "signed"
         table = Observation(pipeline, observation, "per-mode" if bank else "shared")
         self.observation, self._shown = table, cast(Any, slice(None))
-        if ahead:  # leave out the features that already know the coming epoch
+        if ahead:  # leave out the features that depend on the coming epoch
             self.observation = table.only(after_update(pipeline, per_mode=True))
             self._shown = [table.names.index(name) for name in self.observation.names]
         self._base = base(table) if base else None
@@ -165,7 +165,7 @@ class Engine:
             self.start(places)
 
     def choices(self) -> Index:
-        """Return the base's actions (n,) in the epoch under consideration; 0 without a base."""
+        """Return the base agent's actions (n,) in the current epoch; zeros without a base agent."""
         n = self.batch.n
         if self._base is None:
             return np.zeros(n, np.int64)

@@ -80,7 +80,7 @@ class StepColumns(NamedTuple):
     reward: int
     nees: int
     error: int  # 3 columns
-    covariance: int  # 3 columns: that of the horizontal position
+    covariance: int  # 3 columns: covariance of the horizontal position
     # accepted, rejected: one column per group of measurements, if steps return infos
     accepted: int
     rejected: int

@@ -132,7 +132,7 @@ class _Ukf(_PointFilter):
 
 
 class _Ckf(_PointFilter):
-    """The CKF of filterpy, which needs column vectors, and whose points and arrays are set here."""
+    """The CKF of filterpy, which needs column vectors; this class sets its points and arrays."""
 
     def __init__(self, size: int) -> None:
         self._filter = CubatureKalmanFilter(size, 1, 1.0, None, None)

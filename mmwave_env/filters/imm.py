@@ -60,7 +60,7 @@ def begin(pipeline: Pipeline, x: Vector, P: Vector) -> Mixture:
 
 
 def stay_matrix(modes: int, stay: float = DEFAULT_STAY) -> tuple[tuple[float, ...], ...]:
-    """Return probabilities (from, to): ``stay`` on the diagonal, the rest of a row is equal."""
+    """Return probabilities (from, to): ``stay`` on the diagonal, and equal values elsewhere."""
     if modes == 1:
         return ((1.0,),)
     move = (1.0 - stay) / (modes - 1)
@@ -218,8 +218,8 @@ def prediction(now: ImmEpoch, dt: Number, hz_per_mps: Number) -> tuple[list[Numb
     """Return the mixture's mean (7,) and packed covariance (28,) before an epoch's update.
 
     The Rauch-Tung-Striebel smoother assumes x_predicted = F x + noise, with noise independent of x.
-    So the known accelerations of the modes are treated as noise, as if they did not correlate with
-    the modes' means. With the correlation, smoothed variances could become negative.
+    So the shifts that the modes' known accelerations cause count as noise: their covariance is
+    added, but not their correlation with x, which could make smoothed variances negative.
     """
     moved = [move(x, dt, hz_per_mps) for x in now.mixed]
     shifts = [

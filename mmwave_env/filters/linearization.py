@@ -117,7 +117,7 @@ class Latents:
 
     @property
     def variance(self) -> list[float]:
-        """Return the variances of eta without the part of kappa that ``bend`` adds."""
+        """Return the variances of eta, without what ``bend`` adds to the variances of kappa."""
         return [1.0] * self.linear + [self.weight / 2] * self.curvatures + [1.0] * 4
 
     @property
@@ -153,8 +153,8 @@ class Prior(NamedTuple):
 def factor_of(P: Matrix) -> list[list[Number]]:
     """Return L (n, n) with L L' = P, its rows in the order of the state.
 
-    Without a clock it is lower triangular. With one, P is factored in an order in which the range
-    bias follows the position, so that the links depend on the first four columns alone.
+    Without a clock, L is lower triangular. With a clock, P is factored in an order in which the
+    range bias follows the position, so that the links depend on the first four columns alone.
     """
     if len(P) == STATE_SIZE:
         return cholesky(P)

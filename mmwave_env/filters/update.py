@@ -40,7 +40,7 @@ Algorithm = Callable[[Vector, Matrix, Measurement, Gate], Posterior]
 class _Row(NamedTuple):
     """A scalar row that depends on all latents, conditioned on the links and the rows before it."""
 
-    white: list[Number]  # C^-1 times the row's coefficients on the coupled latents
+    white: list[Number]  # C^-1 times the row's coefficients on the coupled latents (C C' = B)
     free: list[Number]  # coefficients on the free latents, xi_3..6
     links: list[Number]  # conditional covariances with the earlier rows
     cross: list[Number]  # conditional covariance with xi

@@ -22,7 +22,7 @@ PROBABILITIES = "mode_probabilities"  # only with a belief per mode
 FLAGS = ("accepted", "rejected")
 NAMED = ("episode_name", "episode_key")  # in the info of a reset: they identify an episode
 SMOOTHED_KEY = "smoothed_ate_m"
-NONFINITE_KEY = "nonfinite_beliefs"  # in the info of the last step if there are any
+NONFINITE_KEY = "nonfinite_beliefs"  # in the info of the last step if a belief was not finite
 LAST_KEYS = (*INFO_KEYS.values(), SMOOTHED_KEY)  # in the info of the last step
 INFOS = {
     "all": "everything that is known",

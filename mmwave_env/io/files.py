@@ -153,7 +153,7 @@ def require_writable(path: Path) -> None:
 
 
 def _target_of(path: Path) -> Path:
-    """Return the file that a path or link leads to, not a device; create missing folders."""
+    """Return the file that a path or link leads to; refuse a device; create missing folders."""
     target = Path(os.path.realpath(path))
     if target.is_dir():
         raise IsADirectoryError(f"{path}: found a folder, expected a file to write")

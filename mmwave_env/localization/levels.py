@@ -1,11 +1,11 @@
-"""Protection levels that hold: Gaussian levels times factors that a network learned.
+"""Protection levels of position errors: Gaussian levels times factors that a network learned.
 
-A Gaussian level (:mod:`mmwave_env.localization.position_errors`) holds only if the covariance is
-right. A small network reads what every filter knows after an epoch, and returns a factor. Errors
-should exceed the Gaussian level times this factor with the stated risk: a quantile regression. Then
-one constant per risk and direction corrects the factor, by split conformal prediction on other
+An error exceeds its Gaussian level (:mod:`mmwave_env.localization.position_errors`) with the stated
+risk only if the covariance is right. So a small network reads what a filter knows after an epoch,
+and returns a factor for the Gaussian level; it was trained by quantile regression. Then one
+constant per risk and direction corrects the factor, by split conformal prediction on other
 episodes (Y. Romano, R. Patterson and E. Candès, "Conformalized quantile regression", NeurIPS 2019;
-for epochs that belong to episodes: Y. Lee, R. F. Barber and R. Willett, "Distribution-free
+for epochs grouped in episodes: Y. Lee, R. F. Barber and R. Willett, "Distribution-free
 inference with hierarchical data", 2023). docs/errors.md says what this guarantees;
 experiments/training/levels.py trains the network.
 """
@@ -29,8 +29,8 @@ from mmwave_env.numerics.numbers import Array
 # parts of a filter's state from which the features are computed
 PARTS = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected")
 CALIBRATED, GAUSSIAN = KINDS = ("calibrated", "gaussian")
-_MEMORY = np.array([[0.6], [0.9], [0.97]])  # weights of the past in running means, per second
-_LEAST, _LEAST_S = 1e-9, 1e-2
+_MEMORY = np.array([[0.6], [0.9], [0.97]])  # share of a running mean that remains after 1 s
+_LEAST, _LEAST_S = 1e-9, 1e-2  # lower limits, so that logarithms and quotients are finite
 _KIND = [16, 18]  # indices of the features that tell whether there is a corrector, and a bank
 
 
@@ -39,8 +39,8 @@ class Network(NamedTuple):
 
     Attributes:
         risks: (R,) risks for which the network was trained and calibrated.
-        constants: (3, R, 2) what the calibration adds to the network's answers, horizontally and
-            vertically, for a single filter, for a bank, and for a corrector.
+        constants: (3, R, 2) numbers that the calibration adds to the network's outputs: for a
+            single filter, a bank and a corrector; for each risk; horizontally and vertically.
         low, high: (features,) limits of the features in the training.
         layers: weights (outputs, inputs) and biases of the layers.
     """
@@ -66,7 +66,7 @@ class Network(NamedTuple):
 
     def log_factors(self, features: Array) -> Array:
         """Return logarithms of factors (..., R, 2), given features (..., features)."""
-        values = np.fmin(np.fmax(features, self.low), self.high)  # the limit instead of NaN
+        values = np.fmin(np.fmax(features, self.low), self.high)  # NaN becomes the low limit
         *hidden, (weight, bias) = self.layers
         for w, b in hidden:
             values = np.tanh(values @ w.T + b)
@@ -91,7 +91,7 @@ class Levels:
 
     Args:
         risk: probability that an error exceeds its level.
-        kind: "calibrated", or "gaussian" for the levels that covariances promise.
+        kind: "calibrated", or "gaussian" for levels computed from covariances alone.
 
     Raises:
         ValueError: the kind is unknown, or its levels do not cover the risk.
@@ -131,9 +131,9 @@ class Levels:
             anchors: number of anchors.
             mixes: whether beliefs are those of a bank, whose modes interact.
             time_s: (T,) times of the epochs.
-            parts: beliefs x (n, T, 7 or 8) and P (n, T, 28 or 36), packed; NIS of every group of
-                measurements, and which ones were accepted or rejected (n, T, groups); and,
-                optionally, trust in a corrector (n, T), which is NaN without a corrector.
+            parts: beliefs x (n, T, 7 or 8) and P (n, T, 28 or 36), packed; for every group of
+                measurements (n, T, groups) its NIS, whether it was accepted, and whether it was
+                rejected; and, optionally, trust in a corrector (n, T), NaN without a corrector.
         """
         x, P, nis, accepted, rejected, trusted = (*parts, None)[:6]
         now = np.stack([*_gates(anchors, nis, accepted, rejected), *_sizes(P)], axis=-1)

@@ -81,7 +81,8 @@ QUANTITIES = {
     "time": Quantity(_in("time", _TIME), "the time of the epoch"),
     "anchor": Quantity(
         {"anchor": Unit()},
-        "its number in the scene; if unknown, use mmwave-loc localize --associate (docs/data.md)",
+        "the anchor's number in the scene; if unknown, use mmwave-loc localize --associate "
+        "(docs/data.md)",
     ),
     "toa": Quantity(_flight(""), "the time of flight (rtt: round trip), or the range", _RANGE),
     "aoa_azimuth": Quantity(
@@ -174,7 +175,7 @@ def columns_of(
         known = ", ".join(next(iter(row.columns)) for row in QUANTITIES.values())
         raise ValueError(
             f"{problems}; allowed are only {known}, or the same in other units; docs/data.md "
-            "renames the columns of a log with one command"
+            "shows a command that renames the columns of a log"
         )
     for number, name in enumerate(names):
         quantity = _QUANTITY_OF[name]

@@ -138,7 +138,7 @@ _GAP_SHARE = 1 / 120  # gap between two maps, as a share of a picture's width
 class Playback:
     """A painter of several histories of an episode, side by side at the same epoch.
 
-    Each has its own ``modes``, the names of its actions, and its title; see :class:`Picture`.
+    Each history has its own ``modes`` (names of actions) and its own title; see :class:`Picture`.
     """
 
     def __init__(

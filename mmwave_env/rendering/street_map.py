@@ -47,7 +47,7 @@ class View(NamedTuple):
 def follow(history: History, frame: Rect) -> View:
     """Return the view of the last epoch.
 
-    It depends only on the arguments, so that a copy of an environment draws the same pictures.
+    The view depends only on the arguments, so a copy of an environment draws the same pictures.
     Center and scale are averages over the last seconds, so that they change smoothly, unless the
     user or the estimate would leave the picture.
     """

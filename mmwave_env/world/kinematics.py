@@ -53,7 +53,7 @@ class Traveler(NamedTuple):
     lateral: Number
     jerk: Number  # limit of the jerk, m/s^3
     target: Number  # speed to reach, m/s
-    gait_left: Number  # time for which the target speed is kept, s
+    gait_left: Number  # time for which the target speed is still kept, s
     phase: Number  # number of the phase, which ends at ``phase_end`` s
     phase_end: Number
     stopping: Number  # 1 while the traveler brakes to a standstill, before the next phase
@@ -103,7 +103,7 @@ def wanted_acceleration(t: Traveler, net: Net) -> Number:
     acceleration times radius; a red light limits it to v_c = 0 one meter before the crossing.
     Braking at b over a distance d reduces v to v_c, where v^2 = v_c^2 + 2 b d. Travelers plan with
     half of their b, so they aim at the speed v with v^2 = v_c^2 + b d. From their current v, they
-    must brake at (v^2 - v_c^2) / 2 d, where d does not include the distance that they travel until
+    must brake at (v^2 - v_c^2) / (2 d), where d does not include the distance traveled until the
     braking has built up. If this exceeds 0.7 b, they brake as hard as needed, up to b.
     """
     left, turns, turns_after = t.stretch - t.traveled, t.arc > 0.0, abs(t.turn_after) > 0.5

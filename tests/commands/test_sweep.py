@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc sweep`` (with the extra ``ray``), which stores one result per cell."""
+"""Tests of ``mmwave-loc sweep``, which stores a result for each combination of values (cell)."""
 
 import os
 import re

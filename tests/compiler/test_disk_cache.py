@@ -292,7 +292,7 @@ def planted(package, tmp_path):
 
 
 def given_away(path):
-    """Give a path to another user; if not root, return code that makes a process believe this."""
+    """Give a path to another user; without the right to do so, return code that simulates it."""
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         os.chown(path, 65534, 65534)
         return ""
@@ -325,7 +325,7 @@ UNTRUSTED = {
     "a link to a folder": lambda file: linked(file.parent),
     "a link to a file": linked,
 }
-posix = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no owners and modes of files")
+posix = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="needs owners and modes of files")
 
 
 @pytest.mark.slow

@@ -29,7 +29,7 @@ STAY = (0.0, 0.95, 1.0)  # probabilities of keeping the mode; each environment u
 
 
 def damaged(episode, rng):
-    """Return a copy with links missing, briefly or long, and values NaN, infinite or far off."""
+    """Return a copy that lacks links for some time, and has NaN, infinite and far-off values."""
     layout, T = episode.layout, len(episode)
     missing = rng.random((T, len(layout.groups))) < 0.03
     for group in np.flatnonzero(rng.random(len(layout.groups)) < 0.4):

@@ -1,4 +1,4 @@
-"""Tests of the leaderboard's protocol: its sites, unseen streets, and the standing of an entry."""
+"""Tests of the leaderboard's protocol: its sites (sources of episodes), and how entries stand."""
 
 import json
 

@@ -30,7 +30,7 @@ everywhere = pytest.mark.parametrize("where", OFFSETS)
 
 
 def near(where, odometry=False):
-    """Return an update with the prior mean at this offset; the user is about 2 m from the mean."""
+    """Return an update whose prior mean has the offset ``where``; the user is about 2 m away."""
     sensor = textbook.Sensor(ANCHORS, HZ_PER_MPS, odometry)
     x = np.array([*(ANCHORS[0] + OFFSETS[where][0]), 3.0, -2.0, 0.1, 20.0])
     scale = np.array([3.0, 3.0, 1.0, 1.0, 1.0, 0.3, 50.0])
@@ -69,7 +69,7 @@ def test_a_jacobian_row_is_zero_if_its_angle_is_undefined_and_else_the_derivativ
 
 
 def starts_near(where):
-    """Return a model with the prior mean at this offset; users walk away, with little noise."""
+    """Return a model with the prior mean at the offset ``where``; users walk away, noise is low."""
     sensor = textbook.Sensor(ANCHORS, HZ_PER_MPS)
     mean = np.array([*(ANCHORS[0] + OFFSETS[where][0]), 2.0, 1.0, 0.0, 10.0])
     (mode,) = pipeline_of(algorithms=["ekf"]).modes

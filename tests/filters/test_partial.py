@@ -81,7 +81,7 @@ def runs():
 
 
 def with_its_doppler(episode, model):
-    """Return the episode with each Doppler shift changed to that of its ``doppler_anchor``."""
+    """Return the episode with every epoch's Doppler shift moved to its ``doppler_anchor``."""
     sensor, row = model.sensor, episode.layout.doppler
     z = episode.measurement.copy()
     truth = [*episode.truth_position_m.T], [*episode.truth_velocity_mps.T]
@@ -94,7 +94,7 @@ def with_its_doppler(episode, model):
 
 
 def assert_mean(values, dof):
-    """Assert that a sum of chi-square values, of ``dof`` in total, is within its 99 % interval."""
+    """Assert that the sum of values is in the 99 % interval of chi-square with ``dof`` degrees."""
     low, high = chi2.ppf([LEVEL / 2, 1 - LEVEL / 2], dof)
     assert low < values.sum() < high, (low, values.sum(), high)
 

@@ -40,7 +40,7 @@ def test_an_update_equals_the_textbook(algorithm, odometry, gate, data):
 @given(data=st.data())
 @settings(max_examples=15, deadline=None)
 def test_an_update_with_missing_rows_equals_the_textbook(algorithm, odometry, gate, data):
-    """Use gates for the number of measured rows, and a Doppler shift of any anchor."""
+    """Let gates depend on how many rows are measured, and use the Doppler shift of any anchor."""
     problem = data.draw(problems(odometry, partial=True))
     expected = problem.textbook(textbook.METHODS[algorithm], gate, gate.force)
     if gate.quantile is not None:
@@ -51,7 +51,7 @@ def test_an_update_with_missing_rows_equals_the_textbook(algorithm, odometry, ga
 @given(problem=problems(anchors=9))
 @settings(max_examples=3, deadline=None)
 def test_determinants_of_many_links_equal_the_textbook(problem):
-    """Use nine links, more than can be multiplied before a logarithm is taken."""
+    """Use nine links, too many to take a single logarithm of the product of their determinants."""
     expected = problem.textbook(textbook.tangent, Gate(None))
     assert_same(problem.ours(ekf, Gate(None)), expected)
 

@@ -1,4 +1,4 @@
-"""Tests that signed features equal formulas in numpy and do not depend on place or direction."""
+"""Tests that signed features (residuals seen from the user) equal formulas in any place."""
 
 from dataclasses import replace
 

@@ -62,7 +62,7 @@ def block(folder):
 
 
 def cut(block, sizes):
-    """Cut a block into blocks of these sizes, beginning again after the last size."""
+    """Cut a block into blocks of these sizes, which are repeated until the block ends."""
     blocks, first = [], 0
     while first < len(block):
         size = sizes[len(blocks) % len(sizes)]
@@ -223,7 +223,7 @@ def test_a_track_does_not_depend_on_the_sizes_of_blocks(folder, modes, rule, siz
     assert expected.segment == 2
 
 
-# --- where it begins and ends
+# --- where a track begins and ends
 
 
 def unseen(block, epochs):
@@ -253,7 +253,7 @@ def test_the_track_before_a_damaged_line_is_returned_before_its_error(block, win
 UNGATED = replace(UKF, gate=None)
 
 
-@pytest.mark.parametrize(  # finite: 1 if the damaged epoch is still finite, and only the next fails
+@pytest.mark.parametrize(  # finite: number of finite states from the damaged epoch on
     ("modes", "finite"),
     [((UNGATED,), 1), (Bank((UNGATED, replace(UNGATED, name="twin"))), 0)],
     ids=["one", "imm"],

@@ -25,7 +25,7 @@ def truth_of(folder, time_s, position_m, monkeypatch, block_bytes=200):
 
 
 def expected(pose_s, position, time_s):
-    """Interpolate positions and velocities between gaps with SciPy's cubic and NumPy's gradient."""
+    """Interpolate positions and velocities between gaps by SciPy's cubics and NumPy's gradients."""
     p, v = np.full((2, len(time_s), 3), np.nan)
     runs = np.split(np.arange(len(pose_s)), np.flatnonzero(np.diff(pose_s) > BRIDGED_S) + 1)
     for run in runs:
@@ -117,7 +117,7 @@ def exact_links(position_m, anchors_m):
 
 
 def log_of(time_s, position_m, rng, bias=0.0):
-    """Return a log of a receiver at given positions; all rows have noise, and a bias in sigma."""
+    """Return a log of a receiver at given positions, with noise and a bias (in deviations)."""
     layout = Layout(3)
     sigma = np.tile([0.3, 0.01, 0.01, 0.02], 3)
     z = exact_links(position_m, STREET.anchors_m)

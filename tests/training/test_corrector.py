@@ -1,4 +1,4 @@
-"""Tests of the training of correctors: data, interruptions, policy files, and what they learn."""
+"""Tests of training correctors: lots (batches) of episodes, interruptions, files, and learning."""
 
 from dataclasses import replace
 

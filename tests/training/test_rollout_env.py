@@ -52,7 +52,7 @@ def walked(env, epochs=WALKED, seed=0):
 
 
 def by_hand(place, seed, first_episode, actions, first, act, beliefs):
-    """Replay ``actions`` in a new environment; return the discounted rewards from ``first`` on."""
+    """Replay ``actions``, then try ``first``; return the discounted sum of the rewards since."""
     bank = BANKS[place.radio]
     modes = bank if beliefs == "per-mode" else bank.modes
     at = {"scene": place.scene, "radio": place.radio, "dt": place.dt}

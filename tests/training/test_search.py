@@ -1,4 +1,4 @@
-"""Tests of the search for the best bank: how a point becomes a bank, and what is found."""
+"""Tests of the search for the best bank: how a vector of numbers becomes a bank; what is found."""
 
 from dataclasses import fields
 

@@ -31,7 +31,7 @@ STEP_S, STEPS, SEEDS = 0.1, 2000, 40
 
 
 class Bounds(NamedTuple):
-    """Bounds for a kind of user, from the project's model: m/s, m/s^2, m/s^2, m/s^3, m."""
+    """Bounds for a kind of user, from the project's model, in m/s, m/s^2, m/s^2, m/s^3 and m."""
 
     speed: float
     acceleration: float
@@ -230,7 +230,7 @@ def test_a_custom_kind_of_user_stays_within_its_limits(tmp_path):
         assert episode.name == "scooter" and speed.max() <= 7.0 + 1e-9
         assert 2.0 < speed.max() and np.diff(speed).max() / 0.2 <= 1.5 + 1e-9
         from_street = 20.0 - np.abs(episode.truth_position_m[:, :2] % 40.0 - 20.0)
-        assert from_street.min(axis=1).max() < 1.0  # corners with a radius of 3 m are cut by less
+        assert from_street.min(axis=1).max() < 1.0  # a corner of 3 m radius is cut by less than 1 m
 
 
 @pytest.mark.parametrize(

@@ -43,7 +43,7 @@ class Scenario:
 
     @property
     def is_dynamic(self) -> bool:
-        """Tell whether the epochs are scenes, not receivers."""
+        """Tell whether each epoch of a recording is a scene; if not, each epoch is a receiver."""
         return self.scenes != (self.folder,)
 
     def name_of(self, epoch: Index) -> str:
@@ -52,7 +52,7 @@ class Scenario:
         return f"receiver {row}" + (f" in {self.scenes[scene].name}" if self.is_dynamic else "")
 
     def epochs(self, users: int | Sequence[int] | Index | None) -> Index:
-        """Return, as (E, 2), every epoch's scene and the row of its receiver in the arrays.
+        """Return (E, 2): for every epoch, its scene and the row of its receiver in the arrays.
 
         Args:
             users: rows of receivers, from 0. For a static scenario, one row per epoch, or None for
