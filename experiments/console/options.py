@@ -111,7 +111,7 @@ class TaskArgs:
     algo: Literal["ppo", "rollouts", "corrector"] = "ppo"
     """ppo: PPO of Stable-Baselines3; rollouts: rollout policy iteration with common random numbers,
     which tries every action on the same measurements; corrector: a recurrent network that corrects
-    the beliefs of the policy guided"""
+    the beliefs of the policy `guided`"""
     scenario: str = "mixed"
     """kind of user: a name (see mmwave-loc list scenarios) or a JSON file; or a trajectory of your
     own: a CSV file with columns t, x, y, z"""
@@ -134,8 +134,8 @@ class TaskArgs:
     explains the coming epoch"""
     reward: str = "tracking"
     """tracking; log-score; or paired: the tracking reward minus that of an IMM (with --beliefs
-    per-mode, of the bank's IMM). If a hyperparameter file has "paired": true, the reward of the
-    IMM is subtracted from tracking and log-score, too"""
+    per-mode, the bank's IMM). "paired": true in a hyperparameter file subtracts the IMM's reward
+    from the log-score or the tracking reward"""
     nees_weight: float = 0.2
     """weight of the NEES in the tracking reward"""
 

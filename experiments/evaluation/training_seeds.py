@@ -100,7 +100,7 @@ def seeds_markdown(seeds: TrainingSeeds) -> str:
         ["mean over seeds", *(column.mean for column in columns)],
     ]
     about = (
-        f"Over training seeds, {escaped(run.name)}, ordered by the reward on tuning seeds. 95 % "
+        f"Trainings of {escaped(run.name)}, ordered by their rewards on tuning seeds. The 95 % "
         "intervals are over episodes for a seed, and over seeds and episodes for the mean:"
     )
     return f"\n{about}\n\n{grid(header, rows)}\n"

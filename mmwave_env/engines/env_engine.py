@@ -188,7 +188,7 @@ class Engine:
 
         Args:
             actions: numbers of modes, from 0; with a belief per mode, from 1, or 0 for no mode.
-            output_rows: (k,) rows to return; :func:`rows_of` returns those of a part of ``at``.
+            output_rows: (k,) numbers of the result's rows to return, such as from :func:`rows_of`.
 
         Returns:
             The observations (n, features) and the output rows (n, k), in new arrays.

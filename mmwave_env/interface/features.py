@@ -157,7 +157,7 @@ def _distance(view: View, anchor: int) -> Number:
 
 
 def _links(layout: Layout, distances: bool) -> list[Feature]:
-    """Return features of the coming epoch's links, with either their lengths or their number."""
+    """Return features of the coming epoch's links: SNRs, and distances or the number of links."""
     table = []
     for a in range(layout.anchors):
         table += [

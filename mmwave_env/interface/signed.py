@@ -161,10 +161,10 @@ def _link(layout: Layout, a: int) -> list[Feature]:
     of = f"anchor {a + 1}"
     table = []
     for name in _ROWS:
-        meaning = f"residual of the {name} after the update, in deviations: sign(q) ln(1 + |q|)"
+        meaning = f"sign(q) ln(1 + |q|), q: {name} minus the updated estimate, in deviations"
         table += [
-            *(Feature(f"{name} residual {way} {of}", f"{meaning}, times the {way} component of its "
-                      "direction; 0 if missing", "", -10, 10, partial(residual, name, i),
+            *(Feature(f"{name} residual {way} {of}", f"{meaning}, times the {way} component of the "
+                      "measured direction; 0 if missing", "", -10, 10, partial(residual, name, i),
                       f"{name} residual {way}") for i, way in enumerate(_WAYS)),
             Feature(f"{name} deviation {of}", "ln of the standard deviation, in meters at the "
                     "user; 0 if missing", "ln m", -4, 8, partial(deviation, name),

@@ -142,7 +142,7 @@ def _way_of(scenario: Scenario, epochs: Index, dt_s: float | None) -> Trajectory
 def _links(
     stations: list[StationPaths], position_m: Array, virtual_anchors: int
 ) -> list[tuple[StationLinks, int]]:
-    """Return, for each anchor, its station's links and its index in their ``anchors_m``."""
+    """Return the links of each anchor's station, and the anchor's index in their ``anchors_m``."""
     if len(stations) == 1:
         links = find_links(stations[0], position_m)
         images = np.flatnonzero(~links.is_ground)[1:].tolist()
@@ -150,7 +150,7 @@ def _links(
         return [(links, k) for k in [0, *images[:virtual_anchors]]]
     in_sight = [s for s in stations if (s.interactions == LINE_OF_SIGHT).any()]
     if not in_sight:
-        expected = "one to at least one station; the file named here is only the first one read"
+        expected = "a line of sight to a station in any file; the file named here is the first"
         stations[0].refuse("inter", 0, "no line of sight (0)", expected)
     by_station = [find_links(station, position_m) for station in in_sight]
     return [(links, 0) for links in sorted(by_station, key=lambda links: -links.epochs_seen[0])]
