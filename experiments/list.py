@@ -26,8 +26,8 @@ class Args:
     radio: str = "handset"
     """profile whose policies and modes are listed"""
     out: Path | None = None
-    """with samples: copy their files to this folder, each sample to logs/NAME or recordings/NAME
-    in it"""
+    """with samples: copy their files to this folder, each sample to its subfolder logs/NAME or
+    recordings/NAME"""
     copy: str | None = None
     """name of a sample to copy directly into --out: its log if it has one, else its recording"""
 
@@ -68,7 +68,7 @@ def modes(radio: str) -> dict[str, str]:
 
 
 def scenes() -> dict[str, str]:
-    """Return scenes with their positions: x east, y north, m."""
+    """Return scenes with a description of each; x points east and y north."""
     from mmwave_env.models.random_scene import RANDOM
     from mmwave_env.models.scene import SCENES
 

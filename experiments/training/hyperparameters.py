@@ -34,7 +34,7 @@ class PpoHyperparameters:
     # learning_rate, ent_coef: values at the start; both fall linearly
     learning_rate: Positive
     ent_coef: Positive
-    final_fraction: Probability  # share of both rates that is left at the end
+    final_fraction: Probability  # share of both values that is left at the end
     gamma: Probability  # discount per epoch
     gae_lambda: Probability  # lambda of generalized advantage estimation
     clip_range: Positive  # clipping range of the probability ratio
@@ -71,13 +71,13 @@ class RolloutHyperparameters:
     # learning_rate, ent_coef: values at the start; both fall linearly
     learning_rate: Positive
     ent_coef: Positive
-    final_fraction: Probability  # share of both rates that is left at the end
+    final_fraction: Probability  # share of both values that is left at the end
     hidden: Neurons  # sizes of the tanh layers
     clip_observation: Positive  # normalized observations are clipped to plus or minus this
     first_action_bias: Positive  # logit of action 0 at the start; the others are about 0
 
     algorithm = "rollouts"
-    together = WIDTH  # rollouts: a block of SIMD lanes has one place
+    together = WIDTH  # environments in a block of SIMD lanes share a place
 
     def __post_init__(self) -> None:
         require_fields(self)
@@ -95,15 +95,15 @@ class CorrectorHyperparameters:
     # held-out places, at which the policies that a training produces are compared
     judged_at: Annotated[tuple[Name, ...], Size(1, 100)]
     random_share: Probability  # share of episodes whose streets, radio and receiver are random
-    long_epochs: Count  # number of epochs of long episodes; only rates of 5 Hz or more have these
+    long_epochs: Count  # number of epochs of long episodes, which occur only at 5 Hz or more
     # front, units, head: numbers of neurons before, in and after the recurrent layer
     front: Count
     units: Count
     head: Count
-    members: Count  # number of outputs in the ensemble
+    members: Count  # number of members of the ensemble
     likelihood_weight: Positive  # weight of the log-likelihood in the loss
-    learning_rate: Positive  # at the start; it falls linearly
-    final_fraction: Probability  # share of the rate that is left at the end
+    learning_rate: Positive  # value at the start; it falls linearly
+    final_fraction: Probability  # share of the learning rate that is left at the end
     max_grad_norm: Positive  # length to which longer gradients are shortened
 
     algorithm = "corrector"

@@ -24,7 +24,7 @@ class LiveEpoch(NamedTuple):
     time_s: float
     block: Callable[[], LogBlock]  # returns the epoch as a block, T = 1
     # values in the order of :func:`~mmwave_env.logs.log.places`, NaN where not measured; and the
-    # anchor of the Doppler shift, from 0. None if some angles are not in the map's frame
+    # index, from 0, of the Doppler shift's anchor. None if some angles are not in the map's frame
     placed: tuple[list[float], int] | None
 
 
@@ -169,7 +169,7 @@ class LiveLog:
         return cells if known and not isnan(cells[self._time]) else None
 
     def _carefully(self, row: str | Mapping[str, Any], number: int) -> list[float]:
-        """Return the cells of a row, none for a blank line; raise a LogError if it is damaged."""
+        """Return the cells of a row (no cells for a blank line); refuse a damaged row."""
         if not isinstance(row, str):
             for name in row:
                 if name not in self._sound:

@@ -50,7 +50,7 @@ def test_all_samples_or_one_can_be_copied(tmp_path):
     succeed("list", "samples", "--copy", "canyon28_pedestrian", "--out", tmp_path / "walk")
     for file in (logs / "canyon28_pedestrian").iterdir():
         assert (tmp_path / "walk" / file.name).read_bytes() == file.read_bytes()
-    (tmp_path / "walk" / "log.csv").unlink()  # existing files are kept, and nothing is added
+    (tmp_path / "walk" / "log.csv").unlink()  # a second copy must not add it again
     done = command("list", "samples", "--copy", "canyon28_pedestrian", "--out", tmp_path / "walk")
     assert_one_clear_line(done, "scene.json: found a file, expected a folder without it")
     assert not (tmp_path / "walk" / "log.csv").exists()
