@@ -35,8 +35,8 @@ LEARNED_FROM = (("guided",), ("corrector",), ("imm-best", "imm", *SINGLE))
 KINDS = (SINGLE, ("guided", "imm-best"), ("corrector",))
 PLACES = [f"{scene}:{radio}" for scene in SCENES for radio in RADIOS]
 SEED = TRAINING_SEED + 9 * SEEDS_EACH  # episodes that no corrector was trained on
-ENVS, ROUNDS, CALIBRATION = 64, 24, 18  # episodes of a place; rounds of all places
-HIDDEN, STEPS, BATCH, RATE = 64, 5000, 8192, 3e-3  # the rate falls linearly
+ENVS, ROUNDS, CALIBRATION = 64, 24, 30  # episodes of a place; rounds of all places
+HIDDEN, STEPS, BATCH, RATE = 64, 2500, 8192, 3e-3  # the rate falls linearly
 EVERY = 4  # epochs that follow each other are alike: of every four, one is learned from
 OUTSIDE = 1e-4  # share of the values of a feature on each side that count as beyond its range
 LEAST_M = 1e-4  # smaller errors count as this
@@ -54,10 +54,8 @@ def _played(
     banks = banks_of((), places, "per-mode")
     task = TrainingTask("mixed", places, banks, "signed", TrackingReward(), "per-mode")
     hyper: Any = read_hyperparameters(shipped_hyperparameters("corrector"), "corrector")
-    data, rng = (
-        CorrectorData(task, replace(hyper, num_envs=ENVS, **changes), seed),
-        np.random.default_rng(seed),
-    )
+    data = CorrectorData(task, replace(hyper, num_envs=ENVS, **changes), seed)
+    rng = np.random.default_rng(seed)
     for radio, batch in (lot for _ in range(rounds) for lot in data.batches()):
         time_s = batch.table[0, :, rows_of([columns_of(batch.layout).dt])[0]].cumsum()
         for names in policies:
@@ -124,16 +122,15 @@ def _quantiles(parts: list[Array], infinite: int) -> Array:
 
     All episodes have the same weight; ``infinite`` further ones have infinite logs.
     """
-    episodes = sum(map(len, parts)) + infinite
-    weight = np.concatenate([np.full(part[..., 0, 0].size, 1.0 / part.shape[1]) for part in parts])
-    scores = np.concatenate([part.reshape(-1, 2 * len(RISKS)) for part in parts])
+    weights = [np.full(part[..., 0, 0].size, 1.0 / part.shape[1]) for part in parts]
+    rows = [part.reshape(-1, 2 * len(RISKS)) for part in parts]
+    weight = np.append(np.concatenate(weights), infinite)
+    scores = np.pad(np.concatenate(rows), ((0, 1), (0, 0)), constant_values=np.inf)
     scores[~np.isfinite(scores)] = np.inf
-    quantiles = []
-    for risk, column in zip(np.repeat(RISKS, 2), scores.T, strict=True):
-        order = column.argsort()
-        share = weight[order].cumsum() / episodes
-        quantiles.append(np.append(column[order], np.inf)[np.sum(share < 1.0 - risk)])
-    return np.array(quantiles)
+    order = scores.argsort(axis=0)
+    share = weight[order].cumsum(axis=0) / weight.sum()
+    at = (share < 1.0 - np.repeat(RISKS, 2)).sum(axis=0)
+    return scores[order[at, range(len(at))], range(len(at))]
 
 
 def tuned_levels(
@@ -144,12 +141,10 @@ def tuned_levels(
     ``rounds`` and ``calibration`` are numbers of rounds of episodes, ``steps`` of gradient steps.
     """
     lots = [
-        [part[:, ::EVERY].copy() for part in lot] for lot in _played(SEED, rounds, LEARNED_FROM)
+        [part[:, ::EVERY].reshape(-1, *part.shape[2:]) for part in lot]
+        for lot in _played(SEED, rounds, LEARNED_FROM)
     ]
-    features, logs = (
-        np.concatenate([part.reshape(-1, *part.shape[2:]) for part in parts])
-        for parts in zip(*lots, strict=True)
-    )
+    features, logs = map(np.concatenate, zip(*lots, strict=True))
     sound = np.isfinite(features).all(axis=1) & np.isfinite(logs).all(axis=(1, 2))
     network = _trained(features[sound], logs[sound], steps)
     return network._replace(constants=_constants(network, seed, calibration)).as_written()

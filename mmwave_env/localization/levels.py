@@ -21,7 +21,7 @@ import numpy as np
 
 from mmwave_env.io.files import read_json
 from mmwave_env.io.lookup import choose
-from mmwave_env.localization.position_errors import gaussian_levels, require_risk
+from mmwave_env.localization.position_errors import gaussian_levels, horizontal, require_risk
 from mmwave_env.metrics import RISK
 from mmwave_env.numerics.numbers import Array
 
@@ -29,7 +29,7 @@ PARTS = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected")  # that f
 CALIBRATED, GAUSSIAN = KINDS = ("calibrated", "gaussian")
 _MEMORY = np.array([[0.6], [0.9], [0.97]])  # weights of the past in running means, per second
 _LEAST, _LEAST_S = 1e-9, 1e-2
-_KIND = [16, 18]  # the features that tell whether there is a corrector, and a bank
+_KIND = [18, 20]  # the features that tell whether there is a corrector, and a bank
 
 
 class Network(NamedTuple):
@@ -110,6 +110,7 @@ class Levels:
     def reset(self) -> None:
         """Forget the past, because new tracks begin."""
         self._means: Array | None = None  # (n, 3, numbers) running means
+        self._x = np.empty(0)  # (n, 1, 7 or 8) states after the last epoch
         self._first_s = self._last_s = 0.0
 
     def factors(self, anchors: int, mixes: bool, time_s: Array, *parts: Any) -> Array:
@@ -134,21 +135,28 @@ class Levels:
                 optionally, trust in a corrector (n, T), which is NaN without a corrector.
         """
         x, P, nis, accepted, rejected, trusted = (*parts, None)[:6]
-        now = np.stack([*_gates(anchors, nis, accepted, rejected), *_sizes(P)], axis=-1)
         if self._means is None:
-            self._means = np.repeat(now[:, 0, None], len(_MEMORY), axis=1)
-            self._first_s = self._last_s = float(time_s[0])
-        dt = np.diff(time_s, prepend=self._last_s)
-        self._last_s = float(time_s[-1])
+            self._x, self._first_s, self._last_s = x[:, :1], *2 * [float(time_s[0])]
+        dt, past = np.diff(time_s, prepend=self._last_s), np.append(self._x, x[:, :-1], axis=1)
+        self._x, self._last_s = x[:, -1:], float(time_s[-1])
+        moved, sizes = x[..., :3] - past[..., :3] - dt[:, None] * past[..., 3:6], _sizes(P)
+        gates = _gates(anchors, nis, accepted, rejected)
+        now = np.stack([*gates, *sizes, *_relative(moved, sizes)], axis=-1)
+        averaged = np.concatenate([now, moved, x[..., 3:5]], axis=-1)
+        if self._means is None:
+            self._means = np.repeat(averaged[:, 0, None], len(_MEMORY), axis=1)
         means = np.empty((*now.shape[:2], *self._means.shape[1:]))
         for t, keep in enumerate(_MEMORY ** dt[:, None, None]):
-            means[:, t] = self._means = keep * self._means + (1.0 - keep) * now[:, t, None]
+            means[:, t] = self._means = keep * self._means + (1.0 - keep) * averaged[:, t, None]
+        lag = _relative(means[..., -5:-2], [size[..., None] for size in sizes])
+        turn = np.log1p(horizontal(means[..., -2:] - x[..., None, 3:5]))
         clocks = np.log(np.maximum(dt, _LEAST_S)), np.log1p(time_s - self._first_s)
         known = np.full(now.shape[:2], np.nan) if trusted is None else trusted
         corrected = np.isfinite(known)
         rest = [*_shape(x, P), *clocks, corrected, np.where(corrected, known, 1.0), float(mixes)]
         alone = np.stack(np.broadcast_arrays(*rest), axis=-1)
-        return np.concatenate([now, alone, means.reshape(*now.shape[:2], -1)], axis=-1)
+        steady = means[..., :-5].reshape(*now.shape[:2], -1)
+        return np.concatenate([now, alone, steady, *lag, turn], axis=-1)
 
 
 def _gates(anchors: int, nis: Any, accepted: Any, rejected: Any) -> list[Array]:
@@ -172,6 +180,12 @@ def _sizes(P: Array) -> list[Array]:
     horizontal, vertical = np.moveaxis(gaussian_levels(P, RISK), -1, 0)
     vertical = np.where(P[..., 5] > 0.0, vertical, horizontal)
     return [np.log(np.maximum(level, _LEAST)) for level in (horizontal, vertical)]
+
+
+def _relative(moved: Array, sizes: Sequence[Array]) -> list[Array]:
+    """Return how large vectors (..., 3) are, against the logarithms of the Gaussian levels."""
+    lengths = horizontal(moved), np.abs(moved[..., 2])
+    return [np.log1p(10.0 * a * np.exp(-b)) for a, b in zip(lengths, sizes, strict=True)]
 
 
 def _shape(x: Array, P: Array) -> list[Array]:
