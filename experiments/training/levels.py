@@ -140,10 +140,10 @@ def tuned_levels(
 
     ``rounds`` and ``calibration`` are numbers of rounds of episodes, ``steps`` of gradient steps.
     """
-    lots = [
+    lots = (
         [part[:, ::EVERY].reshape(-1, *part.shape[2:]) for part in lot]
         for lot in _played(SEED, rounds, LEARNED_FROM)
-    ]
+    )
     features, logs = map(np.concatenate, zip(*lots, strict=True))
     sound = np.isfinite(features).all(axis=1) & np.isfinite(logs).all(axis=(1, 2))
     network = _trained(features[sound], logs[sound], steps)
