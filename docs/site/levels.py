@@ -1,6 +1,6 @@
 """Tables of protection levels at all sites of the benchmark, of which docs/errors.md shows one.
 
-``PYTHONPATH=. python docs/site/levels.py`` plays test episodes for about three minutes.
+``PYTHONPATH=. python docs/site/levels.py`` plays test episodes for about two minutes.
 """
 
 import warnings

@@ -40,6 +40,7 @@ HIDDEN, STEPS, BATCH, RATE = 64, 2500, 8192, 3e-3  # the rate falls linearly
 EVERY = 4  # epochs that follow each other are alike: of every four, one is learned from
 OUTSIDE = 1e-4  # share of the values of a feature on each side that count as beyond its range
 LEAST_M = 1e-4  # smaller errors count as this
+LIMIT, HALVINGS = 8.0, 24  # largest constant; steps of the search for constants
 
 
 def _played(
@@ -103,8 +104,8 @@ def _trained(features: Array, logs: Array, steps: int) -> Network:
 def _constants(network: Network, seed: int, rounds: int) -> Array:
     """Return the constants (kinds, risks, 2) of the calibration.
 
-    They are those of split conformal prediction over all places, in which one more episode has
-    infinite errors (Lee et al. 2023), or larger, so that no place exceeds a risk on its own.
+    They are at least those of split conformal prediction over all places, in which one more
+    episode has infinite errors (Lee et al. 2023), and no place exceeds a risk on its own.
     """
     over: list[list[Array]] = [[] for _ in range(len(PLACES) * len(KINDS))]
     for i, (features, logs) in enumerate(_played(seed, rounds, KINDS, random_share=0.0)):
@@ -112,25 +113,25 @@ def _constants(network: Network, seed: int, rounds: int) -> Array:
     constants = []
     for kind in range(len(KINDS)):
         places = over[kind :: len(KINDS)]
-        pooled = _quantiles([part for parts in places for part in parts], 1)
-        constants.append(np.max([pooled, *(_quantiles(parts, 0) for parts in places)], axis=0))
-    return np.reshape(constants, (len(KINDS), len(RISKS), 2))
+        pooled = _least([part for parts in places for part in parts], 1)
+        constants.append(np.max([pooled, *(_least(parts, 0) for parts in places)], axis=0))
+    return np.array(constants)
 
 
-def _quantiles(parts: list[Array], infinite: int) -> Array:
-    """Return what shares of logs (n, T, risks, 2) equal to the risks exceed.
+def _least(parts: list[Array], infinite: int) -> Array:
+    """Return the least constants (risks, 2) that logs (n, T, risks, 2) exceed within the risks.
 
-    All episodes have the same weight; ``infinite`` further ones have infinite logs.
+    The share of the epochs above them, plus its standard error over episodes, is at most the risk;
+    ``infinite`` further episodes have infinite logs. Constants above the limit are infinite.
     """
-    weights = [np.full(part[..., 0, 0].size, 1.0 / part.shape[1]) for part in parts]
-    rows = [part.reshape(-1, 2 * len(RISKS)) for part in parts]
-    weight = np.append(np.concatenate(weights), infinite)
-    scores = np.pad(np.concatenate(rows), ((0, 1), (0, 0)), constant_values=np.inf)
-    scores[~np.isfinite(scores)] = np.inf
-    order = scores.argsort(axis=0)
-    share = weight[order].cumsum(axis=0) / weight.sum()
-    at = (share < 1.0 - np.repeat(RISKS, 2)).sum(axis=0)
-    return scores[order[at, range(len(at))], range(len(at))]
+    low, high = np.array([[[-LIMIT] * 2], [[LIMIT] * 2]]).repeat(len(RISKS), axis=1)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        over = [(~(part <= middle)).mean(axis=1) for part in parts]
+        shares = np.concatenate([*over, np.ones((infinite, *middle.shape))])
+        bound = shares.mean(axis=0) + shares.std(axis=0) / np.sqrt(len(shares))
+        low, high = np.where(bound > np.array(RISKS)[:, None], [middle, high], [low, middle])
+    return np.where(high < LIMIT, high, np.inf)
 
 
 def tuned_levels(
