@@ -25,11 +25,6 @@ def by_predicted_speed(x: Vector, epoch: Epoch) -> Number:
     return mode_at(sqrt(dot(x[3:6], x[3:6])))
 
 
-def by_odometry_speed(x: Vector, epoch: Epoch) -> Number:
-    """Apply the rule to the odometry's speed or, if that is missing, to the predicted speed."""
-    return where(epoch.visible[-1] > 0.5, mode_at(epoch.z[-2]), by_predicted_speed(x, epoch))
-
-
 class SpeedRule(Policy):
     """The paper's rule (Sec. III-A): choose mode 0 up to a threshold of the speed, mode 1 above.
 
@@ -38,21 +33,15 @@ class SpeedRule(Policy):
     Args:
         observation: the environment's table of features.
         threshold: threshold of the speed, m/s; the paper uses 2 m/s.
-        feature: speed to use: "predicted speed" or, with odometry, "odometry speed".
     """
 
-    def __init__(
-        self,
-        observation: Observation,
-        threshold: float = SLOW_MPS,
-        feature: str = "predicted speed",
-    ) -> None:
-        self.observation, self.threshold, self.feature = observation, threshold, feature
+    def __init__(self, observation: Observation, threshold: float = SLOW_MPS) -> None:
+        self.observation, self.threshold = observation, threshold
         self._warned = False
 
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
         """Return actions (n,)."""
-        speed = self.observation.read(observation, self.feature)
+        speed = self.observation.read(observation, "predicted speed")
         if not self._warned and (speed > DESIGN_LIMIT_MPS).any():
             self._warned = True
             warnings.warn(

@@ -191,18 +191,12 @@ class AlgorithmArgs:
 
     speed: str | None = None
     """Algorithm 1: the user's speed, m/s, which selects the pipeline that runs; or auto, to decide
-    in every epoch"""
+    by the predicted speed in every epoch"""
     outside: Literal["fallback", "abort"] = "fallback"
     """what to do if --speed is above 20 m/s, outside the design window: run the UKF pipeline, or
     stop"""
-    follow: Literal["prediction", "odometry"] = "prediction"
-    """speed by which --speed auto decides: predicted by the filter, or measured by odometry"""
     modes: Path | None = None
     """mode file with two other pipelines, the first for low and the second for high mobility"""
-    gating: bool = True
-    """reject measurements outside their 99 % chi-square gates (also with --imm)"""
-    adaptive: bool = True
-    """scale Q and R according to the innovations (also with --imm)"""
     robust: bool = False
     """give outlying links less weight instead of rejecting them (also with --imm)"""
 

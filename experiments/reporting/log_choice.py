@@ -8,24 +8,19 @@ import numpy as np
 
 from experiments.console.options import LogArgs
 from experiments.evaluation.contenders import contender_from, imm_banks
-from mmwave_env.engines.track_engine import Rule
 from mmwave_env.filters.bank import Bank, bank_from, modes_from
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
 from mmwave_env.io.lookup import choose
 from mmwave_env.localization.localizer import Switching
 from mmwave_env.logs.lines import number
 from mmwave_env.logs.log import LogBlock
-from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
+from policies.speed_rule import SLOW_MPS, by_predicted_speed, mode_at
 
 DEFAULT_POLICY = "corrector"
 # Without elevations, "guided" trusts wrong modes too often to be useful (docs/learning.md).
 WITHOUT_ELEVATIONS = "imm-best"
 # Correctors read the deviation of the height, which a known height does not have.
 WITH_HEIGHT = "guided"
-RULES: dict[str, tuple[Rule, str]] = {  # each rule, and what messages call its speed
-    "prediction": (by_predicted_speed, "the predicted"),
-    "odometry": (by_odometry_speed, "odometry's"),
-}
 
 
 class Choice(NamedTuple):
@@ -37,8 +32,7 @@ class Choice(NamedTuple):
 
 def is_algorithm_1(args: LogArgs) -> bool:
     """Return whether any option is set that only the paper's Algorithm 1 has."""
-    asked = (args.speed, args.modes, args.follow != "prediction" or None, args.robust or None)
-    return any(option is not None for option in asked) or not (args.gating and args.adaptive)
+    return args.speed is not None or args.modes is not None or args.robust
 
 
 def require_none(beside: str, **options: object) -> None:
@@ -56,13 +50,11 @@ def require_one_choice(args: LogArgs) -> None:
     if args.policy is not None and is_algorithm_1(args):
         require_none("--policy", speed=args.speed, modes=args.modes)
         raise ValueError(
-            "policy: cannot be combined with an option of Algorithm 1 (--follow, --robust, "
-            "--no-gating or --no-adaptive), because a policy is trained with its own modes"
+            "policy: cannot be combined with --robust, because a policy is trained with its own "
+            "modes"
         )
     if not by_speed and args.outside == "abort":
         raise ValueError("outside: abort needs --speed with a number of m/s")
-    if (args.imm or by_speed) and args.follow == "odometry":
-        raise ValueError("follow: odometry needs --speed auto, and cannot be combined with --imm")
 
 
 def choice_of(args: LogArgs, radio: str, block: LogBlock) -> Choice:
@@ -75,7 +67,8 @@ def choice_of(args: LogArgs, radio: str, block: LogBlock) -> Choice:
     """
     if args.imm is not None:
         bank = _bank(args.imm, radio)
-        bank = replace(bank, modes=_as_asked(args, bank.modes))
+        if args.robust:
+            bank = replace(bank, modes=tuple(map(robust, bank.modes)))
         return Choice(Switching(bank), f"of {args.imm}, weighted by their probability")
     if args.policy is not None or not is_algorithm_1(args):
         elevations = block.measurement[:, 2 : block.layout.doppler : 4]
@@ -108,26 +101,14 @@ def modes_of(args: LogArgs, radio: str) -> tuple[Mode, ...]:
         raise ValueError(
             f"{args.modes}: found {len(modes)} modes, expected 2, for low and for high mobility"
         )
-    return _as_asked(args, modes)
-
-
-def _as_asked(args: LogArgs, modes: tuple[Mode, ...]) -> tuple[Mode, ...]:
-    """Return the modes with the safeguards that options ask for."""
-    if args.robust:
-        modes = tuple(map(robust, modes))
-    if not args.gating:
-        modes = tuple(replace(mode, gate=None) for mode in modes)
-    if not args.adaptive:
-        modes = tuple(replace(mode, adaptive=False) for mode in modes)
-    return modes
+    return tuple(map(robust, modes)) if args.robust else modes
 
 
 def _algorithm_1(args: LogArgs, modes: tuple[Mode, ...]) -> Choice:
     """Return the pipelines of Algorithm 1, Step 3, and the rule that chooses one, if any."""
     if args.speed in (None, "auto"):
-        rule, followed = RULES[args.follow]
-        why = f"chosen by whether {followed} speed is above {SLOW_MPS:g} m/s"
-        return Choice(Switching(modes, rule), why)
+        why = f"chosen by whether the predicted speed is above {SLOW_MPS:g} m/s"
+        return Choice(Switching(modes, by_predicted_speed), why)
     speed = parse_speed(args.speed)
     mode = modes[int(mode_at(speed))]
     if speed > DESIGN_LIMIT_MPS:

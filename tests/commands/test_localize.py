@@ -153,7 +153,7 @@ def test_the_printed_figures_equal_those_in_the_json_file(capsys, tmp_path):
 def test_the_json_file_records_the_command_that_makes_the_figures_again(tmp_path):
     """Run the recorded command again; the record leaves out the options for output files."""
     file, again = tmp_path / "figures.json", tmp_path / "again.json"
-    words = ["--sample", RIDE.name, "--speed", "9", "--no-gating"]
+    words = ["--sample", RIDE.name, "--speed", "9", "--robust"]
     run("localize", [*words, "--json", str(file), "--out", str(tmp_path / "track.tum")])
     results = json.loads(file.read_text())
     program, name, *made = shlex.split(results["command"])

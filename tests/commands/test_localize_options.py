@@ -20,11 +20,10 @@ from tests.commands.localizing import EPOCHS, RIDE, WALK, figures, options, refu
 
 def test_the_track_equals_that_of_the_python_function(tmp_path):
     out = tmp_path / "track.tum"
-    more = ("--no-gating", "--no-adaptive", "--window", "50", "--radio", "high")
+    more = ("--window", "50", "--radio", "high")
     figures(RIDE, "--speed", "10", "--out", out, *more)
     scene = read_scene(RIDE / "scene.json")
     mode = default_modes("high")[1]
-    mode = type(mode)(**{**vars(mode), "gate": None, "adaptive": False})
     log = read_log(RIDE / "log.csv", scene, partial=True)
     blocks = localize(log, scene, RADIOS["high"], Switching((mode,)), window=50)
     x = np.concatenate([block.smooth_x for block in blocks])
@@ -34,13 +33,11 @@ def test_the_track_equals_that_of_the_python_function(tmp_path):
 @pytest.mark.slow
 def test_every_option_changes_the_track():
     tracks = {}
-    flags = ([], ["--no-gating"], ["--no-adaptive"], ["--no-smoothing"], ["--robust"])
+    flags = ([], ["--no-smoothing"], ["--robust"])
     for switch in (*flags, ["--window", "20"], ["--height", "1.5"], ["--radio", "handset"]):
         radio = () if "--radio" in switch else ("--radio", "standard")
         results = figures(WALK, "--speed", "1.4", *radio, *switch)
         tracks[" ".join(switch)] = json.dumps(results["truth"]["tracks"])
-        if switch == ["--no-gating"]:
-            assert results["groups"]["all"]["rejected"] == 0
         if switch == ["--robust"]:
             assert list(results["modes"]) == ["ekf-robust"]
         if switch == ["--height", "1.5"]:
@@ -94,7 +91,7 @@ def test_an_imm_can_be_given_by_a_bank_file_or_by_its_name(tmp_path):
     bank = {"modes": modes, "transition": [[0.9, 0.1], [0.2, 0.8]], "nis_quantile": 0.99}
     file.write_text(json.dumps(bank))
     assert list(figures(RIDE, "--radio", "standard", "--imm", file)["modes"]) == ["calm", "wild"]
-    robust = figures(RIDE, "--radio", "standard", "--imm", file, "--robust", "--no-gating")
+    robust = figures(RIDE, "--radio", "standard", "--imm", file, "--robust")
     assert list(robust["modes"]) == ["calm-robust", "wild-robust"]
     assert robust["groups"]["all"]["rejected"] == 0
     for name in imm_banks("standard"):
@@ -111,25 +108,17 @@ def driven(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_odometry_is_used_if_the_log_has_it(capsys, driven):
+def test_odometry_is_used_if_the_log_has_it(driven):
     used = figures(driven, "--speed", "auto")
     ignored = figures(driven, "--speed", "auto", "--no-odometry")
-    followed = figures(driven, "--speed", "auto", "--follow", "odometry")
     assert "odometry" in used["groups"] and "odometry" not in ignored["groups"]
     assert used["truth"]["tracks"]["filtered"]["ate_m"] != pytest.approx(
         ignored["truth"]["tracks"]["filtered"]["ate_m"]
     )
-    assert followed["modes"] != used["modes"] and followed["modes"]["ukf"] > 20
-    capsys.readouterr()
-    for log, more in ((driven, ["--no-odometry"]), (RIDE, [])):
-        words = ["--speed", "auto", "--follow", "odometry", *more]
-        _, line = refused(capsys, options(log / "log.csv", *words, folder=log))
-        assert "follow: odometry needs speeds" in line
 
 
 CONTRADICTIONS = {
     "auto and abort": (["--speed", "auto", "--outside", "abort"], "outside: abort needs"),
-    "odometry and a speed": (["--speed", "1", "--follow", "odometry"], "follow: odometry needs"),
     "an imm and a speed": (["--imm", "imm", "--speed", "1"], "speed: cannot be combined"),
     "an imm and modes": (["--imm", "imm", "--modes", "m.json"], "modes: cannot be combined"),
     "an imm and abort": (["--imm", "imm", "--outside", "abort"], "outside: abort needs"),

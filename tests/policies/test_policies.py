@@ -19,7 +19,7 @@ from mmwave_env.models.scene import scene_from
 from mmwave_env.world.episode import blank_incoming
 from mmwave_env.world.simulated import SimulatedSource
 from policies import FixedMode, LikelihoodRule, SpeedRule
-from policies.speed_rule import by_odometry_speed, by_predicted_speed, mode_at
+from policies.speed_rule import by_predicted_speed, mode_at
 
 THREE = ("ekf", "ukf", "ckf")
 
@@ -62,19 +62,6 @@ def test_the_speed_rule_switches_above_its_threshold(table, threshold):
 def test_the_threshold_of_the_paper_is_the_default(table):
     actions = SpeedRule(table)(observe(table, predicted_speed=[1.999, 2.001]))
     np.testing.assert_array_equal(actions, [0, 1])
-
-
-def test_the_speed_rule_may_use_odometry(table):
-    observation = observe(table, predicted_speed=[1.0, 5.0], odometry_speed=[5.0, 1.0])
-    np.testing.assert_array_equal(SpeedRule(table)(observation), [0, 1])
-    by_odometry = SpeedRule(table, feature="odometry speed")
-    np.testing.assert_array_equal(by_odometry(observation), [1, 0])
-
-
-def test_the_speed_rule_by_odometry_needs_an_observation_with_odometry():
-    plain = Observation(Pipeline(modes_from(None), Layout()))
-    with pytest.raises(KeyError, match="odometry speed"):
-        SpeedRule(plain, feature="odometry speed")(np.zeros((1, len(plain)), np.float32))
 
 
 def test_above_the_design_window_the_rule_warns_once_and_keeps_its_mode(table):
@@ -121,17 +108,10 @@ def test_the_likelihood_rule_needs_features_of_the_coming_epoch():
 @pytest.mark.parametrize(("speed", "mode"), [(0.0, 0), (2.0, 0), (2.001, 1), (20.0, 1), (99.0, 1)])
 def test_speed_rules_of_tracks_switch_at_the_threshold_of_the_paper(speed, mode):
     x = [0.0, 0.0, 0.0, 0.6 * speed, -0.8 * speed, 0.0, 7.0]
-    slow = [0.0] * 7
     assert mode_at(speed) == mode
     nothing = blank_incoming(Layout(3)).epoch(Layout(3))
     assert by_predicted_speed(x, nothing) == mode
     assert by_predicted_speed([0.0, 0.0, 0.0, 0.0, 0.0, speed, 0.0], nothing) == mode
-    odometry = Layout(3, odometry=True)
-    blank = blank_incoming(odometry).epoch(odometry)
-    assert by_odometry_speed(x, blank) == mode
-    measured = blank._replace(z=[*blank.z[:-2], speed, 3.0], visible=[*blank.visible[:-1], 1.0])
-    assert by_odometry_speed(slow, measured) == mode
-    assert by_odometry_speed([99.0] * 7, measured) == mode
 
 
 @pytest.mark.slow
