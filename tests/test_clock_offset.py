@@ -121,8 +121,7 @@ def test_the_offset_is_drawn_and_the_oscillator_drives_it():
 def test_the_offset_is_found_and_the_filter_knows_how_well():
     bias, episodes = biases(120, radio="high")
     task, bank = task_from(radio="high", clock="offset"), best_bank("high")
-    pipeline = Pipeline(bank.modes, task.pipeline.layout)
-    imm = ImmEngine(pipeline, task.reward, bank.transition, bank.nis_quantile)
+    imm = ImmEngine(bank, task.pipeline.layout, task.reward)
     run = imm.run(episodes, "x", "P", "nees")
     late = np.isfinite(bias) & (np.arange(200) >= 20)
     error, sigma = (run["x"][..., 7] - bias)[late], np.sqrt(run["P"][..., 35])[late]
@@ -137,7 +136,7 @@ def test_tracks_are_smoothed_as_by_the_textbook(planar):
     bank = Bank(modes_from(["ukf"], "standard"))
     pipeline = Pipeline(bank.modes, source.layout, planar)
     batch = source.sample_batch(keys_of(range(3)))
-    imm = ImmEngine(pipeline, TrackingReward())
+    imm = ImmEngine(bank, source.layout, TrackingReward(), planar)
     names = ("x", "P", "x_predicted", "P_predicted")
     kept = imm.run(batch.on_flat_ground() if planar else batch, *names, "mixture")
     x, P, x_predicted, P_predicted = (kept[name] for name in names)

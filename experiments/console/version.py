@@ -99,8 +99,7 @@ def _stepped(task: Task, episodes: EpisodeBatch, on_floats: bool) -> Array:
 
 def _imm(task: Task, episodes: EpisodeBatch) -> Array:
     """Return the estimates (epochs, n, 7) of an IMM that filters complete tracks in one call."""
-    bank = task.bank
-    assert bank is not None
-    imm = ImmEngine(task.pipeline, TrackingReward(), bank.transition, bank.nis_quantile)
+    assert task.bank is not None
+    imm = ImmEngine(task.bank, task.pipeline.layout, TrackingReward())
     beliefs: Array = imm.run(episodes, "x")["x"]
     return beliefs.swapaxes(0, 1)

@@ -12,7 +12,6 @@ from experiments.evaluation.runs import Run
 from mmwave_env.filters.bank import (
     Bank,
     Modes,
-    Transition,
     bank_from,
     bank_over,
     best_bank,
@@ -41,10 +40,9 @@ class Contender:
 
     Attributes:
         name: name on the command line and in results.
-        modes: filter modes to choose from or to mix.
-        policy: function from the observation table to a policy; None for the IMM of the modes.
-        transition, nis_quantile: same as in :class:`~mmwave_env.filters.bank.Bank`; used only if
-            the modes interact (an IMM, or beliefs "per-mode").
+        bank: filter modes to choose from or to mix; their interaction matters only for an IMM and
+            with beliefs "per-mode".
+        policy: function from the observation table to a policy; None for the IMM of the bank.
         observation: observation of the policy, "full" or "prior".
         beliefs: beliefs of the modes, "shared" or "per-mode".
         bank_of: function from a radio profile to the policy's bank for that radio; None for a
@@ -52,10 +50,8 @@ class Contender:
     """
 
     name: str
-    modes: tuple[Mode, ...]
+    bank: Bank
     policy: Callable[[Observation], Policy] | None
-    transition: Transition | None = None
-    nis_quantile: float = 1.0
     observation: str = "full"
     beliefs: str = "shared"
     bank_of: Callable[[str], Bank] | None = None
@@ -72,7 +68,7 @@ class Contender:
         policy = learned_policy(path)
         return cls(
             os.fspath(path) if name is None else name,
-            policy.modes,
+            Bank(policy.modes),
             partial(type(policy), path),
             observation=policy.card.observation,
             beliefs=policy.beliefs,
@@ -101,31 +97,23 @@ class Contender:
         beliefs, modes = getattr(agent, "beliefs", beliefs), getattr(agent, "modes", modes)
         bank_of = getattr(agent, "bank", None) if beliefs == "per-mode" else None
         bank, chosen = bank_and_modes(bank_of(radio) if bank_of else modes, beliefs, radio)
-        contender = cls(
+        return cls(
             name,
-            chosen,
+            bank or Bank(chosen),
             partial(tried, name, agent),
             observation=getattr(agent, "observation", observation),
             beliefs=beliefs,
             bank_of=bank_of,
         )
-        return contender._over(bank) if bank else contender
 
     def at(self, radio: str) -> "Contender":
         """Return the contender with its bank for a radio, if it has several banks."""
-        return self._over(self.bank_of(radio)) if self.bank_of else self
-
-    def _over(self, bank: Bank) -> "Contender":
-        return replace(
-            self, modes=bank.modes, transition=bank.transition, nis_quantile=bank.nis_quantile
-        )
+        return replace(self, bank=self.bank_of(radio)) if self.bank_of else self
 
     @property
-    def bank(self) -> Bank | None:
-        """Return the bank that a policy chooses from; None if modes share one belief."""
-        if self.beliefs == "shared":
-            return None
-        return Bank(self.modes, self.transition, self.nis_quantile)
+    def modes(self) -> tuple[Mode, ...]:
+        """Return the modes of the bank."""
+        return self.bank.modes
 
     @property
     def mixes(self) -> bool:
@@ -152,7 +140,7 @@ def _fixed(action: int) -> Callable[[Observation], Policy]:
 
 
 def _imm(name: str, bank_of: Callable[[], Bank]) -> Contender:
-    return Contender(name, (), None)._over(bank_of())
+    return Contender(name, bank_of(), None)
 
 
 def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:
@@ -170,7 +158,7 @@ def _of_any_modes(bank: Bank) -> dict[str, Make]:
         policies[RULE] = SpeedRule
     if len(names) > 1:
         policies["likelihood-rule"] = lambda table: LikelihoodRule(table, names)
-    makes: dict[str, Make] = {n: partial(Contender, n, bank.modes, p) for n, p in policies.items()}
+    makes: dict[str, Make] = {n: partial(Contender, n, bank, p) for n, p in policies.items()}
     return makes | {"imm": partial(_imm, "imm", lambda: bank)}
 
 
@@ -219,8 +207,9 @@ def contender_from(
         return known[name]()
     if name == CLAIRVOYANT:
         banks = partial(bank_from, modes)
-        knows = Contender(name, (), lambda table: Clairvoyant(), beliefs="per-mode", bank_of=banks)
-        return knows.at(radio)
+        return Contender(
+            name, banks(radio), lambda table: Clairvoyant(), beliefs="per-mode", bank_of=banks
+        )
     if name in shipped or name.endswith(".safetensors"):
         return Contender.learned(name, radio=radio)
     if Path(name).is_dir():

@@ -104,7 +104,7 @@ def run_contender(
     if corrector:
         names = tuple(dict.fromkeys((*names, *BELIEF, "truth")))
     if policy is None:
-        imm = ImmEngine(pipeline, scoring.reward, contender.transition, contender.nis_quantile)
+        imm = ImmEngine(contender.bank, episodes.layout, scoring.reward, scoring.planar)
         return imm.run(episodes, *names)
     n, T, _ = episodes.table.shape
     if isinstance(policy, Estimator):
@@ -116,7 +116,8 @@ def run_contender(
         axes, known = pipeline.position_axes, pipeline.known_axes
         belief = Belief(mean, unpack(packed, known), axes)
         return {"x": x, "P": P, **_scored(belief, truth, scoring.reward)}
-    engine = Engine(pipeline, n, scoring.reward, contender.observation, contender.bank)
+    bank = contender.bank if contender.mixes else None
+    engine = Engine(pipeline, n, scoring.reward, contender.observation, bank)
     engine.reset(episodes)
     policy.reset(np.ones(n, bool))
     if isinstance(policy, Clairvoyant):

@@ -77,9 +77,7 @@ def choice_of(args: LogArgs, radio: str, block: LogBlock) -> Choice:
             return Choice(Switching(_bank(WITHOUT_ELEVATIONS, radio)), why)
         name = args.policy or (DEFAULT_POLICY if args.height is None else WITH_HEIGHT)
         contender = contender_from(name, radio)
-        bank_or_modes = contender.bank or contender.modes
-        if contender.policy is None:
-            bank_or_modes = Bank(contender.modes, contender.transition, contender.nis_quantile)
+        bank_or_modes = contender.bank if contender.mixes else contender.modes
         switching = Switching(bank_or_modes, None, contender.policy, contender.observation)
         return Choice(switching, f"chosen by the policy {name}")
     return _algorithm_1(args, modes_of(args, radio))

@@ -21,7 +21,6 @@ from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.filters.bank import Bank, bank_as_written, default_modes
 from mmwave_env.filters.imm import DEFAULT_STAY
 from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.io.lookup import require_extra
 from mmwave_env.metrics import DIVERGENCE_M, scored
@@ -113,10 +112,7 @@ def scores(bank: Bank, batches: Sequence[EpisodeBatch]) -> tuple[Array, Array]:
     """
     reward, lost = [], []
     for batch in batches:
-        imm = ImmEngine(
-            Pipeline(bank.modes, batch.layout), TrackingReward(), bank.transition, bank.nis_quantile
-        )
-        results = imm.run(batch, "reward", "error")
+        results = ImmEngine(bank, batch.layout, TrackingReward()).run(batch, "reward", "error")
         counted = scored(results["reward"].shape[1])
         reward.append(results["reward"][:, counted].mean(axis=1))
         lost.append(np.linalg.norm(results["error"][:, -1], axis=1) > DIVERGENCE_M)

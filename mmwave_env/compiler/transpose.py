@@ -42,14 +42,6 @@ def gather(block: Array, sources: Index, count: int) -> None:
         block[:count, lane] = _numbers(source, count, ctypes.c_double)
 
 
-@register_jitable  # type: ignore[untyped-decorator]
-def pick(block, rows, out):  # type: ignore[no-untyped-def]
-    """Copy rows (k,) of a block (size, 8) to ``out`` (k, 8)."""
-    for i in range(len(rows)):
-        for lane in range(WIDTH):
-            out[i, lane] = block[rows[i], lane]
-
-
 def scatter(block: Array, rows: Index, targets: Index) -> None:
     """Write rows (k,) of a block (size, 8) to memory, each lane to its own address.
 

@@ -5,7 +5,6 @@ An environment that continues from a copy or a state computes exactly what the o
 
 from collections.abc import Callable
 from copy import deepcopy
-from dataclasses import replace
 from functools import partial
 from math import fsum
 from typing import Any, Self
@@ -34,7 +33,7 @@ from mmwave_env.task import Task
 from mmwave_env.world.episode import EpisodeBatch
 from mmwave_env.world.keys import Streams
 
-REPLAYED, FILTERED = 64, 256  # episodes in one job of replaying and of filtering, to save memory
+REPLAYED, FILTERED = 8, 256  # episodes in one job of replaying and of filtering, to save memory
 
 
 class Baseline:
@@ -50,10 +49,9 @@ class Baseline:
     """
 
     def __init__(self, task: Task, batch: Batch[Any], threads: int = 1) -> None:
-        bank = task.baseline
-        assert bank is not None
-        pipeline = replace(task.pipeline, modes=bank.modes)
-        self._imm = ImmEngine(pipeline, task.reward, bank.transition, bank.nis_quantile)
+        assert task.baseline is not None
+        layout, planar = task.pipeline.layout, task.pipeline.planar
+        self._imm = ImmEngine(task.baseline, layout, task.reward, planar)
         self._batch, self._threads = batch, threads
         self._rewards = np.zeros((batch.n, 0), np.float32)
 

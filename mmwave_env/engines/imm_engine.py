@@ -15,7 +15,7 @@ from mmwave_env.compiler.program import BatchState, Program, StepIO, blocks_of, 
 from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.epoch_state import blank_track
 from mmwave_env.engines.track_engine import EpisodeFilter, untuned
-from mmwave_env.filters.bank import Bank, Transition, settings_of
+from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.imm import (
     ImmSettings,
@@ -123,28 +123,20 @@ def _program(pipeline: Pipeline, reward: Reward, acted: bool, signed: bool) -> P
 
 
 class ImmEngine:
-    """An IMM over the modes of a pipeline; it weights the modes itself, without an agent.
+    """An IMM over the modes of a bank; it weights the modes itself, without an agent.
 
     Args:
-        pipeline: modes and layout.
+        bank: the modes and the parameters of their interaction.
+        layout: rows of the measurements.
         reward: function of (belief, truth), for comparison with policies.
-        transition, nis_quantile: same as in :class:`~mmwave_env.filters.bank.Bank`, which also
-            lists the values that are refused.
+        planar: same as in :class:`~mmwave_env.filters.pipeline.Pipeline`.
     """
 
-    def __init__(
-        self,
-        pipeline: Pipeline,
-        reward: Reward,
-        transition: Transition | None = None,
-        nis_quantile: float = 1.0,
-    ) -> None:
-        self.pipeline = pipeline
-        self.bank = Bank(pipeline.modes, transition, nis_quantile)
-        self._program = imm_program(pipeline, reward)
+    def __init__(self, bank: Bank, layout: Layout, reward: Reward, planar: bool = False) -> None:
+        self._layout = layout
+        self._program = imm_program(Pipeline(bank.modes, layout, planar), reward)
         self._start = self._program.start.copy()
-        settings = flatten(settings_of(self.bank, pipeline.layout))
-        self._start[flatten(self._program.index.settings)] = settings
+        self._start[flatten(self._program.index.settings)] = flatten(settings_of(bank, layout))
 
     def run(self, episodes: EpisodeBatch | Sequence[Episode], *names: str) -> dict[str, Array]:
         """Filter episodes from their priors to their ends.
@@ -161,7 +153,7 @@ class ImmEngine:
         Raises:
             ValueError: the layout of an episode differs from the pipeline's.
         """
-        packed, program = EpisodeBatch.of(episodes, self.pipeline.layout), self._program
+        packed, program = EpisodeBatch.of(episodes, self._layout), self._program
         n, epochs, _ = packed.table.shape
         rows = fill(blocks_of(self._start, n), rows_of(program.index.site), packed.site)
         io = StepIO.of(n, epochs, output_rows=program.rows(names))

@@ -21,7 +21,7 @@ def filtered(task, bank, n):
     """Return a batch of n episodes, the bank's pipeline, and the filtered tracks of its IMM."""
     batch = task.tables(np.arange(TUNING, TUNING + n).astype(np.uint64))
     pipeline = Pipeline(bank.modes, batch.layout, task.pipeline.planar)
-    engine = ImmEngine(pipeline, TrackingReward(), bank.transition, bank.nis_quantile)
+    engine = ImmEngine(bank, pipeline.layout, TrackingReward(), pipeline.planar)
     return batch, pipeline, engine.run(batch, *PARTS)
 
 

@@ -49,9 +49,7 @@ def played(bank, episodes, actions, names=("x", "P", "mode_probabilities"), **op
 def test_trusting_no_mode_equals_the_imm(radio, dt):
     bank, episodes = best_bank(radio), in_steps_of(dt, simulated(9, epochs=200))
     _, ours = played(bank, episodes, np.zeros((9, 200), int), ("x", "P", "reward", "nees"))
-    pipeline = Pipeline(bank.modes, STREET)
-    imm = ImmEngine(pipeline, TrackingReward(), bank.transition, bank.nis_quantile)
-    expected = imm.run(episodes, *ours)
+    expected = ImmEngine(bank, STREET, TrackingReward()).run(episodes, *ours)
     for name, values in ours.items():
         np.testing.assert_allclose(values, expected[name], rtol=1e-10, atol=1e-10, err_msg=name)
 
@@ -138,7 +136,7 @@ def test_the_prediction_of_a_mixture_is_the_mean_over_its_modes():
     With constant velocity, they are F x and F P F' plus the mean Q of the modes.
     """
     modes = tuple(replace(mode, spread_gain=0.0) for mode in BANK.modes)
-    imm = ImmEngine(Pipeline(modes, STREET), TrackingReward(), BANK.transition, 0.99)
+    imm = ImmEngine(Bank(modes, BANK.transition, 0.99), STREET, TrackingReward())
     names = ("x", "P", "x_predicted", "P_predicted", "mixture.probability")
     run = imm.run(simulated(3, epochs=20), *names)
     F, P = textbook.F(1.0), unpacked(run["P"])

@@ -89,9 +89,7 @@ def mixture(request):
         best_bank(),
     )
     episodes = [source.sample(np.random.default_rng(seed)) for seed in range(9)]
-    imm = ImmEngine(
-        Pipeline(bank.modes, source.layout), TrackingReward(), bank.transition, bank.nis_quantile
-    )
+    imm = ImmEngine(bank, source.layout, TrackingReward())
     names = ("x", "P", "x_predicted", "P_predicted")
     truth = np.stack([episode.truth_position_m for episode in episodes])
     return request.param, truth, list(imm.run(episodes, *names).values())

@@ -22,7 +22,7 @@ def episodes():
 @pytest.fixture(scope="module")
 def base():
     bank: Bank = PER_MODE["banks"]["handset"]
-    return Contender("imm", bank.modes, None, bank.transition, bank.nis_quantile)
+    return Contender("imm", bank, None)
 
 
 def contender_with(path, tensors):

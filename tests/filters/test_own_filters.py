@@ -15,6 +15,7 @@ from experiments.evaluation.runner import score_contenders
 from experiments.evaluation.seeds import Selection
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.custom import AlgorithmError
 from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.modes import Mode
@@ -83,7 +84,7 @@ def test_engine_tracker_and_imm_give_the_same_track_with_a_custom_filter(mine):
     tracker = Tracker(pipeline, 2)
     tracker.load(episodes)
     np.testing.assert_allclose(tracker.run("x")["x"], engine, rtol=1e-9, atol=1e-9)
-    imm = ImmEngine(pipeline, TrackingReward())
+    imm = ImmEngine(Bank((mine,)), STREET, TrackingReward())
     np.testing.assert_allclose(imm.run(episodes, "x")["x"], engine, rtol=1e-9, atol=1e-9)
 
 

@@ -10,6 +10,7 @@ from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters import textbook
+from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
@@ -187,7 +188,8 @@ def track(pipeline, episodes, actions, epochs, parts, on_floats=False):
 def imm_track(pipeline, episodes, transition=None, nis_quantile=1.0):
     """Return x, P, probabilities and NEES of an IMM at every epoch, each (epochs, n, ...)."""
     names = {"x": "x", "P": "P", "nees": "nees", "probability": "mixture.probability"}
-    imm = ImmEngine(pipeline, TrackingReward(), transition, nis_quantile)
+    bank = Bank(pipeline.modes, transition, nis_quantile)
+    imm = ImmEngine(bank, pipeline.layout, TrackingReward(), pipeline.planar)
     results = imm.run(episodes, *names.values())
     return {name: results[part].swapaxes(0, 1) for name, part in names.items()}
 

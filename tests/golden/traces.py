@@ -19,7 +19,7 @@ from mmwave_env.datasets.tracks import TrackSource
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine, imm_program
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.filters.bank import best_bank, default_modes, named_modes
+from mmwave_env.filters.bank import Bank, best_bank, default_modes, named_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
 from mmwave_env.interface.reward import TrackingReward
@@ -65,7 +65,7 @@ def smoother(log: str, mode: str) -> Iterator[Row]:
 def track_imm(log: str) -> Iterator[Row]:
     """Filter a log with the IMM of the default modes; yield rows of some epochs."""
     episode, modes = _episode(log), default_modes(RADIO)
-    engine = ImmEngine(Pipeline(modes, episode.layout), TrackingReward())
+    engine = ImmEngine(Bank(modes), episode.layout, TrackingReward())
     parts = engine.run([episode], "x", "P", "mixture.probability")
     x, P, probability = (values[0] for values in parts.values())
     for k in _shown(x):

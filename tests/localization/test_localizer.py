@@ -140,9 +140,7 @@ def test_a_track_on_flat_terrain_keeps_its_height(block, modes):
 def assert_imms(result, block, bank):
     """Assert that the IMM engine gives the same filtered track on the same epochs."""
     names = ("x", "P", "mixture")
-    imm = ImmEngine(
-        Pipeline(bank.modes, block.layout), TrackingReward(), bank.transition, bank.nis_quantile
-    )
+    imm = ImmEngine(bank, block.layout, TrackingReward())
     expected = imm.run([episode_of(block)], *names, "mixture.probability", "memory.nis")
     for name in names:
         np.testing.assert_allclose(
