@@ -26,10 +26,9 @@ class Args:
     radio: str = "handset"
     """profile whose policies and modes are listed"""
     out: Path | None = None
-    """with samples: copy their files to this folder, each sample to logs/NAME or recordings/NAME
-    in it"""
+    """with samples: folder to copy a sample to"""
     copy: str | None = None
-    """name of a sample to copy directly into --out: its log if it has one, else its recording"""
+    """name of the sample to copy into --out: its log if it has one, else its recording"""
 
 
 COLUMN = 25  # column in which the descriptions of names begin
@@ -100,23 +99,18 @@ def samples() -> dict[str, str]:
     }
 
 
-def copied(out: Path, only: str | None) -> int:
-    """Copy the files of one sample or of all samples; return the number of files.
+def copied(out: Path, name: str) -> int:
+    """Copy the files of a sample; return the number of files.
 
     Raises:
         ValueError: there is no such sample.
         FileExistsError: a file already exists.
     """
-    from mmwave_env.datasets.samples import log_names, sample_folder, sample_names
+    from mmwave_env.datasets.samples import log_names, sample_folder
     from mmwave_env.io.files import require_writable, write_bytes
 
-    if only is not None:
-        folders = {out: sample_folder(only, "log" if only in log_names() else "recording")}
-    else:
-        folders = {out / "logs" / name: sample_folder(name) for name in log_names()}
-        for name in sample_names():
-            folders[out / "recordings" / name] = sample_folder(name, "recording")
-    files = {to / file.name: file for to, of in folders.items() for file in sorted(of.iterdir())}
+    folder = sample_folder(name, "log" if name in log_names() else "recording")
+    files = {out / file.name: file for file in sorted(folder.iterdir())}
     for new in files:
         if new.exists():
             raise FileExistsError(f"{new}: found a file, expected a folder without it")
@@ -128,12 +122,14 @@ def copied(out: Path, only: str | None) -> int:
 
 def main(args: Args) -> None:
     """Run the command."""
-    from experiments.console.progress import say, terminal_width
+    from rich.console import Console
+
+    from experiments.console.progress import say
     from mmwave_env.interface.reward import REWARDS
     from mmwave_env.models.radio import RADIOS, radio_from
     from mmwave_env.world.mobility import SCENARIOS
 
-    if args.out is not None and args.what == "samples":
+    if args.out is not None and args.copy is not None and args.what == "samples":
         say(f"copied to {args.out}/: {copied(args.out, args.copy)} files")
         return
     for name, value in (("out", args.out), ("copy", args.copy)):
@@ -155,8 +151,9 @@ def main(args: Args) -> None:
             name: str(inspect.getdoc(kind)).partition("\n")[0] for name, kind in REWARDS.items()
         },
     }
+    terminal = Console()
     fold = textwrap.TextWrapper(
-        terminal_width() or sys.maxsize,
+        terminal.width if terminal.is_terminal else sys.maxsize,
         subsequent_indent=" " * COLUMN,
         break_long_words=False,
         break_on_hyphens=False,

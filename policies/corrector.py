@@ -137,10 +137,8 @@ class Corrector(LearnedPolicy, Policy):
         front = np.tanh(inside @ weight + bias)
         self._hidden = hidden = self._remembering(front)
         weight, bias = self._head
-        head = hidden @ weight[: hidden.shape[1]]
-        head += front @ weight[hidden.shape[1] :]
-        head += bias
-        np.tanh(head, out=head)
+        units = hidden.shape[1]
+        head = np.tanh(hidden @ weight[:units] + front @ weight[units:] + bias)
         weight, bias = self._out
         out = head @ weight + bias
         shift = np.minimum(np.maximum(out[:, :3], -MOST_SHIFT), MOST_SHIFT)
@@ -155,23 +153,11 @@ class Corrector(LearnedPolicy, Policy):
         """Compute the next state (n, units) of the gated recurrent unit (Cho et al. 2014)."""
         hidden, units = self._hidden, self._hidden.shape[1]
         (weight, bias), (past, past_bias) = self._gates
-        gates = front @ weight
-        gates += hidden @ past
-        gates += bias + past_bias
-        np.negative(gates, out=gates)
-        np.exp(gates, out=gates)
-        gates += 1.0
-        np.reciprocal(gates, out=gates)
+        gates = 1.0 / (1.0 + np.exp(-(front @ weight + hidden @ past + (bias + past_bias))))
+        reset, update = gates[:, :units], gates[:, units:]
         (weight, bias), (past, past_bias) = self._candidate
-        candidate = hidden @ past
-        candidate += past_bias
-        candidate *= gates[:, :units]  # reset
-        candidate += front @ weight
-        candidate += bias
-        np.tanh(candidate, out=candidate)
-        state: Array = hidden - candidate
-        state *= gates[:, units:]  # update
-        state += candidate
+        candidate = np.tanh((hidden @ past + past_bias) * reset + front @ weight + bias)
+        state: Array = (hidden - candidate) * update + candidate
         return state
 
 

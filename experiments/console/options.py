@@ -105,24 +105,12 @@ class EpisodeArgs(ModeArgs, IntegrityArgs, EpisodeResultArgs):
 
 
 @dataclass(kw_only=True)
-class TaskArgs:
-    """Options for the task to learn."""
+class LearnedArgs:
+    """Options for the environment of a learned policy."""
 
-    algo: Literal["ppo", "rollouts", "corrector"] = "ppo"
-    """ppo: PPO of Stable-Baselines3; rollouts: rollout policy iteration with common random numbers,
-    which tries every action on the same measurements; corrector: a recurrent network that corrects
-    the beliefs of the policy guided"""
     scenario: str = "mixed"
     """kind of user: a name (see mmwave-loc list scenarios) or a JSON file; or a trajectory of your
     own: a CSV file with columns t, x, y, z"""
-    radio: str = "handset"
-    """radio to train with on the street, if --places is not given: handset, standard, high or a
-    JSON file"""
-    places: tuple[str, ...] = ()
-    """places to train at, instead of --radio. Each is SCENE:RADIO (names or JSON files), such as
-    street:handset, followed if needed by the seconds between epochs (:0.1, default: 1), the
-    measured quantities (:range+azimuth, default: all), and :offset for a clock with an offset.
-    Environments, and episodes that judge policies, are spread evenly over the places"""
     beliefs: Literal["shared", "per-mode"] = "shared"
     """shared: all modes work on one belief; per-mode: every mode keeps its own belief, and the
     agent says which one to trust"""
@@ -132,6 +120,24 @@ class TaskArgs:
     observation: str = "full"
     """features that the agent observes: full; or prior, without those that say how well each mode
     explains the coming epoch"""
+
+
+@dataclass(kw_only=True)
+class TaskArgs(LearnedArgs):
+    """Options for the task to learn."""
+
+    algo: Literal["ppo", "rollouts", "corrector"] = "ppo"
+    """ppo: PPO of Stable-Baselines3; rollouts: rollout policy iteration with common random numbers,
+    which tries every action on the same measurements; corrector: a recurrent network that corrects
+    the beliefs of the policy guided"""
+    radio: str = "handset"
+    """radio to train with on the street, if --places is not given: handset, standard, high or a
+    JSON file"""
+    places: tuple[str, ...] = ()
+    """places to train at, instead of --radio. Each is SCENE:RADIO (names or JSON files), such as
+    street:handset, followed if needed by the seconds between epochs (:0.1, default: 1), the
+    measured quantities (:range+azimuth, default: all), and :offset for a clock with an offset.
+    Environments, and episodes that judge policies, are spread evenly over the places"""
     reward: str = "tracking"
     """tracking; log-score; or paired: the tracking reward minus that of an IMM (with --beliefs
     per-mode, of the bank's IMM). A hyperparameter file with "paired": true subtracts the reward of

@@ -135,14 +135,6 @@ class Contender:
 Make = Callable[[], Contender]
 
 
-def _fixed(action: int) -> Callable[[Observation], Policy]:
-    return lambda table: FixedMode(action)
-
-
-def _imm(name: str, bank_of: Callable[[], Bank]) -> Contender:
-    return Contender(name, bank_of(), None)
-
-
 def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:
     """Return, by name, functions that make the bank of each IMM; they read files when called."""
     return {"imm": lambda: Bank(default_modes(radio)), BEST_IMM: lambda: best_bank(radio)}
@@ -152,14 +144,15 @@ def _of_any_modes(bank: Bank) -> dict[str, Make]:
     """Return the contenders over a bank's modes: each mode alone, the rules and the IMM."""
     names = [mode.name for mode in bank.modes]
     policies: dict[str, Callable[[Observation], Policy]] = {
-        f"fixed-{name}": _fixed(i) for i, name in enumerate(names)
+        f"fixed-{name}": lambda table, i=i: FixedMode(i)  # type: ignore[misc]
+        for i, name in enumerate(names)
     }
     if len(names) == 2:
         policies[RULE] = SpeedRule
     if len(names) > 1:
         policies["likelihood-rule"] = lambda table: LikelihoodRule(table, names)
     makes: dict[str, Make] = {n: partial(Contender, n, bank, p) for n, p in policies.items()}
-    return makes | {"imm": partial(_imm, "imm", lambda: bank)}
+    return makes | {"imm": partial(Contender, "imm", bank, None)}
 
 
 def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
@@ -177,7 +170,7 @@ def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
     ckf = Bank((named_modes(radio)["ckf"],))
     ekf, ukf, *others = _of_any_modes(Bank(default_modes(radio))).items()
     alone = dict([ekf, ukf, next(iter(_of_any_modes(ckf).items()))])
-    best = {BEST_IMM: partial(_imm, BEST_IMM, imm_banks(radio)[BEST_IMM])}
+    best = {BEST_IMM: lambda: Contender(BEST_IMM, best_bank(radio), None)}
     shipped, base = shipped_policies(), radio_from(radio).base
     files = ((name, file) for name in SHIPPED for file in (name, f"{name}-{base}"))
     learned = {n: partial(Contender.learned, f, n, radio) for n, f in files if f in shipped}

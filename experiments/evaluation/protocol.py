@@ -171,9 +171,7 @@ def read_entry(path: Path) -> dict[str, Any]:
     """
 
     def checked(content: dict[str, Any]) -> dict[str, Any]:
-        kinds = {TRAINED, UNSEEN_KIND, RECORDED, *content["mean_gain"]}  # old entries lack HARD
-        needed = [site.name for site in sites() if site.kind in kinds]
-        if missing := [name for name in needed if name not in content["sites"]]:
+        if missing := [site.name for site in sites() if site.name not in content["sites"]]:
             raise ValueError(f"sites: missing {', '.join(missing)}")
         add_scores([content], content)  # raises if tables can't show the entry
         tables_of([content], content)
@@ -198,7 +196,7 @@ def add_scores(entries: Iterable[dict[str, Any]], ceiling: Mapping[str, Any] | N
         for name, at in content["sites"].items():
             top = tops.get(name, {})
             at["score"] = None
-            if "over_rule" in at and "over_rule" in top and scored_over(at) == scored_over(top):
+            if top and scored_over(at) == scored_over(top):
                 at["score"] = score_of(at["over_rule"]["mean"], top["over_rule"]["mean"])
 
 
@@ -240,11 +238,10 @@ def ranking(entries: Sequence[Mapping[str, Any]]) -> str:
         cells.append(f"{simulated} / {recorded}{' (too few)' if short else ''}")
         for kind in KINDS:
             here = [site for site in at if site["kind"] == kind]
-            scores = [site["score"] for site in here] or [None]
-            stands = [standing(site) for site in here]
+            scores, stands = [site["score"] for site in here], [standing(site) for site in here]
             counts = [str(stands.count(where)) for where in ("above", "level", "below")]
-            gain = [Interval.of(gains[kind]), " / ".join(counts)] if here else [MISSING] * 2
-            cells += [score_cell(None if None in scores else np.mean(scores)), *gain]
+            score = score_cell(None if None in scores else np.mean(scores))
+            cells += [score, Interval.of(gains[kind]), " / ".join(counts)]
         rows.append((short, -gains[TRAINED]["mean"], cells))
     header = ["entry", "episodes / draws"]
     for kind in KINDS:
@@ -265,9 +262,6 @@ def by_site(entries: Sequence[Mapping[str, Any]]) -> str:
     for site in sites():
         cells = [site.name]
         for at in shown.values():
-            if site.name not in at:
-                cells.append(MISSING)
-                continue
             gains = at[site.name]["minus"]
             best = min(gains, key=lambda imm: gains[imm]["mean"])
             cells.append(f"{Interval.of(gains[best])} ({best})")
@@ -285,6 +279,6 @@ def by_score(entries: Sequence[Mapping[str, Any]], ceiling: Mapping[str, Any] | 
     tops, rows = ceiling["sites"] if ceiling else {}, []
     for site in sites():
         top = tops.get(site.name, {}).get("over_rule")
-        cells = (score_cell(at.get(site.name, {}).get("score")) for at in shown.values())
+        cells = (score_cell(at[site.name]["score"]) for at in shown.values())
         rows.append([site.name, Interval.of(top) if top else MISSING, *cells])
     return grid(["site", f"{CLAIRVOYANT} minus {RULE}", *shown], rows)

@@ -47,12 +47,6 @@ def tum_blocks(path: Path) -> Iterator[Poses]:
         raise ValueError(f"{path}: found no line with a pose, expected {' '.join(COLUMNS)}")
 
 
-def read_tum(path: Path) -> Poses:
-    """Read a complete trajectory at once; :func:`tum_blocks` reads it in parts."""
-    time_s, position_m = zip(*tum_blocks(path), strict=True)
-    return Poses(np.concatenate(time_s), np.concatenate(position_m))
-
-
 def _parse(path: Path, lines: list[str], first: int, last_s: float) -> Array:
     """Parse times and positions (lines, 4) of lines that follow the time ``last_s``.
 

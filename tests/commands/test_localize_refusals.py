@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mmwave_env.logs.tum import COLUMNS, read_tum, tum_lines
+from mmwave_env.logs.tum import COLUMNS, tum_lines
 from tests.cli import environment
 from tests.commands.localizing import (
     RIDE,
@@ -23,6 +23,7 @@ from tests.commands.localizing import (
     refused,
     with_line,
 )
+from tests.logs.writing import read_tum
 
 # A file that begins with this line is a track written by localize, so localize may replace it.
 OLD = f"# {' '.join(COLUMNS)}; mmwave-loc localize\n"

@@ -10,9 +10,10 @@ from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.logs.clock import clock_offset
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.truth import BRIDGED_S, TOLERANCE_S, TrueEpochs, Truth
-from mmwave_env.logs.tum import read_tum, tum_lines
+from mmwave_env.logs.tum import tum_lines
 from mmwave_env.models.layout import LINK, Layout
 from mmwave_env.models.scene import SCENES, read_scene
+from tests.logs.writing import read_tum
 from tests.refusals import refuses
 
 
