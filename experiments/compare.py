@@ -41,10 +41,11 @@ PICTURES = ("errors", "consistency")
 
 def main(args: Args) -> None:
     """Run the command."""
-    from experiments.console.tables import booktabs
+    from experiments.console.provenance import provenance
+    from experiments.console.tables import booktabs, show
     from experiments.evaluation.asked import all_contenders
-    from experiments.reporting.comparison_results import report, results
-    from mmwave_env.io.files import require_writable, write_text
+    from experiments.reporting.comparison_results import results
+    from mmwave_env.io.files import require_writable, write_json, write_text
     from mmwave_env.metrics import METRICS
 
     pictures = {name: getattr(args, name) for name in PICTURES if getattr(args, name) is not None}
@@ -56,4 +57,10 @@ def main(args: Args) -> None:
     made = results(args, names, pictures, args.width_mm)
     if args.table:
         write_text(args.table, booktabs(*made.comparison.table(METRICS)))
-    report("compare", args, made)
+    if args.json:  # before the tables, whose reader may close the pipe
+        write_json(args.json, provenance("compare", args) | made.json)
+    try:
+        for draw in made.pictures:
+            draw()
+    finally:  # the tables are shown even if a picture fails
+        show(made.text)

@@ -217,9 +217,7 @@ class LearnedSwitch(LearnedPolicy, Policy):
         x = np.minimum(np.maximum(observation, self._low), self._high)
         *hidden, (weight, bias) = self._layers
         for w, b in hidden:
-            x = x @ w
-            x += b
-            np.tanh(x, out=x)
+            x = np.tanh(x @ w + b)
         logits: Array = x @ weight + bias
         return logits
 

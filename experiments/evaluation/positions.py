@@ -72,11 +72,6 @@ def positions_markdown(title: str, rows: Mapping[str, Any], risk: float, kind: s
     )
 
 
-def kinds_of(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the errors of each kind in a row of figures."""
-    return {kind: row[kind] for kind in KINDS if kind in row}
-
-
 def row_of(figures: Mapping[str, Any]) -> list[str]:
     """Return the cells below :data:`HEADER` for errors of one kind."""
     return [

@@ -36,7 +36,7 @@ from mmwave_env.localization.localizer import TrackBlock, localize
 from mmwave_env.localization.radio_choice import nearest_radio
 from mmwave_env.localization.track_files import require_own_files, table_beside, track_files
 from mmwave_env.localization.track_scores import Course, Groups, TruthScores
-from mmwave_env.logs.clock import clock_offset, keeping
+from mmwave_env.logs.clock import clock_offset
 from mmwave_env.logs.log import LogBlock, read_log, read_paths
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.truth import Truth
@@ -172,9 +172,6 @@ def _run(args: LogArgs, work: Work) -> tuple[dict[str, Any], TrackSampler, Value
     course, groups, sampler = Course(names), Groups(), TrackSampler(names, work.scene.anchors_m)
     tracks = ["filtered", "smoothed"] if args.smoothing else ["filtered"]
     scores = TruthScores(truth, tracks, args.height is not None, args.risk) if truth else None
-    first: list[LogBlock] = []
-    if truth:
-        work = work._replace(blocks=keeping(work.blocks, first))
     track = _track(args, work, args.window if args.smoothing else None)
     error: ValueError | None = None
     with ExitStack() as stack:
@@ -199,8 +196,7 @@ def _run(args: LogArgs, work: Work) -> tuple[dict[str, Any], TrackSampler, Value
         figures["association"] = work.association.figures()
     if truth and scores and scores.scored:
         truth.warn_if_few(scores.scored, course.epochs, course.first_s, course.last_s)
-        first_epochs = first[0].joined(first)
-        clock = clock_offset(first_epochs, work.scene, lambda time_s: Truth(truth.path).at(time_s))
+        clock = clock_offset(work.first, work.scene, lambda time_s: Truth(truth.path).at(time_s))
         figures["truth"] = scores.figures() | {
             "levels": args.levels,
             "clock": clock and clock.figures(),

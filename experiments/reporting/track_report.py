@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from experiments.console.tables import escaped, grid
-from experiments.evaluation.positions import kinds_of, positions_markdown
+from experiments.evaluation.positions import KINDS, positions_markdown
 from experiments.figures.trajectory import DrawnTrack
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
 from mmwave_env.localization.localizer import TrackBlock
@@ -46,8 +46,8 @@ class TrackSampler:
         """Return the sampled track for drawing."""
         time_s, mode, segment, x, truth, P = np.split(self._rows, [1, 2, 3, 6, 9], axis=1)
         numbers = mode[:, 0].astype(np.int64), segment[:, 0].astype(np.int64)
-        names, whole = (self._modes, self._anchors_m), self._every == 1
-        return DrawnTrack(time_s[:, 0], x, P.reshape(-1, 3, 3), truth, *numbers, *names, whole)
+        names = self._modes, self._anchors_m
+        return DrawnTrack(time_s[:, 0], x, P.reshape(-1, 3, 3), truth, *numbers, *names)
 
 
 def _decimals(value: float | None) -> str:
@@ -145,7 +145,7 @@ def _accuracy(truth: dict[str, Any], epochs: int) -> str:
     header = ["track", *(HEADERS[m].replace("in 95", "NEES in 95") for m in metrics)]
     rows = [[name, *(_decimals(row[m]) for m in metrics)] for name, row in truth["tracks"].items()]
     low, high = truth["nees_interval"]
-    kinds = {name: kinds_of(row) for name, row in truth["tracks"].items()}
+    kinds = {n: {k: row[k] for k in KINDS if k in row} for n, row in truth["tracks"].items()}
     over = "" if truth["rpe_s"] is None else f"RPE is over {truth['rpe_s']:.3g} s; "
     return (
         f"{grid(header, rows)}\n\n{truth['scored']} of {epochs} epochs have a true position"

@@ -86,11 +86,6 @@ class RolloutEnv:
         length = self._engine.batch.state.length
         length[:] = 1 + block * (length - 1) // (block[-1] + 1)
 
-    @property
-    def epochs(self) -> int:
-        """Return the length of the longest episode."""
-        return max(source.epochs for source in self._sources)
-
     def step(self, actions: Index) -> Array:
         """Take the actions (n,), one in every environment; start new episodes after those that end.
 
@@ -120,7 +115,7 @@ class RolloutEnv:
             clip: number of deviations from the mean at which observations are clipped.
         """
         parts = []
-        for _ in range(self.epochs):
+        for _ in range(max(source.epochs for source in self._sources)):
             self.step(np.zeros(len(self._everyone), np.int64))
             parts.append(self.observations)
         observations = np.concatenate(parts)

@@ -100,7 +100,8 @@ def _geojson(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
 @contextmanager
 def _gpx(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
     """Write a GPX 1.1 track with a segment for each segment of the track."""
-    file.write(f"{_GPX}<trk><name>{_escaped(name)}</name>")
+    ascii_name = escape(name).encode("ascii", "xmlcharrefreplace").decode("ascii")
+    file.write(f"{_GPX}<trk><name>{ascii_name}</name>")
     current = -1
 
     def write(block: TrackBlock) -> None:
@@ -215,8 +216,3 @@ def map_file(path: Path, scene: Scene, name: str) -> Iterator[Write]:
         MAP_FILES[path.suffix].writer(file, scene.origin, name) as write,
     ):
         yield write
-
-
-def _escaped(name: str) -> str:
-    """Return a name as ASCII text for XML."""
-    return escape(name).encode("ascii", "xmlcharrefreplace").decode("ascii")

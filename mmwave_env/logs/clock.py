@@ -19,7 +19,7 @@ estimate, until the remaining offset is within its error (Gauss-Newton).
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -69,14 +69,6 @@ class ClockOffset(NamedTuple):
             f"found its clock {size:.0f} ± {deviation:.0f} ms {side} the log's, expected the same; "
             f"nothing was changed: if this is real, shift its times by {change}{size / 1e3:.3f} s"
         )
-
-
-def keeping(blocks: Iterable[LogBlock], kept: list[LogBlock]) -> Iterator[LogBlock]:
-    """Yield the same blocks; append the first ones to ``kept``, for :func:`clock_offset`."""
-    for block in blocks:
-        if sum(map(len, kept)) < _COMPARED:
-            kept.append(block)
-        yield block
 
 
 def clock_offset(

@@ -19,7 +19,7 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index, Mask, Number, Vector, where
 from mmwave_env.numerics.pytree import flatten, indices
-from mmwave_env.world.checks import refuse, require_epochs, require_finite, require_within
+from mmwave_env.world.checks import refuse, require_epochs, require_finite
 
 NEUTRAL_SNR_DB = 20.0  # about the mean in streets, for links whose SNR was not measured
 
@@ -89,7 +89,9 @@ class Episode:
         if not (abs(P - P.T).max() <= 1e-8 * abs(P).max() and np.linalg.eigvalsh(P)[0] > 0.0):
             refuse(self._record, "prior_covariance", P.tolist(), "a positive definite matrix")
         for field, values, bound in self._bounded():
-            require_within(self._record, field, values, bound)
+            wrong = bound.outside(values)
+            if wrong.any():
+                refuse(self._record, field, f"{values[wrong].flat[0]:g}", bound.expected)
 
     def _bounded(self) -> Iterator[tuple[str, Array, Bound]]:
         """Yield the name, the values and the bound of everything that has a bound."""

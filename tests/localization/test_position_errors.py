@@ -46,17 +46,6 @@ def test_statistics_of_errors_in_any_pieces_equal_those_of_numpy(error, cut):
     assert_figures(figures["vertical"], upwards, vertical_level(P, 0.05))
 
 
-def test_errors_that_are_kept_on_disk_give_the_same_statistics():
-    error, P = np.random.default_rng(1).normal(size=(150_000, 3)), covariances(1)
-    errors = PositionErrors()
-    for part in np.split(error, 30):
-        errors.add(part, np.broadcast_to(P, (len(part), 28)))
-    upwards = np.abs(error[:, 2])
-    np.testing.assert_array_equal(errors.kinds["vertical"].rows()[:, 0], upwards)
-    figures = errors.figures()["vertical"]["percentiles_m"]
-    assert [*figures.values()] == np.quantile(upwards, SHARES).tolist()
-
-
 @pytest.mark.parametrize("lost", [np.nan, np.inf])
 def test_errors_that_are_not_finite_count_as_large_and_give_valid_json(lost):
     error = np.ones((10, 3))
