@@ -1,6 +1,7 @@
 """Tests of the argument ``clock="offset"``: a user's clock that is not synchronized."""
 
 from csv import DictReader
+from functools import partial
 from itertools import groupby
 
 import gymnasium as gym
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from mmwave_env.datasets.samples import recording_from, sample_folder, source_from
-from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.engines.mode_smoothing import smooth_modes
 from mmwave_env.engines.replay import smooth
 from mmwave_env.filters import textbook
@@ -121,8 +122,8 @@ def test_the_offset_is_drawn_and_the_oscillator_drives_it():
 def test_the_offset_is_found_and_the_filter_knows_how_well():
     bias, episodes = biases(120, radio="high")
     task, bank = task_from(radio="high", clock="offset"), best_bank("high")
-    imm = ImmEngine(bank, task.pipeline.layout, task.reward)
-    run = imm.run(episodes, "x", "P", "nees")
+    imm = partial(run_imm, bank, task.reward)
+    run = imm(episodes, "x", "P", "nees")
     late = np.isfinite(bias) & (np.arange(200) >= 20)
     error, sigma = (run["x"][..., 7] - bias)[late], np.sqrt(run["P"][..., 35])[late]
     assert np.sqrt(np.median(error**2)) < 0.5
@@ -136,9 +137,9 @@ def test_tracks_are_smoothed_as_by_the_textbook(planar):
     bank = Bank(modes_from(["ukf"], "standard"))
     pipeline = Pipeline(bank.modes, source.layout, planar)
     batch = source.sample_batch(keys_of(range(3)))
-    imm = ImmEngine(bank, source.layout, TrackingReward(), planar)
+    imm = partial(run_imm, bank, TrackingReward(), planar=planar)
     names = ("x", "P", "x_predicted", "P_predicted")
-    kept = imm.run(batch.on_flat_ground() if planar else batch, *names, "mixture")
+    kept = imm(batch.on_flat_ground() if planar else batch, *names, "mixture")
     x, P, x_predicted, P_predicted = (kept[name] for name in names)
     free = [0, 1, 3, 4, 6, 7] if planar else list(range(8))
     hz_per_mps, time_s = STREET.hz_per_mps, np.arange(50.0)

@@ -17,7 +17,7 @@ from experiments.console.signals import ended_by_the_system
 from mmwave_env.compiler.disk_cache import kept_functions
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.numerics.pytree import flatten, unflatten
@@ -100,6 +100,5 @@ def _stepped(task: Task, episodes: EpisodeBatch, on_floats: bool) -> Array:
 def _imm(task: Task, episodes: EpisodeBatch) -> Array:
     """Return the estimates (epochs, n, 7) of an IMM that filters complete tracks in one call."""
     assert task.bank is not None
-    imm = ImmEngine(task.bank, task.pipeline.layout, TrackingReward())
-    beliefs: Array = imm.run(episodes, "x")["x"]
+    beliefs = run_imm(task.bank, TrackingReward(), episodes, "x")["x"]
     return beliefs.swapaxes(0, 1)

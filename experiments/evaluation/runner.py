@@ -14,7 +14,7 @@ from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.seeds import Selection
 from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.filters.bank import Modes
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.correction import corrected_all
@@ -104,8 +104,7 @@ def run_contender(
     if corrector:
         names = tuple(dict.fromkeys((*names, *BELIEF, "truth")))
     if policy is None:
-        imm = ImmEngine(contender.bank, episodes.layout, scoring.reward, scoring.planar)
-        return imm.run(episodes, *names)
+        return run_imm(contender.bank, scoring.reward, episodes, *names, planar=scoring.planar)
     n, T, _ = episodes.table.shape
     if isinstance(policy, Estimator):
         if not {*after} <= {*BELIEF}:

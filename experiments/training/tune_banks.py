@@ -17,7 +17,7 @@ from experiments.console.progress import progress
 from experiments.evaluation.asked import source_of
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.seeds import draw_episodes
-from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.filters.bank import Bank, bank_as_written, default_modes
 from mmwave_env.filters.imm import DEFAULT_STAY
 from mmwave_env.filters.modes import Mode
@@ -112,7 +112,7 @@ def scores(bank: Bank, batches: Sequence[EpisodeBatch]) -> tuple[Array, Array]:
     """
     reward, lost = [], []
     for batch in batches:
-        results = ImmEngine(bank, batch.layout, TrackingReward()).run(batch, "reward", "error")
+        results = run_imm(bank, TrackingReward(), batch, "reward", "error")
         counted = scored(results["reward"].shape[1])
         reward.append(results["reward"][:, counted].mean(axis=1))
         lost.append(np.linalg.norm(results["error"][:, -1], axis=1) > DIVERGENCE_M)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mmwave_env.compiler.threads import portions, share
 from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.tally import Tally
 from mmwave_env.engines.vector_step import ActionHistory, Stepper
@@ -49,9 +49,7 @@ class Baseline:
     """
 
     def __init__(self, task: Task, batch: Batch[Any], threads: int = 1) -> None:
-        assert task.baseline is not None
-        layout, planar = task.pipeline.layout, task.pipeline.planar
-        self._imm = ImmEngine(task.baseline, layout, task.reward, planar)
+        self._task = task
         self._batch, self._threads = batch, threads
         self._rewards = np.zeros((batch.n, 0), np.float32)
 
@@ -64,11 +62,14 @@ class Baseline:
         """
         if self._batch.ahead:
             return
+        task, planar = self._task, self._task.pipeline.planar
         missing = self._batch.state.length.max() - self._rewards.shape[1]
         self._rewards = np.pad(self._rewards, ((0, 0), (0, max(0, missing))))
 
         def run(some: Index) -> None:
-            rewards = self._imm.run(episodes(some), "reward")["reward"]
+            assert task.baseline is not None
+            played = run_imm(task.baseline, task.reward, episodes(some), "reward", planar=planar)
+            rewards = played["reward"]
             self._rewards[some, : rewards.shape[1]] = rewards
 
         parts = portions(len(places), self._threads, FILTERED)

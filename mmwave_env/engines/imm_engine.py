@@ -122,44 +122,35 @@ def _program(pipeline: Pipeline, reward: Reward, acted: bool, signed: bool) -> P
     return Program(function, template)
 
 
-class ImmEngine:
-    """An IMM over the modes of a bank; it weights the modes itself, without an agent.
+def run_imm(
+    bank: Bank,
+    reward: Reward,
+    episodes: EpisodeBatch | Sequence[Episode],
+    *names: str,
+    planar: bool = False,
+) -> dict[str, Array]:
+    """Filter episodes by an IMM, which weights its modes itself, from their priors to their ends.
 
     Args:
         bank: the modes and the parameters of their interaction.
-        layout: rows of the measurements.
         reward: function of (belief, truth), for comparison with policies.
+        episodes: n episodes with the same layout.
+        names: parts of :class:`ImmState` to return, such as "reward" or "mixture.probability".
         planar: same as in :class:`~mmwave_env.filters.pipeline.Pipeline`.
+
+    Returns:
+        For each name, (n, epochs) if it is a single number, else (n, epochs, numbers); values past
+        the end of an episode are meaningless.
     """
-
-    def __init__(self, bank: Bank, layout: Layout, reward: Reward, planar: bool = False) -> None:
-        self._layout = layout
-        self._program = imm_program(Pipeline(bank.modes, layout, planar), reward)
-        self._start = self._program.start.copy()
-        self._start[flatten(self._program.index.settings)] = flatten(settings_of(bank, layout))
-
-    def run(self, episodes: EpisodeBatch | Sequence[Episode], *names: str) -> dict[str, Array]:
-        """Filter episodes from their priors to their ends.
-
-        Args:
-            episodes: N episodes.
-            names: parts of :class:`ImmState` to return, such as "reward" or
-                "mixture.probability".
-
-        Returns:
-            For each name, (n, epochs) if it is a single number, else (n, epochs, numbers); values
-            past the end of an episode are meaningless.
-
-        Raises:
-            ValueError: the layout of an episode differs from the pipeline's.
-        """
-        packed, program = EpisodeBatch.of(episodes, self._layout), self._program
-        n, epochs, _ = packed.table.shape
-        rows = fill(blocks_of(self._start, n), rows_of(program.index.site), packed.site)
-        io = StepIO.of(n, epochs, output_rows=program.rows(names))
-        state = BatchState.of(packed.table, rows)._replace(length=packed.length)
-        program.run_on_lanes(state, io)
-        return program.by_name(names, io.outputs)
+    packed = EpisodeBatch.of(episodes)
+    program = imm_program(Pipeline(bank.modes, packed.layout, planar), reward)
+    start, (n, epochs, _) = program.start.copy(), packed.table.shape
+    start[flatten(program.index.settings)] = flatten(settings_of(bank, packed.layout))
+    rows = fill(blocks_of(start, n), rows_of(program.index.site), packed.site)
+    io = StepIO.of(n, epochs, output_rows=program.rows(names))
+    state = BatchState.of(packed.table, rows)._replace(length=packed.length)
+    program.run_on_lanes(state, io)
+    return program.by_name(names, io.outputs)
 
 
 class ImmTracker(EpisodeFilter[ImmState]):

@@ -1,12 +1,13 @@
 """Tests of engines with a belief for every mode, where an action trusts one mode or none."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.engines.replay import Replay, smooth
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters import textbook
@@ -49,7 +50,7 @@ def played(bank, episodes, actions, names=("x", "P", "mode_probabilities"), **op
 def test_trusting_no_mode_equals_the_imm(radio, dt):
     bank, episodes = best_bank(radio), in_steps_of(dt, simulated(9, epochs=200))
     _, ours = played(bank, episodes, np.zeros((9, 200), int), ("x", "P", "reward", "nees"))
-    expected = ImmEngine(bank, STREET, TrackingReward()).run(episodes, *ours)
+    expected = run_imm(bank, TrackingReward(), episodes, *ours)
     for name, values in ours.items():
         np.testing.assert_allclose(values, expected[name], rtol=1e-10, atol=1e-10, err_msg=name)
 
@@ -136,9 +137,9 @@ def test_the_prediction_of_a_mixture_is_the_mean_over_its_modes():
     With constant velocity, they are F x and F P F' plus the mean Q of the modes.
     """
     modes = tuple(replace(mode, spread_gain=0.0) for mode in BANK.modes)
-    imm = ImmEngine(Bank(modes, BANK.transition, 0.99), STREET, TrackingReward())
+    imm = partial(run_imm, Bank(modes, BANK.transition, 0.99), TrackingReward())
     names = ("x", "P", "x_predicted", "P_predicted", "mixture.probability")
-    run = imm.run(simulated(3, epochs=20), *names)
+    run = imm(simulated(3, epochs=20), *names)
     F, P = textbook.F(1.0), unpacked(run["P"])
     moved = run["x"][:, :-1] @ F.T
     np.testing.assert_allclose(run["x_predicted"][:, 1:], moved, rtol=1e-9, atol=1e-9)

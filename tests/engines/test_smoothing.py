@@ -1,10 +1,12 @@
 """Tests of the smoother, against filterpy on a linear model and against numpy on our tracks."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
-from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.engines.replay import smooth
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters import textbook
@@ -89,10 +91,10 @@ def mixture(request):
         best_bank(),
     )
     episodes = [source.sample(np.random.default_rng(seed)) for seed in range(9)]
-    imm = ImmEngine(bank, source.layout, TrackingReward())
+    imm = partial(run_imm, bank, TrackingReward())
     names = ("x", "P", "x_predicted", "P_predicted")
     truth = np.stack([episode.truth_position_m for episode in episodes])
-    return request.param, truth, list(imm.run(episodes, *names).values())
+    return request.param, truth, list(imm(episodes, *names).values())
 
 
 def test_smoothing_a_mixture_equals_plain_numpy(mixture):

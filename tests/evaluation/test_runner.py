@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import gymnasium as gym
@@ -14,7 +15,7 @@ from experiments.evaluation import runner as evaluation
 from experiments.evaluation.contenders import Contender, contender_from, contenders
 from experiments.evaluation.runner import score, score_contenders
 from experiments.evaluation.seeds import Selection, draw_episodes
-from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.filters.bank import Bank, bank_as_written, best_bank, modes_from
 from mmwave_env.interface.observation import BELIEFS
 from mmwave_env.interface.reward import TrackingReward
@@ -100,8 +101,8 @@ def test_the_best_imm_runs_with_its_tuned_transition_and_quantile():
     contender, episodes = contender_from("imm-best", "handset"), draw_episodes(SOURCE, range(3))
     tuned = best_bank("handset")
     assert contender.modes == tuned.modes
-    imm = ImmEngine(tuned, SOURCE.layout, TrackingReward())
-    expected = imm.run(episodes, "reward")["reward"][:, 10:].mean(axis=1)
+    imm = partial(run_imm, tuned, TrackingReward())
+    expected = imm(episodes, "reward")["reward"][:, 10:].mean(axis=1)
     np.testing.assert_array_equal(score(contender, None, episodes)["reward"], expected)
     plain = score(contender_from("imm", "handset"), None, episodes)["reward"]
     assert (np.abs(plain - expected) > 1e-3).all()

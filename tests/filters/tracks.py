@@ -1,13 +1,14 @@
 """Helpers that make episodes to filter, run engines on them and compare the tracks."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from operator import attrgetter
 from types import SimpleNamespace
 
 import numpy as np
 
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters import textbook
 from mmwave_env.filters.bank import Bank
@@ -189,8 +190,8 @@ def imm_track(pipeline, episodes, transition=None, nis_quantile=1.0):
     """Return x, P, probabilities and NEES of an IMM at every epoch, each (epochs, n, ...)."""
     names = {"x": "x", "P": "P", "nees": "nees", "probability": "mixture.probability"}
     bank = Bank(pipeline.modes, transition, nis_quantile)
-    imm = ImmEngine(bank, pipeline.layout, TrackingReward(), pipeline.planar)
-    results = imm.run(episodes, *names.values())
+    imm = partial(run_imm, bank, TrackingReward(), planar=pipeline.planar)
+    results = imm(episodes, *names.values())
     return {name: results[part].swapaxes(0, 1) for name, part in names.items()}
 
 

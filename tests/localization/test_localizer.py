@@ -1,14 +1,14 @@
 """Tests of the track of a log: filters, smoothing, where it begins, and cutting into blocks."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.filters.bank import Bank, best_bank, default_modes
 from mmwave_env.filters.modes import robust
 from mmwave_env.filters.pipeline import Pipeline
@@ -140,8 +140,8 @@ def test_a_track_on_flat_terrain_keeps_its_height(block, modes):
 def assert_imms(result, block, bank):
     """Assert that the IMM engine gives the same filtered track on the same epochs."""
     names = ("x", "P", "mixture")
-    imm = ImmEngine(bank, block.layout, TrackingReward())
-    expected = imm.run([episode_of(block)], *names, "mixture.probability", "memory.nis")
+    imm = partial(run_imm, bank, TrackingReward())
+    expected = imm([episode_of(block)], *names, "mixture.probability", "memory.nis")
     for name in names:
         np.testing.assert_allclose(
             result.filtered[:, 35:] if name == "mixture" else getattr(result, name),

@@ -78,12 +78,11 @@ def test_above_the_design_window_the_rule_warns_once_and_keeps_its_mode(table):
         np.testing.assert_array_equal(rule(fast), [0, 1, 1])
 
 
-@pytest.mark.parametrize("pace", ["fast", "slow"])
-def test_the_likelihood_rule_chooses_the_mode_with_the_highest_preference(table, pace):
+def test_the_likelihood_rule_chooses_the_mode_with_the_highest_preference(table):
     # Preferences are relative to the last mode (ckf), whose own preference is 0.
     scores = np.random.default_rng(0).normal(0.0, 5.0, (100, 2))
-    features = {f"preference_{pace}_ekf": scores[:, 0], f"preference_{pace}_ukf": scores[:, 1]}
-    actions = LikelihoodRule(table, list(THREE), pace)(observe(table, **features))
+    features = {"preference_fast_ekf": scores[:, 0], "preference_fast_ukf": scores[:, 1]}
+    actions = LikelihoodRule(table, list(THREE))(observe(table, **features))
     expected = np.column_stack([scores, np.zeros(100)]).argmax(axis=1)
     np.testing.assert_array_equal(actions, expected)
     assert set(actions) == {0, 1, 2}
