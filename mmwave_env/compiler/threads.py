@@ -2,10 +2,9 @@
 
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from functools import lru_cache
 from itertools import pairwise
-from threading import Lock
 from typing import Any, TypeVar
 
 from mmwave_env.compiler.lanes import WIDTH
@@ -36,25 +35,20 @@ def share(
     results: list[Any] = [None] * len(jobs)
     waiting = iter(range(len(jobs)))  # shared by the threads: next() is atomic
 
-    def work(here: Lock) -> None:
-        with here:
-            for i in waiting:
-                results[i] = function(*jobs[i])
+    def work() -> None:
+        for i in waiting:
+            results[i] = function(*jobs[i])
 
-    # Wait for locks instead of futures: after an interrupt in submit(), a future may be lost.
-    places = [Lock() for _ in range(min(threads, len(jobs)) - 1)]
     others: list[Future[None]] = []
     try:
-        others.extend(_helpers().submit(work, place) for place in places)
-        work(Lock())
+        others.extend(_helpers().submit(work) for _ in range(min(threads, len(jobs)) - 1))
+        work()
     finally:
         for _ in waiting:  # take the remaining jobs, so that no thread begins another one
             pass
-        for place in places:
-            with place:
-                pass
+        wait([other for other in others if not other.cancel()])
     for other in others:
-        if not other.cancel():
+        if not other.cancelled():
             other.result()
     return results
 
