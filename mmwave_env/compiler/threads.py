@@ -2,9 +2,10 @@
 
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
 from itertools import pairwise
+from threading import Lock
 from typing import Any, TypeVar
 
 from mmwave_env.compiler.lanes import WIDTH
@@ -35,20 +36,25 @@ def share(
     results: list[Any] = [None] * len(jobs)
     waiting = iter(range(len(jobs)))  # shared by the threads: next() is atomic
 
-    def work() -> None:
-        for i in waiting:
-            results[i] = function(*jobs[i])
+    def work(here: Lock) -> None:
+        with here:
+            for i in waiting:
+                results[i] = function(*jobs[i])
 
+    # Wait for locks instead of futures: after an interrupt in submit(), a future may be lost.
+    places = [Lock() for _ in range(min(threads, len(jobs)) - 1)]
     others: list[Future[None]] = []
     try:
-        others.extend(_helpers().submit(work) for _ in range(min(threads, len(jobs)) - 1))
-        work()
+        others.extend(_helpers().submit(work, place) for place in places)
+        work(Lock())
     finally:
         for _ in waiting:  # take the remaining jobs, so that no thread begins another one
             pass
-        wait([other for other in others if not other.cancel()])
+        for place in places:
+            with place:
+                pass
     for other in others:
-        if not other.cancelled():
+        if not other.cancel():
             other.result()
     return results
 
