@@ -64,9 +64,7 @@ def main(args: Args) -> None:
     require_writable(args.out / "tables.md")
     page = page_to_renew(args.docs) if args.docs else ""
     bench = Bench(args.episodes, args.seed)
-    results = {}
-    for section in tracked(sections(bench), "tables", SECTIONS):
-        results[section.title] = section
+    results = {section.title: section for section in tracked(sections(bench), "tables", SECTIONS)}
     text = "\n".join(section.markdown() for section in results.values())
     records = [record for section in results.values() for record in section.records()]
     table = io.StringIO()

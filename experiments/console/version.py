@@ -49,12 +49,14 @@ def self_test() -> list[dict[str, Any]]:
     shared, own = (task_from(episode_steps=_EPOCHS, beliefs=b) for b in ("shared", "per-mode"))
     episodes = EpisodeBatch.of(shared.simulated.episodes(_KEYS))
     on_floats = _stepped(own, episodes, on_floats=True)
+    assert own.bank is not None
+    imm = run_imm(own.bank, TrackingReward(), episodes, "x")["x"]
     shared_on_floats = _stepped(shared, episodes, on_floats=True)
     deviations = {
         "episodes": _episodes(shared, episodes),
         "one belief": _deviation(_stepped(shared, episodes, False), shared_on_floats),
         "a belief per mode": _deviation(_stepped(own, episodes, False), on_floats),
-        "interacting multiple models": _deviation(_imm(own, episodes), on_floats),
+        "interacting multiple models": _deviation(imm.swapaxes(0, 1), on_floats),
     }
     return [
         {"kernel": name, "deviation": deviation, "passed": deviation <= TOLERANCE}
@@ -95,10 +97,3 @@ def _stepped(task: Task, episodes: EpisodeBatch, on_floats: bool) -> Array:
         engine.step(np.zeros(len(_KEYS), np.int64))
         beliefs.append(engine.read(engine.at.x))
     return np.array(beliefs)
-
-
-def _imm(task: Task, episodes: EpisodeBatch) -> Array:
-    """Return the estimates (epochs, n, 7) of an IMM that filters complete tracks in one call."""
-    assert task.bank is not None
-    beliefs = run_imm(task.bank, TrackingReward(), episodes, "x")["x"]
-    return beliefs.swapaxes(0, 1)

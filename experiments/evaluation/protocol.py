@@ -50,17 +50,12 @@ class Site:
     name: str
     kind: str  # one of :data:`KINDS`
     radio: str  # name or file of the radio
-    make: Callable[[], EpisodeSource]  # function that returns the source of the site's episodes
+    source: Callable[[], EpisodeSource]  # function that returns the source of the site's episodes
 
     @classmethod
     def of(cls, name: str, kind: str, options: WorldArgs) -> "Site":
         """Return the site that options of commands describe."""
         return cls(name, kind, options.radio, partial(source_of, options))
-
-    @property
-    def source(self) -> EpisodeSource:
-        """Return the source of the site's episodes."""
-        return self.make()
 
 
 def sites() -> list[Site]:
@@ -143,7 +138,7 @@ def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
         imms = [name for name in contenders(site.radio) if name.startswith("imm")]
         everybody = dict.fromkeys([*names, RULE, *imms])
         chosen = [contender_from(name, site.radio) for name in everybody]
-        scores = score_contenders(chosen, site.source, site.radio, selection)
+        scores = score_contenders(chosen, site.source(), site.radio, selection)
     return Judged(site, scores, tuple(imms))
 
 

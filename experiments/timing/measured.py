@@ -122,9 +122,9 @@ class Measured:
     def ratios(self) -> Rounds:
         """Return ratios of our steps per second to those of the workloads in :data:`BASES`."""
         return {
-            f"{name}_over_{base}": quotients(
+            f"{name}_over_{base}": np.divide(
                 self.rates[name].steps_per_s, self.rates[base].steps_per_s
-            )
+            ).tolist()
             for base in BASES
             for name in self.ours
         }
@@ -183,9 +183,3 @@ def kernels() -> dict[str, Operations]:
     observed, _, moved = (count(part, drawn.world.template) for part in drawn.world.parts)
     parts = zip(counted[STEP], observed, *[moved] * stride_of(drawn.dt), strict=True)
     return counted | {STEP: Operations(*map(sum, parts))}
-
-
-def quotients(over: Sequence[float], under: Sequence[float]) -> list[float]:
-    """Divide two lists, round by round."""
-    quotient: list[float] = np.divide(over, under).tolist()
-    return quotient

@@ -13,7 +13,7 @@ import numpy as np
 
 from experiments.console.tables import grid
 from experiments.timing.latency import LATENCIES, PERCENTILES
-from experiments.timing.measured import BASES, Measured, Rates, Rounds, quotients
+from experiments.timing.measured import BASES, Measured, Rates, Rounds
 from experiments.timing.workloads import FILTERS, SYNC, SYNC_NAME
 
 LABELS = {
@@ -79,7 +79,7 @@ def _limits(measured: Measured) -> str:
     rows = []
     for name, fractions in measured.fractions().items():
         limits = measured.limits_of(name)
-        taken = quotients(limits, fractions)
+        taken = np.divide(limits, fractions).tolist()
         shown = (spread(limits, 1e9), spread(taken, 1e9), spread(fractions, 100.0))
         rows.append([label(name), *shown])
     return grid(["one thread", "limit, ns per step", "time taken, ns", "limit reached, %"], rows)

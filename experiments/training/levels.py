@@ -54,10 +54,8 @@ def _played(
     banks = banks_of((), places, "per-mode")
     task = TrainingTask("mixed", places, banks, "signed", TrackingReward(), "per-mode")
     hyper: Any = read_hyperparameters(shipped_hyperparameters("corrector"), "corrector")
-    data, rng = (
-        CorrectorData(task, replace(hyper, num_envs=ENVS, **changes), seed),
-        np.random.default_rng(seed),
-    )
+    data = CorrectorData(task, replace(hyper, num_envs=ENVS, **changes), seed)
+    rng = np.random.default_rng(seed)
     for radio, batch in (lot for _ in range(rounds) for lot in data.batches()):
         time_s = batch.table[0, :, rows_of([columns_of(batch.layout).dt])[0]].cumsum()
         for names in policies:

@@ -284,7 +284,10 @@ class RestorableEnvironment(Environment):
         """
         self._require_simulated("restore")
         n, history, source = self.num_envs, self._history, self._task.simulated
-        self._make_room()
+        # make room for the state's episodes; current episodes continue
+        self._engine.attach(self._task)
+        self._tally.make_room(min(round(1.0 / source.dt), source.epochs))
+        self._remember(source.epochs)
         arrays = self._arrays()
         others = {"streams": (n, 2), "over": (n,), "actions": history.rows.shape}
         for name, shape in (others | {key: array.shape for key, array in arrays.items()}).items():
@@ -307,13 +310,6 @@ class RestorableEnvironment(Environment):
         self._begin_baseline(np.arange(n))
         self._begin_pictures(np.arange(n))  # the path so far is not part of a state
         self._begun = True
-
-    def _make_room(self) -> None:
-        """Make room for the simulated episodes of a state; current episodes continue."""
-        source = self._task.simulated
-        self._engine.attach(self._task)
-        self._tally.make_room(min(round(1.0 / source.dt), source.epochs))
-        self._remember(source.epochs)
 
     def _require_simulated(self, call: str) -> None:
         if not self._task.has_keys:

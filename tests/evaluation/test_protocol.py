@@ -39,7 +39,7 @@ def test_the_protocol_has_the_documented_numbers_of_sites():
     kinds = [site.kind for site in sites()]
     assert [kinds.count(kind) for kind in KINDS] == [9, 7, 4, 5]
     assert len({site.name for site in sites()}) == 25
-    assert all(site.source.layout.anchors == 3 for site in sites())
+    assert all(site.source().layout.anchors == 3 for site in sites())
 
 
 @pytest.mark.slow  # compiles every IMM
@@ -130,7 +130,7 @@ def test_a_bus_stands_every_300_m(hard):
 
 
 def test_the_receivers_of_hard_sites_lack_what_the_sites_say(hard):
-    ordinary = next(s for s in sites() if s.name == "street:handset").source
+    ordinary = next(s for s in sites() if s.name == "street:handset").source()
     keys = np.arange(4, dtype=np.uint64)
     for stated, true in zip(hard["noise-twice"], ordinary.episodes(keys), strict=True):
         np.testing.assert_array_equal(stated.measurement, true.measurement)
