@@ -174,11 +174,10 @@ class Track(ABC):
         if doppler_hz is not None:
             rows[:, layout.doppler] = numbers(record, "doppler_hz", doppler_hz, (T,))
         wrap_angles(rows, layout)
-        name_of, values = strength
-        shape = T, layout.anchors
-        strengths = np.full(shape, np.nan)
+        strengths = np.full((T, layout.anchors), np.nan)
+        field, values = strength
         if values is not None:
-            strengths = numbers(record, name_of, values, shape)
+            strengths = numbers(record, field, values, strengths.shape)
         visible, _ = whole_groups(rows, np.isfinite(strengths), layout)
         fields = {
             "name": name,

@@ -153,7 +153,7 @@ def require_fields(record: Any, of: str = "") -> None:
         ValueError: a value is invalid; the message names field, value and what was expected.
     """
     for name, hint in hints_of(type(record)).items():  # type: ignore[arg-type]
-        _require(hint, getattr(record, name), name, of)
+        require(name, getattr(record, name), hint, of)
 
 
 def require_ordered(record: object, *names: str) -> None:
@@ -164,18 +164,14 @@ def require_ordered(record: object, *names: str) -> None:
             raise ValueError(f"{name}: found {(low, high)}, expected [low, high]")
 
 
-def require(name: str, value: Any, hint: Any) -> None:
+def require(name: str, value: Any, hint: Any, of: str = "") -> None:
     """Refuse an argument that does not fit a type, which may be annotated with limits."""
-    _require(hint, value, name, "")
-
-
-def _require(hint: Any, value: Any, name: str, of: str) -> None:
     if _fits(hint, value):
         return
     bare = get_args(hint)[0] if get_origin(hint) is Annotated else hint
     if get_origin(bare) is tuple and get_args(bare)[-1] is ... and _is_list(value):
         for i, element in enumerate(value):  # find the invalid element
-            _require(get_args(bare)[0], element, f"{name}[{i}]", of)
+            require(f"{name}[{i}]", element, get_args(bare)[0], of)
         raise ValueError(f"{name}{of}: found length {len(value)}, expected {_said(hint)}")
     raise ValueError(f"{name}{of}: found {quoted(value)}, expected {_said(hint)}")
 
