@@ -17,7 +17,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 import pymap3d
 
-from mmwave_env.io.files import atomic_path, naming
+from mmwave_env.io.files import atomic_path
 from mmwave_env.localization.localizer import TrackBlock
 from mmwave_env.models.scene import Origin, Scene
 from mmwave_env.numerics.numbers import Array
@@ -212,7 +212,6 @@ def map_file(path: Path, scene: Scene, name: str) -> Iterator[Write]:
     with (
         atomic_path(path) as temporary,
         temporary.open("w", encoding="ascii", newline="") as file,
-        naming(path),
         MAP_FILES[path.suffix].writer(file, scene.origin, name) as write,
     ):
         yield write

@@ -152,12 +152,8 @@ class PathTracker:
         self, track: PathTrack | None, paths: PathEpoch, coming: Sequence[PathEpoch]
     ) -> tuple[PathTrack | None, int]:
         """Return the track that begins here and explains the most paths, and their number."""
-        best: tuple[PathTrack | None, int] = None, 0
-        for begun in self._beginnings(track, paths):
-            fitted = self._fitted(begun, coming)
-            if fitted > best[1]:
-                best = begun, fitted
-        return best
+        begun = ((new, self._fitted(new, coming)) for new in self._beginnings(track, paths))
+        return max(begun, key=lambda pair: pair[1], default=(None, 0))
 
     def _fitted(self, track: PathTrack, coming: Sequence[PathEpoch]) -> int:
         """Count the paths that a track explains in its epoch and in coming epochs."""

@@ -127,8 +127,6 @@ def _tum_file(track: Path) -> Iterator[Write]:
                 tum.write(tum_lines(block.time_s, block.smooth_x[:, :3]))
 
         yield write
-        with naming(track):
-            tum.flush()
 
 
 @contextmanager
@@ -155,8 +153,6 @@ def _table_file(path: Path, modes: Sequence[str], corrected: bool, risk: float) 
                 table.writelines(rows)
 
         yield write
-        with naming(path):
-            table.flush()
 
 
 def _as_cell(name: str) -> str:

@@ -62,7 +62,7 @@ def _parse(path: Path, lines: list[str], first: int, last_s: float) -> Array:
     times = np.concatenate([[last_s], rows[:, :1].ravel()])
     if rows.shape[1] != len(COLUMNS) or not np.isfinite(rows).all() or (np.diff(times) <= 0).any():
         _find_damage(path, lines, first, last_s)
-    return rows[:, :4].copy()
+    return rows[:, :4]
 
 
 def _find_damage(path: Path, lines: list[str], first: int, last_s: float) -> NoReturn:
