@@ -1,4 +1,4 @@
-"""Scores of a track in running sums, so that the track may be larger than memory."""
+"""Scores of a track in running sums; only the errors, whose percentiles are scores, are kept."""
 
 import warnings
 from collections.abc import Sequence
