@@ -36,9 +36,6 @@ class Args(EpisodeArgs):
     """write the table of means to this .tex file: LaTeX, for the package booktabs"""
 
 
-PICTURES = ("errors", "consistency")
-
-
 def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.provenance import provenance
@@ -48,7 +45,8 @@ def main(args: Args) -> None:
     from mmwave_env.io.files import require_writable, write_json, write_text
     from mmwave_env.metrics import METRICS
 
-    pictures = {name: getattr(args, name) for name in PICTURES if getattr(args, name) is not None}
+    asked = {"errors": args.errors, "consistency": args.consistency}
+    pictures = {name: path for name, path in asked.items() if path is not None}
     if args.table and args.table.suffix != ".tex":
         raise ValueError(f"table: found {args.table}, expected a name that ends with .tex")
     if args.table:

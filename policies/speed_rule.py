@@ -25,6 +25,11 @@ def by_predicted_speed(x: Vector, epoch: Epoch) -> Number:
     return mode_at(sqrt(dot(x[3:6], x[3:6])))
 
 
+def by_odometry_speed(x: Vector, epoch: Epoch) -> Number:
+    """Apply the rule to the odometry's speed or, if that is missing, to the predicted speed."""
+    return where(epoch.visible[-1] > 0.5, mode_at(epoch.z[-2]), by_predicted_speed(x, epoch))
+
+
 class SpeedRule(Policy):
     """The paper's rule (Sec. III-A): choose mode 0 up to a threshold of the speed, mode 1 above.
 

@@ -147,7 +147,7 @@ class TaskArgs(LearnedArgs):
 
 
 @dataclass(kw_only=True)
-class TrackOutputArgs:
+class TrackOutputArgs(JsonArgs):
     """Options for the results of a log."""
 
     out: tuple[Path, ...] = ()
@@ -155,8 +155,6 @@ class TrackOutputArgs:
     modes; .csv alone; or, for maps, .geojson, .gpx or .nmea, which need an origin in the scene"""
     plot: Path | None = None
     """draw the track to this .png, .svg or .pdf file"""
-    json: Path | None = None
-    """write all results to this JSON file"""
     diagnose: bool = False
     """compute no track, but show the number of epochs, the rate, how often each anchor is measured,
     and anything odd; then try likely mistakes on the first epochs (units, signs, arrival and
@@ -197,10 +195,12 @@ class AlgorithmArgs:
 
     speed: str | None = None
     """Algorithm 1: the user's speed, m/s, which selects the pipeline that runs; or auto, to decide
-    by the predicted speed in every epoch"""
+    in every epoch"""
     outside: Literal["fallback", "abort"] = "fallback"
     """what to do if --speed is above 20 m/s, outside the design window: run the UKF pipeline, or
     stop"""
+    follow: Literal["prediction", "odometry"] = "prediction"
+    """speed by which --speed auto decides: predicted by the filter, or measured by odometry"""
     modes: Path | None = None
     """mode file with two other pipelines, the first for low and the second for high mobility"""
     robust: bool = False

@@ -8,19 +8,24 @@ import numpy as np
 
 from experiments.console.options import LogArgs
 from experiments.evaluation.contenders import contender_from, imm_banks
+from mmwave_env.engines.track_engine import Rule
 from mmwave_env.filters.bank import Bank, bank_from, modes_from
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
 from mmwave_env.io.lookup import choose
 from mmwave_env.localization.localizer import Switching
 from mmwave_env.logs.lines import number
 from mmwave_env.logs.log import LogBlock
-from policies.speed_rule import SLOW_MPS, by_predicted_speed, mode_at
+from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
 
 DEFAULT_POLICY = "corrector"
 # Without elevations, "guided" trusts wrong modes too often to be useful (docs/learning.md).
 WITHOUT_ELEVATIONS = "imm-best"
 # Correctors read the deviation of the height, which a known height does not have.
 WITH_HEIGHT = "guided"
+RULES: dict[str, tuple[Rule, str]] = {  # each rule, and what messages call its speed
+    "prediction": (by_predicted_speed, "the predicted"),
+    "odometry": (by_odometry_speed, "odometry's"),
+}
 
 
 class Choice(NamedTuple):
@@ -32,7 +37,8 @@ class Choice(NamedTuple):
 
 def is_algorithm_1(args: LogArgs) -> bool:
     """Return whether any option is set that only the paper's Algorithm 1 has."""
-    return args.speed is not None or args.modes is not None or args.robust
+    chosen = args.speed is not None or args.modes is not None
+    return chosen or args.robust or args.follow != "prediction"
 
 
 def require_none(beside: str, **options: object) -> None:
@@ -50,11 +56,13 @@ def require_one_choice(args: LogArgs) -> None:
     if args.policy is not None and is_algorithm_1(args):
         require_none("--policy", speed=args.speed, modes=args.modes)
         raise ValueError(
-            "policy: cannot be combined with --robust, because a policy is trained with its own "
-            "modes"
+            "policy: cannot be combined with an option of Algorithm 1 (--follow or --robust), "
+            "because a policy is trained with its own modes"
         )
     if not by_speed and args.outside == "abort":
         raise ValueError("outside: abort needs --speed with a number of m/s")
+    if (args.imm or by_speed) and args.follow == "odometry":
+        raise ValueError("follow: odometry needs --speed auto, and cannot be combined with --imm")
 
 
 def choice_of(args: LogArgs, radio: str, block: LogBlock) -> Choice:
@@ -105,8 +113,9 @@ def modes_of(args: LogArgs, radio: str) -> tuple[Mode, ...]:
 def _algorithm_1(args: LogArgs, modes: tuple[Mode, ...]) -> Choice:
     """Return the pipelines of Algorithm 1, Step 3, and the rule that chooses one, if any."""
     if args.speed in (None, "auto"):
-        why = f"chosen by whether the predicted speed is above {SLOW_MPS:g} m/s"
-        return Choice(Switching(modes, by_predicted_speed), why)
+        rule, followed = RULES[args.follow]
+        why = f"chosen by whether {followed} speed is above {SLOW_MPS:g} m/s"
+        return Choice(Switching(modes, rule), why)
     speed = parse_speed(args.speed)
     mode = modes[int(mode_at(speed))]
     if speed > DESIGN_LIMIT_MPS:

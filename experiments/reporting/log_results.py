@@ -139,6 +139,10 @@ def _work(args: LogArgs, files: Inputs, scene: Scene, epochs_per_block: int) -> 
         )  # fmt: skip
         first = next(blocks)
         name = nearest_radio(first, scene) if args.radio == AUTO else args.radio
+    if args.follow == "odometry" and not first.layout.odometry:
+        raise ValueError(
+            f"follow: odometry needs speeds, and {files.log} has none; use --follow prediction"
+        )
     choice = choice_of(args, name, first)
     if choice.switching.policy and not np.isfinite(first.snr_db).any():
         warnings.warn(

@@ -108,17 +108,25 @@ def driven(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_odometry_is_used_if_the_log_has_it(driven):
+def test_odometry_is_used_if_the_log_has_it(capsys, driven):
     used = figures(driven, "--speed", "auto")
     ignored = figures(driven, "--speed", "auto", "--no-odometry")
+    followed = figures(driven, "--speed", "auto", "--follow", "odometry")
     assert "odometry" in used["groups"] and "odometry" not in ignored["groups"]
     assert used["truth"]["tracks"]["filtered"]["ate_m"] != pytest.approx(
         ignored["truth"]["tracks"]["filtered"]["ate_m"]
     )
+    assert followed["modes"] != used["modes"] and followed["modes"]["ukf"] > 20
+    capsys.readouterr()
+    for log, more in ((driven, ["--no-odometry"]), (RIDE, [])):
+        words = ["--speed", "auto", "--follow", "odometry", *more]
+        _, line = refused(capsys, options(log / "log.csv", *words, folder=log))
+        assert "follow: odometry needs speeds" in line
 
 
 CONTRADICTIONS = {
     "auto and abort": (["--speed", "auto", "--outside", "abort"], "outside: abort needs"),
+    "odometry and a speed": (["--speed", "1", "--follow", "odometry"], "follow: odometry needs"),
     "an imm and a speed": (["--imm", "imm", "--speed", "1"], "speed: cannot be combined"),
     "an imm and modes": (["--imm", "imm", "--modes", "m.json"], "modes: cannot be combined"),
     "an imm and abort": (["--imm", "imm", "--outside", "abort"], "outside: abort needs"),

@@ -23,7 +23,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, Scene
 from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
-from policies.speed_rule import by_predicted_speed
+from policies.speed_rule import by_odometry_speed, by_predicted_speed
 from tests.filters.tracks import track
 from tests.logs.by_hand import assert_same
 from tests.logs.writing import write_log
@@ -125,6 +125,19 @@ def test_the_predicted_speed_chooses_the_mode_in_every_epoch(block):
     before = np.concatenate([np.zeros((1, 3)), result.x[:-1, 3:6]])
     np.testing.assert_array_equal(result.mode, np.linalg.norm(before, axis=1) > 2.0)
     assert 0.1 < result.mode.mean() < 0.9
+
+
+@pytest.mark.slow
+def test_the_odometry_speed_chooses_the_mode_where_it_is_measured(folder):
+    block = log(folder, odometry=True)
+    modes = (EKF, replace(EKF, name="fast", sigma_v=3.0))
+    result = run([block], modes, by_odometry_speed)
+    assert_engines(result, block, modes)
+    measured = result.visible[:, -1]
+    speed = block.measurement[2:, -2]
+    before = np.concatenate([[0.0], np.linalg.norm(result.x[:-1, 3:6], axis=1)])
+    np.testing.assert_array_equal(result.mode, np.where(measured, speed, before) > 2.0)
+    assert measured.any() and not measured.all()
 
 
 @pytest.mark.parametrize("modes", [(EKF,), pytest.param(BANK, marks=pytest.mark.slow)])

@@ -19,7 +19,7 @@ from mmwave_env.models.scene import scene_from
 from mmwave_env.world.episode import blank_incoming
 from mmwave_env.world.simulated import SimulatedSource
 from policies import FixedMode, LikelihoodRule, SpeedRule
-from policies.speed_rule import by_predicted_speed, mode_at
+from policies.speed_rule import by_odometry_speed, by_predicted_speed, mode_at
 
 THREE = ("ekf", "ukf", "ckf")
 
@@ -107,10 +107,17 @@ def test_the_likelihood_rule_needs_features_of_the_coming_epoch():
 @pytest.mark.parametrize(("speed", "mode"), [(0.0, 0), (2.0, 0), (2.001, 1), (20.0, 1), (99.0, 1)])
 def test_speed_rules_of_tracks_switch_at_the_threshold_of_the_paper(speed, mode):
     x = [0.0, 0.0, 0.0, 0.6 * speed, -0.8 * speed, 0.0, 7.0]
+    slow = [0.0] * 7
     assert mode_at(speed) == mode
     nothing = blank_incoming(Layout(3)).epoch(Layout(3))
     assert by_predicted_speed(x, nothing) == mode
     assert by_predicted_speed([0.0, 0.0, 0.0, 0.0, 0.0, speed, 0.0], nothing) == mode
+    odometry = Layout(3, odometry=True)
+    blank = blank_incoming(odometry).epoch(odometry)
+    assert by_odometry_speed(x, blank) == mode
+    measured = blank._replace(z=[*blank.z[:-2], speed, 3.0], visible=[*blank.visible[:-1], 1.0])
+    assert by_odometry_speed(slow, measured) == mode
+    assert by_odometry_speed([99.0] * 7, measured) == mode
 
 
 @pytest.mark.slow
