@@ -54,7 +54,7 @@ class Ukf(Estimator):
                 )
                 state = self.predictor(moves).predict(state, timestamp=time)
             state = self._updated(state, site, epoch)
-            spread = np.array(state.covar) + 1e-6 * np.eye(7)  # a millimeter, for lone particles
+            spread = np.array(state.covar) + 1e-6 * np.eye(7)  # (1 mm)^2; all particles may agree
             yield np.array(state.mean, float).ravel(), pack(spread)
 
     def _updated(self, state, site, epoch):

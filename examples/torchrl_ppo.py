@@ -1,4 +1,4 @@
-"""TorchRL: PPO on the native vector environment; TorchRL resets its environments itself."""
+"""TorchRL: PPO on the native vector environment, without autoreset: TorchRL itself resets it."""
 
 import gymnasium as gym
 import torch

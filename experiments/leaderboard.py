@@ -28,8 +28,8 @@ class Args:
     out: Path = Path("results/leaderboard")
     """folder of entries, one JSON file each"""
     keep: bool = False
-    """keep entries that are in the folder; judge the other policies one after the other, and write
-    each entry at once, so that the same command goes on after a stop"""
+    """do not judge again the policies that have an entry in the folder; judge the others one by
+    one, and write each entry when it is ready, so that the same command can go on after a stop"""
     docs: Path | None = None
     """Markdown page in which to replace the tables after `<!-- table: ... -->` by the new ones"""
 

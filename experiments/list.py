@@ -67,7 +67,7 @@ def modes(radio: str) -> dict[str, str]:
 
 
 def scenes() -> dict[str, str]:
-    """Return scenes with their positions: x east, y north, m."""
+    """Return scenes with a description of each; x points east and y north."""
     from mmwave_env.models.random_scene import RANDOM
     from mmwave_env.models.scene import SCENES
 

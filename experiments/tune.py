@@ -26,7 +26,7 @@ class Args(JsonArgs):
     modes: tuple[str, ...] = ("ekf", "ukf")
     """modes to tune: ekf, ukf, ckf, ekf-robust, ukf-robust, mode files"""
     scenarios: tuple[str, ...] = ("pedestrian", "vehicle")
-    """kind of user that each mode is tuned on, in the order of modes: names, JSON or CSV files"""
+    """kinds of users to tune on, one for each mode, in the same order: names, JSON or CSV files"""
     free: tuple[str, ...] = ("sigma_v", "sigma_p")
     """parameters to tune: sigma_p, sigma_v, sigma_pz, sigma_vz, sigma_b_mps, spread_gain"""
     diagonal: bool = False
@@ -38,12 +38,12 @@ class Args(JsonArgs):
     bank: bool = False
     """tune a bank instead of single modes"""
     evaluations: int = 1000
-    """with --bank, maximum number of evaluations"""
+    """with --bank, maximum number of banks to try"""
     levels: bool = False
     """train the network of the protection levels on training seeds, and calibrate it on tuning
     seeds, with the shipped policies; no option but --seed, --out and --json applies"""
     out: Path | None = None
-    """write the tuned modes to this mode file, to use as --modes or modes=; or the levels"""
+    """write the tuned modes to this mode file, for --modes or modes=; with --levels, the levels"""
 
 
 OF_BANK = ("bank", "radio", "episodes", "evaluations", "seed", "out", "json")  # all of --bank
@@ -61,12 +61,12 @@ def _tuned_bank(args: Args) -> Content:
     name = radio_from(args.radio).name
     bank = tuned_bank(args.radio, args.episodes, args.seed, args.evaluations)
     reward, gain = (Interval.of(bank["held_out"][column]) for column in ("reward", "minus imm"))
-    say(f"{name}, on as many other episodes: reward {reward}, gain over imm {gain}")
+    say(f"{name}, on the same number of other episodes: reward {reward}, gain over imm {gain}")
     return bank
 
 
 def _tuned_levels(args: Args) -> Content:
-    """Train and calibrate levels, and print the factors of the calibration; return the levels."""
+    """Tune protection levels and print the factors of their calibration; return the levels."""
     from experiments.console.progress import say
     from experiments.training.levels import tuned_levels
 
@@ -79,7 +79,7 @@ def _tuned_levels(args: Args) -> Content:
 
 
 def _tuned_modes(args: Args) -> tuple[Content, Content]:
-    """Tune modes one by one, and print them; return the mode file's content and more results."""
+    """Tune modes one by one, and print them; return the mode file's content and figures."""
     from experiments.console.progress import say
     from experiments.evaluation.asked import source_of
     from experiments.evaluation.intervals import bootstrap
@@ -90,7 +90,7 @@ def _tuned_modes(args: Args) -> tuple[Content, Content]:
     from mmwave_env.models.radio import radio_from
 
     radio = radio_from(args.radio)
-    modes = modes_from(args.modes, radio.base)  # an untuned radio starts from its base
+    modes = modes_from(args.modes, radio.base)  # an untuned radio starts from the modes of its base
     if len(args.scenarios) != len(modes):
         raise ValueError(
             f"scenarios: found {len(args.scenarios)}, expected {len(modes)}, one for each of the "

@@ -106,8 +106,8 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
       The filters go on without corrections, so actions have no later effect (use a discount of 0);
       `reward="paired"` subtracts the reward of the belief without correction. The filters are an
       IMM. An agent without memory can steer it: `base` is a function that takes the table of the
-      filters' features and returns the agent, such as `partial(LearnedSwitch, "guided")`. Actions
-      that the shipped corrector returns earn what `mmwave-loc compare` shows for it.
+      filters' features and returns the agent, such as `partial(LearnedSwitch, "guided")`. With
+      the actions of the shipped corrector, you earn the reward that `mmwave-loc compare` shows.
 
     ## Rewards
 
@@ -292,7 +292,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
 
     @property  # type: ignore[override]
     def spec(self) -> EnvSpec | None:
-        """Return the registered specification with the episodes' length, which wrappers ask for."""
+        """Return the registered specification; wrappers read the length of episodes from it."""
         return self._spec
 
     @spec.setter
@@ -300,7 +300,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         epochs = getattr(self.source, "epochs", None)
         self._spec = spec and replace(spec, max_episode_steps=epochs)
         # If `gym.make` cuts episodes from outside, their last step has no metrics. `gym.make`
-        # keeps the limit only in a local variable, which is read here.
+        # keeps its limit of steps only in a local variable, which is read here.
         make = sys._getframe(1).f_locals
         limit = make.get("max_episode_steps") or getattr(
             make.get("env_spec"), "max_episode_steps", None
@@ -383,7 +383,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         return observation, float(rewards[0]), terminated, truncated, info
 
     def _take(self, action: Any) -> int:
-        """Pass an action to the engine, or refuse it; return its mode, or 0 if it is numbers."""
+        """Pass an action to the engine, or refuse it; return its mode, or 0 for numbers."""
         inputs = self._io.inputs[0, 0]
         if len(self._limits):
             inputs[1:] = numbers_in("action", action, self._limits)

@@ -90,7 +90,7 @@ class Metric(NamedTuple):
     unit: str
     meaning: str
     whole: Callable[[Epochs], Array]  # computes the metric from complete tracks
-    # computes it from running sums; without this function, infos do not contain the metric
+    # computes the metric from running sums; if None, infos do not contain the metric
     running: Callable[[Sums], Array] | None = None
     info: str = ""  # key in infos, if it differs from the name
 

@@ -58,7 +58,7 @@ class SB3VecEnv(VecEnv):
                 f"options: found {self._options}, expected the same for all environments"
             )
         known = any(seed is not None for seed in self._seeds)
-        seeds: Any = list(self._seeds) if known else None  # Gymnasium's type leaves lists out
+        seeds: Any = list(self._seeds) if known else None  # Gymnasium's annotation omits lists
         observations, _ = self.env.reset(seed=seeds, options=self._options[0] or None)
         self.reset_infos = [{} for _ in range(self.num_envs)]
         self._returns[:], self._lengths[:] = 0.0, 0

@@ -61,7 +61,7 @@ class MmWaveLocVectorEnv(
             "SameStep", the last info of an episode is returned in any case.
         smoothed: whether the last info of an episode also contains ``smoothed_ate_m``.
         render_mode: None or "rgb_array".
-        render_size, render_theme: arguments of the single environment.
+        render_size, render_theme: same as for the single environment.
         backend: "lanes"; vector environments have no other backend.
         **arguments: arguments of :class:`~mmwave_env.env.MmWaveLocEnv`.
 
@@ -246,7 +246,7 @@ class MmWaveLocVectorEnv(
         return {} if self._infos == "none" else infos
 
     def step(self, actions: Index) -> Step:
-        """Process an epoch in every environment, with actions (N,), or (N, k) if they are a Box."""
+        """Process an epoch in every environment, with modes (N,) or numbers (N, k) as actions."""
         actions, numbers = self._checked(actions)
         fresh, resets = self._over, self._ended  # none unless autoreset is NextStep
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}

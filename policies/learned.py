@@ -124,7 +124,7 @@ class LearnedPolicy:
             if anchor and kind in UNSEEN and rest.split()[0] not in anchors:
                 unseen[i] = (UNSEEN[kind] - feature.mean) / feature.deviation
             elif column != feature:
-                values = f"{column[1:]}" if column else "none (does the scene have fewer anchors?)"
+                values = f"{column[1:]}" if column else "none (fewer anchors, or a known height?)"
                 raise ValueError(
                     f"{self._path}: feature {feature.name!r}: found {values}, expected unit, mean "
                     f"and deviation {feature[1:]}; make the environment as in training: "

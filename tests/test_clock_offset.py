@@ -82,7 +82,7 @@ def test_ranges_have_one_bias_and_all_else_stays_as_it_is(arguments):
     np.testing.assert_allclose(offset.prior_covariance, P)
 
 
-def test_a_measured_track_brings_its_own_offset():
+def test_no_offset_is_added_to_the_ranges_of_a_log():
     synchronized, offset = pair(episodes=sample_folder("canyon28_vehicle"))
     np.testing.assert_array_equal(offset.measurement, synchronized.measurement)
     np.testing.assert_array_equal(offset.prior_mean, [*synchronized.prior_mean, 0.0])

@@ -146,7 +146,7 @@ def numbers_in(content):
         yield from numbers_in(vars(content))
 
 
-# Most of these values are shown, not used in computations. In logs of paths, NaN means missing.
+# Files that may contain NaN: most are only shown; in logs of paths, NaN means missing.
 MAY_BE_NAN = (
     "results",
     "run",

@@ -21,7 +21,7 @@ EKF = {"modes": ["ekf"]}
 
 
 class Closeness:
-    """A reward that differs from its own copies, so that each copy would be compiled anew."""
+    """A reward without ``__eq__``: a copy counts as another reward, which is compiled anew."""
 
     compiled = 0
 

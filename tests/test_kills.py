@@ -36,7 +36,7 @@ COMMANDS = {
     "tune": ("tune", "--modes", "ekf", "--scenarios", "pedestrian", "--free", "sigma_v",
              "--episodes", "2", "--out", "modes.json"),
 }  # fmt: skip
-WAYS = {  # signal, exit codes of a command that it interrupts
+WAYS = {  # signal to send (None: none), exit codes of an interrupted command
     "KILL": (signal.SIGKILL, {-signal.SIGKILL}),
     "TERM": (signal.SIGTERM, {-signal.SIGTERM, 128 + signal.SIGTERM}),
     "INT": (signal.SIGINT, {-signal.SIGINT, 128 + signal.SIGINT}),
@@ -54,7 +54,7 @@ def contents(folder):
 
 
 def begun(words, folder, most):
-    """Run the command in a new process that can write ``most`` bytes per file; return its id."""
+    """Start a command that can write only ``most`` bytes per file; return the id of its process."""
     (folder.parent / TOLD).write_text("")
     child = os.fork()
     if child:

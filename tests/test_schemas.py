@@ -108,7 +108,7 @@ def damaged(draw, name):
 
 
 def refusal(name, content, folder):
-    """Return the reader's error, "" if file or schema is not named in it; None without an error."""
+    """Return the reader's error ("" if it does not name file and schema); None if it accepts."""
     path = folder / f"{name}.json"
     path.write_text(json.dumps(content), encoding="utf-8")
     try:

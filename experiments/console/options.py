@@ -69,9 +69,9 @@ class ModeArgs(WorldArgs):
 
     modes: tuple[str, ...] = ()
     """modes to use instead of the profile's ekf and ukf: names (ekf, ukf, ckf, ekf-robust,
-    ukf-robust) and mode files. Policies that can use them: fixed-NAME, likelihood-rule, imm, and
-    with two modes speed-rule (the first for low mobility, the second for high). Learned policies
-    keep their own modes"""
+    ukf-robust) and mode files. Policies that can use them: fixed-NAME, likelihood-rule, imm and,
+    if there are two modes, speed-rule (the first for low mobility, the second for high). Learned
+    policies keep their own modes"""
     observation: str = "full"
     """observation that your own agents were trained with: full or prior; policy files record it"""
     beliefs: str = "shared"
@@ -113,7 +113,7 @@ class LearnedArgs:
     own: a CSV file with columns t, x, y, z"""
     beliefs: Literal["shared", "per-mode"] = "shared"
     """shared: all modes work on one belief; per-mode: every mode keeps its own belief, and the
-    agent says which one to trust"""
+    agent says which mode to trust"""
     modes: tuple[str, ...] = ()
     """modes to choose from: names and mode files; by default the radio's ekf and ukf or, with
     --beliefs per-mode, its best bank"""
@@ -129,7 +129,7 @@ class TaskArgs(LearnedArgs):
     algo: Literal["ppo", "rollouts", "corrector"] = "ppo"
     """ppo: PPO of Stable-Baselines3; rollouts: rollout policy iteration with common random numbers,
     which tries every action on the same measurements; corrector: a recurrent network that corrects
-    the beliefs of the policy guided"""
+    the beliefs of the policy `guided`"""
     radio: str = "handset"
     """radio to train with on the street, if --places is not given: handset, standard, high or a
     JSON file"""
@@ -140,8 +140,8 @@ class TaskArgs(LearnedArgs):
     Environments, and episodes that judge policies, are spread evenly over the places"""
     reward: str = "tracking"
     """tracking; log-score; or paired: the tracking reward minus that of an IMM (with --beliefs
-    per-mode, of the bank's IMM). A hyperparameter file with "paired": true subtracts the reward of
-    the IMM whatever the kind"""
+    per-mode, the bank's IMM). "paired": true in a hyperparameter file subtracts the IMM's reward
+    from the log-score or the tracking reward"""
     nees_weight: float = 0.2
     """weight of the NEES in the tracking reward"""
 
@@ -172,7 +172,7 @@ class FilterArgs:
     """instead of a policy, run all modes of an IMM, weighted by how well each explains the log:
     imm-best, imm or the mode file of a bank"""
     radio: str = AUTO
-    """radio profile, which gives the noise for an SNR and the tuning of the modes: handset,
+    """radio profile, which sets how modes are tuned and how noise depends on the SNR: handset,
     standard, high or a JSON file; auto takes the profile whose noise is nearest to the log's"""
     snr: float | None = None
     """SNR of links that have none in the log, dB; needed if the log has neither SNR nor standard
@@ -186,12 +186,12 @@ class FilterArgs:
     height: float | None = None
     """known height of a user on flat terrain, m"""
     clock: str = "synchronized"
-    """synchronized, or offset: estimate the unknown offset of the user's clock in ranges"""
+    """synchronized, or offset: estimate the offset of the user's clock, which shifts all ranges"""
 
 
 @dataclass(kw_only=True)
 class AlgorithmArgs:
-    """Options of the paper's Algorithm 1, which replaces the policy if any of these is set."""
+    """Options of the paper's Algorithm 1; if any is set, the algorithm replaces the policy."""
 
     speed: str | None = None
     """Algorithm 1: the user's speed, m/s, which selects the pipeline that runs; or auto, to decide
@@ -219,8 +219,8 @@ class LogArgs(AlgorithmArgs, FilterArgs, IntegrityArgs, TrackOutputArgs):
     """recording to use instead of a log: canyon28_vehicle or canyon28_pedestrian, which have a
     scene and ground truth"""
     live: bool = False
-    """read rows from standard input (log -) as CSV or JSON lines, and print one JSON line for each
-    epoch at once"""
+    """read rows from standard input (log -) as CSV or JSON lines, and print a JSON line immediately
+    after each epoch"""
     lag: int = 0
     """with --live, also print the position this many epochs ago, smoothed with all later epochs"""
     associate: bool = False

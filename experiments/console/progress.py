@@ -24,7 +24,7 @@ class _Description(TextColumn):
 
 
 def bars(*columns: ProgressColumn | str) -> Progress:
-    """Return bars on standard error, which vanish at the end and keep standard output clean.
+    """Return bars on standard error, so that standard output stays clean; they vanish at the end.
 
     No bar is shown if standard error is not a terminal. ``columns`` are added to rich's own.
     """

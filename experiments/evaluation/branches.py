@@ -31,7 +31,7 @@ Act = Callable[[NDArray[np.float32]], Index]
 
 
 class Branches:
-    """A copy of an engine's n environments for every action, to run ahead of them.
+    """Copies of an engine's n environments, one set per action, that run ahead of the originals.
 
     Args:
         engine: engine whose episodes are loaded as tables.
@@ -41,7 +41,7 @@ class Branches:
     def __init__(self, engine: Engine, horizon: int) -> None:
         self._batch, self.horizon = engine.batch, horizon
         self._actions, at = len(engine.observation.actions), engine.at
-        n = self._actions * len(engine.batch.state.rows) * WIDTH  # whole blocks are copied
+        n = self._actions * len(engine.batch.state.rows) * WIDTH  # whole blocks of lanes are copied
         program, layout = engine.batch.program, engine.batch.layout
         self._copies = Batch(program, layout, n, rows_of(at.action))
         self._copies.make_room(horizon)

@@ -42,17 +42,17 @@ def compare(
             observations (n, features), float32, of ``n`` episodes to ``n`` integer actions, or
             anything that ``mmwave-loc compare --policies`` accepts: a policy file,
             "module:function", the folder of a run, or a name. A function may have a method
-            ``reset(begins)``, whose bool (n,) marks the episodes that begin, and attributes
-            ``modes``, ``observation`` and ``beliefs``, which override the arguments here. If it
-            also has a method ``correct``, its corrections are scored (docs/own-agent.md).
+            ``reset(begins)``, whose argument, a bool (n,), marks the episodes that begin, and
+            attributes ``modes``, ``observation`` and ``beliefs``, which override the arguments
+            here. If it has a method ``correct``, its corrections are scored (docs/own-agent.md).
         beside: names of known contenders to compare with, from
             :func:`~experiments.evaluation.contenders.contenders`.
         scenario, radio: same as in the environment.
         episodes: number of episodes, 200 by default; results to publish need 1000 or more.
         seed: seed of the first episode, 0 by default; training uses seeds from 10 million on.
         modes, observation, beliefs: settings that agents were trained with, as in the environment;
-            policy files hold their own. The IMM named "imm" mixes these modes, with the transition
-            and quantile of the bank or mode file that contains the modes, if there is one.
+            policy files hold their own. An agent "imm" is the IMM of these modes; if ``modes`` is a
+            bank or one mode file, it also sets the IMM's transition and NIS quantile.
         data: recorded episodes or episodes of your own, as in the environment's ``episodes``.
         world: further arguments of the environment: ``scene``, ``dt``, ``episode_steps``,
             ``planar``, ``odometry``, ``reward``.

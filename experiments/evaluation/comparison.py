@@ -20,7 +20,7 @@ from mmwave_env.metrics import HEADERS, METRICS, TERMS
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import EpisodeSource
 
-MISSING = "-"  # in tables
+MISSING = "-"  # what tables show instead of an unknown value
 
 
 def score_of(gain: float, possible: float) -> float | None:
@@ -48,7 +48,7 @@ class Comparison:
     radio: str
     selection: Selection
     policies: dict[str, dict[str, Interval]]  # means by contender and metric
-    paired: dict[str, dict[str, Interval]]  # the same for differences by episode, "A - B"
+    paired: dict[str, dict[str, Interval]]  # paired differences by "A - B" and metric
     reward: str = "tracking"  # kind of reward in the column "reward"
 
     @property
@@ -115,7 +115,10 @@ class Comparison:
         return "\n".join(parts) + "\n"
 
     def table(self, metrics: Collection[str]) -> tuple[list[str], list[list[str]]]:
-        """Return a header and a row per policy: means ± 95 % half-widths; with rewards, a score."""
+        """Return a header and a row per policy: means ± 95 % half-widths.
+
+        If the metrics include the reward, a last column has the scores, if there are any.
+        """
         rows = [[name, *(rounded(row[m]) for m in metrics)] for name, row in self.policies.items()]
         header, scores = ["policy", *(HEADERS[metric] for metric in metrics)], self.scores
         if scores and "reward" in metrics:

@@ -60,7 +60,7 @@ class Contender:
     def learned(
         cls, path: str | os.PathLike[str], name: str | None = None, radio: str = "handset"
     ) -> "Contender":
-        """Return the learned policy of a policy file, or a shipped one by its name.
+        """Return a contender for the learned policy in a file, or for a shipped policy by name.
 
         A policy with several banks gets the one of ``radio``. If ``name`` is None, the name is the
         path.
@@ -160,10 +160,10 @@ def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
 
     Args:
         radio: radio profile, a name or a JSON file.
-        modes: modes of the contenders, as in ``MmWaveLoc-v0``; the IMM has the transition and
-            quantile of a bank or mode file that states them. None stands for the profile's EKF and
-            UKF, and adds three kinds of contenders: the CKF, the IMM of the profile's best bank,
-            and the learned policies that are shipped for the profile.
+        modes: modes of the contenders, as in ``MmWaveLoc-v0``; a bank or a mode file also sets
+            the transition and NIS quantile of the IMM. None stands for the profile's EKF and UKF,
+            and adds three kinds of contenders: the CKF, the IMM of the profile's best bank, and the
+            learned policies that are shipped for the profile.
     """
     if modes is not None:
         return _of_any_modes(bank_over(modes, radio))

@@ -13,7 +13,7 @@ from mmwave_env.world.keys import Keys
 from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Trajectory
 
-DURATION_S = 800  # of a way; an episode of 200 s is a window of it
+DURATION_S = 800  # duration of a way; an episode is a window of 200 s of it
 STREET, HANDSET = SCENES["street"], RADIOS["handset"]
 
 

@@ -22,7 +22,7 @@ def history_of(
     """Return the prior and the contender's results in every epoch of an episode with a true track.
 
     For a policy, the modes in the history are its actions. For an IMM, they are the most probable
-    modes, and the accepted and rejected groups are those of these modes.
+    modes, and the history has the groups of measurements that these modes accepted and rejected.
 
     Raises:
         ValueError: the policy fails.

@@ -36,7 +36,7 @@ class Positions:
     def add(self, contender: Contender, time_s: Array, results: EpochResults) -> None:
         """Add a contender's epoch results on some episodes.
 
-        They must include :data:`~mmwave_env.localization.levels.PARTS`.
+        The results must include :data:`~mmwave_env.localization.levels.PARTS`.
         """
         if contender.name in self.names:
             name, counts = self.names[contender.name], scored(len(time_s))

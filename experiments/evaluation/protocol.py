@@ -34,7 +34,7 @@ UNSEEN_SCENES, UNSEEN_RADIOS = ("avenue", "plaza", "alley"), ("tablet",)
 UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
 OTHER_RADIOS = ("handset", "standard")  # radios for unseen streets and for recordings
 EPISODES, DRAWS = 2000, 200  # number of episodes at each simulated site, and on each recording
-CEILING_EPISODES, CEILING_DRAWS = 400, 20  # scores use only this many, the first ones
+CEILING_EPISODES, CEILING_DRAWS = 400, 20  # numbers of first episodes and draws that scores use
 PUBLISHED = Path(__file__).parents[2] / "docs" / "leaderboard"  # folder of the published entries
 
 
@@ -59,7 +59,7 @@ class Site:
 
 
 def sites() -> list[Site]:
-    """Return all sites: for training, unseen streets, an unseen radio, recordings, hard ones."""
+    """Return all sites: to train in, unseen streets and radio, recordings, and hard sites."""
     unseen = {name: unseen_file(name) for name in UNSEEN}
     at = WorldArgs
     trained = [Site.of(f"{s}:{r}", TRAINED, at(scene=s, radio=r)) for s in SCENES for r in RADIOS]
@@ -94,7 +94,7 @@ class Judged:
         return self.scores[name]["reward"] - self.scores[rival]["reward"]
 
     def figures(self, name: str) -> dict[str, Any]:
-        """Return a contender's figures at this site: means, and its gain over rule and IMMs."""
+        """Return a contender's figures at this site: means, and gains over rule and IMMs."""
         gains = {imm: self.gain(name, imm) for imm in self.imms if imm != name}
         own = [self.scores[name][metric] for metric in ("reward", "ate_m")]
         columns = np.stack([*own, *gains.values()], axis=1)
@@ -176,7 +176,7 @@ def read_entry(path: Path) -> dict[str, Any]:
 
 
 def ceiling_in(*folders: Path) -> Mapping[str, Any] | None:
-    """Return the clairvoyant's entry from the first folder that has one; None if none has."""
+    """Return the clairvoyant's entry from the first folder that has it, or None."""
     paths = (folder / f"{CLAIRVOYANT}.json" for folder in folders)
     return next((read_entry(path) for path in paths if path.is_file()), None)
 
@@ -265,7 +265,7 @@ def by_site(entries: Sequence[Mapping[str, Any]]) -> str:
 
 
 def by_score(entries: Sequence[Mapping[str, Any]], ceiling: Mapping[str, Any] | None) -> str:
-    """Return a Markdown table of scores by site, beside the gain over the rule that 100 stands for.
+    """Return a Markdown table by site: the clairvoyant's gain over the rule, then every score.
 
     Policy files and the clairvoyant are left out if there are other entries.
     """

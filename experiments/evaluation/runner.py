@@ -181,7 +181,7 @@ def _warn_of_short(time_s: Array) -> None:
 
 
 def _warn_of_nonfinite(contender: Contender, results: EpochResults) -> None:
-    """Warn that a contender's means will be NaN, and why; no episode is left out."""
+    """Warn if NaN or infinite beliefs make a contender's means NaN; no episode is left out."""
     finite = np.isfinite(results["error"]).all(axis=-1) & np.isfinite(results["nees"])
     lost = np.count_nonzero(~finite.all(axis=1))
     if lost:
@@ -204,7 +204,7 @@ def _summary(results: EpochResults, time_s: Array, scoring: Scoring) -> Scores:
 
 
 def _drawn(selection: Selection, source: EpisodeSource) -> tuple[EpisodeBatch, Array]:
-    """Draw equally long episodes, ready to run; also return the times (T,) of the first one."""
+    """Draw equally long episodes, ready to run; also return the first episode's times (T,)."""
     keys = selection.keys(source)
     if keys is None:
         episodes = selection.draw(source)
@@ -229,7 +229,7 @@ def score_contenders(
         names: contenders, or names as in :func:`contender_from`, with these ``modes``.
         source, selection: episodes to run, by seeds or keys.
         radio: radio profile.
-        watch: functions that are called with a contender, the times (T,) and its epoch results.
+        watch: functions called with a contender, the times (T,) and the contender's epoch results.
         after: parts of the state for ``watch``, as in :func:`run_contender`.
 
     Raises:

@@ -91,7 +91,7 @@ def trainings(names: Sequence[str], runs: Mapping[str, Run]) -> list[str]:
 
 
 def curves_of(log: Path) -> dict[str, tuple[list[float], list[float]]]:
-    """Read learning curves from a progress log: for each rival, steps and reward minus its reward.
+    """Read learning curves from a log: for each rival, steps and the reward minus the rival's.
 
     Raises:
         ValueError: the log is not CSV, or a value is not a number; the message names the line.

@@ -10,7 +10,7 @@ from mmwave_env.io.lookup import printable, require_extra, spelled
 from mmwave_env.rendering.theme import THEMES, hex_of
 
 STYLE = Path(__file__).with_name("publication.mplstyle")
-UNDATED: dict[str, dict[str, Any]] = {  # metadata without dates: equal pictures are equal files
+UNDATED: dict[str, dict[str, Any]] = {  # metadata; without dates, equal pictures are equal files
     ".png": {},
     ".svg": {"Date": None},
     ".pdf": {"CreationDate": None},
@@ -124,7 +124,7 @@ def legend_of(figure: Any, axes: Any, width_mm: float | None, handles: Sequence[
 
 
 def plain_numbers(axis: Any) -> None:
-    """Label a logarithmic axis in plain numbers: powers of ten and, if few, 2 and 5 times them."""
+    """Label a logarithmic axis in plain numbers: 1, 10, ... and, if it is short, 2, 5, 20, ..."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     low, high = axis.get_view_interval()

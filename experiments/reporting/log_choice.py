@@ -20,7 +20,7 @@ from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed,
 DEFAULT_POLICY = "corrector"
 # Without elevations, "guided" trusts wrong modes too often to be useful (docs/learning.md).
 WITHOUT_ELEVATIONS = "imm-best"
-# Correctors read the deviation of the height, which a known height does not have.
+# Correctors read the standard deviation of the height, which does not exist for a known height.
 WITH_HEIGHT = "guided"
 RULES: dict[str, tuple[Rule, str]] = {  # each rule, and what messages call its speed
     "prediction": (by_predicted_speed, "the predicted"),

@@ -61,7 +61,7 @@ def inputs(args: LogArgs) -> Inputs:
     """Return the files of the log, of its scene and of the ground truth, if there is one."""
     if args.sample is None:
         if args.log is None:
-            raise ValueError("log: found none, expected a log (before --out), or --sample NAME")
+            raise ValueError("log: found none, expected a log as first argument, or --sample NAME")
         if args.log.is_dir():
             files = f"{args.log / LOG} --scene {args.log / SCENE} --truth {args.log / TRUTH}"
             raise ValueError(f"log: found the folder {args.log}, expected files, such as {files}")

@@ -73,7 +73,7 @@ def _row(figures: Mapping[str, float]) -> Row:
 
 
 def training_of(values: Values) -> tuple[Training, Hyperparameters]:
-    """Return the options of a training, and the shipped hyperparameters with its own changes."""
+    """Return the options of a training, and the shipped hyperparameters with the cell's changes."""
     options, changed = dict[str, Any](), dict[str, Any]()
     for axis, value in values.items():
         name = axis.removeprefix(HYPERPARAMETER)
@@ -88,8 +88,8 @@ def kept(folder: Path, spec: Spec) -> set[str]:
     for name in names:
         if not (name.startswith(spec.trial) if spec.free else name in spec.cells):
             raise ValueError(
-                f"{folder / name}.parquet: found a row of another sweep or version, or from before "
-                "a file named in this sweep was changed; --out names another folder"
+                f"{folder / name}.parquet: found a row of another sweep or version (or a file that "
+                "the sweep names has changed since then); --out names another folder"
             )
     return names
 

@@ -21,7 +21,7 @@ from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from
 from mmwave_env.world.simulated import SimulatedSource
 
-SCENE, EPOCHS, WARM_UP = "street", 4000, 1000  # epochs of a track; the first are not timed
+SCENE, EPOCHS, WARM_UP = "street", 4000, 1000  # epochs of a track; the first 1000 are not timed
 PERCENTILES = (50.0, 99.0, 99.9)
 PIPE, PYTHON = "through a pipe", "in Python"
 CONTENDERS: dict[str, tuple[tuple[str, str], Callable[[], Switching]]] = {

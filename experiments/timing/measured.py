@@ -51,7 +51,7 @@ class Rates:
 
 
 class Measured:
-    """All measured values; each list has one entry for a round, or for a new process.
+    """All measured values; each list has one entry per round or, for new processes, per process.
 
     ``sizes`` are numbers of environments in the native vector environment.
     """

@@ -34,9 +34,9 @@ from mmwave_env.world.trajectory import Trajectory, Ways
 from policies import LearnedSwitch
 from policies.corrector import BASE_IMM
 
-STEPS_S = (1.0, 1.0, 0.5, 0.25, 0.1, 0.1, 0.1, 2.0)  # steps between epochs, equally probable
+STEPS_S = (1.0, 1.0, 0.5, 0.25, 0.1, 0.1, 0.1, 2.0)  # steps between epochs to draw from
 EPOCHS = 200
-SUBSETS = (  # measured quantities of receivers that lack some
+SUBSETS = (  # quantities that a receiver measures if it lacks some
     ("range", "azimuth", "elevation", "departure"),
     ("range", "azimuth", "elevation"),
     ("range", "azimuth", "elevation", "doppler"),
@@ -54,8 +54,8 @@ ORIENTATION_RAD = 0.1  # standard deviation of an orientation that is not known 
 WEAVING = 0.5
 WAYS = 64  # number of weaving users from which the episodes of a lot are drawn
 WEAVE_S = (8.0, 40.0)  # periods of weaving at an episode's highest speed
-WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # largest change of velocity, divided by speed, and of position
-WEAVING_BEHIND_M = (20.0, 60.0)  # walls behind the last street, with room to turn and weave
+WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # largest (change of velocity) / speed, change of position
+WEAVING_BEHIND_M = (20.0, 60.0)  # distances from the last street to a wall, with room to weave
 
 
 class Lot(NamedTuple):
@@ -101,7 +101,7 @@ class CorrectorData:
             yield self._play(batch, self.bank(radio))
 
     def batches(self) -> Iterator[tuple[str, EpisodeBatch]]:
-        """Draw the episodes of these lots; yield each with the radio whose bank it needs."""
+        """Yield the episodes of each lot of :meth:`lots`, with the radio whose bank they need."""
         places, share = self._task.places, self._hyper.random_share
         for place in places:
             rng = self._rng()
@@ -117,7 +117,10 @@ class CorrectorData:
         return np.random.default_rng((self._seed, self.played))
 
     def _at_some_rate(self, source: SimulatedSource, rng: np.random.Generator) -> SimulatedSource:
-        """Return a source with a random step; if it is short, half the lots have long episodes."""
+        """Return a source with a random step between epochs.
+
+        If the step is short, half of the lots have long episodes.
+        """
         dt, long = float(rng.choice(STEPS_S)), rng.random() < 0.5
         return replace(
             source, dt=dt, epochs=self._hyper.long_epochs if dt <= 0.2 and long else EPOCHS
@@ -153,7 +156,7 @@ class CorrectorData:
         return source.sample_batch(keys)
 
     def _play(self, batch: EpisodeBatch, bank: Bank) -> Lot:
-        """Play the base on episodes."""
+        """Play episodes with the base; return what a corrector learns from them."""
         n, epochs, _ = batch.table.shape
         pipeline = Pipeline(bank.modes, batch.layout)
         engine = Engine(pipeline, n, TrackingReward(), "signed", bank)
@@ -209,7 +212,7 @@ def _lot(features: NDArray[np.float32], x: Array, P: Array, error: Array) -> Lot
 
 
 def _spoil(batch: EpisodeBatch, rng: np.random.Generator) -> None:
-    """Make the receiver of a batch misjudge noise or orientation, or miss some anchors."""
+    """Make the receiver, at random, misjudge noise or orientation, or miss some anchors."""
     at, layout = columns_of(batch.layout), batch.layout
     sigma = batch.table[:, :, rows_of(at.signed_sigma)]
     if rng.random() < MISJUDGING:

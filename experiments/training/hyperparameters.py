@@ -80,7 +80,7 @@ class RolloutHyperparameters(_SwitcherHyperparameters):
     gradient_steps: Count  # number of gradient steps of an update
 
     algorithm = "rollouts"
-    together = WIDTH  # a block of SIMD lanes has one place
+    together = WIDTH  # environments in a block of SIMD lanes share a place
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -96,12 +96,12 @@ class CorrectorHyperparameters(_Hyperparameters):
     # held-out places, at which the policies that a training produces are compared
     judged_at: Annotated[tuple[Name, ...], Size(1, 100)]
     random_share: Probability  # share of episodes whose streets, radio and receiver are random
-    long_epochs: Count  # number of epochs of long episodes; only rates of 5 Hz or more have these
+    long_epochs: Count  # number of epochs of long episodes, which occur only at 5 Hz or more
     # front, units, head: numbers of neurons before, in and after the recurrent layer
     front: Count
     units: Count
     head: Count
-    members: Count  # number of outputs in the ensemble
+    members: Count  # number of members of the ensemble
     likelihood_weight: Positive  # weight of the log-likelihood in the loss
     max_grad_norm: Positive  # length to which longer gradients are shortened
 

@@ -27,10 +27,10 @@ MOMENTS = ("mean", "var", "count")  # attributes with the statistics of all obse
 
 
 class PpoTraining(BaseCallback):
-    """A training in progress; Stable-Baselines3 calls it before and after collecting epochs.
+    """A training in progress, called by Stable-Baselines3 before and after it collects epochs.
 
     Args:
-        job: training to run; continues from a checkpoint in its folder, if any.
+        job: training to run; if its folder has a checkpoint, the training continues from it.
         tell: function that is called with news of the training.
 
     Attributes:

@@ -39,8 +39,8 @@ class Tried(NamedTuple):
 class RolloutEnv:
     """N environments, spread over the places of a task and over the epochs of an episode.
 
-    Eight adjacent environments share a place and an epoch. Their first episodes are cut to
-    different lengths, so that the groups of eight are in different epochs.
+    Eight adjacent environments share a place and an epoch. The first episodes of these groups of
+    eight are cut to different lengths, so that the groups are in different epochs.
 
     Args:
         task: task of the training.
@@ -54,7 +54,7 @@ class RolloutEnv:
         observations: (n, features) latest observations, which need an action.
 
     Raises:
-        ValueError: n is too small or no multiple of eight, or banks need different programs.
+        ValueError: n is too small or not a multiple of eight, or banks need different programs.
     """
 
     def __init__(

@@ -142,7 +142,7 @@ class RolloutTraining:
     """A training in progress.
 
     Args:
-        job: training to run; continues from a checkpoint in its folder, if any.
+        job: training to run; if its folder has a checkpoint, the training continues from it.
         tell: function that is called with news; a timestep is a state in which actions were tried.
 
     Attributes:

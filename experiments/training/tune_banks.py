@@ -1,6 +1,7 @@
-"""Tuning of the bank of imm-best: modes for users who stand, cruise, turn, accelerate or brake.
+"""Tuning of the bank of the policy imm-best.
 
-The bank's parameters are tuned together, for the mean reward in all shipped scenes at two rates.
+The modes of this bank are for users who stand, cruise, turn, accelerate or brake. All parameters of
+the bank are tuned together, for the mean reward in all shipped scenes at two rates of epochs.
 """
 
 from collections.abc import Callable, Sequence
@@ -127,7 +128,7 @@ Value = Callable[[Bank, int], float]
 
 # Ranges to search:
 ODDS = (-14.0, 8.0)  # log(probability to change to another mode / probability to stay)
-# A sigma_v below this range earns a slightly higher reward, because simulated users walk straight.
+# A sigma_v below its range earns a slightly higher reward, because simulated users walk straight.
 # But such a filter would lose a user whose direction varies by a few degrees, as in recordings.
 FREE = {
     "sigma_p": (0.005, 2.0),
@@ -197,7 +198,7 @@ def _written(transition: Array) -> tuple[tuple[float, ...], ...]:
 
 
 def best_bank_of(space: SearchSpace, value: Value, evaluations: int) -> Bank:
-    """Return the bank at the mean of the centers in the second half of the search.
+    """Return the best bank: the mean of the search's centers over the second half of the search.
 
     Points are compared only within a generation, so each generation may have its own episodes. The
     center of the search then wanders around the optimum of all episodes, and the mean of the
@@ -206,8 +207,8 @@ def best_bank_of(space: SearchSpace, value: Value, evaluations: int) -> Bank:
     Args:
         space: space to search.
         value: function to maximize; its arguments are a bank and the number of the generation.
-        evaluations: maximum number of calls of ``value``; if they are fewer than one generation
-            needs, the start is returned.
+        evaluations: maximum number of calls of ``value``; if one generation needs more calls, the
+            start is returned.
     """
     from cmaes import CMA  # needs the extra "tune"
 

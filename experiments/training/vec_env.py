@@ -25,7 +25,7 @@ class PlacesVecEnv(VecEnv):
 
     Args:
         task: task of the training.
-        hyperparameters: number of environments, and whether rewards are paired.
+        hyperparameters: number of environments, and whether to subtract an IMM's reward (paired).
 
     Attributes:
         envs: native vector environments, one per place.
@@ -78,7 +78,7 @@ class PlacesVecEnv(VecEnv):
             part.step_async(some)
 
     def step_wait(self) -> tuple[NDArray[Any], NDArray[np.float32], NDArray[np.bool_], Infos]:
-        """Return observations (n, features), rewards (n,), ends (n,) and infos of one step."""
+        """Return observations (n, features), rewards (n,), which episodes ended (n,) and infos."""
         *arrays, infos = zip(*(part.step_wait() for part in self._parts), strict=True)
         observations, rewards, over = map(np.concatenate, arrays)
         return observations, rewards, over, [info for part in infos for info in part]
@@ -91,7 +91,7 @@ class PlacesVecEnv(VecEnv):
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Restore the exact :meth:`state` of other environments."""
+        """Continue exactly like the environments that returned this :meth:`state`."""
         for i, (env, part) in enumerate(zip(self.envs, self._parts, strict=True)):
             env.restore(state[str(i)]["env"])
             part.restore(state[str(i)]["returns"])

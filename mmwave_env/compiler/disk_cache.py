@@ -47,7 +47,7 @@ _PACKAGE = Path(__file__).parents[1]  # an edit anywhere in the package makes a 
 _SOURCES = "**/*.py"
 _READ = time.time()  # a source edited after this may have been read before or after the edit
 _KEPT = 8  # number of versions of the sources whose compiled functions are kept
-_CHECKSUM = sha256().digest_size  # number of bytes at the beginning of each file
+_CHECKSUM = sha256().digest_size  # number of bytes; each file begins with its checksum
 
 
 def compiled(function: Callable[..., Any]) -> Any:
@@ -254,7 +254,7 @@ class LazyJit:
         self._left = plain_work
 
     def choice(self, work: int, *arguments: Any) -> Any:
-        """Return the function that an amount of work with these arguments should use.
+        """Return the form, plain or compiled, to use for an amount of work with these arguments.
 
         If threads share the work, call this once for all threads.
         """

@@ -172,7 +172,7 @@ class Lanes(_Value, Tracer):
         """Return the exponential of the numbers after limiting them to [-708, 708]."""
         b = self.builder
         x: Any = where(self < -708.0, -708.0, where(self > 708.0, 708.0, self))
-        shifted = x * (1.0 / math.log(2.0)) + 1023.5  # positive: truncation is floor
+        shifted = x * (1.0 / math.log(2.0)) + 1023.5  # positive, so truncation rounds down
         k = b.fptosi(shifted.value, _BITS)
         n = Lanes(b, b.sitofp(k, _VECTOR)) - 1023.0
         r = (x - n * _LN2_HIGH) - n * _LN2_LOW

@@ -148,7 +148,8 @@ class Program(Generic[Workspace]):
 
     Args:
         function: maps a workspace tree to a workspace tree of the same shape.
-        template: a workspace of floats, the initial value; its ``incoming`` is the blank epoch.
+        template: the initial workspace, of floats; its ``incoming`` is the blank epoch, which
+            follows the last epoch of a track.
     """
 
     def __init__(self, function: Callable[[Workspace], Workspace], template: Workspace) -> None:
@@ -235,7 +236,7 @@ run_blocks = LazyJit(advance, PLAIN_BLOCK_EPOCHS)
 
 
 class Repeated:
-    """A lazy function whose arguments have the same types in every call.
+    """A :class:`LazyJit` whose arguments have the same types in every call.
 
     Calls skip numba's check of the types, which takes microseconds for structures.
     """

@@ -252,7 +252,7 @@ class TrackSource:
         clock: whether the user's clock has an unknown offset.
 
     Raises:
-        ValueError: there is no stretch, or no stretch is that long.
+        ValueError: there is no stretch, or no stretch has that many epochs.
     """
 
     def __init__(

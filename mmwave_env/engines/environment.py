@@ -33,14 +33,15 @@ from mmwave_env.task import Task
 from mmwave_env.world.episode import EpisodeBatch
 from mmwave_env.world.keys import Streams
 
-REPLAYED, FILTERED = 8, 256  # episodes in one job of replaying and of filtering, to save memory
+# maximum number of episodes in one job of replaying and in one job of filtering, to save memory
+REPLAYED, FILTERED = 8, 256
 
 
 class Baseline:
     """The baseline of a paired reward: the rewards of an IMM on the episodes of a batch.
 
     No action changes an episode, so these rewards are known once the episode is loaded. If actions
-    are corrections, the baseline is the uncorrected belief; the program computes its reward.
+    are corrections, the program computes the baseline: the reward of the uncorrected belief.
 
     Args:
         task: the task, whose baseline is the IMM.
@@ -174,7 +175,7 @@ class Environment:
         self._tally.begin(places, self._engine.steps_s(places), length)
 
     def _remember(self, epochs: int) -> None:
-        """Make room for the modes of this many steps, if a replay needs them."""
+        """Make room for the actions of this many steps, if a replay needs them."""
         if self._replay:
             self._history.make_room(epochs)
 
@@ -315,5 +316,5 @@ class RestorableEnvironment(Environment):
         if not self._task.has_keys:
             raise ValueError(
                 f"{call}: found episodes from your own source or a recording, expected "
-                "simulated ones, because the state of another source is not known here"
+                "simulated episodes, because the state of other sources is unknown"
             )

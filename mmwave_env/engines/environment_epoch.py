@@ -73,7 +73,7 @@ class EnvState(NamedTuple):
     observation: list[Number]  # (features,)
     reward: Number  # reward of the last epoch in which an action was taken
     reward_terms: list[Number]  # terms of the reward, and minus the mode's cost
-    truth: list[Number]  # (6,) truth in that epoch; before any action, in the first epoch
+    truth: list[Number]  # (6,) truth in that epoch; before any action, truth in the first epoch
     error: list[Number]  # (3,) position error in that epoch, m
     distance: Number  # length of the error, m
     nees: Number  # NEES in that epoch
@@ -118,7 +118,7 @@ class Reported(NamedTuple):
     truth: list[Number]
     memory: Memory
     mode_probabilities: list[Number]
-    reward: Number  # of the belief before the correction, without any cost
+    reward: Number  # reward of the belief before the correction, without any cost
 
 
 class PerModeState(NamedTuple):
@@ -138,7 +138,7 @@ class PerModeState(NamedTuple):
     # x, P: (7,), (28,) the combined belief
     x: list[Number]
     P: list[Number]
-    memory: Memory  # memory of the most probable mode; its preferences cover all modes
+    memory: Memory  # memory of the most probable mode, but with the preferences of all modes
     observation: list[Number]  # (features,)
     # the fields from ``reward`` to ``nees`` are the same as in :class:`EnvState`
     reward: Number

@@ -23,7 +23,8 @@ class PendingEpoch(NamedTuple):
     visible: list[Number]
     truth: list[Number]  # (6,) true position (m) and velocity (m/s)
     measured: Vector  # same as in :class:`~mmwave_env.models.measurement.Epoch`
-    incoming: Any = ()  # the complete epoch, if there are signed features
+    # the complete epoch, if there are signed features (:mod:`mmwave_env.interface.signed`)
+    incoming: Any = ()
 
 
 def blank_track(layout: Layout, modes: int) -> dict[str, Any]:
@@ -76,7 +77,7 @@ def last_of(w: Any, layout: Layout, probabilities: Vector = ()) -> LastEpoch | N
 def begun(
     w: Any, x: list[Number], P: list[Number], memory: Memory, pipeline: Pipeline
 ) -> tuple[list[Number], list[Number], Memory]:
-    """Return belief (7,), (28,) and memory; if a track starts over, the prior and a new memory."""
+    """Return belief (7,), (28,) and memory; at the start of a track, the prior and a new memory."""
     blank, first = initial_memory(pipeline.layout, len(pipeline.modes)), w.is_first > 0.5
     x, P = select(first, w.site.prior_x, x), select(first, w.site.prior_P, P)
     return x, P, select(first, blank, memory)

@@ -60,7 +60,7 @@ class ImmState(NamedTuple):
     reward: Number
     error: list[Number]
     nees: Number
-    signed: list[Number]  # (features,) standardized features for a corrector, if there is one
+    signed: list[Number]  # (features,) standardized features for a policy that corrects beliefs
 
 
 def imm_program(

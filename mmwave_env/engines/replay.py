@@ -109,7 +109,7 @@ def smooth(
         P: (N, T, 28) filtered covariances, packed.
         x_predicted, P_predicted: (N, T, 7), (N, T, 28) beliefs predicted for each epoch, before its
             update.
-        dt: (T - 1,) seconds from each epoch to the next, or (N, T - 1) for each track.
+        dt: (T - 1,) seconds from each epoch to the next; (N, T - 1) if they differ between tracks.
         planar: whether z and vz are known exactly.
         hz_per_mps: carrier frequency over the speed of light; needed only with a clock.
     """

@@ -38,7 +38,7 @@ class Tally:
         axes: number of position axes that NEES covers.
 
     Attributes:
-        counts: the sums; the ring buffer covers a second, or the longest episode if it is shorter.
+        counts: the sums; the ring buffer covers a second, or an episode that is shorter.
     """
 
     def __init__(self, n: int, axes: int) -> None:

@@ -112,7 +112,7 @@ class EpisodeFilter(Generic[Workspace]):
     """N tracks of a program, each filtered from the first epoch of an episode to the last.
 
     Args:
-        batch: batch of N environments; the caller sets what episodes lack, such as tunings.
+        batch: batch of N environments; the caller sets rows that episodes lack, such as tunings.
 
     Attributes:
         program: the program of an epoch.

@@ -80,14 +80,14 @@ class StepColumns(NamedTuple):
     reward: int
     nees: int
     error: int  # 3 columns
-    covariance: int  # 3 columns: that of the horizontal position
+    covariance: int  # 3 columns: covariance of the horizontal position
     # accepted, rejected: one column per group of measurements, if steps return infos
     accepted: int
     rejected: int
 
 
 class StepMemory(NamedTuple):
-    """The record of a step for later steps and for the ends of episodes."""
+    """The data that a step records for later steps and for the ends of episodes."""
 
     counts: Counts  # sums for the metrics
     modes: Modes  # (T, n) the modes of the last T steps

@@ -1,8 +1,8 @@
 """Corrections of a belief's position in the frame of motion.
 
 The *frame of motion* has axes along the estimated horizontal velocity, across it (to the left) and
-up. A correction has two numbers for each axis: how many standard deviations of the belief the
-estimated position moves, and the factor by which this deviation is scaled.
+up. A correction has two numbers for each axis: the shift of the estimated position, in standard
+deviations of the belief, and the logarithm of the factor by which this deviation is scaled.
 """
 
 from typing import NamedTuple
@@ -45,7 +45,7 @@ class Frame(NamedTuple):
 
         Args:
             P: (n, n) covariance.
-            first: component x, followed by y: 0 for the position, 3 for the velocity.
+            first: index of component x in P, followed by y: 0 for the position, 3 for the velocity.
         """
         c, s = self
         xx, yy, xy = P[first][first], P[first + 1][first + 1], P[first + 1][first]

@@ -134,7 +134,7 @@ def _check(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> None:
 def _uses_missing_rows(
     mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial, result: Posterior
 ) -> Iterator[str]:
-    """Yield faults: values of a partial epoch's result that depend on rows not measured."""
+    """Yield faults: values of a result that depend on rows of z that were not measured."""
     if not trial.rows:
         return
     anchors, hz_per_mps, z, *rest = trial.measured
@@ -197,7 +197,8 @@ def _run(mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial)
         advice = f"{type(error).__name__}: {error}"
         if isinstance(force, FloatTracer) and isinstance(error, TypeError | AttributeError):
             advice = f"{advice}\n{_LANES_KNOW}"
-        line = line_of(error, mode.update) or begin_of(mode.update)  # the function was not entered
+        # If the call itself failed, the traceback contains no line of the function.
+        line = line_of(error, mode.update) or begin_of(mode.update)
         raise _error(mode, "failed in a trial run", line, advice) from error
     for name, argument, old in zip(("x", "P", "measurement"), arguments, before, strict=True):
         new = flatten(argument)

@@ -11,8 +11,8 @@ along which h is curved has a curvature latent with V_kappa_j = up + down. With 
 (w / 2) I + bend w^2 1 1', V cov(eta) V' is exactly the covariance of the 2n + 1 points.
 
 Only columns 0 to 2 of L move the position. So the order of the latents is [xi_0..2, kappa,
-xi_3..6], and links depend only on the first 3 + len(kappa). The range bias of a clock also affects
-links; column 3 moves it (:func:`factor_of`), and the order is [xi_0..3, kappa, xi_4..7].
+xi_3..6], and links depend only on the first 3 + len(kappa) latents. The range bias of a clock also
+affects links; column 3 moves it (:func:`factor_of`), and the order is [xi_0..3, kappa, xi_4..7].
 
 Source: Julier and Uhlmann 2004, Sec. IV (scaled sigma points as in van der Merwe 2004).
 The cubature filter (Arasaratnam and Haykin 2009) is alpha = 1, beta = 0, kappa = 0. The textbook
@@ -117,7 +117,7 @@ class Latents:
 
     @property
     def variance(self) -> list[float]:
-        """Return the variances of eta without the part of kappa that ``bend`` adds."""
+        """Return the variances of eta, without what ``bend`` adds to the variances of kappa."""
         return [1.0] * self.linear + [self.weight / 2] * self.curvatures + [1.0] * 4
 
     @property
@@ -153,8 +153,8 @@ class Prior(NamedTuple):
 def factor_of(P: Matrix) -> list[list[Number]]:
     """Return L (n, n) with L L' = P, its rows in the order of the state.
 
-    Without a clock it is lower triangular. With one, P is factored in an order in which the range
-    bias follows the position, so that the links depend on the first four columns alone.
+    Without a clock, L is lower triangular. With a clock, P is factored in an order in which the
+    range bias follows the position, so that the links depend on the first four columns alone.
     """
     if len(P) == STATE_SIZE:
         return cholesky(P)

@@ -105,7 +105,7 @@ def memory_after(
     Args:
         layout: rows of the measurement vector.
         mode, chosen: the number of the candidate's mode, and the candidate.
-        before: (7,) mean before the epoch and its prediction.
+        before: (7,) mean from which the epoch was predicted.
         memory: the memory that :func:`memory_before` returned.
         dt, visible, measured: same as in :class:`~mmwave_env.models.measurement.Epoch`.
     """

@@ -40,7 +40,7 @@ Algorithm = Callable[[Vector, Matrix, Measurement, Gate], Posterior]
 class _Row(NamedTuple):
     """A scalar row that depends on all latents, conditioned on the links and the rows before it."""
 
-    white: list[Number]  # C^-1 times the row's coefficients on the coupled latents
+    white: list[Number]  # C^-1 times the row's coefficients on the coupled latents (C C' = B)
     free: list[Number]  # coefficients on the free latents, xi_3..6
     links: list[Number]  # conditional covariances with the earlier rows
     cross: list[Number]  # conditional covariance with xi
@@ -206,7 +206,8 @@ def limited_likelihood(candidate: ModeResult, limits: Vector) -> Number:
 def capped_log_likelihood(candidate: ModeResult, degrees: Sequence[Number]) -> Number:
     """Return the log-likelihood for comparing modes, with NIS limited at :data:`CAP_QUANTILE`.
 
-    Groups have degrees of freedom (groups,), :meth:`~mmwave_env.models.layout.Layout.degrees`.
+    ``degrees`` (groups,) are the groups' degrees of freedom, from
+    :meth:`~mmwave_env.models.layout.Layout.degrees`.
     """
     limits = chi_square_limits(CAP_QUANTILE)
     return limited_likelihood(candidate, [at_degrees(limits, rows) for rows in degrees])

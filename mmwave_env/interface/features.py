@@ -61,7 +61,7 @@ class View(NamedTuple):
 class Feature:
     """One component of the observation: (clip(value, low, high) - mean) / deviation.
 
-    Mean and deviation depend on its kind; :mod:`mmwave_env.interface.observation` defines them and
+    Mean and deviation depend on the kind; :mod:`mmwave_env.interface.observation` defines them and
     also limits the feature to ten deviations from the mean.
     """
 
@@ -157,7 +157,7 @@ def _distance(view: View, anchor: int) -> Number:
 
 
 def _links(layout: Layout, distances: bool) -> list[Feature]:
-    """Return features of the coming epoch's links, and their distances or else their number."""
+    """Return features of the coming epoch's links: SNRs, and distances or the number of links."""
     table = []
     for a in range(layout.anchors):
         table += [

@@ -22,7 +22,7 @@ PROBABILITIES = "mode_probabilities"  # only with a belief per mode
 FLAGS = ("accepted", "rejected")
 NAMED = ("episode_name", "episode_key")  # in the info of a reset: they identify an episode
 SMOOTHED_KEY = "smoothed_ate_m"
-NONFINITE_KEY = "nonfinite_beliefs"  # in the info of the last step if there are any
+NONFINITE_KEY = "nonfinite_beliefs"  # in the info of the last step if a belief was not finite
 LAST_KEYS = (*INFO_KEYS.values(), SMOOTHED_KEY)  # in the info of the last step
 INFOS = {
     "all": "everything that is known",
@@ -140,7 +140,7 @@ def mask_keys(keys: Iterable[str]) -> list[str]:
 def warn_of_nonfinite(stacklevel: int = 3) -> None:
     """Warn that an episode ended with beliefs that were not finite; Python shows this once."""
     warnings.warn(
-        "an episode ended in which the belief was NaN or infinite, so its metrics are NaN; "
+        "the belief was NaN or infinite in an episode, so the metrics of the episode are NaN; "
         f"info[{NONFINITE_KEY!r}] is the number of epochs with such a belief "
         "(docs/reliability.md)",
         RuntimeWarning,

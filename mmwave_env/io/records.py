@@ -147,7 +147,7 @@ def _said(hint: Any) -> str:
 def require_fields(record: Any, of: str = "") -> None:
     """Refuse fields whose values do not fit their types; dataclasses call it when they are made.
 
-    In the message, ``of`` follows the field's name, such as " of radio 'lab'".
+    In the message, ``of`` (such as " of radio 'lab'") follows the field's name.
 
     Raises:
         ValueError: a value is invalid; the message names field, value and what was expected.

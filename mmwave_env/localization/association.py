@@ -83,7 +83,7 @@ def associate(
         tally: counter of the associations.
 
     Raises:
-        LogError: from ``epochs``.
+        LogError: ``epochs`` raises it, or no receiver can have made the measurements.
     """
     return in_windows(_labelled(epochs, scene, radio, mode, tally), epochs_per_block)
 
@@ -134,7 +134,7 @@ def _block(paths: PathEpoch, epoch: Epoch, begins: bool) -> LogBlock:
 
 
 def _windows(epochs: Iterable[PathEpoch], size: int) -> Iterator[list[PathEpoch]]:
-    """Yield lists of an epoch and up to ``size - 1`` epochs after it, fewer before the end."""
+    """Yield, for each epoch, a list of ``size`` epochs that begins with it; shorter at the end."""
     held: list[PathEpoch] = []
     try:
         for epoch in epochs:

@@ -2,7 +2,7 @@
 
 Most mistakes can't be seen in a single row. But the track that a filter computes from wrong rows
 does not fit these rows, or is impossible. The limits are wide: at most 10 of 1000 correct logs
-contradict them (``tests/localization/test_contradictions.py``).
+violate them (``tests/localization/test_contradictions.py``).
 """
 
 from collections.abc import Iterator, Mapping
@@ -22,7 +22,7 @@ NIS_LIMITS = (0.2, 5.0)  # per degree of freedom
 SNR_LIMITS_DB = (-60.0, 90.0)
 REJECTED_LIMIT = 1.0 / 3.0
 _ENOUGH = 20  # minimum number of epochs for a conclusion
-_ENOUGH_IF_BLOCKED = 100  # minimum if links may be blocked, which causes errors for seconds
+_ENOUGH_IF_BLOCKED = 100  # minimum where blockage may cause errors for seconds
 _WINDOW_S = 30.0  # the oscillator's offset hardly changes over this time
 _MOST_APART_S = 3.0  # longest gap over which the Doppler shift is integrated
 _SLOPE_LIMITS = (0.5, 1.5)
@@ -151,7 +151,10 @@ def _windows(time_s: Array) -> Iterator[slice]:
 
 
 def _regression(time_s: Array, range_m: Array, rate: Array, sigma: float, radio: Radio) -> Array:
-    """Return a window's residual degrees of freedom, and its three sums of products / sigma^2."""
+    """Return a window's residual degrees of freedom, and three sums, divided by sigma^2.
+
+    The sums are of moved^2, moved * range and range^2, after a regression on a constant and time.
+    """
     time = time_s - time_s.mean()
     moved = np.cumsum(np.diff(time, prepend=time[0]) * 0.5 * (rate + np.roll(rate, 1)))
     moved -= moved.mean()

@@ -26,7 +26,7 @@ ELLIPSE_SHARE = 0.95
 _ELLIPSE_NIS = -2.0 * np.log(1.0 - ELLIPSE_SHARE)  # chi-square quantile, 2 degrees of freedom
 Write = Callable[[TrackBlock], None]
 _CORNERS = 32  # number of corners of the polygon that stands for an ellipse
-_ELLIPSES_APART_S = 1.0  # minimum; with 100 ellipses per second, no map could open the file
+_ELLIPSES_APART_S = 1.0  # minimum time between ellipses; one per epoch would make files too large
 _GEOJSON = '{"type": "FeatureCollection", "features": ['
 _GPX = (
     '<?xml version="1.0" encoding="UTF-8"?>\n'
@@ -64,7 +64,8 @@ def _ellipses(origin: Origin, x: Array, P: Array) -> Array:
 def _geojson(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
     """Write a FeatureCollection: lines of the track, and every second a 95 % ellipse."""
     separator = ""
-    last: tuple[int, float, list[float]] = -1, -np.inf, []  # last segment, ellipse's time, point
+    # what was written last: segment, time of an ellipse, point
+    last: tuple[int, float, list[float]] = -1, -np.inf, []
     file.write(_GEOJSON)
 
     def feature(kind: str, coordinates: object, **properties: object) -> None:

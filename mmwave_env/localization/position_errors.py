@@ -1,18 +1,20 @@
 """Statistics of position errors: percentiles, shares of epochs and protection levels.
 
-The horizontal error is the length of the error in x and y, the vertical error its absolute value in
-z. Shares count the epochs with an error within the distances that 3GPP TS 22.261, Table 7.3.2.2-1,
-defines for positioning services. Errors and levels are kept, 16 bytes per epoch and kind.
+The horizontal error is the length of the error in x and y; the vertical error is the absolute value
+of the error in z. Shares count the epochs with an error within the distances that 3GPP TS 22.261,
+Table 7.3.2.2-1, defines for positioning services. Errors and levels are kept in memory, 16 bytes
+per epoch and kind (horizontal or vertical).
 
 A protection level is a bound that an error exceeds with a stated risk if the covariance is right.
 With position errors e ~ N(0, P), the level at risk r is the distance that |e| exceeds with
-probability r. A track has integrity if its errors do not exceed the levels more often than that
-(Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed., 2013,
-ch. 17).
+probability r. A track has integrity if its errors exceed the levels in at most a share r of the
+epochs (Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd
+ed., 2013, ch. 17).
 
 Vertically |e| has a normal distribution folded at zero: level = sigma_z Phi^-1(1 - r/2).
-Horizontally, let a >= b be the standard deviations along the axes of the ellipse of the 2 x 2
-block of P, and e = (a rho cos t, b rho sin t) with rho exp(-rho^2/2) drho dt / (2 pi). Then
+Horizontally, let a >= b be the standard deviations along the axes of the error ellipse of x and y,
+and e = (a rho cos t, b rho sin t), where the density of rho and t is
+rho exp(-rho^2/2) / (2 pi). Then
 
     P(|e| > d) = 1/(2 pi) int_0^(2 pi) exp(-d^2 / (2 (a^2 cos^2 t + b^2 sin^2 t))) dt,
 

@@ -30,7 +30,7 @@ _LEVELS_HEADER = ",horizontal_level_m,vertical_level_m"
 
 
 def table_beside(track: Path) -> Path | None:
-    """Return the path of the table of standard deviations beside a TUM file, None for others.
+    """Return the path of the table of standard deviations beside a TUM file; None for other files.
 
     Raises:
         ValueError: the ending of the file is not that of a track file.
@@ -47,10 +47,10 @@ def require_own_files(track: Path) -> None:
     """Refuse to replace a file, unless it is an earlier track or the table of one.
 
     A track and its table can be made again from their log. Any other file may be the only copy:
-    ground truth is a TUM file, too, and the name of the table is not one that the user typed.
+    a TUM file may hold ground truth, and users may not expect a table, whose name they do not type.
 
     Raises:
-        ValueError: a file that ``localize`` did not write has one of the names.
+        ValueError: the track or its table would replace a file that ``localize`` did not write.
         OSError: a file can't be read.
     """
     headers = dict.fromkeys(TRACK_ENDINGS, _TRACK_HEADER) | {TABLE_ENDING: _TABLE_HEADER}

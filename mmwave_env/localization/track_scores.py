@@ -1,4 +1,4 @@
-"""Scores of a track in running sums; only the errors, whose percentiles are scores, are kept."""
+"""Scores of a track, from running sums; percentiles need all errors, so these are kept, too."""
 
 import warnings
 from collections.abc import Sequence
@@ -48,7 +48,7 @@ class Accuracy:
         self._waiting = np.concatenate([self._waiting, error])
 
     def pair(self, first: Index, second: Index, done: int) -> None:
-        """Add the changes between pairs of errors (indices); drop the ``done`` oldest errors."""
+        """Add the changes between errors with these indices; drop the ``done`` oldest errors."""
         change = self._waiting[second] - self._waiting[first]
         self._change += float(np.linalg.norm(change, axis=1).sum())
         self._pairs += len(change)
@@ -67,7 +67,7 @@ class Accuracy:
 
 
 class Pairs:
-    """Pairs of scored epochs that are a second apart, or one time step if it is longer."""
+    """Pairs of scored epochs that are a second apart, or one time step if steps are longer."""
 
     def __init__(self) -> None:
         # time between the epochs of a pair: the multiple of the time step nearest to a second

@@ -31,7 +31,7 @@ from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, wrap
 
-_STRETCHES, _SHORTEST_S = 32, 2.0  # maximum number of stretches; shortest length of one
+_STRETCHES, _SHORTEST_S = 32, 2.0  # maximum number and minimum length of stretches
 _FEWEST = 5  # minimum number of stretches for a standard error
 _CHANCE = 0.005  # probability of finding an offset if there is none
 _PART = 0.01  # minimum share of the squared error, noise included, that a relevant offset explains

@@ -24,7 +24,7 @@ class LiveEpoch(NamedTuple):
     time_s: float
     block: Callable[[], LogBlock]  # returns the epoch as a block, T = 1
     # values in the order of :func:`~mmwave_env.logs.log.places`, NaN where not measured; and the
-    # anchor of the Doppler shift, from 0. None if some angles are not in the map's frame
+    # index, from 0, of the Doppler shift's anchor. None if some angles are not in the map's frame
     placed: tuple[list[float], int] | None
 
 
@@ -147,7 +147,7 @@ class LiveLog:
         return cells[self._anchor] != before[self._anchor]
 
     def _cells(self, row: str | Mapping[str, Any], number: int) -> list[float]:
-        """Return the cells of a row, none for a blank line; raise a LogError if it is damaged."""
+        """Return the cells of a row (no cells for a blank line); refuse a damaged row."""
         if not isinstance(row, str):
             for name in row:
                 if name not in self._limits:

@@ -1,5 +1,6 @@
 """Columns of a measurement log: the name of a column is a quantity and its unit."""
 
+import re
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
@@ -80,7 +81,8 @@ QUANTITIES = {
     "time": Quantity(_in("time", _TIME), "the time of the epoch"),
     "anchor": Quantity(
         {"anchor": Unit()},
-        "its number in the scene; if unknown, use mmwave-loc localize --associate (docs/data.md)",
+        "the anchor's number in the scene; if unknown, use mmwave-loc localize --associate "
+        "(docs/data.md)",
     ),
     "toa": Quantity(_flight(""), "the time of flight (rtt: round trip), or the range", _RANGE),
     "aoa_azimuth": Quantity(
@@ -115,6 +117,18 @@ QUANTITIES = {
     "heading": Quantity(_in("heading", _ANGLE), "the direction of travel", per_epoch=True),
 }
 _QUANTITY_OF = {name: quantity for quantity, row in QUANTITIES.items() for name in row.columns}
+
+# Words in the names that receivers give to columns, by quantity.
+_SYNONYMS = {
+    "time": ("t", "timestamp", "epoch", "seconds"),
+    "anchor": ("bs", "gnb", "cell", "trp", "station", "beacon", "tx"),
+    "toa": ("delay", "tof", "tau", "distance", "dist", "flight"),
+    "aoa_azimuth": ("az", "azimuth", "aoa"),
+    "aoa_elevation": ("el", "elev", "elevation"),
+    "aod_azimuth": ("aod", "departure"),
+    "snr": ("sinr",),
+    "doppler": ("cfo", "shift"),
+}
 
 LINK_QUANTITIES = ("toa", "aoa_azimuth", "aoa_elevation", "aod_azimuth")
 ODOMETRY_QUANTITIES = ("speed", "heading")
@@ -159,7 +173,10 @@ def columns_of(
     if unknown := [name for name in names if name not in _QUANTITY_OF]:
         problems = "; ".join(map(_problem, unknown[:10]))  # enough to read in one message
         known = ", ".join(next(iter(row.columns)) for row in QUANTITIES.values())
-        raise ValueError(f"{problems}; allowed are only {known}, or the same in other units")
+        raise ValueError(
+            f"{problems}; allowed are only {known}, or the same in other units; docs/data.md "
+            "shows a command that renames the columns of a log"
+        )
     for number, name in enumerate(names):
         quantity = _QUANTITY_OF[name]
         if quantity in columns:
@@ -217,8 +234,17 @@ def _problem(name: str) -> str:
     if meant:
         expected = _one_of(QUANTITIES[spelled[max(meant, key=len)]].columns)
         return f"column {quoted(name)}: found no known unit, expected {expected}"
-    hint = did_you_mean(name, _QUANTITY_OF, 2).replace("; ", " (").replace("?", "?)")
-    return f"column {quoted(name)}: found an unknown quantity{hint}"
+    *_, unit = words = re.findall("[a-z]+", name.lower()) or [name]
+    hint = did_you_mean(name, _QUANTITY_OF, 2)
+    for quantity, synonyms in _SYNONYMS.items():
+        if not set(synonyms).isdisjoint(words):
+            known = QUANTITIES[quantity].columns
+            same = [own for own in known if own.endswith(f"_{unit}")] or known
+            hint = f"; did you mean {_one_of(same)}, {QUANTITIES[quantity].meaning}?"
+            break
+    return f"column {quoted(name)}: found an unknown quantity{hint.replace('; ', ' (', 1)}" + (
+        ")" if hint else ""
+    )
 
 
 def _one_of(names: Iterable[str]) -> str:

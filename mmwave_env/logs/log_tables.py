@@ -66,10 +66,11 @@ class Block:
 def in_windows(
     blocks: Iterable[AnyBlock], window: int, segment: Callable[[AnyBlock], int] = lambda block: 0
 ) -> Iterator[AnyBlock]:
-    """Yield the epochs in blocks of complete windows; a segment's last window may be shorter.
+    """Yield the epochs in blocks of whole windows; only a segment's last window may be shorter.
 
-    A LogError of ``blocks`` is raised only after the epochs before it were yielded. ``segment``
-    returns the number of a block's segment; blocks of different segments are not joined.
+    A window is ``window`` epochs long. A LogError of ``blocks`` is raised only after the epochs
+    before it were yielded. ``segment`` returns the number of a block's segment; blocks of different
+    segments are not joined.
     """
     waiting: list[AnyBlock] = []
     count = 0

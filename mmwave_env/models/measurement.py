@@ -5,7 +5,7 @@ and the Doppler shift is in hertz:
 
     d = (f_c / c) v . (p - p1) / |p - p1| + b
 
-The paper prints the first term in m/s and adds b in hertz; we scale it to hertz and keep
+The paper prints the first term in m/s and adds b in hertz; we scale this term to hertz and keep
 its sign (positive while the range grows). :mod:`mmwave_env.models.layout` says which quantity is
 in which row.
 
@@ -97,7 +97,7 @@ def norms(d: Vector) -> tuple[Number, Number]:
 
 
 def direction(d: Vector) -> tuple[Number, Number, Number]:
-    """Return range (m), azimuth, elevation (rad) of p - anchor (paper, eqs. for ToA and AoA)."""
+    """Return range (m), azimuth and elevation (rad) of d = p - anchor (paper: ToA and AoA)."""
     horizontal, distance = norms(d)
     return distance, atan2(d[1], d[0]), atan2(d[2], horizontal)
 

@@ -94,7 +94,7 @@ class Radio:
         blockage_angle_rad: standard deviation of the angle biases during a blockage.
         multipath_rate_hz: rate at which spells of multipath begin, per link.
         multipath_mean_s: mean length of a spell of multipath.
-        multipath_range_m: range bias during multipath: constant part, mean of the exponential part.
+        multipath_range_m: range bias during multipath: constant, and mean of an exponential part.
         multipath_angle_rad: standard deviation of the angle biases during multipath.
         outage_rate_hz: rate at which outages begin; in an outage all links are lost.
         outage_mean_s: mean length of an outage.
@@ -176,9 +176,10 @@ class Radio:
         """Return every row's noise floor and Cramer-Rao bound at 0 dB, both in squared units."""
         range_bound = SPEED_OF_LIGHT / (2.0 * math.pi * scene.bandwidth_hz / math.sqrt(12.0))
         elements = self.ue_elements, self.gnb_elements
+        # A single element has no aperture and cannot measure angles, so it counts as two.
         arrival, departure = (6.0 / ((max(n, 2) ** 2 - 1.0) * math.pi**2) for n in elements)
         angles = (self.aoa_floor_rad, self.elevation_floor_rad, self.aod_floor_rad)
-        floor, bound = [], []  # a single element has no aperture: angles need at least two
+        floor, bound = [], []
         for anchor in range(layout.anchors):
             floor += [self.range_floor_m[min(anchor, 1)], *angles]
             bound += [range_bound**2 / 2.0, arrival, arrival, departure]
@@ -302,7 +303,7 @@ def clock_bias(drift_mps: Array, time_s: Array, rng: np.random.Generator) -> Arr
 def doppler_spread(
     radio: Radio, hz_per_mps: float, speed_mps: Array, rng: np.random.Generator
 ) -> Array:
-    """Draw the measured Doppler spread (T,) at speeds (T,), Hz; below 1 m/s noise dominates."""
+    """Draw the measured Doppler spread (T,), Hz, at speeds (T,); below 1 m/s noise dominates."""
     scatter = np.exp(radio.spread_sigma * rng.standard_normal(len(speed_mps)))
     floor = radio.spread_floor_mps * np.abs(rng.standard_normal(len(speed_mps)))
     return hz_per_mps * (radio.spread_gain * speed_mps * scatter + floor)

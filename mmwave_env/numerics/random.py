@@ -58,9 +58,9 @@ def next_word(state: Sequence[Any]) -> tuple[Any, list[Any]]:
 
 
 def seeded(key: Number, stream: int) -> list[Number]:
-    """Return the generator's state (4,) for a key, the 64 bits of a float or of lanes of floats.
+    """Return the generator's state (4,) for a key and the number of a stream.
 
-    Different streams of one key are independent.
+    The key is the 64 bits of a float, or of lanes of floats. Streams of one key are independent.
     """
     word = word_of(key)
     none = word ^ word

@@ -47,7 +47,7 @@ class Gallery:
         """Begin new recordings of some environments, with the prior in their workspaces.
 
         ``names`` (N,) are those of the episodes. For the index of an environment, ``streets``
-        returns its streets, and ``workspace`` its workspace (size,).
+        returns its streets, and ``workspace`` its workspace (size,), the array of all its values.
         """
         for index in indices[indices < len(self.recorders)].tolist():
             self.recorders[index].begin(names[index], streets(index), workspace(index))

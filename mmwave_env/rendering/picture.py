@@ -50,9 +50,9 @@ class Picture:
     def draw(self, history: History, beside: Sequence[History] = ()) -> NDArray[np.uint8]:
         """Draw the last epoch of a history and the trajectory so far; return (size, size, 3).
 
-        The picture depends only on the arguments: the same history gives the same picture. Pictures
-        of the histories ``beside``, of the same episode, are shown next to it; the scales of speed
-        and error fit them, too.
+        The picture depends only on the arguments: the same history gives the same picture. The
+        histories ``beside`` belong to the same episode, and their pictures are shown next to this
+        one; the scales of speed and error fit all of them.
         """
         canvas, theme, unit = self._canvas, self._theme, self._canvas.unit
         legend = unit * (15.0 * self._rows + 4.0)
@@ -138,7 +138,7 @@ _GAP_SHARE = 1 / 120  # gap between two maps, as a share of a picture's width
 class Playback:
     """A painter of several histories of an episode, side by side at the same epoch.
 
-    Each has its own ``modes``, the names of its actions, and its title; see :class:`Picture`.
+    Each history has its own ``modes`` (names of actions) and its own title; see :class:`Picture`.
     """
 
     def __init__(

@@ -47,7 +47,7 @@ class View(NamedTuple):
 def follow(history: History, frame: Rect) -> View:
     """Return the view of the last epoch.
 
-    It depends only on the arguments, so that a copy of an environment draws the same pictures.
+    The view depends only on the arguments, so a copy of an environment draws the same pictures.
     Center and scale are averages over the last seconds, so that they change smoothly, unless the
     user or the estimate would leave the picture.
     """
@@ -125,7 +125,7 @@ def _draw_streets(canvas: Canvas, view: View, streets: Streets, theme: Theme) ->
 
 
 def _blocks(extent_m: tuple[float, float], block_m: float, low: float, high: float) -> Array:
-    """Return where the blocks begin that are visible between two limits."""
+    """Return the beginnings of those blocks that are visible between two limits."""
     begins = extent_m[0] + block_m * np.arange(
         round((extent_m[1] - extent_m[0]) / block_m), dtype=float
     )

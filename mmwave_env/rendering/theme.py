@@ -1,7 +1,8 @@
 """Light and dark colors for videos; figures and reports use the same colors for modes.
 
 The colors of modes are those of Okabe and Ito (2008), which color-blind readers can distinguish.
-Their order keeps neighbors far apart; some are lighter or darker, to contrast with the background.
+Consecutive modes differ clearly. Some colors were made lighter or darker than in that set, to
+contrast with the background.
 """
 
 from collections.abc import Sequence
@@ -12,7 +13,7 @@ from mmwave_env.io.lookup import choose, require_extra
 
 Color = tuple[int, ...]  # red, green and blue, 0 to 255
 
-# Name, light color, dark color. "quiet" is for explanations, "none" for trusting no mode.
+# Name, light color, dark color. "quiet" is for explanations; "none" is an action: trust no mode.
 _COLORS = """\
     paper     ffffff 111318
     ink       222226 eeeeeb

@@ -1,4 +1,4 @@
-"""Checks of records of epochs (episodes and tracks), whose errors name the record and the field."""
+"""Checks of records of epochs (episodes and tracks); errors name the record and the field."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path

@@ -197,7 +197,7 @@ class Episode:
             raise ValueError(f"{self._record}: found no truth, which reward and metrics need")
 
     def on_flat_ground(self, height_m: float | None = None) -> "Episode":
-        """Return the episode with a prior of vz 0 and known height, by default the true height."""
+        """Return the episode with a prior mean of vz 0 and this height, by default the true one."""
         if height_m is None:
             self.require_truth()
             height_m = self.truth_position_m[0, 2]  # type: ignore[index]
@@ -255,10 +255,10 @@ def shapes_of(layout: Layout, T: int) -> dict[str, tuple[int, ...]]:
 class EpisodeBatch(NamedTuple):
     """A batch of n episodes in the form that engines load."""
 
-    names: list[str]  # (n,)
+    names: list[str]  # (n,) names of the episodes
     nonfinite: Index  # (n,) number of groups with NaN or infinity, which count as missing
     length: Index  # (n,) number of epochs
-    table: Array  # (n, epochs, columns) from :meth:`Episode.table`; unused after the length
+    table: Array  # (n, epochs, columns) from :meth:`Episode.table`; rows past the length are unused
     site: Array  # (n, numbers) anchors, carrier and prior from :meth:`Episode.site`
     layout: Layout  # layout of all episodes
 

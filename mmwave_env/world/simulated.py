@@ -51,8 +51,8 @@ class Begun(NamedTuple):
 
     Attributes:
         kinds: (n,) index of the kind of user, or of the given way.
-        worlds: (n, numbers) state of each simulated world before the first epoch; if a way is
-            given, only the state of its receiver.
+        worlds: (n, numbers) state of receiver and user before the first epoch; if a way is given,
+            only the state of the receiver.
         truth: (n, epochs, 6) true positions and velocities if a way is given, or (n, epochs, 0).
         first: (n, 7) true states at the first epoch.
         sites: (n, numbers) rows of :meth:`Episode.site`.
@@ -216,7 +216,7 @@ class SimulatedSource:
         )
 
     def feed(self, worlds: Array) -> Feed:
-        """Return the feed that simulates epochs, given ``worlds`` (n, numbers) of a ``Begun``."""
+        """Return the feed that computes the epochs of ``worlds`` (n, numbers) from a ``Begun``."""
         _, _, receiver, user = self.world.template  # fills unused lanes
         kept = blocks_of(np.array(flatten([receiver, user]), float), len(worlds))
         fill(kept, np.arange(kept.shape[1]), worlds)
@@ -237,7 +237,7 @@ class SimulatedSource:
 
     @property
     def travels(self) -> bool:
-        """Return whether users are simulated; otherwise they move on given ways, in a table."""
+        """Return whether users are simulated; otherwise a table contains their given ways."""
         return bool(self._plans)
 
     def begin(self, keys: Keys) -> Begun:
@@ -317,7 +317,7 @@ class SimulatedSource:
 
     @cached_property
     def _before(self) -> Array:
-        """Return the workspace (size,) in which an episode begins, before its key is filled in."""
+        """Return the input (size,) of the program that begins episodes, without their keys."""
         scene, radio, template = self._example, self.radio, self._beginning.template
         filled = template._replace(
             plans=self._plans,

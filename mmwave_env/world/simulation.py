@@ -91,7 +91,7 @@ class WorldState(NamedTuple):
 def measure(
     truth: list[Number], settings: WorldSettings, receiver: ReceiverState, layout: Layout
 ) -> tuple[Incoming, ReceiverState]:
-    """Simulate the channel and the measurement of a user's epoch, and the receiver after it.
+    """Simulate the channel and the measurement in an epoch; also return the receiver after it.
 
     ``truth`` (6,) is the true position (m) and velocity (m/s).
     """
@@ -135,7 +135,10 @@ def measure(
 
 
 def _run_on(receiver: ReceiverState, bias_hz: Number, clock: Vector) -> Clock | tuple[()]:
-    """Return the clock one epoch later, moved by noise and by the oscillator's mean bias."""
+    """Return the clock one epoch later, moved by noise and by the oscillator's bias.
+
+    The bias that counts is the mean of the biases at the beginning and the end of the step.
+    """
     if not isinstance(receiver.clock, Clock):
         return ()
     (half_step, sigma_m), dice = clock, Dice(receiver.clock.dice)
@@ -192,7 +195,7 @@ def blank_world(layout: Layout, phases: int, gaits: int) -> WorldState:
 class World:
     """The simulation of a user's epochs: each epoch is measured, then the user moves on.
 
-    ``phases`` and ``gaits`` are maximum numbers.
+    ``phases`` and ``gaits`` are the maximum numbers of phases and of gaits in a phase.
     """
 
     def __init__(self, layout: Layout, phases: int, gaits: int) -> None:
@@ -283,7 +286,7 @@ def as_measured(layout: Layout) -> Program[AsMeasured]:
 # --- the beginning of an episode: everything that is drawn before its first epoch
 
 # Each key seeds three streams of random numbers. So a user's way does not depend on the receiver
-# and the rate of epochs, and neither the way nor the receiver's noise depend on the user's clock.
+# or the rate of epochs, and neither the way nor the receiver's noise depends on the user's clock.
 USER, RECEIVER, CLOCK = 0, 1, 2
 
 
@@ -293,8 +296,9 @@ class FirstDraws(NamedTuple):
     receiver: ReceiverState
     user: UserState  # not used if a way is given
     choice: Number  # number of the kind of user; or uniform in [0, 1), to choose among given ways
-    first: list[Number]  # (7,) true state at the first epoch; 0 if a way is given
-    # (7,) error of the prior's mean; with a clock, the negative of its bias is appended
+    # (7,) true state at the first epoch; if a way is given, only the oscillator's bias is valid
+    first: list[Number]
+    # (7,) error of the prior's mean; with a clock, the negative of the clock's bias is appended
     prior_noise: list[Number]
 
 
@@ -311,7 +315,10 @@ class Beginning(NamedTuple):
 
 
 def begin(w: Beginning, streets: RandomScene | None) -> Beginning:
-    """Draw the beginning of an episode; another order of draws would change every episode."""
+    """Draw the beginning of an episode; keep the order of draws, so that keys keep their episodes.
+
+    Only random scenes need ``streets``.
+    """
     dice, others = Dice(seeded(w.key[0], USER)), Dice(seeded(w.key[0], RECEIVER))
     scene = streets.draw_numbers(dice) if streets else w.scene
     user, position, velocity = w.begun.user, [0.0, 0.0], [0.0, 0.0]

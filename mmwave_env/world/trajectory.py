@@ -18,7 +18,7 @@ from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.world.mobility import FASTEST_MPS, Mobility, mobilities_of
 
 REACH_M = (1.0, 5000.0)  # distances for which the path loss is valid (3GPP TR 38.901, UMi)
-STANDING_M, STANDING_S = 0.1, 60.0  # users who move less in a minute may be in degrees
+STANDING_M, STANDING_S = 0.1, 60.0  # positions that change less in a minute may be in degrees
 
 
 @dataclass(frozen=True, eq=False)

@@ -57,7 +57,7 @@ class PhasePlan(NamedTuple):
     acceleration: list[Number]
     braking: list[Number]
     lateral: list[Number]
-    ends_early: Number  # 1 if a repeat of the first phase follows, until the end of the episode
+    ends_early: Number  # 1 if the first phase is repeated afterwards, to the end of the episode
     phase: Phase  # the values that are not drawn
 
 

@@ -52,7 +52,7 @@ def test_a_sample_can_be_copied(tmp_path):
 
 def test_copying_a_sample_replaces_no_file(tmp_path):
     succeed("list", "samples", "--copy", "canyon28_pedestrian", "--out", tmp_path / "walk")
-    (tmp_path / "walk" / "log.csv").unlink()  # existing files are kept, and nothing is added
+    (tmp_path / "walk" / "log.csv").unlink()  # a second copy must not add it again
     done = command("list", "samples", "--copy", "canyon28_pedestrian", "--out", tmp_path / "walk")
     assert_one_clear_line(done, "scene.json: found a file, expected a folder without it")
     assert not (tmp_path / "walk" / "log.csv").exists()

@@ -127,7 +127,7 @@ NOTHING = {
 
 
 @pytest.mark.parametrize("name", NOTHING)
-def test_a_log_without_a_track_does_not_change_the_output(capsys, tmp_path, name):
+def test_a_log_that_gives_no_track_leaves_existing_files_unchanged(capsys, tmp_path, name):
     content, message = NOTHING[name]
     log, out = tmp_path / "log.csv", tmp_path / "track.tum"
     log.write_text(content)
@@ -146,10 +146,11 @@ def test_a_log_without_a_track_does_not_change_the_output(capsys, tmp_path, name
             [
                 "column 'range_yd': found no known unit, expected toa_s, ",
                 ", range_m or range_ft; column 'azimuth_deg_compass'",
-                "(did you mean aod_azimuth_deg or aoa_azimuth_deg?); column 'mood'",
+                "(did you mean aoa_azimuth_rad or aoa_azimuth_deg, the azimuth from",
                 "column 'speed_knots': found no known unit, expected speed_mps or speed_kmh; a",
             ],
         ),
+        ("t_ms,bs,delay_ns,dist_m", ["mean time_ms", "mean anchor", "mean toa_ns", "mean range_m"]),
         ("A,B,C,D,E,F,G,H,I,J,K,L", ["column 'J': found an unknown quantity; allowed are only "]),
     ],
 )

@@ -1,4 +1,4 @@
-"""Tests of the files that compare and evaluate write for other programs, and of their options."""
+"""Tests of the options of compare and evaluate, and of the files they write for other programs."""
 
 import csv
 import json

@@ -78,7 +78,7 @@ def test_the_command_writes_the_shipped_sample_logs_again(tmp_path, name):
         )
 
 
-def test_the_chosen_user_is_named_if_a_file_has_several_ways(tmp_path, capsys):
+def test_the_chosen_user_is_named_if_a_file_has_several_users(tmp_path, capsys):
     ways = tmp_path / "ways.csv"
     rows = [f"{t},{i},{20 + t},{y},1.5" for t in range(40) for i, y in (("a", -80), ("b", -70))]
     ways.write_text("\n".join(["t,id,x,y,z", *rows]))

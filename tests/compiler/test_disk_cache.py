@@ -45,7 +45,7 @@ def started(package, script=SCRIPT, **variables):
     """Start a process that imports the package; its home is the folder that contains ``site``."""
     home = package.parent.parent
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "XDG"))}
-    # Edits here keep time and size. Python would then use old bytecode, so it must write none.
+    # After edits that keep time and size, Python would use old bytecode; let it write none.
     own = {"PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1", "HOME": str(home)}
     every = {name: value for name, value in (clean | own | variables).items() if value is not None}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -292,7 +292,7 @@ def planted(package, tmp_path):
 
 
 def given_away(path):
-    """Give a path to another user; if not root, return code that makes a process believe this."""
+    """Give a path to another user; without the right to do so, return code that simulates it."""
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         os.chown(path, 65534, 65534)
         return ""
@@ -325,7 +325,7 @@ UNTRUSTED = {
     "a link to a folder": lambda file: linked(file.parent),
     "a link to a file": linked,
 }
-posix = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no owners and modes of files")
+posix = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="needs owners and modes of files")
 
 
 @pytest.mark.slow

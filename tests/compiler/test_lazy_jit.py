@@ -18,7 +18,7 @@ def function(x):
 def fresh(tmp_path, monkeypatch):
     """Return a function that makes a LazyJit as in a new process; all share a folder on disk."""
     monkeypatch.setattr(disk_cache, "_folder", lambda: tmp_path)
-    return lambda: LazyJit(function, 5)
+    return lambda: LazyJit(function, 5)  # plain for 5 units of work
 
 
 def kinds(sparing, *works):

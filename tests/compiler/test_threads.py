@@ -97,7 +97,7 @@ def test_arguments_are_released_once_the_jobs_are_done():
 
 
 def test_draws_do_not_depend_on_the_thread():
-    """Check that draws do not use numba's own generators, of which every thread has one."""
+    """Check that draws do not use numba's random generators, because each thread has its own."""
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=20)
 
     def draw(seed):

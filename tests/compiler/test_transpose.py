@@ -1,4 +1,4 @@
-"""Tests of moving numbers between rows and lanes, compiled or not, against numpy."""
+"""Tests that moving numbers between rows and lanes, compiled or not, agrees with numpy."""
 
 import os
 import subprocess

@@ -62,7 +62,7 @@ def test_a_signal_removes_half_written_files(writing, tmp_path, sent):
     command = writing(preexec_fn=heeds)
     assert len(list(tmp_path.iterdir())) == 1
     command.send_signal(sent)
-    # These signals may come twice: once to the process, once to its group.
+    # A signal of ENDING may come twice: once to the process, once to its group.
     command.send_signal(sent if sent in ENDING else 0)
     out, err = command.communicate(timeout=30)
     assert command.returncode == 128 + sent and out == ""

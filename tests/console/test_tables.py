@@ -129,7 +129,7 @@ WORDS = st.from_regex(r"[a-z0-9.±-]{1,20}", fullmatch=True)
 
 @pytest.fixture
 def shown(monkeypatch, capsys):
-    """Return a function that returns the lines of Markdown shown on a terminal of some width."""
+    """Return a function that shows Markdown on a terminal of some width and returns its lines."""
     monkeypatch.setenv("FORCE_COLOR", "1")
 
     def lines(text, width):

@@ -118,7 +118,7 @@ def test_smoothing_a_mixture_reduces_its_errors_and_its_covariances(mixture):
     assert np.linalg.eigvalsh(unpacked(found_P)).min() > 0.0
     assert np.trace(unpacked(found_P - P)[..., :3, :3], axis1=-2, axis2=-1).mean() < 0.0
     before, after = (np.linalg.norm(track[..., :3] - truth, axis=-1) for track in (x, found_x))
-    assert after.mean() < 0.8 * before.mean()  # on average, as smoothing is approximate
+    assert after.mean() < 0.8 * before.mean()  # smoothing a mixture is approximate
 
 
 def test_uneven_epochs_are_smoothed_with_their_own_steps():

@@ -1,4 +1,4 @@
-"""Tests of the leaderboard's protocol: its sites, unseen streets, and the standing of an entry."""
+"""Tests of the leaderboard's protocol: its sites (sources of episodes), and how entries stand."""
 
 import numpy as np
 import pytest
@@ -121,7 +121,7 @@ def test_a_car_turns_at_square_corners_at_10_mps(hard):
         assert (np.diff(np.flatnonzero(straight < 0.5)) == 8).all()
 
 
-def test_a_bus_stands_every_300_m(hard):
+def test_a_bus_stops_every_300_m(hard):
     for episode in hard["bus"]:
         gone = np.cumsum(np.linalg.norm(np.diff(episode.truth_position_m, axis=0), axis=1))
         stands = np.append(False, np.diff(gone) < 1e-9)
@@ -129,7 +129,7 @@ def test_a_bus_stands_every_300_m(hard):
         assert len(stops) >= 3 and np.diff(stops) == pytest.approx(300.0)
 
 
-def test_the_receivers_of_hard_sites_lack_what_the_sites_say(hard):
+def test_the_receivers_of_hard_sites_have_the_faults_that_the_sites_are_named_after(hard):
     ordinary = next(s for s in sites() if s.name == "street:handset").source()
     keys = np.arange(4, dtype=np.uint64)
     for stated, true in zip(hard["noise-twice"], ordinary.episodes(keys), strict=True):

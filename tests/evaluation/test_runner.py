@@ -27,7 +27,7 @@ from policies import learned
 from tests.refusals import refuses
 from tests.training.actors import HANDSET, MODES, STANDARD, actor, card_of, write, write_per_mode
 
-# The estimated speed of a lost track can be large; the rule's own test checks the warning.
+# The speed rule warns if a lost track seems too fast; another test checks this warning.
 pytestmark = pytest.mark.filterwarnings("ignore:speed .* outside the design window")
 
 SOURCE = SimulatedSource(SCENES["street"], RADIOS["handset"])

@@ -1,7 +1,8 @@
-"""Golden traces: outputs of filters, smoother and environments, one row per epoch, and costs.
+"""Golden traces: outputs of filters, smoother and environments by epoch, and computing costs.
 
 A trace is a function that yields rows. A row is a dict by column; its first cell names the row.
-Episodes are chosen by key: versions may draw other keys from a seed, but a key keeps its episode.
+Episodes are chosen by key: a new version may draw another key from a seed, but a key always gives
+the same episode.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -144,9 +145,9 @@ def rollout(keys: Sequence[int | None], **arguments: Any) -> Iterator[Row]:
 
 
 def vector_rollout(keys: Sequence[int], later: Sequence[int], **arguments: Any) -> Iterator[Row]:
-    """Play the episodes of keys in parallel; reset an ended episode to a key of ``later``.
+    """Play an episode per key in parallel; after one that ends early, play its key in ``later``.
 
-    Before this reset, the autoreset begins another episode, which is not part of the trace.
+    In between, autoreset begins a third episode, which is not part of the trace.
     """
     n = len(keys)
     env = gym.make_vec(ID, num_envs=n, autoreset_mode="SameStep", **arguments)

@@ -286,7 +286,7 @@ def test_corrections_are_exponential_averages(rollout):
 
 
 def test_preferences_are_averages_of_the_log_likelihood_difference(rollout):
-    difference = rollout.read("coming log-likelihood ekf")  # both are clipped at 30 nats
+    difference = rollout.read("coming log-likelihood ekf")  # clipped at 30 nats
     for pace, keep in (("fast", 0.6), ("slow", 0.85)):
         close(rollout.read(f"preference {pace} ekf"), averages(difference, keep)[1:], 1e-4)
     assert (np.abs(difference) <= 30.0).all() and (difference != 0.0).any()

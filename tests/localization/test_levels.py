@@ -1,4 +1,4 @@
-"""Tests of calibrated protection levels: what they cover, and that they are the same everywhere."""
+"""Tests of calibrated protection levels: how often errors exceed them; levels of live tracks."""
 
 import numpy as np
 import pytest
@@ -16,11 +16,11 @@ from tests.localization.test_policy_tracks import RADIO, SCENE, blocks, rows  # 
 from tests.refusals import refuses
 
 N, T, ANCHORS = 3, 40, 3
-FRESH = 5_900_000  # first of the tuning seeds that nothing was calibrated on
+FRESH = 5_900_000  # first of the tuning seeds that no calibration used
 
 
 def parts(seed=0):
-    """Return random parts of filters: x, P, NIS, accepted and rejected groups, and trust."""
+    """Return random outputs of filters: x, P, NIS, accepted and rejected groups, and trust."""
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(N, T, 7, 7))
     P = (root @ np.swapaxes(root, 2, 3))[(..., *np.tril_indices(7))]
@@ -30,7 +30,7 @@ def parts(seed=0):
 
 
 def watched(levels, policies, source, radio, seeds):
-    """Return errors over levels (episodes, epochs, 2) by policy."""
+    """Return errors divided by levels (episodes, epochs, 2) by policy."""
     over = {}
 
     def keep(contender, time_s, results):

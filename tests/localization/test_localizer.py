@@ -1,4 +1,4 @@
-"""Tests of the track of a log: filters, smoothing, where it begins, and cutting into blocks."""
+"""Tests of localizing a log: filters, smoothing, gaps, where tracks begin, and blocks."""
 
 from dataclasses import replace
 from functools import cache, partial
@@ -62,7 +62,7 @@ def block(folder):
 
 
 def cut(block, sizes):
-    """Cut a block into blocks of these sizes, in turn."""
+    """Cut a block into blocks of these sizes, which are repeated until the block ends."""
     blocks, first = [], 0
     while first < len(block):
         size = sizes[len(blocks) % len(sizes)]
@@ -96,7 +96,7 @@ def episode_of(block):
 
 
 def assert_engines(result, block, modes, planar=False):
-    """Assert that the engine gives the same filtered track in the modes that ran."""
+    """Assert that the engine gives the same filtered track if it runs the same modes."""
     episode = episode_of(block)
     if planar:
         episode = episode.on_flat_ground(1.5)
@@ -221,7 +221,7 @@ def test_a_track_does_not_depend_on_the_sizes_of_blocks(folder, modes, rule, siz
     assert expected.segment == 2
 
 
-# --- where it begins and ends
+# --- where a track begins and ends
 
 
 def unseen(block, epochs):
@@ -251,7 +251,7 @@ def test_the_track_before_a_damaged_line_is_returned_before_its_error(block, win
 UNGATED = replace(UKF, gate=None)
 
 
-@pytest.mark.parametrize(  # an IMM loses its weights at once, a filter overflows an epoch later
+@pytest.mark.parametrize(  # finite: number of finite states from the damaged epoch on
     ("modes", "finite"),
     [((UNGATED,), 1), (Bank((UNGATED, replace(UNGATED, name="twin"))), 0)],
     ids=["one", "imm"],

@@ -127,7 +127,7 @@ def learner(hyper=LEARNING, seed=0):
 
 
 def states(n, seed, turned=False):
-    """Return states; action 1 is best if the first feature is above its mean, else action 2.
+    """Return states; action 1 is best if feature 0 is above its mean, else 2 (``turned``: reverse).
 
     In a state, all actions earn the same large random sum; the best one earns a little more.
     """

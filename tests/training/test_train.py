@@ -78,7 +78,7 @@ def test_the_exported_actor_chooses_the_actions_of_the_trained_one(tmp_path):
         now, *_ = env.step(rng.integers(3, size=8))
     env.training = False
     with torch.no_grad():
-        model.policy.action_net.weight *= 100.0  # otherwise hardly any logits would differ
+        model.policy.action_net.weight *= 100.0  # otherwise, all logits would be similar
     table = training.env.observation
     path = write(tmp_path / "actor.safetensors", training.actor, card_of(table))
     policy = LearnedSwitch(path, table)
@@ -95,7 +95,7 @@ def test_the_exported_actor_chooses_the_actions_of_the_trained_one(tmp_path):
 
 
 def test_a_training_reports_its_periodic_evaluations(tmp_path):
-    """Check the outcome's best evaluation, too. (To stop early, a search needs all evaluations.)"""
+    """Check the best evaluation, too. (A search needs all evaluations to stop trials early.)"""
     heard = []
     outcome = train(job_of(tmp_path), heard.append)
     rewards = {news.timesteps: news.evaluation["reward"] for news in heard if news.evaluation}
@@ -291,7 +291,7 @@ def test_a_policy_trained_at_two_places_with_beliefs_per_mode_plays_at_a_third(t
         each = [best[f"{place} minus {rival}"]["mean"] for place in PLACES]
         # The places have the same number of episodes.
         assert best[f"minus {rival}"]["mean"] == pytest.approx(np.mean(each))
-    assert abs(best["minus imm-best"]["mean"]) < 0.05  # it starts near the IMM
+    assert abs(best["minus imm-best"]["mean"]) < 0.05  # the policy starts near the IMM
 
     policy = tmp_path / "run/policy.safetensors"
     _, card = read_policy(policy)

@@ -54,7 +54,7 @@ def exact(position, velocity, anchors):
 
 
 def innovations(episode):
-    """Return measured minus exact rows, over sigma, of epochs in which all links are visible."""
+    """Return (measured - exact) / sigma of epochs in which all links are visible."""
     z = episode.measurement - exact(
         episode.truth_position_m, episode.truth_velocity_mps, episode.scene_anchors_m
     )

@@ -52,7 +52,7 @@ class StationPaths:
     # rad, either along propagation or against it (see :func:`propagation`)
     arrival: Array
     departure: Array
-    # function (key, epoch) -> (file of the key, row of the receiver in it)
+    # function (name of an array, epoch) -> (file of this array, row of the receiver in it)
     source: Callable[[str, int], tuple[Path, int]]
 
     def refuse(self, key: str, epoch: int, value: str, expected: str) -> NoReturn:

@@ -1,4 +1,4 @@
-"""Reader of the arrays of a DeepMIMO v4 scenario, .npz or .npy files; pickles are refused."""
+"""Reader of the arrays in .npz or .npy files of a DeepMIMO v4 scenario; it refuses pickles."""
 
 import math
 import zipfile
@@ -35,7 +35,7 @@ def find_array(folder: Path, name: str) -> Path:
 
 
 def read_array(file: Path, key: str, shape: Shape, rows: Index | None = None) -> Array:
-    """Read the array stored under a key in a file that :func:`find_array` found, as doubles.
+    """Read, as doubles, the array stored under a key in a file that :func:`find_array` found.
 
     Args:
         file, key: the file, and the name of the array.

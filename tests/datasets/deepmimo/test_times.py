@@ -1,4 +1,4 @@
-"""Tests of times and velocities, which come from trajectory.csv or from a time step dt_s."""
+"""Tests of times and velocities, from the sidecar trajectory.csv or from a time step dt_s."""
 
 import numpy as np
 import pytest
