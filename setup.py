@@ -9,7 +9,7 @@ ROOT = Path(__file__).parent
 
 
 def described(readme: str, project: str, package: str) -> str:
-    """Return the README, its relative links turned into links to this version in the repository."""
+    """Return the README with its relative links replaced by links to this version's files."""
     (repository,) = re.findall(r'^Repository = "(.*)"$', project, re.MULTILINE)
     (version,) = re.findall(r'^__version__ = "(.*)"$', package, re.MULTILINE)
     link = re.compile(r"(!?)(\[[^\]]*\]\()(?!\w+:|#)")

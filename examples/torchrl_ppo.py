@@ -1,4 +1,4 @@
-"""TorchRL: PPO on the native vector environment, without autoreset: TorchRL itself resets it."""
+"""TorchRL: PPO on the native vector environment, without autoreset, because TorchRL resets it."""
 
 import gymnasium as gym
 import torch

@@ -63,8 +63,8 @@ def main(args: Args) -> None:
         alike = LearnedSwitch(temporary)(shown) == chosen
         if alike.mean() < 1.0 - TIES:
             raise ValueError(
-                f"{args.model}: its layers alone give its action for {alike.sum()} of {alike.size} "
-                "observations, expected all; the model does more than apply its layers"
+                f"{args.model}: its layers alone choose the model's action for {alike.sum()} of "
+                f"{alike.size} observations, expected all; the model does more than apply layers"
             )
     say(
         f"{args.policy}: same actions as {args.model} on {alike.sum()} of {alike.size} "

@@ -16,7 +16,7 @@ Kind = Literal["all", "policies", "scenarios", "radios", "scenes", "modes", "sam
 
 @dataclass(kw_only=True)
 class Args:
-    """List the names that options and arguments of the environment accept; copy samples.
+    """List the names that command options and environment arguments accept; copy samples.
 
     mmwave-loc list policies
     """
@@ -38,9 +38,9 @@ POLICIES = {
     "imm": "interacting multiple models: a mixture of the same modes",
     "imm-best": "tuned IMM of modes for users who stand, cruise, turn, accelerate or brake",
     "ppo": "learned policy that chooses between the profile's two modes",
-    "guided": "learned policy that says which mode of imm-best to trust",
-    "corrector": "guided, and a recurrent network that corrects its positions",
-    "guided-ppo": "same as guided, but trained only with PPO",
+    "guided": "learned policy that says which mode of `imm-best` to trust",
+    "corrector": "`guided`, and a recurrent network that corrects its positions",
+    "guided-ppo": "same as `guided`, but trained only with PPO",
     "clairvoyant": "knows the truth, and marks the ceiling of switching; runs only if named",
 }
 

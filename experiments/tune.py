@@ -46,8 +46,8 @@ class Args(JsonArgs):
     """write the tuned modes to this mode file, for --modes or modes=; with --levels, the levels"""
 
 
-OF_BANK = ("bank", "radio", "episodes", "evaluations", "seed", "out", "json")  # all of --bank
-OF_LEVELS = ("levels", "seed", "out", "json")  # all options that --levels has
+OF_BANK = ("bank", "radio", "episodes", "evaluations", "seed", "out", "json")  # options for --bank
+OF_LEVELS = ("levels", "seed", "out", "json")  # options for --levels
 Content = dict[str, Any]  # content of a JSON file
 
 

@@ -115,7 +115,7 @@ def _drawn(
 
 
 def _between(time_s: "Array", begin: float | None, end: float | None) -> list[int]:
-    """Return the rows of a history between two times; row 0, the prior, only without a begin."""
+    """Return the rows of a history between two times; with a begin, omit row 0, the prior."""
     import numpy as np
 
     low, high = -np.inf if begin is None else begin, np.inf if end is None else end

@@ -26,9 +26,9 @@ Array = NDArray[np.float32]
 BASE_IMM = "imm-best"  # base without a switcher: the IMM of the policy's bank
 # "Trust" is the factor, 0 to 1, by which corrections are scaled
 RANGE_FADE = 2.0  # trust is exp(-2 d) if a feature is d standard deviations outside its range
-RECOVERY = 0.1  # largest growth of trust per epoch; slow, as memory still holds strange epochs
-# spread of the shifts of the network's ensemble, in corrected standard deviations: trust is 1 up to
-# the first value, and 0 from the second value on
+RECOVERY = 0.1  # largest growth of trust per epoch; small, as memory still holds strange epochs
+# The members of the network's ensemble compute different shifts. Trust is 1 up to the first of the
+# two spreads of these shifts, and 0 from the second on; both are in corrected standard deviations.
 SPREAD = (0.5, 1.0)
 
 

@@ -35,8 +35,9 @@ class LearnedPolicy:
 
     Attributes:
         card: description of the policy's training.
-        modes: modes that its environments need; with a belief per mode, those of its first bank.
-        beliefs: "shared" or "per-mode", which its environments need.
+        modes: modes that an environment for the policy needs; with a belief per mode, those of the
+            first bank in the file.
+        beliefs: beliefs that such an environment needs, "shared" or "per-mode".
 
     Raises:
         ValueError: the name is unknown, the file is damaged, or the environment lacks a feature.
@@ -63,7 +64,7 @@ class LearnedPolicy:
 
         Args:
             radio: name or file of the radio profile. If training did not include it, the bank of
-                its base is used, or else the bank of "standard", or else the first bank.
+                the profile's base is used, or else that of "standard", or else the first bank.
 
         Raises:
             ValueError: the policy was trained with a shared belief.
@@ -84,8 +85,8 @@ class LearnedPolicy:
         """Find the policy's features, by name, in the observations of an environment.
 
         Features that the policy does not know are ignored. In a scene with more anchors than in
-        training, it uses the first anchors; with fewer, it treats the missing ones as anchors that
-        are never visible (:data:`~mmwave_env.interface.features.UNSEEN`).
+        training, the policy uses the first anchors; with fewer, it treats the missing anchors as
+        never visible (:data:`~mmwave_env.interface.features.UNSEEN`).
 
         Raises:
             ValueError: beliefs or modes differ, or a feature is missing or has another unit or

@@ -91,7 +91,7 @@ class Card:
         if len(set(names)) < len(names):
             raise ValueError("features: found a name more than once, expected different names")
         if not isinstance(self.versions.get("mmwave-loc"), str):
-            raise ValueError(f"versions: found {self.versions!r}, expected one of 'mmwave-loc'")
+            raise ValueError(f"versions: found {self.versions!r}, expected 'mmwave-loc' among them")
         choose(BELIEFS, self.beliefs, "beliefs")
         if self.beliefs == "per-mode":
             self._require_banks()

@@ -1,4 +1,4 @@
-"""Tests of the argument ``measurements=``, for receivers that measure only some kinds of rows."""
+"""Tests of the argument ``measurements=``, for receivers that measure only some quantities."""
 
 import gymnasium as gym
 import numpy as np

@@ -68,7 +68,7 @@ class ModeArgs(WorldArgs):
     """Options for modes and agents."""
 
     modes: tuple[str, ...] = ()
-    """modes to use instead of the profile's ekf and ukf: names (ekf, ukf, ckf, ekf-robust,
+    """modes to use instead of the radio's ekf and ukf: names (ekf, ukf, ckf, ekf-robust,
     ukf-robust) and mode files. Policies that can use them: fixed-NAME, likelihood-rule, imm and,
     if there are two modes, speed-rule (the first for low mobility, the second for high). Learned
     policies keep their own modes"""
@@ -169,8 +169,8 @@ class FilterArgs:
     """policy that chooses the modes: corrector (default), guided, ppo, a policy file, or
     module:function"""
     imm: str | None = None
-    """instead of a policy, run all modes of an IMM, weighted by how well each explains the log:
-    imm-best, imm or the mode file of a bank"""
+    """IMM to use instead of a policy: imm-best, imm or the mode file of a bank. An IMM runs all its
+    modes, and weights each by how well it explains the log"""
     radio: str = AUTO
     """radio profile, which sets how modes are tuned and how noise depends on the SNR: handset,
     standard, high or a JSON file; auto takes the profile whose noise is nearest to the log's"""

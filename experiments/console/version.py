@@ -65,7 +65,7 @@ def self_test() -> list[dict[str, Any]]:
 
 
 def _deviation(computed: Array, expected: Array) -> float:
-    """Return the largest difference, relative to the largest size (at least 1) in its column."""
+    """Return the largest difference, relative to its column's largest magnitude (at least 1)."""
     size = np.maximum(np.abs(expected).max(axis=tuple(range(expected.ndim - 1))), 1.0)
     return float((np.abs(computed - expected) / size).max())
 

@@ -42,9 +42,10 @@ def compare(
             observations (n, features), float32, of ``n`` episodes to ``n`` integer actions, or
             anything that ``mmwave-loc compare --policies`` accepts: a policy file,
             "module:function", the folder of a run, or a name. A function may have a method
-            ``reset(begins)``, whose argument, a bool (n,), marks the episodes that begin, and
-            attributes ``modes``, ``observation`` and ``beliefs``, which override the arguments
-            here. If it has a method ``correct``, its corrections are scored (docs/own-agent.md).
+            ``reset(begins)``; ``begins``, a bool (n,), marks the episodes that begin. If a
+            function has attributes ``modes``, ``observation`` or ``beliefs``, they override the
+            arguments here. If a function has a method ``correct``, its corrections are scored
+            (docs/own-agent.md).
         beside: names of known contenders to compare with, from
             :func:`~experiments.evaluation.contenders.contenders`.
         scenario, radio: same as in the environment.

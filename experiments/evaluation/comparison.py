@@ -137,7 +137,7 @@ def episodes_csv(scores: dict[str, Scores], selection: Selection, source: Episod
     """Return a CSV table with a row per contender and episode, and a column per metric.
 
     A row also has the key of its episode, if the episode is simulated. ``selection`` and ``source``
-    are the episodes that were scored.
+    say which episodes were scored.
     """
     table = io.StringIO()
     rows = csv.writer(table, lineterminator="\n")

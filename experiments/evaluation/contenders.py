@@ -62,8 +62,8 @@ class Contender:
     ) -> "Contender":
         """Return a contender for the learned policy in a file, or for a shipped policy by name.
 
-        A policy with several banks gets the one of ``radio``. If ``name`` is None, the name is the
-        path.
+        A policy with several banks gets its bank for ``radio``. If ``name`` is None, the path is
+        the name.
         """
         policy = learned_policy(path)
         return cls(
@@ -183,9 +183,9 @@ def contender_from(
     """Return a contender by name; see :func:`contenders`.
 
     Args:
-        name: name of a contender or shipped policy, "clairvoyant" (the ceiling of switching
-            between the modes of a bank), a policy file (``.safetensors``), the folder of a run (its
-            median training is used), or module:function, as in
+        name: name of a contender or shipped policy, "clairvoyant" (which knows the truth, and
+            so marks the ceiling of switching), a policy file (``.safetensors``), the folder of a
+            run (its median training is used), or module:function, as in
             :func:`~experiments.evaluation.agents.agent_from`.
         radio, modes: same as in :func:`contenders`.
         observation, beliefs: settings of a user's agent, as in :meth:`Contender.own`.

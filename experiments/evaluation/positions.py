@@ -57,7 +57,7 @@ def positions_markdown(title: str, rows: Mapping[str, Any], risk: float, kind: s
 
     ``rows`` are figures of :class:`~mmwave_env.localization.position_errors.PositionErrors`, by the
     names in the column ``title``; ``risk`` is the probability that an error exceeds its level, and
-    ``kind`` the kind of the levels.
+    ``kind`` the kind of all levels: "calibrated" or "gaussian".
     """
     cells = [
         [f"{name}, {kind}", *row_of(errors)]

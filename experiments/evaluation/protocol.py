@@ -34,7 +34,7 @@ UNSEEN_SCENES, UNSEEN_RADIOS = ("avenue", "plaza", "alley"), ("tablet",)
 UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
 OTHER_RADIOS = ("handset", "standard")  # radios for unseen streets and for recordings
 EPISODES, DRAWS = 2000, 200  # number of episodes at each simulated site, and on each recording
-CEILING_EPISODES, CEILING_DRAWS = 400, 20  # numbers of first episodes and draws that scores use
+CEILING_EPISODES, CEILING_DRAWS = 400, 20  # how many of them, from the first on, a score uses
 PUBLISHED = Path(__file__).parents[2] / "docs" / "leaderboard"  # folder of the published entries
 
 
@@ -59,7 +59,7 @@ class Site:
 
 
 def sites() -> list[Site]:
-    """Return all sites: to train in, unseen streets and radio, recordings, and hard sites."""
+    """Return all sites: those to train in, unseen streets and radio, recordings, hard sites."""
     unseen = {name: unseen_file(name) for name in UNSEEN}
     at = WorldArgs
     trained = [Site.of(f"{s}:{r}", TRAINED, at(scene=s, radio=r)) for s in SCENES for r in RADIOS]
@@ -182,7 +182,7 @@ def ceiling_in(*folders: Path) -> Mapping[str, Any] | None:
 
 
 def add_scores(entries: Iterable[dict[str, Any]], ceiling: Mapping[str, Any] | None) -> None:
-    """Set the scores of entries at their sites.
+    """Set the scores of entries at their sites; ``ceiling`` is the entry of the clairvoyant.
 
     A score is None unless entry and ceiling were compared with the rule on the same episodes.
     """

@@ -18,7 +18,8 @@ from mmwave_env.logs.log import LogBlock
 from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
 
 DEFAULT_POLICY = "corrector"
-# Without elevations, "guided" trusts wrong modes too often to be useful (docs/learning.md).
+# Without elevations, the policy "guided", on which "corrector" builds, trusts wrong modes too often
+# to be useful (docs/learning.md).
 WITHOUT_ELEVATIONS = "imm-best"
 # Correctors read the standard deviation of the height, which does not exist for a known height.
 WITH_HEIGHT = "guided"

@@ -160,7 +160,7 @@ def _track(args: LogArgs, work: Work, window: int | None) -> Iterator[TrackBlock
 
 
 def beginning(args: LogArgs, epochs: int) -> tuple[TrackBlock, Work]:
-    """Filter the first epochs of a log; return their track and the work that made it."""
+    """Filter the first epochs of a log; return their track and its :class:`Work`."""
     files = inputs(args)
     work = _work(args, files, scene_from(files.scene), epochs)
     return next(_track(args, work, None)), work

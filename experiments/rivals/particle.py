@@ -23,9 +23,9 @@ from mmwave_env.numerics.pytree import flatten
 from mmwave_env.world.episode import blank_incoming
 
 PARTICLES = 10_000
-LEAST_M = 0.001  # standard deviation added to P, which is 0 if an outlier leaves one particle
-SPREAD = 0.35  # width h of the kernel that spreads resampled particles, in deviations of the cloud
-KEPT = (1.0 - SPREAD**2) ** 0.5  # the cloud first shrinks by this factor, to keep its covariance
+LEAST_M = 0.001  # its square is added to P, which would be 0 if an outlier left one particle
+SPREAD = 0.35  # width of the kernel that spreads resampled particles, in deviations of the cloud
+KEPT = (1.0 - SPREAD**2) ** 0.5  # the cloud first shrinks by this, so that its covariance is kept
 
 
 class Weighed(NamedTuple):

@@ -30,7 +30,7 @@ RUNGS, SHARE = 9, 3  # parameters of early stopping: docs/sweep.md
 
 @contextmanager
 def connected(address: str | None, workers: int | None) -> Iterator[None]:
-    """Connect, within the block, to the cluster at an address, and send this code to the cluster.
+    """Connect to the cluster at an address during the ``with`` block, and send it this code.
 
     Without an address, start Ray on this machine with ``workers``, by default one per core.
     """

@@ -29,7 +29,7 @@ Values = Mapping[str, Any]  # values of a cell, by axis
 
 @dataclass(kw_only=True)
 class Evaluation(ModeArgs):
-    """Keys of a table [evaluate], which are options of compare that affect its results."""
+    """Keys of a table [evaluate]; these keys are the options of compare that affect its results."""
 
     policy: str
     reward: str = "tracking"
@@ -83,7 +83,7 @@ class Spec:
         return values
 
     def _digest(self, values: Values) -> str:
-        """Return a name that depends on the values, the version and the content of named files."""
+        """Return a name that depends on the version, the values, and the files that values name."""
         words = itertools.chain(*(v if isinstance(v, tuple) else (v,) for v in values.values()))
         paths = (Path(word) for word in words if isinstance(word, str) and os.path.isfile(word))
         files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
@@ -112,7 +112,7 @@ def read_spec(path: Path) -> Spec:
 
 def _spec(content: Any) -> Spec:
     if not isinstance(content, dict) or len(content) != 1:
-        raise ValueError(f"found {quoted(content)}, expected one table of {', '.join(KINDS)}")
+        raise ValueError(f"found {quoted(content)}, expected one table, one of {', '.join(KINDS)}")
     ((kind, table),) = content.items()
     choose(KINDS, kind, "table")
     require(kind, table, dict)
@@ -126,7 +126,7 @@ def _spec(content: Any) -> Spec:
     if len(spec) > MOST_CELLS:
         raise ValueError(f"{kind}: found {len(spec)} cells, expected at most {MOST_CELLS}")
     if kind == "search" and not (free and all(len(values) == 1 for values in axes.values())):
-        raise ValueError("search: expected hyperparameters to try, and one value per other key")
+        raise ValueError("search: expected hyperparameters to try, and one value per remaining key")
     return spec
 
 

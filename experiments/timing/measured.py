@@ -23,7 +23,7 @@ from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.world.travel import stride_of
 
 FRESH_RUNS = 3  # maximum number of runs in new processes, since each takes seconds
-FRESH_SIZES = 3  # how many of the largest sizes run in new processes; smaller ones differ little
+FRESH_SIZES = 3  # number of vector environments, the largest, that also run in new processes
 STEP = "step"  # name of the kernel that makes a complete step of the environment
 BASES = ("filterpy", workloads.SYNC_NAME)  # workloads with which ours are compared
 
@@ -70,14 +70,14 @@ class Measured:
         }
         largest = {workloads.native_name(n): n for n in self.sizes[-FRESH_SIZES:]}
         self._processes = {"single": 0} | largest
-        # from the start of a process to the end of its first step; and its peak memory, MiB
+        # seconds from the start of a process to the end of its first step; peak memory, MiB
         self.cold_start_s: Rounds = {name: [] for name in self._processes}
         self.peak_mb: Rounds = {name: [] for name in self._processes}
 
     def run(self, seconds: float, repeats: int) -> Iterator[float]:
         """Run all measurements; yield the share that is done after each.
 
-        Every round runs each workload once, so that a drift of the machine affects all equally.
+        Every round runs each workload once, so a drift of the machine's speed affects all equally.
         """
         starts, workloads = min(FRESH_RUNS, repeats), len(self.rates) + len(self.filters)
         pieces = starts * len(self._processes) + workloads

@@ -59,7 +59,8 @@ def interleaved(operations: Operations) -> tuple[str, ...]:
 
 def _steps(operations: Operations) -> dict[str, float]:
     steps = {kind: getattr(operations, kind) for kind in _STEPS}
-    return steps | {"select": operations.select / 2}  # the timed step compares, then chooses
+    # A timed step counts as two operations: it compares, then chooses.
+    return steps | {"select": operations.select / 2}
 
 
 @cache

@@ -1,9 +1,9 @@
-"""Episodes for a corrector to learn from: features, errors and beliefs of its base.
+"""Episodes for a corrector to learn from: features, and the errors and beliefs of its base.
 
-Half of the episodes are at the places of the training. In the others, streets, carrier, radio, rate
-of epochs and clock are random, and so are the measured quantities, the measured anchors, and the
-factor by which the receiver misjudges its noise. Without random episodes, a network memorizes its
-places.
+The *base* is the policy or IMM whose beliefs are corrected. Half of the episodes are at the places
+of the training (scenes with a radio). In the others, streets, carrier, radio, rate of epochs and
+clock are random, and so are the measured quantities, the measured anchors, and the factor by which
+the receiver misjudges its noise. Without random episodes, a network memorizes its places.
 """
 
 from collections.abc import Iterator
@@ -36,7 +36,7 @@ from policies.corrector import BASE_IMM
 
 STEPS_S = (1.0, 1.0, 0.5, 0.25, 0.1, 0.1, 0.1, 2.0)  # steps between epochs to draw from
 EPOCHS = 200
-SUBSETS = (  # quantities that a receiver measures if it lacks some
+SUBSETS = (  # what a receiver that lacks some quantities may measure
     ("range", "azimuth", "elevation", "departure"),
     ("range", "azimuth", "elevation"),
     ("range", "azimuth", "elevation", "doppler"),
@@ -54,7 +54,7 @@ ORIENTATION_RAD = 0.1  # standard deviation of an orientation that is not known 
 WEAVING = 0.5
 WAYS = 64  # number of weaving users from which the episodes of a lot are drawn
 WEAVE_S = (8.0, 40.0)  # periods of weaving at an episode's highest speed
-WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # largest (change of velocity) / speed, change of position
+WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # limits of (change of velocity) / speed and of position
 WEAVING_BEHIND_M = (20.0, 60.0)  # distances from the last street to a wall, with room to weave
 
 
@@ -73,7 +73,7 @@ class Lot(NamedTuple):
 
 
 class CorrectorData:
-    """A source of lots of episodes, in which no episode occurs twice.
+    """A source of lots (:class:`Lot`), in which no episode occurs twice.
 
     Args:
         task: task of the training.
@@ -81,7 +81,7 @@ class CorrectorData:
         seed: seed from which all episodes and all random choices follow.
 
     Attributes:
-        played: number of episodes played so far, from which :meth:`lots` continues.
+        played: number of episodes played so far; :meth:`lots` goes on with the next ones.
     """
 
     def __init__(self, task: TrainingTask, hyper: CorrectorHyperparameters, seed: int) -> None:
@@ -96,12 +96,12 @@ class CorrectorData:
         return self._switch.bank(radio) if self._switch else self._task.banks[radio]
 
     def lots(self) -> Iterator[Lot]:
-        """Play and yield one lot at every place, then enough random lots to reach their share."""
+        """Play and yield one lot at every place, then random lots up to ``random_share`` of all."""
         for radio, batch in self.batches():
             yield self._play(batch, self.bank(radio))
 
     def batches(self) -> Iterator[tuple[str, EpisodeBatch]]:
-        """Yield the episodes of each lot of :meth:`lots`, with the radio whose bank they need."""
+        """Yield, for each lot of :meth:`lots`, the radio whose bank it needs and its episodes."""
         places, share = self._task.places, self._hyper.random_share
         for place in places:
             rng = self._rng()

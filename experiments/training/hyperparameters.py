@@ -29,10 +29,10 @@ class _Hyperparameters:
 
     num_envs: Count  # number of environments stepped, or of episodes played, at once
     batch_size: Count  # number of epochs, states or long episodes in a gradient step
-    learning_rate: Positive  # at the start; it falls linearly
-    final_fraction: Probability  # share of the rates that is left at the end
+    learning_rate: Positive  # initial learning rate; it falls linearly
+    final_fraction: Probability  # share of learning_rate and ent_coef that is left at the end
 
-    together: ClassVar[int] = 1  # number of adjacent environments that must share a place
+    together: ClassVar[int] = 1  # adjacent environments that must share a place (scene and radio)
 
     def __post_init__(self) -> None:
         require_fields(self)
@@ -43,7 +43,7 @@ class _SwitcherHyperparameters(_Hyperparameters):
     """Hyperparameters of the algorithms that train switchers."""
 
     gamma: Probability  # discount per epoch (PPO) or per second (rollouts)
-    ent_coef: Positive  # weight of the entropy at the start; it falls linearly
+    ent_coef: Positive  # initial weight of the entropy; it falls linearly
     hidden: Neurons  # sizes of the tanh layers; PPO's critic has layers of the same sizes
     clip_observation: Positive  # normalized observations are clipped to plus or minus this
     # logit of action 0 at the start; the others are about 0. If every mode keeps its own belief,
@@ -96,7 +96,7 @@ class CorrectorHyperparameters(_Hyperparameters):
     # held-out places, at which the policies that a training produces are compared
     judged_at: Annotated[tuple[Name, ...], Size(1, 100)]
     random_share: Probability  # share of episodes whose streets, radio and receiver are random
-    long_epochs: Count  # number of epochs of long episodes, which occur only at 5 Hz or more
+    long_epochs: Count  # length of long episodes, epochs; they are used only at 5 Hz or more
     # front, units, head: numbers of neurons before, in and after the recurrent layer
     front: Count
     units: Count
@@ -149,8 +149,8 @@ def shipped_hyperparameters(algorithm: str, beliefs: str = "shared") -> Path:
 def falling(last: float, left: float) -> float:
     """Return the share of a rate that remains when a fraction of the training is left.
 
-    The last update may end after the planned end of the training, where the fraction is negative.
-    The rate then falls further, but stays positive.
+    The last update may end after the planned end of the training. The fraction is then negative,
+    and the rate falls further, but stays positive.
 
     Args:
         last: share of the rate at the end.

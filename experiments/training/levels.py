@@ -35,7 +35,8 @@ LEARNED_FROM = (("guided",), ("corrector",), ("imm-best", "imm", *SINGLE))
 KINDS = (SINGLE, ("guided", "imm-best"), ("corrector",))
 PLACES = [f"{scene}:{radio}" for scene in SCENES for radio in RADIOS]
 SEED = TRAINING_SEED + 9 * SEEDS_EACH  # seed of episodes that no corrector was trained on
-ENVS, ROUNDS, CALIBRATION = 64, 24, 18  # episodes per place; rounds to train, to calibrate
+# number of episodes per place and round, of rounds to train, and of rounds to calibrate
+ENVS, ROUNDS, CALIBRATION = 64, 24, 18
 HIDDEN, STEPS, BATCH, RATE = 64, 5000, 8192, 3e-3  # the learning rate falls linearly
 EVERY = 4  # neighboring epochs are alike, so the network learns from one in four
 OUTSIDE = 1e-4  # share of a feature's values below its range; the same share is above its range
@@ -45,10 +46,11 @@ LEAST_M = 1e-4  # smaller errors count as this
 def _played(
     seed: int, rounds: int, policies: Sequence[tuple[str, ...]], **changes: float
 ) -> Iterator[tuple[Array, Array]]:
-    """Play episodes; for every policy, yield features (n, T, features) and logs (n, T, risks, 2).
+    """Play batches of episodes, each by one policy of every group; yield features and logs.
 
-    The logs are logarithms of the horizontal and the vertical error, each divided by its Gaussian
-    level. ``changes`` replace hyperparameters of the corrector.
+    The features are (n, T, features). The logs (n, T, risks, 2) are logarithms of the horizontal
+    and the vertical error, each divided by its Gaussian level. ``changes`` replace hyperparameters
+    of the corrector.
     """
     places = places_from(PLACES)
     banks = banks_of((), places, "per-mode")

@@ -62,7 +62,7 @@ class ProgressLog(KVWriter):
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Write the rest of the log; after an exception, only stop the thread of the events."""
+        """Write the rest of the log; after an exception, only stop the thread of TensorBoard."""
         if kind is None:
             self.save()
             self._events.close()

@@ -37,7 +37,7 @@ class Tried(NamedTuple):
 
 
 class RolloutEnv:
-    """N environments, spread over the places of a task and over the epochs of an episode.
+    """N environments, spread over a task's places (scene and radio) and over an episode's epochs.
 
     Eight adjacent environments share a place and an epoch. The first episodes of these groups of
     eight are cut to different lengths, so that the groups are in different epochs.

@@ -36,7 +36,8 @@ from mmwave_env.io.lookup import choose
 if TYPE_CHECKING:
     from experiments.train import Args
 
-# default number of environment steps in a training, by algorithm
+# Default length of a training, by algorithm: number of epochs or, for rollouts, number of states
+# in which all actions are tried.
 TIMESTEPS = {"ppo": 4_000_000, "rollouts": 1_200_000, "corrector": 150_000_000}
 
 # Options that do not affect a policy; the command in a policy file leaves them out.
@@ -44,7 +45,7 @@ ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")
 
 
 def rewards(args: TaskArgs) -> Reward:
-    """Return the reward to learn; of a paired reward, the reward before the IMM's is subtracted."""
+    """Return the reward to learn, without the subtraction that a paired reward adds to it."""
     reward = choose(REWARDS, args.reward, "reward")
     if isinstance(reward, PairedReward):
         reward = reward.reward

@@ -31,7 +31,7 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import EpisodeBatch, EpisodeSource
 
 STEPS_S = (1.0, 0.1)  # times between two epochs, s
-SHARES = 3  # parts of the tuning episodes; each generation of the search uses one part
+SHARES = 3  # number of parts of the tuning episodes; each generation of the search uses one part
 # The gates of modes for steady motion reject contradicting measurements as outliers. The other
 # modes inflate the noise of such a measurement instead, since it may be due to a maneuver.
 _STEADY: dict[str, Any] = {"sigma_p": 0.01, "adaptive": False, "blockage_aware": True}
@@ -201,7 +201,7 @@ def best_bank_of(space: SearchSpace, value: Value, evaluations: int) -> Bank:
     """Return the best bank: the mean of the search's centers over the second half of the search.
 
     Points are compared only within a generation, so each generation may have its own episodes. The
-    center of the search then wanders around the optimum of all episodes, and the mean of the
+    center of the search then wanders around the optimum for all episodes, and the mean of the
     centers is closer to the optimum than the last center (Polyak and Juditsky 1992).
 
     Args:

@@ -4,12 +4,12 @@ A process that steps one environment a few hundred times would spend most of its
 small amounts of work run as plain Python (:class:`LazyJit`).
 
 numba's ``cache=True`` checks only the file of the function itself. It returns stale code after an
-edit in another file, if the function calls code there; some versions also miss an edit that leaves
-the file's time and size unchanged. Processes that start at the same time can mix up numba's files,
-and a damaged file or a full disk ends the program. This cache names its folder after a hash of all
-sources and writes each compiled function to one file; after any error with a file the function is
-compiled again. A checksum detects a damaged file before its content is run. If a source is edited
-while a process runs, the process stops using files: its code may be of either version.
+edit in another file, if the function calls code there; some versions of numba also miss an edit
+that leaves the file's time and size unchanged. Processes that start at the same time can mix up
+numba's files, and a damaged file or a full disk ends the program. This cache names its folder after
+a hash of all sources and writes each compiled function to one file; after any error with a file the
+function is compiled again. A checksum detects a damaged file before its content is run. If a source
+is edited while a process runs, the process stops using files: its code may be of either version.
 
 The files are pickles, like numba's own, and reading a pickle runs code that its author chose. So
 folders and files are private to this user: the cache rejects links and anything that another user

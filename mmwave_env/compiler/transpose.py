@@ -1,4 +1,4 @@
-"""Transposes between tables and blocks of SIMD lanes.
+"""Transpositions between tables and blocks of SIMD lanes.
 
 In a table the numbers of one environment are contiguous; in a block each lane holds one
 environment. Compiled code moves 8 x 8 numbers at a time and transposes them in registers, because

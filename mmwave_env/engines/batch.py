@@ -42,7 +42,7 @@ class Batch(Generic[Workspace]):
         input_rows: leaves of ``program.index`` that receive an input in every epoch.
         on_floats: whether to run in plain Python instead of on SIMD lanes.
         threads: number of threads that may work at once; results do not depend on it.
-        ahead: number of epochs that the program is ahead of actions: 1 for corrections, else 0.
+        ahead: by how many epochs the program is ahead of the actions: 1 for corrections, else 0.
 
     Attributes:
         at: tree like the workspace, with row numbers in place of values; selects the rows to read.

@@ -5,12 +5,12 @@ belief against the truth, loads the next epoch and runs every mode on it. Modes 
 action, because the observation shows the result of each. No action changes the world.
 
 If the modes share a belief, their results are *candidates*, and the action chooses one. If every
-mode keeps its own, the modes interact as in an IMM (:mod:`mmwave_env.filters.imm`), and an action
-is the mode to trust in the epoch that was just filtered: the probability of that mode is raised
-before the beliefs are combined, scored and mixed again. Action 0 trusts no mode, as in the IMM.
-With ``action="weights"``, the action raises or lowers the probability of every mode. With
-``action="correction"``, filters run an epoch ahead: a step corrects and scores the belief of the
-last epoch, and goes on as if there were no corrections.
+mode keeps its own belief, the modes interact as in an IMM (:mod:`mmwave_env.filters.imm`), and an
+action is the mode to trust in the epoch that was just filtered: the probability of that mode is
+raised before the beliefs are combined, scored and mixed again. Action 0 trusts no mode, as in the
+IMM. With ``action="weights"``, the action raises or lowers the probability of every mode. With
+``action="correction"``, the filters run an epoch ahead: a step corrects and scores the belief of
+the last epoch, and the filters go on from the uncorrected beliefs.
 """
 
 from functools import lru_cache, partial
@@ -111,7 +111,7 @@ def shared_epoch(
 
 
 class Reported(NamedTuple):
-    """The epoch that was corrected; fields mean the same as in :class:`PerModeState`."""
+    """The corrected epoch. Its fields mean the same as in :class:`PerModeState`."""
 
     x: list[Number]
     P: list[Number]
@@ -213,7 +213,7 @@ def program_of(
     """Return the program of an epoch, shared by all environments with the same arguments.
 
     Args:
-        pipeline: modes and layout; with a belief per mode, the tunings are part of the state.
+        pipeline: modes and layout; with a belief per mode, the state holds the tunings instead.
         kind: kind of observation.
         reward: function of (belief, truth).
         per_mode: whether every mode keeps its own belief.

@@ -129,7 +129,7 @@ def run_imm(
     *names: str,
     planar: bool = False,
 ) -> dict[str, Array]:
-    """Filter episodes by an IMM, which weights its modes itself, from their priors to their ends.
+    """Filter complete episodes, from their priors on, by an IMM, which weights its modes itself.
 
     Args:
         bank: the modes and the parameters of their interaction.
@@ -139,8 +139,8 @@ def run_imm(
         planar: same as in :class:`~mmwave_env.filters.pipeline.Pipeline`.
 
     Returns:
-        For each name, (n, epochs) if it is a single number, else (n, epochs, numbers); values past
-        the end of an episode are meaningless.
+        For each name, an array: (n, epochs) for a part that is a single number, else (n, epochs,
+        numbers). Values past the end of an episode are meaningless.
     """
     packed = EpisodeBatch.of(episodes)
     program = imm_program(Pipeline(bank.modes, packed.layout, planar), reward)

@@ -109,7 +109,7 @@ def untuned(pipeline: Pipeline) -> Pipeline:
 
 
 class EpisodeFilter(Generic[Workspace]):
-    """N tracks of a program, each filtered from the first epoch of an episode to the last.
+    """N tracks that a program filters, each from the first epoch of an episode to the last.
 
     Args:
         batch: batch of N environments; the caller sets rows that episodes lack, such as tunings.
@@ -160,7 +160,7 @@ class EpisodeFilter(Generic[Workspace]):
 
 
 class Tracker(EpisodeFilter[TrackState]):
-    """N tracks of a pipeline; each epoch runs exactly one of its modes.
+    """N tracks of a pipeline; in each epoch, exactly one of the pipeline's modes runs.
 
     Args:
         pipeline: the mode, or the modes to choose from.

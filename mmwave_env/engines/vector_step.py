@@ -49,7 +49,7 @@ class ActionHistory:
         self.turn = (self.turn + 1) % len(self.rows)
 
     def of(self, places: Index, steps: int) -> Modes:
-        """Return the modes (places, steps) of some environments in the last steps, at most T."""
+        """Return some environments' modes (places, steps) in the last ``steps`` steps (<= T)."""
         return np.ascontiguousarray(self.all()[-steps:, places].T)
 
     def all(self) -> Modes:
@@ -92,7 +92,7 @@ class StepMemory(NamedTuple):
     counts: Counts  # sums for the metrics
     modes: Modes  # (T, n) the modes of the last T steps
     turn: int  # the row of ``modes`` to write
-    ahead: int  # same as in :class:`~mmwave_env.engines.batch.Batch`
+    ahead: int  # number of epochs that the program is ahead of actions: 1 for corrections, else 0
 
 
 class Stepper:

@@ -2,8 +2,9 @@
 
 Prediction, sigma points, innovation, gain and covariance come from filterpy; the measurement
 function and its Jacobian come from :class:`~mmwave_env.filters.textbook.Sensor`, row by row,
-without this package's shortcuts, such as latents. Tests, the benchmark and users in doubt compare
-the two implementations. Use ``Engine(filterpy_pipeline(...), on_floats=True)`` to run such modes.
+without this package's shortcuts, such as latent variables. Tests, the benchmark and users in doubt
+compare the two implementations. To run such modes, use
+``Engine(filterpy_pipeline(...), on_floats=True)``.
 
 An update works in coordinates relative to the prior mean m: dx = x - m and dz = z - h(m). Small
 values are needed for two reasons. filterpy subtracts angles without wrapping them. And it computes

@@ -102,7 +102,7 @@ class Latents:
 
     curvatures: int  # number of curvature latents
     weight: float  # w, the weight of an outer sigma point
-    bend: float  # weight of the outer product of the mean shift, beta - alpha^2
+    bend: float  # beta - alpha^2, weight of the mean shift's outer product with itself
     size: int = STATE_SIZE  # number of components of the state
 
     @property

@@ -41,7 +41,7 @@ Predictor = Callable[
 def _linear_prediction(
     mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: Number, hz_per_mps: Number
 ) -> tuple[list[Number], Matrix]:
-    """Return the Kalman prediction; the motion is linear, so it is exact for every algorithm."""
+    """Return the Kalman prediction; it is exact for every algorithm, as motion is linear."""
     return move(x, dt, hz_per_mps), predict_covariance(P, noise, dt, hz_per_mps)
 
 

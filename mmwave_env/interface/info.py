@@ -58,7 +58,7 @@ def drawn_rows(at: Any, span: Callable[[Any], slice]) -> dict[str, slice]:
 
     Args:
         at: workspace with row numbers as leaves, as for :func:`info_rows`.
-        span: returns the rows of a part of the workspace.
+        span: function that returns the rows of a part of the workspace.
     """
     rows = info_rows(at)
     parts = {name: rows[name] for name in ("truth", "estimate", "nees", "accepted", "rejected")}

@@ -21,7 +21,7 @@ _LEAST_M = 0.05  # minimum of the standard deviations, m, by which residuals are
 _LEAST_RAD = 1e-3
 _LEAST_S = 1e-3
 _WAYS = ("along", "across")
-# name of a row of a link -> index of the row, and whether it measures position along the ray
+# name of a link's row -> its index, and whether it measures position along the ray from the anchor
 _ROWS = {"range": (0, True), "azimuth": (1, False), "departure": (3, False)}
 
 
@@ -29,7 +29,7 @@ class LastEpoch(NamedTuple):
     """The last epoch, whose update led to the belief that features describe."""
 
     epoch: Epoch
-    is_missing: Number  # 1 if there was no epoch before, else 0
+    is_missing: Number  # 1 if no epoch has been filtered yet, else 0
     velocity: Vector  # (3,) velocity of the belief before the epoch
     probabilities: Vector  # (modes,) probabilities after the update; empty with a shared belief
 
@@ -95,7 +95,7 @@ def _squashed(q: Number) -> Number:
 
 
 def _ray(view: View, anchor: int) -> tuple[list[Number], Number, tuple[Number, Number, Number]]:
-    """Return the vector from an anchor to the belief, its horizontal length, and its direction."""
+    """Return the vector from an anchor to the estimate, its horizontal length and its direction."""
     step = [view.x[i] - view.site.anchors[anchor][i] for i in range(3)]
     flat = sqrt(step[0] * step[0] + step[1] * step[1])
     return step, flat, direction(step)

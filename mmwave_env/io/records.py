@@ -40,7 +40,7 @@ class Bound:
         return bool(low and (value < self.below if self.most is None else value <= self.most))
 
     def outside(self, values: Array) -> Mask:
-        """Return which numbers, of any shape, are outside the two limits; NaN always is."""
+        """Return which elements of an array are outside the two limits; NaN always is."""
         assert self.least is not None and self.most is not None
         return ~((values >= self.least) & (values <= self.most))  # type: ignore[no-any-return]
 

@@ -5,8 +5,8 @@ epoch. Given this state, global nearest neighbor assigns the paths to anchors. T
 ordinary log, so all code that localizes a log can localize it.
 
 A track begins with the hypothesis that some path is the line of sight, if the hypothesis explains
-enough paths of the coming epochs. A new track replaces the current track if the latter is lost, or
-explains fewer paths than a new hypothesis.
+enough paths of the coming epochs. A new track replaces the current track if the current track is
+lost, or if it explains fewer paths than the hypothesis of the new one.
 """
 
 from collections.abc import Iterable, Iterator

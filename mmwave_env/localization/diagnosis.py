@@ -87,7 +87,7 @@ class Finding(NamedTuple):
 
     @property
     def worst_anchor(self) -> float | None:
-        """Return the NIS / dof that is farthest from 1 among the anchors; None if there is none."""
+        """Return the NIS / dof farthest from 1 among the anchors; None if no anchor was used."""
         anchors = [nis for name, nis in self.nis_per_dof.items() if name.startswith("anchor")]
         return max(filter(None, anchors), key=lambda nis: abs(np.log(nis)), default=None)
 

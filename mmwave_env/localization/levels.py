@@ -2,10 +2,10 @@
 
 An error exceeds its Gaussian level (:mod:`mmwave_env.localization.position_errors`) with the stated
 risk only if the covariance is right. So a small network reads what a filter knows after an epoch,
-and returns a factor for the Gaussian level; it was trained by quantile regression. Then one
-constant per risk and direction corrects the factor, by split conformal prediction on other
-episodes (Y. Romano, R. Patterson and E. Candès, "Conformalized quantile regression", NeurIPS 2019;
-for epochs grouped in episodes: Y. Lee, R. F. Barber and R. Willett, "Distribution-free
+and returns a factor for the Gaussian level; it was trained by quantile regression. Then constants
+(one per kind of filter, risk and direction) correct the factor, by split conformal prediction on
+other episodes (Y. Romano, R. Patterson and E. Candès, "Conformalized quantile regression", NeurIPS
+2019; for epochs grouped in episodes: Y. Lee, R. F. Barber and R. Willett, "Distribution-free
 inference with hierarchical data", 2023). docs/errors.md says what this guarantees;
 experiments/training/levels.py trains the network.
 """
@@ -31,7 +31,7 @@ PARTS = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected")
 CALIBRATED, GAUSSIAN = KINDS = ("calibrated", "gaussian")
 _MEMORY = np.array([[0.6], [0.9], [0.97]])  # share of a running mean that remains after 1 s
 _LEAST, _LEAST_S = 1e-9, 1e-2  # lower limits, so that logarithms and quotients are finite
-_KIND = [16, 18]  # indices of the features that tell whether there is a corrector, and a bank
+_KIND = [16, 18]  # indices of two features: 1 with a corrector, else 0; 1 with a bank, else 0
 
 
 class Network(NamedTuple):
@@ -129,7 +129,7 @@ class Levels:
 
         Args:
             anchors: number of anchors.
-            mixes: whether beliefs are those of a bank, whose modes interact.
+            mixes: whether the beliefs come from a bank of interacting modes.
             time_s: (T,) times of the epochs.
             parts: beliefs x (n, T, 7 or 8) and P (n, T, 28 or 36), packed; for every group of
                 measurements (n, T, groups) its NIS, whether it was accepted, and whether it was

@@ -46,7 +46,7 @@ def geodetic(origin: Origin, points_m: Array) -> Array:
 
 
 def _ellipses(origin: Origin, x: Array, P: Array) -> Array:
-    """Return the corners (n, corners, 2) of the 95 % ellipses, longitude and latitude."""
+    """Return longitude and latitude (n, corners, 2) of the corners of the 95 % ellipses."""
     variance = np.array([[P[:, 0], P[:, 1]], [P[:, 1], P[:, 2]]]).transpose(2, 0, 1)
     size, axes = np.linalg.eigh(variance)
     axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]  # rings are counterclockwise (RFC 7946)

@@ -1,4 +1,4 @@
-"""Tracker of a user from propagation paths whose anchors are unknown, by testing hypotheses.
+"""Tracker that follows a user by propagation paths with unknown anchors; it tests hypotheses.
 
 A track begins with the hypothesis that a certain path is the line of sight. This path gives a
 position, and the paths of the next epochs confirm or contradict it. Tracks are immutable values,

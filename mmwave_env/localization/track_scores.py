@@ -48,7 +48,7 @@ class Accuracy:
         self._waiting = np.concatenate([self._waiting, error])
 
     def pair(self, first: Index, second: Index, done: int) -> None:
-        """Add the changes between errors with these indices; drop the ``done`` oldest errors."""
+        """Add the changes between errors with these indices; drop the oldest ``done`` errors."""
         change = self._waiting[second] - self._waiting[first]
         self._change += float(np.linalg.norm(change, axis=1).sum())
         self._pairs += len(change)
@@ -274,6 +274,6 @@ class Course:
             "modes": dict(zip(self._modes, self._counts.tolist(), strict=True)),
             "switches": self._switches,
             **self._clock,
-            # with a corrector only
+            # only if a corrector ran
             **({} if isnan(self._trusted) else {"trusted": ratio(self._trusted, self.epochs)}),
         }

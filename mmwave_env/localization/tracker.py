@@ -108,8 +108,8 @@ class Tracker:
         self._log: LiveLog | None = None
         self._filter: Any = None
         self._last_s: float | None = None  # time of the last measurement; None without a track
-        # time, Doppler spread, mode, factors for levels and input of the smoother, for each of the
-        # last epochs
+        # for each of the last epochs: time; Doppler spread; mode; factors by which Gaussian levels
+        # are multiplied; input of the smoother
         self._late: deque[tuple[float, float, str, Array | None, dict[str, Array]]]
         self._late = deque(maxlen=lag + 1)
 

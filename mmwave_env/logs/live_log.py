@@ -29,7 +29,7 @@ class LiveEpoch(NamedTuple):
 
 
 class LiveLog:
-    """A collector of the rows of a log, which groups them into epochs as they arrive.
+    """A collector that groups the rows of a log into epochs as the rows arrive.
 
     An epoch is over when every anchor has a row, when a row with a later time arrives, or when
     :meth:`end_epoch` is called. Only the rows of one epoch are kept in memory.
@@ -81,7 +81,7 @@ class LiveLog:
     def add(self, row: str | Mapping[str, Any], number: int = 0) -> list[LiveEpoch]:
         """Add a row, as a line of CSV or as values by column; return the epochs that are over now.
 
-        Error messages name ``number``, the number of the row in the source.
+        Error messages contain ``number``, the number of the row in the source.
 
         Raises:
             LogError: the row is damaged or late, and is ignored.

@@ -23,7 +23,7 @@ class Unit(NamedTuple):
     divide: float = 1.0
 
     def convert(self, value: Number) -> Number:
-        """Return a value of a column in SI units and dB."""
+        """Convert a value of a column to SI units; values in dB stay in dB."""
         return value * self.multiply / self.divide
 
 
@@ -45,7 +45,7 @@ def _in(name: str, units: dict[str, Unit]) -> dict[str, Unit]:
 _TIME = {"_s": Unit(), "_ms": Unit(1.0, 1e3), "_us": Unit(1.0, 1e6), "_ns": Unit(1.0, 1e9)}
 _LENGTH = {"_m": Unit(), "_ft": Unit(0.3048)}  # international foot
 _ANGLE = {"_rad": Unit(), "_deg": Unit(np.pi, 180.0)}
-_SHIFT = {"_hz": Unit(), "_khz": Unit(1e3), "_mps": Unit()}  # columns_of sets f_c / c for _mps
+_SHIFT = {"_hz": Unit(), "_khz": Unit(1e3), "_mps": Unit()}  # columns_of multiplies _mps by f_c / c
 
 
 def _flight(name: str) -> dict[str, Unit]:

@@ -68,9 +68,9 @@ def in_windows(
 ) -> Iterator[AnyBlock]:
     """Yield the epochs in blocks of whole windows; only a segment's last window may be shorter.
 
-    A window is ``window`` epochs long. A LogError of ``blocks`` is raised only after the epochs
-    before it were yielded. ``segment`` returns the number of a block's segment; blocks of different
-    segments are not joined.
+    A window is ``window`` epochs long. If ``blocks`` raises a LogError, the epochs read before are
+    yielded first. A segment is a part of the log without a long gap; ``segment`` returns the number
+    of a block's segment, and blocks of different segments are not joined.
     """
     waiting: list[AnyBlock] = []
     count = 0
@@ -103,7 +103,7 @@ class Table(Block):
     rows: Rows  # (n,) row numbers in the file, for messages
     cells: Array  # (n, columns) as in the file, NaN where empty
     share: float  # share of the file read so far, 0 to 1
-    # damage in the last row, after which nothing follows; cells that can't be read are NaN there
+    # damage in the last row, which ends the log; cells of that row that can't be read are NaN
     damage: LogError | None = None
 
     def raw(self, quantity: str) -> Array:
@@ -123,7 +123,7 @@ class Table(Block):
         return np.concatenate([[0], np.cumsum(np.diff(self.raw("time")) != 0.0)])
 
     def first(self, values: Array) -> Array:
-        """Return, for every epoch, the first of its values (n,) that is not NaN; else NaN."""
+        """Return each epoch's first value that is not NaN, or NaN; values (n,) are given by row."""
         first = np.full(self.epoch[-1] + 1, np.nan)
         some = np.flatnonzero(~np.isnan(values))[::-1]
         first[self.epoch[some]] = values[some]  # backwards, so that the first row's value remains
@@ -132,7 +132,8 @@ class Table(Block):
     def links(self) -> Array:
         """Return the rows of links (n, 4), m and rad; departures are in the frame of the map.
 
-        If the log has azimuths of arrival at the base station, the rows contain these instead.
+        If the log has azimuths of arrival at the base station, the rows contain these instead of
+        the azimuths at the anchors.
         """
         arrival = self[STATION if STATION in self.columns else "aoa_azimuth"]
         departure = self["aod_azimuth"]

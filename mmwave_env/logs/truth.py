@@ -27,9 +27,9 @@ class Truth:
     """A track of true positions, from a TUM file that is read only as far as needed.
 
     Between two poses that are at most ``BRIDGED_S`` apart, the position is on the cubic Hermite
-    spline through both. Its velocity at a pose is that of the parabola through this pose and its
-    neighbors. Next to a gap and at the ends, the position is that of a pose within ``TOLERANCE_S``,
-    or unknown if there is no such pose. ``last_s`` is the last time that was read so far.
+    spline through both. The spline's velocity at a pose is that of the parabola through this pose
+    and its neighbors. Next to a gap and at the ends, the position is that of a pose within
+    ``TOLERANCE_S``, or unknown if there is no such pose. ``last_s`` is the last time read so far.
 
     Raises:
         ValueError, OSError: as for :func:`~mmwave_env.logs.tum.tum_blocks`; also from methods.

@@ -48,9 +48,9 @@ def tum_blocks(path: Path) -> Iterator[Poses]:
 
 
 def _parse(path: Path, lines: list[str], first: int, last_s: float) -> Array:
-    """Parse times and positions (lines, 4) of lines that follow the time ``last_s``.
+    """Return the times and positions (lines, 4) in lines; refuse damaged lines.
 
-    ``first`` is the number of the first line.
+    ``first`` is the number of the first line. Its time must be later than ``last_s``.
     """
     poses = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
     if not poses:

@@ -32,11 +32,12 @@ def white_noise_acceleration(
     The variances added per second are those of the position (3,), in m^2; of the velocity (3,), in
     (m/s)^2; and of the oscillator's bias, in Hz^2.
 
-    With ``coupling`` 1, the velocity noise q = velocity dt also moves the position, like a constant
-    acceleration during the step: it adds [[q dt^2 / 4, q dt / 2], [q dt / 2, q]] (discrete
-    white-noise acceleration, Bar-Shalom et al. 2001, Sec. 6.3.2) to the position noise. So Q is
-    positive semidefinite for any variances. With ``coupling`` 0, Q is the paper's diagonal
-    matrix, which underestimates how the position's uncertainty grows at dt = 1 s.
+    With ``coupling`` 1, the velocity noise, whose variance is q = ``velocity`` * dt, also moves the
+    position, like a constant acceleration during the step: the term [[q dt^2 / 4, q dt / 2],
+    [q dt / 2, q]] (discrete white-noise acceleration, Bar-Shalom et al. 2001, Sec. 6.3.2) is added
+    to the position noise. So Q is positive semidefinite for any variances. With ``coupling`` 0, Q
+    is the paper's diagonal matrix, which underestimates how the position's uncertainty grows at
+    dt = 1 s.
     """
     q = [v * dt for v in velocity]
     half = coupling * (0.5 * dt)

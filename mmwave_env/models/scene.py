@@ -105,7 +105,7 @@ class Streets:
     Attributes:
         x_m: west-east extent (low, high), m.
         y_m: south-north extent (low, high), m.
-        block_m: distance between parallel streets, m; extents are a whole number of blocks.
+        block_m: distance between parallel streets, m; both extents are multiples of it.
         height_m: height of the user equipment, m.
     """
 

@@ -197,7 +197,7 @@ class Episode:
             raise ValueError(f"{self._record}: found no truth, which reward and metrics need")
 
     def on_flat_ground(self, height_m: float | None = None) -> "Episode":
-        """Return the episode with a prior mean of vz 0 and this height, by default the true one."""
+        """Return the episode with a prior mean of this height (default: the true one) and vz 0."""
         if height_m is None:
             self.require_truth()
             height_m = self.truth_position_m[0, 2]  # type: ignore[index]
@@ -302,14 +302,14 @@ class EpisodeBatch(NamedTuple):
 
 
 def level(sites: Array, height_m: Array, layout: Layout) -> Array:
-    """Return the sites (n, numbers) with known heights (n,) and with vz 0."""
+    """Return the sites (n, numbers) with these heights (n,) and vz 0 in the mean of the prior."""
     sites, prior = sites.copy(), indices(blank_site(layout)).prior_x
     sites[:, prior[2]], sites[:, prior[5]] = height_m, 0.0
     return sites
 
 
 class Incoming(NamedTuple):
-    """A row of :meth:`Episode.table`, an epoch's data that engines load; see :class:`Epoch`."""
+    """A row of :meth:`Episode.table`; fields without comments are the same as in :class:`Epoch`."""
 
     dt: Number
     z: list[Number]

@@ -84,7 +84,7 @@ class SimulatedSource:
         odometry: whether the user also reports speed and heading.
         measurements: names of the quantities that the receiver measures, some of
             :data:`~mmwave_env.models.layout.MEASUREMENTS`; None for all.
-        clock: whether the user's clock has an unknown offset, which drifts.
+        clock: whether the user's clock has an unknown, drifting offset.
     """
 
     scene: Scene | RandomScene
@@ -216,7 +216,7 @@ class SimulatedSource:
         )
 
     def feed(self, worlds: Array) -> Feed:
-        """Return the feed that computes the epochs of ``worlds`` (n, numbers) from a ``Begun``."""
+        """Return the feed that computes the epochs of n episodes from their ``Begun.worlds``."""
         _, _, receiver, user = self.world.template  # fills unused lanes
         kept = blocks_of(np.array(flatten([receiver, user]), float), len(worlds))
         fill(kept, np.arange(kept.shape[1]), worlds)
@@ -237,7 +237,7 @@ class SimulatedSource:
 
     @property
     def travels(self) -> bool:
-        """Return whether users are simulated; otherwise a table contains their given ways."""
+        """Return whether users are simulated; otherwise they follow given ways from a table."""
         return bool(self._plans)
 
     def begin(self, keys: Keys) -> Begun:

@@ -14,7 +14,7 @@ from tests.logs.writing import read_tum
 
 @pytest.fixture(scope="module")
 def downlink(tmp_path_factory):
-    """Return a log of the ride with angles of arrival at the user, as in a downlink."""
+    """Return a copy of the ride's log with angles of arrival at the user, as in a downlink."""
     log = tmp_path_factory.mktemp("downlink") / "log.csv"
     mistake = MISTAKES["arrival is at the user, as in a downlink"]
     write_columns(log, mistake(read_columns(RIDE / "log.csv")))

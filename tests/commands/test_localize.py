@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc localize``: how a speed chooses modes, and the figures it reports."""
+"""Tests of ``mmwave-loc localize``: how a speed chooses modes, and the reported figures."""
 
 import csv
 import json
@@ -186,7 +186,7 @@ def test_epochs_before_the_first_line_of_sight_are_counted(capsys, tmp_path):
     assert results["skipped"] == 20 and results["epochs"] == 380 == results["truth"]["scored"]
 
 
-@pytest.mark.filterwarnings("ignore:Doppler")  # the slowed walk keeps the shifts of the fast one
+@pytest.mark.filterwarnings("ignore:Doppler")  # slowed times contradict the shifts
 def test_a_restart_or_an_end_at_a_long_gap_is_reported(capsys, tmp_path):
     """Use the walk at a tenth of its rate, without the epochs from 100 to 129 s.
 

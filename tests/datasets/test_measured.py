@@ -112,7 +112,7 @@ def test_a_receiver_that_states_its_noise_needs_no_snr():
     assert not episode.usable[:, 3].any() and episode.layout.partial
     seen = np.isfinite(episode.measurement[:, :2])
     np.testing.assert_array_equal(episode.sigma[:, :2][seen], np.tile([0.3, 0.02], (60, 1))[seen])
-    stated["range_sigma_m"][:, 0] = np.nan  # a range without noise and SNR counts as missing
+    stated["range_sigma_m"][:, 0] = np.nan  # a range with neither noise nor SNR counts as missing
     lost = MeasuredTrack.from_arrays(**some, **stated)
     np.testing.assert_array_equal(
         np.isfinite(lost.measurement[:, [0, 4]]), np.isfinite(own["range_m"][:, :2]) & [False, True]

@@ -57,7 +57,7 @@ def test_trusting_no_mode_equals_the_imm(radio, dt):
 
 @pytest.mark.parametrize("dt", [1.0, 0.25])
 def test_trust_raises_the_odds_of_a_mode_as_in_the_textbook(dt):
-    """Compare with the textbook's IMM; raise its probability of the trusted mode in every epoch."""
+    """Compare with a textbook IMM in which each epoch raises the trusted mode's probability."""
     episodes = in_steps_of(dt, simulated(4, epochs=30))
     actions = np.random.default_rng(1).integers(0, 3, (4, 30))
     _, ours = played(BANK, episodes, actions)

@@ -133,7 +133,7 @@ def test_uneven_epochs_are_smoothed_with_their_own_steps():
         x[None], packed(P)[None], x_predicted[None], packed(P_predicted)[None], steps
     )
     expected_x, _ = textbook.rts(x, P, P_predicted, time_s)
-    # Arbitrary covariances make the backward recursion grow, so errors are relative to its size.
+    # Arbitrary covariances make smoothed states grow, so the tolerance is relative to the largest.
     assert np.abs(found_x[0] - expected_x).max() <= TOLERANCE * np.abs(expected_x).max()
 
 

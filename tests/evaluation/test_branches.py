@@ -35,7 +35,7 @@ def begun(walked):
 
 
 def rest(walked, action):
-    """Return the sum (N,) of rewards after ``walked`` epochs: of ``action``, then of action 0."""
+    """Return sums (N,) of rewards after ``walked`` epochs if ``action`` is taken, then action 0."""
     engine, total = begun(walked), 0.0
     for taken in [action, *[np.int64(0)] * (EPOCHS - walked - 1)]:
         total += engine.step(taken, rows_of(engine.at.reward))[1][:, 0]

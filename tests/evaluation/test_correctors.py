@@ -1,4 +1,4 @@
-"""Tests of the evaluation of correctors: metrics are those of the corrected beliefs."""
+"""Tests that the scores of a corrector are the metrics of the corrected beliefs."""
 
 import numpy as np
 import pytest

@@ -100,7 +100,7 @@ def test_without_the_clairvoyant_or_its_episodes_scores_are_dashes():
         assert f"| {shown} | 0.500 [0.500, 0.500] | 5 / 0 / 0 |" in tables["leaderboard"]
         assert f" | {shown} |\n| street:standard" in tables["scores"]
     for at in content["sites"].values():
-        at["episodes"] = 2  # of the three that the clairvoyant played
+        at["episodes"] = 2  # the clairvoyant played three episodes
     add_scores([content], ceiling)
     assert {at["score"] for at in content["sites"].values()} == {None}
 

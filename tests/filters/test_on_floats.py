@@ -1,7 +1,7 @@
 """Tests of epochs on plain floats against the textbook: modes, memory, IMMs, smoothing, scores.
 
-Engines run the same functions compiled; here they run as plain Python, so that each test takes
-at most a second.
+Engines run the same functions compiled; these tests run them as plain Python, so that each test
+takes at most a second.
 """
 
 import numpy as np

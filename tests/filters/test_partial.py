@@ -81,7 +81,7 @@ def runs():
 
 
 def with_its_doppler(episode, model):
-    """Return the episode with every epoch's Doppler shift moved to its ``doppler_anchor``."""
+    """Return the episode with Doppler shifts of ``doppler_anchor`` instead of the first anchor."""
     sensor, row = model.sensor, episode.layout.doppler
     z = episode.measurement.copy()
     truth = [*episode.truth_position_m.T], [*episode.truth_velocity_mps.T]

@@ -145,9 +145,9 @@ def rollout(keys: Sequence[int | None], **arguments: Any) -> Iterator[Row]:
 
 
 def vector_rollout(keys: Sequence[int], later: Sequence[int], **arguments: Any) -> Iterator[Row]:
-    """Play an episode per key in parallel; after one that ends early, play its key in ``later``.
+    """Play ``keys[i]`` in environment i; if this episode ends early, then play ``later[i]``.
 
-    In between, autoreset begins a third episode, which is not part of the trace.
+    Between the two, autoreset begins another episode, which is not part of the trace.
     """
     n = len(keys)
     env = gym.make_vec(ID, num_envs=n, autoreset_mode="SameStep", **arguments)

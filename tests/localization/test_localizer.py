@@ -31,7 +31,7 @@ from tests.refusals import refuses
 
 SCENE, RADIO = SCENES["street"], RADIOS["handset"]
 T = 230
-SHIFT = 3  # group of the Doppler shift
+SHIFT = 3  # index of the group with the Doppler shift
 EKF, UKF = default_modes()
 BANK = best_bank()
 

@@ -1,4 +1,4 @@
-"""Tests that statistics of position errors equal NumPy's, in whatever pieces errors are added."""
+"""Tests that statistics of position errors equal NumPy's, however the errors are split."""
 
 import json
 

@@ -50,7 +50,7 @@ def test_a_gap_in_time_ends_a_segment():
 def test_epochs_without_a_link_belong_to_a_segment_until_the_gap_is_too_long():
     block = log(range(30), [NOTHING] * 2 + [FIX] + [(DOPPLER,)] * 20 + [OTHER] * 3 + [FIX] * 4)
     assert pieces_of(block) == [
-        (list(range(2, 18)), 0, True, 2, 8),  # epoch 18 is more than 15 s after epoch 2
+        (list(range(2, 18)), 0, True, 2, 8),  # epoch 18 is more than 15 s after the link in epoch 2
         ([26, 27, 28, 29], 1, True, 2, 8),
     ]
 

@@ -26,7 +26,7 @@ def truth_of(folder, time_s, position_m, monkeypatch, block_bytes=200):
 
 
 def expected(pose_s, position, time_s):
-    """Interpolate positions and velocities between gaps by SciPy's cubics and NumPy's gradients."""
+    """Interpolate positions and velocities in gapless runs by SciPy's cubics, NumPy's gradients."""
     p, v = np.full((2, len(time_s), 3), np.nan)
     runs = np.split(np.arange(len(pose_s)), np.flatnonzero(np.diff(pose_s) > BRIDGED_S) + 1)
     for run in runs:
@@ -118,7 +118,7 @@ def exact_links(position_m, anchors_m):
 
 
 def log_of(time_s, position_m, rng, bias=0.0):
-    """Return a log of a receiver at given positions, with noise and a bias (in deviations)."""
+    """Return a noisy log of a receiver at given positions; ``bias`` is in standard deviations."""
     layout = Layout(3)
     sigma = np.tile([0.3, 0.01, 0.01, 0.02], 3)
     z = exact_links(position_m, STREET.anchors_m)

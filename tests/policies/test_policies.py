@@ -124,7 +124,7 @@ def test_speed_rules_of_tracks_switch_at_the_threshold_of_the_paper(speed, mode)
 @pytest.mark.filterwarnings("ignore:speed .* is outside the design window")
 @pytest.mark.parametrize("radio", RADIOS)
 def test_no_threshold_of_the_speed_rule_beats_zero(radio):
-    """Use tuning seeds; a rule with a threshold of zero acts like fixed-ukf (docs/results.md)."""
+    """Use tuning seeds; a rule with a threshold of zero acts like `fixed-ukf` (docs/results.md)."""
     source = SimulatedSource(scene_from("street"), radio_from(radio))
     episodes = draw_episodes(source, range(TUNING_SEED, TUNING_SEED + 500))
     rule = contender_from("speed-rule", radio)

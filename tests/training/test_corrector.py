@@ -1,4 +1,4 @@
-"""Tests of training correctors: lots (batches) of episodes, interruptions, files, and learning."""
+"""Tests of the training of correctors: lots (batches) of episodes, interruptions, learning."""
 
 from dataclasses import replace
 

@@ -55,7 +55,7 @@ every_scene = pytest.mark.parametrize("scene", representative(SCENES, "street"))
 
 
 class Users(NamedTuple):
-    """Tracks of many users of one kind: vectors (SEEDS, STEPS, 2), others (SEEDS, STEPS)."""
+    """Tracks of many users of one kind: vectors (SEEDS, STEPS, 2) and numbers (SEEDS, STEPS)."""
 
     position: np.ndarray
     velocity: np.ndarray

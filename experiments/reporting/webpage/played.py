@@ -45,7 +45,7 @@ class Played:
     epochs: EpochErrors = field(default_factory=lambda: EpochErrors({}))
     positions: Positions = field(default_factory=lambda: Positions({}))
     shown: list[dict[str, Any]] = field(default_factory=list)  # episodes to watch, as JSON
-    # reason why a contender is missing, by its name; under the name "", why all are missing
+    # by name of a contender: the reason why it is missing; by "": why all contenders are missing
     missing: dict[str, str] = field(default_factory=dict)
 
 

@@ -26,7 +26,7 @@ def read_source(path: Path) -> list[Source]:
     """Read a file of results, or the folder of a run, finished or not.
 
     Raises:
-        ValueError: the file does not hold results; names the file and what it lacks.
+        ValueError: the file does not hold results; the message names the file and what it lacks.
         FileNotFoundError: there is no such file.
     """
     over, begun = path / "summary.json", path / "run.json"

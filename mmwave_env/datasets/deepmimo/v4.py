@@ -253,7 +253,7 @@ def _read_scene(scenario: Scenario, scene: int, station: str, rows: Index) -> di
 def _finite(
     file: Path, key: str, array: Array, rows: Index | None, used: Mask | None = None
 ) -> Array:
-    """Refuse an array with NaN or infinity, or return it.
+    """Return an array, or refuse it if it contains NaN or infinity.
 
     If ``used`` (R, P) is given, only the values it marks are checked; all others become NaN.
     """

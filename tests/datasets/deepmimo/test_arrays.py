@@ -54,7 +54,7 @@ def test_an_npz_file_is_preferred_to_an_npy_file(tmp_path):
     for _ in range(2):
         with refuses("power.npz", error=FileNotFoundError):
             find_array(tmp_path, "power")
-        (tmp_path / "power.mat").touch()  # the format before version 4
+        (tmp_path / "power.mat").touch()  # the format that DeepMIMO used before version 4
 
 
 def npy_header(shape, descr="<f4", claimed=None):
