@@ -13,7 +13,7 @@ def described(readme: str, project: str, package: str) -> str:
     (repository,) = re.findall(r'^Repository = "(.*)"$', project, re.MULTILINE)
     (version,) = re.findall(r'^__version__ = "(.*)"$', package, re.MULTILINE)
     link = re.compile(r"(!?)(\[[^\]]*\]\()(?!\w+:|#)")
-    kinds = {"!": "raw", "": "blob"}  # links to a picture itself, or to a file's page
+    kinds = {"!": "raw", "": "blob"}  # "raw": the file itself, for pictures; "blob": its web page
     return link.sub(lambda m: f"{m[0]}{repository}/{kinds[m[1]]}/v{version}/", readme)
 
 

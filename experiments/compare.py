@@ -21,10 +21,10 @@ class Args(EpisodeArgs):
     """
 
     policies: Annotated[tuple[str, ...], arg(aliases=("--policy",))] = ()
-    """names from mmwave-loc list policies, policy files (.safetensors), folders of runs from
-    mmwave-loc train, and module:function, a function without arguments that returns an agent; by
-    default all policies that have a name, except clairvoyant, which knows the truth. If speed-rule
-    and clairvoyant are among them, each policy gets a score: 0 is speed-rule, 100 clairvoyant"""
+    """names that `mmwave-loc list policies` shows; policy files (.safetensors); folders of runs
+    from `mmwave-loc train`; and module:function, a function without arguments that returns an
+    agent. The default is all policies that have a name, except `clairvoyant`, which knows the
+    truth. With `speed-rule` (score 0) and `clairvoyant` (score 100), each policy gets a score"""
     errors: Path | None = None
     """draw the distribution (CDF) of horizontal and of vertical errors to this .png, .svg or .pdf
     file"""

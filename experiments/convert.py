@@ -34,7 +34,7 @@ class Args(LearnedArgs):
     """radio profile that the model was trained with: handset, standard, high or a JSON file"""
 
 
-TIES = 0.001  # largest share of observations whose action may differ, because of rounding
+TIES = 0.001  # largest share of observations for which rounding may change the action
 
 
 def main(args: Args) -> None:
@@ -63,8 +63,9 @@ def main(args: Args) -> None:
         alike = LearnedSwitch(temporary)(shown) == chosen
         if alike.mean() < 1.0 - TIES:
             raise ValueError(
-                f"{args.model}: its layers alone choose the model's action for {alike.sum()} of "
-                f"{alike.size} observations, expected all; the model does more than apply layers"
+                f"{args.model}: its layers alone choose the same action as the model for "
+                f"{alike.sum()} of {alike.size} observations, expected all; the model does more "
+                "than apply layers"
             )
     say(
         f"{args.policy}: same actions as {args.model} on {alike.sum()} of {alike.size} "

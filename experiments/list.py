@@ -26,7 +26,7 @@ class Args:
     radio: str = "handset"
     """profile whose policies and modes are listed"""
     out: Path | None = None
-    """with samples: folder to copy a sample to"""
+    """folder for the files of the sample that --copy names; only with samples"""
     copy: str | None = None
     """name of the sample to copy into --out: its log if it has one, else its recording"""
 
@@ -35,7 +35,7 @@ COLUMN = 25  # column in which the descriptions of names begin
 POLICIES = {
     "speed-rule": "the paper's rule: EKF up to 2 m/s, UKF above",
     "likelihood-rule": "chooses the mode that explains the coming measurement best",
-    "imm": "interacting multiple models: a mixture of the same modes",
+    "imm": "interacting multiple models: mixes all modes instead of choosing one",
     "imm-best": "tuned IMM of modes for users who stand, cruise, turn, accelerate or brake",
     "ppo": "learned policy that chooses between the profile's two modes",
     "guided": "learned policy that says which mode of `imm-best` to trust",

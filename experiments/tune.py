@@ -43,7 +43,7 @@ class Args(JsonArgs):
     """train the network of the protection levels on training seeds, and calibrate it on tuning
     seeds, with the shipped policies; no option but --seed, --out and --json applies"""
     out: Path | None = None
-    """write the tuned modes to this mode file, for --modes or modes=; with --levels, the levels"""
+    """mode file to write, for --modes or modes=; with --levels, file to write the levels to"""
 
 
 OF_BANK = ("bank", "radio", "episodes", "evaluations", "seed", "out", "json")  # options for --bank
@@ -61,7 +61,7 @@ def _tuned_bank(args: Args) -> Content:
     name = radio_from(args.radio).name
     bank = tuned_bank(args.radio, args.episodes, args.seed, args.evaluations)
     reward, gain = (Interval.of(bank["held_out"][column]) for column in ("reward", "minus imm"))
-    say(f"{name}, on the same number of other episodes: reward {reward}, gain over imm {gain}")
+    say(f"{name}, on as many held-out episodes: reward {reward}, gain over imm {gain}")
     return bank
 
 

@@ -102,7 +102,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
     * `action="correction"`: `Box` (6,): shifts of the position along the estimated velocity, across
       it (to the left) and up, -4 to 4 standard deviations of the belief; then logarithms of factors
       on these deviations, -2 to 2. The observation describes an epoch after its update and nothing
-      later. The action corrects the belief of that epoch, to which reward and infos then belong.
+      later. The action corrects the belief of that epoch; reward and infos use the corrected one.
       The filters go on without corrections, so actions have no later effect (use a discount of 0);
       `reward="paired"` subtracts the reward of the belief without correction. By default the
       filters are an IMM. With `base`, an agent without memory chooses the modes to trust: `base`

@@ -27,8 +27,9 @@ BASE_IMM = "imm-best"  # base without a switcher: the IMM of the policy's bank
 # "Trust" is the factor, 0 to 1, by which corrections are scaled
 RANGE_FADE = 2.0  # trust is exp(-2 d) if a feature is d standard deviations outside its range
 RECOVERY = 0.1  # largest growth of trust per epoch; small, as memory still holds strange epochs
-# The members of the network's ensemble compute different shifts. Trust is 1 up to the first of the
-# two spreads of these shifts, and 0 from the second on; both are in corrected standard deviations.
+# The members of the network's ensemble compute different shifts. If the spread of these shifts, in
+# corrected standard deviations, is at most the first number, trust is not reduced; from the second
+# number on, trust is 0.
 SPREAD = (0.5, 1.0)
 
 
@@ -36,7 +37,8 @@ class Correction(NamedTuple):
     """Corrections of n beliefs in the last epoch (:mod:`mmwave_env.filters.correction`).
 
     Attributes:
-        shift: (n, 3) shifts along, across and up, in standard deviations of the belief.
+        shift: (n, 3) shifts along and across the motion, and up, in standard deviations of the
+            belief.
         log_factor: (n, 3) logarithms of factors for these standard deviations.
         trusted: (n,) factor, 0 to 1, by which the network's answer was scaled.
     """

@@ -97,8 +97,8 @@ class LearnedPolicy:
         if observation.beliefs != card.beliefs or observation.modes not in banks:
             raise ValueError(
                 f"{self._path}: trained with beliefs={card.beliefs!r} and the modes "
-                f"{', '.join(mode.name for mode in card.modes)}, found {observation.made_with}, or "
-                "modes of the same names with another tuning; make the environment as in training: "
+                f"{', '.join(mode.name for mode in card.modes)}, found {observation.made_with} (if "
+                "the names agree, the tuning differs); make the environment as in training: "
                 f"{self._made_with}"
             )
         self._width = len(observation.columns)
@@ -110,9 +110,9 @@ class LearnedPolicy:
         """Find the policy's features, by name, in columns.
 
         Returns:
-            The positions of the features in the columns, or None if the columns are exactly the
-            features; and, for each feature, the value to use because its anchor is missing (NaN if
-            the anchor exists), or None if no anchor is missing.
+            Two arrays. The first has the positions of the features in the columns; it is None if
+            the columns are exactly the features. The second has the value to use for each feature
+            whose anchor is missing, and NaN for the others; it is None if no anchor is missing.
         """
         features, columns = self.card.features, {column.name: column for column in shown}
         anchors = {

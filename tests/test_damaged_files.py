@@ -48,7 +48,7 @@ SLOWEST_S = 20  # longest time that reading may take
 class Reader(NamedTuple):
     """A reader of files from outside the project, and intact files to damage."""
 
-    files: Callable[[], dict[str, Any]]  # by name: bytes, or content to write as JSON
+    files: Callable[[], dict[str, Any]]  # returns file name -> bytes, or content for JSON
     read: Callable[[Path], Any]  # its argument is the folder of the files
     write: Callable[[Any], bytes] = lambda content: json.dumps(content).encode()
 

@@ -27,7 +27,7 @@ def rotten(x, P, measurement, gate):
     """Update as an EKF, but return a NaN belief if the NIS of the first link is from 20 to 90."""
     after = ekf(x, P, measurement, gate)
     lost = where(after.nis[0] > 20.0, math.nan, 0.0)
-    # Before compiling, the function is tried on an outlier of larger NIS and must not return NaN.
+    # Before it is compiled, the function is tried on an outlier with NIS > 90, and NaN is refused.
     lost = where(after.nis[0] > 90.0, 0.0, lost)
     return after._replace(x=[after.x[0] + lost, *after.x[1:]])
 

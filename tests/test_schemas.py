@@ -108,7 +108,7 @@ def damaged(draw, name):
 
 
 def refusal(name, content, folder):
-    """Return the reader's error ("" unless it names file and schema), or None if there is none."""
+    """Return the reader's error ("" if it does not name file and schema); None if all is valid."""
     path = folder / f"{name}.json"
     path.write_text(json.dumps(content), encoding="utf-8")
     try:

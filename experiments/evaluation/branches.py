@@ -84,7 +84,7 @@ class Clairvoyant(Policy):
 
     In every epoch it tries each action (trust one mode, or none) on the same measurements, trusts
     no mode in the epochs after it, and takes the action with the largest sum of rewards within
-    :data:`HORIZON_S`. It knows the noise, too, so a switcher without the truth is far below it.
+    :data:`HORIZON_S`. It even knows the noise, so a switcher without the truth earns far less.
     """
 
     _branches: Branches | None = None

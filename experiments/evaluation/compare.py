@@ -52,8 +52,8 @@ def compare(
         episodes: number of episodes, 200 by default; results to publish need 1000 or more.
         seed: seed of the first episode, 0 by default; training uses seeds from 10 million on.
         modes, observation, beliefs: settings that agents were trained with, as in the environment;
-            policy files hold their own. An agent "imm" is the IMM of these modes; if ``modes`` is a
-            bank or one mode file, it also sets the IMM's transition and NIS quantile.
+            policy files state their own. An agent "imm" is the IMM of these modes; if ``modes`` is
+            a bank or one mode file, it also sets the IMM's transition and NIS quantile.
         data: recorded episodes or episodes of your own, as in the environment's ``episodes``.
         world: further arguments of the environment: ``scene``, ``dt``, ``episode_steps``,
             ``planar``, ``odometry``, ``reward``.
@@ -68,7 +68,7 @@ def compare(
             contender is unknown; a name occurs twice; or an agent fails to load, raises, or does
             not return actions. Errors are raised before any episode runs, except those of agents
             that fail in an episode.
-        FileNotFoundError: there is no such file.
+        FileNotFoundError: a file that an argument names does not exist.
     """
     if not isinstance(policies, Mapping):
         raise ValueError(

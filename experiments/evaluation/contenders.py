@@ -92,7 +92,7 @@ class Contender:
         if beliefs are "per-mode".
 
         Raises:
-            ValueError: unknown modes or beliefs; the message lists the valid ones.
+            ValueError: modes or beliefs are unknown; the message lists the valid ones.
         """
         beliefs, modes = getattr(agent, "beliefs", beliefs), getattr(agent, "modes", modes)
         bank_of = getattr(agent, "bank", None) if beliefs == "per-mode" else None
@@ -191,8 +191,8 @@ def contender_from(
         observation, beliefs: settings of a user's agent, as in :meth:`Contender.own`.
 
     Raises:
-        ValueError: unknown name, with the valid names in the message; a damaged policy file; or
-            an agent that can't be loaded.
+        ValueError: the name is unknown (the message lists the valid names), a policy file is
+            damaged, or an agent can't be loaded.
         FileNotFoundError: there is no such file.
     """
     known, shipped = contenders(radio, modes), shipped_policies()

@@ -27,11 +27,11 @@ HEADER = (
 class Positions:
     """Position errors of all scored epochs, with protection levels."""
 
-    names: Mapping[str, str]  # names in figures, by contender; other contenders are skipped
+    names: Mapping[str, str]  # contender's name -> its name in figures; others are skipped
     levels: Levels = field(default_factory=Levels)
     anchors: int = 3  # number of anchors in the episodes
     planar: bool = False  # whether the height is known
-    errors: dict[str, PositionErrors] = field(default_factory=dict)  # by the name in figures
+    errors: dict[str, PositionErrors] = field(default_factory=dict)  # name in figures -> errors
 
     def add(self, contender: Contender, time_s: Array, results: EpochResults) -> None:
         """Add a contender's epoch results on some episodes.

@@ -1,6 +1,7 @@
-"""The benchmark's protocol: the sites at which contenders are judged, some unseen in training.
+"""The benchmark's protocol: the sites at which contenders are judged. Some are unseen in training.
 
-docs/benchmark.md explains the benchmark. An *entry* has a contender's figures at every site.
+docs/benchmark.md explains the benchmark. An *entry* has a contender's figures at every site. The
+*clairvoyant* is a switcher that knows the truth; a score is the share of its gain over the rule.
 """
 
 import warnings
@@ -33,8 +34,8 @@ TRAINED, UNSEEN_KIND, RECORDED, HARD = KINDS = ("to train in", "unseen", "record
 UNSEEN_SCENES, UNSEEN_RADIOS = ("avenue", "plaza", "alley"), ("tablet",)
 UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
 OTHER_RADIOS = ("handset", "standard")  # radios for unseen streets and for recordings
-EPISODES, DRAWS = 2000, 200  # number of episodes at each simulated site, and on each recording
-CEILING_EPISODES, CEILING_DRAWS = 400, 20  # how many of them, from the first on, a score uses
+EPISODES, DRAWS = 2000, 200  # episodes at each simulated site, and draws on each recording
+CEILING_EPISODES, CEILING_DRAWS = 400, 20  # a score uses only this many, the first ones
 PUBLISHED = Path(__file__).parents[2] / "docs" / "leaderboard"  # folder of the published entries
 
 
@@ -59,7 +60,7 @@ class Site:
 
 
 def sites() -> list[Site]:
-    """Return all sites: those to train in, unseen streets and radio, recordings, hard sites."""
+    """Return all sites: training sites, unseen streets and radio, recordings, hard sites."""
     unseen = {name: unseen_file(name) for name in UNSEEN}
     at = WorldArgs
     trained = [Site.of(f"{s}:{r}", TRAINED, at(scene=s, radio=r)) for s in SCENES for r in RADIOS]
@@ -162,7 +163,7 @@ def read_entry(path: Path) -> dict[str, Any]:
     """Read an entry that :func:`entry` made.
 
     Raises:
-        ValueError: names the file and says what is wrong in it.
+        ValueError: the entry is invalid; the message names the file and what is wrong in it.
     """
 
     def checked(content: dict[str, Any]) -> dict[str, Any]:
@@ -215,11 +216,11 @@ def standing(figures: dict[str, Any]) -> str:
 
 
 def ranking(entries: Sequence[Mapping[str, Any]]) -> str:
-    """Return a Markdown table of all entries, ranked by their mean gain at the sites to train in.
+    """Return a Markdown table of all entries, ranked by their mean gain at the training sites.
 
-    Entries with fewer episodes at a simulated site, or draws on a recording, than the protocol
-    requires are marked and come last, because luck would decide their rank. The clairvoyant needs
-    only the episodes and draws that scores use.
+    An entry is marked and comes last if it has fewer episodes at a simulated site, or fewer draws
+    on a recording, than the protocol requires, because luck would decide its rank. The
+    clairvoyant needs only the episodes and draws that scores use.
     """
     rows: list[tuple[bool, float, list[Any]]] = []
     for content in entries:

@@ -155,7 +155,7 @@ def _corrected(
 
 
 def _scored(belief: Belief, true_states: Array, reward: Reward) -> EpochResults:
-    """Return the scores of a belief of arrays (n, T), given true states (n, T, 6)."""
+    """Return the scores of a belief whose numbers are arrays (n, T); true states are (n, T, 6)."""
     truth = list(np.moveaxis(true_states, -1, 0))
     return {
         "error": np.stack(belief.error(truth), axis=-1),

@@ -100,7 +100,7 @@ def _draw_ellipses(axes: Any, track: DrawnTrack) -> None:
 
 
 def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
-    """Draw the anchors within a distance of the track that equals its extent, but at least 30 m."""
+    """Draw the anchors within a margin around a track: the track's extent, but at least 30 m."""
     low, high = position.min(axis=0), position.max(axis=0)
     reach = max(float((high - low).max()), 30.0)
     middle = 0.5 * (low + high)

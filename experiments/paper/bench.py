@@ -58,7 +58,7 @@ class Errors(NamedTuple):
     """Errors of a mode on every episode."""
 
     scores: Scores  # values (episodes,) by metric
-    nees: Array  # (episodes, epochs) without the burn-in
+    nees: Array  # (episodes, epochs) without the first epochs of an episode (the burn-in)
     axis_rms_m: Array  # (3,) root mean square error along x, y and z
 
 

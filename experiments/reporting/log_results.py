@@ -91,7 +91,7 @@ def _check(args: LogArgs, files: Inputs) -> None:
         )
     if args.height is not None and not np.isfinite(args.height):
         raise ValueError(f"height: found {args.height}, expected a number of meters")
-    Levels(args.risk, args.levels)  # refuses a risk that the levels don't cover
+    Levels(args.risk, args.levels)  # raises if these protection levels do not cover the risk
     if args.plot is not None:
         require_picture("plot", args.plot)
     owners: dict[Path, str] = {}
@@ -160,7 +160,7 @@ def _track(args: LogArgs, work: Work, window: int | None) -> Iterator[TrackBlock
 
 
 def beginning(args: LogArgs, epochs: int) -> tuple[TrackBlock, Work]:
-    """Filter the first epochs of a log; return their track and its :class:`Work`."""
+    """Filter the first epochs of a log; return their track and the log's :class:`Work`."""
     files = inputs(args)
     work = _work(args, files, scene_from(files.scene), epochs)
     return next(_track(args, work, None)), work
@@ -246,7 +246,7 @@ def localized(args: LogArgs) -> None:
         "written": {str(path): written[of] for path, of in outputs.items() if of in written},
         "error": error and str(error),
     }
-    if args.json:  # first, because the reader of the tables may close the pipe
+    if args.json:  # before show(), which fails if the reader of the tables closes the pipe
         write_json(args.json, provenance("localize", args) | figures)
     try:
         if args.plot:

@@ -157,7 +157,7 @@ def _accuracy(truth: dict[str, Any], epochs: int) -> str:
 
 
 def track_markdown(figures: dict[str, Any]) -> str:
-    """Return the results that ``localize`` collects about a track as Markdown."""
+    """Return, as Markdown, the results that ``localize`` collects about a track."""
     counts = figures.get("association")
     lines = _course(figures) + (_association(counts) if counts else [])
     parts = ["".join(f"- {line}\n" for line in lines)]

@@ -86,7 +86,7 @@ def student_t(
     base: Algorithm = ekf,
     dof: float = DOF,
 ) -> Posterior:
-    """Update a belief with Student-t noise, as the algorithm of a mode; the gate is ignored.
+    """Update a belief with Student-t noise. A mode can use this algorithm, which ignores its gate.
 
     With many degrees of freedom the result is that of the ``base`` without gates.
     """
@@ -107,7 +107,7 @@ class StudentImm(FixedMode):
         super().__init__(0)  # trusts no mode
 
     def bank(self, radio: str) -> Bank:
-        """Return the bank for a radio, in which a mode continues with probability 0.95."""
+        """Return a radio's bank; each second, a mode continues with a probability of 0.95."""
         plain = [replace(mode, gate=None, adaptive=False) for mode in default_modes(radio)]
         heavy = (replace(m, algorithm=partial(student_t, base=m.update)) for m in plain)
         return Bank(tuple(heavy))

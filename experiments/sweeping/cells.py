@@ -116,5 +116,7 @@ def read(folder: Path, spec: Spec) -> dict[str, Values]:
         try:
             (rows[name],) = parquet.read_table(path).to_pylist()
         except (ArrowException, OSError, ValueError) as error:
-            raise ValueError(f"{path}: found no row ({first_line(error)}); remove it") from error
+            raise ValueError(
+                f"{path}: found no row ({first_line(error)}); remove the file"
+            ) from error
     return rows

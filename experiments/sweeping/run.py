@@ -68,9 +68,9 @@ def _failures(spec: Spec, folder: Path, done: Collection[str]) -> Iterator[str]:
 
 
 def _table(spec: Spec, rows: Mapping[str, Values]) -> str:
-    """Return a table of varied axes and metrics, its rows in the file's order.
+    """Return a table of computed cells: values on the axes that have several, then metrics.
 
-    The rows of a search are in the order of their rewards, best first.
+    The rows are in the order of the file; those of a search are sorted by reward, best first.
     """
     axes = [axis for axis, values in spec.axes.items() if len(values) > 1]
     names = [name for name in spec.cells if name in rows]

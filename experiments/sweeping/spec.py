@@ -29,7 +29,7 @@ Values = Mapping[str, Any]  # values of a cell, by axis
 
 @dataclass(kw_only=True)
 class Evaluation(ModeArgs):
-    """Keys of a table [evaluate]; these keys are the options of compare that affect its results."""
+    """Keys of a table [evaluate]: the options of `mmwave-loc compare` that affect its results."""
 
     policy: str
     reward: str = "tracking"
@@ -39,7 +39,7 @@ class Evaluation(ModeArgs):
 
 @dataclass(kw_only=True)
 class Training(TaskArgs):
-    """Keys of a table [train] without its hyperparameters; these keys are options of train."""
+    """Keys of a table [train], except hyperparameters: options of `mmwave-loc train`."""
 
     total_timesteps: Count
     seed: Seed = 0  # number of the training
@@ -97,10 +97,10 @@ def plain(value: Any) -> Any:
 
 
 def read_spec(path: Path) -> Spec:
-    """Read a sweep: one table, with the fields of its kind and ``hyperparameters`` as keys.
+    """Read a sweep: one table; its keys are those of :data:`KINDS`, hyperparameters and trials.
 
     Raises:
-        ValueError: names the file and the key, what was found and what was expected.
+        ValueError: the file is not a sweep; the message names the file and the key.
         FileNotFoundError: there is no such file.
     """
     text = read_text(path, "a sweep, TOML or JSON")

@@ -38,13 +38,13 @@ EPISODE = 200  # number of steps of an episode
 SYNC = 8  # number of environments that Gymnasium steps one after another
 SYNC_NAME = f"sync_{SYNC}"
 TRACKS = 1024  # number of tracks that a filter without an environment runs at once
-BOTH = 2  # number of threads, the default of `gymnasium.make_vec` on two cores
+BOTH = 2  # number of threads that `gymnasium.make_vec` uses by default on two cores
 THREADS = (BOTH, 1)
 FILTERS = ("ekf", "ukf", "ckf")
 ENVIRONMENT = "mmwave_env:MmWaveLoc-v0"
 
 
-Laps = Iterator[int]  # for each episode, the number of steps of all environments together
+Laps = Iterator[int]  # yields, after each episode, the total number of steps in all environments
 
 
 def native_name(n: int, threads: int = BOTH) -> str:

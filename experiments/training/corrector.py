@@ -1,10 +1,10 @@
 """Training of a corrector by supervision on simulated episodes.
 
-In a simulation the truth is known, so the network learns the errors of its base, the policy whose
-beliefs it corrects, from examples. The loss is the length of the remaining error, in standard
-deviations of the belief, plus a small share of the error's negative log-likelihood, from which the
-network learns to scale the deviations. The base does not depend on the corrections, so it plays
-each episode only once, and every update has new episodes.
+A corrector corrects the beliefs of another policy, its base. In a simulation the truth is known, so
+the network learns the errors of the base from examples. The loss is the length of the remaining
+error, in standard deviations of the belief, plus a small share of the error's negative
+log-likelihood, from which the network learns to scale the deviations. The base does not depend on
+the corrections, so it plays each episode only once, and every update has new episodes.
 """
 
 from collections.abc import Iterator
@@ -140,7 +140,7 @@ class CorrectorTraining:
         return {"loss": float(np.mean(losses))}
 
     def _learn(self, lot: Lot) -> float:
-        """Take a gradient step on one lot; every ensemble member learns from half of the lot."""
+        """Take a gradient step on a lot (batch); each ensemble member learns from a random half."""
         hyper = self._job.hyperparameters
         error, deviation = torch.from_numpy(lot.error), torch.from_numpy(lot.deviation)
         losses = loss_of(self.answer(lot), error, deviation, hyper.likelihood_weight)

@@ -3,7 +3,7 @@
 The *base* is the policy or IMM whose beliefs are corrected. Half of the episodes are at the places
 of the training (scenes with a radio). In the others, streets, carrier, radio, rate of epochs and
 clock are random, and so are the measured quantities, the measured anchors, and the factor by which
-the receiver misjudges its noise. Without random episodes, a network memorizes its places.
+the receiver misjudges its noise. Without random episodes, a network memorizes the places.
 """
 
 from collections.abc import Iterator
@@ -52,9 +52,9 @@ ORIENTATION_RAD = 0.1  # standard deviation of an orientation that is not known 
 # Share of the random episodes whose users weave and vary their speed, as real users do. All other
 # users keep to the middle of the street; from them alone, the network would learn to rely on that.
 WEAVING = 0.5
-WAYS = 64  # number of weaving users from which the episodes of a lot are drawn
+WAYS = 64  # number of weaving users from which the episodes of one Lot are drawn
 WEAVE_S = (8.0, 40.0)  # periods of weaving at an episode's highest speed
-WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # limits of (change of velocity) / speed and of position
+WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # limits of (change of velocity) / speed and of change of position
 WEAVING_BEHIND_M = (20.0, 60.0)  # distances from the last street to a wall, with room to weave
 
 
@@ -113,7 +113,7 @@ class CorrectorData:
             yield self._at_random(self._rng())
 
     def _rng(self) -> np.random.Generator:
-        """Return the generator of the next lot's choices."""
+        """Return the random generator with which the next lot makes its choices."""
         return np.random.default_rng((self._seed, self.played))
 
     def _at_some_rate(self, source: SimulatedSource, rng: np.random.Generator) -> SimulatedSource:
@@ -179,8 +179,8 @@ class CorrectorData:
 def weaving(source: SimulatedSource, rng: np.random.Generator) -> SimulatedSource:
     """Return a source whose users weave, in one scene drawn from a source with random scenes.
 
-    Their positions are those of simulated users plus, along each street axis, a sine of the
-    distance traveled, so that they stand still where the simulated users do.
+    A weaving user's position is that of a simulated user plus, along each street axis, a sine of
+    the distance traveled. So weaving users stand still when the simulated users do.
     """
     source = replace(source, scene=source.scene_of(int(rng.integers(2**63))))
     batch = source.sample_batch(rng.integers(2**63, size=WAYS, dtype=np.uint64))
@@ -200,7 +200,7 @@ def weaving(source: SimulatedSource, rng: np.random.Generator) -> SimulatedSourc
 def _lot(features: NDArray[np.float32], x: Array, P: Array, error: Array) -> Lot:
     """Return a lot, given states, packed covariances and errors (T, n, ...) in the world's axes.
 
-    Episodes in which the base lost its belief (docs/reliability.md) are left out.
+    Episodes in which the base's belief became NaN or infinite (docs/reliability.md) are left out.
     """
     belief = Belief(list(np.moveaxis(x, -1, 0)), unpack(list(np.moveaxis(P, -1, 0))))
     frame, deviations = deviations_of(belief)

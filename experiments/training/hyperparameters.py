@@ -32,7 +32,7 @@ class _Hyperparameters:
     learning_rate: Positive  # initial learning rate; it falls linearly
     final_fraction: Probability  # share of learning_rate and ent_coef that is left at the end
 
-    together: ClassVar[int] = 1  # adjacent environments that must share a place (scene and radio)
+    together: ClassVar[int] = 1  # how many adjacent environments share a place (scene and radio)
 
     def __post_init__(self) -> None:
         require_fields(self)
@@ -61,7 +61,7 @@ class PpoHyperparameters(_SwitcherHyperparameters):
     gae_lambda: Probability  # lambda of generalized advantage estimation
     clip_range: Positive  # clipping range of the probability ratio
     max_grad_norm: Positive  # length to which longer gradients are shortened
-    target_kl: Positive  # KL divergence from the old policy that stops an update
+    target_kl: Positive  # an update stops at this KL divergence from the policy before it
     # whether to train on the reward minus the IMM's reward in the same episode: actions do not
     # change the IMM's reward, so the best policy stays the same and the variance falls
     paired: bool
@@ -116,9 +116,9 @@ KINDS: dict[str, type[Hyperparameters]] = {
 
 
 def read_hyperparameters(path: Path, algorithm: str) -> Hyperparameters:
-    """Read a hyperparameter file, a JSON object with the attributes of its kind.
+    """Read a JSON file that contains the hyperparameters of an algorithm, by name.
 
-    An attribute with a default may be left out.
+    Hyperparameters that have a default may be left out.
 
     Args:
         path: file to read.

@@ -35,7 +35,7 @@ LEARNED_FROM = (("guided",), ("corrector",), ("imm-best", "imm", *SINGLE))
 KINDS = (SINGLE, ("guided", "imm-best"), ("corrector",))
 PLACES = [f"{scene}:{radio}" for scene in SCENES for radio in RADIOS]
 SEED = TRAINING_SEED + 9 * SEEDS_EACH  # seed of episodes that no corrector was trained on
-# number of episodes per place and round, of rounds to train, and of rounds to calibrate
+# ENVS: episodes per place in each round. ROUNDS, CALIBRATION: rounds to train and to calibrate
 ENVS, ROUNDS, CALIBRATION = 64, 24, 18
 HIDDEN, STEPS, BATCH, RATE = 64, 5000, 8192, 3e-3  # the learning rate falls linearly
 EVERY = 4  # neighboring epochs are alike, so the network learns from one in four
@@ -120,9 +120,10 @@ def _constants(network: Network, seed: int, rounds: int) -> Array:
 
 
 def _quantiles(parts: list[Array], infinite: int) -> Array:
-    """Return, for each risk, the value that this share of the logs (n, T, risks, 2) exceeds.
+    """Return, for each risk and direction, the value that a share ``risk`` of the logs exceeds.
 
-    All episodes weigh the same; ``infinite`` is the number of additional ones with infinite logs.
+    ``parts`` are arrays (n, T, risks, 2) of logs. All episodes weigh the same; ``infinite`` is the
+    number of additional episodes with infinite logs.
     """
     episodes = sum(map(len, parts)) + infinite
     weight = np.concatenate([np.full(part[..., 0, 0].size, 1.0 / part.shape[1]) for part in parts])

@@ -54,7 +54,7 @@ class RolloutEnv:
         observations: (n, features) latest observations, which need an action.
 
     Raises:
-        ValueError: n is too small or not a multiple of eight, or banks need different programs.
+        ValueError: n is too small or not a multiple of eight, or one program can't run all banks.
     """
 
     def __init__(
@@ -142,7 +142,7 @@ class RolloutEnv:
         return arrays | {"streams": self._streams.states(), "observations": observations}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Restore the exact :meth:`state` of other environments."""
+        """Continue exactly from a :meth:`state`, which may come from other environments."""
         for name in STATE:
             getattr(self._engine.batch.state, name)[:] = state[name]
         self._streams.set_states(state["streams"])

@@ -143,7 +143,7 @@ class RolloutTraining:
 
     Args:
         job: training to run; if its folder has a checkpoint, the training continues from it.
-        tell: function that is called with news; a timestep is a state in which actions were tried.
+        tell: function called with news; its timesteps count states in which actions were tried.
 
     Attributes:
         env: environments in which actions are tried.

@@ -45,7 +45,7 @@ ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")
 
 
 def rewards(args: TaskArgs) -> Reward:
-    """Return the reward to learn, without the subtraction that a paired reward adds to it."""
+    """Return the agent's reward; for a paired reward, the part before an IMM's is subtracted."""
     reward = choose(REWARDS, args.reward, "reward")
     if isinstance(reward, PairedReward):
         reward = reward.reward
@@ -92,7 +92,7 @@ def hyperparameters(args: TaskArgs, places: int, path: Path | None = None) -> Hy
 
 
 def manifest_of(args: "Args", banks: Mapping[str, Bank], hyper: Hyperparameters) -> dict[str, Any]:
-    """Return the choices that a continued run must repeat, in the form of JSON."""
+    """Return the choices, as JSON, that a run must repeat when it is continued."""
     written = {radio: bank_as_written(bank) for radio, bank in banks.items()}
     first, *_ = written.values()
     choices = {"banks": written} if args.beliefs == "per-mode" else {"modes": first["modes"]}

@@ -1,4 +1,4 @@
-"""Tuning of the bank of the policy imm-best.
+"""Tuning of the bank of the policy `imm-best`.
 
 The modes of this bank are for users who stand, cruise, turn, accelerate or brake. All parameters of
 the bank are tuned together, for the mean reward in all shipped scenes at two rates of epochs.
@@ -32,8 +32,8 @@ from mmwave_env.world.episode import EpisodeBatch, EpisodeSource
 
 STEPS_S = (1.0, 0.1)  # times between two epochs, s
 SHARES = 3  # number of parts of the tuning episodes; each generation of the search uses one part
-# The gates of modes for steady motion reject contradicting measurements as outliers. The other
-# modes inflate the noise of such a measurement instead, since it may be due to a maneuver.
+# Modes for steady motion have gates, which reject improbable measurements as outliers. The other
+# modes inflate the noise of such a measurement instead, since the cause may be a maneuver.
 _STEADY: dict[str, Any] = {"sigma_p": 0.01, "adaptive": False, "blockage_aware": True}
 _LIVELY: dict[str, Any] = _STEADY | {"robust": True}
 START = (
@@ -139,7 +139,7 @@ FREE = {
 NINES = (1.0, 9.0)  # number of nines of the quantile at which NIS is capped: 3 nines are 0.999
 DECIMALS = 6  # decimals of probabilities
 
-# standard deviations of the first points of the search
+# standard deviations of the search's first points: in log odds, in logs of noise, and in nines
 _PROBABILITY_STEP, _NOISE_STEP, _NINES_STEP = 0.6, 0.25, 0.3
 
 

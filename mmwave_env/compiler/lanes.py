@@ -2,7 +2,7 @@
 
 Arithmetic on :class:`Lanes` emits LLVM ``<8 x double>`` instructions, so that a plain
 scalar function called with Lanes inside a numba ``@intrinsic`` becomes straight-line SIMD
-code; called with floats it runs as usual. :func:`kernel` makes the ``@intrinsic``.
+code; if it is called with floats, it runs as usual. :func:`kernel` makes the ``@intrinsic``.
 """
 
 import math

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.numerics.numbers import Array, Index
 
-LINE = 64  # bytes of a cache line on most machines; with longer lines, some are prefetched twice
+LINE = 64  # bytes of a cache line on most machines; if lines are longer, some are prefetched twice
 
 
 _INTEGER, _DOUBLE, _SINGLE = ir.IntType(64), ir.DoubleType(), ir.FloatType()
@@ -69,7 +69,7 @@ def _compiled_gather(block, sources, count):  # type: ignore[no-untyped-def]
                 for i in range(count):
                     block[i, lane] = number_at(sources[lane] + 8 * i)
             return
-        for first in range(0, count, WIDTH):  # the last tile overlaps the one before
+        for first in range(0, count, WIDTH):  # tiles of 8 rows; the last may overlap the one before
             _turn_in(block.ctypes.data, sources.ctypes.data, min(first, count - WIDTH))
 
     return compiled
@@ -163,7 +163,7 @@ def _turn_in(_, block, sources, first):  # type: ignore[no-untyped-def]
 def _turn_out(kind: ir.Type) -> Any:
     @intrinsic  # type: ignore[untyped-decorator]
     def turn_out(_, block, rows, targets, first):  # type: ignore[no-untyped-def]
-        """Store block rows ``rows[first:first + 8]`` in each target, from number ``first`` on."""
+        """Store rows ``rows[first:first + 8]`` of the block in every target, from ``first`` on."""
 
         def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
             block, rows, targets, first = arguments

@@ -98,8 +98,8 @@ class Track(ABC):
 
         The prior is drawn around the true state. If the bias of the oscillator is unknown, the mean
         of its prior is 0. If the layout has a clock, a random clock offset is added to the ranges
-        of a recording, without a change of the other draws; the ranges of a measured track already
-        contain an offset.
+        of a recording; the other random numbers stay the same. The ranges of a measured track
+        already contain an offset.
 
         Raises:
             ValueError: the true position in an epoch is not known.

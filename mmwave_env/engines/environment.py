@@ -41,7 +41,7 @@ class Baseline:
     """The baseline of a paired reward: the rewards of an IMM on the episodes of a batch.
 
     No action changes an episode, so these rewards are known once the episode is loaded. If actions
-    are corrections, the program computes the baseline: the reward of the uncorrected belief.
+    are corrections, the baseline is the reward of the uncorrected belief, which a step computes.
 
     Args:
         task: the task, whose baseline is the IMM.
@@ -101,7 +101,7 @@ class Baseline:
 
 
 class Environment:
-    """Environments on an engine, which can be copied by ``deepcopy`` and ``pickle``.
+    """Environments that run on an engine and can be copied by ``deepcopy`` and ``pickle``.
 
     A copy creates compiled code and references to this code anew, and copies everything else. A
     deep copy shares the task, including the source of episodes, because no step changes the task.

@@ -87,7 +87,7 @@ def begun(
 
 
 def scores(belief: Belief, truth: Vector, reward: Reward, cost: Number) -> dict[str, Any]:
-    """Return the reward for an environment's belief after an epoch, and the belief's errors."""
+    """Return the errors of a belief after an epoch, and the reward for it, less ``cost``."""
     terms = terms_of(reward, belief, truth)
     return {
         "reward": total(terms) - cost,

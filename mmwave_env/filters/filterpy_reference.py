@@ -133,7 +133,7 @@ class _Ukf(_PointFilter):
 
 
 class _Ckf(_PointFilter):
-    """The CKF of filterpy, which needs column vectors; this class sets its points and arrays."""
+    """The CKF of filterpy, which needs column vectors; this class sets the points and arrays."""
 
     def __init__(self, size: int) -> None:
         self._filter = CubatureKalmanFilter(size, 1, 1.0, None, None)

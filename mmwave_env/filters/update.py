@@ -41,7 +41,8 @@ Algorithm = Callable[[Vector, Matrix, Measurement, Gate], Posterior]
 class _Row(NamedTuple):
     """A scalar row that depends on all latents, conditioned on the links and the rows before it."""
 
-    white: list[Number]  # C^-1 times the row's coefficients on the coupled latents (C C' = B)
+    # C^-1 times the row's coefficients on the coupled latents, with C C' = B (:func:`update`)
+    white: list[Number]
     free: list[Number]  # coefficients on the free latents, xi_3..6
     links: list[Number]  # conditional covariances with the earlier rows
     cross: list[Number]  # conditional covariance with xi
@@ -191,7 +192,7 @@ class ModeResult(NamedTuple):
     # nis, accepted: (groups,) as in :class:`Posterior`
     nis: list[Number]
     accepted: list[Number]
-    passed: Number  # number of links that passed their gates, without those accepted by force
+    passed: Number  # number of links within their gates; not those accepted to end a lock-out
     log_likelihood: Number  # log-likelihood of the visible groups
 
 
@@ -199,7 +200,7 @@ def limited_likelihood(candidate: ModeResult, limits: Vector) -> Number:
     """Return the log-likelihood with the NIS of each group counted only up to its limit (groups,).
 
     The tail of a Gaussian falls so fast that, without limits, a single outlier (a link off the line
-    of sight) would decide which mode seems right: the one whose prediction is nearest to it.
+    of sight) would decide: the mode whose prediction is nearest to the outlier would seem right.
     """
     excess = [maximum(nis - limit, 0.0) for nis, limit in zip(candidate.nis, limits, strict=True)]
     return candidate.log_likelihood + 0.5 * dot(excess, [1.0] * len(excess))

@@ -21,7 +21,7 @@ _LEAST_M = 0.05  # minimum of the standard deviations, m, by which residuals are
 _LEAST_RAD = 1e-3
 _LEAST_S = 1e-3
 _WAYS = ("along", "across")
-# name of a link's row -> its index, and whether it measures position along the ray from the anchor
+# name of a link's row -> (its index, whether it measures along the anchor's ray, not across it)
 _ROWS = {"range": (0, True), "azimuth": (1, False), "departure": (3, False)}
 
 
@@ -52,7 +52,7 @@ def signed(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
         *_belief(2 not in pipeline.known_axes),
         Feature("turn sine", "sine of the turn of the direction of motion in the last epoch", "",
                 -1, 1, lambda v: _turn(v)[1]),
-        Feature("turn cosine", "cosine of that turn", "", -1, 1, lambda v: _turn(v)[0]),
+        Feature("turn cosine", "cosine of the same turn", "", -1, 1, lambda v: _turn(v)[0]),
         Feature("last step", "ln of the last epoch's step; 0 in an episode's first epoch", "ln s",
                 -7, 4, _step),
         Feature("last speed", "ln(1 + estimated horizontal speed / (1 m/s))", "", 0, 4,

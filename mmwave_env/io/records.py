@@ -145,7 +145,7 @@ def _said(hint: Any) -> str:
 
 
 def require_fields(record: Any, of: str = "") -> None:
-    """Refuse fields whose values do not fit their types; dataclasses call it when they are made.
+    """Refuse fields whose values do not fit their types; call this in ``__post_init__``.
 
     In the message, ``of`` (such as " of radio 'lab'") follows the field's name.
 

@@ -75,7 +75,7 @@ def impossible(block: LogBlock) -> Iterator[Contradiction]:
     step = float(np.median(np.diff(block.time_s))) if len(block) > 1 else 0.0
     if step > GAP_S:
         yield Contradiction(
-            "time", f"epochs {step:.3g} s apart", f"at most {GAP_S:g} s: is its unit right?"
+            "time", f"epochs {step:.3g} s apart", f"at most {GAP_S:g} s: is the unit right?"
         )
     elif len(block) > 1 and not STEP_S.holds(np.diff(block.time_s).min()):
         yield Contradiction("time", f"epochs {step:.3g} s apart", STEP_S.expected)
@@ -118,8 +118,9 @@ def _range_per_doppler(block: LogBlock, scene: Scene, radio: Radio) -> tuple[flo
     """Regress the range of anchor 1 on the distance that follows from the Doppler shift.
 
     In each window, ranges are regressed on three terms: the integrated shift, a constant, and time.
-    The coefficient of time is the oscillator's offset, with the radio's prior. Return the slope of
-    the shift, 1 if its sign and unit are right, with a standard error; (1, inf) if nothing moves.
+    The coefficient of time is the oscillator's offset, whose prior is the radio's. Return the
+    coefficient of the shift, which is 1 if sign and unit are right, and its standard error; return
+    (1, inf) if there are too few epochs or nothing moves.
     """
     direct = block.visible[:, 0] & block.visible[:, block.layout.anchors]
     time, z = block.time_s[direct], block.measurement[direct]
@@ -151,7 +152,7 @@ def _windows(time_s: Array) -> Iterator[slice]:
 
 
 def _regression(time_s: Array, range_m: Array, rate: Array, sigma: float, radio: Radio) -> Array:
-    """Return a window's residual degrees of freedom, and three sums, divided by sigma^2.
+    """Return a window's residual degrees of freedom, and three sums divided by sigma^2.
 
     The sums are of moved^2, moved * range and range^2, after a regression on a constant and time.
     """

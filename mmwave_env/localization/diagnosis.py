@@ -3,8 +3,8 @@
 A hypothesis is a way to read the values in the file. For every hypothesis, the same filter
 without gates computes a track from the first epochs. A hypothesis makes the log consistent if the
 NIS per degree of freedom (dof) is near 1 and :mod:`~mmwave_env.localization.contradictions` reports
-nothing. Such hypotheses are ranked by the likelihood of the values as they are in the file, because
-values in different units can't be compared. If no single mistake explains the log, pairs of
+nothing. Such hypotheses are ranked by the likelihood of the values in the file's units, because
+likelihoods in different units can't be compared. If no single mistake explains the log, pairs of
 mistakes are tried.
 """
 

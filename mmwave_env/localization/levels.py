@@ -1,13 +1,13 @@
 """Protection levels of position errors: Gaussian levels times factors that a network learned.
 
 An error exceeds its Gaussian level (:mod:`mmwave_env.localization.position_errors`) with the stated
-risk only if the covariance is right. So a small network reads what a filter knows after an epoch,
-and returns a factor for the Gaussian level; it was trained by quantile regression. Then constants
-(one per kind of filter, risk and direction) correct the factor, by split conformal prediction on
-other episodes (Y. Romano, R. Patterson and E. Candès, "Conformalized quantile regression", NeurIPS
-2019; for epochs grouped in episodes: Y. Lee, R. F. Barber and R. Willett, "Distribution-free
-inference with hierarchical data", 2023). docs/errors.md says what this guarantees;
-experiments/training/levels.py trains the network.
+risk only if the covariance is right. So a small network, trained by quantile regression, reads
+what a filter knows after an epoch, and returns a factor for the Gaussian level. Constants (one per
+kind of filter, risk and direction) then correct the factor. They were computed by split conformal
+prediction on episodes that the training did not use (Y. Romano, R. Patterson and E. Candès,
+"Conformalized quantile regression", NeurIPS 2019; for epochs grouped in episodes: Y. Lee, R. F.
+Barber and R. Willett, "Distribution-free inference with hierarchical data", 2023). docs/errors.md
+says what the levels guarantee; experiments/training/levels.py trains the network.
 """
 
 from base64 import b64decode, b64encode
@@ -31,7 +31,7 @@ PARTS = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected")
 CALIBRATED, GAUSSIAN = KINDS = ("calibrated", "gaussian")
 _MEMORY = np.array([[0.6], [0.9], [0.97]])  # share of a running mean that remains after 1 s
 _LEAST, _LEAST_S = 1e-9, 1e-2  # lower limits, so that logarithms and quotients are finite
-_KIND = [16, 18]  # indices of two features: 1 with a corrector, else 0; 1 with a bank, else 0
+_KIND = [16, 18]  # indices of features that are 1 or 0: a corrector runs, a bank runs
 
 
 class Network(NamedTuple):
@@ -39,8 +39,8 @@ class Network(NamedTuple):
 
     Attributes:
         risks: (R,) risks for which the network was trained and calibrated.
-        constants: (3, R, 2) numbers that the calibration adds to the network's outputs: for a
-            single filter, a bank and a corrector; for each risk; horizontally and vertically.
+        constants: (3, R, 2) numbers that the calibration adds to the network's outputs, for every
+            kind of filter (single, bank, corrector), risk, and direction (horizontal, vertical).
         low, high: (features,) limits of the features in the training.
         layers: weights (outputs, inputs) and biases of the layers.
     """
@@ -180,7 +180,7 @@ def _sizes(P: Array) -> list[Array]:
 
 
 def _shape(x: Array, P: Array) -> list[Array]:
-    """Return numbers (n, T) on the position's ellipse, and on the velocity."""
+    """Return four numbers (n, T) on the position's error ellipse and on the velocity."""
     xx, xy, yy, vx, vy = P[..., 0], P[..., 1], P[..., 2], x[..., 3], x[..., 4]
     mean, square = np.maximum(0.5 * (xx + yy), _LEAST), vx * vx + vy * vy
     along = vx * vx * xx + 2.0 * vx * vy * xy + vy * vy * yy

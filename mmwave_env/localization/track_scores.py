@@ -21,7 +21,7 @@ from mmwave_env.numerics.numbers import Array
 Index = NDArray[np.intp]
 
 FAR_NEES = 100.0  # a larger mean NEES means that the track is far from the truth
-_ENOUGH = 100  # number of epochs from which the time step is estimated
+_ENOUGH = 100  # number of epochs that are used to estimate the time step
 
 
 def ratio(part: float, whole: float) -> float | None:
@@ -34,7 +34,7 @@ class Accuracy:
 
     def __init__(self, axes: int) -> None:
         self._interval = nees_interval(axes)
-        self._sums = np.zeros(4)  # distance, its square, NEES, share in the interval
+        self._sums = np.zeros(4)  # distance, its square, NEES, epochs in the interval
         self._scored = self._pairs = 0
         self._change = 0.0
         self._waiting = np.empty((0, 3))  # errors not yet paired with the error a second later

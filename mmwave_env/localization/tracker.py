@@ -66,7 +66,7 @@ class Position(NamedTuple):
 
 
 class Tracker:
-    """A track that grows by one epoch at a time, with the same bits as a track of the complete log.
+    """A track that grows by one epoch at a time; bit for bit, it equals the complete log's track.
 
     ```python
     >>> tracker = Tracker("street", policy="corrector")

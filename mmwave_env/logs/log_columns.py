@@ -163,7 +163,7 @@ def columns_of(
     If ``odometry`` is False, columns of odometry are ignored, except a heading that angles need; if
     ``associated`` is False, a column of anchors is ignored. A Doppler shift in m/s is multiplied by
     ``hz_per_mps``, f_c / c. If ``partial`` is True, any of the horizontal measurements is enough;
-    otherwise all rows of a link and the SNR are required.
+    otherwise the range, the three angles and the SNR are required.
 
     Raises:
         ValueError: a name is unknown or lacks its unit, or a quantity occurs twice or is
@@ -228,7 +228,7 @@ def _require(
 
 def _problem(name: str) -> str:
     """Return what is wrong with the unknown name of a column, and the nearest known names."""
-    # The longest match, so that doppler_spread_x is not taken for a Doppler shift.
+    # The longest match counts, so that doppler_spread_x is not taken for a Doppler shift.
     spelled = {**{quantity: quantity for quantity in QUANTITIES}, "range": "toa"}
     meant = [start for start in spelled if name == start or name.startswith(f"{start}_")]
     if meant:

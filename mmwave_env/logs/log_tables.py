@@ -36,7 +36,7 @@ class LogError(ValueError):
 
 
 class Block:
-    """Base class of dataclasses of n rows or epochs: arrays (n, ...) and values shared by all."""
+    """Base class for dataclasses that hold n rows or epochs: arrays (n, ...), and shared values."""
 
     arrays: ClassVar[tuple[str, ...]] = ()  # names of the arrays; the first gives the length
 
@@ -119,7 +119,7 @@ class Table(Block):
     @cached_property
     def epoch(self) -> Rows:
         """Return the epoch (n,), from 0, of every row; the rows of an epoch have the same time."""
-        # Times as in the file, because different ones may become equal when converted to seconds.
+        # Compare times as in the file: different times may become equal when converted to seconds.
         return np.concatenate([[0], np.cumsum(np.diff(self.raw("time")) != 0.0)])
 
     def first(self, values: Array) -> Array:
@@ -130,10 +130,10 @@ class Table(Block):
         return first
 
     def links(self) -> Array:
-        """Return the rows of links (n, 4), m and rad; departures are in the frame of the map.
+        """Return ranges (m) and angles (rad) of links, (n, 4); departures are in the map's frame.
 
-        If the log has azimuths of arrival at the base station, the rows contain these instead of
-        the azimuths at the anchors.
+        If the log has azimuths of arrival at the base station, the result contains these instead
+        of the azimuths at the anchors.
         """
         arrival = self[STATION if STATION in self.columns else "aoa_azimuth"]
         departure = self["aod_azimuth"]
@@ -254,7 +254,7 @@ def _parse_quickly(lines: list[str], log: LogFile) -> Array | None:
         return None
     text = "\n" + "\n".join(lines) + "\n"
     if log.delimiter != ",":
-        if "," in text:  # decimal commas, which no reader should guess
+        if "," in text:  # probably decimal commas; parse_carefully refuses them
             return None
         text = text.replace(log.delimiter, ",")
     for empty, filled in ((",,", ",nan,"), (",,", ",nan,"), ("\n,", "\nnan,"), (",\n", ",nan\n")):

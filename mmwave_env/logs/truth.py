@@ -20,7 +20,7 @@ class TrueEpochs(NamedTuple):
 
     position_m: Array  # (T, 3), NaN where not known
     velocity_mps: Array  # (T, 3), NaN where not known
-    away_s: Array  # (T,) time of the nearest pose minus that of the epoch; NaN where not known
+    away_s: Array  # (T,) time of the nearest pose minus the time of the epoch; NaN where not known
 
 
 class Truth:

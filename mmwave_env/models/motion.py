@@ -61,7 +61,7 @@ def with_clock(
 
 
 def move(x: Vector, dt: Number, hz_per_mps: Number | None = None) -> list[Number]:
-    """Return F x, the mean one step later; with a clock, x is (8,) and needs ``hz_per_mps``."""
+    """Return F x, the mean one step later; with a clock, x is (8,) and ``hz_per_mps`` is given."""
     moved = [x[i] + dt * x[i + 3] if i < 3 else x[i] for i in range(min(len(x), STATE_SIZE))]
     return moved + [bias + (dt / hz_per_mps) * x[6] for bias in x[STATE_SIZE:]]
 

@@ -52,7 +52,7 @@ class Picture:
 
         The picture depends only on the arguments: the same history gives the same picture. The
         histories ``beside`` belong to the same episode, and their pictures are shown next to this
-        one; the scales of speed and error fit all of them.
+        one; the scales of speed and error fit all histories.
         """
         canvas, theme, unit = self._canvas, self._theme, self._canvas.unit
         legend = unit * (15.0 * self._rows + 4.0)

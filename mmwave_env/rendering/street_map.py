@@ -48,8 +48,8 @@ def follow(history: History, frame: Rect) -> View:
     """Return the view of the last epoch.
 
     The view depends only on the arguments, so a copy of an environment draws the same pictures.
-    Center and scale are averages over the last seconds, so that they change smoothly, unless the
-    user or the estimate would leave the picture.
+    Center and scale are averages over the last seconds, so that they change smoothly. They change
+    faster only if the user or the estimate would otherwise leave the middle of the picture.
     """
     recent = history.time_s >= history.time_s[-1] - _MEMORY_S
     weights = np.exp((history.time_s[recent] - history.time_s[-1]) / _LAG_S)
@@ -226,7 +226,7 @@ def _draw_scale(canvas: Canvas, view: View, theme: Theme) -> Rect:
 
 
 def _draw_anchors(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
-    """Draw scale bar and anchors; arrows at the edge, with distances, show anchors outside."""
+    """Draw scale bar and anchors; for an anchor outside, an arrow at the edge, and its distance."""
     inner = view.frame.inflate(-14.0 * canvas.unit, -14.0 * canvas.unit)
     user, here = _point(view, history.truth[-1]), history.truth[-1, :3]
     around = 9.0 * canvas.unit

@@ -98,7 +98,7 @@ def require_drawable(size: int, theme: str, purpose: str) -> None:
     If a package is missing, the message names the ``purpose`` of the picture.
 
     Raises:
-        ValueError: the size, px, or the theme is invalid.
+        ValueError: the size (in px) or the theme is invalid.
         MissingExtraError: pygame is not installed.
     """
     require_extra("pygame", "render", purpose)

@@ -21,7 +21,7 @@ from mmwave_env.numerics.numbers import Array, Index, Mask, Number, Vector, wher
 from mmwave_env.numerics.pytree import flatten, indices
 from mmwave_env.world.checks import refuse, require_epochs, require_finite
 
-NEUTRAL_SNR_DB = 20.0  # about the mean in streets, for links whose SNR was not measured
+NEUTRAL_SNR_DB = 20.0  # stands for an SNR that was not measured; about the mean in streets
 
 
 @dataclass(frozen=True, eq=False)

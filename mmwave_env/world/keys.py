@@ -75,7 +75,7 @@ def option_of(options: Any, name: str) -> Any:
 
 
 class Stream:
-    """The position of one environment in its stream of keys, which its seed determines."""
+    """The position of one environment in its stream of keys; the seed determines the stream."""
 
     def __init__(self) -> None:
         self._state = np.zeros(2, np.uint64)  # stream, and number of keys drawn from it

@@ -57,7 +57,7 @@ class Traveler(NamedTuple):
     phase: Number  # number of the phase, which ends at ``phase_end`` s
     phase_end: Number
     stopping: Number  # 1 while the traveler brakes to a standstill, before the next phase
-    # turn, red: quarter turns to the left and seconds of red light at the next crossing
+    # turn, red: at the next crossing, quarter turns to the left, and seconds of red light
     turn: Number
     red: Number
     # turn_after, red_after: the same at the second crossing

@@ -195,8 +195,8 @@ def blank_world(layout: Layout, phases: int, gaits: int) -> WorldState:
 class World:
     """The simulation of a user's epochs: each epoch is measured, then the user moves on.
 
-    ``phases`` and ``gaits`` are the maximum numbers of phases and of gaits (target speeds) in a
-    phase.
+    ``phases`` is the maximum number of phases, and ``gaits`` the maximum number of gaits (target
+    speeds) in a phase.
     """
 
     def __init__(self, layout: Layout, phases: int, gaits: int) -> None:

@@ -152,7 +152,7 @@ class Ways:
         """Place the ways in a scene, for episodes of at most ``epochs`` epochs, ``dt`` s apart.
 
         Ways shorter than an episode are left out, with a warning; if all ways are shorter,
-        episodes are as long as the longest way. The positions are in the frame of the scene.
+        episodes are as long as the longest way. Ways must be in the frame of the scene.
 
         Raises:
             ValueError: a way does not fit the scene, see :meth:`Trajectory.way`.

@@ -142,7 +142,7 @@ def test_an_edit_in_any_folder_makes_a_new_version(whole, monkeypatch, room):
     assert disk_cache._version() == before
 
 
-READ_ONLY = {  # by name: environment variables, and how many files the cache then keeps
+READ_ONLY = {  # name -> environment variables, number of files that the cache then keeps
     "a home": ({}, 1),
     "a cache folder of one's own": ({"XDG_CACHE_HOME": "{tmp}/mine"}, 1),
     "no writable home": ({"HOME": "{tmp}/blocked"}, 0),

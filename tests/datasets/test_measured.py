@@ -167,7 +167,7 @@ def exchanged(a):
     return {f"ao{x}_azimuth_rad": a[f"ao{y}_azimuth_rad"] for x, y in ("ad", "da")}
 
 
-MISTAKES = {  # by name: the changed arrays, and the column that the warning names
+MISTAKES = {  # name -> function that changes arrays, column that the warning names
     "exchanged": (exchanged, "aod_azimuth_rad of anchor 1"),
     "degrees": (lambda a: {"aoa_azimuth_rad": np.degrees(a["aoa_azimuth_rad"])}, "aoa_azimuth_rad"),
     "zenith": (

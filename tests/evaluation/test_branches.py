@@ -70,5 +70,5 @@ def test_the_clairvoyant_is_refused_where_there_is_no_truth():
     unknown = [replace(e, truth_position_m=None, truth_velocity_mps=None) for e in EPISODES]
     with refuses("policy"):
         run_contender(policy, policy.start(LAYOUT), unknown)
-    with refuses("policy"):  # foresee was not called, as when localizing a log
+    with refuses("policy"):  # localizing a log never calls foresee
         policy.start(LAYOUT)(begun(0).observations())

@@ -1,4 +1,4 @@
-"""Tests of the leaderboard's protocol: its sites (sources of episodes), and how entries stand."""
+"""Tests of the leaderboard's protocol: sites (sources of episodes), and verdicts on entries."""
 
 import numpy as np
 import pytest

@@ -35,7 +35,7 @@ def geometry(position, velocity, scene, layout):
 
 
 def simulated(n, epochs=200, odometry=False, seed=0):
-    """Return episodes of the noisiest radio; omit more groups of rows and add gross outliers."""
+    """Return episodes of the noisiest radio that lack more rows than usual and have outliers."""
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=epochs, odometry=odometry)
     return [spoiled(source.sample(np.random.default_rng([seed, i])), i) for i in range(n)]
 

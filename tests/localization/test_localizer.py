@@ -251,7 +251,7 @@ def test_the_track_before_a_damaged_line_is_returned_before_its_error(block, win
 UNGATED = replace(UKF, gate=None)
 
 
-@pytest.mark.parametrize(  # finite: number of finite states from the damaged epoch on
+@pytest.mark.parametrize(  # finite: 1 if the damaged epoch still has a finite state, else 0
     ("modes", "finite"),
     [((UNGATED,), 1), (Bank((UNGATED, replace(UNGATED, name="twin"))), 0)],
     ids=["one", "imm"],

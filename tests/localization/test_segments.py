@@ -17,7 +17,7 @@ LINK_1, LINK_2, DOPPLER, ODOMETRY = range(4)
 
 
 def log(time_s, groups_seen, odometry=True):
-    """Return a log with two anchors; ``groups_seen`` lists the visible groups of each epoch."""
+    """Return a log with two anchors; ``groups_seen`` has, per epoch, the visible groups of rows."""
     layout, T = Layout(2, odometry), len(time_s)
     visible = np.zeros((T, len(layout.groups)), bool)
     for epoch, groups in enumerate(groups_seen):

@@ -26,7 +26,7 @@ def truth_of(folder, time_s, position_m, monkeypatch, block_bytes=200):
 
 
 def expected(pose_s, position, time_s):
-    """Interpolate positions and velocities in gapless runs by SciPy's cubics, NumPy's gradients."""
+    """Return positions and velocities from SciPy's cubics with NumPy's gradients; NaN in gaps."""
     p, v = np.full((2, len(time_s), 3), np.nan)
     runs = np.split(np.arange(len(pose_s)), np.flatnonzero(np.diff(pose_s) > BRIDGED_S) + 1)
     for run in runs:

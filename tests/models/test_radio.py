@@ -91,7 +91,7 @@ def assert_variance(values, variance):
 
 
 def changes(on):
-    """Return whether ``on`` ends after each epoch where it is True, and begins after the others."""
+    """Return where True in ``on`` is followed by False, and where False is followed by True."""
     before, after = on[:-1], on[1:]
     return ~after[before], after[~before]
 

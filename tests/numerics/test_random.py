@@ -18,7 +18,7 @@ def number(key):
 
 
 def theirs(key, stream):
-    """Return NumPy's generator in the state set by a key, before the 18 words that are dropped."""
+    """Return NumPy's generator in a key's initial state; our generator drops the first 18 words."""
     bits = np.random.SFC64(0)
     state = bits.state
     state["state"]["state"] = np.array([key, key, stream, 1], np.uint64)

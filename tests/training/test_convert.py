@@ -225,4 +225,4 @@ def test_a_policy_that_computes_more_than_its_layers_is_refused(tmp_path, modes,
 
     monkeypatch.setattr(unzip, "actor_tensors", turned)
     done = command("convert", file, tmp_path / "policy.safetensors", "--modes", modes)
-    assert_one_clear_line(done, r"its layers alone choose the model's action for \d+ of 1000 obs")
+    assert_one_clear_line(done, r"alone choose the same action as the model for \d+ of 1000 obs")

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from experiments.evaluation.runs import curves_of
 from mmwave_env.io.files import read_json
 
-READ = "results (--json) of compare, demo or localize, or a folder of train"
+READ = "results (--json) of compare, demo or localize, or a folder that train wrote"
 NEEDED = {  # required keys by kind of results
     "comparison": ("command", "versions", "scenario", "radio", "episodes", "policies", "paired"),
     "track": ("command", "versions", "log", "scene", "epochs", "first_s", "last_s", "groups"),

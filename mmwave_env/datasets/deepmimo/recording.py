@@ -46,8 +46,8 @@ def read_deepmimo(
     each receiver or, if the scenario is dynamic, for each scene.
 
     If there is one station, or ``base_station`` selects one, the anchors are this station and
-    its images. Otherwise the anchors are all stations that are in sight in some epoch, the one
-    seen most often first. The first anchor's Doppler shift is computed from the true velocity.
+    its mirror images. Otherwise the anchors are all stations that are in sight in some epoch, the
+    one seen most often first. The first anchor's Doppler shift is computed from the true velocity.
 
     Args:
         folder: folder of a DeepMIMO v4 scenario.

@@ -58,7 +58,7 @@ def test_an_npz_file_is_preferred_to_an_npy_file(tmp_path):
 
 
 def npy_header(shape, descr="<f4", claimed=None):
-    """Return an .npy file's header, which states its length: the true one, or ``claimed``."""
+    """Return the header of an .npy file; ``claimed`` replaces the header length that it states."""
     text = repr({"descr": descr, "fortran_order": False, "shape": shape}).encode() + b"\n"
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", claimed or len(text)) + text
 

@@ -198,7 +198,7 @@ def line(number, content):
     return lambda folder: edit_line(folder, number, content)
 
 
-DAMAGE = {  # by name: the damage, and the file, key or line that the refusal names
+DAMAGE = {  # name -> damage; file, key or line that the refusal names
     "no params": (drop("params.json"), "params.json"),
     "params not JSON": (write("params.json", b"{"), "params.json"),
     "params a list": (write("params.json", b"[]"), "params.json"),
