@@ -119,6 +119,7 @@ def test_the_offset_is_drawn_and_the_oscillator_drives_it():
     assert left.std() < 0.15 * grown[np.isfinite(grown)].std()
 
 
+@pytest.mark.slow  # runs many episodes
 def test_the_offset_is_found_and_the_filter_knows_how_well():
     bias, episodes = biases(120, radio="high")
     task, bank = task_from(radio="high", clock="offset"), best_bank("high")
@@ -175,7 +176,7 @@ def played(seed=3, **arguments):
     return np.array(rewards), info
 
 
-@pytest.mark.parametrize("beliefs", ["shared", "per-mode"])
+@pytest.mark.parametrize("beliefs", ["shared", pytest.param("per-mode", marks=pytest.mark.slow)])
 def test_vector_and_single_environments_agree(beliefs):
     arguments = {"beliefs": beliefs, "episode_steps": 30, "smoothed": True}
     envs = gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=3, clock="offset", **arguments)
@@ -190,6 +191,7 @@ def test_vector_and_single_environments_agree(beliefs):
     assert infos["estimate"].shape == (3, 8)
 
 
+@pytest.mark.slow  # compiles several programs
 def test_own_algorithms_filterpy_and_paired_rewards_run():
     def mine(x, P, measurement, gate):
         return ekf(x, P, measurement, gate)
@@ -232,6 +234,7 @@ def words_of(folder):
     return folder / "log.csv", "--scene", folder / "scene.json", "--radio", "standard"
 
 
+@pytest.mark.slow  # compiles several programs
 def test_localize_estimates_the_offset(ride):
     truth = ("--truth", ride / "truth.tum")
     out = succeed("localize", *words_of(ride), *truth, "--clock", "offset")
@@ -247,6 +250,7 @@ def test_localize_estimates_the_offset(ride):
     assert ns * (-1.0 if "behind" in said else 1.0) == pytest.approx(true_ns, abs=4.0 * deviation)
 
 
+@pytest.mark.slow  # compiles several programs
 @pytest.mark.parametrize("modes", [modes_from(["ukf"], "standard"), best_bank("standard")])
 def test_a_live_track_is_that_of_the_whole_log(ride, modes):
     blocks = list(read_log(ride / "log.csv", STREET, partial=True, clock=True))

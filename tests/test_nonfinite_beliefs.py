@@ -42,7 +42,7 @@ def rolled(env, seed):
     return rewards, infos
 
 
-@pytest.mark.filterwarnings("ignore:an episode ended:RuntimeWarning")
+@pytest.mark.filterwarnings("ignore:the belief was NaN:RuntimeWarning")
 def test_the_last_info_counts_the_epochs_with_a_nan_belief():
     env, counts = gym.make(ID, **TASK), []
     for seed in range(6):
@@ -63,7 +63,7 @@ def test_an_episode_with_nan_beliefs_ends_with_a_warning():
     assert len(rolls) == 6
 
 
-@pytest.mark.filterwarnings("ignore:an episode ended:RuntimeWarning")
+@pytest.mark.filterwarnings("ignore:the belief was NaN:RuntimeWarning")
 @pytest.mark.parametrize("autoreset", ["NextStep", "SameStep", "Disabled"])
 def test_the_vector_environment_counts_nan_beliefs_as_single_environments_do(autoreset):
     n, single = 6, gym.make(ID, **TASK)

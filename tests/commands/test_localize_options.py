@@ -45,6 +45,7 @@ def test_every_option_changes_the_track():
     assert len(set(tracks.values())) == len(tracks)
 
 
+@pytest.mark.slow  # compiles several programs
 def test_a_known_height_needs_no_other_option():
     known, estimated = figures(WALK, "--height", "1.5"), figures(WALK)
     assert known["truth"]["nees_expected"] == 2 and estimated["truth"]["nees_expected"] == 3

@@ -37,8 +37,8 @@ def test_unseen_streets_differ_in_carrier_and_geometry():
 
 def test_the_protocol_has_the_documented_numbers_of_sites():
     kinds = [site.kind for site in sites()]
-    assert [kinds.count(kind) for kind in KINDS] == [9, 7, 4, 5]
-    assert len({site.name for site in sites()}) == 25
+    assert [kinds.count(kind) for kind in KINDS] == [9, 7, 8, 5]
+    assert len({site.name for site in sites()}) == 29
     assert all(site.source().layout.anchors == 3 for site in sites())
 
 

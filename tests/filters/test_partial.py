@@ -32,6 +32,7 @@ RUNS, EPOCHS, LEVEL = 600, 25, 0.01
 QUIET = {"gate": None, "adaptive": False, "sigma_v": 0.3}
 
 
+@pytest.mark.slow  # compiles eight programs
 @pytest.mark.parametrize("odometry", [False, True], ids=["radio", "odometry"])
 @pytest.mark.parametrize("tuning", [{}, {"robust": True, "blockage_aware": True}], ids=str)
 def test_a_partial_layout_without_missing_rows_equals_the_plain_layout(odometry, tuning):

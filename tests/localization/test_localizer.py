@@ -204,6 +204,7 @@ def test_without_smoothing_the_track_is_the_filtered_track(block):
     np.testing.assert_array_equal(result.x, run([block]).x)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("modes", "rule"), [((EKF, UKF), by_predicted_speed), (BANK, None)], ids=["rule", "imm"]
 )
