@@ -45,7 +45,7 @@ ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")
 
 
 def rewards(args: TaskArgs) -> Reward:
-    """Return the agent's reward; for a paired reward, the part before an IMM's is subtracted."""
+    """Return the agent's reward; if it is paired, without the subtraction of the IMM's."""
     reward = choose(REWARDS, args.reward, "reward")
     if isinstance(reward, PairedReward):
         reward = reward.reward

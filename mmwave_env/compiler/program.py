@@ -65,7 +65,7 @@ class Feed(NamedTuple):
     A feed has its own workspace, with the same tracks in the same lanes as the program's.
     """
 
-    # address of a C function of three addresses: of the incoming rows, ``settings`` and ``kept``
+    # address of a C function; its arguments are the addresses of incoming rows, settings, kept
     run: int
     settings: Array  # (rows, 8) read only, the same for all blocks
     kept: Array  # (blocks, rows, 8) the feed's workspace, changed in place

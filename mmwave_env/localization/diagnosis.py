@@ -76,8 +76,8 @@ class Finding(NamedTuple):
     """The result of testing a hypothesis."""
 
     hypothesis: str  # the hypothesis in words
-    # name of a group of measurements, such as a link -> median of its NIS over epochs, divided by
-    # the median of chi-square: near 1 if the hypothesis is right; None if the group was not used
+    # for each group of measurements (by name), the median of its NIS over epochs, divided by the
+    # median of chi-square: near 1 if the hypothesis is right; None if the group was not used
     nis_per_dof: dict[str, float | None]
     # mean over epochs of the log-likelihood of the file's values; None if there is no track
     log_likelihood: float | None

@@ -74,8 +74,8 @@ class Truth:
         self.read_on()
         return ValueError(
             f"{self.path}: found times from {self.first_s!r} to {self.last_s!r} s, expected some "
-            f"within {TOLERANCE_S} s of a time of the log, or two around it that are at most "
-            f"{BRIDGED_S:g} s apart; the log's times are from {first_s!r} to {last_s!r} s"
+            f"within {TOLERANCE_S} s of the log's times ({first_s!r} to {last_s!r} s), or pairs at "
+            f"most {BRIDGED_S:g} s apart with a time of the log between them"
         )
 
     def warn_if_few(self, matched: int, epochs: int, first_s: float, last_s: float) -> None:
