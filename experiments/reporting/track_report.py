@@ -82,9 +82,7 @@ def _course(figures: dict[str, Any]) -> list[str]:
     lines.append(f"modes {escaped(f['rule'])}: {shares} of the epochs{switches}")
     lines.append(f"noise of radio {escaped(f['radio'])}")
     if "trusted" in f:
-        lines.append(
-            f"trust in the policy's corrections, on average: {_percent(f['trusted'])}"
-        )
+        lines.append(f"trust in the policy's corrections, on average: {_percent(f['trusted'])}")
     if "clock" in f:
         keys = "range_bias_m", "deviation_m"
         ahead, deviation = (f["clock"][key] / SPEED_OF_LIGHT * 1e9 for key in keys)
