@@ -1,4 +1,4 @@
-"""What pyproject.toml can't say: the README with links that work on a package index, too."""
+"""Metadata beyond pyproject.toml: the README, with links that also work on a package index."""
 
 import re
 from pathlib import Path
@@ -9,11 +9,11 @@ ROOT = Path(__file__).parent
 
 
 def described(readme: str, project: str, package: str) -> str:
-    """Return the README with relative links that lead to the repository at this version's tag."""
+    """Return the README with its relative links replaced by links to this version's files."""
     (repository,) = re.findall(r'^Repository = "(.*)"$', project, re.MULTILINE)
     (version,) = re.findall(r'^__version__ = "(.*)"$', package, re.MULTILINE)
     link = re.compile(r"(!?)(\[[^\]]*\]\()(?!\w+:|#)")
-    kinds = {"!": "raw", "": "blob"}  # a picture itself, and the page about a file
+    kinds = {"!": "raw", "": "blob"}  # "raw": the file itself, for pictures; "blob": its web page
     return link.sub(lambda m: f"{m[0]}{repository}/{kinds[m[1]]}/v{version}/", readme)
 
 

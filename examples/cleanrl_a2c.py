@@ -19,7 +19,7 @@ now, over = envs.reset(seed=10_000_000)[0], np.zeros(64, bool)
 for _ in range(1000):
     steps = []
     for _ in range(8):
-        state, fresh = torch.tensor(now), over  # NextStep ignores actions after an episode's end
+        state, fresh = torch.tensor(now), over  # after an episode's end, the action is ignored
         choice, value = torch.distributions.Categorical(logits=actor(state)), critic(state)[:, 0]
         action = choice.sample()
         now, reward, _, over, _ = envs.step(action.numpy())  # episodes only end by truncation

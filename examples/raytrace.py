@@ -16,7 +16,7 @@ import numpy as np
 from mmwave_env.datasets.ways import read_trajectory
 
 RAYS, SEED, BLOCK = 10**5, 1, 200  # number of rays; their seed; number of receivers traced at once
-INTERACTIONS = {1: 1.0, 2: 3.0, 4: 4.0, 8: 2.0}  # DeepMIMO's digits for Sionna's interactions
+INTERACTIONS = {1: 1.0, 2: 3.0, 4: 4.0, 8: 2.0}  # Sionna's number -> DeepMIMO's digit
 
 
 def trace(geometry, carrier_hz, base_station_m, receivers_m):
@@ -79,7 +79,7 @@ def arrays_of(paths):
 
 
 def joined(blocks):
-    """Concatenate arrays along receivers; fill the places of missing paths with NaN."""
+    """Concatenate arrays along the axis of receivers; fill missing paths with NaN."""
     most = max(block.shape[1] for block in blocks)
     fill = [[(0, 0), (0, most - b.shape[1])] + [(0, 0)] * (b.ndim - 2) for b in blocks]
     return np.concatenate(
@@ -88,7 +88,7 @@ def joined(blocks):
 
 
 def write_folder(folder, arrays, carrier_hz, base_station_m, time_s, track):
-    """Write a static DeepMIMO v4 scenario whose receivers are the epochs of a track (N, 6)."""
+    """Write a static DeepMIMO v4 scenario with a receiver for each epoch of a track (N, 6)."""
     folder.mkdir(parents=True)  # fails if the folder exists, because it may contain other arrays
     arrays |= {"rx_pos": track[:, :3], "tx_pos": np.array([base_station_m])}
     for key, array in arrays.items():

@@ -1,4 +1,4 @@
-"""sb3-contrib: recurrent PPO as a switcher, an agent with a memory of its own."""
+"""sb3-contrib: recurrent PPO, an agent with its own memory, learns to choose modes."""
 
 import gymnasium as gym
 import numpy as np

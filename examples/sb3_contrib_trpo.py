@@ -1,4 +1,4 @@
-"""sb3-contrib: TRPO on the same vector environment as for Stable-Baselines3."""
+"""sb3-contrib: TRPO on the same vector environment as PPO in sb3_ppo.py."""
 
 import gymnasium as gym
 import torch

@@ -1,4 +1,4 @@
-"""Stable-Baselines3: PPO, or SAC with the argument sac, learns to correct the beliefs of guided."""
+"""Stable-Baselines3: PPO (with the argument sac: SAC) learns to correct the policy `guided`."""
 
 import sys
 from functools import partial
@@ -16,7 +16,7 @@ guided = LearnedSwitch("guided")
 task = {"id": "mmwave_env:MmWaveLoc-v0", "infos": "none", "action": "correction"}
 task |= {"beliefs": "per-mode", "modes": guided.bank(), "base": partial(LearnedSwitch, "guided")}
 envs = SB3VecEnv(gym.make_vec(**task, num_envs=512, autoreset_mode="SameStep", reward="paired"))
-usual = {"gamma": 0.0, "seed": 10_000_000, "device": "cpu"}  # corrections have no later effect
+usual = {"gamma": 0.0, "seed": 10_000_000, "device": "cpu"}  # corrections affect no later epoch
 if "sac" in sys.argv:
     model = SAC("MlpPolicy", envs, 1e-3, 500_000, 50_000, 1024, ent_coef=0.003, **usual)
 else:

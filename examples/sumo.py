@@ -39,7 +39,7 @@ def read_trips(path):
 
 
 def ways_in(scene, trips, least_s, shift_m=None):
-    """Return the trips, except short ones and ones behind walls; print why they are left out.
+    """Return the trips, except short ones and those behind walls; print why trips are left out.
 
     Without a shift, the middle of the traffic is moved to the middle of the streets.
     """

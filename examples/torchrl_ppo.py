@@ -1,4 +1,4 @@
-"""TorchRL: PPO on the native vector environment; TorchRL resets its environments itself."""
+"""TorchRL: PPO on the native vector environment, which TorchRL itself resets (no autoreset)."""
 
 import gymnasium as gym
 import torch

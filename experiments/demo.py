@@ -5,6 +5,8 @@ from pathlib import Path
 
 from experiments.console.options import EpisodeArgs, JsonArgs, PageArgs
 
+RECORDINGS = "canyon28_pedestrian", "canyon28_vehicle"
+
 
 @dataclass(kw_only=True)
 class Args(JsonArgs):
@@ -33,11 +35,10 @@ def main(args: Args) -> None:
     from experiments.evaluation.asked import all_contenders
     from experiments.reporting.comparison_results import results
     from experiments.reporting.webpage.page import page_of
-    from mmwave_env.datasets.samples import sample_names
     from mmwave_env.io.files import write_json, write_text
 
     runs = [EpisodeArgs(episodes=args.episodes)]
-    runs += [EpisodeArgs(data=name, episodes=args.draws) for name in sample_names()]
+    runs += [EpisodeArgs(data=name, episodes=args.draws) for name in RECORDINGS]
     tables, everything, made = [], {}, provenance("demo", args)
     for run in runs:
         options = replace(run, percentiles=args.percentiles)
@@ -58,7 +59,7 @@ def main(args: Args) -> None:
     say(
         f"All paired differences are in {args.out / 'tables.md'}, and all results in",
         f"{', '.join(map(str, files))}.",
-        f"{report.out} is a web page of them, with episodes to play: open it in a browser.",
+        f"{report.out} is a web page of the results, with episodes to play: open it in a browser.",
         "README.md and docs/results.md say what the columns mean.",
         "next: mmwave-loc list policies, or mmwave-loc compare --policies ppo imm --radio standard",
     )

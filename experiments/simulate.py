@@ -16,9 +16,9 @@ class Args(WorldArgs):
     out: Path
     """folder to write to"""
     overwrite: bool = False
-    """replace the files of an episode that already are in the folder"""
+    """replace the files of an episode that are already in the folder"""
     seed: int = 0
-    """seed of the episode; compare runs the same episode for this seed"""
+    """seed of the episode; `mmwave-loc compare` runs the same episode for this seed"""
 
 
 def main(args: Args) -> None:

@@ -10,16 +10,16 @@ from tyro.conf import Positional
 class Args:
     """Run grids of evaluations and trainings, and searches for hyperparameters, on Ray.
 
-    A file says what to combine (docs/sweep.md); each combination is a cell. Cells in the folder
-    are not computed again, so that an interrupted sweep continues. If a cell fails, this is
-    reported, and the others continue.
+    A file says what to combine (docs/sweep.md); each combination is a cell. Cells whose results are
+    in the folder --out are not computed again, so that an interrupted sweep continues. If a cell
+    fails, this is reported, and the others continue.
 
     mmwave-loc sweep examples/sweep.toml
     """
 
     spec: Positional[Path]
-    """TOML or JSON file with one table: [search]; [evaluate] and [train] run every combination of
-    the values in their lists"""
+    """TOML or JSON file with one table, [evaluate], [train] or [search]; the first two run every
+    combination of the values in their lists"""
     out: Path | None = None
     """folder of the results, one Parquet file per cell (default: runs/sweep-NAME)"""
     address: str | None = None

@@ -17,9 +17,9 @@ class Args(TaskArgs):
     seeds: int = 5
     """number of trainings"""
     total_timesteps: int | None = None
-    """length of each training: number of epochs (default: 4000000, corrector: 150000000) or, with
-    rollouts, of states in which every action is tried (default: 1200000); rounded up to complete
-    updates"""
+    """length of each training, rounded up to complete updates. With --algo ppo or corrector, it is
+    the number of epochs (default: 4000000 for ppo, 150000000 for corrector); with --algo rollouts,
+    it is the number of states in which every action is tried (default: 1200000)"""
     hyperparameters: Path | None = None
     """JSON file of hyperparameters, instead of the algorithm's default file in
     experiments/training, such as ppo.json or, with --beliefs per-mode, guided-ppo.json"""
@@ -31,9 +31,9 @@ class Args(TaskArgs):
     """folder of the run: one folder per seed, policy.safetensors (of the median seed) and
     summary.json"""
     resume: bool = False
-    """continue the run in this folder; the options must be the same as at its start"""
+    """continue the run in the folder --out; the options must be the same as at its start"""
     overwrite: bool = False
-    """replace the run in this folder"""
+    """replace the run in the folder --out"""
 
 
 def main(args: Args) -> None:

@@ -80,7 +80,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
 
     * Action space: `Discrete(len(modes) + 1)`. Action 0 trusts no mode: an agent that always takes
       it is the IMM itself. Action k multiplies the probability of the k-th mode by e^3 per second;
-      then the beliefs are combined and mixed again. The mode's `cost` is subtracted.
+      then the beliefs are combined and mixed again. The mode's `cost` reduces the reward.
     * Observation space: as above without distances and the previous mode, but with the log-odds of
       each mode before and after the coming measurement, the mode's speed and velocity variance,
       and more averages of the Doppler spread. `env.unwrapped.observation.table()` shows them all.
@@ -102,12 +102,13 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
     * `action="correction"`: `Box` (6,): shifts of the position along the estimated velocity, across
       it (to the left) and up, -4 to 4 standard deviations of the belief; then logarithms of factors
       on these deviations, -2 to 2. The observation describes an epoch after its update and nothing
-      later. The action corrects the belief of that epoch, to which reward and infos then belong.
+      later. The action corrects the belief of that epoch; reward and infos use the corrected one.
       The filters go on without corrections, so actions have no later effect (use a discount of 0);
-      `reward="paired"` subtracts the reward of the belief without correction. The filters are an
-      IMM. An agent without memory can steer it: `base` is a function that takes the table of the
-      filters' features and returns the agent, such as `partial(LearnedSwitch, "guided")`. Actions
-      that the shipped corrector returns earn what `mmwave-loc compare` shows for it.
+      `reward="paired"` subtracts the reward of the belief without correction. By default the
+      filters are an IMM. With `base`, an agent without memory chooses the modes to trust: `base`
+      is a function that takes the table of the filters' features and returns the agent, such as
+      `partial(LearnedSwitch, "guided")`. If your actions are those of the shipped `corrector`, you
+      earn the reward that `mmwave-loc compare` shows.
 
     ## Rewards
 
@@ -292,7 +293,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
 
     @property  # type: ignore[override]
     def spec(self) -> EnvSpec | None:
-        """Return the registered specification with the episodes' length, which wrappers ask for."""
+        """Return the registered specification; wrappers read the length of episodes from it."""
         return self._spec
 
     @spec.setter
@@ -300,7 +301,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         epochs = getattr(self.source, "epochs", None)
         self._spec = spec and replace(spec, max_episode_steps=epochs)
         # If `gym.make` cuts episodes from outside, their last step has no metrics. `gym.make`
-        # keeps the limit only in a local variable, which is read here.
+        # keeps its limit of steps only in a local variable, which is read here.
         make = sys._getframe(1).f_locals
         limit = make.get("max_episode_steps") or getattr(
             make.get("env_spec"), "max_episode_steps", None
@@ -339,7 +340,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         return column[self._observed].astype(np.float32), self._worded(info, at_end=True)
 
     def _begin(self, key: int | None) -> dict[str, Any]:
-        """Begin the episode of a key, or the next episode; return its part of the info."""
+        """Begin the episode of a key, or the next one; return the episode's part of the info."""
         task, engine = self._task, self._engine
         if not task.has_keys:
             episode = task.draw(self.np_random)
@@ -383,7 +384,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         return observation, float(rewards[0]), terminated, truncated, info
 
     def _take(self, action: Any) -> int:
-        """Pass an action to the engine, or refuse it; return its mode, or 0 if it is numbers."""
+        """Pass an action to the engine, or refuse it; return its mode, or 0 for numbers."""
         inputs = self._io.inputs[0, 0]
         if len(self._limits):
             inputs[1:] = numbers_in("action", action, self._limits)

@@ -22,12 +22,12 @@ Infos = list[dict[str, Any]]
 
 
 class SB3VecEnv(VecEnv):
-    """A Gymnasium vector environment as a ``VecEnv``, which steps all environments together.
+    """A Gymnasium vector environment as a ``VecEnv`` of Stable-Baselines3.
 
-    When an episode ends, the info of its environment is the info of its last step, including the
-    metrics of the episode. It also has the keys that Stable-Baselines3 reads: the last observation
-    as ``terminal_observation``; ``TimeLimit.truncated``, True if the episode was only cut, so that
-    its last state still has a value; and ``episode`` with return "r", length "l" and time "t".
+    When an episode ends, the environment's info is that of the last step, including the metrics of
+    the episode. The info also has the keys that Stable-Baselines3 reads: the last observation
+    as ``terminal_observation``; ``TimeLimit.truncated``, True if the episode was cut short, so that
+    the value of its last state is not 0; and ``episode`` with return "r", length "l" and time "t".
 
     Raises:
         ValueError: the autoreset mode is not "SameStep"; other modes return the last observation
@@ -58,7 +58,7 @@ class SB3VecEnv(VecEnv):
                 f"options: found {self._options}, expected the same for all environments"
             )
         known = any(seed is not None for seed in self._seeds)
-        seeds: Any = list(self._seeds) if known else None  # Gymnasium's type leaves lists out
+        seeds: Any = list(self._seeds) if known else None  # Gymnasium's annotation omits lists
         observations, _ = self.env.reset(seed=seeds, options=self._options[0] or None)
         self.reset_infos = [{} for _ in range(self.num_envs)]
         self._returns[:], self._lengths[:] = 0.0, 0

@@ -31,8 +31,8 @@ from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Scenario
 
 EPISODE_STEPS = 200
-# function from the table of observations to an agent; the agent is a function from observations
-# (n, features) to actions (n,)
+# function that makes an agent, given the table of features that it observes; the agent is a
+# function from observations (n, features) to actions (n,)
 Base = Callable[[Observation], Callable[[NDArray[np.float32]], Any]]
 
 
@@ -45,11 +45,11 @@ class Task:
     pipeline: Pipeline
     bank: Bank | None  # the bank of the modes if each keeps its own belief, else None
     reward: Reward  # function of (belief, truth)
-    baseline: Bank | None  # bank of the IMM whose reward a paired reward subtracts, else None
-    # reward of every remaining epoch after a divergence; None if episodes continue after one
+    baseline: Bank | None  # bank of the IMM whose reward a paired reward subtracts, or None
+    # reward of each epoch that remains after a divergence; None if a divergence ends no episode
     worst: float | None
     action: str = MODE  # kind of actions
-    # agent whose beliefs are corrected by the actions; None for the IMM of the bank
+    # function that makes the agent whose beliefs the actions correct; None for the bank's IMM
     base: Base | None = None
 
     def draw(self, rng: np.random.Generator) -> Episode:
@@ -158,7 +158,7 @@ def task_from(**arguments: Any) -> Task:
     if asked.terminate_on_divergence:
         if getattr(pays, "worst", None) is None:
             raise ValueError(
-                "terminate_on_divergence: needs a reward with an attribute worst, its lowest value"
+                "terminate_on_divergence: needs a reward with an attribute worst, the lowest reward"
             )
         worst = pays.worst - max(mode.cost for mode in pipeline.modes)  # type: ignore[attr-defined]
     acts = asked.action, asked.base

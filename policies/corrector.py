@@ -1,9 +1,10 @@
 """A corrector with memory: a recurrent network that corrects the beliefs of a bank of filters.
 
 After every update, the network reads residuals and beliefs, and returns a correction of the
-position and factors for its standard deviations. Only the output is corrected: the filters of the
-base, a switcher or an IMM, continue from their own beliefs. If features are outside the range that
-the network saw in training, corrections are scaled down; far outside the range, there are none.
+position and factors for its standard deviations. Only the output is corrected: the filters continue
+from their own beliefs. These are the filters of the *base*, a switcher or an IMM. If features are
+outside the range that the network saw in training, corrections are scaled down; far outside the
+range, there are none.
 """
 
 import os
@@ -25,9 +26,10 @@ Array = NDArray[np.float32]
 BASE_IMM = "imm-best"  # base without a switcher: the IMM of the policy's bank
 # "Trust" is the factor, 0 to 1, by which corrections are scaled
 RANGE_FADE = 2.0  # trust is exp(-2 d) if a feature is d standard deviations outside its range
-RECOVERY = 0.1  # increase of trust per epoch; slow, as the memory still contains strange epochs
-# disagreement of the ensemble, in corrected deviations: trust is 1 up to the first value, and 0
-# from the second value on
+RECOVERY = 0.1  # largest growth of trust per epoch; small, as memory still holds strange epochs
+# The members of the network's ensemble compute different shifts. If the spread of these shifts, in
+# corrected standard deviations, is at most the first number, trust is not reduced; from the second
+# number on, trust is 0.
 SPREAD = (0.5, 1.0)
 
 
@@ -35,8 +37,9 @@ class Correction(NamedTuple):
     """Corrections of n beliefs in the last epoch (:mod:`mmwave_env.filters.correction`).
 
     Attributes:
-        shift: (n, 3) along, across and up, in deviations of the belief.
-        log_factor: (n, 3) logarithms of factors on these deviations.
+        shift: (n, 3) shifts along and across the motion, and up, in standard deviations of the
+            belief.
+        log_factor: (n, 3) logarithms of factors for these standard deviations.
         trusted: (n,) factor, 0 to 1, by which the network's answer was scaled.
     """
 
@@ -82,7 +85,7 @@ class Corrector(LearnedPolicy, Policy):
              for name in ("ih", "hh")]
             for rows in (slice(2 * units), slice(2 * units, None))
         )  # fmt: skip
-        # matrix that averages the squares of the members' differences, for each direction
+        # matrix that averages the squared differences of the ensemble's members, per direction
         members = (self._out[0].shape[1] - CORRECTIONS) // 3
         self._average = np.tile(np.eye(3, dtype=np.float32), (members, 1)) / np.float32(members)
         self._hidden = np.zeros((0, units), np.float32)
@@ -129,7 +132,7 @@ class Corrector(LearnedPolicy, Policy):
 
     def correct_features(self, features: Array) -> Correction:
         """Return corrections, given only the network's features (n, features) of the last epoch."""
-        inside = np.fmin(np.fmax(features, self._low), self._high)  # the limit instead of NaN
+        inside = np.fmin(np.fmax(features, self._low), self._high)  # NaN becomes the low limit
         beyond = np.abs(features - inside).max(axis=1)
         strange = np.fmax(np.exp(-RANGE_FADE * beyond), 0.0)  # 0 if a feature is NaN
         self._trust = np.minimum(strange, self._trust + np.float32(RECOVERY))
@@ -137,10 +140,8 @@ class Corrector(LearnedPolicy, Policy):
         front = np.tanh(inside @ weight + bias)
         self._hidden = hidden = self._remembering(front)
         weight, bias = self._head
-        head = hidden @ weight[: hidden.shape[1]]
-        head += front @ weight[hidden.shape[1] :]
-        head += bias
-        np.tanh(head, out=head)
+        units = hidden.shape[1]
+        head = np.tanh(hidden @ weight[:units] + front @ weight[units:] + bias)
         weight, bias = self._out
         out = head @ weight + bias
         shift = np.minimum(np.maximum(out[:, :3], -MOST_SHIFT), MOST_SHIFT)
@@ -155,28 +156,19 @@ class Corrector(LearnedPolicy, Policy):
         """Compute the next state (n, units) of the gated recurrent unit (Cho et al. 2014)."""
         hidden, units = self._hidden, self._hidden.shape[1]
         (weight, bias), (past, past_bias) = self._gates
-        gates = front @ weight
-        gates += hidden @ past
-        gates += bias + past_bias
-        np.negative(gates, out=gates)
-        np.exp(gates, out=gates)
-        gates += 1.0
-        np.reciprocal(gates, out=gates)
+        gates = 1.0 / (1.0 + np.exp(-(front @ weight + hidden @ past + (bias + past_bias))))
+        reset, update = gates[:, :units], gates[:, units:]
         (weight, bias), (past, past_bias) = self._candidate
-        candidate = hidden @ past
-        candidate += past_bias
-        candidate *= gates[:, :units]  # reset
-        candidate += front @ weight
-        candidate += bias
-        np.tanh(candidate, out=candidate)
-        state: Array = hidden - candidate
-        state *= gates[:, units:]  # update
-        state += candidate
+        candidate = np.tanh((hidden @ past + past_bias) * reset + front @ weight + bias)
+        state: Array = (hidden - candidate) * update + candidate
         return state
 
 
 def _mean_and_differences(weight: Array, bias: Array) -> tuple[Array, Array]:
-    """Return weight and bias of the members' mean, then of their shifts minus the mean shift."""
+    """Return the weight and bias of a layer that combines the outputs of an ensemble's members.
+
+    The layer outputs the mean of the members, then each member's shift minus the mean shift.
+    """
     members = np.concatenate([weight, bias[None]]).reshape(len(weight) + 1, -1, CORRECTIONS)
     mean = members.mean(axis=1)
     differences = (members - mean[:, None])[..., :3]

@@ -14,7 +14,7 @@ from tests.paths import ROOT
 
 
 def command(*words, cwd=ROOT, columns=200):
-    """Run ``mmwave-loc <words>`` in this process as if it were typed; return its code and output.
+    """Run ``mmwave-loc <words>`` in this process as if typed; return its exit code and output.
 
     User warnings are shown as the program shows them; other warnings are errors, as in all tests.
     An exception that the program does not expect ends the command with code 1.

@@ -28,7 +28,7 @@ def damaged(draw, content):
 
 
 def places(content, path=()):
-    """Yield keys and indices that lead to each part of JSON content, in lists to the first five."""
+    """Yield the path (keys, indices) to each part of JSON content; lists are cut to five items."""
     parts = content.items() if isinstance(content, dict) else enumerate(content[:5])
     for key, value in parts:
         yield (*path, key)

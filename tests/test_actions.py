@@ -114,7 +114,7 @@ def test_a_weight_of_three_trusts_a_mode(dt):
     np.testing.assert_allclose(weighted[-1][0], trusted[-1][0], atol=1e-5)
 
 
-def test_corrections_change_what_is_told_and_not_what_is_filtered():
+def test_corrections_change_the_reported_belief_but_not_the_filters():
     options = PER_MODE | {"episode_steps": 30}
     imm = played(gym.make(ID, **options), np.zeros(30, int))
     env = gym.make(ID, action="correction", **options).unwrapped
@@ -129,7 +129,8 @@ def test_corrections_change_what_is_told_and_not_what_is_filtered():
         np.testing.assert_allclose(corrected[9][4][key], imm[9][4][key], rtol=1e-9)
 
 
-def test_the_shipped_corrector_earns_as_an_agent_what_its_evaluation_says():
+@pytest.mark.slow  # compiles several programs
+def test_the_shipped_corrector_earns_in_the_environment_what_its_evaluation_says():
     policy, n = Corrector("corrector"), 20
     env = gym.make_vec(
         ID, num_envs=n, beliefs=policy.beliefs, modes=policy.bank("handset"), action="correction",
@@ -255,7 +256,7 @@ def test_a_base_must_return_actions(answer):
 # --- costs
 
 
-def test_errors_exceed_their_levels_as_in_reports():
+def test_environments_and_reports_agree_whether_an_error_exceeds_its_level():
     rng = np.random.default_rng(0)
     factor = rng.normal(size=(2000, 2, 2)) * rng.uniform(0.01, 3.0, (2000, 1, 2))
     P = factor @ factor.transpose(0, 2, 1)

@@ -46,7 +46,7 @@ def draw(seed=0, **changes):
 
 
 def adrift(drift_mps, epochs=200):
-    """Return a source: a user at rest, no measurements, and a prior velocity of ``drift_mps``."""
+    """Return a source without measurements: the user rests, the prior moves at ``drift_mps``."""
     episode = draw(epochs=epochs)
     position = np.tile(episode.truth_position_m[0], (epochs, 1))
     return replay(
@@ -311,7 +311,7 @@ def test_divergence_gives_the_worst_reward_for_every_remaining_epoch():
     assert same(ended[:-1], surviving[:11])
     _, reward, terminated, truncated, info = ended[-1]
     assert terminated and not truncated
-    assert reward == pytest.approx(surviving[11][1] - 10.6 * 188)
+    assert reward == pytest.approx(surviving[11][1] - 10.6 * 188)  # the worst reward is -10.6
     assert set(info) == STEP_KEYS | END_KEYS and info["divergence"] == 1.0
 
 

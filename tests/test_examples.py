@@ -1,4 +1,4 @@
-"""Tests that examples run and beat the best fixed mode or guided, and that the notebook runs.
+"""Tests that examples beat the best fixed mode or the policy `guided`, and that notebooks run.
 
 Examples whose libraries are not installed are skipped; `make examples` installs them all.
 """
@@ -17,7 +17,7 @@ import pytest
 from tests.paths import ROOT
 
 FOLDER = ROOT / "examples"
-# make data, draw a front, or compare filters, instead of training an agent
+# Examples that make data, draw a Pareto front or compare filters, instead of training an agent.
 OTHERS = {"raytrace", "sumo", "minari_collect", "mo_front", "stone_soup"}
 EXAMPLES = {path.stem: path for path in sorted(FOLDER.glob("*.py")) if path.stem not in OTHERS}
 

@@ -280,7 +280,7 @@ def peak_bytes(n):
     """Return numpy's peak memory while environments are stepped over the end of all episodes.
 
     This is not resident memory, which varies by megabytes because the operating system hands out
-    huge pages. With several threads, the maximum would depend on which jobs run at the same time.
+    huge pages. One thread runs; with several, the maximum would depend on which jobs run together.
     """
     tracemalloc.start()
     try:

@@ -1,4 +1,4 @@
-"""A checker of vector environments, because Gymnasium's checks only single environments."""
+"""A checker of vector environments, because Gymnasium has one for single environments only."""
 
 import gymnasium as gym
 import numpy as np
@@ -74,7 +74,7 @@ def check_description(make):
 
 
 def check_infos(infos, n):
-    """Check that every key has a mask ``_key``, and that values are blank where it is False."""
+    """Check that every key has a mask ``_key``, and values are blank where the mask is False."""
     for key, mask in infos.items():
         if not key.startswith("_"):
             assert f"_{key}" in infos

@@ -1,6 +1,7 @@
-"""A study of what the shipped corrector learned: docs/corrections.png, and tables of learning.md.
+"""A study of what the shipped corrector learned, for docs/corrections.png and docs/learning.md.
 
-``PYTHONPATH=. python docs/site/corrections.py`` plays test episodes for about two minutes.
+``PYTHONPATH=. python docs/site/corrections.py`` plays test episodes for about two minutes,
+draws the picture and prints the tables.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -25,7 +26,7 @@ from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 from policies import Corrector
 
-EPISODES, FEWER = 1000, 500  # numbers of test episodes of a table
+EPISODES, FEWER = 1000, 500  # test episodes to play, and to play without a group of features
 NAMES = ("speed-rule", "imm-best", "guided", "corrector")
 AROUND = np.arange(-6, 16)  # epochs shown around an event
 GROUPS = {  # group of features -> words that the names of its features begin with
@@ -48,7 +49,7 @@ GROUPS = {  # group of features -> words that the names of its features begin wi
 
 
 class Played(NamedTuple):
-    """Episodes of the default street, and what contenders made of them.
+    """Episodes of the default street, and the errors of contenders in them.
 
     Attributes:
         episodes: episodes, all equally long.
@@ -76,7 +77,7 @@ def play(radio: str, names: Sequence[str] = NAMES, count: int = EPISODES) -> Pla
 
 
 def in_motion(played: Played, vectors: Array) -> Array:
-    """Return horizontal vectors (n, T, 3) along, across and up, seen from the true velocity."""
+    """Return vectors (n, T, 3) as parts along and across the true horizontal velocity, and up."""
     heading = np.arctan2(played.truth[..., 4], played.truth[..., 3])
     cosine, sine = np.cos(heading), np.sin(heading)
     x, y, up = np.moveaxis(vectors, -1, 0)
@@ -84,7 +85,7 @@ def in_motion(played: Played, vectors: Array) -> Array:
 
 
 def events(played: Played) -> dict[str, NDArray[np.bool_]]:
-    """Return in which epochs (n, T) each kind of event begins: a speed of 0.5 m/s is the limit."""
+    """Return in which epochs (n, T) each kind of event begins; moving means above 0.5 m/s."""
     speed = np.linalg.norm(played.truth[..., 3:5], axis=-1)
     moving = speed > 0.5
     visible = np.stack([e.visible[:, : e.layout.anchors].all(axis=1) for e in played.episodes])
@@ -98,7 +99,7 @@ def events(played: Played) -> dict[str, NDArray[np.bool_]]:
 
 
 def _begins(state: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return where a state (n, T) begins after 5 epochs without it."""
+    """Return the epochs (n, T) in which a state begins that was absent in the previous 5 epochs."""
     begins = state.copy()
     for back in range(1, 6):
         begins[:, back:] &= ~state[:, :-back]
@@ -117,7 +118,7 @@ def _lying(episode: Episode) -> NDArray[np.bool_]:
 
 
 def draw(played: Played, path: Path) -> None:
-    """Draw mean position errors (3D, m) and mean sizes of corrections along, around events."""
+    """Draw mean 3D errors, and mean sizes of corrections along the motion, around each event."""
     correction = played.errors["corrector"] - played.errors["guided"]
     along = in_motion(played, correction)[..., 0]
     with picture(path, 9.0, 6.0) as figure:
@@ -156,14 +157,14 @@ class Without(Corrector):
         self._others = [i for i, name in enumerate(names) if name.startswith(begins)]
 
     def correct_features(self, features: NDArray[np.float32]) -> Any:
-        """Correct with the features that the next episode has in the same epoch."""
+        """Correct after replacing these features by those of another episode in the same epoch."""
         mixed = features.copy()
         mixed[:, self._others] = np.roll(features, 1, axis=0)[:, self._others]
         return super().correct_features(mixed)
 
 
 def without_groups(radio: str) -> Iterator[tuple[str, Array]]:
-    """Yield how much reward corrections add to guided (n,), with all features and by group."""
+    """Yield the reward (n,) that corrections add: with all features, then without each group."""
     episodes = draw_episodes(SimulatedSource(SCENES["street"], RADIOS[radio]), range(FEWER))
     layout = episodes[0].layout
 

@@ -1,4 +1,4 @@
-"""Page docs/environment.md, made of the docstring of the environment by `make generated`."""
+"""Page docs/environment.md, made from the docstring of the environment by `make generated`."""
 
 import inspect
 from pathlib import Path
@@ -9,7 +9,7 @@ PAGE = Path(__file__).resolve().parents[1] / "environment.md"
 
 
 def page() -> str:
-    """Return the class docstring, with links to the pages that it names."""
+    """Return the page: a title, a comment and the docstring of the class."""
     text = inspect.cleandoc(MmWaveLocEnv.__doc__ or "")
     made = "<!-- made from the docstring of MmWaveLocEnv by `make generated` -->"
     return f"# MmWaveLoc-v0\n\n{made}\n\n{text}\n"

@@ -28,7 +28,7 @@ MIRRORED = {  # pages of the site whose files are outside docs/
 SHOWN = ("first_switcher", "corrector")
 NOTEBOOKS = {f"notebooks/{name}.md": f"docs/notebooks/{name}.ipynb" for name in SHOWN}
 REPORTS = {"docs/results.json": "report.html"}  # results that the site shows as a web page
-API = {  # page: title, modules and folders of modules
+API = {  # page: title, and paths of modules and folders, in mmwave_env unless they begin with "/"
     "environment": ("Around the environment", ["vector_env", "sb3"]),
     "signals": ("Rewards and observations", ["interface/", "metrics"]),
     "numerics": ("Numbers", ["numerics/numbers", "numerics/linalg"]),
@@ -93,7 +93,8 @@ def help_page() -> str:
 
     parts = [
         "# Options of the commands",
-        "What `--help` prints. [Commands](commands.md) has the overview and examples.",
+        "This page shows what `--help` prints. [Commands](commands.md) has the overview and "
+        "examples.",
     ]
     for name in COMMANDS:
         printed = StringIO()
@@ -140,14 +141,14 @@ Cite the software with the version you used, and the paper that it follows:
 }}
 ```
 
-The same stands in [CITATION.cff]({source_of("CITATION.cff")}), which reference managers read.
+The same entries are in [CITATION.cff]({source_of("CITATION.cff")}), which reference managers read.
 """
 
 
 def notebook_page(path: Path) -> str:
     """Return the cells of a notebook and their stored outputs, with a link to the file."""
     first, *others = json.loads(path.read_text("utf-8"))["cells"]
-    # A reference, since :func:`relinked` turns inline links to a notebook into links to this page.
+    # A link by reference: :func:`relinked` would turn an inline link into a link to this page.
     parts = [
         "".join(first["source"]),
         "This page is a notebook with its stored outputs, and is made to be run. [Download it]"
@@ -171,7 +172,7 @@ def _shown(data: dict[str, Any]) -> str:
 
 
 def modules_of(part: str) -> Iterator[str]:
-    """Yield dotted names of a module or folder; a leading "/" means the root of the checkout."""
+    """Yield the dotted names of the modules at a path of :data:`API`."""
     path = ROOT / part.strip("/") if part.startswith("/") else ROOT / "mmwave_env" / part
     files = sorted(path.glob("*.py")) if part.endswith("/") else [path.with_suffix(".py")]
     for file in files:
@@ -191,8 +192,8 @@ def api_index() -> str:
     lines = [
         "# API",
         "`gymnasium.make` and `gymnasium.make_vec` are the way in, and [the environment's page]"
-        "(../environment.md) says what they take. What lies behind is here, one page a room of the "
-        "[architecture](../architecture.md).",
+        "(../environment.md) says what they take. The pages below document the modules inside, "
+        "grouped by the rooms of the [architecture](../architecture.md).",
     ]
     for name, (title, parts) in API.items():
         rows = [
@@ -230,7 +231,7 @@ def pages() -> dict[str, str]:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Lead every relative link to a page of the site, or to the file on the code host."""
+    """Make relative links lead to pages of the site, or else to files on the code host."""
     uri = page.file.src_uri
     return relinked(markdown, uri, (ROOT / MIRRORED[uri]) if uri in MIRRORED else DOCS / uri)
 
@@ -241,7 +242,7 @@ def relinked(markdown: str, uri: str, source: Path) -> str:
     Args:
         markdown: text of the page, whose links are relative to ``source``.
         uri: address of the page on the site, relative to its top.
-        source: the file that the page is, or would be.
+        source: file that the page shows; for a page made at the build, there is no such file.
     """
 
     def mended(match: re.Match[str]) -> str:
@@ -268,10 +269,10 @@ def _address(target: Path, folder: str) -> str:
 
 
 def on_page_content(html: str, **_: Any) -> str:
-    """Make links of the roles that docstrings use; keep figures and names in tables on one line.
+    """Turn roles such as :func: into links; keep numbers and names in tables on one line.
 
-    A frame with the linked page follows a paragraph that holds nothing but a link to a web page
-    of this site, such as a report.
+    If a paragraph holds only a link to a web page of this site, such as a report, a frame below the
+    paragraph shows that page.
     """
 
     def linked(match: re.Match[str]) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mmwave_env.io.files import require_writable
 
-# Tables titled "printed ..." are those that examples of the page print (tests/pages.py).
+# Skips tables titled "printed ...": tests/pages.py renews these from the output of examples.
 MARK = re.compile(r"<!-- table: (?!printed)(.*?) -->\n.*?<!-- end -->", re.DOTALL)
 
 
@@ -25,7 +25,7 @@ def page_to_renew(path: Path) -> str:
 
 
 def renewed(page: str, tables: Mapping[str, str]) -> str:
-    """Return a page in which every marked table is replaced by the one of its title in ``tables``.
+    """Return a page in which the new ``tables`` replace the marked tables of the same titles.
 
     Raises:
         ValueError: the page names a table that is not among the new ones.

@@ -68,10 +68,10 @@ class ModeArgs(WorldArgs):
     """Options for modes and agents."""
 
     modes: tuple[str, ...] = ()
-    """modes to use instead of the profile's ekf and ukf: names (ekf, ukf, ckf, ekf-robust,
-    ukf-robust) and mode files. Policies that can use them: fixed-NAME, likelihood-rule, imm, and
-    with two modes speed-rule (the first for low mobility, the second for high). Learned policies
-    keep their own modes"""
+    """modes to use instead of the radio's ekf and ukf: names (ekf, ukf, ckf, ekf-robust,
+    ukf-robust) and mode files. Policies that can use them: fixed-NAME, likelihood-rule, imm and,
+    if there are two modes, speed-rule (the first for low mobility, the second for high). Learned
+    policies keep their own modes"""
     observation: str = "full"
     """observation that your own agents were trained with: full or prior; policy files record it"""
     beliefs: str = "shared"
@@ -105,16 +105,31 @@ class EpisodeArgs(ModeArgs, IntegrityArgs, EpisodeResultArgs):
 
 
 @dataclass(kw_only=True)
-class TaskArgs:
+class LearnedArgs:
+    """Options for the environment of a learned policy."""
+
+    scenario: str = "mixed"
+    """kind of user: a name (see mmwave-loc list scenarios) or a JSON file; or a trajectory of your
+    own: a CSV file with columns t, x, y, z"""
+    beliefs: Literal["shared", "per-mode"] = "shared"
+    """shared: all modes work on one belief; per-mode: every mode keeps its own belief, and the
+    agent says which mode to trust"""
+    modes: tuple[str, ...] = ()
+    """modes to choose from: names and mode files; by default the radio's ekf and ukf or, with
+    --beliefs per-mode, its best bank"""
+    observation: str = "full"
+    """features that the agent observes: full; or prior, without those that say how well each mode
+    explains the coming epoch"""
+
+
+@dataclass(kw_only=True)
+class TaskArgs(LearnedArgs):
     """Options for the task to learn."""
 
     algo: Literal["ppo", "rollouts", "corrector"] = "ppo"
     """ppo: PPO of Stable-Baselines3; rollouts: rollout policy iteration with common random numbers,
     which tries every action on the same measurements; corrector: a recurrent network that corrects
-    the beliefs of the policy guided"""
-    scenario: str = "mixed"
-    """kind of user: a name (see mmwave-loc list scenarios) or a JSON file; or a trajectory of your
-    own: a CSV file with columns t, x, y, z"""
+    the beliefs of the policy `guided`"""
     radio: str = "handset"
     """radio to train with on the street, if --places is not given: handset, standard, high or a
     JSON file"""
@@ -123,25 +138,16 @@ class TaskArgs:
     street:handset, followed if needed by the seconds between epochs (:0.1, default: 1), the
     measured quantities (:range+azimuth, default: all), and :offset for a clock with an offset.
     Environments, and episodes that judge policies, are spread evenly over the places"""
-    beliefs: Literal["shared", "per-mode"] = "shared"
-    """shared: all modes work on one belief; per-mode: every mode keeps its own belief, and the
-    agent says which one to trust"""
-    modes: tuple[str, ...] = ()
-    """modes to choose from: names and mode files; by default the radio's ekf and ukf or, with
-    --beliefs per-mode, its best bank"""
-    observation: str = "full"
-    """features that the agent observes: full; or prior, without those that say how well each mode
-    explains the coming epoch"""
     reward: str = "tracking"
     """tracking; log-score; or paired: the tracking reward minus that of an IMM (with --beliefs
-    per-mode, of the bank's IMM). A hyperparameter file with "paired": true subtracts the reward of
-    the IMM whatever the kind"""
+    per-mode, the bank's IMM). "paired": true in a hyperparameter file subtracts the IMM's reward
+    from the log-score or the tracking reward"""
     nees_weight: float = 0.2
     """weight of the NEES in the tracking reward"""
 
 
 @dataclass(kw_only=True)
-class TrackOutputArgs:
+class TrackOutputArgs(JsonArgs):
     """Options for the results of a log."""
 
     out: tuple[Path, ...] = ()
@@ -149,8 +155,6 @@ class TrackOutputArgs:
     modes; .csv alone; or, for maps, .geojson, .gpx or .nmea, which need an origin in the scene"""
     plot: Path | None = None
     """draw the track to this .png, .svg or .pdf file"""
-    json: Path | None = None
-    """write all results to this JSON file"""
     diagnose: bool = False
     """compute no track, but show the number of epochs, the rate, how often each anchor is measured,
     and anything odd; then try likely mistakes on the first epochs (units, signs, arrival and
@@ -165,10 +169,10 @@ class FilterArgs:
     """policy that chooses the modes: corrector (default), guided, ppo, a policy file, or
     module:function"""
     imm: str | None = None
-    """instead of a policy, run all modes of an IMM, weighted by how well each explains the log:
-    imm-best, imm or the mode file of a bank"""
+    """IMM to use instead of a policy: imm-best, imm or the mode file of a bank. An IMM runs all its
+    modes, and weights each by how well it explains the log"""
     radio: str = AUTO
-    """radio profile, which gives the noise for an SNR and the tuning of the modes: handset,
+    """radio profile, which sets how modes are tuned and how noise depends on the SNR: handset,
     standard, high or a JSON file; auto takes the profile whose noise is nearest to the log's"""
     snr: float | None = None
     """SNR of links that have none in the log, dB; needed if the log has neither SNR nor standard
@@ -182,12 +186,12 @@ class FilterArgs:
     height: float | None = None
     """known height of a user on flat terrain, m"""
     clock: str = "synchronized"
-    """synchronized, or offset: estimate the unknown offset of the user's clock in ranges"""
+    """synchronized, or offset: estimate the offset of the user's clock, which shifts all ranges"""
 
 
 @dataclass(kw_only=True)
 class AlgorithmArgs:
-    """Options of the paper's Algorithm 1, which replaces the policy if any of these is set."""
+    """Options of the paper's Algorithm 1; if any is set, the algorithm replaces the policy."""
 
     speed: str | None = None
     """Algorithm 1: the user's speed, m/s, which selects the pipeline that runs; or auto, to decide
@@ -199,10 +203,6 @@ class AlgorithmArgs:
     """speed by which --speed auto decides: predicted by the filter, or measured by odometry"""
     modes: Path | None = None
     """mode file with two other pipelines, the first for low and the second for high mobility"""
-    gating: bool = True
-    """reject measurements outside their 99 % chi-square gates (also with --imm)"""
-    adaptive: bool = True
-    """scale Q and R according to the innovations (also with --imm)"""
     robust: bool = False
     """give outlying links less weight instead of rejecting them (also with --imm)"""
 
@@ -219,8 +219,8 @@ class LogArgs(AlgorithmArgs, FilterArgs, IntegrityArgs, TrackOutputArgs):
     """recording to use instead of a log: canyon28_vehicle or canyon28_pedestrian, which have a
     scene and ground truth"""
     live: bool = False
-    """read rows from standard input (log -) as CSV or JSON lines, and print one JSON line for each
-    epoch at once"""
+    """read rows from standard input (log -) as CSV or JSON lines, and print a JSON line immediately
+    after each epoch"""
     lag: int = 0
     """with --live, also print the position this many epochs ago, smoothed with all later epochs"""
     associate: bool = False

@@ -24,7 +24,7 @@ class _Description(TextColumn):
 
 
 def bars(*columns: ProgressColumn | str) -> Progress:
-    """Return bars on standard error, which vanish at the end and keep standard output clean.
+    """Return bars on standard error, so that standard output stays clean; they vanish at the end.
 
     No bar is shown if standard error is not a terminal. ``columns`` are added to rich's own.
     """
@@ -33,12 +33,6 @@ def bars(*columns: ProgressColumn | str) -> Progress:
     hidden = console.quiet or not console.is_terminal
     all_columns = _Description(""), *others, *columns
     return Progress(*all_columns, console=console, transient=True, disable=hidden)
-
-
-def terminal_width() -> int | None:
-    """Return the width of the terminal on standard output; None if it is not a terminal."""
-    console = Console()
-    return console.width if console.is_terminal else None
 
 
 def say(*lines: str) -> None:

@@ -9,10 +9,12 @@ from threading import Timer
 from types import FrameType
 from typing import Any, NoReturn
 
-# Those signals that the system has; Windows has no SIGHUP.
+# Signals that end the program, if the system has them; Windows has no SIGHUP.
 ENDING = tuple(getattr(signal, n) for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n))
 SOON_S = 0.01  # delay after which a signal that could not be handled is sent again
-SAME_S = 1.0  # a repeat within this time is the same signal, sent to the process and to its group
+# A scheduler may send one signal twice, to the process and to its group. So a second signal within
+# this time, s, is ignored.
+SAME_S = 1.0
 
 
 class Ended(SystemExit):
@@ -66,7 +68,7 @@ def ended_by_signals() -> Iterator[None]:
         try:
             yield
         except BaseException as other:
-            # Ray's C code may have replaced Ended, or a progress bar failed without a terminal.
+            # Another exception may have replaced Ended, in Ray's C code or in a progress bar.
             if came and not isinstance(other, Ended):
                 raise Ended(came) from None
             raise

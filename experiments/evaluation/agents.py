@@ -23,7 +23,7 @@ Act = Callable[[NDArray[np.float32]], Any]  # observations (n, features) -> acti
 MODULE = re.compile(r"[\w.]+:[\w.]+")
 GUIDE = "docs/own-agent.md"
 OF_A_MODEL = "for a model, use lambda seen: model.predict(seen, deterministic=True)[0]"
-NO_FILTERS = "which runs no filters to show, expected another policy; it is for comparisons only"
+NO_FILTERS = "which runs no filters and works only in comparisons, expected another policy"
 TRIED = 3  # number of random observations to try an agent on
 
 
@@ -31,7 +31,8 @@ class Estimator(Policy):
     """An agent that tracks users by itself instead of choosing filters, for comparisons.
 
     Attributes:
-        at_once: whether numbers are arrays (n,) of all episodes, instead of floats of one.
+        at_once: whether one call of :meth:`track` handles all n episodes, with arrays (n,) as
+            numbers; otherwise each call handles one episode, with floats.
     """
 
     at_once = False
@@ -41,8 +42,8 @@ class Estimator(Policy):
     ) -> Iterable[tuple[Vector, Vector]]:
         """Yield a mean (7,) and a packed covariance (28,) after every epoch.
 
-        Units are m, m/s and Hz; with a clock, shapes are (8,) and (36,). The pipeline has the
-        radio's default modes, the layout and the terrain.
+        Units are m, m/s and Hz. If the clock's offset is unknown, shapes are (8,) and (36,). The
+        pipeline has the radio's default modes, the layout and the terrain.
         """
         raise NotImplementedError
 
@@ -50,7 +51,7 @@ class Estimator(Policy):
         """Return means (n, T, 7) and packed covariances (n, T, 28) of n episodes.
 
         Raises:
-            ValueError: a belief has another shape, or an epoch has none.
+            ValueError: a belief has a wrong shape, or an epoch has no belief.
         """
         layout, (n, T, _) = pipeline.layout, episodes.table.shape
         size, blank, tracks = layout.state_size, blank_incoming(layout), []
@@ -116,7 +117,7 @@ def agent_from(name: str) -> Act:
 def tried(name: str, agent: Act, table: Observation) -> Policy:
     """Return an agent as a policy; check that it returns actions for a few random observations.
 
-    Its optional method ``reset(begins)`` is called, too. An estimator is returned as it is.
+    The agent's method ``reset(begins)``, if any, is called, too. An estimator is returned as it is.
 
     Raises:
         ValueError: the agent is not a function, raises, or does not return actions.

@@ -14,7 +14,7 @@ from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.seeds import Selection
 from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.filters.bank import Modes
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.correction import corrected_all
@@ -86,8 +86,8 @@ def run_contender(
         contender, policy: same as in :func:`score`.
         episodes: the episodes; they need ground truth only if ``scoring.planar``.
         scoring: reward and terrain.
-        after: names of parts whose values after every epoch are returned; every contender has "x",
-            "P", "memory.nis", "memory.accepted" and "memory.rejected".
+        after: names of parts of the filters' state to return for every epoch; every contender has
+            "x", "P", "memory.nis", "memory.accepted" and "memory.rejected".
 
     Returns:
         "reward" and "nees" (n, T); "error" (n, T, 3) in m; for a policy also "mode" (n, T), its
@@ -104,8 +104,7 @@ def run_contender(
     if corrector:
         names = tuple(dict.fromkeys((*names, *BELIEF, "truth")))
     if policy is None:
-        imm = ImmEngine(pipeline, scoring.reward, contender.transition, contender.nis_quantile)
-        return imm.run(episodes, *names)
+        return run_imm(contender.bank, scoring.reward, episodes, *names, planar=scoring.planar)
     n, T, _ = episodes.table.shape
     if isinstance(policy, Estimator):
         if not {*after} <= {*BELIEF}:
@@ -116,7 +115,8 @@ def run_contender(
         axes, known = pipeline.position_axes, pipeline.known_axes
         belief = Belief(mean, unpack(packed, known), axes)
         return {"x": x, "P": P, **_scored(belief, truth, scoring.reward)}
-    engine = Engine(pipeline, n, scoring.reward, contender.observation, contender.bank)
+    bank = contender.bank if contender.mixes else None
+    engine = Engine(pipeline, n, scoring.reward, contender.observation, bank)
     engine.reset(episodes)
     policy.reset(np.ones(n, bool))
     if isinstance(policy, Clairvoyant):
@@ -155,7 +155,7 @@ def _corrected(
 
 
 def _scored(belief: Belief, true_states: Array, reward: Reward) -> EpochResults:
-    """Return the scores of a belief of arrays (n, T), given true states (n, T, 6)."""
+    """Return the scores of a belief whose numbers are arrays (n, T); true states are (n, T, 6)."""
     truth = list(np.moveaxis(true_states, -1, 0))
     return {
         "error": np.stack(belief.error(truth), axis=-1),
@@ -181,7 +181,7 @@ def _warn_of_short(time_s: Array) -> None:
 
 
 def _warn_of_nonfinite(contender: Contender, results: EpochResults) -> None:
-    """Warn that a contender's means will be NaN, and why; no episode is left out."""
+    """Warn if NaN or infinite beliefs make a contender's means NaN; no episode is left out."""
     finite = np.isfinite(results["error"]).all(axis=-1) & np.isfinite(results["nees"])
     lost = np.count_nonzero(~finite.all(axis=1))
     if lost:
@@ -204,7 +204,7 @@ def _summary(results: EpochResults, time_s: Array, scoring: Scoring) -> Scores:
 
 
 def _drawn(selection: Selection, source: EpisodeSource) -> tuple[EpisodeBatch, Array]:
-    """Draw equally long episodes, ready to run; also return the times (T,) of the first one."""
+    """Draw equally long episodes, ready to run; also return the first episode's times (T,)."""
     keys = selection.keys(source)
     if keys is None:
         episodes = selection.draw(source)
@@ -229,7 +229,7 @@ def score_contenders(
         names: contenders, or names as in :func:`contender_from`, with these ``modes``.
         source, selection: episodes to run, by seeds or keys.
         radio: radio profile.
-        watch: functions that are called with a contender, the times (T,) and its epoch results.
+        watch: functions called with a contender, the times (T,) and the contender's epoch results.
         after: parts of the state for ``watch``, as in :func:`run_contender`.
 
     Raises:

@@ -39,7 +39,7 @@ class Run:
 
     name: str  # the folder, as on the command line and in results
     seeds: tuple[int, ...]  # training seeds, which identify the trainings
-    median: int  # seed of the training with the median reward, which stands for the run
+    median: int  # seed of the training that stands for the run: the one with the median reward
     # outcome of each training, as the training wrote it
     outcomes: tuple[Mapping[str, Any], ...] = field(default=(), repr=False, compare=False)
 
@@ -91,7 +91,7 @@ def trainings(names: Sequence[str], runs: Mapping[str, Run]) -> list[str]:
 
 
 def curves_of(log: Path) -> dict[str, tuple[list[float], list[float]]]:
-    """Read learning curves from a progress log: for each rival, steps and reward minus its reward.
+    """Read learning curves from a log: for each rival, steps and the reward minus the rival's.
 
     Raises:
         ValueError: the log is not CSV, or a value is not a number; the message names the line.

@@ -46,7 +46,7 @@ class TrainingSeeds:
 
     run: Run  # names and outcomes of the trainings
     reward: Figure  # reward of the trainings
-    minus: dict[str, Figure]  # by rival: differences from its reward, episode by episode
+    minus: dict[str, Figure]  # difference from each rival's reward, by the rival's name
     best_imm: str | None  # the IMM with the best reward; None if there is no IMM
 
     @property
@@ -66,7 +66,8 @@ def over_training_seeds(
 ) -> list[TrainingSeeds]:
     """Compute rewards of runs, and their gains over the reference contenders among ``scores``.
 
-    ``runs`` has the scores of every training in the order of the run, on the same episodes.
+    ``runs`` maps each run to the scores of its trainings, in the order of the run's seeds; all
+    scores are for the same episodes.
     """
     rewards = {run: np.stack([s["reward"] for s in trained]) for run, trained in runs.items()}
     baselines = {rival: scores[rival]["reward"] for rival in references(scores)}
@@ -100,7 +101,7 @@ def seeds_markdown(seeds: TrainingSeeds) -> str:
         ["mean over seeds", *(column.mean for column in columns)],
     ]
     about = (
-        f"Over training seeds, {escaped(run.name)}, best on tuning seeds first. 95 % intervals are "
-        "over episodes for a seed, and over seeds and episodes for the mean:"
+        f"Trainings of {escaped(run.name)}, ordered by their rewards on tuning seeds. The 95 % "
+        "intervals are over episodes for a seed, and over seeds and episodes for the mean:"
     )
     return f"\n{about}\n\n{grid(header, rows)}\n"

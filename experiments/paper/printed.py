@@ -50,7 +50,7 @@ def untuned(algorithm: str, coupling: bool) -> Mode:
 
 
 def _row(name: str, printed: Published | None, forms: Sequence[Scores]) -> Row:
-    """Return a row: for each metric the paper's value, then ours by form of process noise."""
+    """Return a row: for each metric the paper's value, then ours for each form of process noise."""
     ours = iter(bootstrap(np.stack([scores[m] for m in PRINTED for scores in forms], axis=1)))
     row: Row = [name]
     for metric in PRINTED:
@@ -60,7 +60,7 @@ def _row(name: str, printed: Published | None, forms: Sequence[Scores]) -> Row:
 
 
 def _rows(bench: Bench, setting: Setting, printed: dict[str, Published]) -> Iterator[Row]:
-    forms = (False, True)  # plain diagonal, coupled
+    forms = (False, True)  # forms of the process noise: plain diagonal, coupled
     for algorithm in ("ekf", "ukf", "ckf"):
         runs = [bench.run(untuned(algorithm, coupling), setting) for coupling in forms]
         name = algorithm.upper()

@@ -33,7 +33,7 @@ def run_live(args: LogArgs) -> None:
         ValueError: options contradict each other, or the input has neither header nor JSON.
     """
     if str(args.log) != "-" or args.scene is None:
-        raise ValueError("live: needs - as the log, and --scene")
+        raise ValueError('live: needs "-" (standard input) as the log, and --scene')
     for name in ("sample", "truth", "out", "plot", "json"):
         if getattr(args, name) not in (None, ()):
             raise ValueError(f"{name}: cannot be combined with --live; use the printed lines")
@@ -70,7 +70,7 @@ def _epochs(
 ) -> Iterator[LiveEpoch]:
     """Read rows (CSV below a header, or JSON objects); yield the epochs that they form.
 
-    An object is a row, or all rows of an epoch: {"rows": [...]}. The first object has all columns.
+    An object is a row, or all rows of an epoch: {"rows": [...]}. The first must have all columns.
     """
     lines = _lines(stream)
     number, first = next(lines, (0, ""))
@@ -96,7 +96,7 @@ def _epochs(
 
 
 def _objects(line: str, number: int) -> tuple[list[Any], bool]:
-    """Return the rows in a line, and whether they are a complete epoch; else raise a LogError."""
+    """Return a line's rows, and whether they are a complete epoch; a bad line raises LogError."""
     try:
         content = parse_json(line)
         rows = content.get("rows", [content])

@@ -1,4 +1,4 @@
-"""Report that localize --diagnose prints about a log: facts, and likely mistakes."""
+"""Report that ``mmwave-loc localize --diagnose`` prints: facts about a log, likely mistakes."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -188,8 +188,9 @@ def diagnosis_markdown(findings: Sequence[Finding]) -> str:
     others = sum(not f.nis_per_dof for f in findings)
     impossible = f" {others} other hypotheses give no track; --json lists them." if others else ""
     return (
-        f"{_verdict(findings)}\n\n{grid(header, rows)}\n\nThe columns are the median NIS / dof of "
-        "the worst anchor (farthest from 1) and of the Doppler shift. In a consistent log, the "
-        "user is also mostly below the base station, and the SNR and the Doppler shift are "
-        f"plausible. Of several rows with yes, the first is the most likely.{impossible}\n"
+        f"{_verdict(findings)}\n\n{grid(header, rows)}\n\nThe column anchors has the median NIS / "
+        "dof of the worst anchor, whose value is farthest from 1; the column Doppler has that of "
+        "the Doppler shift. In a consistent log, the user is also mostly below the base station, "
+        "and the SNR and the Doppler shift are plausible. Of several rows with yes, the first is "
+        f"the most likely.{impossible}\n"
     )

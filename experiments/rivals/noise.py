@@ -1,10 +1,10 @@
 """Kalman updates with noise that differs from what the receiver states: Student-t, and adaptive.
 
-The variances of every group of a measurement are the stated ones times an unknown factor that has
-an inverse gamma distribution. Variational Bayes iterates between the belief and the factors. With a
-distribution that starts anew in every epoch, the noise has a Student-t distribution, and outliers
-weigh little (Piché, Särkkä and Hartikainen 2012; Roth, Özkan and Gustafsson 2013). With one that is
-slowly forgotten, the filter adapts to its noise (Särkkä and Nummenmaa 2009).
+The stated variances of every group of measured values (such as a link) are multiplied by an unknown
+factor with an inverse gamma distribution. Variational Bayes alternates between the belief and the
+factors. If the distribution starts anew in every epoch, the noise is Student-t distributed, and
+outliers weigh little (Piché, Särkkä and Hartikainen 2012; Roth, Özkan and Gustafsson 2013). If the
+distribution is slowly forgotten, the filter adapts to its noise (Särkkä and Nummenmaa 2009).
 """
 
 from collections.abc import Iterator
@@ -25,9 +25,9 @@ from mmwave_env.numerics.numbers import Matrix, Number, Vector, log
 from policies import FixedMode
 
 DOF = 3.0  # degrees of freedom of Student-t noise, chosen on tuning seeds
-MEMORY = 0.5  # share of its knowledge that the adaptive filter keeps per epoch, chosen likewise
+MEMORY = 0.5  # share of its knowledge that the adaptive filter keeps per epoch; tuned like DOF
 ITERATIONS = 3
-LEAST_VARIANCE = 1e-9  # of a known height, m^2, and of its rate, (m/s)^2
+LEAST_VARIANCE = 1e-9  # least variance of a known height, m^2, and of its rate, (m/s)^2
 EVERYTHING = Gate(None)
 
 
@@ -37,7 +37,7 @@ def stated(epoch: Epoch, site: Site, layout: Layout) -> Measurement:
 
 
 def log_density(nis: Number, rows: Number, dof: float) -> Number:
-    """Return the log density of Student-t noise, except for terms without the NIS."""
+    """Return the log density of Student-t noise, without terms that do not depend on the NIS."""
     return -0.5 * (dof + rows) * log(1.0 + nis / dof)
 
 
@@ -48,8 +48,9 @@ def adapted(
 
     Args:
         x, P, measurement: same as for any algorithm.
-        shape, rate: (groups,) parameters of the distributions.
-        base: update for Gaussian noise; its first iteration uses the prior means of the factors.
+        shape, rate: (groups,) parameters of the distributions. The first iteration takes rate /
+            shape as the factors.
+        base: update for Gaussian noise.
 
     Returns:
         The posterior of every iteration, and the new parameters.
@@ -85,7 +86,7 @@ def student_t(
     base: Algorithm = ekf,
     dof: float = DOF,
 ) -> Posterior:
-    """Update a belief with Student-t noise; an algorithm for a mode, which ignores the gate.
+    """Update a belief with Student-t noise. A mode can use this algorithm, which ignores its gate.
 
     With many degrees of freedom the result is that of the ``base`` without gates.
     """
@@ -106,7 +107,7 @@ class StudentImm(FixedMode):
         super().__init__(0)  # trusts no mode
 
     def bank(self, radio: str) -> Bank:
-        """Return the bank for a radio, in which a mode continues with probability 0.95."""
+        """Return a radio's bank; each second, a mode continues with a probability of 0.95."""
         plain = [replace(mode, gate=None, adaptive=False) for mode in default_modes(radio)]
         heavy = (replace(m, algorithm=partial(student_t, base=m.update)) for m in plain)
         return Bank(tuple(heavy))
@@ -133,7 +134,7 @@ class Variational(Estimator):
             moved, predicted = predict(pipeline, mode, x, P, 1.0, epoch, site.hz_per_mps)
             shape, rate = ([self._memory * value for value in part] for part in (shape, rate))
             spread = [list(row) for row in predicted]
-            for axis in pipeline.known_axes:  # a variance of exactly 0 would divide by 0
+            for axis in pipeline.known_axes:  # a variance of exactly 0 would cause a division by 0
                 spread[axis][axis] = spread[axis][axis] + LEAST_VARIANCE
             measurement = stated(epoch, site, layout)
             posteriors, shape, rate = adapted(moved, spread, measurement, shape, rate, mode.update)

@@ -23,18 +23,18 @@ from mmwave_env.numerics.pytree import flatten
 from mmwave_env.world.episode import blank_incoming
 
 PARTICLES = 10_000
-LEAST_M = 0.001  # deviation added to the estimate, as few particles may be left after an outlier
-SPREAD = 0.35  # h of the kernel that moves resampled particles apart, in deviations of the cloud
-KEPT = (1.0 - SPREAD**2) ** 0.5  # factor on deviations before, so that the covariance stays
+LEAST_M = 0.001  # its square is added to P, because P is 0 if an outlier leaves one particle
+SPREAD = 0.35  # width of the kernel that spreads resampled particles, in deviations of the cloud
+KEPT = (1.0 - SPREAD**2) ** 0.5  # the cloud first shrinks by this, so that its covariance is kept
 
 
 class Weighed(NamedTuple):
-    """A particle in an epoch."""
+    """A particle, and the epoch whose measurement weighs the particle."""
 
     incoming: Epoch
     site: Site
-    x: list[Number]  # (7,) its state
-    log_likelihood: Number  # of the epoch's measurement in this state
+    x: list[Number]  # (7,) state of the particle
+    log_likelihood: Number  # log likelihood of the epoch's measurement in this state
 
 
 @lru_cache(maxsize=8)
@@ -60,11 +60,11 @@ class Particles(Estimator):
     """A cloud of particles; its mean and covariance are the belief.
 
     Resampled particles are moved apart by a kernel that keeps mean and covariance (Musso, Oudjane
-    and Le Gland 2001; West 1993), because the process hardly moves the height.
+    and Le Gland 2001; West 1993), because process noise alone would hardly change their heights.
 
     Args:
         count: number of particles.
-        dof: degrees of freedom of the measurement noise; many for Gaussian noise.
+        dof: degrees of freedom of the measurement noise; a large number means Gaussian noise.
     """
 
     def __init__(self, count: int = PARTICLES, dof: float = DOF) -> None:
@@ -88,7 +88,7 @@ class Particles(Estimator):
             return np.array(cholesky(covariance)) @ rng.standard_normal((layout.state_size, n))
 
         x = np.array(site.prior_x)[:, None] + noise(unpack(site.prior_P, pipeline.known_axes))
-        weight, apart = np.zeros(n), [0.0] * layout.triangle  # logarithms; kernel's covariance
+        weight, apart = np.zeros(n), [0.0] * layout.triangle  # log weights; kernel's covariance
         for epoch in epochs:
             moved, Q = predict(pipeline, mode, list(x), apart, 1.0, epoch, site.hz_per_mps)
             x = np.array(moved) + noise(Q)

@@ -1,4 +1,4 @@
-"""Rows of a sweep in a folder of Parquet files: one for each cell, a combination of values."""
+"""Rows of a sweep in a folder of Parquet files: one row for each cell (combination of values)."""
 
 import tempfile
 import warnings
@@ -73,7 +73,7 @@ def _row(figures: Mapping[str, float]) -> Row:
 
 
 def training_of(values: Values) -> tuple[Training, Hyperparameters]:
-    """Return the options of a training, and the shipped hyperparameters with its own changes."""
+    """Return the options of a training, and the shipped hyperparameters with the cell's changes."""
     options, changed = dict[str, Any](), dict[str, Any]()
     for axis, value in values.items():
         name = axis.removeprefix(HYPERPARAMETER)
@@ -88,8 +88,8 @@ def kept(folder: Path, spec: Spec) -> set[str]:
     for name in names:
         if not (name.startswith(spec.trial) if spec.free else name in spec.cells):
             raise ValueError(
-                f"{folder / name}.parquet: found a row of another sweep or version, or from before "
-                "a file named in this sweep was changed; --out names another folder"
+                f"{folder / name}.parquet: found a row of another sweep or version (or a file that "
+                "the sweep names has changed since then); choose another folder with --out"
             )
     return names
 
@@ -116,5 +116,7 @@ def read(folder: Path, spec: Spec) -> dict[str, Values]:
         try:
             (rows[name],) = parquet.read_table(path).to_pylist()
         except (ArrowException, OSError, ValueError) as error:
-            raise ValueError(f"{path}: found no row ({first_line(error)}); remove it") from error
+            raise ValueError(
+                f"{path}: found no row ({first_line(error)}); remove the file"
+            ) from error
     return rows

@@ -21,7 +21,7 @@ from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from
 from mmwave_env.world.simulated import SimulatedSource
 
-SCENE, EPOCHS, WARM_UP = "street", 4000, 1000  # epochs of a track; the first are not timed
+SCENE, EPOCHS, WARM_UP = "street", 4000, 1000  # epochs of a track; the first 1000 are not timed
 PERCENTILES = (50.0, 99.0, 99.9)
 PIPE, PYTHON = "through a pipe", "in Python"
 CONTENDERS: dict[str, tuple[tuple[str, str], Callable[[], Switching]]] = {
@@ -34,7 +34,7 @@ LATENCIES = [(name, way) for name in CONTENDERS for way in (PYTHON, PIPE)]
 
 
 def latency_us(name: str, way: str) -> list[float]:
-    """Return percentiles of the time per epoch, microseconds, for one of :data:`LATENCIES`."""
+    """Return percentiles of a contender's microseconds per epoch, in Python or through a pipe."""
     source = SimulatedSource(scene_from(SCENE), radio_from(RADIO), epochs=EPOCHS)
     columns = log_columns(source.sample(np.random.default_rng(0)))
     cells = np.stack(list(columns.values()), axis=1).reshape(EPOCHS, -1, len(columns)).tolist()

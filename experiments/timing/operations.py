@@ -22,14 +22,14 @@ _COMMUTE = ("fadd", "fmul", "and_", "or_")  # instructions whose operands may be
 class Operations(NamedTuple):
     """Numbers of SIMD instructions, each of which works on eight environments."""
 
-    fused: int = 0  # multiply-adds: a sum of which one term is a product that is not used elsewhere
+    fused: int = 0  # multiply-adds: sums with a term that is a product used nowhere else
     add: int = 0  # remaining sums and differences
     multiply: int = 0  # remaining products
     divide: int = 0
     root: int = 0  # square roots
     select: int = 0  # comparisons, choices, and operations on signs and bits
-    load: int = 0  # rows of the workspace
-    store: int = 0
+    load: int = 0  # loads of rows of the workspace
+    store: int = 0  # stores of rows
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,10 @@
 """Training of a corrector by supervision on simulated episodes.
 
-In a simulation the truth is known, so the network learns the errors of its base from examples. The
-loss is the length of the remaining error, in standard deviations of the belief, plus a small share
-of the error's negative log-likelihood, from which the network learns to scale the deviations. The
-corrections do not change the base. So the base plays each episode once, and no episode is repeated.
+A corrector corrects the beliefs of another policy, its base. In a simulation the truth is known, so
+the network learns the errors of the base from examples. The loss is the length of the remaining
+error, in standard deviations of the belief, plus a small share of the error's negative
+log-likelihood, from which the network learns to scale the deviations. The base does not depend on
+the corrections, so it plays each episode only once, and every update has new episodes.
 """
 
 from collections.abc import Iterator
@@ -30,7 +31,7 @@ from mmwave_env.numerics.numbers import Array
 from policies.policy_file import CORRECTIONS, Tensors
 
 EVALUATE = 32  # number of updates between two evaluations
-FIRST = 3  # number of additional rounds of episodes in the first update, to estimate the scales
+FIRST = 3  # number of additional rounds of episodes in the first update, to scale features
 OUTSIDE = 1e-4  # share of a feature's values below its range; the same share is above its range
 MOST_LENGTH, MOST_SQUARE = 20.0, 50.0  # limits in the loss, so that lost tracks do not dominate it
 CONSTANT = 1e-3  # added to standard deviations, which are 0 for a feature that never changes
@@ -46,7 +47,7 @@ class CorrectorNetwork(nn.Module):
         self.head = nn.Linear(hyper.units + hyper.front, hyper.head)
         self.out = nn.Linear(hyper.head, hyper.members * CORRECTIONS)
         with torch.no_grad():
-            self.out.weight *= 0.1  # learning starts near the base
+            self.out.weight *= 0.1  # at first, corrections are small
             self.out.bias.zero_()
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
@@ -83,7 +84,7 @@ class CorrectorTraining:
     """A training in progress.
 
     Args:
-        job: training to run; continues from a checkpoint in its folder, if any.
+        job: training to run; if its folder has a checkpoint, the training continues from it.
         tell: function that is called with news, in which timesteps count epochs of episodes.
 
     Raises:
@@ -122,7 +123,7 @@ class CorrectorTraining:
         return record.close()
 
     def _update(self) -> dict[str, float]:
-        """Learn from episodes at the places and in random streets; return figures for the log."""
+        """Learn from new episodes at the task's places and in random streets; return the loss."""
         job, stand = self._job, self._record.stand
         hyper = job.hyperparameters
         lots = list(self.data.lots())
@@ -139,7 +140,7 @@ class CorrectorTraining:
         return {"loss": float(np.mean(losses))}
 
     def _learn(self, lot: Lot) -> float:
-        """Take a gradient step on a lot; every member learns from half of the episodes."""
+        """Take a gradient step on a lot (batch); each ensemble member learns from a random half."""
         hyper = self._job.hyperparameters
         error, deviation = torch.from_numpy(lot.error), torch.from_numpy(lot.deviation)
         losses = loss_of(self.answer(lot), error, deviation, hyper.likelihood_weight)
@@ -171,7 +172,7 @@ class CorrectorTraining:
         return {name: value.astype(np.float32) for name, value in tensors.items()}
 
     def _state(self) -> dict[str, Any]:
-        """Return all state that determines the future."""
+        """Return all state on which the rest of the training depends."""
         return {
             "network": self.network.state_dict(),
             "optimizer": self._optimizer.state_dict(),
@@ -189,11 +190,11 @@ class CorrectorTraining:
 
 
 def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]:
-    """Yield all episodes in random order, in lots whose episodes come from different places.
+    """Yield all episodes in random order, in lots (batches) that mix episodes of different places.
 
     Args:
         lots: lots to mix.
-        size: number of episodes in a lot of short episodes; a lot of longer episodes has fewer.
+        size: number of episodes in a lot of the shortest episodes; lots of longer ones have fewer.
         rng: generator of the order.
     """
     shortest = min(len(lot.features) for lot in lots)

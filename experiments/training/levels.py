@@ -1,7 +1,7 @@
 """Training and calibration of protection levels (:mod:`mmwave_env.localization.levels`).
 
-The network learns quantiles of the logarithm of an error over its Gaussian level, by the pinball
-loss, on the kinds of episodes that correctors learn from. Other episodes calibrate it.
+With the pinball loss, a network learns quantiles of log(error / Gaussian level), from the kinds of
+episodes that correctors learn from. Other episodes calibrate the network.
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,15 +30,16 @@ from mmwave_env.world.episode import columns_of
 
 RISKS = (1e-2, 1e-3)
 SINGLE = ("speed-rule", "fixed-ekf", "fixed-ukf")
-# One policy of each group plays every episode, in the training and in the calibration.
+# Groups of policies for training and calibration; one policy of every group plays an episode.
 LEARNED_FROM = (("guided",), ("corrector",), ("imm-best", "imm", *SINGLE))
 KINDS = (SINGLE, ("guided", "imm-best"), ("corrector",))
 PLACES = [f"{scene}:{radio}" for scene in SCENES for radio in RADIOS]
-SEED = TRAINING_SEED + 9 * SEEDS_EACH  # episodes that no corrector was trained on
-ENVS, ROUNDS, CALIBRATION = 64, 24, 30  # episodes of a place; rounds of all places
-HIDDEN, STEPS, BATCH, RATE = 64, 2500, 8192, 3e-3  # the rate falls linearly
-EVERY = 4  # epochs that follow each other are alike: of every four, one is learned from
-OUTSIDE = 1e-4  # share of the values of a feature on each side that count as beyond its range
+SEED = TRAINING_SEED + 9 * SEEDS_EACH  # seed of episodes that no corrector was trained on
+# ENVS: episodes per place in each round. ROUNDS, CALIBRATION: rounds to train and to calibrate
+ENVS, ROUNDS, CALIBRATION = 64, 24, 30
+HIDDEN, STEPS, BATCH, RATE = 64, 2500, 8192, 3e-3  # the learning rate falls linearly
+EVERY = 4  # neighboring epochs are alike, so the network learns from one in four
+OUTSIDE = 1e-4  # share of a feature's values below its range; the same share is above its range
 LEAST_M = 1e-4  # smaller errors count as this
 LIMIT, HALVINGS = 8.0, 24  # largest constant; steps of the search for constants
 
@@ -46,10 +47,11 @@ LIMIT, HALVINGS = 8.0, 24  # largest constant; steps of the search for constants
 def _played(
     seed: int, rounds: int, policies: Sequence[tuple[str, ...]], **changes: float
 ) -> Iterator[tuple[Array, Array]]:
-    """Play episodes; yield features (n, T, features) and errors over levels for every policy.
+    """Play batches of episodes, each by one policy of every group; yield features and logs.
 
-    The latter are logarithms (n, T, risks, 2), horizontal and vertical. ``changes`` are those of
-    the corrector's hyperparameters.
+    The features are (n, T, features). The logs (n, T, risks, 2) are logarithms of the horizontal
+    and the vertical error, each divided by its Gaussian level. ``changes`` replace hyperparameters
+    of the corrector.
     """
     places = places_from(PLACES)
     banks = banks_of((), places, "per-mode")
@@ -90,7 +92,7 @@ def _trained(features: Array, logs: Array, steps: int) -> Network:
         rows = torch.randint(len(x), (BATCH,))
         above = y[rows] - network(x[rows]).unflatten(-1, (-1, 2))
         pinball = torch.maximum((1.0 - risk) * above, -risk * above)
-        loss = (pinball / risk.sqrt()).mean()  # the root balances the risks
+        loss = (pinball / risk.sqrt()).mean()  # the divisor gives all risks a similar weight
         optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
@@ -104,8 +106,8 @@ def _trained(features: Array, logs: Array, steps: int) -> Network:
 def _constants(network: Network, seed: int, rounds: int) -> Array:
     """Return the constants (kinds, risks, 2) of the calibration.
 
-    They are at least those of split conformal prediction over all places, in which one more
-    episode has infinite errors (Lee et al. 2023), and no place exceeds a risk on its own.
+    They come from split conformal prediction over all places, with one more episode of infinite
+    errors (Lee et al. 2023). If a single place needs larger constants, those are returned.
     """
     over: list[list[Array]] = [[] for _ in range(len(PLACES) * len(KINDS))]
     for i, (features, logs) in enumerate(_played(seed, rounds, KINDS, random_share=0.0)):
@@ -137,9 +139,10 @@ def _least(parts: list[Array], infinite: int) -> Array:
 def tuned_levels(
     seed: int, rounds: int = ROUNDS, calibration: int = CALIBRATION, steps: int = STEPS
 ) -> dict[str, Any]:
-    """Return what a file of levels holds; ``seed`` is the calibration's, the training has its own.
+    """Return the content of a file of levels; ``seed`` draws only the episodes of the calibration.
 
-    ``rounds`` and ``calibration`` are numbers of rounds of episodes, ``steps`` of gradient steps.
+    The network learns from ``rounds`` rounds of episodes in ``steps`` gradient steps, and is
+    calibrated on ``calibration`` rounds.
     """
     lots = (
         [part[:, ::EVERY].reshape(-1, *part.shape[2:]) for part in lot]

@@ -62,7 +62,7 @@ class ProgressLog(KVWriter):
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Write the rest of the log; after an exception, only stop the thread of the events."""
+        """Write the rest of the log; after an exception, only stop the thread of TensorBoard."""
         if kind is None:
             self.save()
             self._events.close()
@@ -72,7 +72,7 @@ class ProgressLog(KVWriter):
 
 
 class Record:
-    """The record of one training, which continues from a checkpoint in its folder, if any.
+    """The record of a training; if its folder has a checkpoint, the training continues from it.
 
     Args:
         job: training to record.
@@ -81,7 +81,8 @@ class Record:
     Attributes:
         stand: state of the training: numbers of updates and timesteps; "best", the figures of the
             best policy, if any; "beat_rule", the time at which a policy first beat the paper's
-            rule, if any; and the trainer's own entries of a checkpoint, until it removes them.
+            rule, if any. If the training continues, also what the trainer itself saved in the
+            checkpoint; the trainer removes these entries when it restores them.
         log: log of the training's progress.
 
     Raises:

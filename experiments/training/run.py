@@ -36,7 +36,8 @@ from mmwave_env.io.lookup import choose
 if TYPE_CHECKING:
     from experiments.train import Args
 
-# default length of a training
+# Default length of a training, by algorithm: number of epochs or, for rollouts, number of states
+# in which all actions are tried.
 TIMESTEPS = {"ppo": 4_000_000, "rollouts": 1_200_000, "corrector": 150_000_000}
 
 # Options that do not affect a policy; the command in a policy file leaves them out.
@@ -44,7 +45,7 @@ ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")
 
 
 def rewards(args: TaskArgs) -> Reward:
-    """Return the reward to learn, without the subtraction of the IMM's reward."""
+    """Return the agent's reward; if it is paired, without the subtraction of the IMM's."""
     reward = choose(REWARDS, args.reward, "reward")
     if isinstance(reward, PairedReward):
         reward = reward.reward
@@ -57,8 +58,8 @@ def training_task(args: TaskArgs) -> TrainingTask:
     """Return the training task that options describe.
 
     Raises:
-        ValueError: a place, mode or reward is unknown, a place is named twice, or both a radio
-            and places are named.
+        ValueError: a place (scene and radio to train at), mode or reward is unknown, a place is
+            named twice, or both a radio and places are named.
     """
     places = places_from(args.places) if args.places else (Place("street", args.radio),)
     if args.places and args.radio != TaskArgs.radio:
@@ -72,12 +73,12 @@ def hyperparameters(args: TaskArgs, places: int, path: Path | None = None) -> Hy
 
     Args:
         args: options of the task.
-        places: number of places.
+        places: number of places to train at.
         path: file of hyperparameters; None for the shipped file.
 
     Raises:
-        ValueError: the file is for another algorithm, or its environments can't be spread over
-            the places.
+        ValueError: the file is for another algorithm, or its number of environments can't be
+            divided among the places.
     """
     path = path or shipped_hyperparameters(args.algo, args.beliefs)
     hyper = read_hyperparameters(path, args.algo)
@@ -87,11 +88,11 @@ def hyperparameters(args: TaskArgs, places: int, path: Path | None = None) -> Hy
         raise ValueError(f"{path}: {error}") from error
     if isinstance(hyper, PpoHyperparameters):
         return replace(hyper, paired=hyper.paired or args.reward == "paired")
-    return hyper  # rollouts learn from differences, in which the IMM's reward cancels
+    return hyper  # rollouts compare rewards of actions, so the IMM's reward would cancel out
 
 
 def manifest_of(args: "Args", banks: Mapping[str, Bank], hyper: Hyperparameters) -> dict[str, Any]:
-    """Return the choices that a continued run must repeat, in the form of JSON."""
+    """Return the choices, as JSON, that a run must repeat when it is continued."""
     written = {radio: bank_as_written(bank) for radio, bank in banks.items()}
     first, *_ = written.values()
     choices = {"banks": written} if args.beliefs == "per-mode" else {"modes": first["modes"]}
@@ -126,7 +127,7 @@ def begin(args: "Args", manifest: dict[str, Any]) -> None:
 
 
 def _require_same(path: Path, manifest: dict[str, Any]) -> None:
-    """Refuse to resume a run with another manifest."""
+    """Refuse to resume a run that was begun with a different manifest."""
 
     def flat(run: dict[str, Any]) -> dict[str, Any]:
         """Return the manifest with one entry per hyperparameter, for a precise message."""
@@ -143,7 +144,7 @@ def _require_same(path: Path, manifest: dict[str, Any]) -> None:
 
 @contextmanager
 def shown(jobs: list[Any]) -> Iterator[Any]:
-    """Show a progress bar for each training; yield the function to call with its news."""
+    """Show a progress bar for each training; yield a function that updates the bars."""
     with bars(TimeElapsedColumn()) as bar:
         tasks = {job.seed: bar.add_task(f"seed {job.seed}", total=job.timesteps) for job in jobs}
 

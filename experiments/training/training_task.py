@@ -19,8 +19,8 @@ from mmwave_env.task import task_from
 from mmwave_env.world.simulated import SimulatedSource
 
 FORM = (
-    "SCENE:RADIO, and optionally seconds between epochs, measured quantities and :offset, such as "
-    "street:handset or o1:standard:0.1:range+azimuth"
+    "SCENE:RADIO, optionally with :SECONDS between epochs, :QUANTITIES measured and :offset (of "
+    "the user's clock), such as street:handset or o1:standard:0.1:range+azimuth"
 )
 
 
@@ -35,7 +35,7 @@ class Place:
         clock: "synchronized" or "offset".
 
     Raises:
-        ValueError: an argument is invalid, or the place must remain unseen.
+        ValueError: an argument is invalid, or the benchmark keeps the scene or radio unseen.
         FileNotFoundError: there is no such file.
     """
 
@@ -47,7 +47,7 @@ class Place:
 
     def __post_init__(self) -> None:
         source = self.source("mixed")
-        # The names inside JSON files count, not the names of the files.
+        # A JSON file may have any name, so the check reads the names that the files contain.
         for argument, name in (("scene", source.scene.name), ("radio", source.radio.name)):
             if name in UNSEEN:
                 raise ValueError(
@@ -67,7 +67,7 @@ class Place:
         return self.source("mixed").radio.name
 
     def source(self, scenario: str) -> SimulatedSource:
-        """Return the source of episodes at the place for a scenario, a kind of user."""
+        """Return the source of episodes at this place, for a kind of user (``scenario``)."""
         world = WorldArgs(scenario=scenario, **asdict(self))
         return cast(SimulatedSource, source_of(world))  # since no recorded data was asked for
 
@@ -76,7 +76,7 @@ def place_from(text: str) -> Place:
     """Return the place that a word on the command line names, in the form :data:`FORM`.
 
     Raises:
-        ValueError: names the word, what was found in it and what was expected.
+        ValueError: the word has another form, or :class:`Place` refuses a part of it.
         FileNotFoundError: there is no such file.
     """
     scene, *rest = text.split(":")
@@ -93,7 +93,7 @@ def place_from(text: str) -> Place:
 
 
 def _option(word: str) -> tuple[str, Any]:
-    """Return the name and the value of a :class:`Place`'s attribute, given its word."""
+    """Return the name and the value of the :class:`Place` attribute that a word sets."""
     if word in CLOCKS:
         return "clock", word
     if word[0] in ".-" or word[0].isdigit():
@@ -104,8 +104,8 @@ def _option(word: str) -> tuple[str, Any]:
 def places_from(words: Sequence[str]) -> tuple[Place, ...]:
     """Return the places that words on the command line name, in order.
 
-    If some quantities are missing at one place, all places get the layout for missing quantities,
-    so that one program runs all of them.
+    If one place lacks some quantities, all places get the layout that allows for missing
+    quantities, so that one compiled program runs all places.
 
     Raises:
         ValueError: same as from :func:`place_from`, or a place is named twice.
@@ -150,7 +150,7 @@ class TrainingTask:
     Attributes:
         scenario, observation, beliefs: arguments of the same names.
         places: places to train at; every environment is at one place.
-        banks: banks of modes to choose from, by the name of a radio (:func:`banks_of`).
+        banks: banks of modes to choose from, by the name of their radio (:func:`banks_of`).
         reward: function of (belief, truth).
 
     Raises:

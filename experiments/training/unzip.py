@@ -47,7 +47,7 @@ def unzipped(model: Path, normalize: Path | None) -> tuple[dict[str, NDArray[Any
         process.start()
         try:
             process.join()
-        finally:  # the process must also end if this one is interrupted
+        finally:  # end the process even if waiting for it is interrupted
             process.kill()
             process.join()
         try:
@@ -65,7 +65,7 @@ def unzipped(model: Path, normalize: Path | None) -> tuple[dict[str, NDArray[Any
 
 
 def _unzip(model: str, normalize: Path | None, out: Path) -> None:
-    """Write the tensors, or the reason why there are none; runs in the separate process."""
+    """Write, in the separate process, the tensors or the reason why there are none."""
     try:
         policy, data = _loaded(model)
         require_actor(model, policy)
@@ -73,8 +73,8 @@ def _unzip(model: str, normalize: Path | None, out: Path) -> None:
         if data.get("_last_obs") is not None and normalized is (normalize is None):
             expected = "the file that VecNormalize.save wrote" if normalized else "none"
             raise ValueError(
-                f"{model}: normalize: found {normalize or 'none'}, expected {expected}, as in its "
-                "training"
+                f"{model}: normalize: found {normalize or 'none'}, expected {expected}, as in the "
+                "model's training"
             )
         normal = _normalization(normalize, policy.observation_space)
         facts = {"seed": data.get("seed"), "timesteps": data.get("num_timesteps")}
@@ -104,7 +104,7 @@ def _loaded(model: str) -> tuple[Any, dict[str, Any]]:
 
 
 def _normalization(path: Path | None, box: Any) -> Normalization:
-    """Read the normalization in a file of ``VecNormalize``; without a file, change nothing."""
+    """Read the normalization in a file of ``VecNormalize``; without a file, return the identity."""
     low, high = box.low.astype(float), box.high.astype(float)
     as_they_are = Normalization(low, high, np.zeros(box.shape), np.ones(box.shape))
     if path is None:

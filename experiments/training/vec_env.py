@@ -25,7 +25,7 @@ class PlacesVecEnv(VecEnv):
 
     Args:
         task: task of the training.
-        hyperparameters: number of environments, and whether rewards are paired.
+        hyperparameters: number of environments, and whether to subtract an IMM's reward (paired).
 
     Attributes:
         envs: native vector environments, one per place.
@@ -56,7 +56,7 @@ class PlacesVecEnv(VecEnv):
         super().__init__(self._firsts[-1], first.observation_space, first.action_space)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Give environment 0 the seed s, the next s + 1, and so on through all places."""
+        """Give environment i the seed ``seed + i``; the count i runs through all places."""
         seeds = super().seed(seed)
         for part, first in zip(self._parts, self._firsts, strict=False):
             part.seed(seeds[first])
@@ -78,7 +78,7 @@ class PlacesVecEnv(VecEnv):
             part.step_async(some)
 
     def step_wait(self) -> tuple[NDArray[Any], NDArray[np.float32], NDArray[np.bool_], Infos]:
-        """Return observations (n, features), rewards (n,), ends (n,) and infos of one step."""
+        """Return observations (n, features), rewards (n,), which episodes ended (n,) and infos."""
         *arrays, infos = zip(*(part.step_wait() for part in self._parts), strict=True)
         observations, rewards, over = map(np.concatenate, arrays)
         return observations, rewards, over, [info for part in infos for info in part]
@@ -91,7 +91,7 @@ class PlacesVecEnv(VecEnv):
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Restore the exact :meth:`state` of other environments."""
+        """Continue exactly like the environments that returned this :meth:`state`."""
         for i, (env, part) in enumerate(zip(self.envs, self._parts, strict=True)):
             env.restore(state[str(i)]["env"])
             part.restore(state[str(i)]["returns"])

@@ -1,7 +1,7 @@
 """The loop that runs a compiled program for many tracks, epoch by epoch, eight tracks at a time.
 
-In each epoch, the incoming rows of a block of eight tracks are loaded from a table or computed by a
-feed; results are written to arrays. The loop runs as compiled code and as plain Python.
+In each epoch, the incoming rows of a block of eight tracks are loaded from a table, or computed by
+a *feed* (a compiled function). Results are written to arrays. The loop also runs as plain Python.
 """
 
 import ctypes
@@ -198,9 +198,9 @@ def advance(begin, end, run, blank, state, io):  # type: ignore[no-untyped-def]
 
     A program reads its rows in an order that hardware prefetchers cannot guess. If the blocks of
     all environments do not fit into the core's own caches, reading the rows once in order, before
-    the program runs, halves its time. In the table, the epochs that two tracks run next are an
-    episode apart, so those of the next block are prefetched. The core's first cache can't hold the
-    code of both feed and program, so the feed runs for some blocks, then the program.
+    the program runs, halves the run time. In the table, the rows of two tracks are an episode apart
+    in memory, so the loop itself prefetches the rows of the next block. The core's first cache
+    can't hold the code of both feed and program, so the feed runs some blocks, then the program.
     All loops are plain because numba takes long to compile slices of arrays.
 
     Args:

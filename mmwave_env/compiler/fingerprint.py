@@ -1,6 +1,6 @@
 """Fingerprints: names that identify what a function of numbers computes.
 
-To get its name, a function runs once on numbers that record every operation. Two functions share a
+To name a function, we run it once on numbers that record every operation. Two functions share a
 name only if they use the same operations on the same rows and constants; then each can run the
 compiled code of the other. So users need not name the functions of their modes and rewards, and a
 change in such a function is never missed. Recording takes a hundredth of the time of compiling.

@@ -1,4 +1,4 @@
-"""Threads that share jobs; they run in parallel, as compiled code releases Python's lock."""
+"""Threads that share jobs; they run in parallel because compiled code releases Python's lock."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -65,6 +65,6 @@ def spans(count: int, parts: int) -> list[tuple[int, int]]:
 
 
 def portions(count: int, threads: int, most: int) -> list[slice]:
-    """Divide ``count`` things into slices of complete blocks of lanes, at most ``most`` in each."""
+    """Divide ``count`` things into slices of up to ``most`` things, made of whole blocks of 8."""
     size = min(most, -(-count // (threads * WIDTH)) * WIDTH)
     return [slice(first, first + size) for first in range(0, count, size)]

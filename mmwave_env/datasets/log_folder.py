@@ -27,13 +27,14 @@ def read_log_folder(folder: Path, clock: bool = False) -> MeasuredTrack:
     """Read a folder with a log, its scene and its true track, completely into memory.
 
     :class:`~mmwave_env.logs.truth.Truth` interpolates the true positions at the times of the
-    epochs; true velocities are computed from their differences. The layout is partial if a link
-    lacks some of its measurements or has its own standard deviations, or if an anchor other than
-    the base station has the Doppler shift. A warning says if the clocks of log and track differ.
+    epochs; differences of these positions give true velocities. The layout is partial if a link
+    lacks some of its measurements or has its own standard deviations, or if the Doppler shift was
+    measured at an anchor other than the base station. Differing clocks of log and track cause a
+    warning.
 
     Args:
         folder: contains ``log.csv`` (or ``.csv.gz``, ``.parquet``), ``scene.json``, ``truth.tum``.
-        clock: whether ranges have the offset of the user's clock.
+        clock: whether ranges contain an unknown offset of the user's clock.
 
     Raises:
         ValueError: a file is missing, damaged or not of the expected kind, or no epoch
@@ -90,7 +91,7 @@ def write_log_folder(folder: Path, episode: Episode, scene: Scene, origin: str) 
     """Write an episode so that :func:`read_log_folder` can read it; return the names of the files.
 
     Args:
-        folder: created if it does not exist.
+        folder: folder to write to; created if it does not exist.
         episode: the episode, whose prior is not written. If its true positions are unknown, an
             existing ``truth.tum`` is removed, because it does not belong to the new log.
         scene: scene of the episode.

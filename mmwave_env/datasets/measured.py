@@ -27,8 +27,8 @@ class MeasuredTrack(Track):
     Attributes:
         snr_db: (T, L) SNR of every link; -inf where no SNR was measured.
         doppler_spread_hz: (T,) Doppler spread.
-        sigma: (T, rows) the receiver's own standard deviations, NaN where it states none; None if
-            the layout is not partial.
+        sigma: (T, rows) the receiver's own standard deviations, NaN where it states none; None
+            unless the layout is partial (single values may be missing).
         doppler_anchor: (T,) index, from 0, of the anchor whose Doppler shift was measured; None
             for the base station.
     """

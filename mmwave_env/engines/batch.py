@@ -1,8 +1,9 @@
 """Batches of environments that run a program on episodes.
 
 The workspace of such a program begins with three fields that a :class:`Batch` fills in:
-``incoming``, the next epoch (:class:`~mmwave_env.world.episode.Incoming`); ``site``; and
-``is_first``, which is 1 if an episode begins. The program sets ``is_first`` back to 0.
+``incoming``, the next epoch (:class:`~mmwave_env.world.episode.Incoming`); ``site``, the anchors
+and the prior; and ``is_first``, which is 1 if an episode begins. The program sets ``is_first``
+back to 0.
 """
 
 from collections.abc import Sequence
@@ -29,7 +30,7 @@ from mmwave_env.numerics.pytree import flatten
 from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
 from mmwave_env.world.simulated import Begun, SimulatedSource
 
-BLOCKS_PER_THREAD = 64  # waking a thread takes as long as running 32 blocks
+BLOCKS_PER_THREAD = 64  # minimum; waking a thread takes as long as 32 blocks of 8 environments
 
 
 class Batch(Generic[Workspace]):
@@ -42,7 +43,8 @@ class Batch(Generic[Workspace]):
         input_rows: leaves of ``program.index`` that receive an input in every epoch.
         on_floats: whether to run in plain Python instead of on SIMD lanes.
         threads: number of threads that may work at once; results do not depend on it.
-        ahead: how many epochs the program runs ahead of actions: 1 if they are corrections, else 0.
+        ahead: number of epochs to run before the first action: 1 if actions are corrections, as
+            there must be a belief to correct, else 0.
 
     Attributes:
         at: tree like the workspace, with row numbers in place of values; selects the rows to read.
@@ -71,7 +73,7 @@ class Batch(Generic[Workspace]):
 
     @property
     def completed(self) -> Index:
-        """Return how many epochs (n,) actions have completed; later epochs wait for actions."""
+        """Return the number of epochs (n,) that actions have completed so far."""
         return self.state.epoch - 1 - self.ahead
 
     def load(
@@ -83,7 +85,7 @@ class Batch(Generic[Workspace]):
         """Load episodes, which start new tracks or continue the current tracks.
 
         Args:
-            episodes: one episode for each of the places.
+            episodes: one episode for each environment in ``places``.
             places: numbers of the environments to load; None for all.
             gap_s: seconds since the last epoch that ran, for episodes that continue the track;
                 None to start over from the episodes' priors.
@@ -121,7 +123,7 @@ class Batch(Generic[Workspace]):
 
         Args:
             source: source of the episodes, the same in every call.
-            begun: the beginning of the episode at each of the places.
+            begun: the beginning of each environment's episode.
             places: numbers of the environments that begin.
         """
         self.attach(source)

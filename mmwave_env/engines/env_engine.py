@@ -37,7 +37,7 @@ class Engine:
             share a belief.
         action, base: same as in :class:`~mmwave_env.task.Task`.
         on_floats: whether to run in plain Python, as filterpy needs, instead of on SIMD lanes.
-        threads: number of threads that may work at once; results do not depend on it.
+        threads: number of threads that may work at once; results do not depend on this number.
 
     Attributes:
         batch: workspaces and episodes of the environments.
@@ -64,7 +64,7 @@ class Engine:
             observation = "signed"
         table = Observation(pipeline, observation, "per-mode" if bank else "shared")
         self.observation, self._shown = table, cast(Any, slice(None))
-        if ahead:  # leave out the features that already know the coming epoch
+        if ahead:  # leave out the features that depend on the coming epoch
             self.observation = table.only(after_update(pipeline, per_mode=True))
             self._shown = [table.names.index(name) for name in self.observation.names]
         self._base = base(table) if base else None
@@ -98,7 +98,7 @@ class Engine:
         Args:
             task: a task with simulated episodes, the same in every call.
             keys: (n,) keys of the episodes.
-            places: (n,) environments.
+            places: (n,) indices of the environments.
             threads: number of threads that may draw at once.
 
         Returns:
@@ -124,7 +124,7 @@ class Engine:
             self.batch.make_room(task.simulated.epochs)
 
     def go_on(self, task: Task, tracks: BatchState) -> None:
-        """Continue from the state of a batch with the same task, in this process or another."""
+        """Continue from the state of a batch with the same task, even from another process."""
         if len(tracks.feed.kept):  # the address of compiled code differs between processes
             feed = tracks.feed._replace(run=task.simulated.world.on_lanes())
             tracks = tracks._replace(feed=feed)
@@ -160,12 +160,15 @@ class Engine:
         return io.observations[:, 0], io.outputs[:, 0]
 
     def lead(self, places: Index) -> None:
-        """Run environments just loaded one epoch ahead, if actions are corrections."""
+        """Finish the first epoch of episodes just loaded, if actions are corrections.
+
+        The first action then corrects the belief after this epoch.
+        """
         if self.batch.ahead:
             self.start(places)
 
     def choices(self) -> Index:
-        """Return the base's actions (n,) in the epoch under consideration; 0 without a base."""
+        """Return the base agent's actions (n,) in the current epoch; zeros without a base agent."""
         n = self.batch.n
         if self._base is None:
             return np.zeros(n, np.int64)
@@ -188,7 +191,7 @@ class Engine:
 
         Args:
             actions: numbers of modes, from 0; with a belief per mode, from 1, or 0 for no mode.
-            output_rows: (k,) numbers of rows to return: results of :func:`rows_of` for ``at``.
+            output_rows: (k,) row numbers of the values to return, such as from :func:`rows_of`.
 
         Returns:
             The observations (n, features) and the output rows (n, k), in new arrays.

@@ -22,7 +22,7 @@ from mmwave_env.io.records import Bound, Probability, Size, object_from, read_ob
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import RADIOS, Radio, radio_from
 
-MOST_MODES = 32  # every mode is compiled and runs in every epoch
+MOST_MODES = 32  # maximum number of modes; each is compiled, and runs in every epoch
 Transition = Annotated[tuple[tuple[Probability, ...], ...], "a list of rows of probabilities"]
 _ROUNDING = 1e-6  # tolerance of the sum of a row of probabilities
 # Further keys of a mode file, which record how the file was made and are not read.
@@ -167,7 +167,7 @@ def default_modes(radio: str | Radio = "handset") -> tuple[Mode, Mode]:
 
 
 def named_modes(radio: str | Radio = "handset") -> dict[str, Mode]:
-    """Return modes by name: the default "ekf" and "ukf", "ckf" (tuned like "ukf"), robust forms."""
+    """Return modes by name: default "ekf" and "ukf", their robust forms, "ckf" tuned like "ukf"."""
     low, high = default_modes(radio)
     modes = (low, high, replace(high, name="ckf", algorithm="ckf"), robust(low), robust(high))
     return {mode.name: mode for mode in modes}

@@ -1,8 +1,8 @@
 """Corrections of a belief's position in the frame of motion.
 
 The *frame of motion* has axes along the estimated horizontal velocity, across it (to the left) and
-up. A correction has two numbers for each axis: how many standard deviations of the belief the
-estimated position moves, and the factor by which this deviation is scaled.
+up. A correction has two numbers for each axis: the shift of the estimated position, in standard
+deviations of the belief, and the logarithm of the factor by which this deviation is scaled.
 """
 
 from typing import NamedTuple
@@ -14,7 +14,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Matrix, Number, Vector, exp, maximum, sqrt, where
 
-MOST_SHIFT, MOST_LOG_FACTOR = 4.0, 2.0  # limits of corrections, in deviations and as logarithms
+MOST_SHIFT, MOST_LOG_FACTOR = 4.0, 2.0  # limits of a shift, in deviations, and of a log factor
 SLOWEST_MPS = 1e-3  # below this speed, the x axis counts as the direction of motion
 
 
@@ -41,11 +41,11 @@ class Frame(NamedTuple):
         return self.cosine * along - self.sine * across, self.sine * along + self.cosine * across
 
     def covariance(self, P: Matrix, first: int = 0) -> tuple[Number, Number, Number]:
-        """Return variance along, variance across, and covariance of two components of P.
+        """Return the variance along, the variance across, and the covariance of the two.
 
         Args:
             P: (n, n) covariance.
-            first: component x, followed by y: 0 for the position, 3 for the velocity.
+            first: index of component x in P, followed by y: 0 for the position, 3 for the velocity.
         """
         c, s = self
         xx, yy, xy = P[first][first], P[first + 1][first + 1], P[first + 1][first]

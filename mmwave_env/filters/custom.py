@@ -68,10 +68,10 @@ class _Trial(NamedTuple):
 
 
 def _trials(layout: Layout) -> Iterator[_Trial]:
-    """Yield an epoch that measures everything, and one with an outlier and missing groups.
+    """Yield an epoch that measures everything, and one with an outlier and missing groups of rows.
 
-    In a partial layout, also yield an epoch in which only some rows are measured and the Doppler
-    shift belongs to another anchor.
+    In a partial layout, in which single rows may be missing, also yield an epoch with only some of
+    the rows and with the Doppler shift of the last anchor instead of the first.
     """
     hz_per_mps, scale = 93.4, [2.0, 1.5, 0.5, 1.0, 0.8, 0.2, 30.0]
     x = [12.0, -7.0, 1.5, 3.0, -2.0, 0.1, 20.0]
@@ -134,7 +134,7 @@ def _check(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> None:
 def _uses_missing_rows(
     mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial, result: Posterior
 ) -> Iterator[str]:
-    """Yield faults: values of a partial epoch's result that depend on rows not measured."""
+    """Yield faults: values of a result that depend on rows of z that were not measured."""
     if not trial.rows:
         return
     anchors, hz_per_mps, z, *rest = trial.measured
@@ -197,7 +197,8 @@ def _run(mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial)
         advice = f"{type(error).__name__}: {error}"
         if isinstance(force, FloatTracer) and isinstance(error, TypeError | AttributeError):
             advice = f"{advice}\n{_LANES_KNOW}"
-        line = line_of(error, mode.update) or begin_of(mode.update)  # the function was not entered
+        # If the call itself failed, the traceback contains no line of the function.
+        line = line_of(error, mode.update) or begin_of(mode.update)
         raise _error(mode, "failed in a trial run", line, advice) from error
     for name, argument, old in zip(("x", "P", "measurement"), arguments, before, strict=True):
         new = flatten(argument)

@@ -2,8 +2,9 @@
 
 Prediction, sigma points, innovation, gain and covariance come from filterpy; the measurement
 function and its Jacobian come from :class:`~mmwave_env.filters.textbook.Sensor`, row by row,
-without shortcuts (fused azimuths, latents). Tests, the benchmark and users in doubt compare the two
-implementations. Run such modes on floats: ``Engine(filterpy_pipeline(...), on_floats=True)``.
+without this package's shortcuts, such as latent variables. Tests, the benchmark and users in doubt
+compare the two implementations. To run such modes, use
+``Engine(filterpy_pipeline(...), on_floats=True)``.
 
 An update works in coordinates relative to the prior mean m: dx = x - m and dz = z - h(m). Small
 values are needed for two reasons. filterpy subtracts angles without wrapping them. And it computes
@@ -65,7 +66,7 @@ class _Relative:
         return self._sensor.residual(z, self._at_mean, self._mean)
 
     def jacobian(self) -> Array:
-        """Return the Jacobian H = dh/dx (rows, 7) at m; 0 for odometry without a direction."""
+        """Return H = dh/dx (rows, 7) at m; 0 where it is undefined, as for odometry at rest."""
         with np.errstate(invalid="ignore"):
             return np.nan_to_num(self._sensor.jacobian(self._mean))
 
@@ -132,7 +133,7 @@ class _Ukf(_PointFilter):
 
 
 class _Ckf(_PointFilter):
-    """The CKF of filterpy, which needs column vectors, and whose points and arrays are set here."""
+    """The CKF of filterpy, which needs column vectors; this class sets the points and arrays."""
 
     def __init__(self, size: int) -> None:
         self._filter = CubatureKalmanFilter(size, 1, 1.0, None, None)

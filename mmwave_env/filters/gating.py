@@ -30,9 +30,10 @@ class Gate(NamedTuple):
 
 
 def innovation_statistics(group: Group, V: Matrix, latents: Latents) -> tuple[Number, Number]:
-    """Return NIS y' S^-1 y and determinant of S, a group's innovation covariance, at the prior.
+    """Return a group's NIS y' S^-1 y at the prior, and det S, for its innovation y.
 
-    With latents, S is V cov(eta) V' + R; in :mod:`~mmwave_env.filters.textbook`, it is H P H' + R.
+    The covariance S of y is H P H' + R in :mod:`~mmwave_env.filters.textbook`; here it is
+    V cov(eta) V' + R, with the latent variables eta of :mod:`~mmwave_env.filters.linearization`.
     """
     shift = [latents.shift(row) for row in V]
     variance = latents.variance
@@ -52,7 +53,7 @@ def innovation_statistics(group: Group, V: Matrix, latents: Latents) -> tuple[Nu
 
 def chi_square_limits(quantile: float) -> list[float]:
     """Return the chi-square quantiles for 1 to 4 degrees of freedom; a group has at most 4."""
-    from scipy.special import chdtri  # imported here: describing a mode does not need it
+    from scipy.special import chdtri  # slow to import, and not needed to describe a mode
 
     return [float(chdtri(rows, 1.0 - quantile)) for rows in range(1, 5)]
 
@@ -80,7 +81,7 @@ class GateResult(NamedTuple):
     # nis, accepted, log_likelihood: same as in :class:`~mmwave_env.filters.update.Posterior`
     nis: list[Number]
     accepted: list[Number]
-    noise: list[list[Number]]  # per group, (k,) noise variances, inflated if doubtful
+    noise: list[list[Number]]  # per group, (k,) noise variances, inflated for doubtful links
     log_likelihood: Number
 
 

@@ -60,7 +60,7 @@ def begin(pipeline: Pipeline, x: Vector, P: Vector) -> Mixture:
 
 
 def stay_matrix(modes: int, stay: float = DEFAULT_STAY) -> tuple[tuple[float, ...], ...]:
-    """Return probabilities (from, to): ``stay`` on the diagonal, the rest of a row is equal."""
+    """Return probabilities (from, to): ``stay`` on the diagonal, and equal values elsewhere."""
     if modes == 1:
         return ((1.0,),)
     move = (1.0 - stay) / (modes - 1)
@@ -101,7 +101,8 @@ def over_step(transition: Matrix, dt: Number) -> list[list[Number]]:
     """Return transition probabilities (from, to) over a step, given the probabilities per second.
 
     Over dt seconds, the probability of leaving mode i is (1 - p_ii) dt. A step of more than 1 s
-    counts as 1 s, so that rows stay probabilities; so does the first step of an episode, 0 s.
+    counts as 1 s, so that rows stay probabilities. The first step of an episode, 0 s, also counts
+    as 1 s.
     """
     step = step_weight(dt)
     return [
@@ -190,7 +191,7 @@ def _normalized(weights: Sequence[Number]) -> list[Number]:
 
 
 def most_probable(mixture: Mixture) -> Number:
-    """Return the number, from 0, of the most probable mode; of equals, the first mode wins."""
+    """Return the number, from 0, of the most probable mode; the first if several are equal."""
     number: Number = 0.0
     best = mixture.probability[0]
     for m, probability in enumerate(mixture.probability[1:], start=1):
@@ -217,8 +218,8 @@ def prediction(now: ImmEpoch, dt: Number, hz_per_mps: Number) -> tuple[list[Numb
     """Return the mixture's mean (7,) and packed covariance (28,) before an epoch's update.
 
     The Rauch-Tung-Striebel smoother assumes x_predicted = F x + noise, with noise independent of x.
-    So the known accelerations of the modes are treated as noise, as if they did not correlate with
-    the modes' means. With the correlation, smoothed variances could become negative.
+    So the shifts that the modes' known accelerations cause count as noise: their covariance is
+    added. Their correlation with x is left out; it could make smoothed variances negative.
     """
     moved = [move(x, dt, hz_per_mps) for x in now.mixed]
     shifts = [

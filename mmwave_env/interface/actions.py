@@ -14,13 +14,13 @@ from mmwave_env.numerics.numbers import Array
 MODE, WEIGHTS, CORRECTION = "mode", "weights", "correction"
 ACTIONS = {
     MODE: "the number of the mode to run or, with a belief per mode, to trust",
-    WEIGHTS: "logarithms of factors on the probabilities of the modes, per second",
+    WEIGHTS: "for each mode, the logarithm of a factor per second on its probability",
     CORRECTION: "three shifts of the belief and three logarithms of factors on its deviations",
 }
 
 
 def limits_of(action: str, modes: int) -> Array:
-    """Return the largest absolute values (k,) of an action's numbers; (0,) if it is a mode."""
+    """Return the largest absolute values (k,) of an action's numbers; (0,) if actions are modes."""
     if action == WEIGHTS:
         return np.full(modes, TRUST)
     return np.repeat([MOST_SHIFT, MOST_LOG_FACTOR], 3) if action == CORRECTION else np.zeros(0)

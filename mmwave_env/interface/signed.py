@@ -21,7 +21,7 @@ _LEAST_M = 0.05  # minimum of the standard deviations, m, by which residuals are
 _LEAST_RAD = 1e-3
 _LEAST_S = 1e-3
 _WAYS = ("along", "across")
-# name of a row in a link -> its row, and whether it measures the position along the ray
+# name of a link's row -> (its index, whether it measures along the anchor's ray, not across it)
 _ROWS = {"range": (0, True), "azimuth": (1, False), "departure": (3, False)}
 
 
@@ -29,13 +29,13 @@ class LastEpoch(NamedTuple):
     """The last epoch, whose update led to the belief that features describe."""
 
     epoch: Epoch
-    is_missing: Number  # 1 if there was no epoch before, else 0
+    is_missing: Number  # 1 if no epoch has been filtered yet, else 0
     velocity: Vector  # (3,) velocity of the belief before the epoch
     probabilities: Vector  # (modes,) probabilities after the update; empty with a shared belief
 
 
 def after_update(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
-    """Return all features that describe the last epoch alone: what a corrector may read."""
+    """Return all features that use the last epoch alone, for policies that correct beliefs."""
     return [*last_epoch(pipeline.layout), *signed(pipeline, per_mode)]
 
 
@@ -52,7 +52,7 @@ def signed(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
         *_belief(2 not in pipeline.known_axes),
         Feature("turn sine", "sine of the turn of the direction of motion in the last epoch", "",
                 -1, 1, lambda v: _turn(v)[1]),
-        Feature("turn cosine", "cosine of that turn", "", -1, 1, lambda v: _turn(v)[0]),
+        Feature("turn cosine", "cosine of the same turn", "", -1, 1, lambda v: _turn(v)[0]),
         Feature("last step", "ln of the last epoch's step; 0 in an episode's first epoch", "ln s",
                 -7, 4, _step),
         Feature("last speed", "ln(1 + estimated horizontal speed / (1 m/s))", "", 0, 4,
@@ -95,7 +95,7 @@ def _squashed(q: Number) -> Number:
 
 
 def _ray(view: View, anchor: int) -> tuple[list[Number], Number, tuple[Number, Number, Number]]:
-    """Return the vector from an anchor to the belief, its horizontal length, and its direction."""
+    """Return the vector from an anchor to the estimate, its horizontal length and its direction."""
     step = [view.x[i] - view.site.anchors[anchor][i] for i in range(3)]
     flat = sqrt(step[0] * step[0] + step[1] * step[1])
     return step, flat, direction(step)
@@ -121,12 +121,12 @@ def _residual(view: View, layout: Layout, anchor: int, name: str) -> tuple[Numbe
 
 
 def _turned(angle: Number) -> Number:
-    """Wrap an angle that is between -5 pi and 3 pi to [-pi, pi]."""
+    """Wrap an angle, which must be between -5 pi and 3 pi, to [-pi, pi]."""
     return wrap(where(angle < -PI, angle + 2.0 * PI, angle))
 
 
 def _deviation(view: View, anchor: int, name: str) -> Number:
-    """Return the standard deviation of a row, m; that of an angle is measured across the ray."""
+    """Return a row's standard deviation, m; for an angle, it is a length across the ray."""
     row, outward = _ROWS[name]
     sigma, (_, flat, _) = view.last.epoch.sigma[4 * anchor + row], _ray(view, anchor)
     return maximum(sigma if outward else sigma * flat, _LEAST_M)
@@ -161,10 +161,10 @@ def _link(layout: Layout, a: int) -> list[Feature]:
     of = f"anchor {a + 1}"
     table = []
     for name in _ROWS:
-        meaning = f"residual of the {name} after the update, in deviations: sign(q) ln(1 + |q|)"
+        meaning = f"sign(q) ln(1 + |q|), q: {name} minus the updated estimate, in deviations"
         table += [
-            *(Feature(f"{name} residual {way} {of}", f"{meaning}, times the {way} component of its "
-                      "direction; 0 if missing", "", -10, 10, partial(residual, name, i),
+            *(Feature(f"{name} residual {way} {of}", f"{meaning}, times the {way} component of the "
+                      "measured direction; 0 if missing", "", -10, 10, partial(residual, name, i),
                       f"{name} residual {way}") for i, way in enumerate(_WAYS)),
             Feature(f"{name} deviation {of}", "ln of the standard deviation, in meters at the "
                     "user; 0 if missing", "ln m", -4, 8, partial(deviation, name),

@@ -72,7 +72,7 @@ def read_bounded(path: Path, most: int, expected: str = "a file") -> bytes:
     """
     with open_regular(path, expected) as file, naming(path):
         size = os.fstat(file.fileno()).st_size
-        content = file.read(most + 1) if size <= most else b""  # a system may report size 0
+        content = file.read(most + 1) if size <= most else b""  # files in /proc have size 0
         if max(size, len(content)) > most:
             length = f"{size} bytes" if size > most else f"more than {most} bytes"
             raise OSError(f"{path}: found {length}, expected {expected} of at most {most} bytes")
@@ -153,7 +153,7 @@ def require_writable(path: Path) -> None:
 
 
 def _target_of(path: Path) -> Path:
-    """Return the file that a path or link leads to, not a device; create missing folders."""
+    """Return the file that a path or link leads to; refuse a device; create missing folders."""
     target = Path(os.path.realpath(path))
     if target.is_dir():
         raise IsADirectoryError(f"{path}: found a folder, expected a file to write")
@@ -165,7 +165,7 @@ def _target_of(path: Path) -> Path:
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """Yield a temporary file that replaces ``path`` at the end; folder and suffixes are the same.
+    """Yield a temporary file, with the same folder and suffixes, that replaces ``path`` at the end.
 
     If the block fails, the temporary file is removed and ``path`` stays as it was. Missing folders
     are created. The permissions of a new file follow the umask; those of a replaced file are kept.
@@ -192,8 +192,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file completely or not at all; create missing folders."""
-    with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8", newline="\n")
+    write_bytes(path, text.encode())
 
 
 def write_bytes(path: Path, content: bytes) -> None:

@@ -72,12 +72,12 @@ def did_you_mean(name: object, known: Iterable[str], most: int = 1) -> str:
 class MissingExtraError(ImportError, ValueError):
     """Error for a missing package that one of our extras installs.
 
-    It is also a ValueError, because commands print these in one line, without a traceback.
+    It is also a ValueError, because commands print a ValueError in one line, without a traceback.
     """
 
 
 def require_extra(package: str, extra: str, user: str) -> None:
-    """Raise an error, before any work is done, if a package is missing; ``user`` is what needs it.
+    """Refuse to start work if a package is missing; ``user`` names what needs the package.
 
     Raises:
         MissingExtraError: the package is not installed; the message says how to get it.

@@ -1,10 +1,11 @@
-"""Diagnosis of a log: the search for a likely mistake whose correction makes it consistent.
+"""Diagnosis of a log: a search for the mistake whose correction makes the log consistent.
 
 A hypothesis is a way to read the values in the file. For every hypothesis, the same filter
-without gates computes a track from the first epochs. A hypothesis makes the log consistent if NIS /
-dof is near 1 and :mod:`~mmwave_env.localization.contradictions` reports nothing. Such hypotheses
-are ranked by the likelihood of the values as they are in the file, because values in different
-units can't be compared. If no single mistake explains the log, pairs of mistakes are tried.
+without gates computes a track from the first epochs. A hypothesis makes the log consistent if the
+NIS per degree of freedom (dof) is near 1 and :mod:`~mmwave_env.localization.contradictions` reports
+nothing. Such hypotheses are ranked by the likelihood of the values in the file's units, because
+likelihoods in different units can't be compared. If no single mistake explains the log, pairs of
+mistakes are tried.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -46,14 +47,14 @@ _FACTORS = {  # mistake -> the factor that undoes it, and the unit that the colu
     "1e6 times too small (s?)": (1e6, "s"),
     "1e9 times too small (s?)": (1e9, "s"),
 }
-_OUTLIER_QUANTILE = 1e-6  # a group's NIS beyond this upper quantile is an outlier, and is clipped
+_OUTLIER_QUANTILE = 1e-6  # NIS is clipped at this upper quantile of chi-square
 
 
 class Reading(NamedTuple):
     """The epochs of a log, read as a hypothesis says."""
 
     block: LogBlock  # the epochs; angles need not be wrapped
-    # scene, radio: scene and radio of the measurements
+    # scene, radio: according to the hypothesis, the log was measured in this scene by this radio
     scene: Scene
     radio: Radio
     # sum of the logarithms of the factors by which values of the file were multiplied; this sum
@@ -75,8 +76,8 @@ class Finding(NamedTuple):
     """The result of testing a hypothesis."""
 
     hypothesis: str  # the hypothesis in words
-    # name of a group -> median of its NIS over epochs (robust to outliers), divided by the median
-    # of chi-square: 1 if the hypothesis is right; None if the group was not measured or tracked
+    # for each group of measurements (by name), the median of its NIS over epochs, divided by the
+    # median of chi-square: near 1 if the hypothesis is right; None if the group was not used
     nis_per_dof: dict[str, float | None]
     # mean over epochs of the log-likelihood of the file's values; None if there is no track
     log_likelihood: float | None
@@ -86,13 +87,16 @@ class Finding(NamedTuple):
 
     @property
     def worst_anchor(self) -> float | None:
-        """Return the NIS / dof that is farthest from 1 among the anchors; None if there is none."""
+        """Return the NIS / dof farthest from 1 among the anchors; None if no anchor was used."""
         anchors = [nis for name, nis in self.nis_per_dof.items() if name.startswith("anchor")]
         return max(filter(None, anchors), key=lambda nis: abs(np.log(nis)), default=None)
 
 
 def _scaled(parts: Sequence[int], factor: float, offset: float = 0.0) -> Hypothesis:
-    """Return a hypothesis that scales parts of links, or the Doppler shift, and adds an offset."""
+    """Return a hypothesis that scales parts of links and adds an offset.
+
+    Without parts, the hypothesis scales the Doppler shift instead.
+    """
 
     def change(reading: Reading) -> Reading:
         block, layout = reading.block, reading.block.layout
@@ -142,7 +146,7 @@ def _orders(anchors: int) -> list[tuple[int, ...]]:
 
 
 def hypotheses(scene: Scene, radio: Radio) -> dict[str, Mistake]:
-    """Return likely mistakes, named in words, with the functions that undo them."""
+    """Return likely mistakes by name: for each, the function that undoes it, and its cure."""
     ends, turned = partial(_exchanged, _AZIMUTH, _DEPARTURE), _scaled([_ELEVATION], -1.0)
     vertical = partial(_exchanged, _AZIMUTH, _ELEVATION)
     zenith, nadir = (_scaled([_ELEVATION], sign, -sign * PI / 2.0) for sign in (-1.0, 1.0))
@@ -188,13 +192,14 @@ def hypotheses(scene: Scene, radio: Radio) -> dict[str, Mistake]:
 def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
     """Try likely mistakes on the first epochs of a log.
 
-    Scene and radio are those of the log, as far as known; the tracker uses tuning and algorithm of
-    ``mode``. Read the block with ``limits=False, odometry=False``.
+    The scene and radio are those that the user states; the tracker uses the tuning and algorithm
+    of ``mode``. The block must come from :func:`~mmwave_env.logs.log.read_log` with
+    ``limits=False`` and ``odometry=False``.
 
     Returns:
         A finding for the log as it is and for every hypothesis. Hypotheses that make the log
         consistent come first, beginning with the most likely one; the others follow by their fit.
-        If only pairs of hypotheses make it consistent, the most likely pair comes first.
+        If only pairs of hypotheses make the log consistent, the most likely pair comes first.
 
     Raises:
         ValueError: there is no line of sight with which a track could begin.

@@ -1,12 +1,13 @@
-"""Protection levels that hold: Gaussian levels times factors that a network learned.
+"""Protection levels of position errors: Gaussian levels times factors that a network learned.
 
-A Gaussian level (:mod:`mmwave_env.localization.position_errors`) holds only if the covariance is
-right. A small network reads what every filter knows after an epoch, and answers by which factor
-errors exceed the Gaussian level with the stated risk: a quantile regression. One constant per risk
-and direction corrects it by split conformal prediction on other episodes (Y. Romano, R. Patterson
-and E. Candès, "Conformalized quantile regression", NeurIPS 2019; for epochs that belong to
-episodes: Y. Lee, R. F. Barber and R. Willett, "Distribution-free inference with hierarchical data",
-2023). docs/errors.md says what this guarantees; experiments/training/levels.py trains it.
+An error exceeds its Gaussian level (:mod:`mmwave_env.localization.position_errors`) with the stated
+risk only if the covariance is right. So a small network, trained by quantile regression, reads
+what a filter knows after an epoch, and returns a factor for the Gaussian level. Constants (one per
+kind of filter, risk and direction) then correct the factor. They were computed by split conformal
+prediction on episodes that the training did not use (Y. Romano, R. Patterson and E. Candès,
+"Conformalized quantile regression", NeurIPS 2019; for epochs grouped in episodes: Y. Lee, R. F.
+Barber and R. Willett, "Distribution-free inference with hierarchical data", 2023). docs/errors.md
+says what the levels guarantee; experiments/training/levels.py trains the network.
 """
 
 from base64 import b64decode, b64encode
@@ -25,20 +26,21 @@ from mmwave_env.localization.position_errors import gaussian_levels, horizontal,
 from mmwave_env.metrics import RISK
 from mmwave_env.numerics.numbers import Array
 
-PARTS = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected")  # that features need
+# parts of a filter's state from which the features are computed
+PARTS = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected")
 CALIBRATED, GAUSSIAN = KINDS = ("calibrated", "gaussian")
-_MEMORY = np.array([[0.6], [0.9], [0.97]])  # weights of the past in running means, per second
-_LEAST, _LEAST_S = 1e-9, 1e-2
-_KIND = [18, 20]  # the features that tell whether there is a corrector, and a bank
+_MEMORY = np.array([[0.6], [0.9], [0.97]])  # share of a running mean that remains after 1 s
+_LEAST, _LEAST_S = 1e-9, 1e-2  # lower limits, so that logarithms and quotients are finite
+_KIND = [18, 20]  # indices of features that are 1 or 0: a corrector runs, a bank runs
 
 
 class Network(NamedTuple):
     """A network with its calibration.
 
     Attributes:
-        risks: (R,) covered risks.
-        constants: (3, R, 2) what the calibration adds to its answers, horizontally and vertically,
-            for a single filter, for a bank, and for a corrector.
+        risks: (R,) risks for which the network was trained and calibrated.
+        constants: (3, R, 2) numbers that the calibration adds to the network's outputs, for every
+            kind of filter (single, bank, corrector), risk, and direction (horizontal, vertical).
         low, high: (features,) limits of the features in the training.
         layers: weights (outputs, inputs) and biases of the layers.
     """
@@ -64,7 +66,7 @@ class Network(NamedTuple):
 
     def log_factors(self, features: Array) -> Array:
         """Return logarithms of factors (..., R, 2), given features (..., features)."""
-        values = np.fmin(np.fmax(features, self.low), self.high)  # the limit instead of NaN
+        values = np.fmin(np.fmax(features, self.low), self.high)  # NaN becomes the low limit
         *hidden, (weight, bias) = self.layers
         for w, b in hidden:
             values = np.tanh(values @ w.T + b)
@@ -89,7 +91,7 @@ class Levels:
 
     Args:
         risk: probability that an error exceeds its level.
-        kind: "calibrated", or "gaussian" for the levels that covariances promise.
+        kind: "calibrated", or "gaussian" for levels computed from covariances alone.
 
     Raises:
         ValueError: the kind is unknown, or its levels do not cover the risk.
@@ -114,7 +116,7 @@ class Levels:
         self._first_s = self._last_s = 0.0
 
     def factors(self, anchors: int, mixes: bool, time_s: Array, *parts: Any) -> Array:
-        """Return factors (n, T, 2) on horizontal and vertical Gaussian levels.
+        """Return factors (n, T, 2) by which to multiply horizontal and vertical Gaussian levels.
 
         Arguments are those of :meth:`features`.
         """
@@ -124,15 +126,15 @@ class Levels:
         return np.exp(logs[..., shipped().risks.index(self.risk), :])  # type: ignore[no-any-return]
 
     def features(self, anchors: int, mixes: bool, time_s: Array, *parts: Any) -> Array:
-        """Return the features (n, T, features) of n tracks, whose T epochs follow earlier ones.
+        """Return the features (n, T, features) of the next T epochs of n tracks.
 
         Args:
             anchors: number of anchors.
-            mixes: whether beliefs are those of a bank, whose modes interact.
+            mixes: whether the beliefs come from a bank of interacting modes.
             time_s: (T,) times of the epochs.
-            parts: beliefs x (n, T, 7 or 8) and P (n, T, 28 or 36), packed; NIS of every group of
-                measurements, and which ones were accepted or rejected (n, T, groups); and,
-                optionally, trust in a corrector (n, T), which is NaN without a corrector.
+            parts: beliefs x (n, T, 7 or 8) and P (n, T, 28 or 36), packed; for every group of
+                measurements (n, T, groups) its NIS, whether it was accepted, and whether it was
+                rejected; and, optionally, trust in a corrector (n, T), NaN without a corrector.
         """
         x, P, nis, accepted, rejected, trusted = (*parts, None)[:6]
         if self._means is None:
@@ -160,7 +162,7 @@ class Levels:
 
 
 def _gates(anchors: int, nis: Any, accepted: Any, rejected: Any) -> list[Array]:
-    """Return numbers (n, T) on innovations and gates, as many for any number of links."""
+    """Return eight numbers (n, T) on innovations and gates, whatever the number of anchors."""
     measured = accepted + rejected
     links, nis = measured[..., :anchors].sum(axis=-1), nis * measured
     return [
@@ -176,7 +178,10 @@ def _gates(anchors: int, nis: Any, accepted: Any, rejected: Any) -> list[Array]:
 
 
 def _sizes(P: Array) -> list[Array]:
-    """Return logarithms (n, T) of the Gaussian levels; of a known height, the horizontal one."""
+    """Return logarithms (n, T) of both Gaussian levels.
+
+    If the height is known, the horizontal level takes the place of the vertical one.
+    """
     horizontal, vertical = np.moveaxis(gaussian_levels(P, RISK), -1, 0)
     vertical = np.where(P[..., 5] > 0.0, vertical, horizontal)
     return [np.log(np.maximum(level, _LEAST)) for level in (horizontal, vertical)]
@@ -189,7 +194,7 @@ def _relative(moved: Array, sizes: Sequence[Array]) -> list[Array]:
 
 
 def _shape(x: Array, P: Array) -> list[Array]:
-    """Return numbers (n, T) on the position's ellipse, and on the velocity."""
+    """Return four numbers (n, T) on the position's error ellipse and on the velocity."""
     xx, xy, yy, vx, vy = P[..., 0], P[..., 1], P[..., 2], x[..., 3], x[..., 4]
     mean, square = np.maximum(0.5 * (xx + yy), _LEAST), vx * vx + vy * vy
     along = vx * vx * xx + 2.0 * vx * vy * xy + vy * vy * yy

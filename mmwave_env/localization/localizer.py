@@ -2,8 +2,8 @@
 
 A log is a sequence of blocks of epochs, because it may be larger than memory; the length of the
 blocks does not change the track. The log is divided into segments at long gaps (``segments.py``).
-In each segment, a track starts from a first position and is filtered; then every ``window`` epochs
-of it are smoothed together.
+In each segment, a track starts from a first position and is filtered; then the track is smoothed,
+``window`` epochs at a time.
 """
 
 import os
@@ -38,7 +38,7 @@ from policies.policy import Policy
 
 _FILTERED = ("x", "P", "memory.mode", "memory.nis", "memory.accepted")
 _PREDICTED = ("x_predicted", "P_predicted")
-CORRECTED = ("corrected_x", "corrected_P", "trusted")  # parts that a corrector adds
+CORRECTED = ("corrected_x", "corrected_P", "trusted")  # parts of the state that a corrector adds
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -64,7 +64,8 @@ class TrackBlock(LogBlock):
     # (T,) factor from 0 to 1 by which a corrector's correction was scaled before it was applied to
     # x and P; NaN without a corrector. The smoothed belief does not contain corrections
     trusted: Array
-    level_factors: Array  # (T, 2) factors on the horizontal and vertical Gaussian levels
+    # (T, 2) factors for the horizontal and the vertical Gaussian protection level
+    level_factors: Array
 
 
 @dataclass(frozen=True)
@@ -75,8 +76,8 @@ class Switching:
         modes: one mode, or the modes to choose from; or a bank, whose modes interact.
         rule: function that chooses a mode in every epoch, as
             :class:`~mmwave_env.engines.track_engine.Tracker` takes it.
-        policy: function that makes a policy from an observation's table of features. The policy
-            chooses the mode to run or, with a bank, the mode to trust.
+        policy: function that makes a policy, given the table of features that it will observe. The
+            policy chooses the mode to run or, with a bank, the mode to trust.
         observation: observation of the policy, "full" or "prior".
 
     Raises:
@@ -210,7 +211,7 @@ def _filtered(
             yield whole.part(slice(end))
         if end < len(block):
             raise LogError(
-                f"log, time {block.time_s[end]} s: found NaN or infinity after this epoch, "
+                f"log, time {block.time_s[end]} s: found NaN or infinity in the estimate, "
                 "expected measurements that a receiver can make"
             )
 
@@ -275,7 +276,8 @@ def smoothed(
 ) -> tuple[Array, Array]:
     """Return smoothed means (N, T, 7) and packed covariances (N, T, 28) of N windows of a track.
 
-    ``filtered`` (N, T, values) are rows of :func:`filtered_of`; times and spreads are (N, T).
+    ``filtered`` (N, T, values) holds rows of :func:`filtered_of`. ``time_s`` and the Doppler
+    spreads ``spread_hz`` are (N, T).
     """
     n = layout.state_size
     dt, ends = np.diff(time_s), [n, n + layout.triangle]

@@ -17,7 +17,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 import pymap3d
 
-from mmwave_env.io.files import atomic_path, naming
+from mmwave_env.io.files import atomic_path
 from mmwave_env.localization.localizer import TrackBlock
 from mmwave_env.models.scene import Origin, Scene
 from mmwave_env.numerics.numbers import Array
@@ -26,7 +26,7 @@ ELLIPSE_SHARE = 0.95
 _ELLIPSE_NIS = -2.0 * np.log(1.0 - ELLIPSE_SHARE)  # chi-square quantile, 2 degrees of freedom
 Write = Callable[[TrackBlock], None]
 _CORNERS = 32  # number of corners of the polygon that stands for an ellipse
-_ELLIPSES_APART_S = 1.0  # minimum; with 100 ellipses per second, no map could open the file
+_ELLIPSES_APART_S = 1.0  # minimum time between ellipses; one per epoch would make files too large
 _GEOJSON = '{"type": "FeatureCollection", "features": ['
 _GPX = (
     '<?xml version="1.0" encoding="UTF-8"?>\n'
@@ -46,7 +46,7 @@ def geodetic(origin: Origin, points_m: Array) -> Array:
 
 
 def _ellipses(origin: Origin, x: Array, P: Array) -> Array:
-    """Return the corners (n, corners, 2) of the 95 % ellipses, longitude and latitude."""
+    """Return longitude and latitude (n, corners, 2) of the corners of the 95 % ellipses."""
     variance = np.array([[P[:, 0], P[:, 1]], [P[:, 1], P[:, 2]]]).transpose(2, 0, 1)
     size, axes = np.linalg.eigh(variance)
     axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]  # rings are counterclockwise (RFC 7946)
@@ -64,7 +64,8 @@ def _ellipses(origin: Origin, x: Array, P: Array) -> Array:
 def _geojson(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
     """Write a FeatureCollection: lines of the track, and every second a 95 % ellipse."""
     separator = ""
-    last: tuple[int, float, list[float]] = -1, -np.inf, []  # last segment, ellipse's time, point
+    # what was written last: segment, time of an ellipse, point
+    last: tuple[int, float, list[float]] = -1, -np.inf, []
     file.write(_GEOJSON)
 
     def feature(kind: str, coordinates: object, **properties: object) -> None:
@@ -100,7 +101,8 @@ def _geojson(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
 @contextmanager
 def _gpx(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
     """Write a GPX 1.1 track with a segment for each segment of the track."""
-    file.write(f"{_GPX}<trk><name>{_escaped(name)}</name>")
+    ascii_name = escape(name).encode("ascii", "xmlcharrefreplace").decode("ascii")
+    file.write(f"{_GPX}<trk><name>{ascii_name}</name>")
     current = -1
 
     def write(block: TrackBlock) -> None:
@@ -211,12 +213,6 @@ def map_file(path: Path, scene: Scene, name: str) -> Iterator[Write]:
     with (
         atomic_path(path) as temporary,
         temporary.open("w", encoding="ascii", newline="") as file,
-        naming(path),
         MAP_FILES[path.suffix].writer(file, scene.origin, name) as write,
     ):
         yield write
-
-
-def _escaped(name: str) -> str:
-    """Return a name as ASCII text for XML."""
-    return escape(name).encode("ascii", "xmlcharrefreplace").decode("ascii")

@@ -1,13 +1,13 @@
-"""Tracker of a user from propagation paths without anchor numbers, by testing hypotheses.
+"""Tracker that follows a user by propagation paths with unknown anchors; it tests hypotheses.
 
-A track begins with the hypothesis that *this path is the line of sight*. The path gives a position,
-and the paths of the next epochs confirm or contradict this position. Tracks are immutable values,
+A track begins with the hypothesis that a certain path is the line of sight. This path gives a
+position, and the paths of the next epochs confirm or contradict it. Tracks are immutable values,
 so several hypotheses can be tried side by side.
 
 Paths are assigned to anchors by global nearest neighbor (Blackman and Popoli 1999, Sec. 6.4). Each
 path and each anchor is used at most once. Among all such assignments, the one with the smallest sum
-of NIS is chosen, where an anchor without a path adds as much as the gate. The NIS is the one that
-the filters compute, with the measurement linearized at the prediction, as in an EKF.
+of NIS is chosen; for an anchor without a path, the sum contains the gate's limit instead of an NIS.
+The NIS is computed as in an EKF: the measurement is linearized at the prediction.
 """
 
 from collections.abc import Iterator, Sequence
@@ -38,8 +38,8 @@ NO_PATH = -1
 def path_nis(x: Vector, P: Matrix, anchors: Matrix, paths: Array, sigma: Array) -> Array:
     """Compute the NIS (L, n) of every path as a link of every anchor, given x (7,), P (7, 7).
 
-    ``paths`` (L, n, 4) are rows of a link, m and rad, as each anchor would have measured the path,
-    and ``sigma`` their standard deviations.
+    ``paths`` (L, n, 4) contains each path as each anchor would have measured it: the rows of a
+    link, m and rad. ``sigma`` contains their standard deviations.
     """
     tangent, L = Tangent(), cholesky(P)
     latents, nis = tangent.latents(0), np.empty(paths.shape[:2])
@@ -52,10 +52,10 @@ def path_nis(x: Vector, P: Matrix, anchors: Matrix, paths: Array, sigma: Array) 
 def assign(nis: Array, gate: float) -> Index:
     """Return the path of every anchor (L,), ``NO_PATH`` if no path is within the gate.
 
-    ``nis`` is (L, n), and ``gate`` the largest NIS of a path that belongs to an anchor.
+    ``nis`` is (L, n); a path may belong to an anchor only if its NIS is below ``gate``.
     """
     labels = np.full(len(nis), NO_PATH)
-    # A pair outside the gate costs as much as the gate; its anchor and path stay unassigned.
+    # A pair of anchor and path outside the gate costs as much as the gate, and is not assigned.
     anchors, paths = linear_sum_assignment(np.minimum(np.nan_to_num(nis, nan=np.inf), gate))
     inside = nis[anchors, paths] < gate
     labels[anchors[inside]] = paths[inside]
@@ -65,14 +65,14 @@ def assign(nis: Array, gate: float) -> Index:
 def disagreement(paths: Array, sigma: Array) -> Array:
     """Compute the NIS (n,) between the azimuths of arrival and departure of paths (n, 4).
 
-    It has 1 degree of freedom. Both angles measure the same bearing, so the user's position is not
-    needed (paper, Sec. II-B).
+    The NIS has 1 degree of freedom. Both angles measure the same bearing, so the user's position
+    is not needed (paper, Sec. II-B).
     """
     group = link_group([1.0] * 7, [0.0] * 3, list(paths.T), list(np.square(sigma).T))
     return np.asarray(group.spare_nis)
 
 
-GATE_QUANTILE = 0.99  # chi-square quantile of the NIS below which a path may belong to an anchor
+GATE_QUANTILE = 0.99  # a path may belong to an anchor if its NIS is below this chi-square quantile
 CLEARLY_MORE = 0.5  # additional paths per epoch that a new track must explain to replace another
 
 
@@ -83,9 +83,9 @@ class PathTrack(NamedTuple):
     P: list[float]  # (28,) packed covariance
     memory: Memory
     time_s: float
-    seen_s: float  # last time at which a path or odometry belonged to the track
+    seen_s: float  # last time at which the track used a path or odometry
     labels: Index  # (L,) the path of every anchor in this epoch
-    epoch: Epoch  # the epoch with these labels
+    epoch: Epoch  # the measurements of this epoch, each path in the rows of its anchor
 
     @property
     def fitted(self) -> int:
@@ -94,19 +94,20 @@ class PathTrack(NamedTuple):
 
 
 class _Links(NamedTuple):
-    """The n paths of an epoch as links of every anchor."""
+    """The n paths of an epoch, each read as a link of every one of the L anchors."""
 
     # z, sigma: (L, n, 4) rows of the links and their standard deviations, m and rad
     z: Array
     sigma: Array
-    # (n,) standard deviation, Hz, of each path's Doppler shift, if the path is the base station's
+    # (n,) standard deviation, Hz, of each path's Doppler shift, assuming that the path comes
+    # directly from the base station
     doppler_sigma: Array
 
 
 class PathTracker:
     """A tracker that follows users by propagation paths.
 
-    :func:`~mmwave_env.localization.association.associate` describes its arguments.
+    :func:`~mmwave_env.localization.association.associate` describes the arguments.
     """
 
     def __init__(self, scene: Scene, radio: Radio, mode: Mode, layout: Layout) -> None:
@@ -116,7 +117,7 @@ class PathTracker:
         self._memory = initial_memory(layout, 1)
         self._gate = float(chdtri(4, 1.0 - GATE_QUANTILE))
         self._disagreement = float(chdtri(1, 1.0 - GATE_QUANTILE))
-        unheard = np.zeros((1, layout.anchors))  # any SNRs: odometry does not depend on them
+        unheard = np.zeros((1, layout.anchors))  # any SNR will do for odometry's sigma
         self._odometry_sigma = radio.sigma(unheard, scene, layout)[0, layout.doppler + 1 :].tolist()
 
     def follow(self, track: PathTrack, paths: PathEpoch) -> PathTrack:
@@ -129,10 +130,11 @@ class PathTracker:
         return self._updated(track._replace(labels=labels, epoch=epoch), paths)
 
     def rival(self, track: PathTrack | None, window: Sequence[PathEpoch]) -> PathTrack | None:
-        """Return a track that begins here and explains more paths than ``track``, or None.
+        """Return a track that begins now and explains more paths than ``track``, or None.
 
-        The result is also None if a track that begins later explains even more: during a blockage,
-        a track that began here would mistake a reflection for the line of sight.
+        "Now" is the first epoch of the window. The result is also None if a track that begins later
+        explains even more: during a blockage, a track would begin with a reflection, which it would
+        mistake for the line of sight.
         """
         horizon = window[0].time_s + GAP_S
         paths, *coming = (epoch for epoch in window if epoch.time_s <= horizon)
@@ -140,8 +142,8 @@ class PathTracker:
         if best is None:
             return None
         # The path with which a track begins always fits, so it does not count. To be believed, the
-        # new track must explain at least one path per coming epoch, and clearly more than ``track``
-        # does: at first its velocity is unknown, so its gates are wide.
+        # new track must explain one path or more per coming epoch, and clearly more than ``track``.
+        # A new track does not know the velocity, so its gates are wide, and wrong paths may fit.
         own = 0.0 if track is None else self._fitted(track, coming) + CLEARLY_MORE * len(coming)
         if fitted - 1 < max(own, len(coming)):
             return None
@@ -151,13 +153,9 @@ class PathTracker:
     def _best(
         self, track: PathTrack | None, paths: PathEpoch, coming: Sequence[PathEpoch]
     ) -> tuple[PathTrack | None, int]:
-        """Return the track that begins here and explains the most paths, and their number."""
-        best: tuple[PathTrack | None, int] = None, 0
-        for begun in self._beginnings(track, paths):
-            fitted = self._fitted(begun, coming)
-            if fitted > best[1]:
-                best = begun, fitted
-        return best
+        """Return the track that begins with ``paths`` and explains the most paths, and how many."""
+        begun = ((new, self._fitted(new, coming)) for new in self._beginnings(track, paths))
+        return max(begun, key=lambda pair: pair[1], default=(None, 0))
 
     def _fitted(self, track: PathTrack, coming: Sequence[PathEpoch]) -> int:
         """Count the paths that a track explains in its epoch and in coming epochs."""
@@ -168,7 +166,7 @@ class PathTracker:
         return fitted
 
     def _beginnings(self, track: PathTrack | None, paths: PathEpoch) -> Iterator[PathTrack]:
-        """Yield a track for every path that may be the line of sight, except those of ``track``."""
+        """Yield a track for each path that may be the line of sight, except paths of ``track``."""
         links = self._links(paths)
         sights = links.z[0]
         likely = gives_fix(sights) & (disagreement(sights, links.sigma[0]) < self._disagreement)
@@ -182,7 +180,7 @@ class PathTracker:
                 yield begun
 
     def _begin(self, paths: PathEpoch, links: _Links, path: int) -> PathTrack | None:
-        """Return a track with this path as line of sight; None if it begins behind a wall."""
+        """Return a track with this path as line of sight; None if it would begin behind a wall."""
         anchors, fix = self._scene.anchors_m, (links.z[0, path], links.sigma[0, path])
         mean, covariance = prior_from_fix(anchors[0], *fix, self._radio, self._scene)
         distance = np.linalg.norm(mean[:3] - anchors, axis=1)

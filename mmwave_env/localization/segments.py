@@ -24,8 +24,8 @@ from mmwave_env.models.radio import CLOCK_OFFSET_S, Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Mask
 
-# Standard deviations of the weak prior: of the height, whose mean is the height of the streets, and
-# of x and y, whose mean is the mean position of the anchors.
+# The weak prior: standard deviation of the height, around the height of the streets; and standard
+# deviation of x and y, around the mean position of the anchors.
 HEIGHT_SIGMA_M, _FARTHEST_M = 2.0, 1e3
 _WORST_FIX_M = 50.0  # maximum horizontal standard deviation of a position to begin a track with
 _AMBIGUOUS = 12.0  # two solutions are both possible if their squared errors differ by less
@@ -37,7 +37,7 @@ class Fix(NamedTuple):
     """A first position, from the links of one epoch."""
 
     prior: tuple[Array, Array]  # mean (7,) and covariance (7, 7) of the state
-    used: Mask  # (groups,) whether each group of measurements was used to compute it
+    used: Mask  # (groups,) whether each group of measurements was used to compute the prior
 
 
 def gives_fix(links: Array) -> Mask:
@@ -83,7 +83,7 @@ def can_begin(block: LogBlock, epoch: int, scene: Scene, radio: Radio) -> bool:
 def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Array] | None:
     """Return the position (3,) and its covariance from all links of an epoch (T = 1), or None.
 
-    With a clock, its range bias is a fourth unknown, whose prior is that of the filters.
+    If the clock is not synchronized, its range bias is a fourth unknown, with the filters' prior.
     The search starts around every anchor, in all directions, because there may be several minima.
     The result is None if two minima explain the links, or if the best one is too uncertain.
     """
@@ -217,7 +217,7 @@ def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator
         raise ValueError(
             f"log: found {skipped} epochs, none of which determines a position, expected "
             f"{sight if _direct(block) else 'one with links that have a unique solution'}, to "
-            f"begin the track (the link of anchor 1 is incomplete in {incomplete})"
+            f"begin the track (the link of anchor 1 is incomplete in {incomplete} of them)"
         )
     yield held
 

@@ -30,7 +30,7 @@ _LEVELS_HEADER = ",horizontal_level_m,vertical_level_m"
 
 
 def table_beside(track: Path) -> Path | None:
-    """Return the path of the table of standard deviations beside a TUM file, None for others.
+    """Return the path of the table of standard deviations beside a TUM file; None for other files.
 
     Raises:
         ValueError: the ending of the file is not that of a track file.
@@ -44,13 +44,14 @@ def table_beside(track: Path) -> Path | None:
 
 
 def require_own_files(track: Path) -> None:
-    """Refuse to replace a file, unless it is an earlier track or the table of one.
+    """Refuse to replace a file, unless it is an earlier track or an earlier track's table.
 
     A track and its table can be made again from their log. Any other file may be the only copy:
-    ground truth is a TUM file, too, and the name of the table is not one that the user typed.
+    a TUM file may hold ground truth, and users do not type the name of the table, so they may not
+    expect it to replace a file.
 
     Raises:
-        ValueError: a file that ``localize`` did not write has one of the names.
+        ValueError: the track or its table would replace a file that ``localize`` did not write.
         OSError: a file can't be read.
     """
     headers = dict.fromkeys(TRACK_ENDINGS, _TRACK_HEADER) | {TABLE_ENDING: _TABLE_HEADER}
@@ -127,8 +128,6 @@ def _tum_file(track: Path) -> Iterator[Write]:
                 tum.write(tum_lines(block.time_s, block.smooth_x[:, :3]))
 
         yield write
-        with naming(track):
-            tum.flush()
 
 
 @contextmanager
@@ -155,8 +154,6 @@ def _table_file(path: Path, modes: Sequence[str], corrected: bool, risk: float) 
                 table.writelines(rows)
 
         yield write
-        with naming(path):
-            table.flush()
 
 
 def _as_cell(name: str) -> str:

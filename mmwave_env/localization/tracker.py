@@ -36,11 +36,11 @@ class Position(NamedTuple):
 
     Attributes:
         time_s: time of the epoch.
-        position_m: (3,) in the frame of the scene.
+        position_m: (3,) position in the frame of the scene.
         covariance_m2: (3, 3) covariance of the position.
-        velocity_mps: (3,) in the frame of the scene.
+        velocity_mps: (3,) velocity in the frame of the scene.
         mode: name of the mode that ran or, in a bank, of the most probable mode.
-        nis: name of every group that was measured -> its NIS.
+        nis: name of every group of values (such as a link) that was measured -> its NIS.
         rejected: names of the groups that the gates rejected.
         begins: whether a track begins here, with a first position from the links.
         geodetic: latitude and longitude (degrees) and height (m); None in a scene without origin.
@@ -66,7 +66,7 @@ class Position(NamedTuple):
 
 
 class Tracker:
-    """A track that grows by one epoch at a time, bit-identical to that of the complete log.
+    """A track that grows by one epoch at a time; bit for bit, it equals the complete log's track.
 
     ```python
     >>> tracker = Tracker("street", policy="corrector")
@@ -107,9 +107,9 @@ class Tracker:
         self._snr_db, self._height_m = snr_db, height_m
         self._log: LiveLog | None = None
         self._filter: Any = None
-        self._last_s: float | None = None  # time of the last measurement; None before a track
-        # time, Doppler spread, mode, factors on levels and input of the smoother, for each of the
-        # last epochs
+        self._last_s: float | None = None  # time of the last measurement; None without a track
+        # for each of the last epochs: time; Doppler spread; mode; factors by which Gaussian levels
+        # are multiplied; input of the smoother
         self._late: deque[tuple[float, float, str, Array | None, dict[str, Array]]]
         self._late = deque(maxlen=lag + 1)
 
@@ -201,7 +201,7 @@ class Tracker:
         return episode.visible[0].tolist(), float(block.doppler_spread_hz[0])
 
     def _load_quickly(self, epoch: LiveEpoch) -> tuple[list[bool], float] | None:
-        """Load an epoch as :meth:`_load` does, but faster; return None if it needs full checks."""
+        """Load an epoch as :meth:`_load` does, but faster; return None if this is not safe."""
         if not epoch.placed or not self._sound:
             return None
         (numbers, doppler_anchor), layout, at = epoch.placed, self._layout, self._at

@@ -58,12 +58,12 @@ class LogBlock(Block):
     doppler_anchor: Index  # (T,) index, from 0, of the anchor with the Doppler shift
     snr_db: Array  # (T, L); -inf (no signal) where no SNR was measured
     doppler_spread_hz: Array  # (T,); 0 where none was measured
-    # (T,) whether the filters must begin a new track here, because the association of paths with
-    # anchors began one. Always False in a log with anchor numbers
+    # (T,) whether the association of paths with anchors began a new track here, so that the filters
+    # must begin one, too. Always False in a log with anchor numbers
     restarts: Mask
     share: float  # share of the file read so far, 0 to 1
     whole_columns: bool = True  # whether the log has a column for each value of a link
-    segment: int = 0  # number of the segment of the track, from 0, that all epochs belong to
+    segment: int = 0  # number, from 0, of the segment that contains all epochs of the block
     # whether the segment begins here, with a first fix that gives its prior
     begins: bool = False
     skipped: int = 0  # number of epochs of the log before the first segment
@@ -101,14 +101,14 @@ def read_log(
         path: CSV (``.csv``, ``.csv.gz``) or Parquet (``.parquet``, needs the extra `data`).
         scene: scene whose anchors were measured.
         epochs_per_block: number of epochs in a block.
-        odometry: False to ignore columns of odometry. Otherwise ``layout`` has odometry
+        odometry: False to ignore columns of odometry. Otherwise the blocks' layout has odometry
             if the log has it.
         limits: False to accept ranges and angles of any size, and not to wrap angles, for
             a diagnosis.
         partial: whether a link may lack some of its values, in some epochs or everywhere, and
             any anchor may have the Doppler shift.
         snr_db: SNR to assume for links without one.
-        clock: whether the user's clock has an unknown offset; ``layout`` then has a clock.
+        clock: whether the user's clock has an unknown offset; the blocks' layout then has a clock.
 
     Raises:
         LogError: at once if the file or its header is not that of a log; later for a damaged row,
@@ -168,8 +168,8 @@ def _require_measurements(path: Path, blocks: Iterable[LogBlock]) -> Iterator[Lo
         yield block
     if not measured:
         raise LogError(
-            f"{path}: found {epochs} epochs without a measurement, and {incomplete} groups with "
-            "only some of their values, expected at least one measurement"
+            f"{path}: found {epochs} epochs without a measurement, and {incomplete} incomplete "
+            "links (or other groups of values), expected at least one measurement"
         )
 
 
@@ -206,7 +206,7 @@ def block_of(
     time[epoch] = table["time"]
     for quantity, (first, step) in places(layout).items():
         numbers = of_link[quantity] if quantity in of_link else table[quantity]
-        some = np.flatnonzero(~np.isnan(numbers))[::-1]  # so that the first value remains
+        some = np.flatnonzero(~np.isnan(numbers))[::-1]  # in reverse, so the first value is kept
         placed[epoch[some], first + step * anchor[some]] = numbers[some]
     measurement, sigma, snr, spread = np.split(
         placed, [size, 2 * size, 2 * size + layout.anchors], axis=1
@@ -250,7 +250,8 @@ class PathEpoch(NamedTuple):
     layout: Layout  # layout of the scene's anchors, with or without odometry
     time_s: float
     measurement: Array  # (n, 5) rows of a link, m and rad, and its Doppler shift, Hz, or NaN
-    at_station: bool  # whether arrivals are those at the base station, not at its mirror image
+    # whether the angles of arrival are those at the base station, even if a wall reflected the path
+    at_station: bool
     snr_db: Array  # (n,)
     incomplete: int  # number of paths that are left out because some of their values are missing
     doppler_spread_hz: float  # 0 where none was measured
@@ -261,7 +262,7 @@ class PathEpoch(NamedTuple):
 def read_paths(path: Path, scene: Scene, odometry: bool = True) -> Iterator[PathEpoch]:
     """Read the epochs of a log of paths, one after the other; see :func:`read_log`.
 
-    A column of anchors is ignored, so that a log with labels can be read as one without.
+    A column of anchors is ignored, so that a log with anchor numbers can be read like one without.
 
     Raises:
         LogError: as for :func:`read_log`; also for too many paths in an epoch.

@@ -20,7 +20,7 @@ _ROUNDING_DEG = 1e-4  # rounding error of angles that were once stored as 32-bit
 
 
 def whole_epochs(log: LogFile, anchors: int | None, limits: bool) -> Iterator[Table]:
-    """Yield the rows of complete epochs, in one part per table of the log.
+    """Yield the rows of complete epochs: about one part per table that ``log.tables()`` yields.
 
     Args:
         log: the file.
@@ -162,10 +162,10 @@ def _limit(table: Table, quantity: str, bound: Bound, unit: str) -> _Check:
     if (least := bound.least or 0.0) > 0.0:
         wrong |= values < least
     stem, _, ending = table.columns[quantity].name.rpartition("_")
-    likely = f"if it is in degrees, name the column {stem}_deg; " if ending == "rad" else ""
+    likely = f"if the value is in degrees, name the column {stem}_deg; " if ending == "rad" else ""
     azimuth = table.columns.get("aoa_azimuth") or table.columns.get(STATION)
     if quantity == "aoa_elevation" and azimuth and abs(values[np.argmax(wrong)]) <= 360.0:
-        likely += f"if it is the azimuth, exchange the column with {azimuth.name}; "
+        likely += f"if the value is the azimuth, exchange the column with {azimuth.name}; "
     return _Check(
         quantity,
         wrong,

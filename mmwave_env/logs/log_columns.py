@@ -1,5 +1,6 @@
 """Columns of a measurement log: the name of a column is a quantity and its unit."""
 
+import re
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
@@ -22,7 +23,7 @@ class Unit(NamedTuple):
     divide: float = 1.0
 
     def convert(self, value: Number) -> Number:
-        """Return a value of a column in SI units and dB."""
+        """Convert a value of a column to SI units; values in dB stay in dB."""
         return value * self.multiply / self.divide
 
 
@@ -44,7 +45,7 @@ def _in(name: str, units: dict[str, Unit]) -> dict[str, Unit]:
 _TIME = {"_s": Unit(), "_ms": Unit(1.0, 1e3), "_us": Unit(1.0, 1e6), "_ns": Unit(1.0, 1e9)}
 _LENGTH = {"_m": Unit(), "_ft": Unit(0.3048)}  # international foot
 _ANGLE = {"_rad": Unit(), "_deg": Unit(np.pi, 180.0)}
-_SHIFT = {"_hz": Unit(), "_khz": Unit(1e3), "_mps": Unit()}  # columns_of sets f_c / c for _mps
+_SHIFT = {"_hz": Unit(), "_khz": Unit(1e3), "_mps": Unit()}  # columns_of multiplies _mps by f_c / c
 
 
 def _flight(name: str) -> dict[str, Unit]:
@@ -80,7 +81,8 @@ QUANTITIES = {
     "time": Quantity(_in("time", _TIME), "the time of the epoch"),
     "anchor": Quantity(
         {"anchor": Unit()},
-        "its number in the scene; if unknown, use mmwave-loc localize --associate (docs/data.md)",
+        "the anchor's number in the scene; if unknown, use mmwave-loc localize --associate "
+        "(docs/data.md)",
     ),
     "toa": Quantity(_flight(""), "the time of flight (rtt: round trip), or the range", _RANGE),
     "aoa_azimuth": Quantity(
@@ -116,6 +118,18 @@ QUANTITIES = {
 }
 _QUANTITY_OF = {name: quantity for quantity, row in QUANTITIES.items() for name in row.columns}
 
+# Words in the names that receivers give to columns, by quantity.
+_SYNONYMS = {
+    "time": ("t", "timestamp", "epoch", "seconds"),
+    "anchor": ("bs", "gnb", "cell", "trp", "station", "beacon", "tx"),
+    "toa": ("delay", "tof", "tau", "distance", "dist", "flight"),
+    "aoa_azimuth": ("az", "azimuth", "aoa"),
+    "aoa_elevation": ("el", "elev", "elevation"),
+    "aod_azimuth": ("aod", "departure"),
+    "snr": ("sinr",),
+    "doppler": ("cfo", "shift"),
+}
+
 LINK_QUANTITIES = ("toa", "aoa_azimuth", "aoa_elevation", "aod_azimuth")
 ODOMETRY_QUANTITIES = ("speed", "heading")
 SIGMA_OF = {quantity: f"{quantity}_sigma" for quantity in (*LINK_QUANTITIES, "doppler")}
@@ -149,7 +163,7 @@ def columns_of(
     If ``odometry`` is False, columns of odometry are ignored, except a heading that angles need; if
     ``associated`` is False, a column of anchors is ignored. A Doppler shift in m/s is multiplied by
     ``hz_per_mps``, f_c / c. If ``partial`` is True, any of the horizontal measurements is enough;
-    otherwise all rows of a link and the SNR are required.
+    otherwise the range, the three angles and the SNR are required.
 
     Raises:
         ValueError: a name is unknown or lacks its unit, or a quantity occurs twice or is
@@ -159,7 +173,10 @@ def columns_of(
     if unknown := [name for name in names if name not in _QUANTITY_OF]:
         problems = "; ".join(map(_problem, unknown[:10]))  # enough to read in one message
         known = ", ".join(next(iter(row.columns)) for row in QUANTITIES.values())
-        raise ValueError(f"{problems}; allowed are only {known}, or the same in other units")
+        raise ValueError(
+            f"{problems}; allowed are only {known}, or the same in other units; docs/data.md "
+            "shows a command that renames the columns of a log"
+        )
     for number, name in enumerate(names):
         quantity = _QUANTITY_OF[name]
         if quantity in columns:
@@ -211,14 +228,23 @@ def _require(
 
 def _problem(name: str) -> str:
     """Return what is wrong with the unknown name of a column, and the nearest known names."""
-    # The longest match, so that doppler_spread_x is not taken for a Doppler shift.
+    # The longest match counts, so that doppler_spread_x is not taken for a Doppler shift.
     spelled = {**{quantity: quantity for quantity in QUANTITIES}, "range": "toa"}
     meant = [start for start in spelled if name == start or name.startswith(f"{start}_")]
     if meant:
         expected = _one_of(QUANTITIES[spelled[max(meant, key=len)]].columns)
         return f"column {quoted(name)}: found no known unit, expected {expected}"
-    hint = did_you_mean(name, _QUANTITY_OF, 2).replace("; ", " (").replace("?", "?)")
-    return f"column {quoted(name)}: found an unknown quantity{hint}"
+    *_, unit = words = re.findall("[a-z]+", name.lower()) or [name]
+    hint = did_you_mean(name, _QUANTITY_OF, 2)
+    for quantity, synonyms in _SYNONYMS.items():
+        if not set(synonyms).isdisjoint(words):
+            known = QUANTITIES[quantity].columns
+            same = [own for own in known if own.endswith(f"_{unit}")] or known
+            hint = f"; did you mean {_one_of(same)}, {QUANTITIES[quantity].meaning}?"
+            break
+    return f"column {quoted(name)}: found an unknown quantity{hint.replace('; ', ' (', 1)}" + (
+        ")" if hint else ""
+    )
 
 
 def _one_of(names: Iterable[str]) -> str:

@@ -2,7 +2,7 @@
 
 Like the filters, the channel is written as functions of plain numbers, so that it can also be
 compiled to simulate eight episodes at once on SIMD lanes. The functions receive random numbers that
-were drawn before; a :class:`ChannelState` is the state of the channel between two epochs.
+were drawn before. A :class:`ChannelState` is the state of the channel between two epochs.
 """
 
 import math
@@ -183,10 +183,11 @@ def channel_epoch(
     distance: Vector,
     speed: Number,
 ) -> tuple[ChannelState, Reception]:
-    """Simulate one epoch of the channel to anchors at distances (L,), m, at a speed, m/s.
+    """Simulate one epoch of the channel between the anchors and a user.
 
-    In the episode's first epoch (``is_first``), the state is drawn from its stationary
-    distribution, without multipath and outages; otherwise it follows the state ``before``.
+    The user is at distances (L,), m, from the anchors and moves at a speed, m/s. In the episode's
+    first epoch (``is_first``), the state is drawn from its stationary distribution, without
+    multipath and outages; otherwise it follows the state ``before``.
     """
     c, rho = channel, channel.correlation
     innovation = sqrt(1.0 - rho * rho)

@@ -1,9 +1,9 @@
-"""The envelope: ranges in which the filters are accurate, even with two values at their limits.
+"""The envelope: ranges in which filters are accurate, even if two values are at their limits.
 
 An episode or a filter's mode outside the envelope is refused, and the message names the value. A
-double has 16 digits, and an update adds P / sigma^2 to 1. If the prior's deviation exceeds the
-noise 1e8 times in one direction, but not in another, the other direction loses all its digits. The
-limits are far from anything that a receiver reports; tests/engines/test_extremes.py tests them.
+double has 16 digits, and an update adds P / sigma^2 to 1. If the prior's deviation is 1e8 times the
+noise in one direction, but not in another, the other direction loses all its digits. The limits are
+far from anything that a receiver reports; tests/engines/test_extremes.py tests them.
 """
 
 from mmwave_env.io.records import between
@@ -18,7 +18,7 @@ BIAS_HZ = between(-1e7, 1e7, "Hz")  # oscillator bias in the prior's mean
 POSITION_SIGMA_M = between(1e-4, 1e4, "m")
 VELOCITY_SIGMA_MPS = between(1e-4, 1e2, "m/s")
 BIAS_SIGMA_HZ = between(1e-8, 1e6, "Hz")
-# standard deviations of measurements; odometry's speed has the limits of a range, in m/s
+# standard deviations of measurements; RANGE_SIGMA_M also holds for odometry's speed, in m/s
 RANGE_SIGMA_M = between(1e-3, 1e5, "m")
 ANGLE_SIGMA_RAD = between(1e-5, 1e2, "rad")
 DOPPLER_SIGMA_HZ = between(0.02, 1e6, "Hz")

@@ -8,8 +8,8 @@ Each *group* of rows (a link, the Doppler shift, the odometry) is gated separate
 present or missing as a whole, except in a *partial* layout, in which single rows may be missing,
 and in which the Doppler shift may belong to any anchor instead of anchor 1.
 
-With a *clock* that is not synchronized, the state has an eighth component: the range bias B of the
-user's clock, the speed of light times its offset, which is added to every range.
+With a *clock* that is not synchronized, the state has an eighth component, the range bias B: the
+offset of the user's clock times the speed of light. It is added to every range.
 """
 
 from collections.abc import Iterable, Sequence
@@ -27,7 +27,10 @@ STATE_SIZE = len(STATE)
 LINK = ("range_m", "aoa_azimuth_rad", "aoa_elevation_rad", "aod_azimuth_rad")
 # Names of what a receiver may measure: the four rows of every link, and the Doppler shift.
 MEASUREMENTS = ("range", "azimuth", "elevation", "departure", "doppler")
-CLOCKS = {"synchronized": "that of the anchors", "offset": "with an unknown offset, which drifts"}
+CLOCKS = {  # states of the user's clock
+    "synchronized": "in step with the anchors' clocks",
+    "offset": "ahead of or behind the anchors' clocks, by an unknown time that drifts",
+}
 _HORIZONTAL = {"range", "azimuth", "departure"}  # a horizontal position needs one of these
 
 
@@ -188,8 +191,8 @@ def whole_groups(
 
     Args:
         measurement: (T, rows), NaN where not measured.
-        heard: (T, L) whether a link's strength is known, which determines the noise of its rows;
-            the first link's strength also determines the noise of the Doppler shift.
+        heard: (T, L) whether a link's SNR is known. The SNR determines the noise of the link's
+            rows; the first link's SNR also determines the noise of the Doppler shift.
         layout: rows and groups.
     """
     starts = [group.start for group in layout.groups]
@@ -215,7 +218,7 @@ def without_noise(
     Args:
         measurement, heard, layout: same as for :func:`whole_groups`.
         sigma: (T, rows) stated standard deviations, NaN where none is stated.
-        doppler_anchor: (T,) anchor of the Doppler shift.
+        doppler_anchor: (T,) index, from 0, of the anchor with the Doppler shift.
     """
     known = np.ones(measurement.shape, np.bool_)  # stays True for odometry
     known[:, : layout.doppler] = np.repeat(heard, 4, axis=1)

@@ -3,7 +3,7 @@
 The mathematics of this package is written once, as plain functions of numbers. Called with floats,
 these functions are the reference for tests; with arrays, they check recorded signal paths and score
 complete tracks; with :class:`~mmwave_env.compiler.lanes.Lanes`, they become a SIMD kernel. Python's
-operators work on all three kinds of numbers. This module has the functions that depend on the kind.
+operators work on all three kinds of numbers; this module defines the other elementary functions.
 
 The description of an array argument or attribute begins with its shape. Functions of numbers follow
 three rules: they do not branch on a value (use :func:`where`), they use lists instead of arrays,
@@ -32,7 +32,7 @@ def _is_float(a: Number) -> bool:
 
 
 def _function(name: str, of: Any = math) -> Callable[[Number], Number]:
-    """Return a function that calls numpy for arrays, Lanes for lanes, and ``of`` for floats."""
+    """Return a function that uses numpy for arrays, Lanes for lanes, module ``of`` for floats."""
     of_float, of_array = getattr(of, name), getattr(np, name)
 
     def function(a: Number) -> Number:
@@ -58,7 +58,7 @@ def atan2(y: Number, x: Number) -> Number:
 
 
 def cos_sin(angle: Number) -> tuple[Number, Number]:
-    """Return cosine and sine of an angle in radians; on lanes, its size must be below 1e5."""
+    """Return cosine and sine of an angle in radians; on lanes, the angle must be in [-1e5, 1e5]."""
     if _is_float(angle):
         return math.cos(angle), math.sin(angle)
     if isinstance(angle, np.ndarray):

@@ -15,7 +15,7 @@ from mmwave_env.numerics.numbers import Number, Vector, cos_sin, log, sqrt
 
 STATE_WORDS = 4
 _MASK = 2**64 - 1
-_WARM_UP = 18  # number of words that are dropped after seeding
+_WARM_UP = 18  # number of words to drop after seeding, as they still resemble the key
 
 
 def _bitwise(operation: Callable[[int, int], int]) -> Any:
@@ -58,9 +58,9 @@ def next_word(state: Sequence[Any]) -> tuple[Any, list[Any]]:
 
 
 def seeded(key: Number, stream: int) -> list[Number]:
-    """Return the generator's state (4,) for a key, the 64 bits of a float or of lanes of floats.
+    """Return the generator's state (4,) for a key and the number of a stream.
 
-    Different streams of one key are independent.
+    The key is the 64 bits of a float, or of lanes of floats. Streams of one key are independent.
     """
     word = word_of(key)
     none = word ^ word

@@ -1,7 +1,7 @@
 """Numbers that take part in arithmetic but hide their value.
 
-A function that runs on such numbers never asks for a value, so it can be compiled for SIMD lanes:
-numbers that stand for eight environments. An operation that needs a value is refused, and the
+A function that runs on such numbers never asks for a value, so it can be compiled for SIMD lanes
+(numbers that stand for eight environments). An operation that needs a value is refused, and the
 message says what to write instead. There are three kinds of such numbers: lanes; probes, which are
 floats that hide their value, to try a function before it is compiled; and the numbers of
 :mod:`mmwave_env.compiler.fingerprint`, which record operations.

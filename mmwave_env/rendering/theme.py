@@ -1,7 +1,8 @@
 """Light and dark colors for videos; figures and reports use the same colors for modes.
 
 The colors of modes are those of Okabe and Ito (2008), which color-blind readers can distinguish.
-Their order keeps neighbors far apart; some are lighter or darker, to contrast with the background.
+Consecutive modes differ clearly. Some colors were made lighter or darker than in that set, to
+contrast with the background.
 """
 
 from collections.abc import Sequence
@@ -12,7 +13,7 @@ from mmwave_env.io.lookup import choose, require_extra
 
 Color = tuple[int, ...]  # red, green and blue, 0 to 255
 
-# Name, light color, dark color. "quiet" is for explanations, "none" for trusting no mode.
+# Name, light color, dark color. "quiet" is for explanations; "none" is an action: trust no mode.
 _COLORS = """\
     paper     ffffff 111318
     ink       222226 eeeeeb
@@ -94,10 +95,10 @@ FRAMES_PER_SECOND = 10  # default speed of videos and windows
 def require_drawable(size: int, theme: str, purpose: str) -> None:
     """Refuse a picture that can't be drawn, before any work is done.
 
-    Messages about a missing package name the ``purpose`` of the picture.
+    If a package is missing, the message names the ``purpose`` of the picture.
 
     Raises:
-        ValueError: the size, px, or the theme is invalid.
+        ValueError: the size (in px) or the theme is invalid.
         MissingExtraError: pygame is not installed.
     """
     require_extra("pygame", "render", purpose)

@@ -33,12 +33,12 @@ class Traveler(NamedTuple):
     straight on). The second crossing is known, too: braking for it may begin before the first one.
     """
 
-    due: Number  # 1 if an event is due before the next substep: gait, crossing or phase
+    due: Number  # 1 if an event is due now: a new target speed, crossing or phase
     time: Number  # time since the episode began, s
     # x, y: position at which the way ahead begins, m
     x: Number
     y: Number
-    heading: Number  # heading before the arc, in quarter turns from east to the left: 0 to 3
+    heading: Number  # heading before the arc, in quarter turns counterclockwise from east: 0 to 3
     traveled: Number  # distance traveled on the way ahead, m
     # stretch, arc: lengths of the two parts of the way ahead, m
     stretch: Number
@@ -53,17 +53,17 @@ class Traveler(NamedTuple):
     lateral: Number
     jerk: Number  # limit of the jerk, m/s^3
     target: Number  # speed to reach, m/s
-    gait_left: Number  # time for which the target speed is kept, s
+    gait_left: Number  # time for which the target speed is still kept, s
     phase: Number  # number of the phase, which ends at ``phase_end`` s
     phase_end: Number
     stopping: Number  # 1 while the traveler brakes to a standstill, before the next phase
-    # turn, red: quarter turns to the left and seconds of red light at the crossing ahead
+    # turn, red: at the next crossing, quarter turns to the left, and seconds of red light
     turn: Number
     red: Number
-    # turn_after, red_after: the same at the crossing after that
+    # turn_after, red_after: the same at the second crossing
     turn_after: Number
     red_after: Number
-    # node_x, node_y: position of the crossing after that, in blocks from the origin
+    # node_x, node_y: position of the second crossing, in blocks from the origin
     node_x: Number
     node_y: Number
 
@@ -103,7 +103,7 @@ def wanted_acceleration(t: Traveler, net: Net) -> Number:
     acceleration times radius; a red light limits it to v_c = 0 one meter before the crossing.
     Braking at b over a distance d reduces v to v_c, where v^2 = v_c^2 + 2 b d. Travelers plan with
     half of their b, so they aim at the speed v with v^2 = v_c^2 + b d. From their current v, they
-    must brake at (v^2 - v_c^2) / 2 d, where d does not include the distance that they travel until
+    must brake at (v^2 - v_c^2) / (2 d), where d does not include the distance traveled until the
     braking has built up. If this exceeds 0.7 b, they brake as hard as needed, up to b.
     """
     left, turns, turns_after = t.stretch - t.traveled, t.arc > 0.0, abs(t.turn_after) > 0.5
@@ -116,7 +116,7 @@ def wanted_acceleration(t: Traveler, net: Net) -> Number:
     aim = minimum(cornering + t.braking * maximum(corner, 0.0), t.braking * light)
     aim = sqrt(minimum(t.target * t.target, aim))
     pull = clip((aim - t.v) * 2.0, -t.braking, t.acceleration)
-    built_up = 0.6 / t.jerk * (maximum(t.a, 0.0) + t.braking) * t.v  # distance to build up, m
+    built_up = 0.6 / t.jerk * (maximum(t.a, 0.0) + t.braking) * t.v  # m, while braking builds up
     need = maximum(
         where(corner > 0.0, squared - cornering, 0.0) / (2.0 * maximum(corner - built_up, 0.5)),
         where(light > 0.0, squared, 0.0) / (2.0 * maximum(light - built_up, 0.5)),

@@ -42,13 +42,13 @@ class WorldSettings(NamedTuple):
     """The settings that are the same in all episodes of a source."""
 
     hz_per_mps: Number  # carrier frequency over the speed of light
-    channel: Channel  # radio and scene
+    channel: Channel  # constants of the channel, from radio and scene
     drift_hz: Number  # standard deviation of the oscillator's change from epoch to epoch
     step_s: Number  # length of a substep
     stride: Number  # number of substeps in an epoch
     offered: Vector = ()  # (rows,) 1 if the receiver measures the row; empty if it measures all
-    # (2,) half the step divided by ``hz_per_mps``, and standard deviation of the noise that the
-    # clock itself adds in a step, m; empty if the user's clock is synchronized
+    # (2,) half the time between epochs divided by ``hz_per_mps``, and standard deviation of the
+    # noise that the clock itself adds between epochs, m; empty if the user's clock is synchronized
     clock: Vector = ()
 
 
@@ -91,7 +91,7 @@ class WorldState(NamedTuple):
 def measure(
     truth: list[Number], settings: WorldSettings, receiver: ReceiverState, layout: Layout
 ) -> tuple[Incoming, ReceiverState]:
-    """Simulate the channel and the measurement of a user's epoch, and the receiver after it.
+    """Simulate the channel and the measurement in an epoch; also return the receiver after it.
 
     ``truth`` (6,) is the true position (m) and velocity (m/s).
     """
@@ -135,7 +135,10 @@ def measure(
 
 
 def _run_on(receiver: ReceiverState, bias_hz: Number, clock: Vector) -> Clock | tuple[()]:
-    """Return the clock one epoch later, moved by noise and by the oscillator's mean bias."""
+    """Return the clock one epoch later, moved by noise and by the oscillator's bias.
+
+    The bias that counts is the mean of the oscillator's biases in this epoch and in the next.
+    """
     if not isinstance(receiver.clock, Clock):
         return ()
     (half_step, sigma_m), dice = clock, Dice(receiver.clock.dice)
@@ -158,7 +161,7 @@ def _observe(w: WorldState, layout: Layout) -> WorldState:
 
 
 def _attend(w: WorldState) -> WorldState:
-    """Let the traveler react to an event (a new gait, crossing or phase), if one is due."""
+    """Let the traveler react to an event (new target speed, crossing or phase), if one is due."""
     user = w.user
     dice, due = Dice(user.dice), user.traveler.due > 0.5
     traveler = attend(dice, user.traveler, user.phases, user.net)
@@ -192,7 +195,8 @@ def blank_world(layout: Layout, phases: int, gaits: int) -> WorldState:
 class World:
     """The simulation of a user's epochs: each epoch is measured, then the user moves on.
 
-    ``phases`` and ``gaits`` are maximum numbers.
+    ``phases`` is the maximum number of phases, and ``gaits`` the maximum number of gaits (target
+    speeds) in a phase.
     """
 
     def __init__(self, layout: Layout, phases: int, gaits: int) -> None:
@@ -283,7 +287,7 @@ def as_measured(layout: Layout) -> Program[AsMeasured]:
 # --- the beginning of an episode: everything that is drawn before its first epoch
 
 # Each key seeds three streams of random numbers. So a user's way does not depend on the receiver
-# and the rate of epochs, and neither the way nor the receiver's noise depend on the user's clock.
+# or the rate of epochs, and neither the way nor the receiver's noise depends on the user's clock.
 USER, RECEIVER, CLOCK = 0, 1, 2
 
 
@@ -293,8 +297,9 @@ class FirstDraws(NamedTuple):
     receiver: ReceiverState
     user: UserState  # not used if a way is given
     choice: Number  # number of the kind of user; or uniform in [0, 1), to choose among given ways
-    first: list[Number]  # (7,) true state at the first epoch; 0 if a way is given
-    # (7,) error of the prior's mean; with a clock, the negative of its bias is appended
+    # (7,) true state at the first epoch; if a way is given, only the oscillator's bias is valid
+    first: list[Number]
+    # (7,) error of the prior's mean; with a clock, the negative of the clock's bias is appended
     prior_noise: list[Number]
 
 
@@ -311,7 +316,11 @@ class Beginning(NamedTuple):
 
 
 def begin(w: Beginning, streets: RandomScene | None) -> Beginning:
-    """Draw the beginning of an episode; another order of draws would change every episode."""
+    """Draw the beginning of an episode.
+
+    If the order of the draws changed, every key would give another episode. Only random scenes need
+    ``streets``.
+    """
     dice, others = Dice(seeded(w.key[0], USER)), Dice(seeded(w.key[0], RECEIVER))
     scene = streets.draw_numbers(dice) if streets else w.scene
     user, position, velocity = w.begun.user, [0.0, 0.0], [0.0, 0.0]

@@ -21,7 +21,7 @@ def options(log, *more, folder=WALK):
 
 
 def figures(folder, *more, log=None, truth=True):
-    """Run the command on a sample, and return what it wrote as JSON."""
+    """Run the command on a sample, and return the content of the JSON file that it wrote."""
     with tempfile.TemporaryDirectory() as scratch:
         file = Path(scratch) / "figures.json"
         scored = ("--truth", folder / "truth.tum") if truth else ()
@@ -31,7 +31,7 @@ def figures(folder, *more, log=None, truth=True):
 
 
 def refused(capsys, arguments):
-    """Run a command that ends with exit code 2; return what it printed and its error line."""
+    """Check that localize refuses the arguments; return what it printed and its error line."""
     with pytest.raises(SystemExit) as stop:
         run("localize", [str(a) for a in arguments])
     assert stop.value.code == 2

@@ -114,7 +114,7 @@ MISTAKES = {
     "not a picture": (None, ("--errors", "f.gif"), "found f.gif.*ends with .png, .svg, .pdf"),
     "not a LaTeX file": (None, ("--table", "t.md"), r"table: found t.md.*ends with \.tex"),
     "too narrow": (None, ("--width-mm", "10"), "width_mm: found 10, expected 80 to 500"),
-    "one file for two": (
+    "one file for two pictures": (
         None, ("--errors", "f.png", "--consistency", "f.png"), "consistency: .*f.png.*other than",
     ),
 }  # fmt: skip

@@ -6,15 +6,15 @@ import re
 import numpy as np
 import pytest
 
-from mmwave_env.logs.tum import read_tum
 from tests.cli import command
 from tests.commands.localizing import RIDE, options
 from tests.localization.mistakes import MISTAKES, read_columns, write_columns
+from tests.logs.writing import read_tum
 
 
 @pytest.fixture(scope="module")
 def downlink(tmp_path_factory):
-    """Return a log of the ride whose angles of arrival are those at the user, as in a downlink."""
+    """Return a copy of the ride's log with angles of arrival at the user, as in a downlink."""
     log = tmp_path_factory.mktemp("downlink") / "log.csv"
     mistake = MISTAKES["arrival is at the user, as in a downlink"]
     write_columns(log, mistake(read_columns(RIDE / "log.csv")))
@@ -57,7 +57,7 @@ def test_a_log_that_is_refused_can_be_diagnosed(tmp_path):
     words = options(log, "--radio", "standard", folder=RIDE)
     refusal = command("localize", *words, "--speed", "auto")
     assert refusal.returncode == 2
-    assert "if it is in degrees, name the column aoa_azimuth_deg; mmwave-loc loc" in refusal.stderr
+    assert "if the value is in degrees, name the column aoa_azimuth_deg; mmwave" in refusal.stderr
     done = command("localize", *words, "--diagnose")
     assert "\nThe log is consistent if angles are in degrees." in done.stdout
 

@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc leaderboard``."""
+"""Tests of ``mmwave-loc leaderboard``, which ranks entries: JSON files with a policy's scores."""
 
 import json
 import shutil
@@ -16,7 +16,7 @@ GOOD, POOR = "guided", "imm-best"  # entries in docs/leaderboard
 
 @pytest.fixture(scope="module")
 def entries(tmp_path_factory):
-    """Return a folder with entries of two contenders, made with few episodes."""
+    """Return a folder with the entries of two policies that were judged on few episodes."""
     folder = tmp_path_factory.mktemp("entries")
     names = ["imm-best", "speed-rule"]
     judged = [judge(names, site, 2, 0) for site in sites()]

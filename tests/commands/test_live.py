@@ -26,7 +26,7 @@ def first_rows(count):
 
 
 def as_json(lines, whole):
-    """Return CSV lines as JSON lines, each with a row or, if ``whole``, with an epoch."""
+    """Return CSV lines as JSON lines, each with one row or, if ``whole``, all rows of an epoch."""
     names, *rows = (line.split(",") for line in lines)
     objects = [
         {n: float(v) if v else None for n, v in zip(names, row, strict=True)} for row in rows

@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc localize``: modes chosen by the speed (Algorithm 1), and figures."""
+"""Tests of ``mmwave-loc localize``: how a speed chooses modes, and the reported figures."""
 
 import csv
 import json
@@ -10,9 +10,10 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from experiments.console.main import run
-from mmwave_env.logs.tum import read_tum, tum_lines
+from mmwave_env.logs.tum import tum_lines
 from tests.cli import command, succeed
 from tests.commands.localizing import EPOCHS, RIDE, WALK, figures, lines_of, options, refused
+from tests.logs.writing import read_tum
 
 # --- the speed (Algorithm 1)
 
@@ -27,7 +28,7 @@ from tests.commands.localizing import EPOCHS, RIDE, WALK, figures, lines_of, opt
         (RIDE, "2.01", "ukf"),
     ],
 )
-def test_a_speed_chooses_the_pipeline(folder, speed, mode):
+def test_a_speed_chooses_the_mode(folder, speed, mode):
     results = figures(folder, "--speed", speed, "--radio", "standard")
     assert results["modes"] == {mode: EPOCHS[folder]} and results["switches"] == 0
     assert results["truth"]["scored"] == EPOCHS[folder]
@@ -71,7 +72,7 @@ def test_the_corrector_is_the_default():
 
 
 def evo_figures(truth, track, delta):
-    """Return ATE, RMSE and RPE as evo computes them from two files."""
+    """Return ATE, RMSE and RPE as the package evo computes them from two files."""
     metrics = pytest.importorskip("evo.core.metrics")
     sync = pytest.importorskip("evo.core.sync")
     read = pytest.importorskip("evo.tools.file_interface").read_tum_trajectory_file
@@ -145,7 +146,7 @@ def test_the_printed_figures_equal_those_in_the_json_file(capsys, tmp_path):
         assert len(numbers) == 5 and " | ".join(f"{value:.3f}" for value in numbers) in shown
     groups = results["groups"]
     assert list(groups) == ["anchor 1", "anchor 2", "anchor 3", "Doppler", "all"]
-    assert groups["anchor 1"]["seen"] == 399  # of 400: the prior used the first
+    assert groups["anchor 1"]["seen"] == 399  # of 400 epochs: the first gave the prior
     assert results["error"] is None
     assert all(abs(groups[f"anchor {a}"]["nis_in_bounds"] - 0.95) < 0.03 for a in (1, 2, 3))
 
@@ -153,7 +154,7 @@ def test_the_printed_figures_equal_those_in_the_json_file(capsys, tmp_path):
 def test_the_json_file_records_the_command_that_makes_the_figures_again(tmp_path):
     """Run the recorded command again; the record leaves out the options for output files."""
     file, again = tmp_path / "figures.json", tmp_path / "again.json"
-    words = ["--sample", RIDE.name, "--speed", "9", "--no-gating"]
+    words = ["--sample", RIDE.name, "--speed", "9", "--robust"]
     run("localize", [*words, "--json", str(file), "--out", str(tmp_path / "track.tum")])
     results = json.loads(file.read_text())
     program, name, *made = shlex.split(results["command"])
@@ -185,7 +186,7 @@ def test_epochs_before_the_first_line_of_sight_are_counted(capsys, tmp_path):
     assert results["skipped"] == 20 and results["epochs"] == 380 == results["truth"]["scored"]
 
 
-@pytest.mark.filterwarnings("ignore:Doppler")  # shifts are too large for the slowed walk
+@pytest.mark.filterwarnings("ignore:Doppler")  # slowed times contradict the shifts
 def test_a_restart_or_an_end_at_a_long_gap_is_reported(capsys, tmp_path):
     """Use the walk at a tenth of its rate, without the epochs from 100 to 129 s.
 

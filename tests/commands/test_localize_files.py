@@ -67,7 +67,7 @@ def test_results_of_a_comparison_are_written_even_if_the_picture_fails(tmp_path,
 
 @pytest.fixture
 def mapped(tmp_path):
-    """Return a folder with the log of the ride, my_ride.csv.gz, and a scene with an origin."""
+    """Return a folder with the ride's log (my_ride.csv.gz) and a scene with a known latitude."""
     scene = json.loads((RIDE / "scene.json").read_text())
     scene["origin"] = {"latitude_deg": 48.0, "longitude_deg": 11.0}
     (tmp_path / "scene.json").write_text(json.dumps(scene))
@@ -85,7 +85,7 @@ def test_one_run_writes_several_files_and_the_track_in_maps_has_the_name_of_the_
     assert track.name == line["properties"]["name"] == "my_ride"
     tables = [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")]
     assert "t.geojson (smoothed track), new/t.tum (smoothed track), new/t.csv (its" in shown
-    succeed(*MAPPED, "new/t.tum", "new/t.csv", cwd=mapped)  # names the table, too
+    succeed(*MAPPED, "new/t.tum", "new/t.csv", cwd=mapped)  # the table may be named, too
     assert [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")] == tables
 
 

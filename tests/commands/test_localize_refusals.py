@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mmwave_env.logs.tum import COLUMNS, read_tum, tum_lines
+from mmwave_env.logs.tum import COLUMNS, tum_lines
 from tests.cli import environment
 from tests.commands.localizing import (
     RIDE,
@@ -23,6 +23,7 @@ from tests.commands.localizing import (
     refused,
     with_line,
 )
+from tests.logs.writing import read_tum
 
 # A file that begins with this line is a track written by localize, so localize may replace it.
 OLD = f"# {' '.join(COLUMNS)}; mmwave-loc localize\n"
@@ -126,7 +127,7 @@ NOTHING = {
 
 
 @pytest.mark.parametrize("name", NOTHING)
-def test_a_log_without_a_track_does_not_change_the_output(capsys, tmp_path, name):
+def test_a_log_that_gives_no_track_leaves_existing_files_unchanged(capsys, tmp_path, name):
     content, message = NOTHING[name]
     log, out = tmp_path / "log.csv", tmp_path / "track.tum"
     log.write_text(content)
@@ -145,10 +146,11 @@ def test_a_log_without_a_track_does_not_change_the_output(capsys, tmp_path, name
             [
                 "column 'range_yd': found no known unit, expected toa_s, ",
                 ", range_m or range_ft; column 'azimuth_deg_compass'",
-                "(did you mean aod_azimuth_deg or aoa_azimuth_deg?); column 'mood'",
+                "(did you mean aoa_azimuth_rad or aoa_azimuth_deg, the azimuth from",
                 "column 'speed_knots': found no known unit, expected speed_mps or speed_kmh; a",
             ],
         ),
+        ("t_ms,bs,delay_ns,dist_m", ["mean time_ms", "mean anchor", "mean toa_ns", "mean range_m"]),
         ("A,B,C,D,E,F,G,H,I,J,K,L", ["column 'J': found an unknown quantity; allowed are only "]),
     ],
 )
@@ -164,7 +166,7 @@ def test_a_truth_without_common_times_is_refused_with_both_time_spans(capsys, tm
     more = ("--speed", "1", "--truth", truth, "--out", out)
     shown, line = refused(capsys, options(WALK / "log.csv", *more))
     assert "found times from 1000.0 to 1002.5 s, expected some within 0.01 s" in line
-    assert "from 0.0 to 39.9 s; 400 epochs are written" in line
+    assert "(0.0 to 39.9 s)" in line and "; 400 epochs are written" in line
     assert len(read_tum(out).time_s) == 400 and "ATE" not in shown
 
 

@@ -10,12 +10,12 @@ from experiments.console.main import run
 from mmwave_env.datasets.log_writer import log_columns, log_text
 from mmwave_env.datasets.samples import log_names
 from mmwave_env.logs.log import read_log
-from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, read_scene
 from mmwave_env.world.keys import keys_of
 from mmwave_env.world.simulated import SimulatedSource
+from tests.logs.writing import read_tum
 from tests.paths import LOGS
 
 FILES = ["log.csv", "scene.json", "truth.tum"]
@@ -78,7 +78,7 @@ def test_the_command_writes_the_shipped_sample_logs_again(tmp_path, name):
         )
 
 
-def test_the_chosen_user_is_named_if_a_file_has_several_ways(tmp_path, capsys):
+def test_the_chosen_user_is_named_if_a_file_has_several_users(tmp_path, capsys):
     ways = tmp_path / "ways.csv"
     rows = [f"{t},{i},{20 + t},{y},1.5" for t in range(40) for i, y in (("a", -80), ("b", -70))]
     ways.write_text("\n".join(["t,id,x,y,z", *rows]))

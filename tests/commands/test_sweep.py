@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc sweep``, which stores one result per cell; they need the extra ``ray``."""
+"""Tests of ``mmwave-loc sweep``, which stores a result for each combination of values (cell)."""
 
 import os
 import re
@@ -75,7 +75,7 @@ def exits(values):
 
 
 def second_time(values):
-    """Raise the error of a full disk in the first call with number 1; return a row otherwise."""
+    """Return a row; only the first call with number 1 raises the error of a full disk."""
     if values["number"] == 1 and not os.path.exists(values["mark"]):
         open(values["mark"], "x").close()
         raise OSError(28, "No space left on device")

@@ -105,7 +105,7 @@ def test_a_mistake_ends_with_one_clear_line(options, message):
 @pytest.mark.slow
 @pytest.mark.parametrize("file", SHIPPED, ids=lambda file: file.stem)
 def test_tuning_on_the_original_episodes_finds_the_shipped_modes(file):
-    """Use the original episodes, whose keys were drawn by numpy's generators."""
+    """Use the episodes of the shipped tunings; their keys were drawn by numpy's generators."""
     seeds = range(5_000_000, 5_000_300)
     keys = np.array([draw_key(np.random.default_rng(seed)) for seed in seeds], np.uint64)
     radio = file.stem.removesuffix("-diagonal")

@@ -45,7 +45,7 @@ def started(package, script=SCRIPT, **variables):
     """Start a process that imports the package; its home is the folder that contains ``site``."""
     home = package.parent.parent
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "XDG"))}
-    # Edits here keep time and size. Python would then use old bytecode, so it must write none.
+    # After edits that keep time and size, Python would use old bytecode; let it write none.
     own = {"PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1", "HOME": str(home)}
     every = {name: value for name, value in (clean | own | variables).items() if value is not None}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -142,7 +142,7 @@ def test_an_edit_in_any_folder_makes_a_new_version(whole, monkeypatch, room):
     assert disk_cache._version() == before
 
 
-READ_ONLY = {  # environment variables, number of files kept
+READ_ONLY = {  # name -> environment variables, number of files that the cache then keeps
     "a home": ({}, 1),
     "a cache folder of one's own": ({"XDG_CACHE_HOME": "{tmp}/mine"}, 1),
     "no writable home": ({"HOME": "{tmp}/blocked"}, 0),
@@ -284,7 +284,7 @@ function._cache.save_overload(function.signatures[0], SimpleNamespace(
 
 @pytest.fixture
 def planted(package, tmp_path):
-    """Return a stored file, in a shared folder, that runs planted code when it is loaded."""
+    """Return a file, stored in a shared folder, that runs planted code when it is loaded."""
     shared = tmp_path / "shared"
     finished(started(package, PLANT, NUMBA_CACHE_DIR=str(shared)))
     (file,) = shared.glob("*/*")
@@ -292,7 +292,7 @@ def planted(package, tmp_path):
 
 
 def given_away(path):
-    """Give a path to another user; if not root, return code that makes a process believe this."""
+    """Make another user own a path or, without the right to do so, return code that fakes this."""
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         os.chown(path, 65534, 65534)
         return ""
@@ -325,7 +325,7 @@ UNTRUSTED = {
     "a link to a folder": lambda file: linked(file.parent),
     "a link to a file": linked,
 }
-posix = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no owners and modes of files")
+posix = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="needs owners and modes of files")
 
 
 @pytest.mark.slow

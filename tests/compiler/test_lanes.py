@@ -51,7 +51,7 @@ NAN, INF = math.nan, math.inf
 
 @cache
 def compiled(function, arity):
-    """Compile a function of ``arity`` numbers for lanes; return a numba function of blocks."""
+    """Compile a function of ``arity`` numbers to run on lanes; the result takes blocks of lanes."""
 
     def build(rows):
         rows[arity] = function(*(rows[i] for i in range(arity)))
@@ -82,7 +82,7 @@ def close(actual, expected, rtol=1e-15, atol=0.0):
 
 
 def floats(low, high):
-    """Return a strategy for 64 floats, none subnormal, none -0 (where atan2 may differ in sign)."""
+    """Return a strategy for 64 floats: none subnormal, and no -0 (its atan2 may differ in sign)."""
     elements = st.floats(low, high, allow_subnormal=False).map(lambda a: a + 0.0)
     return hnp.arrays(float, 64, elements=elements)
 
@@ -226,7 +226,7 @@ def outside(a):
 
 
 def test_lanes_and_tracers_have_the_same_operations():
-    """Check that lanes support exactly what a trial of a function on tracers accepts."""
+    """Check this because functions are tried on tracers before they are compiled for lanes."""
     inner = {"builder", "value", "hidden", "_call", "_negated", "_with", "as_word"}
     for ours, theirs in ((Lanes, FloatTracer), (Mask, FloatCondition)):
         assert set(dir(ours)) - inner == set(dir(theirs)) - inner
@@ -262,7 +262,7 @@ def assert_same_tracks(a, b):
     np.testing.assert_array_equal(a["memory.accepted"], b["memory.accepted"])
 
 
-@pytest.mark.parametrize("name", representative(OPTIONS, "default"))  # compiles 3 programs
+@pytest.mark.parametrize("name", representative(OPTIONS, "default"))  # each compiles 3 programs
 def test_filters_on_lanes_equal_filters_on_floats(name):
     """Run each filter alone, and with random switching between the filters."""
     actions = np.random.default_rng(0).integers(3, size=(60, 5))

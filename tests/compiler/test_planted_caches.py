@@ -45,7 +45,7 @@ DAMAGE = {
 
 
 def localized(folder, cache):
-    """Return the track that a command in a new process makes with these compiled functions."""
+    """Return the track that a new process makes with the compiled functions in ``cache``."""
     folder.mkdir()
     command = [sys.executable, "-m", "experiments.console", *map(str, LOCALIZE)]
     variables = environment() | {"NUMBA_CACHE_DIR": str(cache), "HOME": str(folder)}

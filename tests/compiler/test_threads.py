@@ -66,7 +66,7 @@ def test_an_error_in_another_thread_is_raised_and_later_jobs_run():
 
 
 def test_jobs_can_share_jobs_of_their_own_among_threads():
-    """Run more jobs than threads, where each job waits for its own jobs, without a deadlock."""
+    """Run more jobs than threads; each job waits for jobs of its own, but there is no deadlock."""
 
     def job(i):
         return share(lambda j: i + j, [(j,) for j in range(4)], 4)
@@ -97,7 +97,7 @@ def test_arguments_are_released_once_the_jobs_are_done():
 
 
 def test_draws_do_not_depend_on_the_thread():
-    """Check that draws do not use numba's own generators, of which every thread has one."""
+    """Check that draws do not use numba's random generators, because each thread has its own."""
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=20)
 
     def draw(seed):

@@ -1,4 +1,4 @@
-"""Tests of moving numbers between rows and lanes, compiled or not, against numpy."""
+"""Tests that moving numbers between rows and lanes, compiled or not, agrees with numpy."""
 
 import os
 import subprocess
@@ -80,15 +80,6 @@ def test_scatter_writes_the_rows_and_nothing_else(scatter, dtype, rows, seed):
     expected[::-1, : len(rows)] = block[rows].T
     scatter(block, np.array(rows, np.int64), addresses(room))
     np.testing.assert_array_equal(room, expected)
-
-
-@pytest.mark.parametrize("pick", [tiles.pick, numba.njit(tiles.pick)])
-@settings(deadline=None)
-@given(rows=st.lists(st.integers(0, SIZE - 1), max_size=30), seed=st.integers(0, 99))
-def test_pick_copies_the_chosen_rows(pick, rows, seed):
-    block, out = some_block(seed), np.zeros((len(rows), WIDTH))
-    pick(block, np.array(rows, np.int64), out)
-    np.testing.assert_array_equal(out, block[rows])
 
 
 @pytest.mark.parametrize("address", [tiles.address, compiled_address])

@@ -99,7 +99,7 @@ SPELLED = r"$x$|a\nb\x1b[31m[red]\u202e<script>"
 
 @pytest.fixture
 def screen(monkeypatch):
-    """Return what is shown on standard error, as on a terminal of 100 columns."""
+    """Return a buffer to which bars are drawn as to a terminal of 100 columns."""
     shown = io.StringIO()
 
     def console(**_):
@@ -129,7 +129,7 @@ WORDS = st.from_regex(r"[a-z0-9.±-]{1,20}", fullmatch=True)
 
 @pytest.fixture
 def shown(monkeypatch, capsys):
-    """Return a function that returns the lines of Markdown shown on a terminal of some width."""
+    """Return a function that shows Markdown on a terminal of some width and returns its lines."""
     monkeypatch.setenv("FORCE_COLOR", "1")
 
     def lines(text, width):

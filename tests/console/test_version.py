@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc --version --json``."""
+"""Tests of ``mmwave-loc --version --json``, which also runs a self-test of the kernels."""
 
 import json
 import os
@@ -15,7 +15,7 @@ from tests.cli import command, environment
 from tests.paths import ROOT
 
 
-@pytest.mark.slow  # it compiles five modes at once
+@pytest.mark.slow  # the self-test compiles five modes at once
 def test_versions_kernels_and_a_self_test_are_reported():
     done = command("--version", "--json")
     report = json.loads(done.stdout)

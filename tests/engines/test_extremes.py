@@ -1,4 +1,4 @@
-"""Tests that beliefs are sound within the envelope of inputs and that values beyond are refused."""
+"""Tests that inputs within the envelope (bounds) give sound beliefs; other inputs are refused."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -25,7 +25,7 @@ from mmwave_env.world.mobility import MOBILITIES
 from mmwave_env.world.simulated import SimulatedSource
 from tests.refusals import refuses
 
-ASIDE = 0.01  # distance to an end of the envelope, relative to the end
+ASIDE = 0.01  # distance of a tested value from an end of a bound, relative to this end
 FAR = (1e30, 1e150, 1e300, np.nan)  # without inf: an infinite sigma means a missing row
 SEEDS = (0, 5)  # seeds of the episodes that get extreme values
 NOISES = ("sigma_p", "sigma_v", "sigma_pz", "sigma_vz", "sigma_b_mps")
@@ -83,7 +83,7 @@ def steps(episode, value):
 
 
 def place(episode, value):
-    """Move anchors and user to far coordinates, as in a survey."""
+    """Shift the coordinates of anchors and user, as the origin of a national grid would."""
     prior = episode.prior_mean.copy()
     prior[:3] += value
     return replace(episode, scene_anchors_m=episode.scene_anchors_m + value, prior_mean=prior)
@@ -181,7 +181,7 @@ def test_an_episode_beyond_the_envelope_is_refused_by_name(quantity, value, epis
 
 
 def numbers_of(record):
-    """Yield name, bound and a function from a number to a value, for each numeric field."""
+    """Yield each numeric field's name, its bound, and a function from a number to a field value."""
     for name, hint in hints_of(type(record)).items():
         hint = next(iter(get_args(hint)), hint) if NoneType in get_args(hint) else hint
         inside = get_args(hint)[:1] if get_origin(hint) is Annotated else ()

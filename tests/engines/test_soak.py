@@ -29,7 +29,7 @@ STAY = (0.0, 0.95, 1.0)  # probabilities of keeping the mode; each environment u
 
 
 def damaged(episode, rng):
-    """Return a copy with links missing, briefly or long, and values NaN, infinite or far off."""
+    """Return a copy that lacks links for some time, and has NaN, infinite and far-off values."""
     layout, T = episode.layout, len(episode)
     missing = rng.random((T, len(layout.groups))) < 0.03
     for group in np.flatnonzero(rng.random(len(layout.groups)) < 0.4):
@@ -63,7 +63,7 @@ def unsound(engine):
 
 
 def soaked(modes, users, n):
-    """Run damaged episodes with random modes; return when and which parts are unsound, or None."""
+    """Run damaged episodes with random modes; return the first unsound epoch and parts, or None."""
     engine = Engine(Pipeline(tuple(modes), Layout(3)), n, TrackingReward())
     for turn, (scenario, radio) in enumerate(users):
         rng = np.random.default_rng(turn)

@@ -26,7 +26,7 @@ LAYOUT = EPISODES[0].layout
 
 
 def begun(walked):
-    """Return an engine with a bank after some epochs without trust."""
+    """Return an engine with a bank after some epochs in which no mode is trusted (action 0)."""
     engine = Engine(Pipeline(HANDSET.modes, LAYOUT), N, TrackingReward(), "full", HANDSET)
     engine.reset(EPISODES)
     for _ in range(walked):
@@ -35,7 +35,7 @@ def begun(walked):
 
 
 def rest(walked, action):
-    """Sum the rewards (N,) of an action after some epochs, and of trusting no mode from then on."""
+    """Return sums (N,) of rewards after ``walked`` epochs if ``action`` is taken, then action 0."""
     engine, total = begun(walked), 0.0
     for taken in [action, *[np.int64(0)] * (EPOCHS - walked - 1)]:
         total += engine.step(taken, rows_of(engine.at.reward))[1][:, 0]
@@ -55,7 +55,7 @@ def test_a_decision_that_looks_to_the_end_earns_the_most_that_one_action_can(wal
     assert (best > every[0]).any()
 
 
-def test_the_clairvoyant_is_above_the_imm_of_its_bank_and_leaves_episodes_as_they_are():
+def test_the_clairvoyant_earns_more_than_the_imm_of_its_bank_and_does_not_change_episodes():
     policy, imm = (contender_from(name, "handset", HANDSET) for name in ("clairvoyant", "imm"))
     knows, mixes = (score(c, c.start(LAYOUT), EPISODES)["reward"] for c in (policy, imm))
     assert knows.mean() > mixes.mean()
@@ -70,5 +70,5 @@ def test_the_clairvoyant_is_refused_where_there_is_no_truth():
     unknown = [replace(e, truth_position_m=None, truth_velocity_mps=None) for e in EPISODES]
     with refuses("policy"):
         run_contender(policy, policy.start(LAYOUT), unknown)
-    with refuses("policy"):  # foresee was not called, as in localizing a log
+    with refuses("policy"):  # localizing a log never calls foresee
         policy.start(LAYOUT)(begun(0).observations())

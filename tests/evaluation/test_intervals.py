@@ -32,8 +32,8 @@ def test_one_episode_gives_a_mean_and_no_interval():
 def test_intervals_agree_with_scipy_s_bootstrap(n):
     values = np.random.default_rng(0).exponential(2.0, (n, 2))
     ours = bootstrap(values)
-    # Monte-Carlo error of a 2.5 % quantile from R resamples of a nearly normal mean, in
-    # standard errors of the mean. Two results differ by more than 4.5 sqrt(2) errors once in 10^5.
+    # A 2.5 % quantile from R resamples has the mean's standard error times this factor. Two such
+    # quantiles differ by more than 4.5 sqrt(2) of their standard errors in one of 10^5 tests.
     quantile_error = np.sqrt(0.025 * 0.975 / RESAMPLES) / norm.pdf(norm.ppf(0.025))
     for column, interval in zip(values.T, ours, strict=True):
         same = {"n_resamples": RESAMPLES, "method": "percentile", "rng": np.random.default_rng(0)}
@@ -82,7 +82,7 @@ def test_each_column_has_a_ratio_which_is_nan_if_the_denominator_is_zero():
 
 
 def plain_work(scores, rng, resamples):
-    """Return deviations of the mean, with each resample drawn and averaged explicitly."""
+    """Return the means of resamples, drawn one by one, minus the mean of the scores."""
     K, n = scores.shape
     apart = scores.mean(axis=1) - scores.mean()
     moved = scores + ((few_seeds_factor(K) - 1.0) * apart)[:, None]
@@ -135,7 +135,7 @@ SPREADS = {"seeds": (1.0, 0.0, 0.1), "episodes": (0.0, 1.0, 0.1), "all": (0.2, 0
 
 @pytest.fixture
 def fewer_resamples(monkeypatch):
-    """Use fewer resamples, enough to measure coverage in an eighth of the time."""
+    """Use only 500 resamples, which are enough to measure coverage, in an eighth of the time."""
     intervals._resamples.cache_clear()
     monkeypatch.setattr(intervals, "RESAMPLES", 500)
     yield
@@ -160,6 +160,6 @@ def coverage(K, spread, trials=400, episodes=40):
 @pytest.mark.usefixtures("fewer_resamples")
 def test_intervals_contain_the_truth_in_about_95_percent_of_trials(K, spread):
     share = coverage(K, SPREADS[spread])
-    # Three standard errors of 400 trials are 0.033. Small samples lower the coverage a little; the
-    # interaction of seeds and episodes, which counts twice (Owen 2007), raises it a little.
+    # Over 400 trials, three standard errors of the share are 0.033. Small samples lower the share a
+    # little; the interaction of seeds and episodes counts twice (Owen 2007) and raises it a little.
     assert 0.91 < share < 0.99

@@ -18,7 +18,7 @@ RTOL = 1e-9
 
 
 class Problem(NamedTuple):
-    """One update: prior, sensor, measured values, noise variances and which groups are visible."""
+    """One update: prior, sensor, values, noise variances and which groups of rows are visible."""
 
     x: np.ndarray
     P: np.ndarray
@@ -26,7 +26,7 @@ class Problem(NamedTuple):
     z: np.ndarray
     R: np.ndarray
     visible: np.ndarray
-    measured: np.ndarray | None = None  # (rows,) mask, only in a partial layout
+    measured: np.ndarray | None = None  # (rows,) mask; None if no row is missing
 
     @property
     def seen(self):

@@ -21,7 +21,7 @@ BANK = Bank((Mode("slow", "ckf", sigma_v=0.1 + 0.2), Mode("fast")), ((0.9, 0.1),
 @pytest.mark.parametrize("bank", [BANK, Bank(BANK.modes), best_bank("standard")])
 def test_a_bank_read_from_json_equals_the_bank_that_was_written(bank):
     written = bank_as_written(bank)
-    assert json.loads(json.dumps(written)) == written  # a resumed training compares the two
+    assert json.loads(json.dumps(written)) == written  # a resumed training relies on this
     assert bank_in(written) == bank
 
 

@@ -1,4 +1,4 @@
-"""Tests of filters with a user's range bias, against textbook filters with 8 states."""
+"""Tests of filters that also estimate the range bias, against textbook filters with 8 states."""
 
 import numpy as np
 import pytest

@@ -14,23 +14,23 @@ from tests.filters.tracks import OwnModel, assert_same_beliefs, pipeline_of, pro
 
 OURS = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 ANCHORS = np.array([[0.0, 0.0, 10.0], [80.0, 60.0, 12.0], [-50.0, 70.0, 15.0]])
-MEANT = {"vertical": [1, 3], "anchor": [1, 2, 3, 12]}  # rows that carry no information
-# Offset of the mean from the first anchor, m; key of MEANT, or None if every row has information.
+SILENT = {"vertical": [1, 3], "anchor": [1, 2, 3, 12]}  # rows that carry no information
+# Name -> offset (m) of the prior mean from the first anchor; key of SILENT (None: no silent row).
 OFFSETS = {
     "below": ((0.0, 0.0, -8.5), "vertical"),
     "above": ((0.0, 0.0, 20.0), "vertical"),
-    "too close to its vertical": ((0.6 * NEAREST_M, -0.6 * NEAREST_M, -8.5), "vertical"),
-    "at it": ((0.0, 0.0, 0.0), "anchor"),
-    "too close to it": ((0.3 * NEAREST_M, -0.4 * NEAREST_M, 0.5 * NEAREST_M), "anchor"),
-    "far enough from its vertical": ((1.2 * NEAREST_M, 0.7 * NEAREST_M, -8.5), None),
-    "far enough from it": ((-1.1 * NEAREST_M, 1.2 * NEAREST_M, 0.9 * NEAREST_M), None),
+    "too close to the vertical": ((0.6 * NEAREST_M, -0.6 * NEAREST_M, -8.5), "vertical"),
+    "at the anchor": ((0.0, 0.0, 0.0), "anchor"),
+    "too close to the anchor": ((0.3 * NEAREST_M, -0.4 * NEAREST_M, 0.5 * NEAREST_M), "anchor"),
+    "far enough from the vertical": ((1.2 * NEAREST_M, 0.7 * NEAREST_M, -8.5), None),
+    "far enough from the anchor": ((-1.1 * NEAREST_M, 1.2 * NEAREST_M, 0.9 * NEAREST_M), None),
 }
 algorithms = pytest.mark.parametrize("algorithm", OURS)
 everywhere = pytest.mark.parametrize("where", OFFSETS)
 
 
 def near(where, odometry=False):
-    """Return an update with the prior mean at this offset; the user is about 2 m from the mean."""
+    """Return an update whose prior mean has the offset ``where``, about 2 m from the truth."""
     sensor = textbook.Sensor(ANCHORS, HZ_PER_MPS, odometry)
     x = np.array([*(ANCHORS[0] + OFFSETS[where][0]), 3.0, -2.0, 0.1, 20.0])
     scale = np.array([3.0, 3.0, 1.0, 1.0, 1.0, 0.3, 50.0])
@@ -58,7 +58,7 @@ def test_an_update_near_an_anchor_equals_the_textbook(algorithm, where, odometry
 def test_a_jacobian_row_is_zero_if_its_angle_is_undefined_and_else_the_derivative(where):
     problem, (_, lost) = near(where), OFFSETS[where]
     s, x = problem.sensor, problem.x
-    silent = MEANT.get(lost, [])
+    silent = SILENT.get(lost, [])
     assert np.flatnonzero(s.silent(x)).tolist() == silent
     H = s.jacobian(x)
     assert np.isfinite(H).all() and not H[silent].any()
@@ -69,7 +69,7 @@ def test_a_jacobian_row_is_zero_if_its_angle_is_undefined_and_else_the_derivativ
 
 
 def starts_near(where):
-    """Return a model with the prior mean at this offset; users walk away, with little noise."""
+    """Return a model with the prior mean at the offset ``where``; users walk away, noise is low."""
     sensor = textbook.Sensor(ANCHORS, HZ_PER_MPS)
     mean = np.array([*(ANCHORS[0] + OFFSETS[where][0]), 2.0, 1.0, 0.0, 10.0])
     (mode,) = pipeline_of(algorithms=["ekf"]).modes

@@ -1,4 +1,7 @@
-"""Tests that tracks in partial layouts are consistent, and equal plain ones if all rows exist."""
+"""Tests of partial layouts, in which any row of a measurement may be missing.
+
+Tracks are consistent; if no row is missing, they equal the tracks in a plain layout.
+"""
 
 from dataclasses import replace
 
@@ -29,6 +32,7 @@ RUNS, EPOCHS, LEVEL = 600, 25, 0.01
 QUIET = {"gate": None, "adaptive": False, "sigma_v": 0.3}
 
 
+@pytest.mark.slow  # compiles eight programs
 @pytest.mark.parametrize("odometry", [False, True], ids=["radio", "odometry"])
 @pytest.mark.parametrize("tuning", [{}, {"robust": True, "blockage_aware": True}], ids=str)
 def test_a_partial_layout_without_missing_rows_equals_the_plain_layout(odometry, tuning):
@@ -57,7 +61,10 @@ def test_an_imm_in_a_partial_layout_without_missing_rows_equals_the_plain_imm():
 
 @pytest.fixture(scope="module")
 def runs():
-    """Run a filter on its own model with half the rows; return NEES, NIS and measured rows."""
+    """Return NEES, NIS and a mask of measured rows, for episodes that obey the filter's model.
+
+    Half of the rows are missing.
+    """
     model = far_from_the_anchors(process_noise(Mode("ekf", "ekf", **QUIET)))
     rng = np.random.default_rng(0)
     drawn = [some_rows(model.draw(rng, EPOCHS), rng, 0.5) for _ in range(RUNS)]
@@ -75,7 +82,7 @@ def runs():
 
 
 def with_its_doppler(episode, model):
-    """Return the episode with each Doppler shift changed to that of its ``doppler_anchor``."""
+    """Return the episode with Doppler shifts of ``doppler_anchor`` instead of the first anchor."""
     sensor, row = model.sensor, episode.layout.doppler
     z = episode.measurement.copy()
     truth = [*episode.truth_position_m.T], [*episode.truth_velocity_mps.T]
@@ -88,7 +95,7 @@ def with_its_doppler(episode, model):
 
 
 def assert_mean(values, dof):
-    """Assert that a sum of chi-square values, of ``dof`` in total, is within its 99 % interval."""
+    """Assert that the sum of values is in the 99 % interval of chi-square with ``dof`` degrees."""
     low, high = chi2.ppf([LEVEL / 2, 1 - LEVEL / 2], dof)
     assert low < values.sum() < high, (low, values.sum(), high)
 

@@ -28,7 +28,7 @@ def pipeline():
 
 
 def smallest_eigenvalues(pipeline, episodes, actions):
-    """Return the smallest eigenvalues of all P and of all correlation matrices of a run."""
+    """Return the smallest eigenvalue of any P in a run, and that of any correlation matrix."""
     engine = Engine(pipeline, len(episodes), TrackingReward(), "prior")
     engine.reset(episodes)
     smallest, smallest_scaled = np.inf, np.inf
@@ -54,7 +54,7 @@ def smallest_eigenvalues(pipeline, episodes, actions):
 )
 def test_covariance_stays_positive_definite_under_random_modes(pipeline, n, epochs):
     episodes = simulated(n, epochs)
-    # Each mode is kept for a while, as a policy would, so that the P of tight modes becomes small.
+    # Modes are kept for a while, as by a policy, so that the P of tight modes becomes small.
     rng = np.random.default_rng(0)
     actions = np.repeat(rng.integers(len(MODES), size=(-(-epochs // 20), n)), 20, axis=0)[:epochs]
     every_epoch = rng.random((epochs, n)) < 0.2

@@ -1,4 +1,4 @@
-"""Tests of the update against the textbook, which updates with all rows at once, unfused."""
+"""Tests of the update against the textbook, which uses all rows at once and fuses no azimuths."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def test_an_update_equals_the_textbook(algorithm, odometry, gate, data):
 @given(data=st.data())
 @settings(max_examples=15, deadline=None)
 def test_an_update_with_missing_rows_equals_the_textbook(algorithm, odometry, gate, data):
-    """Use gates for the number of measured rows, and a Doppler shift of any anchor."""
+    """Let gates depend on how many rows are measured, and use the Doppler shift of any anchor."""
     problem = data.draw(problems(odometry, partial=True))
     expected = problem.textbook(textbook.METHODS[algorithm], gate, gate.force)
     if gate.quantile is not None:
@@ -51,7 +51,7 @@ def test_an_update_with_missing_rows_equals_the_textbook(algorithm, odometry, ga
 @given(problem=problems(anchors=9))
 @settings(max_examples=3, deadline=None)
 def test_determinants_of_many_links_equal_the_textbook(problem):
-    """Use nine links, more than can be multiplied before a logarithm is taken."""
+    """Use nine links, too many to take a single logarithm of the product of their determinants."""
     expected = problem.textbook(textbook.tangent, Gate(None))
     assert_same(problem.ours(ekf, Gate(None)), expected)
 
@@ -76,7 +76,7 @@ def test_an_update_with_any_scaled_sigma_points_equals_the_textbook(odometry, pa
 @pytest.mark.parametrize(
     ("algorithm", "moments"),
     [
-        # Sigma points of 7 states reach sqrt(7) deviations; so do those of 5 with kappa = 2.
+        # Sigma points of 7 states reach sqrt(7) deviations; so do those of 5 states with kappa = 2.
         ("ekf", textbook.tangent),
         ("ukf", textbook.unscented(1.0, 2.0, 2.0)),
         ("ckf", textbook.unscented(1.0, 0.0, 2.0)),
@@ -139,7 +139,7 @@ def test_values_of_a_missing_group_do_not_matter(algorithm, data):
 
 
 def link_to_the_east(azimuth_of_arrival, azimuth_of_departure):
-    """Return an update with an anchor 100 m to the east, whose azimuth of arrival is at the cut."""
+    """Return an update with an anchor 100 m to the east; its azimuth of arrival is near +-pi."""
     sensor = textbook.Sensor(np.array([[100.0, 0.0, 10.0]]), HZ_PER_MPS)
     x = np.array([0.0, 0.0, 1.5, 3.0, -2.0, 0.1, 20.0])
     P = np.diag([4.0, 2.0, 0.5, 1.0, 1.0, 0.1, 900.0])

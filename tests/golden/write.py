@@ -1,8 +1,8 @@
 """Program that writes the golden traces (``make golden``); ``--check`` only shows differences.
 
-The last bits of results depend on the processor, because compilers and libraries choose other
-instructions on each. Tests therefore allow differences of 1e-9, and 1e-5 in observations (single
-precision), relative to the number or to 1 if that is larger; integers and words must be equal.
+The last bits of results depend on the processor, because compilers and libraries choose
+instructions for it. Tests therefore allow differences of 1e-9 (1e-5 in observations, which have
+single precision): relative for numbers above 1, else absolute. Integers and words must agree.
 ``--check`` compares text, to see on one machine whether a refactoring changes any bit.
 """
 

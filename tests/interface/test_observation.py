@@ -256,7 +256,7 @@ def test_features_of_the_coming_epoch_are_what_the_chosen_mode_then_computes(rol
         mean_nis = info["nis"][visible].sum() / max(dof[visible].sum(), 1)
         close(coming("NIS"), limited("NIS", np.log1p(mean_nis)))
         assert coming("rejected") == info["rejected"][:3].sum()
-        if name == "ukf":  # only the last mode has features of the NIS of every group
+        if name == "ukf":  # only the last mode has an NIS feature for each group
             for g, group in enumerate(("anchor 1", "anchor 2", "anchor 3", "Doppler")):
                 part = f"NIS {group}"
                 close(coming(part), limited(part, np.log1p(info["nis"][g])))
@@ -286,7 +286,7 @@ def test_corrections_are_exponential_averages(rollout):
 
 
 def test_preferences_are_averages_of_the_log_likelihood_difference(rollout):
-    difference = rollout.read("coming log-likelihood ekf")  # both are clipped at 30 nats
+    difference = rollout.read("coming log-likelihood ekf")  # clipped at 30 nats
     for pace, keep in (("fast", 0.6), ("slow", 0.85)):
         close(rollout.read(f"preference {pace} ekf"), averages(difference, keep)[1:], 1e-4)
     assert (np.abs(difference) <= 30.0).all() and (difference != 0.0).any()

@@ -1,4 +1,4 @@
-"""Tests that signed features equal formulas in numpy and do not depend on place or direction."""
+"""Tests that signed features (residuals seen from the user) equal formulas wherever users are."""
 
 from dataclasses import replace
 
@@ -87,7 +87,7 @@ def turned(episode, angle, offset):
 
 @settings(max_examples=5, deadline=None)
 @given(st.floats(-3.0, 3.0), st.lists(st.floats(-300.0, 300.0), min_size=2, max_size=2))
-def test_features_know_no_place_and_no_direction(episodes, angle, offset):
+def test_features_do_not_depend_on_place_or_direction(episodes, angle, offset):
     actions = random_actions()
     moved = [turned(episode, angle, np.array([*offset, 5.0])) for episode in episodes]
     (before, _), (after, _) = played(episodes, actions), played(moved, actions)
@@ -118,8 +118,8 @@ def test_residuals_equal_the_formula_in_numpy(episodes):
         )
 
 
-def test_features_do_not_know_the_coming_epoch(episodes):
-    """Change an epoch: features of earlier epochs stay the same."""
+def test_features_do_not_depend_on_the_coming_epoch(episodes):
+    """Change the last epoch; the features after earlier epochs stay the same."""
     actions, changed = random_actions(), EPOCHS - 1
     spoiled = []
     for episode in episodes:
@@ -131,7 +131,7 @@ def test_features_do_not_know_the_coming_epoch(episodes):
     assert (before[:, changed] != after[:, changed]).any()
 
 
-def test_more_features_change_neither_the_others_nor_the_actions_they_lead_to():
+def test_the_signed_observation_begins_with_all_features_of_the_full_one():
     pipeline = Pipeline(BANK.modes, Layout())
     full, signed = (Observation(pipeline, kind, "per-mode") for kind in ("full", "signed"))
     assert signed.columns[: len(full)] == full.columns

@@ -108,7 +108,7 @@ def test_a_sample_without_anchor_numbers_gives_nearly_the_same_track(tmp_path, n
 
 
 def test_angles_of_arrival_may_be_measured_at_the_base_station():
-    """Include reflections, whose angles at the image depend on the wall that reflects them."""
+    """Include reflections, whose angles at the station must be converted to those at the image."""
 
     def as_the_station_sees(epoch, anchor):
         z = epoch.measurement.copy()
@@ -158,7 +158,7 @@ def test_a_track_that_started_from_a_reflection_gives_way_to_the_line_of_sight()
     # The image is 14 m north of the base station, so the user seems to be 14 m further south.
     block = labelled(walk(anchors_seen, seed=4, y_m=6.0), tally=tally)
     begins = np.flatnonzero(block.restarts).tolist()
-    assert seen_in(block)[:20] == [(0,)] * 20 and begins[0] == 0  # nothing contradicts it yet
+    assert seen_in(block)[:20] == [(0,)] * 20 and begins[0] == 0  # no contradiction yet
     assert len(begins) == 2 and 20 < begins[1] <= 30
     assert seen_in(block)[30:] == anchors_seen[30:] and tally.figures()["starts"] == 2
     pieces = list(segments([block], SCENE, RADIO))

@@ -43,7 +43,7 @@ def blocks(size):
 
 @pytest.fixture(scope="module")
 def rows():
-    """Return the rows of each epoch as dicts by column."""
+    """Return, for each of the first epochs of the walk, its rows of the log as dicts by column."""
     with (WALK / "log.csv").open() as file:
         table = [
             {k: float(v) if v else None for k, v in row.items()} for row in csv.DictReader(file)
@@ -97,7 +97,7 @@ def corrector(tmp_path_factory):
     return write(path, network(limit=50.0), card())
 
 
-def test_a_corrected_track_is_that_of_the_environment_with_its_corrections(corrector):
+def test_a_corrected_track_has_the_corrected_beliefs_of_the_environment(corrector):
     switching = learned(corrector, "standard")
     (whole,) = blocks(EPOCHS)
     pipeline = switching.pipeline(whole.layout, planar=False)
@@ -129,7 +129,7 @@ def test_a_live_corrected_track_equals_that_of_the_complete_log(corrector, rows)
     np.testing.assert_array_equal([p.trusted for p in positions], track.trusted)
 
 
-def test_a_smoothed_track_begins_at_beliefs_without_corrections(corrector):
+def test_a_track_is_smoothed_from_beliefs_without_corrections(corrector):
     switching = learned(corrector, "standard")
     bank = Switching(switching.bank)
     smooth = [

@@ -24,7 +24,7 @@ def packed(P):
 
 
 def turned(major, minor, angle):
-    """Return the packed covariance of a turned horizontal ellipse, with a vertical variance."""
+    """Return the packed covariance of a turned horizontal ellipse and a vertical variance of 1."""
     c, s = np.cos(angle), np.sin(angle)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return packed(turn @ np.diag([major**2, minor**2, 1.0]) @ turn.T)
@@ -70,7 +70,7 @@ def test_levels_of_many_covariances_equal_those_of_each_one():
 
 @pytest.mark.parametrize("risk", [0.3, 1e-2, 1e-3])
 def test_random_errors_exceed_levels_with_the_stated_probability(risk):
-    """Check that both counts are within binomial intervals (joint confidence 99 %; seed 0)."""
+    """Check with binomial intervals (99 % for both together) how many errors exceed each level."""
     rng, n = np.random.default_rng(0), 200_000
     factor = rng.normal(size=(n, 3, 3)) * rng.lognormal(size=(n, 1, 1))
     P = packed(factor @ np.swapaxes(factor, 1, 2))

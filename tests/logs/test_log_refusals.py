@@ -211,7 +211,7 @@ def test_a_wrong_header_is_refused_before_any_row_is_read(tmp_path, name):
         read_log(path, SCENE)
 
 
-def test_decimal_commas_between_semicolons_are_refused_by_their_cell(tmp_path):
+def test_the_error_about_decimal_commas_names_the_line_and_the_column(tmp_path):
     path = store(tmp_path, text(rows()).replace(",", ";").replace(".", ","))
     assert not delivered(path, "line 2", "column 'aoa_azimuth_rad'")
 

@@ -80,7 +80,7 @@ def test_the_network_equals_pytorch(path):
         np.testing.assert_allclose(log_factor, expected[:, 3:] * trusted[:, None], atol=1e-5)
 
 
-def test_it_remembers_until_an_episode_begins(path):
+def test_a_corrector_remembers_until_an_episode_begins(path):
     corrector, shown = started(path), features(3)
     first = corrector.correct_features(shown[0]).shift
     assert (corrector.correct_features(shown[0]).shift != first).any(axis=1).all()
@@ -112,7 +112,7 @@ def test_corrections_fade_beyond_the_range_of_training_and_come_back(path):
 
 
 @pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan])
-def test_it_never_answers_nan(path, value):
+def test_a_corrector_never_answers_nan(path, value):
     corrector, strange = started(path), features(1)[0]
     strange[1, 5] = value
     for _ in range(3):
@@ -131,7 +131,7 @@ def test_members_that_disagree_are_not_trusted(tmp_path):
     assert max(np.abs(answer.log_factor).max() for answer in answers) <= MOST_LOG_FACTOR
 
 
-def test_it_finds_its_features_by_name_and_does_without_missing_anchors(path):
+def test_features_are_found_by_name_and_anchors_may_be_missing(path):
     modes = PER_MODE["banks"]["handset"].modes
     everything = np.random.default_rng(0).normal(size=(4, len(TABLE))).astype(np.float32)
     corrector = Corrector(path, Observation(Pipeline(modes, Layout()), "signed", "per-mode"))

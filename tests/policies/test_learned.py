@@ -35,7 +35,7 @@ KINDS = {"plain": {}, "linear": {"hidden": ()}, "narrow": {"hidden": (7,)}}
 
 @pytest.fixture
 def make(tmp_path):
-    """Return a function that makes the policy and the tensors of a kind of actor."""
+    """Return a function that makes an actor of one of the KINDS: its policy and its tensors."""
 
     def policy_and_tensors(kind, **changes):
         tensors = actor(**KINDS[kind] | changes)
@@ -133,8 +133,8 @@ def test_a_radio_gets_the_bank_trained_for_it_and_other_radios_get_that_of_stand
     (tmp_path / "radio.json").write_text('{"name": "lab", "base": "handset"}')
     banks = {"handset": HANDSET, "lab": STANDARD}
     mine = LearnedSwitch(write_per_mode(tmp_path / "mine.safetensors", banks=banks))
-    assert mine.bank(str(tmp_path / "radio.json")) == STANDARD  # the name in the file counts
-    assert mine.bank("standard") == HANDSET  # the first bank
+    assert mine.bank(str(tmp_path / "radio.json")) == STANDARD  # by the radio's name, not its base
+    assert mine.bank("standard") == HANDSET  # no bank fits, so the first one is used
 
 
 def test_a_policy_over_a_shared_belief_has_no_bank(make):

@@ -18,7 +18,7 @@ from mmwave_env.world.simulated import SimulatedSource
 pytestmark = pytest.mark.slow
 
 N, SEED = 100, 5_400_000
-MOST_HARM = 0.02  # reward per epoch
+MOST_HARM = 0.02  # reward per epoch that the corrector may lose against its base
 FACTORS = (1.0, 4.0, 8.0, 16.0)  # by which the stated noise is wrong
 
 
@@ -54,7 +54,7 @@ FAR = SimulatedSource(RandomScene(block_m=(800.0, 1000.0)), RADIOS["handset"])
 HALF = Misstated(SCENES["street"], RADIOS["handset"], stated=2.0)
 LINKS = ("range", "azimuth", "elevation", "departure")
 HARD = {name: make() for name, make in HARD_SOURCES.items()}
-CASES = {  # name -> source of episodes, radio, what is wrong
+CASES = {  # name -> source of episodes, radio, function that falsifies an episode
     "the default street": (simulated(), "handset", None),
     "an unknown clock offset": (HARD["clock-offset:handset"], "handset", None),
     "range and azimuth": (HARD["range-azimuth:handset"], "handset", None),
@@ -107,7 +107,7 @@ def print_table(n=300):
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_it_is_hardly_below_its_base_where_it_was_never_trained(case):
+def test_the_corrector_is_hardly_below_its_base_where_it_was_never_trained(case):
     gains, trusted = gain(case)
     assert gains.mean() > -MOST_HARM
     assert ((trusted >= 0.0) & (trusted <= 1.0)).all()

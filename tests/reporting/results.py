@@ -23,7 +23,7 @@ def metrics(mean):
 
 
 def comparison(names=("imm", "speed-rule"), **more):
-    """Return a comparison: rewards are -1, -2, ..., and differences are from the first policy."""
+    """Return a comparison with rewards -1, -2, ... and differences from the first policy."""
     first, *others = names
     content = {"scenario": "mixed", "radio": "handset", "episodes": 2, "seed": 0}
     content |= {

@@ -1,4 +1,4 @@
-"""Tests of the rivals: particles, Student-t and adaptive noise, and estimators as contenders."""
+"""Tests of rival trackers: particles, Student-t or adaptive noise, and estimators as contenders."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def played(agent, some, planar=False):
 
 
 class Seen(Estimator):
-    """An estimator that keeps what it is given, and returns beliefs of some size."""
+    """An estimator that keeps its inputs, and returns the first ``size`` numbers of the prior."""
 
     def __init__(self, size=7, epochs=None):
         self.size, self.epochs = size, epochs
@@ -47,7 +47,7 @@ class Seen(Estimator):
 
 
 def priors_and_measurements():
-    """Yield priors and measurements on floats, from an episode with all groups and from others."""
+    """Yield priors and measurements, as floats, of every fifth epoch of three episodes."""
     for episode in episodes(3):
         agent = Seen()
         played(agent, [episode])
@@ -57,14 +57,14 @@ def priors_and_measurements():
 
 
 def test_particles_agree_with_the_ekf_where_all_is_nearly_linear():
-    """Much noise leaves thousands of particles: Monte Carlo errors are a few percent."""
+    """Use large noise, so that thousands of particles keep weight and err by only a few percent."""
     good = replace(SOURCE, radio=RADIOS["standard"])
     some = [replace(episode, sigma=4.0 * episode.sigma) for episode in episodes(4, good)]
     cloud, kalman = (
         played(agent, some)
         for agent in (Particles(dof=MANY), lambda rows: np.zeros(len(rows), int))
     )
-    # position and velocity; the EKF's bias is biased, as the Doppler shift is nonlinear
+    # only position and velocity: the nonlinear Doppler shift distorts the EKF's oscillator bias
     diagonal = [i * (i + 1) // 2 + i for i in range(6)]
     deviation = np.sqrt(kalman["P"][..., diagonal])
     away = np.abs(cloud["x"] - kalman["x"])[..., :6] / deviation
@@ -99,7 +99,7 @@ def test_an_outlier_hardly_moves_a_belief_with_student_t_noise():
 
 
 def test_adaptive_noise_converges_to_the_true_noise():
-    """The receiver states half of the deviations, so the factor on variances is 4."""
+    """State only half of the true deviations, so that the factor on variances should be 4."""
     x, _, measurement = next(priors_and_measurements())
     layout, rng, P = measurement.layout, np.random.default_rng(0), (1e-6 * np.eye(7)).tolist()
     exact = exact_rows(x[:3], x[3:6], measurement.anchors, measurement.hz_per_mps, layout)
@@ -137,7 +137,7 @@ def test_a_rival_is_a_contender_by_its_name():
     contender = contender_from("experiments.rivals:variational", "handset")
     results = run_contender(contender, contender.start(SOURCE.layout), episodes(2))
     assert results["reward"].shape == (2, SOURCE.epochs)
-    Pipeline(StudentImm().bank("handset").modes, Layout())  # tries the update as lanes would
+    Pipeline(StudentImm().bank("handset").modes, Layout())  # tries whether lanes can run the update
 
 
 def test_bad_settings_are_refused():

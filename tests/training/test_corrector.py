@@ -1,4 +1,4 @@
-"""Tests of the training of correctors: data, interruptions, policy files, and what they learn."""
+"""Tests of the training of correctors: lots (batches) of episodes, interruptions, learning."""
 
 from dataclasses import replace
 
@@ -44,7 +44,7 @@ def lots():
     return list(CorrectorData(task(), HYPER, SEED).lots())
 
 
-def test_half_of_the_episodes_are_at_random(lots):
+def test_half_of_the_lots_of_episodes_are_random_and_all_can_be_repeated(lots):
     assert len(lots) == 2 * len(task().places)
     assert all(len(lot.features) in (EPOCHS, HYPER.long_epochs) for lot in lots)
     assert all(np.isfinite(part).all() for lot in lots for part in lot)
@@ -82,6 +82,7 @@ def test_no_episode_is_played_twice():
     assert len(shapes) == 2 or (first.error != second.error).all()
 
 
+@pytest.mark.slow
 def test_an_interrupted_training_continues_to_the_same_result(tmp_path):
     whole, job = job_of(tmp_path / "whole"), job_of(tmp_path / "part")
     CorrectorTraining(whole, silent).run()

@@ -91,7 +91,7 @@ def test_words_that_are_not_places_are_refused(words, named):
 
 @pytest.mark.parametrize("unseen", ["square", "mine"])
 def test_custom_files_with_a_name_that_must_stay_unseen_are_refused(unseen, files, monkeypatch):
-    """Check that the name in a file counts or, if there is none, the name of the file."""
+    """Compare the name that a file contains or, if it contains none, the name of the file."""
     monkeypatch.setattr(module, "UNSEEN", ("square-2", unseen))
     with refuses("places"):
         place_from(":".join(map(str, files)))
@@ -133,7 +133,7 @@ def test_every_place_has_the_bank_of_its_radio():
 
 
 def test_modes_that_share_a_belief_are_the_same_at_all_places():
-    """Check that all places have the modes of the first place's radio, as the policy file does."""
+    """Check that all places, like the policy file, have the modes of the first place's radio."""
     shared = task(beliefs="shared")
     assert {bank.modes for bank in shared.banks.values()} == {default_modes("handset")}
     at = task_from(**shared.arguments(PLACES[1]))

@@ -43,7 +43,7 @@ def chaotic(actions):
 
 
 def walked(env, epochs=WALKED, seed=0):
-    """Step an environment with random actions (epochs, n); return them."""
+    """Step an environment with random actions; return the actions (epochs, n)."""
     rng = np.random.default_rng(seed)
     actions = rng.integers(len(env.observation.actions), size=(epochs, len(env.observations)))
     for now in actions:
@@ -52,7 +52,7 @@ def walked(env, epochs=WALKED, seed=0):
 
 
 def by_hand(place, seed, first_episode, actions, first, act, beliefs):
-    """Return the discounted sum of rewards from action ``first`` on, in a separate environment."""
+    """Replay ``actions``, then try ``first``; return the discounted sum of rewards from there."""
     bank = BANKS[place.radio]
     modes = bank if beliefs == "per-mode" else bank.modes
     at = {"scene": place.scene, "radio": place.radio, "dt": place.dt}
@@ -148,7 +148,7 @@ def test_the_normalization_is_measured_on_observations_of_the_environment():
     assert (normal.high - normal.mean) / normal.sigma == pytest.approx(6.0, rel=1e-4)
 
 
-def test_rollouts_need_the_same_clock_everywhere():
+def test_places_with_different_clocks_are_refused():
     drifting = Place("street", "standard", clock="offset")
     with refuses("places"):
         environment(task(places=(PLACES[0], drifting)))
@@ -178,7 +178,7 @@ def assert_same_ends(infos, expected):
 
 @pytest.mark.slow
 def test_several_places_together_equal_each_place_alone():
-    """Number seeds across places, and let the episodes of the second place end earlier."""
+    """Let the second place continue the seeds of the first, and let its episodes end earlier."""
     together = PlacesVecEnv(TASK, PAIRED)
     first, second = alone(PLACES[0], 3), alone(PLACES[1], 2)
     together.seed(10_000_000)

@@ -1,4 +1,4 @@
-"""Tests of the search over banks: the bank of a point, and that the best bank is found."""
+"""Tests of the search for the best bank: how numbers become a bank, and which bank is found."""
 
 from dataclasses import fields
 
@@ -82,6 +82,6 @@ def test_the_bank_of_every_point_can_be_written_and_read():
 @pytest.mark.parametrize("radio", RADIOS)
 def test_shipped_banks_differ_from_the_start_only_in_numbers_that_are_searched(radio):
     for before, after in zip(START, best_bank(radio).modes, strict=True):
-        same = {"sigma_p", "sigma_v", "acceleration_mps2"}
-        known = {f.name: getattr(before, f.name) for f in fields(before) if f.name not in same}
-        assert known == {name: getattr(after, name) for name in known}
+        free = {"sigma_p", "sigma_v", "acceleration_mps2"}
+        fixed = {f.name: getattr(before, f.name) for f in fields(before) if f.name not in free}
+        assert fixed == {name: getattr(after, name) for name in fixed}

@@ -1,4 +1,4 @@
-"""Tests of training policies: hyperparameters, evaluations, options and folders of runs."""
+"""Tests of the training of policies: hyperparameters, evaluations, options, folders of runs."""
 
 import json
 import math
@@ -78,7 +78,7 @@ def test_the_exported_actor_chooses_the_actions_of_the_trained_one(tmp_path):
         now, *_ = env.step(rng.integers(3, size=8))
     env.training = False
     with torch.no_grad():
-        model.policy.action_net.weight *= 100.0  # otherwise hardly any logits would differ
+        model.policy.action_net.weight *= 100.0  # otherwise, all logits would be similar
     table = training.env.observation
     path = write(tmp_path / "actor.safetensors", training.actor, card_of(table))
     policy = LearnedSwitch(path, table)
@@ -95,7 +95,7 @@ def test_the_exported_actor_chooses_the_actions_of_the_trained_one(tmp_path):
 
 
 def test_a_training_reports_its_periodic_evaluations(tmp_path):
-    """Check the outcome's best evaluation, too. (To stop early, a search needs all evaluations.)"""
+    """Check the best evaluation, too. (A search uses all evaluations to stop trials early.)"""
     heard = []
     outcome = train(job_of(tmp_path), heard.append)
     rewards = {news.timesteps: news.evaluation["reward"] for news in heard if news.evaluation}
@@ -163,7 +163,7 @@ def written(path, change):
 
 
 def refused(*words):
-    """Run train with options that it must refuse; return its last line."""
+    """Run `train` with options that it must refuse; return its last line."""
     done = command("train", *words)
     line = done.stderr.splitlines()[-1]
     assert done.returncode == 2 and done.stdout == "" and line.startswith("mmwave-loc train: ")
@@ -281,7 +281,7 @@ PLACES = ("street:handset", "o1:standard:0.5")
 
 @pytest.mark.slow
 def test_a_policy_trained_at_two_places_with_beliefs_per_mode_plays_at_a_third(tmp_path):
-    """Run the commands train and then evaluate."""
+    """Run the command `train`, then the command `evaluate`."""
     short = ("--seeds", 1, "--total-timesteps", 1, "--out", tmp_path / "run")
     shown = succeed("train", "--beliefs", "per-mode", "--places", *PLACES, *short)
     assert "| minus imm-best |" in shown
@@ -291,7 +291,7 @@ def test_a_policy_trained_at_two_places_with_beliefs_per_mode_plays_at_a_third(t
         each = [best[f"{place} minus {rival}"]["mean"] for place in PLACES]
         # The places have the same number of episodes.
         assert best[f"minus {rival}"]["mean"] == pytest.approx(np.mean(each))
-    assert abs(best["minus imm-best"]["mean"]) < 0.05  # it starts near the IMM
+    assert abs(best["minus imm-best"]["mean"]) < 0.05  # the policy starts near the IMM
 
     policy = tmp_path / "run/policy.safetensors"
     _, card = read_policy(policy)

@@ -54,7 +54,7 @@ def exact(position, velocity, anchors):
 
 
 def innovations(episode):
-    """Return measured minus exact rows, over sigma, of epochs in which all links are visible."""
+    """Return (measured - exact) / sigma of epochs in which all links are visible."""
     z = episode.measurement - exact(
         episode.truth_position_m, episode.truth_velocity_mps, episode.scene_anchors_m
     )
@@ -190,7 +190,7 @@ def test_nan_is_refused_in_fields_that_must_be_complete(episode, field):
         replace(episode, **{field: damaged})
 
 
-# --- packed for the engine
+# --- packed for the engine: a table with a row per epoch, and a site with all that is constant
 
 
 @pytest.mark.parametrize("odometry", [False, True])

@@ -31,13 +31,13 @@ STEP_S, STEPS, SEEDS = 0.1, 2000, 40
 
 
 class Bounds(NamedTuple):
-    """Bounds for a kind of user, from the project's model: m/s, m/s^2, m/s^2, m/s^3, m."""
+    """Bounds for a kind of user, from the project's model of mobility."""
 
-    speed: float
-    acceleration: float
-    braking: float
-    jerk: float
-    radius: float
+    speed: float  # most, m/s
+    acceleration: float  # most, m/s^2
+    braking: float  # most, m/s^2
+    jerk: float  # most, m/s^3
+    radius: float  # of corners, m
 
 
 DRIVING = Bounds(20.0, 3.0, 3.5, 4.0, 8.0)
@@ -55,7 +55,7 @@ every_scene = pytest.mark.parametrize("scene", representative(SCENES, "street"))
 
 
 class Users(NamedTuple):
-    """Tracks of many users of one kind: vectors (SEEDS, STEPS, 2), others (SEEDS, STEPS)."""
+    """Tracks of many users of one kind: vectors (SEEDS, STEPS, 2) and numbers (SEEDS, STEPS)."""
 
     position: np.ndarray
     velocity: np.ndarray
@@ -133,8 +133,8 @@ def test_users_stay_in_the_streets(tracks, name, scene):
     block = streets.block_m / MOBILITIES[name].blocks
     low = np.array([streets.x_m[0], streets.y_m[0]])
     high = np.array([streets.x_m[1], streets.y_m[1]])
-    # Users leave the center line of a street if they cut a corner, on an arc of radius R, or turn
-    # at a dead end: on a half circle, after which they walk back 2 R beside the line.
+    # Users leave the center line of a street where they cut a corner on an arc of radius R. At a
+    # dead end, they turn on a half circle, and then walk back 2 R beside the line.
     radius = BOUNDS[name].radius
     dead_ends = low[0] == high[0] or low[1] == high[1]
     aside = 2.0 * radius if dead_ends else (1.0 - np.sqrt(0.5)) * radius
@@ -230,7 +230,7 @@ def test_a_custom_kind_of_user_stays_within_its_limits(tmp_path):
         assert episode.name == "scooter" and speed.max() <= 7.0 + 1e-9
         assert 2.0 < speed.max() and np.diff(speed).max() / 0.2 <= 1.5 + 1e-9
         from_street = 20.0 - np.abs(episode.truth_position_m[:, :2] % 40.0 - 20.0)
-        assert from_street.min(axis=1).max() < 1.0  # corners with a radius of 3 m are cut by less
+        assert from_street.min(axis=1).max() < 1.0  # a corner of 3 m radius is cut by less than 1 m
 
 
 @pytest.mark.parametrize(

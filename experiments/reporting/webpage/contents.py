@@ -102,7 +102,7 @@ def _trainings(source: Source) -> Iterator[str]:
 
 
 def errors_of(source: Source, played: Played) -> Iterator[str]:
-    """Yield HTML of the errors of a comparison, tables and pictures; nothing for other sources."""
+    """Yield HTML tables and pictures of the errors of a comparison; nothing for other sources."""
     if source.kind != "comparison":
         return
     which, figures = played.which, played.positions.figures()

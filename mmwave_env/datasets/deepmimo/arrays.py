@@ -1,4 +1,4 @@
-"""Reader of the arrays of a DeepMIMO v4 scenario, .npz or .npy files; pickles are refused."""
+"""Reader of the arrays in .npz or .npy files of a DeepMIMO v4 scenario; it refuses pickles."""
 
 import math
 import zipfile
@@ -35,7 +35,7 @@ def find_array(folder: Path, name: str) -> Path:
 
 
 def read_array(file: Path, key: str, shape: Shape, rows: Index | None = None) -> Array:
-    """Read the array stored under a key in a file that :func:`find_array` found, as doubles.
+    """Read, as doubles, the array stored under a key in a file that :func:`find_array` found.
 
     Args:
         file, key: the file, and the name of the array.
@@ -44,8 +44,9 @@ def read_array(file: Path, key: str, shape: Shape, rows: Index | None = None) ->
             .npy file are not read.
 
     Raises:
-        ValueError: the path is not a regular file, or the array can't be read, is not real, has
-            another shape or is larger than MOST_BYTES; the message names file and key.
+        ValueError: the path is not a regular file, or the array can't be read, has numbers that
+            are not real, has another shape or is larger than MOST_BYTES; the message names file
+            and key.
     """
     if not file.is_file():  # reading a pipe or a device would block
         refuse_in(file, key, "a path that is not a file", f"a file, {' or '.join(SUFFIXES)}")

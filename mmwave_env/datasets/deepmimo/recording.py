@@ -46,14 +46,14 @@ def read_deepmimo(
     each receiver or, if the scenario is dynamic, for each scene.
 
     If there is one station, or ``base_station`` selects one, the anchors are this station and
-    its images. Otherwise the anchors are all stations that are in sight in some epoch, the one
-    seen most often first. The first anchor's Doppler shift is computed from the true velocity.
+    its mirror images. Otherwise the anchors are all stations that are in sight in some epoch, the
+    one seen most often first. The first anchor's Doppler shift is computed from the true velocity.
 
     Args:
         folder: folder of a DeepMIMO v4 scenario.
         virtual_anchors: maximum number of virtual anchors; those seen most often are kept.
-        bandwidth_hz: bandwidth of the signal; it replaces the scenario's, because the paths do
-            not depend on it.
+        bandwidth_hz: bandwidth of the signal; it may differ from the scenario's, because paths do
+            not depend on the bandwidth.
         dt_s: time step to use instead of ``trajectory.csv``; velocities are then computed from the
             positions.
         users: indices of receivers, from 0. For a static scenario, one index per epoch; for a
@@ -99,7 +99,7 @@ def read_deepmimo(
 
 
 def _way_of(scenario: Scenario, epochs: Index, dt_s: float | None) -> Trajectory:
-    """Return times, positions and velocities of epochs (E, 2), each a scene and a receiver.
+    """Return times, positions and velocities for epochs (E, 2), which are pairs (scene, receiver).
 
     With ``dt_s``, velocities are computed from the positions; without it, times and velocities
     come from ``trajectory.csv``.
@@ -142,7 +142,7 @@ def _way_of(scenario: Scenario, epochs: Index, dt_s: float | None) -> Trajectory
 def _links(
     stations: list[StationPaths], position_m: Array, virtual_anchors: int
 ) -> list[tuple[StationLinks, int]]:
-    """Return, for each anchor of a recording, the links of its station and the anchor's index."""
+    """Return, for each anchor, its station's links and the anchor's row in ``links.anchors_m``."""
     if len(stations) == 1:
         links = find_links(stations[0], position_m)
         images = np.flatnonzero(~links.is_ground)[1:].tolist()
@@ -150,7 +150,7 @@ def _links(
         return [(links, k) for k in [0, *images[:virtual_anchors]]]
     in_sight = [s for s in stations if (s.interactions == LINE_OF_SIGHT).any()]
     if not in_sight:
-        expected = "one to at least one station; the file named here is only the first one read"
+        expected = "a line of sight to a station in any file; the file named here is the first"
         stations[0].refuse("inter", 0, "no line of sight (0)", expected)
     by_station = [find_links(station, position_m) for station in in_sight]
     return [(links, 0) for links in sorted(by_station, key=lambda links: -links.epochs_seen[0])]

@@ -32,7 +32,7 @@ _RECEIVERS = re.compile(r"rx_pos_(t\d+_tx\d+)_r(\d+)\.(?:npz|npy)")
 
 @dataclass(frozen=True)
 class Scenario:
-    """A description of a scenario folder, whose paths have not been read yet."""
+    """A description of a scenario folder, without the propagation paths."""
 
     folder: Path  # folder of the scenario
     scenes: tuple[Path, ...]  # folder of each scene, in order of time; only ``folder`` if static
@@ -43,16 +43,16 @@ class Scenario:
 
     @property
     def is_dynamic(self) -> bool:
-        """Tell whether the epochs are scenes, not receivers."""
+        """Tell whether each epoch of a recording is a scene; if not, each epoch is a receiver."""
         return self.scenes != (self.folder,)
 
     def name_of(self, epoch: Index) -> str:
-        """Return the name of an epoch's receiver for messages; ``epoch`` is scene and row (2,)."""
+        """Return the name of an epoch's receiver for messages; ``epoch`` (2,) is (scene, row)."""
         scene, row = epoch.tolist()
         return f"receiver {row}" + (f" in {self.scenes[scene].name}" if self.is_dynamic else "")
 
     def epochs(self, users: int | Sequence[int] | Index | None) -> Index:
-        """Return, as (E, 2), every epoch's scene and the row of its receiver in the arrays.
+        """Return (E, 2): for every epoch, its scene and the row of its receiver in the arrays.
 
         Args:
             users: rows of receivers, from 0. For a static scenario, one row per epoch, or None for
@@ -104,7 +104,7 @@ class Scenario:
 
         Args:
             epochs: (E, 2) scenes, in increasing order, and rows, as :meth:`epochs` returns them.
-            base_station: number of the only station, from 1 in the order of ``stations``.
+            base_station: number of the only station to read, from 1 in the order of ``stations``.
 
         Raises:
             FileNotFoundError: a file is missing.
@@ -123,14 +123,14 @@ class Scenario:
 
 
 def open_scenario(folder: Path, receiver_set: int | None = None) -> Scenario:
-    """Read the description of a scenario folder, but not its paths.
+    """Read the description of a scenario folder, but not the propagation paths.
 
     ``receiver_set`` is the number of a set of receivers; None for the only set.
 
     Raises:
         FileNotFoundError: the folder or a required file is missing.
-        ValueError: ``params.json`` can't be read or contradicts the files, or there are several
-            sets of receivers; the message names the sets.
+        ValueError: ``params.json`` can't be read or contradicts the files, or ``receiver_set``
+            does not select exactly one set of receivers; the message lists the sets.
     """
     if not folder.exists():
         raise FileNotFoundError(f"{folder}: found nothing, expected the folder of a scenario")
@@ -253,7 +253,7 @@ def _read_scene(scenario: Scenario, scene: int, station: str, rows: Index) -> di
 def _finite(
     file: Path, key: str, array: Array, rows: Index | None, used: Mask | None = None
 ) -> Array:
-    """Refuse an array with NaN or infinity, or return it.
+    """Return an array, or refuse it if it contains NaN or infinity.
 
     If ``used`` (R, P) is given, only the values it marks are checked; all others become NaN.
     """

@@ -60,7 +60,7 @@ def edit_line(folder, number, line):
 
 
 def shortened(folder, epochs, suffix=".npz", source=VEHICLE):
-    """Write a folder with the first epochs of a shipped recording, in any format of arrays."""
+    """Write a folder with the first epochs of a recording; ``suffix`` is the format of arrays."""
     folder.mkdir(parents=True)
     shutil.copy(source / "params.json", folder)
     set_counts(folder, epochs)
