@@ -9,11 +9,11 @@ ROOT = Path(__file__).parent
 
 
 def described(readme: str, project: str, package: str) -> str:
-    """Return the README, its relative links turned into links to this version in the repository."""
+    """Return the README with its relative links replaced by links to this version's files."""
     (repository,) = re.findall(r'^Repository = "(.*)"$', project, re.MULTILINE)
     (version,) = re.findall(r'^__version__ = "(.*)"$', package, re.MULTILINE)
     link = re.compile(r"(!?)(\[[^\]]*\]\()(?!\w+:|#)")
-    kinds = {"!": "raw", "": "blob"}  # links to a picture itself, or to a file's page
+    kinds = {"!": "raw", "": "blob"}  # "raw": the file itself, for pictures; "blob": its web page
     return link.sub(lambda m: f"{m[0]}{repository}/{kinds[m[1]]}/v{version}/", readme)
 
 

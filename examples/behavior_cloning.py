@@ -1,4 +1,4 @@
-"""Minari: behavior cloning of the policy "guided", from the data set that this command makes.
+"""Minari: behavior cloning of the policy `guided`, from the data set that the command below makes.
 
 python examples/minari_collect.py guided --episodes 300 --id mmwave-loc/guided-v0
 """

@@ -2,11 +2,11 @@
 
 python examples/minari_collect.py guided none random --episodes 100 --id mmwave-loc/mixed-v0
 
-A policy is one of: guided; guided-ppo; the file of a policy with a belief per mode; none, which
-trusts no mode and so is the IMM; trust-NAME, which always trusts one mode; random. The environment
-has the modes of the first learned policy, or those of guided if no policy is learned. Data sets are
-stored in the folder MINARI_DATASETS_PATH. The episodes are drawn with training seeds, because
-episodes in the data set must not be used to judge a policy.
+A policy is one of: `guided`; `guided-ppo`; the file of a policy with a belief per mode; `none`,
+which trusts no mode and so is the IMM; `trust-NAME`, which always trusts one mode; `random`. The
+environment has the modes of the first learned policy, or those of `guided` if no policy is learned.
+Data sets are stored in the folder MINARI_DATASETS_PATH. The episodes are drawn with training seeds,
+because episodes in the data set must not be used to judge a policy.
 """
 
 import argparse

@@ -1,9 +1,10 @@
 """Stone Soup's UKF and particle filter beside ours, on the same ranges, azimuths and elevations.
 
-python examples/stone_soup.py 50         (simulated episodes)
-python examples/stone_soup.py 5 ride     (a folder with a log, or a recording)
+python examples/stone_soup.py 50         (50 simulated episodes)
+python examples/stone_soup.py 5 ride     (5 episodes of `ride`, a recording or a folder with a log)
 
-Motion and noise are the same. `plain` is our UKF without gates; Stone Soup's UKF should equal it.
+Stone Soup's filters and `plain`, our UKF without gates, assume the same motion and noise, so Stone
+Soup's UKF should give the same results as `plain`.
 """
 
 import sys
@@ -54,7 +55,8 @@ class Ukf(Estimator):
                 )
                 state = self.predictor(moves).predict(state, timestamp=time)
             state = self._updated(state, site, epoch)
-            spread = np.array(state.covar) + 1e-6 * np.eye(7)  # (1 mm)^2; all particles may agree
+            # Add (1 mm)^2, because the covariance is 0 if all particles agree.
+            spread = np.array(state.covar) + 1e-6 * np.eye(7)
             yield np.array(state.mean, float).ravel(), pack(spread)
 
     def _updated(self, state, site, epoch):

@@ -1,4 +1,4 @@
-"""TorchRL: PPO on the native vector environment, without autoreset: TorchRL itself resets it."""
+"""TorchRL: PPO on the native vector environment, which TorchRL itself resets (no autoreset)."""
 
 import gymnasium as gym
 import torch

@@ -21,10 +21,10 @@ class Args(EpisodeArgs):
     """
 
     policies: Annotated[tuple[str, ...], arg(aliases=("--policy",))] = ()
-    """names from mmwave-loc list policies, policy files (.safetensors), folders of runs from
-    mmwave-loc train, and module:function, a function without arguments that returns an agent; by
-    default all policies that have a name, except clairvoyant, which knows the truth. If speed-rule
-    and clairvoyant are among them, each policy gets a score: 0 is speed-rule, 100 clairvoyant"""
+    """names that `mmwave-loc list policies` shows; policy files (.safetensors); folders of runs
+    from `mmwave-loc train`; and module:function, a function without arguments that returns an
+    agent. The default is all policies that have a name, except `clairvoyant`, which knows the
+    truth. With `speed-rule` (score 0) and `clairvoyant` (score 100), each policy gets a score"""
     errors: Path | None = None
     """draw the distribution (CDF) of horizontal and of vertical errors to this .png, .svg or .pdf
     file"""
@@ -36,18 +36,17 @@ class Args(EpisodeArgs):
     """write the table of means to this .tex file: LaTeX, for the package booktabs"""
 
 
-PICTURES = ("errors", "consistency")
-
-
 def main(args: Args) -> None:
     """Run the command."""
-    from experiments.console.tables import booktabs
+    from experiments.console.provenance import provenance
+    from experiments.console.tables import booktabs, show
     from experiments.evaluation.asked import all_contenders
-    from experiments.reporting.comparison_results import report, results
-    from mmwave_env.io.files import require_writable, write_text
+    from experiments.reporting.comparison_results import results
+    from mmwave_env.io.files import require_writable, write_json, write_text
     from mmwave_env.metrics import METRICS
 
-    pictures = {name: getattr(args, name) for name in PICTURES if getattr(args, name) is not None}
+    asked = {"errors": args.errors, "consistency": args.consistency}
+    pictures = {name: path for name, path in asked.items() if path is not None}
     if args.table and args.table.suffix != ".tex":
         raise ValueError(f"table: found {args.table}, expected a name that ends with .tex")
     if args.table:
@@ -56,4 +55,10 @@ def main(args: Args) -> None:
     made = results(args, names, pictures, args.width_mm)
     if args.table:
         write_text(args.table, booktabs(*made.comparison.table(METRICS)))
-    report("compare", args, made)
+    if args.json:  # before the tables, whose reader may close the pipe
+        write_json(args.json, provenance("compare", args) | made.json)
+    try:
+        for draw in made.pictures:
+            draw()
+    finally:  # the tables are shown even if a picture fails
+        show(made.text)

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
+from experiments.console.options import LearnedArgs
+
 if TYPE_CHECKING:
     from mmwave_env.interface.observation import Observation
     from mmwave_env.task import Task
@@ -13,24 +15,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(kw_only=True)
-class TrainedArgs:
-    """Options that the model was trained with."""
-
-    scenario: str = "mixed"
-    """kind of user: a name (see mmwave-loc list scenarios) or a JSON file"""
-    radio: str = "handset"
-    """radio profile: handset, standard, high or a JSON file"""
-    modes: tuple[str, ...] = ()
-    """modes that the model chooses from: names and mode files; by default the radio's ekf and ukf
-    or, with --beliefs per-mode, those of its best IMM"""
-    observation: str = "full"
-    """observation of the model: full or prior"""
-    beliefs: str = "shared"
-    """beliefs of the modes: shared or per-mode"""
-
-
-@dataclass(kw_only=True)
-class Args(TrainedArgs):
+class Args(LearnedArgs):
     """Make a policy file from a model of Stable-Baselines3.
 
     Loading a model runs code from its file, in a separate process that is not a sandbox: convert
@@ -45,9 +30,11 @@ class Args(TrainedArgs):
     """file to write (.safetensors)"""
     normalize: Path | None = None
     """file that VecNormalize.save wrote, if the model was trained with it; loading runs its code"""
+    radio: str = "handset"
+    """radio profile that the model was trained with: handset, standard, high or a JSON file"""
 
 
-TIES = 0.001  # largest share of observations whose action may differ, because of rounding
+TIES = 0.001  # largest share of observations for which rounding may change the action
 
 
 def main(args: Args) -> None:
@@ -76,8 +63,9 @@ def main(args: Args) -> None:
         alike = LearnedSwitch(temporary)(shown) == chosen
         if alike.mean() < 1.0 - TIES:
             raise ValueError(
-                f"{args.model}: its layers alone give its action for {alike.sum()} of {alike.size} "
-                "observations, expected all; the model does more than apply its layers"
+                f"{args.model}: its layers alone choose the same action as the model for "
+                f"{alike.sum()} of {alike.size} observations, expected all; the model does more "
+                "than apply layers"
             )
     say(
         f"{args.policy}: same actions as {args.model} on {alike.sum()} of {alike.size} "

@@ -9,10 +9,11 @@ from pathlib import Path
 class Args:
     """Judge contenders by the benchmark's protocol, and rank all entries.
 
-    Each contender runs at the nine sites for training, at unseen sites, on recordings and at hard
-    sites, together with the paper's rule and every IMM. Its entry is written to a JSON file in the
-    folder --out; the tables show all entries in that folder. Scores need the entry of the
-    clairvoyant, in that folder or in docs/leaderboard.
+    A site is a street or a recording, with a radio. Contenders are not trained here, but run at
+    four kinds of sites, together with the paper's rule and every IMM: the nine sites where policies
+    may be trained, unseen sites, recordings and hard sites. A contender's entry is written to a
+    JSON file in the folder --out; the tables show all entries in that folder. Scores need the entry
+    of the clairvoyant (a policy that knows the truth), in that folder or in docs/leaderboard.
 
     mmwave-loc leaderboard --policies imm-best --episodes 400 --draws 20
     """

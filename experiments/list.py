@@ -16,7 +16,7 @@ Kind = Literal["all", "policies", "scenarios", "radios", "scenes", "modes", "sam
 
 @dataclass(kw_only=True)
 class Args:
-    """List the names that options and arguments of the environment accept; copy samples.
+    """List the names that command options and environment arguments accept; copy samples.
 
     mmwave-loc list policies
     """
@@ -26,22 +26,21 @@ class Args:
     radio: str = "handset"
     """profile whose policies and modes are listed"""
     out: Path | None = None
-    """with samples: copy their files to this folder, each sample to its subfolder logs/NAME or
-    recordings/NAME"""
+    """folder for the files of the sample that --copy names; only with samples"""
     copy: str | None = None
-    """name of a sample to copy directly into --out: its log if it has one, else its recording"""
+    """name of the sample to copy into --out: its log if it has one, else its recording"""
 
 
 COLUMN = 25  # column in which the descriptions of names begin
 POLICIES = {
     "speed-rule": "the paper's rule: EKF up to 2 m/s, UKF above",
     "likelihood-rule": "chooses the mode that explains the coming measurement best",
-    "imm": "interacting multiple models: a mixture of the same modes",
+    "imm": "interacting multiple models: mixes all modes instead of choosing one",
     "imm-best": "tuned IMM of modes for users who stand, cruise, turn, accelerate or brake",
     "ppo": "learned policy that chooses between the profile's two modes",
-    "guided": "learned policy that says which mode of imm-best to trust",
-    "corrector": "guided, and a recurrent network that corrects its positions",
-    "guided-ppo": "same as guided, but trained only with PPO",
+    "guided": "learned policy that says which mode of `imm-best` to trust",
+    "corrector": "`guided`, and a recurrent network that corrects its positions",
+    "guided-ppo": "same as `guided`, but trained only with PPO",
     "clairvoyant": "knows the truth, and marks the ceiling of switching; runs only if named",
 }
 
@@ -100,23 +99,18 @@ def samples() -> dict[str, str]:
     }
 
 
-def copied(out: Path, only: str | None) -> int:
-    """Copy the files of one sample or of all samples; return the number of files.
+def copied(out: Path, name: str) -> int:
+    """Copy the files of a sample; return the number of files.
 
     Raises:
         ValueError: there is no such sample.
         FileExistsError: a file already exists.
     """
-    from mmwave_env.datasets.samples import log_names, sample_folder, sample_names
+    from mmwave_env.datasets.samples import log_names, sample_folder
     from mmwave_env.io.files import require_writable, write_bytes
 
-    if only is not None:
-        folders = {out: sample_folder(only, "log" if only in log_names() else "recording")}
-    else:
-        folders = {out / "logs" / name: sample_folder(name) for name in log_names()}
-        for name in sample_names():
-            folders[out / "recordings" / name] = sample_folder(name, "recording")
-    files = {to / file.name: file for to, of in folders.items() for file in sorted(of.iterdir())}
+    folder = sample_folder(name, "log" if name in log_names() else "recording")
+    files = {out / file.name: file for file in sorted(folder.iterdir())}
     for new in files:
         if new.exists():
             raise FileExistsError(f"{new}: found a file, expected a folder without it")
@@ -128,12 +122,14 @@ def copied(out: Path, only: str | None) -> int:
 
 def main(args: Args) -> None:
     """Run the command."""
-    from experiments.console.progress import say, terminal_width
+    from rich.console import Console
+
+    from experiments.console.progress import say
     from mmwave_env.interface.reward import REWARDS
     from mmwave_env.models.radio import RADIOS, radio_from
     from mmwave_env.world.mobility import SCENARIOS
 
-    if args.out is not None and args.what == "samples":
+    if args.out is not None and args.copy is not None and args.what == "samples":
         say(f"copied to {args.out}/: {copied(args.out, args.copy)} files")
         return
     for name, value in (("out", args.out), ("copy", args.copy)):
@@ -155,8 +151,9 @@ def main(args: Args) -> None:
             name: str(inspect.getdoc(kind)).partition("\n")[0] for name, kind in REWARDS.items()
         },
     }
+    terminal = Console()
     fold = textwrap.TextWrapper(
-        terminal_width() or sys.maxsize,
+        terminal.width if terminal.is_terminal else sys.maxsize,
         subsequent_indent=" " * COLUMN,
         break_long_words=False,
         break_on_hyphens=False,

@@ -10,9 +10,10 @@ class Args(PageArgs):
     """Make one web page of results; the page needs neither a network nor anything installed.
 
     It says who won by how much, and has tables, distributions of errors (CDF) and episodes to
-    play. Results are JSON files (--json) from compare, demo and localize, and folders of runs from
-    train. Epochs that the files do not contain are computed again with the stored options. Agents
-    in your own code (module:function) are not run again: errors and episodes do not show them.
+    play. Results are JSON files (--json) from mmwave-loc compare, demo and localize, and folders of
+    runs from mmwave-loc train. Epochs that the files do not contain are computed again with the
+    stored options. Agents in your own code (module:function) are not run again: errors and episodes
+    do not show them.
 
     mmwave-loc report results.json runs/train --out report.html
     """

@@ -18,7 +18,7 @@ class Args(WorldArgs):
     overwrite: bool = False
     """replace the files of an episode that are already in the folder"""
     seed: int = 0
-    """seed of the episode; compare runs the same episode for this seed"""
+    """seed of the episode; `mmwave-loc compare` runs the same episode for this seed"""
 
 
 def main(args: Args) -> None:

@@ -23,7 +23,7 @@ class Args(JsonArgs):
     sizes: tuple[int, ...] = (1, 8, 64, 1024, 16384)
     """numbers of environments in the native vector environment"""
     seconds: float = 0.5
-    """minimum time per measurement; complete episodes are measured"""
+    """minimum time of each measurement, s; a measurement runs complete episodes"""
     repeats: int = 5
     """number of rounds; each measures everything once, and the tables show medians and ranges"""
     docs: Path | None = None

@@ -37,14 +37,12 @@ FIELDS = ("section", "row", "column", "mean", "low", "high")
 
 def sections(bench: "Bench") -> "Iterator[Section]":
     """Compute and yield all sections, in order."""
-    from experiments.paper.claims import CLAIMS, error_budget, headline
+    from experiments.paper.claims import CLAIMS
     from experiments.paper.printed import table_three, tables_one_and_two
 
     yield from tables_one_and_two(bench)
     yield table_three(bench)
     yield from (claim(bench) for claim in CLAIMS)
-    yield headline(bench)
-    yield error_budget(bench)
 
 
 def main(args: Args) -> None:
@@ -66,9 +64,7 @@ def main(args: Args) -> None:
     require_writable(args.out / "tables.md")
     page = page_to_renew(args.docs) if args.docs else ""
     bench = Bench(args.episodes, args.seed)
-    results = {}
-    for section in tracked(sections(bench), "tables", SECTIONS):
-        results[section.title] = section
+    results = {section.title: section for section in tracked(sections(bench), "tables", SECTIONS)}
     text = "\n".join(section.markdown() for section in results.values())
     records = [record for section in results.values() for record in section.records()]
     table = io.StringIO()

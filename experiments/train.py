@@ -17,9 +17,9 @@ class Args(TaskArgs):
     seeds: int = 5
     """number of trainings"""
     total_timesteps: int | None = None
-    """length of each training, rounded up to complete updates. ppo and corrector: number of epochs
-    (default: 4000000 for ppo, 150000000 for corrector); rollouts: number of states in which every
-    action is tried (default: 1200000)"""
+    """length of each training, rounded up to complete updates. With --algo ppo or corrector, it is
+    the number of epochs (default: 4000000 for ppo, 150000000 for corrector); with --algo rollouts,
+    it is the number of states in which every action is tried (default: 1200000)"""
     hyperparameters: Path | None = None
     """JSON file of hyperparameters, instead of the algorithm's default file in
     experiments/training, such as ppo.json or, with --beliefs per-mode, guided-ppo.json"""

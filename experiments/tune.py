@@ -43,45 +43,39 @@ class Args(JsonArgs):
     """train the network of the protection levels on training seeds, and calibrate it on tuning
     seeds, with the shipped policies; no option but --seed, --out and --json applies"""
     out: Path | None = None
-    """write the tuned modes to this mode file, for --modes or modes=; with --levels, the levels"""
+    """mode file to write, for --modes or modes=; with --levels, file to write the levels to"""
 
 
-OF_MODES = ("modes", "scenarios", "free", "diagonal")  # meaningless with --bank
-OF_LEVELS = ("levels", "seed", "out", "json")  # all options that --levels has
+OF_BANK = ("bank", "radio", "episodes", "evaluations", "seed", "out", "json")  # options for --bank
+OF_LEVELS = ("levels", "seed", "out", "json")  # options for --levels
 Content = dict[str, Any]  # content of a JSON file
 
 
-def _tuned_bank(args: Args) -> tuple[Content, Content]:
-    """Tune a bank, and print its reward; return the mode file's content and an empty dict."""
+def _tuned_bank(args: Args) -> Content:
+    """Tune a bank, and print its reward; return the mode file's content."""
     from experiments.console.progress import say
     from experiments.evaluation.intervals import Interval
     from experiments.training.tune_banks import tuned_bank
     from mmwave_env.models.radio import radio_from
 
-    for option in fields(Args):
-        if option.name in OF_MODES and getattr(args, option.name) != option.default:
-            raise ValueError(f"{option.name}: cannot be combined with --bank")
     name = radio_from(args.radio).name
     bank = tuned_bank(args.radio, args.episodes, args.seed, args.evaluations)
     reward, gain = (Interval.of(bank["held_out"][column]) for column in ("reward", "minus imm"))
-    say(f"{name}, on the same number of other episodes: reward {reward}, gain over imm {gain}")
-    return bank, {}
+    say(f"{name}, on as many held-out episodes: reward {reward}, gain over imm {gain}")
+    return bank
 
 
-def _tuned_levels(args: Args) -> tuple[Content, Content]:
-    """Tune protection levels, print their factors; return the file's content and an empty dict."""
+def _tuned_levels(args: Args) -> Content:
+    """Tune protection levels and print the factors of their calibration; return the levels."""
     from experiments.console.progress import say
     from experiments.training.levels import tuned_levels
 
-    for option in fields(Args):
-        if option.name not in OF_LEVELS and getattr(args, option.name) != option.default:
-            raise ValueError(f"{option.name}: cannot be combined with --levels")
     content = tuned_levels(args.seed)
     for kind, constants in zip(("filter", "bank", "corrector"), content["constants"], strict=True):
         for risk, both in zip(content["risks"], constants, strict=True):
             horizontal, vertical = map(math.exp, both)
             say(f"{kind}, risk {risk:g}: factors {horizontal:.3f} and {vertical:.3f} (vertical)")
-    return content, {}
+    return content
 
 
 def _tuned_modes(args: Args) -> tuple[Content, Content]:
@@ -132,8 +126,17 @@ def main(args: Args) -> None:
         require_writable(args.out)
         if args.out.resolve() == Path(args.radio).resolve():
             raise ValueError(f"out: found {args.out}, which is the radio; expected another file")
-    tuned = _tuned_levels if args.levels else _tuned_bank if args.bank else _tuned_modes
-    content, figures = tuned(args)
+    for chosen, owned, name in ((args.levels, OF_LEVELS, "levels"), (args.bank, OF_BANK, "bank")):
+        for option in fields(Args) if chosen else ():
+            if option.name not in owned and getattr(args, option.name) != option.default:
+                raise ValueError(f"{option.name}: cannot be combined with --{name}")
+    figures: Content = {}
+    if args.levels:
+        content = _tuned_levels(args)
+    elif args.bank:
+        content = _tuned_bank(args)
+    else:
+        content, figures = _tuned_modes(args)
     made = provenance("tune", args)
     if args.json:
         write_json(args.json, made | content | figures)

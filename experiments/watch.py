@@ -24,7 +24,7 @@ class Args(ModeArgs):
     """
 
     policies: tuple[str, ...] = ("speed-rule", "ppo")
-    """up to three policies, as in compare: names from mmwave-loc list policies, policy files
+    """up to three policies: names from mmwave-loc list policies, policy files
     (.safetensors), folders of runs, and module:function"""
     out: Path | None = None
     """write a video to this .gif or .mp4 file instead of opening a window"""
@@ -35,9 +35,10 @@ class Args(ModeArgs):
     render_theme: str = "light"
     """colors: light or dark"""
     seed: int | None = None
-    """seed of the episode (default: 0); compare runs the same episode for this seed"""
+    """seed of the episode (default: 0); mmwave-loc compare runs the same episode for this seed"""
     key: int | None = None
-    """key of a simulated episode, instead of a seed; compare --episodes-csv writes keys"""
+    """key of a simulated episode, instead of a seed; mmwave-loc compare --episodes-csv writes the
+    keys of its episodes"""
     begin: float | None = None
     """time to begin at, s from the start of the episode (default: its start)"""
     end: float | None = None
@@ -115,7 +116,7 @@ def _drawn(
 
 
 def _between(time_s: "Array", begin: float | None, end: float | None) -> list[int]:
-    """Return the rows of a history between two times; row 0, the prior, only without a begin."""
+    """Return a history's rows between two times, without row 0 (the prior) if ``begin`` is set."""
     import numpy as np
 
     low, high = -np.inf if begin is None else begin, np.inf if end is None else end
@@ -136,7 +137,7 @@ def _show(
     histories: "Sequence[History]",
     rows: Sequence[int],
 ) -> None:
-    """Write the video, or play it until the user closes the window or ends it with a key."""
+    """Write the video; or play it, then wait until the user presses a key or closes the window."""
     from experiments.console.progress import progress, say
     from mmwave_env.rendering.picture import Playback
     from mmwave_env.rendering.video import write_video

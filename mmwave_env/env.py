@@ -80,7 +80,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
 
     * Action space: `Discrete(len(modes) + 1)`. Action 0 trusts no mode: an agent that always takes
       it is the IMM itself. Action k multiplies the probability of the k-th mode by e^3 per second;
-      then the beliefs are combined and mixed again. The mode's `cost` is subtracted.
+      then the beliefs are combined and mixed again. The mode's `cost` reduces the reward.
     * Observation space: as above without distances and the previous mode, but with the log-odds of
       each mode before and after the coming measurement, the mode's speed and velocity variance,
       and more averages of the Doppler spread. `env.unwrapped.observation.table()` shows them all.
@@ -102,12 +102,13 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
     * `action="correction"`: `Box` (6,): shifts of the position along the estimated velocity, across
       it (to the left) and up, -4 to 4 standard deviations of the belief; then logarithms of factors
       on these deviations, -2 to 2. The observation describes an epoch after its update and nothing
-      later. The action corrects the belief of that epoch, to which reward and infos then belong.
+      later. The action corrects the belief of that epoch; reward and infos use the corrected one.
       The filters go on without corrections, so actions have no later effect (use a discount of 0);
-      `reward="paired"` subtracts the reward of the belief without correction. The filters are an
-      IMM. An agent without memory can steer it: `base` is a function that takes the table of the
-      filters' features and returns the agent, such as `partial(LearnedSwitch, "guided")`. With
-      the actions of the shipped corrector, you earn the reward that `mmwave-loc compare` shows.
+      `reward="paired"` subtracts the reward of the belief without correction. By default the
+      filters are an IMM. With `base`, an agent without memory chooses the modes to trust: `base`
+      is a function that takes the table of the filters' features and returns the agent, such as
+      `partial(LearnedSwitch, "guided")`. If your actions are those of the shipped `corrector`, you
+      earn the reward that `mmwave-loc compare` shows.
 
     ## Rewards
 
@@ -339,7 +340,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         return column[self._observed].astype(np.float32), self._worded(info, at_end=True)
 
     def _begin(self, key: int | None) -> dict[str, Any]:
-        """Begin the episode of a key, or the next episode; return its part of the info."""
+        """Begin the episode of a key, or the next one; return the episode's part of the info."""
         task, engine = self._task, self._engine
         if not task.has_keys:
             episode = task.draw(self.np_random)

@@ -1,10 +1,11 @@
 """Metrics of a track: position errors and consistency (paper, Sec. IV).
 
-Tracks are not aligned with the truth, because the frame is known, so ATE, RMSE and RPE are those
-that the tool evo computes for translation without alignment. The NEES of the position is computed
-by :meth:`mmwave_env.filters.belief.Belief.nees`. For a consistent filter and 3 axes its expectation
-is 3, and it is in the two-sided chi-square interval [0.22, 9.35] in 95 % of the epochs. (The paper
-gates a 3-D NEES at 5.99, the one-sided 95 % quantile for 2 axes; for 3 axes it is 7.81.)
+Tracks are not aligned with the truth, because the frame is known. So ATE, RMSE and RPE are equal to
+those that the tool evo computes for translation without alignment.
+:meth:`mmwave_env.filters.belief.Belief.nees` computes the NEES of the position. For a consistent
+filter and 3 axes, the NEES has the expectation 3, and is in the two-sided chi-square interval
+[0.22, 9.35] in 95 % of the epochs. (The paper gates a 3-D NEES at 5.99, the one-sided 95 % quantile
+for 2 axes; for 3 axes it is 7.81.)
 """
 
 from collections.abc import Callable

@@ -22,12 +22,12 @@ Infos = list[dict[str, Any]]
 
 
 class SB3VecEnv(VecEnv):
-    """A Gymnasium vector environment as a ``VecEnv``, which steps all environments together.
+    """A Gymnasium vector environment as a ``VecEnv`` of Stable-Baselines3.
 
-    When an episode ends, the info of its environment is the info of its last step, including the
-    metrics of the episode. It also has the keys that Stable-Baselines3 reads: the last observation
-    as ``terminal_observation``; ``TimeLimit.truncated``, True if the episode was only cut, so that
-    its last state still has a value; and ``episode`` with return "r", length "l" and time "t".
+    When an episode ends, the environment's info is that of the last step, including the metrics of
+    the episode. The info also has the keys that Stable-Baselines3 reads: the last observation
+    as ``terminal_observation``; ``TimeLimit.truncated``, True if the episode was cut short, so that
+    the value of its last state is not 0; and ``episode`` with return "r", length "l" and time "t".
 
     Raises:
         ValueError: the autoreset mode is not "SameStep"; other modes return the last observation

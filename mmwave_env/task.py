@@ -45,7 +45,7 @@ class Task:
     pipeline: Pipeline
     bank: Bank | None  # the bank of the modes if each keeps its own belief, else None
     reward: Reward  # function of (belief, truth)
-    baseline: Bank | None  # bank of the IMM whose reward a paired reward subtracts, else None
+    baseline: Bank | None  # bank of the IMM whose reward a paired reward subtracts, or None
     # reward of each epoch that remains after a divergence; None if a divergence ends no episode
     worst: float | None
     action: str = MODE  # kind of actions

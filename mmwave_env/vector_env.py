@@ -55,10 +55,10 @@ class MmWaveLocVectorEnv(
             ``reset(options={"reset_mask": mask})`` with a bool array (N,) to reset only some).
         threads: maximum number of threads, used only where they save time, from N = 1024 on;
             results do not depend on it.
-        max_episode_steps: None or the length of the episodes, which Gymnasium may pass; it must
-            agree with ``episode_steps``.
-        infos: "all", "episode" (at the first and last step of episodes) or "none"; with
-            "SameStep", the last info of an episode is returned in any case.
+        max_episode_steps: None or the length of the episodes; Gymnasium may pass this argument,
+            which must agree with ``episode_steps``.
+        infos: "all" (for every step), "episode" (for the first and last step of an episode) or
+            "none"; with "SameStep", the last info of an episode is returned in any case.
         smoothed: whether the last info of an episode also contains ``smoothed_ate_m``.
         render_mode: None or "rgb_array".
         render_size, render_theme: same as for the single environment.
@@ -293,7 +293,7 @@ class MmWaveLocVectorEnv(
         return infos
 
     def _checked(self, actions: Any) -> tuple[Index, Array | None]:
-        """Return the actions, copied: modes (N,), and numbers (None if the actions are modes).
+        """Return copies of actions: modes (N,), and numbers (N, k) or, if actions are modes, None.
 
         Invalid actions are refused, except in environments that ignore their action.
         """

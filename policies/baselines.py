@@ -26,12 +26,11 @@ class LikelihoodRule(Policy):
     Args:
         observation: the environment's table of features, of the kind "full".
         modes: names of the modes, in order.
-        pace: kind of average, "fast" or "slow".
     """
 
-    def __init__(self, observation: Observation, modes: list[str], pace: str = "fast") -> None:
+    def __init__(self, observation: Observation, modes: list[str]) -> None:
         self.observation = observation
-        self._features = [f"preference {pace} {name}" for name in modes[:-1]]
+        self._features = [f"preference fast {name}" for name in modes[:-1]]
 
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
         """Return actions (n,)."""

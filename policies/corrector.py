@@ -26,9 +26,10 @@ Array = NDArray[np.float32]
 BASE_IMM = "imm-best"  # base without a switcher: the IMM of the policy's bank
 # "Trust" is the factor, 0 to 1, by which corrections are scaled
 RANGE_FADE = 2.0  # trust is exp(-2 d) if a feature is d standard deviations outside its range
-RECOVERY = 0.1  # largest growth of trust per epoch; slow, as memory still holds strange epochs
-# spread of the shifts of the network's ensemble, in corrected standard deviations: trust is 1 up to
-# the first value, and 0 from the second value on
+RECOVERY = 0.1  # largest growth of trust per epoch; small, as memory still holds strange epochs
+# The members of the network's ensemble compute different shifts. If the spread of these shifts, in
+# corrected standard deviations, is at most the first number, trust is not reduced; from the second
+# number on, trust is 0.
 SPREAD = (0.5, 1.0)
 
 
@@ -36,7 +37,8 @@ class Correction(NamedTuple):
     """Corrections of n beliefs in the last epoch (:mod:`mmwave_env.filters.correction`).
 
     Attributes:
-        shift: (n, 3) shifts along, across and up, in standard deviations of the belief.
+        shift: (n, 3) shifts along and across the motion, and up, in standard deviations of the
+            belief.
         log_factor: (n, 3) logarithms of factors for these standard deviations.
         trusted: (n,) factor, 0 to 1, by which the network's answer was scaled.
     """
@@ -138,10 +140,8 @@ class Corrector(LearnedPolicy, Policy):
         front = np.tanh(inside @ weight + bias)
         self._hidden = hidden = self._remembering(front)
         weight, bias = self._head
-        head = hidden @ weight[: hidden.shape[1]]
-        head += front @ weight[hidden.shape[1] :]
-        head += bias
-        np.tanh(head, out=head)
+        units = hidden.shape[1]
+        head = np.tanh(hidden @ weight[:units] + front @ weight[units:] + bias)
         weight, bias = self._out
         out = head @ weight + bias
         shift = np.minimum(np.maximum(out[:, :3], -MOST_SHIFT), MOST_SHIFT)
@@ -156,23 +156,11 @@ class Corrector(LearnedPolicy, Policy):
         """Compute the next state (n, units) of the gated recurrent unit (Cho et al. 2014)."""
         hidden, units = self._hidden, self._hidden.shape[1]
         (weight, bias), (past, past_bias) = self._gates
-        gates = front @ weight
-        gates += hidden @ past
-        gates += bias + past_bias
-        np.negative(gates, out=gates)
-        np.exp(gates, out=gates)
-        gates += 1.0
-        np.reciprocal(gates, out=gates)
+        gates = 1.0 / (1.0 + np.exp(-(front @ weight + hidden @ past + (bias + past_bias))))
+        reset, update = gates[:, :units], gates[:, units:]
         (weight, bias), (past, past_bias) = self._candidate
-        candidate = hidden @ past
-        candidate += past_bias
-        candidate *= gates[:, :units]  # reset
-        candidate += front @ weight
-        candidate += bias
-        np.tanh(candidate, out=candidate)
-        state: Array = hidden - candidate
-        state *= gates[:, units:]  # update
-        state += candidate
+        candidate = np.tanh((hidden @ past + past_bias) * reset + front @ weight + bias)
+        state: Array = (hidden - candidate) * update + candidate
         return state
 
 

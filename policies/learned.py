@@ -35,8 +35,9 @@ class LearnedPolicy:
 
     Attributes:
         card: description of the policy's training.
-        modes: modes that its environments need; with a belief per mode, those of its first bank.
-        beliefs: "shared" or "per-mode", which its environments need.
+        modes: modes that an environment for the policy needs; with a belief per mode, those of the
+            first bank in the file.
+        beliefs: beliefs that such an environment needs, "shared" or "per-mode".
 
     Raises:
         ValueError: the name is unknown, the file is damaged, or the environment lacks a feature.
@@ -63,7 +64,7 @@ class LearnedPolicy:
 
         Args:
             radio: name or file of the radio profile. If training did not include it, the bank of
-                its base is used, or else the bank of "standard", or else the first bank.
+                the profile's base is used, or else that of "standard", or else the first bank.
 
         Raises:
             ValueError: the policy was trained with a shared belief.
@@ -84,8 +85,8 @@ class LearnedPolicy:
         """Find the policy's features, by name, in the observations of an environment.
 
         Features that the policy does not know are ignored. In a scene with more anchors than in
-        training, it uses the first anchors; with fewer, it treats the missing ones as anchors that
-        are never visible (:data:`~mmwave_env.interface.features.UNSEEN`).
+        training, the policy uses the first anchors; with fewer, it treats the missing anchors as
+        never visible (:data:`~mmwave_env.interface.features.UNSEEN`).
 
         Raises:
             ValueError: beliefs or modes differ, or a feature is missing or has another unit or
@@ -96,8 +97,8 @@ class LearnedPolicy:
         if observation.beliefs != card.beliefs or observation.modes not in banks:
             raise ValueError(
                 f"{self._path}: trained with beliefs={card.beliefs!r} and the modes "
-                f"{', '.join(mode.name for mode in card.modes)}, found {observation.made_with}, or "
-                "modes of the same names with another tuning; make the environment as in training: "
+                f"{', '.join(mode.name for mode in card.modes)}, found {observation.made_with} (if "
+                "the names agree, the tuning differs); make the environment as in training: "
                 f"{self._made_with}"
             )
         self._width = len(observation.columns)
@@ -109,9 +110,9 @@ class LearnedPolicy:
         """Find the policy's features, by name, in columns.
 
         Returns:
-            The positions of the features in the columns, or None if the columns are exactly the
-            features; and, for each feature, the value to use because its anchor is missing (NaN if
-            the anchor exists), or None if no anchor is missing.
+            Two arrays. The first has the positions of the features in the columns; it is None if
+            the columns are exactly the features. The second has the value to use for each feature
+            whose anchor is missing, and NaN for the others; it is None if no anchor is missing.
         """
         features, columns = self.card.features, {column.name: column for column in shown}
         anchors = {
@@ -217,9 +218,7 @@ class LearnedSwitch(LearnedPolicy, Policy):
         x = np.minimum(np.maximum(observation, self._low), self._high)
         *hidden, (weight, bias) = self._layers
         for w, b in hidden:
-            x = x @ w
-            x += b
-            np.tanh(x, out=x)
+            x = np.tanh(x @ w + b)
         logits: Array = x @ weight + bias
         return logits
 

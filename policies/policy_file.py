@@ -42,10 +42,10 @@ FORMAT = 2
 # outputs of a corrector, for each member of its ensemble: corrections along, across and up, and
 # logarithms of factors on the three deviations
 CORRECTIONS = 6
-MOST_BYTES = 128 << 20  # maximum size of a file: a thousand times the size of our largest
+MOST_BYTES = 128 << 20  # maximum size of a file: a thousand times the size of our largest policy
 MOST_HEADER = 16 << 20  # maximum size of the header, which contains names, shapes and the card
 _KEY = "policy"  # only one key, because the library would write several keys in random order
-_PER_MODE = ("beliefs", "banks")  # left out if the belief is shared, as in older files
+_PER_MODE = ("beliefs", "banks")  # fields left out if the belief is shared, as in older files
 _LATER = (*_PER_MODE, "base")  # fields that older files do not have
 
 Tensors = dict[str, NDArray[np.float32]]
@@ -91,7 +91,7 @@ class Card:
         if len(set(names)) < len(names):
             raise ValueError("features: found a name more than once, expected different names")
         if not isinstance(self.versions.get("mmwave-loc"), str):
-            raise ValueError(f"versions: found {self.versions!r}, expected one of 'mmwave-loc'")
+            raise ValueError(f"versions: found {self.versions!r}, expected 'mmwave-loc' among them")
         choose(BELIEFS, self.beliefs, "beliefs")
         if self.beliefs == "per-mode":
             self._require_banks()
@@ -188,7 +188,7 @@ def to_bytes(tensors: Tensors, card: Card) -> bytes:
     _require_network(tensors, card)
     # The library writes the memory of an array as it is, and so would undo a transposition.
     tensors = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
-    content = json.loads(json.dumps(card.as_json()))  # what a reader gets, such as lists for tuples
+    content = json.loads(json.dumps(card.as_json()))  # as it will be read, with lists for tuples
     document = {"format": FORMAT, "sha256": _checksum(tensors, content), "card": content}
     written: bytes = save(tensors, {_KEY: json.dumps(document)})
     return written

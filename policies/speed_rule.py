@@ -38,21 +38,15 @@ class SpeedRule(Policy):
     Args:
         observation: the environment's table of features.
         threshold: threshold of the speed, m/s; the paper uses 2 m/s.
-        feature: speed to use: "predicted speed" or, with odometry, "odometry speed".
     """
 
-    def __init__(
-        self,
-        observation: Observation,
-        threshold: float = SLOW_MPS,
-        feature: str = "predicted speed",
-    ) -> None:
-        self.observation, self.threshold, self.feature = observation, threshold, feature
+    def __init__(self, observation: Observation, threshold: float = SLOW_MPS) -> None:
+        self.observation, self.threshold = observation, threshold
         self._warned = False
 
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
         """Return actions (n,)."""
-        speed = self.observation.read(observation, self.feature)
+        speed = self.observation.read(observation, "predicted speed")
         if not self._warned and (speed > DESIGN_LIMIT_MPS).any():
             self._warned = True
             warnings.warn(

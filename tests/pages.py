@@ -75,7 +75,7 @@ def blocks_of(page: Path) -> list[Block]:
     matches = list(BLOCK.finditer(text))
     ends = [*(match.start() for match in matches[1:]), len(text)]
     blocks = []
-    for match, end in zip(matches, ends, strict=False):  # a page without blocks has an end, too
+    for match, end in zip(matches, ends, strict=False):  # without blocks, ``ends`` is longer
         line, tables = (
             text.count("\n", 0, match.start("text")),
             TABLE.finditer(text, match.end(), end),
@@ -125,7 +125,7 @@ class Session:
     @contextmanager
     def _inside(self) -> Iterator[None]:
         """Let a block import modules from the folder, and unload these modules afterwards."""
-        before = list(sys.path)  # loading agents by name adds the current folder
+        before = list(sys.path)  # loading an agent by name adds the current folder to it
         sys.path.insert(0, str(self.folder))
         try:
             with chdir(self.folder):

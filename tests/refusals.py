@@ -10,7 +10,7 @@ import pytest
 
 
 def fields_named(message: str) -> str:
-    """Return the part of a message that names the field: all before "found" or before a colon."""
+    """Return the part of a message that names the field: it ends at "found" or else at a colon."""
     named, separator, _ = message.partition(" found ")
     return named if separator else message.partition(": ")[0]
 

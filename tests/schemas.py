@@ -106,7 +106,7 @@ def radio():
     properties["name"]["not"] = {"enum": list(RADIOS)}
     base = {"enum": list(RADIOS), "default": "standard"}
     about = "shipped profile for all that the file leaves out, including modes and banks"
-    base["description"] = f"{about}; the defaults shown are those of standard"
+    base["description"] = f"{about}; the defaults shown are those of 'standard'"
     return schema | {"properties": {"base": base} | properties | {"base": base}}
 
 
@@ -127,7 +127,7 @@ def log():
             needed = quantity is QUANTITIES["time"]
             kind = "number" if needed else ["number", "null"]  # null: not measured
             part = {"type": kind, "description": quantity.meaning}
-            if quantity.limits and not name.endswith("_mps"):  # a shift's limits vary by carrier
+            if quantity.limits and not name.endswith("_mps"):  # Doppler limits vary by carrier
                 bound, of = quantity.limits
                 scale = (
                     (math.radians(1.0) if of == "degrees" else 1.0) * unit.divide / unit.multiply

@@ -129,6 +129,7 @@ def test_corrections_change_the_reported_belief_but_not_the_filters():
         np.testing.assert_allclose(corrected[9][4][key], imm[9][4][key], rtol=1e-9)
 
 
+@pytest.mark.slow  # compiles several programs
 def test_the_shipped_corrector_earns_in_the_environment_what_its_evaluation_says():
     policy, n = Corrector("corrector"), 20
     env = gym.make_vec(

@@ -1,6 +1,7 @@
 """Tests of the argument ``clock="offset"``: a user's clock that is not synchronized."""
 
 from csv import DictReader
+from functools import partial
 from itertools import groupby
 
 import gymnasium as gym
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from mmwave_env.datasets.samples import recording_from, sample_folder, source_from
-from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.engines.mode_smoothing import smooth_modes
 from mmwave_env.engines.replay import smooth
 from mmwave_env.filters import textbook
@@ -118,12 +119,12 @@ def test_the_offset_is_drawn_and_the_oscillator_drives_it():
     assert left.std() < 0.15 * grown[np.isfinite(grown)].std()
 
 
+@pytest.mark.slow  # runs many episodes
 def test_the_offset_is_found_and_the_filter_knows_how_well():
     bias, episodes = biases(120, radio="high")
     task, bank = task_from(radio="high", clock="offset"), best_bank("high")
-    pipeline = Pipeline(bank.modes, task.pipeline.layout)
-    imm = ImmEngine(pipeline, task.reward, bank.transition, bank.nis_quantile)
-    run = imm.run(episodes, "x", "P", "nees")
+    imm = partial(run_imm, bank, task.reward)
+    run = imm(episodes, "x", "P", "nees")
     late = np.isfinite(bias) & (np.arange(200) >= 20)
     error, sigma = (run["x"][..., 7] - bias)[late], np.sqrt(run["P"][..., 35])[late]
     assert np.sqrt(np.median(error**2)) < 0.5
@@ -137,9 +138,9 @@ def test_tracks_are_smoothed_as_by_the_textbook(planar):
     bank = Bank(modes_from(["ukf"], "standard"))
     pipeline = Pipeline(bank.modes, source.layout, planar)
     batch = source.sample_batch(keys_of(range(3)))
-    imm = ImmEngine(pipeline, TrackingReward())
+    imm = partial(run_imm, bank, TrackingReward(), planar=planar)
     names = ("x", "P", "x_predicted", "P_predicted")
-    kept = imm.run(batch.on_flat_ground() if planar else batch, *names, "mixture")
+    kept = imm(batch.on_flat_ground() if planar else batch, *names, "mixture")
     x, P, x_predicted, P_predicted = (kept[name] for name in names)
     free = [0, 1, 3, 4, 6, 7] if planar else list(range(8))
     hz_per_mps, time_s = STREET.hz_per_mps, np.arange(50.0)
@@ -175,7 +176,7 @@ def played(seed=3, **arguments):
     return np.array(rewards), info
 
 
-@pytest.mark.parametrize("beliefs", ["shared", "per-mode"])
+@pytest.mark.parametrize("beliefs", ["shared", pytest.param("per-mode", marks=pytest.mark.slow)])
 def test_vector_and_single_environments_agree(beliefs):
     arguments = {"beliefs": beliefs, "episode_steps": 30, "smoothed": True}
     envs = gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=3, clock="offset", **arguments)
@@ -190,6 +191,7 @@ def test_vector_and_single_environments_agree(beliefs):
     assert infos["estimate"].shape == (3, 8)
 
 
+@pytest.mark.slow  # compiles several programs
 def test_own_algorithms_filterpy_and_paired_rewards_run():
     def mine(x, P, measurement, gate):
         return ekf(x, P, measurement, gate)
@@ -232,6 +234,7 @@ def words_of(folder):
     return folder / "log.csv", "--scene", folder / "scene.json", "--radio", "standard"
 
 
+@pytest.mark.slow  # compiles several programs
 def test_localize_estimates_the_offset(ride):
     truth = ("--truth", ride / "truth.tum")
     out = succeed("localize", *words_of(ride), *truth, "--clock", "offset")
@@ -247,6 +250,7 @@ def test_localize_estimates_the_offset(ride):
     assert ns * (-1.0 if "behind" in said else 1.0) == pytest.approx(true_ns, abs=4.0 * deviation)
 
 
+@pytest.mark.slow  # compiles several programs
 @pytest.mark.parametrize("modes", [modes_from(["ukf"], "standard"), best_bank("standard")])
 def test_a_live_track_is_that_of_the_whole_log(ride, modes):
     blocks = list(read_log(ride / "log.csv", STREET, partial=True, clock=True))

@@ -21,7 +21,7 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork"),
 ]
-HITS, TRIES = 3, 15  # for each command and signal: required interruptions, maximum number of tries
+HITS, TRIES = 3, 15  # a command must be interrupted this often, in at most so many tries
 TOLD = "told.txt"  # file with a command's output, next to the command's folder
 LOG, SCENE = (str(LOGS / "canyon28_vehicle" / name) for name in ("log.csv", "scene.json"))
 FEW = ("--episodes", "4", "--episode-steps", "30")
@@ -76,7 +76,7 @@ def begun(words, folder, most):
         code = 0
     except SystemExit as end:
         code = int(end.code or 0)
-    except KeyboardInterrupt:  # before the command began
+    except KeyboardInterrupt:  # the signal came before the command began
         code = 128 + signal.SIGINT
     finally:
         os._exit(code)

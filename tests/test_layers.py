@@ -8,7 +8,7 @@ from graphlib import TopologicalSorter
 
 from tests.paths import ROOT
 
-EVERYBODY = {"mmwave_env", "io", "metrics"}  # all may import these; mmwave_env: its __init__.py
+EVERYBODY = {"mmwave_env", "io", "metrics"}  # all may import these (of mmwave_env: __init__.py)
 FILTER_SIDE = {"numerics", "models", "filters"}
 WORLDS = FILTER_SIDE | {"compiler", "world", "interface", "task"}
 ENVIRONMENT = WORLDS | {"engines", "rendering"}
@@ -44,7 +44,7 @@ SEES = {
     "experiments.sweeping": LIBRARY | {"experiments.training", *BELOW},
 }
 SEES["experiments"] = frozenset({*SEES, *LIBRARY})  # the commands, one module each
-ROOMS, ARROWS_BETWEEN_ROOMS = 28, 200  # maximum numbers; an arrow is an import
+ROOMS, ARROWS_BETWEEN_ROOMS = 28, 200  # maximum numbers; an arrow means that a room imports another
 
 
 def room(module):

@@ -1,4 +1,4 @@
-"""Tests of the argument ``measurements=``, for receivers that measure only some kinds of rows."""
+"""Tests of the argument ``measurements=``, for receivers that measure only some quantities."""
 
 import gymnasium as gym
 import numpy as np
@@ -73,7 +73,13 @@ def played(seed=3, **arguments):
     return np.array(rewards)
 
 
-@pytest.mark.parametrize("name", ["simulated", "odometry", "recorded", "measured"])
+SLOW = pytest.mark.slow  # each source compiles programs of its own
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["simulated", *(pytest.param(n, marks=SLOW) for n in ("odometry", "recorded", "measured"))],
+)
 def test_vector_and_single_environments_agree(name):
     arguments = SOURCES[name] | {"measurements": ["range", "azimuth"], "beliefs": "per-mode"}
     envs = gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=3, **arguments)

@@ -82,7 +82,7 @@ def test_the_adapter_gives_the_same_results_as_a_dummy_vec_env(configuration):
 
 
 def test_infos_of_any_vector_environment_are_passed_on():
-    """Use Gymnasium's vector environment, with a nested info and one that not all steps return."""
+    """Use Gymnasium's vector environment, a nested info, and an info that some steps leave out."""
 
     class Talkative(gym.Wrapper):
         def step(self, action):

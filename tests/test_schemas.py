@@ -93,7 +93,7 @@ def files(name):
 
 @st.composite
 def damaged(draw, name):
-    """Draw a content with a part dropped or replaced, or with an unknown key."""
+    """Draw the content of a file with a part dropped or replaced, or with an unknown key."""
     content = draw(files(name))
     *path, last = draw(st.sampled_from([*places(content), ("color",)]))
     inner = content
@@ -108,7 +108,7 @@ def damaged(draw, name):
 
 
 def refusal(name, content, folder):
-    """Return the reader's error ("" if it does not name file and schema); None if it accepts."""
+    """Return the reader's error ("" if it does not name file and schema); None if all is valid."""
     path = folder / f"{name}.json"
     path.write_text(json.dumps(content), encoding="utf-8")
     try:

@@ -1,4 +1,4 @@
-"""A checker of vector environments, because Gymnasium's checks only single environments."""
+"""A checker of vector environments, because Gymnasium has one for single environments only."""
 
 import gymnasium as gym
 import numpy as np

@@ -18,7 +18,7 @@ _WIDTH_M = (-6.0, 52.0)
 
 
 def angles_deg() -> Array:
-    """Return the azimuth, elevation and departure of every link in the figure's scene (n, 3)."""
+    """Return the azimuth, elevation and departure angles (n, 3) of the links in the scene."""
     layout = Layout(len(SCENE.anchors_m))
     rows = exact_rows(USER_M, [0.0] * 3, SCENE.anchors_m.tolist(), SCENE.hz_per_mps, layout)
     links: Array = np.array(rows[: layout.doppler], float).reshape(-1, 4)
@@ -84,7 +84,7 @@ def _arc(axes: Any, center: Array, radius: float, degrees: float, label: str, co
     axes.plot(x, [center[1]] * 2, color=color, linewidth=0.8, linestyle=":")
     axes.plot(*line[:, :-1], color=color, linewidth=1.5)
     axes.annotate("", line[:, -1], line[:, -3], arrowprops={"arrowstyle": "-|>", "color": color})
-    at = np.clip(0.5 * turn[-1], -0.8, 0.8)  # middle of the arc; less if it is long
+    at = np.clip(0.5 * turn[-1], -0.8, 0.8)  # the middle of the arc, or less if the arc is long
     axes.text(
         *(center + (radius + 0.6) * np.array([np.cos(at), np.sin(at)])),
         label,

@@ -99,7 +99,7 @@ def events(played: Played) -> dict[str, NDArray[np.bool_]]:
 
 
 def _begins(state: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the epochs (n, T) in which a state begins that was absent in the 5 before."""
+    """Return the epochs (n, T) in which a state begins that was absent in the previous 5 epochs."""
     begins = state.copy()
     for back in range(1, 6):
         begins[:, back:] &= ~state[:, :-back]

@@ -28,7 +28,7 @@ MIRRORED = {  # pages of the site whose files are outside docs/
 SHOWN = ("first_switcher", "corrector")
 NOTEBOOKS = {f"notebooks/{name}.md": f"docs/notebooks/{name}.ipynb" for name in SHOWN}
 REPORTS = {"docs/results.json": "report.html"}  # results that the site shows as a web page
-API = {  # page: title, modules and folders in mmwave_env or, after a "/", in the checkout
+API = {  # page: title, and paths of modules and folders, in mmwave_env unless they begin with "/"
     "environment": ("Around the environment", ["vector_env", "sb3"]),
     "signals": ("Rewards and observations", ["interface/", "metrics"]),
     "numerics": ("Numbers", ["numerics/numbers", "numerics/linalg"]),
@@ -93,7 +93,8 @@ def help_page() -> str:
 
     parts = [
         "# Options of the commands",
-        "What `--help` prints. [Commands](commands.md) has the overview and examples.",
+        "This page shows what `--help` prints. [Commands](commands.md) has the overview and "
+        "examples.",
     ]
     for name in COMMANDS:
         printed = StringIO()
@@ -171,7 +172,7 @@ def _shown(data: dict[str, Any]) -> str:
 
 
 def modules_of(part: str) -> Iterator[str]:
-    """Yield the dotted names of modules in mmwave_env or, after a "/", in the whole checkout."""
+    """Yield the dotted names of the modules at a path of :data:`API`."""
     path = ROOT / part.strip("/") if part.startswith("/") else ROOT / "mmwave_env" / part
     files = sorted(path.glob("*.py")) if part.endswith("/") else [path.with_suffix(".py")]
     for file in files:

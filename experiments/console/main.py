@@ -51,10 +51,6 @@ def page_of(name: str) -> str:
     return f"experiments.{SAME.get(name, name)}"
 
 
-def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    print(f"warning: {_in_one_line(str(message))}", file=sys.stderr)
-
-
 def _in_one_line(text: str) -> str:
     """Return a message in printable characters, cut if it is too long."""
     from mmwave_env.io.lookup import printable
@@ -121,7 +117,9 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
     debug = "--debug" in words
     try:
         with stopped_at_once():
-            warnings.showwarning = _show_warning
+            warnings.showwarning = lambda message, *_, **__: print(
+                f"warning: {_in_one_line(str(message))}", file=sys.stderr
+            )
             for stream in (sys.stdout, sys.stderr):
                 if isinstance(stream, TextIOWrapper):  # its encoding may lack some characters
                     stream.reconfigure(errors="backslashreplace")

@@ -68,7 +68,7 @@ class ModeArgs(WorldArgs):
     """Options for modes and agents."""
 
     modes: tuple[str, ...] = ()
-    """modes to use instead of the profile's ekf and ukf: names (ekf, ukf, ckf, ekf-robust,
+    """modes to use instead of the radio's ekf and ukf: names (ekf, ukf, ckf, ekf-robust,
     ukf-robust) and mode files. Policies that can use them: fixed-NAME, likelihood-rule, imm and,
     if there are two modes, speed-rule (the first for low mobility, the second for high). Learned
     policies keep their own modes"""
@@ -105,24 +105,12 @@ class EpisodeArgs(ModeArgs, IntegrityArgs, EpisodeResultArgs):
 
 
 @dataclass(kw_only=True)
-class TaskArgs:
-    """Options for the task to learn."""
+class LearnedArgs:
+    """Options for the environment of a learned policy."""
 
-    algo: Literal["ppo", "rollouts", "corrector"] = "ppo"
-    """ppo: PPO of Stable-Baselines3; rollouts: rollout policy iteration with common random numbers,
-    which tries every action on the same measurements; corrector: a recurrent network that corrects
-    the beliefs of the policy `guided`"""
     scenario: str = "mixed"
     """kind of user: a name (see mmwave-loc list scenarios) or a JSON file; or a trajectory of your
     own: a CSV file with columns t, x, y, z"""
-    radio: str = "handset"
-    """radio to train with on the street, if --places is not given: handset, standard, high or a
-    JSON file"""
-    places: tuple[str, ...] = ()
-    """places to train at, instead of --radio. Each is SCENE:RADIO (names or JSON files), such as
-    street:handset, followed if needed by the seconds between epochs (:0.1, default: 1), the
-    measured quantities (:range+azimuth, default: all), and :offset for a clock with an offset.
-    Environments, and episodes that judge policies, are spread evenly over the places"""
     beliefs: Literal["shared", "per-mode"] = "shared"
     """shared: all modes work on one belief; per-mode: every mode keeps its own belief, and the
     agent says which mode to trust"""
@@ -132,6 +120,24 @@ class TaskArgs:
     observation: str = "full"
     """features that the agent observes: full; or prior, without those that say how well each mode
     explains the coming epoch"""
+
+
+@dataclass(kw_only=True)
+class TaskArgs(LearnedArgs):
+    """Options for the task to learn."""
+
+    algo: Literal["ppo", "rollouts", "corrector"] = "ppo"
+    """ppo: PPO of Stable-Baselines3; rollouts: rollout policy iteration with common random numbers,
+    which tries every action on the same measurements; corrector: a recurrent network that corrects
+    the beliefs of the policy `guided`"""
+    radio: str = "handset"
+    """radio to train with on the street, if --places is not given: handset, standard, high or a
+    JSON file"""
+    places: tuple[str, ...] = ()
+    """places to train at, instead of --radio. Each is SCENE:RADIO (names or JSON files), such as
+    street:handset, followed if needed by the seconds between epochs (:0.1, default: 1), the
+    measured quantities (:range+azimuth, default: all), and :offset for a clock with an offset.
+    Environments, and episodes that judge policies, are spread evenly over the places"""
     reward: str = "tracking"
     """tracking; log-score; or paired: the tracking reward minus that of an IMM (with --beliefs
     per-mode, the bank's IMM). "paired": true in a hyperparameter file subtracts the IMM's reward
@@ -141,7 +147,7 @@ class TaskArgs:
 
 
 @dataclass(kw_only=True)
-class TrackOutputArgs:
+class TrackOutputArgs(JsonArgs):
     """Options for the results of a log."""
 
     out: tuple[Path, ...] = ()
@@ -149,8 +155,6 @@ class TrackOutputArgs:
     modes; .csv alone; or, for maps, .geojson, .gpx or .nmea, which need an origin in the scene"""
     plot: Path | None = None
     """draw the track to this .png, .svg or .pdf file"""
-    json: Path | None = None
-    """write all results to this JSON file"""
     diagnose: bool = False
     """compute no track, but show the number of epochs, the rate, how often each anchor is measured,
     and anything odd; then try likely mistakes on the first epochs (units, signs, arrival and
@@ -165,8 +169,8 @@ class FilterArgs:
     """policy that chooses the modes: corrector (default), guided, ppo, a policy file, or
     module:function"""
     imm: str | None = None
-    """instead of a policy, run all modes of an IMM, weighted by how well each explains the log:
-    imm-best, imm or the mode file of a bank"""
+    """IMM to use instead of a policy: imm-best, imm or the mode file of a bank. An IMM runs all its
+    modes, and weights each by how well it explains the log"""
     radio: str = AUTO
     """radio profile, which sets how modes are tuned and how noise depends on the SNR: handset,
     standard, high or a JSON file; auto takes the profile whose noise is nearest to the log's"""
@@ -199,10 +203,6 @@ class AlgorithmArgs:
     """speed by which --speed auto decides: predicted by the filter, or measured by odometry"""
     modes: Path | None = None
     """mode file with two other pipelines, the first for low and the second for high mobility"""
-    gating: bool = True
-    """reject measurements outside their 99 % chi-square gates (also with --imm)"""
-    adaptive: bool = True
-    """scale Q and R according to the innovations (also with --imm)"""
     robust: bool = False
     """give outlying links less weight instead of rejecting them (also with --imm)"""
 

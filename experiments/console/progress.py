@@ -35,12 +35,6 @@ def bars(*columns: ProgressColumn | str) -> Progress:
     return Progress(*all_columns, console=console, transient=True, disable=hidden)
 
 
-def terminal_width() -> int | None:
-    """Return the width of the terminal on standard output; None if it is not a terminal."""
-    console = Console()
-    return console.width if console.is_terminal else None
-
-
 def say(*lines: str) -> None:
     """Print lines in printable characters: a line break in a name becomes an escape code."""
     print(*map(printable, lines), sep="\n", flush=True)

@@ -14,6 +14,7 @@ from mmwave_env import __version__
 from mmwave_env.io.records import require
 
 T = TypeVar("T")
+# options that name the files to write
 OUTPUTS = {"json", "episodes_csv", "errors", "consistency", "plot", "docs", "out"}
 
 
@@ -39,14 +40,14 @@ def _words(value: Any) -> list[str]:
 
 
 def provenance(name: str, args: Any) -> dict[str, Any]:
-    """Return versions, options, and the command without its outputs, for results in JSON."""
+    """Return the command, its options and versions for results in JSON, without output files."""
     outputs = {f.name: f.default for f in fields(args) if f.name in OUTPUTS}
     command = command_line(name, replace(args, **outputs))
     return {"command": command, "options": options_of(args), "versions": versions()}
 
 
 def options_of(args: Any) -> dict[str, Any]:
-    """Return options in the form that results files store: no outputs, paths as text."""
+    """Return options in the form that results files store: no output files, paths as text."""
     options = {name: value for name, value in vars(args).items() if name not in OUTPUTS}
     return json.loads(json.dumps(options, default=str))  # type: ignore[no-any-return]
 

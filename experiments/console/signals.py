@@ -9,10 +9,12 @@ from threading import Timer
 from types import FrameType
 from typing import Any, NoReturn
 
-# Those signals that the system has; Windows has no SIGHUP.
+# Signals that end the program, if the system has them; Windows has no SIGHUP.
 ENDING = tuple(getattr(signal, n) for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n))
 SOON_S = 0.01  # delay after which a signal that could not be handled is sent again
-SAME_S = 1.0  # within this time, a second signal is the first one, sent to the group as well
+# A scheduler may send one signal twice, to the process and to its group. So a second signal within
+# this time, s, is ignored.
+SAME_S = 1.0
 
 
 class Ended(SystemExit):

@@ -53,7 +53,7 @@ def grid(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 
 def booktabs(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Return a LaTeX table of plain text in the style of the package booktabs, without a float."""
+    """Return plain text as a LaTeX ``tabular`` environment in the style of the package booktabs."""
     head, *body = (
         " & ".join(_MINUS.sub("$-$", printable(str(cell)).translate(_LATEX)) for cell in cells)
         for cells in (header, *rows)

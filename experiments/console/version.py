@@ -17,7 +17,7 @@ from experiments.console.signals import ended_by_the_system
 from mmwave_env.compiler.disk_cache import kept_functions
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.numerics.pytree import flatten, unflatten
@@ -49,12 +49,14 @@ def self_test() -> list[dict[str, Any]]:
     shared, own = (task_from(episode_steps=_EPOCHS, beliefs=b) for b in ("shared", "per-mode"))
     episodes = EpisodeBatch.of(shared.simulated.episodes(_KEYS))
     on_floats = _stepped(own, episodes, on_floats=True)
+    assert own.bank is not None
+    imm = run_imm(own.bank, TrackingReward(), episodes, "x")["x"]
     shared_on_floats = _stepped(shared, episodes, on_floats=True)
     deviations = {
         "episodes": _episodes(shared, episodes),
         "one belief": _deviation(_stepped(shared, episodes, False), shared_on_floats),
         "a belief per mode": _deviation(_stepped(own, episodes, False), on_floats),
-        "interacting multiple models": _deviation(_imm(own, episodes), on_floats),
+        "interacting multiple models": _deviation(imm.swapaxes(0, 1), on_floats),
     }
     return [
         {"kernel": name, "deviation": deviation, "passed": deviation <= TOLERANCE}
@@ -63,7 +65,7 @@ def self_test() -> list[dict[str, Any]]:
 
 
 def _deviation(computed: Array, expected: Array) -> float:
-    """Return the largest difference, relative to the largest size (at least 1) in its column."""
+    """Return the largest difference, relative to its column's largest magnitude (at least 1)."""
     size = np.maximum(np.abs(expected).max(axis=tuple(range(expected.ndim - 1))), 1.0)
     return float((np.abs(computed - expected) / size).max())
 
@@ -95,12 +97,3 @@ def _stepped(task: Task, episodes: EpisodeBatch, on_floats: bool) -> Array:
         engine.step(np.zeros(len(_KEYS), np.int64))
         beliefs.append(engine.read(engine.at.x))
     return np.array(beliefs)
-
-
-def _imm(task: Task, episodes: EpisodeBatch) -> Array:
-    """Return the estimates (epochs, n, 7) of an IMM that filters complete tracks in one call."""
-    bank = task.bank
-    assert bank is not None
-    imm = ImmEngine(task.pipeline, TrackingReward(), bank.transition, bank.nis_quantile)
-    beliefs: Array = imm.run(episodes, "x")["x"]
-    return beliefs.swapaxes(0, 1)

@@ -117,7 +117,7 @@ def agent_from(name: str) -> Act:
 def tried(name: str, agent: Act, table: Observation) -> Policy:
     """Return an agent as a policy; check that it returns actions for a few random observations.
 
-    Its optional method ``reset(begins)`` is called, too. An estimator is returned as it is.
+    The agent's method ``reset(begins)``, if any, is called, too. An estimator is returned as it is.
 
     Raises:
         ValueError: the agent is not a function, raises, or does not return actions.

@@ -61,7 +61,7 @@ class Branches:
         """
         state, copies, io = self._batch.state, self._copies.state, self._io
         ahead = state.epoch[:, None] + np.arange(self.horizon)
-        # Past the end of an episode its last epoch is repeated, without weight.
+        # Past the end of an episode, its last epoch is repeated with weight 0.
         weights = np.where(ahead - 1 < state.length[:, None], weights, 0.0)
         some = np.minimum(np.arange(len(state.rows) * WIDTH), len(ahead) - 1)
         epochs = np.minimum(ahead, state.length[:, None] - 1)[some]
@@ -84,7 +84,7 @@ class Clairvoyant(Policy):
 
     In every epoch it tries each action (trust one mode, or none) on the same measurements, trusts
     no mode in the epochs after it, and takes the action with the largest sum of rewards within
-    :data:`HORIZON_S`. It knows the noise, too, so a switcher without the truth is far below it.
+    :data:`HORIZON_S`. It even knows the noise, so a switcher without the truth earns far less.
     """
 
     _branches: Branches | None = None

@@ -1,10 +1,7 @@
 """Comparison of a user's agents with known contenders in one call, :func:`compare`."""
 
 import os
-import sys
-import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from numbers import Integral
 from typing import Any
@@ -16,28 +13,15 @@ from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.seeds import Selection
 from mmwave_env.filters.bank import Modes
 from mmwave_env.interface.reward import reward_name
-from mmwave_env.io.lookup import printable
 from mmwave_env.task import task_from
 from mmwave_env.world.episode import EpisodeSource
 
 USUAL_EPISODES = 200
 
 
-@contextmanager
-def _warnings_in_lines() -> Iterator[None]:
-    """Print every warning once, on one line, without the line of our code that caused it."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("once")
-        warnings.showwarning = lambda message, *_: print(
-            f"warning: {printable(str(message))}", file=sys.stderr
-        )
-        yield
-
-
 Agent = str | os.PathLike[str] | Act
 
 
-@_warnings_in_lines()
 def compare(
     policies: Mapping[str, Agent],
     beside: Sequence[str] = ("fixed-ukf", "speed-rule", "imm"),
@@ -58,17 +42,18 @@ def compare(
             observations (n, features), float32, of ``n`` episodes to ``n`` integer actions, or
             anything that ``mmwave-loc compare --policies`` accepts: a policy file,
             "module:function", the folder of a run, or a name. A function may have a method
-            ``reset(begins)``, whose argument, a bool (n,), marks the episodes that begin, and
-            attributes ``modes``, ``observation`` and ``beliefs``, which override the arguments
-            here. If it has a method ``correct``, its corrections are scored (docs/own-agent.md).
+            ``reset(begins)``; ``begins``, a bool (n,), marks the episodes that begin. If a
+            function has attributes ``modes``, ``observation`` or ``beliefs``, they override the
+            arguments here. If a function has a method ``correct``, its corrections are scored
+            (docs/own-agent.md).
         beside: names of known contenders to compare with, from
             :func:`~experiments.evaluation.contenders.contenders`.
         scenario, radio: same as in the environment.
         episodes: number of episodes, 200 by default; results to publish need 1000 or more.
         seed: seed of the first episode, 0 by default; training uses seeds from 10 million on.
         modes, observation, beliefs: settings that agents were trained with, as in the environment;
-            policy files hold their own. An agent "imm" is the IMM of these modes; if ``modes`` is a
-            bank or one mode file, it also sets the IMM's transition and NIS quantile.
+            policy files state their own. An agent "imm" is the IMM of these modes; if ``modes`` is
+            a bank or one mode file, it also sets the IMM's transition and NIS quantile.
         data: recorded episodes or episodes of your own, as in the environment's ``episodes``.
         world: further arguments of the environment: ``scene``, ``dt``, ``episode_steps``,
             ``planar``, ``odometry``, ``reward``.
@@ -83,7 +68,7 @@ def compare(
             contender is unknown; a name occurs twice; or an agent fails to load, raises, or does
             not return actions. Errors are raised before any episode runs, except those of agents
             that fail in an episode.
-        FileNotFoundError: there is no such file.
+        FileNotFoundError: a file that an argument names does not exist.
     """
     if not isinstance(policies, Mapping):
         raise ValueError(

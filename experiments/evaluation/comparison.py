@@ -24,7 +24,7 @@ MISSING = "-"  # what tables show instead of an unknown value
 
 
 def score_of(gain: float, possible: float) -> float | None:
-    """Return the score of a policy: 0 is the paper's rule, 100 the clairvoyant.
+    """Return a policy's score: 0 is the paper's rule, 100 the clairvoyant (which knows the truth).
 
     Args:
         gain: reward of the policy minus that of the rule.
@@ -117,7 +117,7 @@ class Comparison:
     def table(self, metrics: Collection[str]) -> tuple[list[str], list[list[str]]]:
         """Return a header and a row per policy: means ± 95 % half-widths.
 
-        If the metrics include the reward, a last column has the scores, if there are any.
+        If the metrics include the reward, and there are scores, the last column has the scores.
         """
         rows = [[name, *(rounded(row[m]) for m in metrics)] for name, row in self.policies.items()]
         header, scores = ["policy", *(HEADERS[metric] for metric in metrics)], self.scores
@@ -137,7 +137,7 @@ def episodes_csv(scores: dict[str, Scores], selection: Selection, source: Episod
     """Return a CSV table with a row per contender and episode, and a column per metric.
 
     A row also has the key of its episode, if the episode is simulated. ``selection`` and ``source``
-    are the episodes that were scored.
+    say which episodes were scored.
     """
     table = io.StringIO()
     rows = csv.writer(table, lineterminator="\n")

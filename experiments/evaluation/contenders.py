@@ -12,7 +12,6 @@ from experiments.evaluation.runs import Run
 from mmwave_env.filters.bank import (
     Bank,
     Modes,
-    Transition,
     bank_from,
     bank_over,
     best_bank,
@@ -41,10 +40,9 @@ class Contender:
 
     Attributes:
         name: name on the command line and in results.
-        modes: filter modes to choose from or to mix.
-        policy: function from the observation table to a policy; None for the IMM of the modes.
-        transition, nis_quantile: same as in :class:`~mmwave_env.filters.bank.Bank`; used only if
-            the modes interact (an IMM, or beliefs "per-mode").
+        bank: filter modes to choose from or to mix; their interaction matters only for an IMM and
+            with beliefs "per-mode".
+        policy: function from the observation table to a policy; None for the IMM of the bank.
         observation: observation of the policy, "full" or "prior".
         beliefs: beliefs of the modes, "shared" or "per-mode".
         bank_of: function from a radio profile to the policy's bank for that radio; None for a
@@ -52,10 +50,8 @@ class Contender:
     """
 
     name: str
-    modes: tuple[Mode, ...]
+    bank: Bank
     policy: Callable[[Observation], Policy] | None
-    transition: Transition | None = None
-    nis_quantile: float = 1.0
     observation: str = "full"
     beliefs: str = "shared"
     bank_of: Callable[[str], Bank] | None = None
@@ -66,13 +62,13 @@ class Contender:
     ) -> "Contender":
         """Return a contender for the learned policy in a file, or for a shipped policy by name.
 
-        A policy with several banks gets the one of ``radio``. If ``name`` is None, the name is the
-        path.
+        A policy with several banks gets its bank for ``radio``. If ``name`` is None, the path is
+        the name.
         """
         policy = learned_policy(path)
         return cls(
             os.fspath(path) if name is None else name,
-            policy.modes,
+            Bank(policy.modes),
             partial(type(policy), path),
             observation=policy.card.observation,
             beliefs=policy.beliefs,
@@ -96,36 +92,28 @@ class Contender:
         if beliefs are "per-mode".
 
         Raises:
-            ValueError: unknown modes or beliefs; the message lists the valid ones.
+            ValueError: modes or beliefs are unknown; the message lists the valid ones.
         """
         beliefs, modes = getattr(agent, "beliefs", beliefs), getattr(agent, "modes", modes)
         bank_of = getattr(agent, "bank", None) if beliefs == "per-mode" else None
         bank, chosen = bank_and_modes(bank_of(radio) if bank_of else modes, beliefs, radio)
-        contender = cls(
+        return cls(
             name,
-            chosen,
+            bank or Bank(chosen),
             partial(tried, name, agent),
             observation=getattr(agent, "observation", observation),
             beliefs=beliefs,
             bank_of=bank_of,
         )
-        return contender._over(bank) if bank else contender
 
     def at(self, radio: str) -> "Contender":
         """Return the contender with its bank for a radio, if it has several banks."""
-        return self._over(self.bank_of(radio)) if self.bank_of else self
-
-    def _over(self, bank: Bank) -> "Contender":
-        return replace(
-            self, modes=bank.modes, transition=bank.transition, nis_quantile=bank.nis_quantile
-        )
+        return replace(self, bank=self.bank_of(radio)) if self.bank_of else self
 
     @property
-    def bank(self) -> Bank | None:
-        """Return the bank that a policy chooses from; None if modes share one belief."""
-        if self.beliefs == "shared":
-            return None
-        return Bank(self.modes, self.transition, self.nis_quantile)
+    def modes(self) -> tuple[Mode, ...]:
+        """Return the modes of the bank."""
+        return self.bank.modes
 
     @property
     def mixes(self) -> bool:
@@ -147,14 +135,6 @@ class Contender:
 Make = Callable[[], Contender]
 
 
-def _fixed(action: int) -> Callable[[Observation], Policy]:
-    return lambda table: FixedMode(action)
-
-
-def _imm(name: str, bank_of: Callable[[], Bank]) -> Contender:
-    return Contender(name, (), None)._over(bank_of())
-
-
 def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:
     """Return, by name, functions that make the bank of each IMM; they read files when called."""
     return {"imm": lambda: Bank(default_modes(radio)), BEST_IMM: lambda: best_bank(radio)}
@@ -164,14 +144,15 @@ def _of_any_modes(bank: Bank) -> dict[str, Make]:
     """Return the contenders over a bank's modes: each mode alone, the rules and the IMM."""
     names = [mode.name for mode in bank.modes]
     policies: dict[str, Callable[[Observation], Policy]] = {
-        f"fixed-{name}": _fixed(i) for i, name in enumerate(names)
+        f"fixed-{name}": lambda table, i=i: FixedMode(i)  # type: ignore[misc]
+        for i, name in enumerate(names)
     }
     if len(names) == 2:
         policies[RULE] = SpeedRule
     if len(names) > 1:
         policies["likelihood-rule"] = lambda table: LikelihoodRule(table, names)
-    makes: dict[str, Make] = {n: partial(Contender, n, bank.modes, p) for n, p in policies.items()}
-    return makes | {"imm": partial(_imm, "imm", lambda: bank)}
+    makes: dict[str, Make] = {n: partial(Contender, n, bank, p) for n, p in policies.items()}
+    return makes | {"imm": partial(Contender, "imm", bank, None)}
 
 
 def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
@@ -189,7 +170,7 @@ def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
     ckf = Bank((named_modes(radio)["ckf"],))
     ekf, ukf, *others = _of_any_modes(Bank(default_modes(radio))).items()
     alone = dict([ekf, ukf, next(iter(_of_any_modes(ckf).items()))])
-    best = {BEST_IMM: partial(_imm, BEST_IMM, imm_banks(radio)[BEST_IMM])}
+    best = {BEST_IMM: lambda: Contender(BEST_IMM, best_bank(radio), None)}
     shipped, base = shipped_policies(), radio_from(radio).base
     files = ((name, file) for name in SHIPPED for file in (name, f"{name}-{base}"))
     learned = {n: partial(Contender.learned, f, n, radio) for n, f in files if f in shipped}
@@ -202,16 +183,16 @@ def contender_from(
     """Return a contender by name; see :func:`contenders`.
 
     Args:
-        name: name of a contender or shipped policy, "clairvoyant" (the ceiling of switching
-            between the modes of a bank), a policy file (``.safetensors``), the folder of a run (its
-            median training is used), or module:function, as in
+        name: name of a contender or shipped policy, "clairvoyant" (which knows the truth, and
+            so marks the ceiling of switching), a policy file (``.safetensors``), the folder of a
+            run (its median training is used), or module:function, as in
             :func:`~experiments.evaluation.agents.agent_from`.
         radio, modes: same as in :func:`contenders`.
         observation, beliefs: settings of a user's agent, as in :meth:`Contender.own`.
 
     Raises:
-        ValueError: unknown name, with the valid names in the message; a damaged policy file; or
-            an agent that can't be loaded.
+        ValueError: the name is unknown (the message lists the valid names), a policy file is
+            damaged, or an agent can't be loaded.
         FileNotFoundError: there is no such file.
     """
     known, shipped = contenders(radio, modes), shipped_policies()
@@ -219,8 +200,9 @@ def contender_from(
         return known[name]()
     if name == CLAIRVOYANT:
         banks = partial(bank_from, modes)
-        knows = Contender(name, (), lambda table: Clairvoyant(), beliefs="per-mode", bank_of=banks)
-        return knows.at(radio)
+        return Contender(
+            name, banks(radio), lambda table: Clairvoyant(), beliefs="per-mode", bank_of=banks
+        )
     if name in shipped or name.endswith(".safetensors"):
         return Contender.learned(name, radio=radio)
     if Path(name).is_dir():

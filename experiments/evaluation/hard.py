@@ -13,7 +13,7 @@ from mmwave_env.world.keys import Keys
 from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Trajectory
 
-DURATION_S = 800  # duration of a way; an episode is a window of 200 s of it
+DURATION_S = 800  # duration of a way (trajectory); an episode is a window of 200 s
 STREET, HANDSET = SCENES["street"], RADIOS["handset"]
 
 
@@ -21,7 +21,7 @@ STREET, HANDSET = SCENES["street"], RADIOS["handset"]
 class Misstated(SimulatedSource):
     """A source of episodes whose receiver misstates its noise by a constant factor."""
 
-    stated: float = 1.0
+    stated: float = 1.0  # ratio of stated to true standard deviations
 
     def episodes(self, keys: Keys) -> list[Episode]:
         """Return the episodes of keys (n,)."""

@@ -70,7 +70,7 @@ def _resamples(n: int, seed: int = 0) -> NDArray[np.uint16]:
 
 
 def _drawn(n: int, seed: int, rows: int) -> Iterator[Index]:
-    """Yield the counts of resamples, a few rows at a time to bound the memory."""
+    """Yield the counts of :func:`_resamples`, a few rows at a time to bound the memory."""
     rng = np.random.default_rng(seed)
     for first in range(0, RESAMPLES, rows):
         size = min(rows, RESAMPLES - first)

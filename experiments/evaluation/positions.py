@@ -27,11 +27,11 @@ HEADER = (
 class Positions:
     """Position errors of all scored epochs, with protection levels."""
 
-    names: Mapping[str, str]  # names in figures, by contender; other contenders are skipped
+    names: Mapping[str, str]  # contender's name -> its name in figures; others are skipped
     levels: Levels = field(default_factory=Levels)
     anchors: int = 3  # number of anchors in the episodes
     planar: bool = False  # whether the height is known
-    errors: dict[str, PositionErrors] = field(default_factory=dict)  # by the name in figures
+    errors: dict[str, PositionErrors] = field(default_factory=dict)  # name in figures -> errors
 
     def add(self, contender: Contender, time_s: Array, results: EpochResults) -> None:
         """Add a contender's epoch results on some episodes.
@@ -57,7 +57,7 @@ def positions_markdown(title: str, rows: Mapping[str, Any], risk: float, kind: s
 
     ``rows`` are figures of :class:`~mmwave_env.localization.position_errors.PositionErrors`, by the
     names in the column ``title``; ``risk`` is the probability that an error exceeds its level, and
-    ``kind`` the kind of the levels.
+    ``kind`` the kind of all levels: "calibrated" or "gaussian".
     """
     cells = [
         [f"{name}, {kind}", *row_of(errors)]
@@ -70,11 +70,6 @@ def positions_markdown(title: str, rows: Mapping[str, Any], risk: float, kind: s
         f"the median {kind} protection level; at a risk of {risk:g}, errors should exceed their "
         f"levels in {percent(risk)} of the epochs.\n"
     )
-
-
-def kinds_of(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the errors of each kind in a row of figures."""
-    return {kind: row[kind] for kind in KINDS if kind in row}
 
 
 def row_of(figures: Mapping[str, Any]) -> list[str]:

@@ -1,6 +1,7 @@
-"""The benchmark's protocol: the sites at which contenders are judged, some unseen in training.
+"""The benchmark's protocol: the sites at which contenders are judged. Some are unseen in training.
 
-docs/benchmark.md explains the benchmark. An *entry* has a contender's figures at every site.
+docs/benchmark.md explains the benchmark. An *entry* has a contender's figures at every site. The
+*clairvoyant* is a switcher that knows the truth; a score is the share of its gain over the rule.
 """
 
 import warnings
@@ -33,8 +34,8 @@ TRAINED, UNSEEN_KIND, RECORDED, HARD = KINDS = ("to train in", "unseen", "record
 UNSEEN_SCENES, UNSEEN_RADIOS = ("avenue", "plaza", "alley"), ("tablet",)
 UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
 OTHER_RADIOS = ("handset", "standard")  # radios for unseen streets and for recordings
-EPISODES, DRAWS = 2000, 200  # number of episodes at each simulated site, and on each recording
-CEILING_EPISODES, CEILING_DRAWS = 400, 20  # numbers of first episodes and draws that scores use
+EPISODES, DRAWS = 2000, 200  # episodes at each simulated site, and draws on each recording
+CEILING_EPISODES, CEILING_DRAWS = 400, 20  # a score uses only this many, the first ones
 PUBLISHED = Path(__file__).parents[2] / "docs" / "leaderboard"  # folder of the published entries
 
 
@@ -50,21 +51,16 @@ class Site:
     name: str
     kind: str  # one of :data:`KINDS`
     radio: str  # name or file of the radio
-    make: Callable[[], EpisodeSource]  # function that returns the source of the site's episodes
+    source: Callable[[], EpisodeSource]  # function that returns the source of the site's episodes
 
     @classmethod
     def of(cls, name: str, kind: str, options: WorldArgs) -> "Site":
         """Return the site that options of commands describe."""
         return cls(name, kind, options.radio, partial(source_of, options))
 
-    @property
-    def source(self) -> EpisodeSource:
-        """Return the source of the site's episodes."""
-        return self.make()
-
 
 def sites() -> list[Site]:
-    """Return all sites: to train in, unseen streets and radio, recordings, and hard sites."""
+    """Return all sites: training sites, unseen streets and radio, recordings, hard sites."""
     unseen = {name: unseen_file(name) for name in UNSEEN}
     at = WorldArgs
     trained = [Site.of(f"{s}:{r}", TRAINED, at(scene=s, radio=r)) for s in SCENES for r in RADIOS]
@@ -143,7 +139,7 @@ def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
         imms = [name for name in contenders(site.radio) if name.startswith("imm")]
         everybody = dict.fromkeys([*names, RULE, *imms])
         chosen = [contender_from(name, site.radio) for name in everybody]
-        scores = score_contenders(chosen, site.source, site.radio, selection)
+        scores = score_contenders(chosen, site.source(), site.radio, selection)
     return Judged(site, scores, tuple(imms))
 
 
@@ -167,13 +163,11 @@ def read_entry(path: Path) -> dict[str, Any]:
     """Read an entry that :func:`entry` made.
 
     Raises:
-        ValueError: names the file and says what is wrong in it.
+        ValueError: the entry is invalid; the message names the file and what is wrong in it.
     """
 
     def checked(content: dict[str, Any]) -> dict[str, Any]:
-        kinds = {TRAINED, UNSEEN_KIND, RECORDED, *content["mean_gain"]}  # old entries lack HARD
-        needed = [site.name for site in sites() if site.kind in kinds]
-        if missing := [name for name in needed if name not in content["sites"]]:
+        if missing := [site.name for site in sites() if site.name not in content["sites"]]:
             raise ValueError(f"sites: missing {', '.join(missing)}")
         add_scores([content], content)  # raises if tables can't show the entry
         tables_of([content], content)
@@ -189,7 +183,7 @@ def ceiling_in(*folders: Path) -> Mapping[str, Any] | None:
 
 
 def add_scores(entries: Iterable[dict[str, Any]], ceiling: Mapping[str, Any] | None) -> None:
-    """Set the scores of entries at their sites.
+    """Set the scores of entries at their sites; ``ceiling`` is the entry of the clairvoyant.
 
     A score is None unless entry and ceiling were compared with the rule on the same episodes.
     """
@@ -198,7 +192,7 @@ def add_scores(entries: Iterable[dict[str, Any]], ceiling: Mapping[str, Any] | N
         for name, at in content["sites"].items():
             top = tops.get(name, {})
             at["score"] = None
-            if "over_rule" in at and "over_rule" in top and scored_over(at) == scored_over(top):
+            if top and scored_over(at) == scored_over(top):
                 at["score"] = score_of(at["over_rule"]["mean"], top["over_rule"]["mean"])
 
 
@@ -222,11 +216,11 @@ def standing(figures: dict[str, Any]) -> str:
 
 
 def ranking(entries: Sequence[Mapping[str, Any]]) -> str:
-    """Return a Markdown table of all entries, ranked by their mean gain at the sites to train in.
+    """Return a Markdown table of all entries, ranked by their mean gain at the training sites.
 
-    Entries with fewer episodes at a simulated site, or draws on a recording, than the protocol
-    requires are marked and come last, because luck would decide their rank. The clairvoyant needs
-    only the episodes and draws that scores use.
+    An entry is marked and comes last if it has fewer episodes at a simulated site, or fewer draws
+    on a recording, than the protocol requires, because luck would decide its rank. The
+    clairvoyant needs only the episodes and draws that scores use.
     """
     rows: list[tuple[bool, float, list[Any]]] = []
     for content in entries:
@@ -240,11 +234,10 @@ def ranking(entries: Sequence[Mapping[str, Any]]) -> str:
         cells.append(f"{simulated} / {recorded}{' (too few)' if short else ''}")
         for kind in KINDS:
             here = [site for site in at if site["kind"] == kind]
-            scores = [site["score"] for site in here] or [None]
-            stands = [standing(site) for site in here]
+            scores, stands = [site["score"] for site in here], [standing(site) for site in here]
             counts = [str(stands.count(where)) for where in ("above", "level", "below")]
-            gain = [Interval.of(gains[kind]), " / ".join(counts)] if here else [MISSING] * 2
-            cells += [score_cell(None if None in scores else np.mean(scores)), *gain]
+            score = score_cell(None if None in scores else np.mean(scores))
+            cells += [score, Interval.of(gains[kind]), " / ".join(counts)]
         rows.append((short, -gains[TRAINED]["mean"], cells))
     header = ["entry", "episodes / draws"]
     for kind in KINDS:
@@ -265,9 +258,6 @@ def by_site(entries: Sequence[Mapping[str, Any]]) -> str:
     for site in sites():
         cells = [site.name]
         for at in shown.values():
-            if site.name not in at:
-                cells.append(MISSING)
-                continue
             gains = at[site.name]["minus"]
             best = min(gains, key=lambda imm: gains[imm]["mean"])
             cells.append(f"{Interval.of(gains[best])} ({best})")
@@ -285,6 +275,6 @@ def by_score(entries: Sequence[Mapping[str, Any]], ceiling: Mapping[str, Any] | 
     tops, rows = ceiling["sites"] if ceiling else {}, []
     for site in sites():
         top = tops.get(site.name, {}).get("over_rule")
-        cells = (score_cell(at.get(site.name, {}).get("score")) for at in shown.values())
+        cells = (score_cell(at[site.name]["score"]) for at in shown.values())
         rows.append([site.name, Interval.of(top) if top else MISSING, *cells])
     return grid(["site", f"{CLAIRVOYANT} minus {RULE}", *shown], rows)

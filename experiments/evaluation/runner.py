@@ -14,7 +14,7 @@ from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.seeds import Selection
 from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.filters.bank import Modes
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.correction import corrected_all
@@ -86,8 +86,8 @@ def run_contender(
         contender, policy: same as in :func:`score`.
         episodes: the episodes; they need ground truth only if ``scoring.planar``.
         scoring: reward and terrain.
-        after: names of parts whose values after every epoch are returned; every contender has "x",
-            "P", "memory.nis", "memory.accepted" and "memory.rejected".
+        after: names of parts of the filters' state to return for every epoch; every contender has
+            "x", "P", "memory.nis", "memory.accepted" and "memory.rejected".
 
     Returns:
         "reward" and "nees" (n, T); "error" (n, T, 3) in m; for a policy also "mode" (n, T), its
@@ -104,8 +104,7 @@ def run_contender(
     if corrector:
         names = tuple(dict.fromkeys((*names, *BELIEF, "truth")))
     if policy is None:
-        imm = ImmEngine(pipeline, scoring.reward, contender.transition, contender.nis_quantile)
-        return imm.run(episodes, *names)
+        return run_imm(contender.bank, scoring.reward, episodes, *names, planar=scoring.planar)
     n, T, _ = episodes.table.shape
     if isinstance(policy, Estimator):
         if not {*after} <= {*BELIEF}:
@@ -116,7 +115,8 @@ def run_contender(
         axes, known = pipeline.position_axes, pipeline.known_axes
         belief = Belief(mean, unpack(packed, known), axes)
         return {"x": x, "P": P, **_scored(belief, truth, scoring.reward)}
-    engine = Engine(pipeline, n, scoring.reward, contender.observation, contender.bank)
+    bank = contender.bank if contender.mixes else None
+    engine = Engine(pipeline, n, scoring.reward, contender.observation, bank)
     engine.reset(episodes)
     policy.reset(np.ones(n, bool))
     if isinstance(policy, Clairvoyant):
@@ -155,7 +155,7 @@ def _corrected(
 
 
 def _scored(belief: Belief, true_states: Array, reward: Reward) -> EpochResults:
-    """Return the scores of a belief of arrays (n, T), given true states (n, T, 6)."""
+    """Return the scores of a belief whose numbers are arrays (n, T); true states are (n, T, 6)."""
     truth = list(np.moveaxis(true_states, -1, 0))
     return {
         "error": np.stack(belief.error(truth), axis=-1),

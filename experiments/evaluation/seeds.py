@@ -1,6 +1,6 @@
 """Selection of episodes by their seeds.
 
-Test seeds start at 0; seeds of tuning and training start far away.
+Test seeds start at 0; seeds of tuning and training start far above them.
 """
 
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ class Selection:
 
     @classmethod
     def of(cls, episodes: int | None, seed: int | None, usual: int) -> "Selection":
-        """Return the episodes that a user asked for: by default ``usual`` ones, from seed 0 on."""
+        """Return the episodes that a user asked for, by default ``usual`` episodes from seed 0."""
         first = seed or 0
         return cls(range(first, first + (usual if episodes is None else episodes)))
 

@@ -46,7 +46,7 @@ class TrainingSeeds:
 
     run: Run  # names and outcomes of the trainings
     reward: Figure  # reward of the trainings
-    minus: dict[str, Figure]  # differences from the reward of each rival, by its name
+    minus: dict[str, Figure]  # difference from each rival's reward, by the rival's name
     best_imm: str | None  # the IMM with the best reward; None if there is no IMM
 
     @property
@@ -66,7 +66,8 @@ def over_training_seeds(
 ) -> list[TrainingSeeds]:
     """Compute rewards of runs, and their gains over the reference contenders among ``scores``.
 
-    ``runs`` maps each run to the scores of its trainings, in order, on the same episodes.
+    ``runs`` maps each run to the scores of its trainings, in the order of the run's seeds; all
+    scores are for the same episodes.
     """
     rewards = {run: np.stack([s["reward"] for s in trained]) for run, trained in runs.items()}
     baselines = {rival: scores[rival]["reward"] for rival in references(scores)}

@@ -78,7 +78,7 @@ def draw_learning_curves(
 ) -> None:
     """Draw quantities over the steps of training, with one line per training and a line at zero.
 
-    ``figures`` has steps and values of every training, by the label of the y axis and then by run.
+    ``figures[label][run]`` has one line for each training of the run; the label is for the y axis.
     """
     from matplotlib.ticker import EngFormatter, NullFormatter
 

@@ -31,7 +31,6 @@ class DrawnTrack:
     segment: Index  # (T,) number of the segment; a new segment begins where the track starts again
     modes: Sequence[str]  # names of the modes
     anchors_m: Array  # (L, 3) positions of anchors, the physical gNB first
-    whole: bool = True  # False if epochs were left out; then epochs are not joined by lines
 
 
 def draw_trajectory(track: DrawnTrack, path: Path, title: str) -> None:
@@ -57,24 +56,18 @@ def draw_trajectory(track: DrawnTrack, path: Path, title: str) -> None:
 
 def _draw_above(axes: Any, track: DrawnTrack) -> None:
     position, mode = track.position_m[:, :2], track.mode
-    dots = {"ls": "", "marker": "."}
     if np.isfinite(track.truth_m).any():
-        style: dict[str, Any] = {"lw": 4.0} if track.whole else dots | {"ms": 5.0}
-        axes.plot(*track.truth_m[:, :2].T, color="black", alpha=0.25, label="truth", **style)
+        axes.plot(*track.truth_m[:, :2].T, color="black", alpha=0.25, label="truth", lw=4.0)
     for number in np.unique(mode):
         look: dict[str, Any] = {"color": f"C{number}", "lw": 1.4}
-        name = f"estimate, {caption(track.modes[number])}"
-        if track.whole:
-            _add_steps(axes, track, mode[1:] == number, look)
-            axes.plot([], [], label=name, **look)
-        else:
-            axes.plot(*position[mode == number].T, label=name, **look | dots | {"ms": 2.0})
+        _add_steps(axes, track, mode[1:] == number, look)
+        axes.plot([], [], label=f"estimate, {caption(track.modes[number])}", **look)
     _draw_ellipses(axes, track)
     axes.plot(*position[0], "o", color="black", ms=5, label="start")
     draw_anchors(axes, position, track.anchors_m)
     axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
     axes.set_adjustable("datalim")
-    legend_beside(axes, markerscale=1.0 if track.whole else 2.0)
+    legend_beside(axes)
 
 
 def _add_steps(axes: Any, track: DrawnTrack, chosen: Array, look: dict[str, Any]) -> None:
@@ -107,7 +100,7 @@ def _draw_ellipses(axes: Any, track: DrawnTrack) -> None:
 
 
 def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
-    """Draw the anchors near the track: at most its extent away, or 30 m if that is more."""
+    """Draw the anchors within a margin around a track: the track's extent, but at least 30 m."""
     low, high = position.min(axis=0), position.max(axis=0)
     reach = max(float((high - low).max()), 30.0)
     middle = 0.5 * (low + high)

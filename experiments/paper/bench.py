@@ -38,7 +38,7 @@ class Setting:
     clean: bool = False  # whether blockage and multipath are left out
     odometry: bool = False  # whether the user also measures speed and heading
     walls: bool = True  # False for the base station alone, without virtual anchors
-    changes: tuple[tuple[str, object], ...] = ()  # changed fields of the radio profile, and values
+    changes: tuple[tuple[str, object], ...] = ()  # fields of the radio to change, and new values
 
     def source(self) -> SimulatedSource:
         """Return the source of the episodes."""
@@ -58,7 +58,7 @@ class Errors(NamedTuple):
     """Errors of a mode on every episode."""
 
     scores: Scores  # values (episodes,) by metric
-    nees: Array  # (episodes, epochs) without the burn-in
+    nees: Array  # (episodes, epochs) without the first epochs of an episode (the burn-in)
     axis_rms_m: Array  # (3,) root mean square error along x, y and z
 
 
@@ -70,7 +70,7 @@ class TrackRun(NamedTuple):
 
 
 class Bench:
-    """A cache of runs of modes on the episodes of seeds ``seed .. seed + episodes - 1``."""
+    """A cache of modes' runs on the episodes with seeds ``seed .. seed + episodes - 1``."""
 
     def __init__(self, episodes: int, seed: int) -> None:
         self.count, self.seed = episodes, seed

@@ -322,5 +322,5 @@ def error_budget(bench: Bench) -> Iterator[Row]:
 
 CLAIMS = (  # in the order of docs/paper.md
     algorithms, steps, adaptation, smoothing, improvement, process_noise, units, resolution,
-    consistency_gate, contradictions,
+    consistency_gate, contradictions, headline, error_budget,
 )  # fmt: skip

@@ -63,7 +63,7 @@ def _sweep(axes: Any, section: Section) -> None:
 
 
 def draw(sections: dict[str, Section], path: Path) -> None:
-    """Draw all panels from the sections, by title, and write the picture to a file."""
+    """Draw all panels from the sections, whose keys are titles; write the picture to a file."""
     with picture(path, 13.0, 4.2) as figure:
         axes = figure.subplots(1, 3)
         for panel, title in zip(axes, ("Table I: pedestrian", "Table II: vehicle"), strict=False):

@@ -6,8 +6,6 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from experiments.console.options import EpisodeArgs
-from experiments.console.provenance import provenance
-from experiments.console.tables import show
 from experiments.evaluation.asked import (
     all_contenders,
     contender_of,
@@ -24,7 +22,7 @@ from experiments.evaluation.training_seeds import over_training_seeds, seeds_mar
 from experiments.figures.canvas import require_picture
 from experiments.figures.curves import draw_consistency, draw_error_cdf
 from mmwave_env.interface.reward import reward_name
-from mmwave_env.io.files import write_json, write_text
+from mmwave_env.io.files import write_text
 from mmwave_env.localization.levels import PARTS, Levels
 
 WIDTH_MM = (80.0, 500.0)  # widths of pictures in which everything can be read
@@ -39,17 +37,6 @@ class Results(NamedTuple):
     pictures: Sequence[Callable[[], None]]  # functions that each write a picture
 
 
-def report(command: str, args: EpisodeArgs, made: Results) -> None:
-    """Write ``args.json`` and the pictures, and print the tables that :func:`results` made."""
-    if args.json:  # first, because the reader of the tables may close the pipe
-        write_json(args.json, provenance(command, args) | made.json)
-    try:
-        for draw in made.pictures:
-            draw()
-    finally:  # the tables are shown even if a picture fails
-        show(made.text)
-
-
 def results(
     args: EpisodeArgs,
     names: Sequence[str],
@@ -58,8 +45,8 @@ def results(
 ) -> Results:
     """Run contenders on the episodes that options select.
 
-    For the folder of a run, its median training is shown. ``pictures`` are files to draw, by
-    option: "errors" and "consistency", ``width_mm`` wide.
+    If a name is the folder of a run, the run's median training is shown. ``pictures`` are files to
+    draw, by option: "errors" and "consistency", ``width_mm`` wide.
 
     Raises:
         ValueError: an option is not valid, or both pictures have the same file.

@@ -18,11 +18,12 @@ from mmwave_env.logs.log import LogBlock
 from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
 
 DEFAULT_POLICY = "corrector"
-# Without elevations, "guided" trusts wrong modes too often to be useful (docs/learning.md).
+# Without elevations, the policy "guided", on which "corrector" builds, trusts wrong modes too often
+# to be useful (docs/learning.md).
 WITHOUT_ELEVATIONS = "imm-best"
 # Correctors read the standard deviation of the height, which does not exist for a known height.
 WITH_HEIGHT = "guided"
-RULES: dict[str, tuple[Rule, str]] = {  # each rule, and what messages call its speed
+RULES: dict[str, tuple[Rule, str]] = {  # rules, each with the words for its speed in messages
     "prediction": (by_predicted_speed, "the predicted"),
     "odometry": (by_odometry_speed, "odometry's"),
 }
@@ -37,8 +38,8 @@ class Choice(NamedTuple):
 
 def is_algorithm_1(args: LogArgs) -> bool:
     """Return whether any option is set that only the paper's Algorithm 1 has."""
-    asked = (args.speed, args.modes, args.follow != "prediction" or None, args.robust or None)
-    return any(option is not None for option in asked) or not (args.gating and args.adaptive)
+    chosen = args.speed is not None or args.modes is not None
+    return chosen or args.robust or args.follow != "prediction"
 
 
 def require_none(beside: str, **options: object) -> None:
@@ -56,8 +57,8 @@ def require_one_choice(args: LogArgs) -> None:
     if args.policy is not None and is_algorithm_1(args):
         require_none("--policy", speed=args.speed, modes=args.modes)
         raise ValueError(
-            "policy: cannot be combined with an option of Algorithm 1 (--follow, --robust, "
-            "--no-gating or --no-adaptive), because a policy is trained with its own modes"
+            "policy: cannot be combined with an option of Algorithm 1 (--follow or --robust), "
+            "because a policy is trained with its own modes"
         )
     if not by_speed and args.outside == "abort":
         raise ValueError("outside: abort needs --speed with a number of m/s")
@@ -75,7 +76,8 @@ def choice_of(args: LogArgs, radio: str, block: LogBlock) -> Choice:
     """
     if args.imm is not None:
         bank = _bank(args.imm, radio)
-        bank = replace(bank, modes=_as_asked(args, bank.modes))
+        if args.robust:
+            bank = replace(bank, modes=tuple(map(robust, bank.modes)))
         return Choice(Switching(bank), f"of {args.imm}, weighted by their probability")
     if args.policy is not None or not is_algorithm_1(args):
         elevations = block.measurement[:, 2 : block.layout.doppler : 4]
@@ -84,9 +86,7 @@ def choice_of(args: LogArgs, radio: str, block: LogBlock) -> Choice:
             return Choice(Switching(_bank(WITHOUT_ELEVATIONS, radio)), why)
         name = args.policy or (DEFAULT_POLICY if args.height is None else WITH_HEIGHT)
         contender = contender_from(name, radio)
-        bank_or_modes = contender.bank or contender.modes
-        if contender.policy is None:
-            bank_or_modes = Bank(contender.modes, contender.transition, contender.nis_quantile)
+        bank_or_modes = contender.bank if contender.mixes else contender.modes
         switching = Switching(bank_or_modes, None, contender.policy, contender.observation)
         return Choice(switching, f"chosen by the policy {name}")
     return _algorithm_1(args, modes_of(args, radio))
@@ -108,18 +108,7 @@ def modes_of(args: LogArgs, radio: str) -> tuple[Mode, ...]:
         raise ValueError(
             f"{args.modes}: found {len(modes)} modes, expected 2, for low and for high mobility"
         )
-    return _as_asked(args, modes)
-
-
-def _as_asked(args: LogArgs, modes: tuple[Mode, ...]) -> tuple[Mode, ...]:
-    """Return the modes with the safeguards that options ask for."""
-    if args.robust:
-        modes = tuple(map(robust, modes))
-    if not args.gating:
-        modes = tuple(replace(mode, gate=None) for mode in modes)
-    if not args.adaptive:
-        modes = tuple(replace(mode, adaptive=False) for mode in modes)
-    return modes
+    return tuple(map(robust, modes)) if args.robust else modes
 
 
 def _algorithm_1(args: LogArgs, modes: tuple[Mode, ...]) -> Choice:

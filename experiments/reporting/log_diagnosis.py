@@ -1,4 +1,4 @@
-"""Report that localize --diagnose prints about a log: facts, and likely mistakes."""
+"""Report that ``mmwave-loc localize --diagnose`` prints: facts about a log, likely mistakes."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence

@@ -36,7 +36,7 @@ from mmwave_env.localization.localizer import TrackBlock, localize
 from mmwave_env.localization.radio_choice import nearest_radio
 from mmwave_env.localization.track_files import require_own_files, table_beside, track_files
 from mmwave_env.localization.track_scores import Course, Groups, TruthScores
-from mmwave_env.logs.clock import clock_offset, keeping
+from mmwave_env.logs.clock import clock_offset
 from mmwave_env.logs.log import LogBlock, read_log, read_paths
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.truth import Truth
@@ -91,7 +91,7 @@ def _check(args: LogArgs, files: Inputs) -> None:
         )
     if args.height is not None and not np.isfinite(args.height):
         raise ValueError(f"height: found {args.height}, expected a number of meters")
-    Levels(args.risk, args.levels)  # refuses a risk that the levels don't cover
+    Levels(args.risk, args.levels)  # raises if these protection levels do not cover the risk
     if args.plot is not None:
         require_picture("plot", args.plot)
     owners: dict[Path, str] = {}
@@ -160,7 +160,7 @@ def _track(args: LogArgs, work: Work, window: int | None) -> Iterator[TrackBlock
 
 
 def beginning(args: LogArgs, epochs: int) -> tuple[TrackBlock, Work]:
-    """Filter the first epochs of a log; return their track and the work that made it."""
+    """Filter the first epochs of a log; return their track and the log's :class:`Work`."""
     files = inputs(args)
     work = _work(args, files, scene_from(files.scene), epochs)
     return next(_track(args, work, None)), work
@@ -176,9 +176,6 @@ def _run(args: LogArgs, work: Work) -> tuple[dict[str, Any], TrackSampler, Value
     course, groups, sampler = Course(names), Groups(), TrackSampler(names, work.scene.anchors_m)
     tracks = ["filtered", "smoothed"] if args.smoothing else ["filtered"]
     scores = TruthScores(truth, tracks, args.height is not None, args.risk) if truth else None
-    first: list[LogBlock] = []
-    if truth:
-        work = work._replace(blocks=keeping(work.blocks, first))
     track = _track(args, work, args.window if args.smoothing else None)
     error: ValueError | None = None
     with ExitStack() as stack:
@@ -203,8 +200,7 @@ def _run(args: LogArgs, work: Work) -> tuple[dict[str, Any], TrackSampler, Value
         figures["association"] = work.association.figures()
     if truth and scores and scores.scored:
         truth.warn_if_few(scores.scored, course.epochs, course.first_s, course.last_s)
-        first_epochs = first[0].joined(first)
-        clock = clock_offset(first_epochs, work.scene, lambda time_s: Truth(truth.path).at(time_s))
+        clock = clock_offset(work.first, work.scene, lambda time_s: Truth(truth.path).at(time_s))
         figures["truth"] = scores.figures() | {
             "levels": args.levels,
             "clock": clock and clock.figures(),
@@ -250,7 +246,7 @@ def localized(args: LogArgs) -> None:
         "written": {str(path): written[of] for path, of in outputs.items() if of in written},
         "error": error and str(error),
     }
-    if args.json:  # first, because the reader of the tables may close the pipe
+    if args.json:  # before show(), which fails if the reader of the tables closes the pipe
         write_json(args.json, provenance("localize", args) | figures)
     try:
         if args.plot:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from experiments.console.tables import escaped, grid
-from experiments.evaluation.positions import kinds_of, positions_markdown
+from experiments.evaluation.positions import KINDS, positions_markdown
 from experiments.figures.trajectory import DrawnTrack
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
 from mmwave_env.localization.localizer import TrackBlock
@@ -16,7 +16,7 @@ from mmwave_env.models.prior import GAP_S
 from mmwave_env.numerics.numbers import Array
 
 _POINTS = 6000  # maximum number of points in a picture; a long track gets at least half of them
-_POSITION = [0, 1, 3, 1, 2, 4, 3, 4, 5]  # where a packed covariance has the position's part
+_POSITION = [0, 1, 3, 1, 2, 4, 3, 4, 5]  # packed entries of the position's 3 x 3 covariance
 
 
 class TrackSampler:
@@ -46,8 +46,8 @@ class TrackSampler:
         """Return the sampled track for drawing."""
         time_s, mode, segment, x, truth, P = np.split(self._rows, [1, 2, 3, 6, 9], axis=1)
         numbers = mode[:, 0].astype(np.int64), segment[:, 0].astype(np.int64)
-        names, whole = (self._modes, self._anchors_m), self._every == 1
-        return DrawnTrack(time_s[:, 0], x, P.reshape(-1, 3, 3), truth, *numbers, *names, whole)
+        names = self._modes, self._anchors_m
+        return DrawnTrack(time_s[:, 0], x, P.reshape(-1, 3, 3), truth, *numbers, *names)
 
 
 def _decimals(value: float | None) -> str:
@@ -82,7 +82,7 @@ def _course(figures: dict[str, Any]) -> list[str]:
     lines.append(f"modes {escaped(f['rule'])}: {shares} of the epochs{switches}")
     lines.append(f"noise of radio {escaped(f['radio'])}")
     if "trusted" in f:
-        lines.append(f"corrections of the filtered track were scaled to {_percent(f['trusted'])}")
+        lines.append(f"trust in the policy's corrections, on average: {_percent(f['trusted'])}")
     if "clock" in f:
         keys = "range_bias_m", "deviation_m"
         ahead, deviation = (f["clock"][key] / SPEED_OF_LIGHT * 1e9 for key in keys)
@@ -145,7 +145,7 @@ def _accuracy(truth: dict[str, Any], epochs: int) -> str:
     header = ["track", *(HEADERS[m].replace("in 95", "NEES in 95") for m in metrics)]
     rows = [[name, *(_decimals(row[m]) for m in metrics)] for name, row in truth["tracks"].items()]
     low, high = truth["nees_interval"]
-    kinds = {name: kinds_of(row) for name, row in truth["tracks"].items()}
+    kinds = {n: {k: row[k] for k in KINDS if k in row} for n, row in truth["tracks"].items()}
     over = "" if truth["rpe_s"] is None else f"RPE is over {truth['rpe_s']:.3g} s; "
     return (
         f"{grid(header, rows)}\n\n{truth['scored']} of {epochs} epochs have a true position"
@@ -157,7 +157,7 @@ def _accuracy(truth: dict[str, Any], epochs: int) -> str:
 
 
 def track_markdown(figures: dict[str, Any]) -> str:
-    """Return the results that ``localize`` collects about a track as Markdown."""
+    """Return, as Markdown, the results that ``localize`` collects about a track."""
     counts = figures.get("association")
     lines = _course(figures) + (_association(counts) if counts else [])
     parts = ["".join(f"- {line}\n" for line in lines)]

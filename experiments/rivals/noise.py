@@ -1,10 +1,10 @@
 """Kalman updates with noise that differs from what the receiver states: Student-t, and adaptive.
 
-The variances of every group of a measurement are the stated ones times an unknown factor that has
-an inverse gamma distribution. Variational Bayes iterates between the belief and the factors. If the
-distribution starts anew in every epoch, the noise is Student-t distributed, and outliers weigh
-little (Piché, Särkkä and Hartikainen 2012; Roth, Özkan and Gustafsson 2013). If the distribution is
-slowly forgotten, the filter adapts to its noise (Särkkä and Nummenmaa 2009).
+The stated variances of every group of measured values (such as a link) are multiplied by an unknown
+factor with an inverse gamma distribution. Variational Bayes alternates between the belief and the
+factors. If the distribution starts anew in every epoch, the noise is Student-t distributed, and
+outliers weigh little (Piché, Särkkä and Hartikainen 2012; Roth, Özkan and Gustafsson 2013). If the
+distribution is slowly forgotten, the filter adapts to its noise (Särkkä and Nummenmaa 2009).
 """
 
 from collections.abc import Iterator
@@ -48,8 +48,9 @@ def adapted(
 
     Args:
         x, P, measurement: same as for any algorithm.
-        shape, rate: (groups,) parameters of the distributions.
-        base: update for Gaussian noise; in the first iteration, factors have their prior means.
+        shape, rate: (groups,) parameters of the distributions. The first iteration takes rate /
+            shape as the factors.
+        base: update for Gaussian noise.
 
     Returns:
         The posterior of every iteration, and the new parameters.
@@ -85,7 +86,7 @@ def student_t(
     base: Algorithm = ekf,
     dof: float = DOF,
 ) -> Posterior:
-    """Update a belief with Student-t noise, as the algorithm of a mode; the gate is ignored.
+    """Update a belief with Student-t noise. A mode can use this algorithm, which ignores its gate.
 
     With many degrees of freedom the result is that of the ``base`` without gates.
     """
@@ -106,7 +107,7 @@ class StudentImm(FixedMode):
         super().__init__(0)  # trusts no mode
 
     def bank(self, radio: str) -> Bank:
-        """Return the bank for a radio, in which a mode continues with probability 0.95."""
+        """Return a radio's bank; each second, a mode continues with a probability of 0.95."""
         plain = [replace(mode, gate=None, adaptive=False) for mode in default_modes(radio)]
         heavy = (replace(m, algorithm=partial(student_t, base=m.update)) for m in plain)
         return Bank(tuple(heavy))

@@ -23,13 +23,13 @@ from mmwave_env.numerics.pytree import flatten
 from mmwave_env.world.episode import blank_incoming
 
 PARTICLES = 10_000
-LEAST_M = 0.001  # standard deviation added to P, which is 0 if an outlier leaves one particle
-SPREAD = 0.35  # width h of the kernel that spreads resampled particles, in deviations of the cloud
-KEPT = (1.0 - SPREAD**2) ** 0.5  # the cloud first shrinks by this factor, to keep its covariance
+LEAST_M = 0.001  # its square is added to P, because P is 0 if an outlier leaves one particle
+SPREAD = 0.35  # width of the kernel that spreads resampled particles, in deviations of the cloud
+KEPT = (1.0 - SPREAD**2) ** 0.5  # the cloud first shrinks by this, so that its covariance is kept
 
 
 class Weighed(NamedTuple):
-    """A particle in an epoch."""
+    """A particle, and the epoch whose measurement weighs the particle."""
 
     incoming: Epoch
     site: Site
@@ -60,7 +60,7 @@ class Particles(Estimator):
     """A cloud of particles; its mean and covariance are the belief.
 
     Resampled particles are moved apart by a kernel that keeps mean and covariance (Musso, Oudjane
-    and Le Gland 2001; West 1993), because the process noise hardly changes the height.
+    and Le Gland 2001; West 1993), because process noise alone would hardly change their heights.
 
     Args:
         count: number of particles.

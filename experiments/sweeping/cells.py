@@ -1,4 +1,4 @@
-"""Rows of a sweep in a folder of Parquet files: one for each cell, a combination of values."""
+"""Rows of a sweep in a folder of Parquet files: one row for each cell (combination of values)."""
 
 import tempfile
 import warnings
@@ -89,7 +89,7 @@ def kept(folder: Path, spec: Spec) -> set[str]:
         if not (name.startswith(spec.trial) if spec.free else name in spec.cells):
             raise ValueError(
                 f"{folder / name}.parquet: found a row of another sweep or version (or a file that "
-                "the sweep names has changed since then); --out names another folder"
+                "the sweep names has changed since then); choose another folder with --out"
             )
     return names
 
@@ -116,5 +116,7 @@ def read(folder: Path, spec: Spec) -> dict[str, Values]:
         try:
             (rows[name],) = parquet.read_table(path).to_pylist()
         except (ArrowException, OSError, ValueError) as error:
-            raise ValueError(f"{path}: found no row ({first_line(error)}); remove it") from error
+            raise ValueError(
+                f"{path}: found no row ({first_line(error)}); remove the file"
+            ) from error
     return rows

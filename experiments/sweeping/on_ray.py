@@ -15,7 +15,7 @@ from mmwave_env.io.files import first_line
 from mmwave_env.metrics import METRICS
 
 RETRIES = 2  # repeats of a cell whose process ran out of memory, ended, or raised OSError
-AHEAD = 1000  # cells that Ray gets at once; keeps up to this many workers busy
+AHEAD = 1000  # number of cells that Ray holds at once; enough to keep this many workers busy
 ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_task_oom_retries": str(RETRIES),  # unlimited by default
@@ -30,7 +30,7 @@ RUNGS, SHARE = 9, 3  # parameters of early stopping: docs/sweep.md
 
 @contextmanager
 def connected(address: str | None, workers: int | None) -> Iterator[None]:
-    """Connect, within the block, to the cluster at an address, and send this code to the cluster.
+    """Connect to the cluster at an address during the ``with`` block, and send it this code.
 
     Without an address, start Ray on this machine with ``workers``, by default one per core.
     """

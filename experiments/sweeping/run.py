@@ -1,4 +1,7 @@
-"""The sweep command: its file is read, missing cells are computed, and a table is shown."""
+"""The sweep command: its file is read, missing cells are computed, and a table is shown.
+
+A cell is a combination of values, one for each axis of the sweep.
+"""
 
 import shlex
 from collections.abc import Collection, Iterator, Mapping
@@ -65,7 +68,10 @@ def _failures(spec: Spec, folder: Path, done: Collection[str]) -> Iterator[str]:
 
 
 def _table(spec: Spec, rows: Mapping[str, Values]) -> str:
-    """Return a table of varied axes and metrics, in the file's order; for a search, best first."""
+    """Return a table of computed cells: values on the axes that have several, then metrics.
+
+    The rows are in the order of the file; those of a search are sorted by reward, best first.
+    """
     axes = [axis for axis, values in spec.axes.items() if len(values) > 1]
     names = [name for name in spec.cells if name in rows]
     if spec.free:

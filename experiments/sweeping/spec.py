@@ -29,7 +29,7 @@ Values = Mapping[str, Any]  # values of a cell, by axis
 
 @dataclass(kw_only=True)
 class Evaluation(ModeArgs):
-    """Keys of a table [evaluate], which are options of compare that affect its results."""
+    """Keys of a table [evaluate]: the options of `mmwave-loc compare` that affect its results."""
 
     policy: str
     reward: str = "tracking"
@@ -39,7 +39,7 @@ class Evaluation(ModeArgs):
 
 @dataclass(kw_only=True)
 class Training(TaskArgs):
-    """Keys of a table [train] without its hyperparameters; these keys are options of train."""
+    """Keys of a table [train], except hyperparameters: options of `mmwave-loc train`."""
 
     total_timesteps: Count
     seed: Seed = 0  # number of the training
@@ -83,7 +83,7 @@ class Spec:
         return values
 
     def _digest(self, values: Values) -> str:
-        """Return a name that depends on the values, the version and the content of named files."""
+        """Return a name that depends on the version, the values, and the files that values name."""
         words = itertools.chain(*(v if isinstance(v, tuple) else (v,) for v in values.values()))
         paths = (Path(word) for word in words if isinstance(word, str) and os.path.isfile(word))
         files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
@@ -97,10 +97,10 @@ def plain(value: Any) -> Any:
 
 
 def read_spec(path: Path) -> Spec:
-    """Read a sweep: one table, with the fields of its kind and ``hyperparameters`` as keys.
+    """Read a sweep: one table; its keys are those of :data:`KINDS`, hyperparameters and trials.
 
     Raises:
-        ValueError: names the file and the key, what was found and what was expected.
+        ValueError: the file is not a sweep; the message names the file and the key.
         FileNotFoundError: there is no such file.
     """
     text = read_text(path, "a sweep, TOML or JSON")
@@ -112,7 +112,7 @@ def read_spec(path: Path) -> Spec:
 
 def _spec(content: Any) -> Spec:
     if not isinstance(content, dict) or len(content) != 1:
-        raise ValueError(f"found {quoted(content)}, expected one table of {', '.join(KINDS)}")
+        raise ValueError(f"found {quoted(content)}, expected one table, one of {', '.join(KINDS)}")
     ((kind, table),) = content.items()
     choose(KINDS, kind, "table")
     require(kind, table, dict)
@@ -126,7 +126,7 @@ def _spec(content: Any) -> Spec:
     if len(spec) > MOST_CELLS:
         raise ValueError(f"{kind}: found {len(spec)} cells, expected at most {MOST_CELLS}")
     if kind == "search" and not (free and all(len(values) == 1 for values in axes.values())):
-        raise ValueError("search: expected hyperparameters to try, and one value per other key")
+        raise ValueError("search: expected hyperparameters to try, and one value per remaining key")
     return spec
 
 

@@ -34,7 +34,7 @@ LATENCIES = [(name, way) for name in CONTENDERS for way in (PYTHON, PIPE)]
 
 
 def latency_us(name: str, way: str) -> list[float]:
-    """Return percentiles of the time per epoch, microseconds, for one of :data:`LATENCIES`."""
+    """Return percentiles of a contender's microseconds per epoch, in Python or through a pipe."""
     source = SimulatedSource(scene_from(SCENE), radio_from(RADIO), epochs=EPOCHS)
     columns = log_columns(source.sample(np.random.default_rng(0)))
     cells = np.stack(list(columns.values()), axis=1).reshape(EPOCHS, -1, len(columns)).tolist()

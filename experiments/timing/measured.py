@@ -23,7 +23,7 @@ from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.world.travel import stride_of
 
 FRESH_RUNS = 3  # maximum number of runs in new processes, since each takes seconds
-FRESH_SIZES = 3  # how many of the largest sizes run in new processes; smaller ones differ little
+FRESH_SIZES = 3  # number of vector environments, the largest, that also run in new processes
 STEP = "step"  # name of the kernel that makes a complete step of the environment
 BASES = ("filterpy", workloads.SYNC_NAME)  # workloads with which ours are compared
 
@@ -70,14 +70,14 @@ class Measured:
         }
         largest = {workloads.native_name(n): n for n in self.sizes[-FRESH_SIZES:]}
         self._processes = {"single": 0} | largest
-        # from the start of a process to the end of its first step; and its peak memory, MiB
+        # seconds from the start of a process to the end of its first step; peak memory, MiB
         self.cold_start_s: Rounds = {name: [] for name in self._processes}
         self.peak_mb: Rounds = {name: [] for name in self._processes}
 
     def run(self, seconds: float, repeats: int) -> Iterator[float]:
         """Run all measurements; yield the share that is done after each.
 
-        Every round runs each workload once, so that a drift of the machine affects all equally.
+        Every round runs each workload once, so a drift of the machine's speed affects all equally.
         """
         starts, workloads = min(FRESH_RUNS, repeats), len(self.rates) + len(self.filters)
         pieces = starts * len(self._processes) + workloads
@@ -122,9 +122,9 @@ class Measured:
     def ratios(self) -> Rounds:
         """Return ratios of our steps per second to those of the workloads in :data:`BASES`."""
         return {
-            f"{name}_over_{base}": quotients(
+            f"{name}_over_{base}": np.divide(
                 self.rates[name].steps_per_s, self.rates[base].steps_per_s
-            )
+            ).tolist()
             for base in BASES
             for name in self.ours
         }
@@ -183,9 +183,3 @@ def kernels() -> dict[str, Operations]:
     observed, _, moved = (count(part, drawn.world.template) for part in drawn.world.parts)
     parts = zip(counted[STEP], observed, *[moved] * stride_of(drawn.dt), strict=True)
     return counted | {STEP: Operations(*map(sum, parts))}
-
-
-def quotients(over: Sequence[float], under: Sequence[float]) -> list[float]:
-    """Divide two lists, round by round."""
-    quotient: list[float] = np.divide(over, under).tolist()
-    return quotient

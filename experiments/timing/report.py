@@ -13,7 +13,7 @@ import numpy as np
 
 from experiments.console.tables import grid
 from experiments.timing.latency import LATENCIES, PERCENTILES
-from experiments.timing.measured import BASES, Measured, Rates, Rounds, quotients
+from experiments.timing.measured import BASES, Measured, Rates, Rounds
 from experiments.timing.workloads import FILTERS, SYNC, SYNC_NAME
 
 LABELS = {
@@ -40,7 +40,7 @@ def short(value: float) -> str:
 
 
 def spread(values: Sequence[float], unit: float = 1.0) -> str:
-    """Format the median of the rounds with their range, or the only round."""
+    """Format values, one per round, as their median and range; a single value has no range."""
     values = [value * unit for value in values]
     if len(values) == 1:
         return short(values[0])
@@ -79,7 +79,7 @@ def _limits(measured: Measured) -> str:
     rows = []
     for name, fractions in measured.fractions().items():
         limits = measured.limits_of(name)
-        taken = quotients(limits, fractions)
+        taken = np.divide(limits, fractions).tolist()
         shown = (spread(limits, 1e9), spread(taken, 1e9), spread(fractions, 100.0))
         rows.append([label(name), *shown])
     return grid(["one thread", "limit, ns per step", "time taken, ns", "limit reached, %"], rows)

@@ -40,7 +40,8 @@ def limit_s(operations: Operations) -> float:
     steps, rows = sum(_steps(operations).values()), max(operations.load, operations.store)
     order, blocks = interleaved(operations), np.full((1, ROWS, WIDTH), 1.7)
     blocks[:, :2] = [[1.0], [0.0]]
-    # seconds per operation in the mix, at the best number of chains; and per load with a store
+    # mix_s: seconds per operation of the mix, at the best number of chains. copying_s: seconds per
+    # pair of a load and a store
     mix_s = min(_seconds(_chains(order, chains), blocks) for chains in CHAINS) / LENGTH
     copying_s = _seconds(_copying(), np.zeros((BLOCKS, ROWS, WIDTH))) / (BLOCKS * ROWS // 2)
     return max(steps * mix_s, rows * copying_s)
@@ -59,7 +60,8 @@ def interleaved(operations: Operations) -> tuple[str, ...]:
 
 def _steps(operations: Operations) -> dict[str, float]:
     steps = {kind: getattr(operations, kind) for kind in _STEPS}
-    return steps | {"select": operations.select / 2}  # the timed step compares, then chooses
+    # A timed "select" step does two operations: it compares, then chooses.
+    return steps | {"select": operations.select / 2}
 
 
 @cache

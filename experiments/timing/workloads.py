@@ -1,9 +1,10 @@
 """Timed workloads, which do the same work per step as far as possible.
 
-The work is the step of an environment. The loop over filterpy's filters, our single environment and
-our vector environments all compute both modes' predictions, gates, innovations and posteriors and
-the chosen mode's reward, and draw episodes when needed. The action is always mode 1. The filterpy
-loop leaves out observations, adaptive noise, recovery, and the metrics of an episode.
+The work is the step of an environment, in three ways: with a loop over filterpy's filters, with our
+single environment, and with our vector environments. All compute the predictions, gates,
+innovations and posteriors of both modes and the reward of the chosen mode (always mode 1), and draw
+episodes when needed. The filterpy loop leaves out observations, adaptive noise, recovery, and the
+metrics of an episode.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -36,14 +37,14 @@ RADIO = "handset"
 EPISODE = 200  # number of steps of an episode
 SYNC = 8  # number of environments that Gymnasium steps one after another
 SYNC_NAME = f"sync_{SYNC}"
-TRACKS = 1024  # number of tracks of the filters without an environment
-BOTH = 2  # number of threads, the default of `gymnasium.make_vec` on two cores
+TRACKS = 1024  # number of tracks that a filter without an environment runs at once
+BOTH = 2  # number of threads that `gymnasium.make_vec` uses by default on two cores
 THREADS = (BOTH, 1)
 FILTERS = ("ekf", "ukf", "ckf")
 ENVIRONMENT = "mmwave_env:MmWaveLoc-v0"
 
 
-Laps = Iterator[int]  # for each episode, the number of steps of all environments together
+Laps = Iterator[int]  # yields, after each episode, the total number of steps in all environments
 
 
 def native_name(n: int, threads: int = BOTH) -> str:

@@ -15,7 +15,7 @@ from experiments.evaluation.runs import require_outcome
 from mmwave_env.io.files import first_line, read_bounded, write_bytes
 from mmwave_env.io.lookup import quoted
 
-MOST_BYTES = 1 << 30  # size limit of a checkpoint; those of rollouts hold many states
+MOST_BYTES = 1 << 30  # size limit of a checkpoint; those of the algorithm `rollouts` are large
 
 
 def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
@@ -51,10 +51,10 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
 
 @contextmanager
 def going_on_from(path: Path) -> Iterator[None]:
-    """Convert any exception raised while a checkpoint is used into one that names its file.
+    """Convert any exception raised while a checkpoint is used into a ValueError.
 
     Raises:
-        ValueError: names the file.
+        ValueError: an exception was raised; the message names the checkpoint's file.
     """
     try:
         yield

@@ -1,10 +1,10 @@
 """Training of a corrector by supervision on simulated episodes.
 
-In a simulation the truth is known, so the network learns the errors of its base, the policy whose
-beliefs it corrects, from examples. The loss is the length of the remaining error, in standard
-deviations of the belief, plus a small share of the error's negative log-likelihood, from which the
-network learns to scale the deviations. The base does not depend on the corrections, so it plays
-each episode only once, and every update has new episodes.
+A corrector corrects the beliefs of another policy, its base. In a simulation the truth is known, so
+the network learns the errors of the base from examples. The loss is the length of the remaining
+error, in standard deviations of the belief, plus a small share of the error's negative
+log-likelihood, from which the network learns to scale the deviations. The base does not depend on
+the corrections, so it plays each episode only once, and every update has new episodes.
 """
 
 from collections.abc import Iterator
@@ -140,7 +140,7 @@ class CorrectorTraining:
         return {"loss": float(np.mean(losses))}
 
     def _learn(self, lot: Lot) -> float:
-        """Take a gradient step on one lot; every ensemble member learns from half its episodes."""
+        """Take a gradient step on a lot (batch); each ensemble member learns from a random half."""
         hyper = self._job.hyperparameters
         error, deviation = torch.from_numpy(lot.error), torch.from_numpy(lot.deviation)
         losses = loss_of(self.answer(lot), error, deviation, hyper.likelihood_weight)
@@ -172,7 +172,7 @@ class CorrectorTraining:
         return {name: value.astype(np.float32) for name, value in tensors.items()}
 
     def _state(self) -> dict[str, Any]:
-        """Return all state that determines the future."""
+        """Return all state on which the rest of the training depends."""
         return {
             "network": self.network.state_dict(),
             "optimizer": self._optimizer.state_dict(),
@@ -194,7 +194,7 @@ def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]
 
     Args:
         lots: lots to mix.
-        size: number of episodes per lot if they are the shortest; lots of longer ones have fewer.
+        size: number of episodes in a lot of the shortest episodes; lots of longer ones have fewer.
         rng: generator of the order.
     """
     shortest = min(len(lot.features) for lot in lots)

@@ -1,9 +1,9 @@
-"""Episodes for a corrector to learn from: features, errors and beliefs of its base.
+"""Episodes for a corrector to learn from: features, and the errors and beliefs of its base.
 
-Half of the episodes are at the places of the training. In the others, streets, carrier, radio, rate
-of epochs and clock are random, and so are the measured quantities, the measured anchors, and the
-factor by which the receiver misjudges its noise. Without random episodes, a network memorizes its
-places.
+The *base* is the policy or IMM whose beliefs are corrected. Half of the episodes are at the places
+of the training (scenes with a radio). In the others, streets, carrier, radio, rate of epochs and
+clock are random, and so are the measured quantities, the measured anchors, and the factor by which
+the receiver misjudges its noise. Without random episodes, a network memorizes the places.
 """
 
 from collections.abc import Iterator
@@ -36,7 +36,7 @@ from policies.corrector import BASE_IMM
 
 STEPS_S = (1.0, 1.0, 0.5, 0.25, 0.1, 0.1, 0.1, 2.0)  # steps between epochs to draw from
 EPOCHS = 200
-SUBSETS = (  # quantities that a receiver measures if it lacks some
+SUBSETS = (  # what a receiver that lacks some quantities may measure
     ("range", "azimuth", "elevation", "departure"),
     ("range", "azimuth", "elevation"),
     ("range", "azimuth", "elevation", "doppler"),
@@ -52,9 +52,9 @@ ORIENTATION_RAD = 0.1  # standard deviation of an orientation that is not known 
 # Share of the random episodes whose users weave and vary their speed, as real users do. All other
 # users keep to the middle of the street; from them alone, the network would learn to rely on that.
 WEAVING = 0.5
-WAYS = 64  # number of weaving users from which the episodes of a lot are drawn
+WAYS = 64  # number of weaving users from which the episodes of one Lot are drawn
 WEAVE_S = (8.0, 40.0)  # periods of weaving at an episode's highest speed
-WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # largest (change of velocity) / speed, change of position
+WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # limits of (change of velocity) / speed and of change of position
 WEAVING_BEHIND_M = (20.0, 60.0)  # distances from the last street to a wall, with room to weave
 
 
@@ -73,7 +73,7 @@ class Lot(NamedTuple):
 
 
 class CorrectorData:
-    """A source of lots of episodes, in which no episode occurs twice.
+    """A source of lots (:class:`Lot`), in which no episode occurs twice.
 
     Args:
         task: task of the training.
@@ -81,7 +81,7 @@ class CorrectorData:
         seed: seed from which all episodes and all random choices follow.
 
     Attributes:
-        played: number of episodes played so far, from which :meth:`lots` continues.
+        played: number of episodes played so far; :meth:`lots` goes on with the next ones.
     """
 
     def __init__(self, task: TrainingTask, hyper: CorrectorHyperparameters, seed: int) -> None:
@@ -96,12 +96,12 @@ class CorrectorData:
         return self._switch.bank(radio) if self._switch else self._task.banks[radio]
 
     def lots(self) -> Iterator[Lot]:
-        """Play and yield one lot at every place, then enough random lots to reach their share."""
+        """Play and yield one lot at every place, then random lots up to ``random_share`` of all."""
         for radio, batch in self.batches():
             yield self._play(batch, self.bank(radio))
 
     def batches(self) -> Iterator[tuple[str, EpisodeBatch]]:
-        """Yield the episodes of each lot of :meth:`lots`, with the radio whose bank they need."""
+        """Yield, for each lot of :meth:`lots`, the radio whose bank it needs and its episodes."""
         places, share = self._task.places, self._hyper.random_share
         for place in places:
             rng = self._rng()
@@ -113,7 +113,7 @@ class CorrectorData:
             yield self._at_random(self._rng())
 
     def _rng(self) -> np.random.Generator:
-        """Return the generator of the next lot's choices."""
+        """Return the random generator with which the next lot makes its choices."""
         return np.random.default_rng((self._seed, self.played))
 
     def _at_some_rate(self, source: SimulatedSource, rng: np.random.Generator) -> SimulatedSource:
@@ -179,8 +179,8 @@ class CorrectorData:
 def weaving(source: SimulatedSource, rng: np.random.Generator) -> SimulatedSource:
     """Return a source whose users weave, in one scene drawn from a source with random scenes.
 
-    Their positions are those of simulated users plus, along each street axis, a sine of the
-    distance traveled, so that they stand still where the simulated users do.
+    A weaving user's position is that of a simulated user plus, along each street axis, a sine of
+    the distance traveled. So weaving users stand still when the simulated users do.
     """
     source = replace(source, scene=source.scene_of(int(rng.integers(2**63))))
     batch = source.sample_batch(rng.integers(2**63, size=WAYS, dtype=np.uint64))
@@ -200,7 +200,7 @@ def weaving(source: SimulatedSource, rng: np.random.Generator) -> SimulatedSourc
 def _lot(features: NDArray[np.float32], x: Array, P: Array, error: Array) -> Lot:
     """Return a lot, given states, packed covariances and errors (T, n, ...) in the world's axes.
 
-    Episodes in which the base lost its belief (docs/reliability.md) are left out.
+    Episodes in which the base's belief became NaN or infinite (docs/reliability.md) are left out.
     """
     belief = Belief(list(np.moveaxis(x, -1, 0)), unpack(list(np.moveaxis(P, -1, 0))))
     frame, deviations = deviations_of(belief)

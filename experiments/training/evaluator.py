@@ -68,7 +68,7 @@ class Evaluator:
         }
 
     def _scores(self, contender_at: Callable[[str], Contender]) -> Scores:
-        """Compute a contender's scores on all episodes; ``contender_at`` makes it for a radio."""
+        """Score a contender on all episodes; ``contender_at`` makes the contender for a radio."""
         parts = []
         for place, episodes in self._at:
             contender = contender_at(place.radio)

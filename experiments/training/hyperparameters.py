@@ -3,7 +3,7 @@
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.io.files import read_json
@@ -23,94 +23,89 @@ Positive = Annotated[float, Bound(f"a number from 0 to {MOST:g}", least=0.0, mos
 Neurons = Annotated[tuple[Count, ...], Size(1, 100)]
 
 
-@dataclass(frozen=True)
-class PpoHyperparameters:
-    """Hyperparameters of PPO (Schulman et al. 2017), and of this project's additions to it."""
+@dataclass(frozen=True, kw_only=True)
+class _Hyperparameters:
+    """Hyperparameters of every algorithm."""
 
-    num_envs: Count  # number of environments stepped at once
-    n_steps: Count  # epochs of each environment between two updates
-    batch_size: Annotated[int, counts(2, MOST)]  # 2 or more, to normalize advantages in a batch
-    n_epochs: Count  # passes over the collected epochs
-    # learning_rate, ent_coef: values at the start; both fall linearly
-    learning_rate: Positive
-    ent_coef: Positive
-    final_fraction: Probability  # share of both values that is left at the end
-    gamma: Probability  # discount per epoch
-    gae_lambda: Probability  # lambda of generalized advantage estimation
-    clip_range: Positive  # clipping range of the probability ratio
-    max_grad_norm: Positive  # length to which longer gradients are shortened
-    target_kl: Positive  # KL divergence from the old policy that stops an update
-    hidden: Neurons  # sizes of the tanh layers, the same in actor and critic
-    clip_observation: Positive  # normalized observations are clipped to plus or minus this
-    # whether to train on the reward minus the IMM's reward in the same episode: actions do not
-    # change the IMM's reward, so the best policy stays the same and the variance falls
-    paired: bool
-    # added to the logit of action 0 at the start. If every mode keeps its own belief, action 0
-    # trusts the IMM's mixture instead of one mode, so that learning starts level with the IMM
-    first_action_bias: Positive = 0.0
+    num_envs: Count  # number of environments stepped, or of episodes played, at once
+    batch_size: Count  # number of epochs, states or long episodes in a gradient step
+    learning_rate: Positive  # initial learning rate; it falls linearly
+    final_fraction: Probability  # share of learning_rate and ent_coef that is left at the end
 
-    algorithm = "ppo"
-    together = 1  # number of adjacent environments that must share a place (scene and radio)
+    together: ClassVar[int] = 1  # how many adjacent environments share a place (scene and radio)
 
     def __post_init__(self) -> None:
         require_fields(self)
 
 
-@dataclass(frozen=True)
-class RolloutHyperparameters:
+@dataclass(frozen=True, kw_only=True)
+class _SwitcherHyperparameters(_Hyperparameters):
+    """Hyperparameters of the algorithms that train switchers."""
+
+    gamma: Probability  # discount per epoch (PPO) or per second (rollouts)
+    ent_coef: Positive  # initial weight of the entropy; it falls linearly
+    hidden: Neurons  # sizes of the tanh layers; PPO's critic has layers of the same sizes
+    clip_observation: Positive  # normalized observations are clipped to plus or minus this
+    # logit of action 0 at the start; the others are about 0. If every mode keeps its own belief,
+    # action 0 trusts the IMM's mixture, so that learning starts level with the IMM
+    first_action_bias: Positive = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PpoHyperparameters(_SwitcherHyperparameters):
+    """Hyperparameters of PPO (Schulman et al. 2017), and of this project's additions to it."""
+
+    batch_size: Annotated[int, counts(2, MOST)]  # 2 or more, to normalize advantages in a batch
+    n_steps: Count  # epochs of each environment between two updates
+    n_epochs: Count  # passes over the collected epochs
+    gae_lambda: Probability  # lambda of generalized advantage estimation
+    clip_range: Positive  # clipping range of the probability ratio
+    max_grad_norm: Positive  # length to which longer gradients are shortened
+    target_kl: Positive  # an update stops at this KL divergence from the policy before it
+    # whether to train on the reward minus the IMM's reward in the same episode: actions do not
+    # change the IMM's reward, so the best policy stays the same and the variance falls
+    paired: bool
+
+    algorithm = "ppo"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RolloutHyperparameters(_SwitcherHyperparameters):
     """Hyperparameters of rollout policy iteration (:mod:`experiments.training.rollouts`)."""
 
-    num_envs: Count  # number of environments stepped at once
     horizon: Count  # length of a rollout, epochs
-    gamma: Probability  # discount per second
     stride: Count  # epochs of an environment between two states in which all actions are tried
     states: Count  # minimum number of such states between two updates of the network
     memory: Count  # number of latest states that an update learns from
     gradient_steps: Count  # number of gradient steps of an update
-    batch_size: Count  # number of states in a gradient step
-    # learning_rate, ent_coef: values at the start; both fall linearly
-    learning_rate: Positive
-    ent_coef: Positive
-    final_fraction: Probability  # share of both values that is left at the end
-    hidden: Neurons  # sizes of the tanh layers
-    clip_observation: Positive  # normalized observations are clipped to plus or minus this
-    first_action_bias: Positive  # logit of action 0 at the start; the others are about 0
 
     algorithm = "rollouts"
     together = WIDTH  # environments in a block of SIMD lanes share a place
 
     def __post_init__(self) -> None:
-        require_fields(self)
+        super().__post_init__()
         if self.memory < self.num_envs:
             raise ValueError(f"memory: found {self.memory}, expected {self.num_envs} or more")
 
 
-@dataclass(frozen=True)
-class CorrectorHyperparameters:
+@dataclass(frozen=True, kw_only=True)
+class CorrectorHyperparameters(_Hyperparameters):
     """Hyperparameters of correctors (:mod:`experiments.training.corrector`)."""
 
     base: str  # policy whose beliefs are corrected: a shipped switcher, or imm-best
-    num_envs: Count  # number of episodes played at once
-    batch_size: Count  # number of episodes of a gradient step; fewer if they are long
     # held-out places, at which the policies that a training produces are compared
     judged_at: Annotated[tuple[Name, ...], Size(1, 100)]
     random_share: Probability  # share of episodes whose streets, radio and receiver are random
-    long_epochs: Count  # number of epochs of long episodes, which occur only at 5 Hz or more
+    long_epochs: Count  # length of long episodes, epochs; they are used only at 5 Hz or more
     # front, units, head: numbers of neurons before, in and after the recurrent layer
     front: Count
     units: Count
     head: Count
     members: Count  # number of members of the ensemble
     likelihood_weight: Positive  # weight of the log-likelihood in the loss
-    learning_rate: Positive  # value at the start; it falls linearly
-    final_fraction: Probability  # share of the learning rate that is left at the end
     max_grad_norm: Positive  # length to which longer gradients are shortened
 
     algorithm = "corrector"
-    together = 1
-
-    def __post_init__(self) -> None:
-        require_fields(self)
 
 
 Hyperparameters = PpoHyperparameters | RolloutHyperparameters | CorrectorHyperparameters
@@ -121,9 +116,9 @@ KINDS: dict[str, type[Hyperparameters]] = {
 
 
 def read_hyperparameters(path: Path, algorithm: str) -> Hyperparameters:
-    """Read a hyperparameter file, a JSON object with the attributes of its kind.
+    """Read a JSON file that contains the hyperparameters of an algorithm, by name.
 
-    An attribute with a default may be left out.
+    Hyperparameters that have a default may be left out.
 
     Args:
         path: file to read.
@@ -154,8 +149,8 @@ def shipped_hyperparameters(algorithm: str, beliefs: str = "shared") -> Path:
 def falling(last: float, left: float) -> float:
     """Return the share of a rate that remains when a fraction of the training is left.
 
-    The last update may end after the planned end of the training, where the fraction is negative.
-    The rate then falls further, but stays positive.
+    The last update may end after the planned end of the training. The fraction is then negative,
+    and the rate falls further, but stays positive.
 
     Args:
         last: share of the rate at the end.

@@ -35,29 +35,30 @@ LEARNED_FROM = (("guided",), ("corrector",), ("imm-best", "imm", *SINGLE))
 KINDS = (SINGLE, ("guided", "imm-best"), ("corrector",))
 PLACES = [f"{scene}:{radio}" for scene in SCENES for radio in RADIOS]
 SEED = TRAINING_SEED + 9 * SEEDS_EACH  # seed of episodes that no corrector was trained on
-ENVS, ROUNDS, CALIBRATION = 64, 24, 18  # episodes per place; rounds to train, to calibrate
-HIDDEN, STEPS, BATCH, RATE = 64, 5000, 8192, 3e-3  # the learning rate falls linearly
+# ENVS: episodes per place in each round. ROUNDS, CALIBRATION: rounds to train and to calibrate
+ENVS, ROUNDS, CALIBRATION = 64, 24, 30
+HIDDEN, STEPS, BATCH, RATE = 64, 2500, 8192, 3e-3  # the learning rate falls linearly
 EVERY = 4  # neighboring epochs are alike, so the network learns from one in four
 OUTSIDE = 1e-4  # share of a feature's values below its range; the same share is above its range
 LEAST_M = 1e-4  # smaller errors count as this
+LIMIT, HALVINGS = 8.0, 24  # largest constant; steps of the search for constants
 
 
 def _played(
     seed: int, rounds: int, policies: Sequence[tuple[str, ...]], **changes: float
 ) -> Iterator[tuple[Array, Array]]:
-    """Play episodes; for every policy, yield features (n, T, features) and logs (n, T, risks, 2).
+    """Play batches of episodes, each by one policy of every group; yield features and logs.
 
-    The logs are logarithms of the horizontal and the vertical error, each divided by its Gaussian
-    level. ``changes`` replace hyperparameters of the corrector.
+    The features are (n, T, features). The logs (n, T, risks, 2) are logarithms of the horizontal
+    and the vertical error, each divided by its Gaussian level. ``changes`` replace hyperparameters
+    of the corrector.
     """
     places = places_from(PLACES)
     banks = banks_of((), places, "per-mode")
     task = TrainingTask("mixed", places, banks, "signed", TrackingReward(), "per-mode")
     hyper: Any = read_hyperparameters(shipped_hyperparameters("corrector"), "corrector")
-    data, rng = (
-        CorrectorData(task, replace(hyper, num_envs=ENVS, **changes), seed),
-        np.random.default_rng(seed),
-    )
+    data = CorrectorData(task, replace(hyper, num_envs=ENVS, **changes), seed)
+    rng = np.random.default_rng(seed)
     for radio, batch in (lot for _ in range(rounds) for lot in data.batches()):
         time_s = batch.table[0, :, rows_of([columns_of(batch.layout).dt])[0]].cumsum()
         for names in policies:
@@ -114,26 +115,25 @@ def _constants(network: Network, seed: int, rounds: int) -> Array:
     constants = []
     for kind in range(len(KINDS)):
         places = over[kind :: len(KINDS)]
-        pooled = _quantiles([part for parts in places for part in parts], 1)
-        constants.append(np.max([pooled, *(_quantiles(parts, 0) for parts in places)], axis=0))
-    return np.reshape(constants, (len(KINDS), len(RISKS), 2))
+        pooled = _least([part for parts in places for part in parts], 1)
+        constants.append(np.max([pooled, *(_least(parts, 0) for parts in places)], axis=0))
+    return np.array(constants)
 
 
-def _quantiles(parts: list[Array], infinite: int) -> Array:
-    """Return, for each risk, the value that this share of the logs (n, T, risks, 2) exceeds.
+def _least(parts: list[Array], infinite: int) -> Array:
+    """Return the least constants (risks, 2) that logs (n, T, risks, 2) exceed within the risks.
 
-    All episodes weigh the same; ``infinite`` is the number of additional ones with infinite logs.
+    The share of the epochs above them, plus its standard error over episodes, is at most the risk;
+    ``infinite`` further episodes have infinite logs. Constants above the limit are infinite.
     """
-    episodes = sum(map(len, parts)) + infinite
-    weight = np.concatenate([np.full(part[..., 0, 0].size, 1.0 / part.shape[1]) for part in parts])
-    scores = np.concatenate([part.reshape(-1, 2 * len(RISKS)) for part in parts])
-    scores[~np.isfinite(scores)] = np.inf
-    quantiles = []
-    for risk, column in zip(np.repeat(RISKS, 2), scores.T, strict=True):
-        order = column.argsort()
-        share = weight[order].cumsum() / episodes
-        quantiles.append(np.append(column[order], np.inf)[np.sum(share < 1.0 - risk)])
-    return np.array(quantiles)
+    low, high = np.array([[[-LIMIT] * 2], [[LIMIT] * 2]]).repeat(len(RISKS), axis=1)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        over = [(~(part <= middle)).mean(axis=1) for part in parts]
+        shares = np.concatenate([*over, np.ones((infinite, *middle.shape))])
+        bound = shares.mean(axis=0) + shares.std(axis=0) / np.sqrt(len(shares))
+        low, high = np.where(bound > np.array(RISKS)[:, None], [middle, high], [low, middle])
+    return np.where(high < LIMIT, high, np.inf)
 
 
 def tuned_levels(
@@ -144,13 +144,11 @@ def tuned_levels(
     The network learns from ``rounds`` rounds of episodes in ``steps`` gradient steps, and is
     calibrated on ``calibration`` rounds.
     """
-    lots = [
-        [part[:, ::EVERY].copy() for part in lot] for lot in _played(SEED, rounds, LEARNED_FROM)
-    ]
-    features, logs = (
-        np.concatenate([part.reshape(-1, *part.shape[2:]) for part in parts])
-        for parts in zip(*lots, strict=True)
+    lots = (
+        [part[:, ::EVERY].reshape(-1, *part.shape[2:]) for part in lot]
+        for lot in _played(SEED, rounds, LEARNED_FROM)
     )
+    features, logs = map(np.concatenate, zip(*lots, strict=True))
     sound = np.isfinite(features).all(axis=1) & np.isfinite(logs).all(axis=(1, 2))
     network = _trained(features[sound], logs[sound], steps)
     return network._replace(constants=_constants(network, seed, calibration)).as_written()

@@ -23,7 +23,7 @@ from policies.policy_file import Tensors
 # Number of updates between two rows of the log (LOG), and between two evaluations before (EARLY)
 # and after (LATER) the policy first beats the paper's rule.
 LOG, EARLY, LATER = 4, 2, 16
-MOMENTS = ("mean", "var", "count")  # attributes with the statistics of all observations so far
+MOMENTS = ("mean", "var", "count")  # attributes of SB3's statistics of all observations so far
 
 
 class PpoTraining(BaseCallback):
@@ -123,7 +123,7 @@ class PpoTraining(BaseCallback):
 
     def _learner_state(self) -> dict[str, Any]:
         model = self.model
-        kind, keys, *rest = np.random.get_state()  # noqa: NPY002  batches are shuffled with it
+        kind, keys, *rest = np.random.get_state()  # noqa: NPY002  this generator shuffles batches
         return {
             "timesteps": model.num_timesteps,
             "updates": model._n_updates,

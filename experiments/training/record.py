@@ -62,7 +62,7 @@ class ProgressLog(KVWriter):
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Write the rest of the log; after an exception, only stop the thread of the events."""
+        """Write the rest of the log; after an exception, only stop the thread of TensorBoard."""
         if kind is None:
             self.save()
             self._events.close()
@@ -81,7 +81,8 @@ class Record:
     Attributes:
         stand: state of the training: numbers of updates and timesteps; "best", the figures of the
             best policy, if any; "beat_rule", the time at which a policy first beat the paper's
-            rule, if any; and a checkpoint's entries for the trainer, until the trainer takes them.
+            rule, if any. If the training continues, also what the trainer itself saved in the
+            checkpoint; the trainer removes these entries when it restores them.
         log: log of the training's progress.
 
     Raises:

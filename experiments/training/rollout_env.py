@@ -37,7 +37,7 @@ class Tried(NamedTuple):
 
 
 class RolloutEnv:
-    """N environments, spread over the places of a task and over the epochs of an episode.
+    """N environments, spread over a task's places (scene and radio) and over an episode's epochs.
 
     Eight adjacent environments share a place and an epoch. The first episodes of these groups of
     eight are cut to different lengths, so that the groups are in different epochs.
@@ -54,7 +54,7 @@ class RolloutEnv:
         observations: (n, features) latest observations, which need an action.
 
     Raises:
-        ValueError: n is too small or not a multiple of eight, or banks need different programs.
+        ValueError: n is too small or not a multiple of eight, or one program can't run all banks.
     """
 
     def __init__(
@@ -86,11 +86,6 @@ class RolloutEnv:
         length = self._engine.batch.state.length
         length[:] = 1 + block * (length - 1) // (block[-1] + 1)
 
-    @property
-    def epochs(self) -> int:
-        """Return the length of the longest episode."""
-        return max(source.epochs for source in self._sources)
-
     def step(self, actions: Index) -> Array:
         """Take the actions (n,), one in every environment; start new episodes after those that end.
 
@@ -120,7 +115,7 @@ class RolloutEnv:
             clip: number of deviations from the mean at which observations are clipped.
         """
         parts = []
-        for _ in range(self.epochs):
+        for _ in range(max(source.epochs for source in self._sources)):
             self.step(np.zeros(len(self._everyone), np.int64))
             parts.append(self.observations)
         observations = np.concatenate(parts)
@@ -147,7 +142,7 @@ class RolloutEnv:
         return arrays | {"streams": self._streams.states(), "observations": observations}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Restore the exact :meth:`state` of other environments."""
+        """Continue exactly from a :meth:`state`, which may come from other environments."""
         for name in STATE:
             getattr(self._engine.batch.state, name)[:] = state[name]
         self._streams.set_states(state["streams"])

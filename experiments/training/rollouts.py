@@ -1,10 +1,10 @@
 """Training of a policy by rollout policy iteration with common random numbers.
 
-In states that the current policy visits, every action is tried on the same measurements; for some
-epochs after it, the greedy policy acts (:class:`RolloutEnv`). Then the network learns to prefer the
-better actions (:class:`RolloutLearner`), and both steps repeat. This is rollout policy iteration
-(Bertsekas, Rollout, Policy Iteration, and Distributed Reinforcement Learning, 2020). The values of
-actions are exact up to the horizon, because the world does not depend on actions.
+In states that the current policy visits, every action is tried on the same measurements, and the
+greedy policy acts for some epochs after the action (:class:`RolloutEnv`). Then the network learns
+to prefer the better actions (:class:`RolloutLearner`), and both steps repeat. This is rollout
+policy iteration (Bertsekas, Rollout, Policy Iteration, and Distributed Reinforcement Learning,
+2020). The values of actions are exact up to the horizon, as the world does not depend on actions.
 """
 
 from copy import deepcopy
@@ -143,7 +143,7 @@ class RolloutTraining:
 
     Args:
         job: training to run; if its folder has a checkpoint, the training continues from it.
-        tell: function that is called with news; a timestep is a state in which actions were tried.
+        tell: function called with news; its timesteps count states in which actions were tried.
 
     Attributes:
         env: environments in which actions are tried.

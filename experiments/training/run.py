@@ -36,7 +36,8 @@ from mmwave_env.io.lookup import choose
 if TYPE_CHECKING:
     from experiments.train import Args
 
-# default number of environment steps in a training, by algorithm
+# Default length of a training, by algorithm: number of epochs or, for rollouts, number of states
+# in which all actions are tried.
 TIMESTEPS = {"ppo": 4_000_000, "rollouts": 1_200_000, "corrector": 150_000_000}
 
 # Options that do not affect a policy; the command in a policy file leaves them out.
@@ -44,7 +45,7 @@ ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")
 
 
 def rewards(args: TaskArgs) -> Reward:
-    """Return the reward to learn; of a paired reward, the reward before the IMM's is subtracted."""
+    """Return the agent's reward; if it is paired, without the subtraction of the IMM's."""
     reward = choose(REWARDS, args.reward, "reward")
     if isinstance(reward, PairedReward):
         reward = reward.reward
@@ -91,7 +92,7 @@ def hyperparameters(args: TaskArgs, places: int, path: Path | None = None) -> Hy
 
 
 def manifest_of(args: "Args", banks: Mapping[str, Bank], hyper: Hyperparameters) -> dict[str, Any]:
-    """Return the choices that a continued run must repeat, in the form of JSON."""
+    """Return the choices, as JSON, that a run must repeat when it is continued."""
     written = {radio: bank_as_written(bank) for radio, bank in banks.items()}
     first, *_ = written.values()
     choices = {"banks": written} if args.beliefs == "per-mode" else {"modes": first["modes"]}

@@ -1,4 +1,4 @@
-"""Tuning of the bank of the policy imm-best.
+"""Tuning of the bank of the policy `imm-best`.
 
 The modes of this bank are for users who stand, cruise, turn, accelerate or brake. All parameters of
 the bank are tuned together, for the mean reward in all shipped scenes at two rates of epochs.
@@ -18,11 +18,10 @@ from experiments.console.progress import progress
 from experiments.evaluation.asked import source_of
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.seeds import draw_episodes
-from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.filters.bank import Bank, bank_as_written, default_modes
 from mmwave_env.filters.imm import DEFAULT_STAY
 from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.io.lookup import require_extra
 from mmwave_env.metrics import DIVERGENCE_M, scored
@@ -32,9 +31,9 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import EpisodeBatch, EpisodeSource
 
 STEPS_S = (1.0, 0.1)  # times between two epochs, s
-SHARES = 3  # parts of the tuning episodes; each generation of the search uses one part
-# The gates of modes for steady motion reject contradicting measurements as outliers. The other
-# modes inflate the noise of such a measurement instead, since it may be due to a maneuver.
+SHARES = 3  # number of parts of the tuning episodes; each generation of the search uses one part
+# Modes for steady motion have gates, which reject improbable measurements as outliers. The other
+# modes inflate the noise of such a measurement instead, since the cause may be a maneuver.
 _STEADY: dict[str, Any] = {"sigma_p": 0.01, "adaptive": False, "blockage_aware": True}
 _LIVELY: dict[str, Any] = _STEADY | {"robust": True}
 START = (
@@ -114,10 +113,7 @@ def scores(bank: Bank, batches: Sequence[EpisodeBatch]) -> tuple[Array, Array]:
     """
     reward, lost = [], []
     for batch in batches:
-        imm = ImmEngine(
-            Pipeline(bank.modes, batch.layout), TrackingReward(), bank.transition, bank.nis_quantile
-        )
-        results = imm.run(batch, "reward", "error")
+        results = run_imm(bank, TrackingReward(), batch, "reward", "error")
         counted = scored(results["reward"].shape[1])
         reward.append(results["reward"][:, counted].mean(axis=1))
         lost.append(np.linalg.norm(results["error"][:, -1], axis=1) > DIVERGENCE_M)
@@ -143,7 +139,7 @@ FREE = {
 NINES = (1.0, 9.0)  # number of nines of the quantile at which NIS is capped: 3 nines are 0.999
 DECIMALS = 6  # decimals of probabilities
 
-# standard deviations of the first points of the search
+# standard deviations of the search's first points: in log odds, in logs of noise, and in nines
 _PROBABILITY_STEP, _NOISE_STEP, _NINES_STEP = 0.6, 0.25, 0.3
 
 
@@ -205,7 +201,7 @@ def best_bank_of(space: SearchSpace, value: Value, evaluations: int) -> Bank:
     """Return the best bank: the mean of the search's centers over the second half of the search.
 
     Points are compared only within a generation, so each generation may have its own episodes. The
-    center of the search then wanders around the optimum of all episodes, and the mean of the
+    center of the search then wanders around the optimum for all episodes, and the mean of the
     centers is closer to the optimum than the last center (Polyak and Juditsky 1992).
 
     Args:

@@ -31,11 +31,11 @@ RANGES = {
 # model, a cap at 0.99 would bias sigma_v by -6 %, a cap at 0.999 by less than 1 %.
 CAP = 0.999
 POINTS = (6, 11)  # number of grid points along the second and the first parameter
-STEP = 0.3  # size of the first simplex in logarithms: changes a parameter by about a third
+STEP = 0.3  # size of the first simplex, in logarithms: each parameter changes by about a third
 
 
 def likelihood(history: dict[str, Array], layout: Layout) -> Array:
-    """Return the innovations' mean log-likelihood per epoch (episodes,), with a cap on outliers.
+    """Return the mean log-likelihood (episodes,) of an epoch's innovations, with outliers capped.
 
     Without the cap, unmodeled blockage would dominate. The constant -(n / 2) log(2 pi) of n
     measured values is left out.

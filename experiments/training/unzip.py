@@ -65,7 +65,7 @@ def unzipped(model: Path, normalize: Path | None) -> tuple[dict[str, NDArray[Any
 
 
 def _unzip(model: str, normalize: Path | None, out: Path) -> None:
-    """Write the tensors, or the reason why there are none; runs in the separate process."""
+    """Write, in the separate process, the tensors or the reason why there are none."""
     try:
         policy, data = _loaded(model)
         require_actor(model, policy)

@@ -198,8 +198,8 @@ def advance(begin, end, run, blank, state, io):  # type: ignore[no-untyped-def]
 
     A program reads its rows in an order that hardware prefetchers cannot guess. If the blocks of
     all environments do not fit into the core's own caches, reading the rows once in order, before
-    the program runs, halves its time. In the table, the epochs that two tracks run next are an
-    episode apart in memory, so the loop prefetches those of the next block. The core's first cache
+    the program runs, halves the run time. In the table, the rows of two tracks are an episode apart
+    in memory, so the loop itself prefetches the rows of the next block. The core's first cache
     can't hold the code of both feed and program, so the feed runs some blocks, then the program.
     All loops are plain because numba takes long to compile slices of arrays.
 

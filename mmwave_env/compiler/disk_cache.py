@@ -4,12 +4,12 @@ A process that steps one environment a few hundred times would spend most of its
 small amounts of work run as plain Python (:class:`LazyJit`).
 
 numba's ``cache=True`` checks only the file of the function itself. It returns stale code after an
-edit in another file, if the function calls code there; some versions also miss an edit that leaves
-the file's time and size unchanged. Processes that start at the same time can mix up numba's files,
-and a damaged file or a full disk ends the program. This cache names its folder after a hash of all
-sources and writes each compiled function to one file; after any error with a file the function is
-compiled again. A checksum detects a damaged file before its content is run. If a source is edited
-while a process runs, the process stops using files: its code may be of either version.
+edit in another file, if the function calls code there; some versions of numba also miss an edit
+that leaves the file's time and size unchanged. Processes that start at the same time can mix up
+numba's files, and a damaged file or a full disk ends the program. This cache names its folder after
+a hash of all sources and writes each compiled function to one file; after any error with a file the
+function is compiled again. A checksum detects a damaged file before its content is run. If a source
+is edited while a process runs, the process stops using files: its code may be of either version.
 
 The files are pickles, like numba's own, and reading a pickle runs code that its author chose. So
 folders and files are private to this user: the cache rejects links and anything that another user
@@ -45,7 +45,7 @@ from numba.misc.appdirs import user_cache_dir
 
 _PACKAGE = Path(__file__).parents[1]  # an edit anywhere in the package makes a new version
 _SOURCES = "**/*.py"
-_READ = time.time()  # a source edited after this may have been read before or after the edit
+_READ = time.time()  # a source edited after this time may have been read before or after the edit
 _KEPT = 8  # number of versions of the sources whose compiled functions are kept
 _CHECKSUM = sha256().digest_size  # number of bytes; each file begins with its checksum
 
@@ -83,7 +83,7 @@ def is_compiled(function: Any, arguments: tuple[Any, ...]) -> bool:
     return signature in function.overloads or (isinstance(cache, _Kept) and cache.has(signature))
 
 
-@cache  # an edit while the process runs does not change its folder
+@cache  # so the process keeps its folder, even if a source is edited while it runs
 def _folder() -> Path | None:
     """Return the folder for functions of this version of the sources; None if no place is writable.
 
@@ -243,7 +243,7 @@ class LazyJit:
     """A function that runs as plain Python until it has done a given amount of work.
 
     After that, or as soon as its compiled form is found on disk, the compiled form runs. All
-    functions that it calls must run in both forms, as with ``numba.extending.register_jitable``.
+    functions that ``function`` calls must run in both forms, as with numba's ``register_jitable``.
     ``plain_work`` is the amount of work that each process does in plain Python before it compiles
     the function; the unit is the caller's, such as epochs.
     """

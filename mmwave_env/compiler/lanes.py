@@ -2,7 +2,7 @@
 
 Arithmetic on :class:`Lanes` emits LLVM ``<8 x double>`` instructions, so that a plain
 scalar function called with Lanes inside a numba ``@intrinsic`` becomes straight-line SIMD
-code; called with floats it runs as usual. :func:`kernel` makes the ``@intrinsic``.
+code; if it is called with floats, it runs as usual. :func:`kernel` makes the ``@intrinsic``.
 """
 
 import math
@@ -188,7 +188,7 @@ class WordLanes(_Value):
     __lshift__, __rshift__ = _integer("shl"), _integer("lshr")
 
     def scaled(self, factor: float) -> Any:
-        """Return the integers, which are below 2^63, times a factor."""
+        """Return the integers, which must be below 2^63, times a factor."""
         return Lanes(self.builder, self.builder.sitofp(self.value, _VECTOR)) * factor
 
     def as_number(self) -> Lanes:
@@ -238,8 +238,8 @@ def kernel(function: Callable[[Any], None], ends: Sequence[int]) -> Any:
     """Return a numba function that runs ``function(rows)`` on a workspace of one or more parts.
 
     ``rows[i]`` reads row i as Lanes and ``rows[i] = value`` writes it. The function is called once,
-    when numba compiles the caller. ``ends`` are the rows where the parts end. The numba function
-    has one argument: a tuple with the address of each part, which is an array (rows, 8) of doubles.
+    when numba compiles the caller. Every part is an array (rows, 8) of doubles; ``ends`` are the
+    rows where the parts end. The numba function has one argument: a tuple of the parts' addresses.
     """
 
     @intrinsic  # type: ignore[untyped-decorator]

@@ -65,11 +65,11 @@ class Feed(NamedTuple):
     A feed has its own workspace, with the same tracks in the same lanes as the program's.
     """
 
-    # address of a C function; its arguments are the addresses of incoming rows, settings and kept
+    # address of a C function; its arguments are the addresses of incoming rows, settings, kept
     run: int
     settings: Array  # (rows, 8) read only, the same for all blocks
     kept: Array  # (blocks, rows, 8) the feed's workspace, changed in place
-    timed: int  # number of the incoming row that is set from ``times``; ``run`` computes the rest
+    timed: int  # index of the incoming row that is set from ``times``; ``run`` computes the rest
     times: Array  # (epochs,) the value of this row in each epoch
 
     @classmethod
@@ -97,7 +97,7 @@ class BatchState(NamedTuple):
 
 
 class StepIO(NamedTuple):
-    """The inputs and outputs of workspaces in every epoch of a run of E epochs."""
+    """The inputs and outputs of workspaces in each of the E epochs of a run."""
 
     input_rows: Index  # (f,) rows to set before an epoch
     inputs: Array  # (n, E, f) values of these rows
@@ -210,11 +210,11 @@ class Program(Generic[Workspace]):
             state.epoch[e] += io.outputs.shape[1]
 
     def on_lanes(self) -> int:
-        """Return the address of a C function that runs the program on a block (``advance.call``).
+        """Return the address of a C function that runs the program on a block.
 
-        The function is compiled here, once, and kept with the program. Loops take the address
-        as an argument, so a loop is not compiled anew for every program. The address is a number
-        because a ctypes pointer would cost each call a microsecond of Python.
+        ``advance.call`` calls the function. It is compiled here, once, and kept with the program.
+        Loops take the address as an argument, so a loop is not compiled anew for every program. The
+        address is a number because a ctypes pointer would cost each call a microsecond of Python.
         """
         if self._compiled is None:  # every step comes here, and this test is cheaper than the lock
             with global_compiler_lock:

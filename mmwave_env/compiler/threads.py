@@ -1,4 +1,4 @@
-"""Threads that share jobs; they run in parallel, as compiled code releases Python's lock."""
+"""Threads that share jobs; they run in parallel because compiled code releases Python's lock."""
 
 import os
 from collections.abc import Callable, Sequence

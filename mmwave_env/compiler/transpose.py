@@ -1,4 +1,4 @@
-"""Transposes between tables and blocks of SIMD lanes.
+"""Transpositions between tables and blocks of SIMD lanes.
 
 In a table the numbers of one environment are contiguous; in a block each lane holds one
 environment. Compiled code moves 8 x 8 numbers at a time and transposes them in registers, because
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.numerics.numbers import Array, Index
 
-LINE = 64  # bytes of a cache line on most machines; with longer lines, some are prefetched twice
+LINE = 64  # bytes of a cache line on most machines; if lines are longer, some are prefetched twice
 
 
 _INTEGER, _DOUBLE, _SINGLE = ir.IntType(64), ir.DoubleType(), ir.FloatType()
@@ -40,14 +40,6 @@ def gather(block: Array, sources: Index, count: int) -> None:
     """
     for lane, source in enumerate(sources.tolist()):
         block[:count, lane] = _numbers(source, count, ctypes.c_double)
-
-
-@register_jitable  # type: ignore[untyped-decorator]
-def pick(block, rows, out):  # type: ignore[no-untyped-def]
-    """Copy rows (k,) of a block (size, 8) to ``out`` (k, 8)."""
-    for i in range(len(rows)):
-        for lane in range(WIDTH):
-            out[i, lane] = block[rows[i], lane]
 
 
 def scatter(block: Array, rows: Index, targets: Index) -> None:
@@ -77,7 +69,7 @@ def _compiled_gather(block, sources, count):  # type: ignore[no-untyped-def]
                 for i in range(count):
                     block[i, lane] = number_at(sources[lane] + 8 * i)
             return
-        for first in range(0, count, WIDTH):  # the last tile overlaps the one before
+        for first in range(0, count, WIDTH):  # tiles of 8 rows; the last may overlap the one before
             _turn_in(block.ctypes.data, sources.ctypes.data, min(first, count - WIDTH))
 
     return compiled
@@ -171,7 +163,7 @@ def _turn_in(_, block, sources, first):  # type: ignore[no-untyped-def]
 def _turn_out(kind: ir.Type) -> Any:
     @intrinsic  # type: ignore[untyped-decorator]
     def turn_out(_, block, rows, targets, first):  # type: ignore[no-untyped-def]
-        """Store block rows ``rows[first:first + 8]`` in each target, from number ``first`` on."""
+        """Store rows ``rows[first:first + 8]`` of the block in every target, from ``first`` on."""
 
         def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
             block, rows, targets, first = arguments

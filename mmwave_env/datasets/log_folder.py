@@ -27,9 +27,10 @@ def read_log_folder(folder: Path, clock: bool = False) -> MeasuredTrack:
     """Read a folder with a log, its scene and its true track, completely into memory.
 
     :class:`~mmwave_env.logs.truth.Truth` interpolates the true positions at the times of the
-    epochs; true velocities are computed from their differences. The layout is partial if a link
-    lacks some of its measurements or has its own standard deviations, or if an anchor other than
-    the base station has the Doppler shift. Differing clocks of log and track cause a warning.
+    epochs; differences of these positions give true velocities. The layout is partial if a link
+    lacks some of its measurements or has its own standard deviations, or if the Doppler shift was
+    measured at an anchor other than the base station. Differing clocks of log and track cause a
+    warning.
 
     Args:
         folder: contains ``log.csv`` (or ``.csv.gz``, ``.parquet``), ``scene.json``, ``truth.tum``.

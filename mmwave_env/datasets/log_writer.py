@@ -13,8 +13,8 @@ from mmwave_env.world.episode import NEUTRAL_SNR_DB, Episode
 def log_columns(episode: Episode) -> dict[str, Array]:
     """Return the columns of an episode's log, arrays (n,) with one row per epoch and anchor.
 
-    NaN stands for an empty cell. The cells of measurements that are not usable are empty, and an
-    SNR is given only if a link or the Doppler shift needs it. A partial layout adds columns of
+    NaN stands for an empty cell. The cells of measurements that are not usable are empty. An SNR is
+    given only if its anchor's link or Doppler shift is usable. A partial layout adds columns of
     standard deviations. Elevations that noise pushes beyond the vertical are clipped to it.
     """
     layout, usable = episode.layout, episode.usable

@@ -1,9 +1,9 @@
 """Recordings: one track through a known scene, with measurements drawn anew in every episode.
 
-A ray tracer (or a survey) gives the paths and what a perfect receiver would measure on them. The
-effects of a real receiver are added, drawn from a seed and a radio profile: noise, the oscillator's
-bias and the prior. Blockage, multipath, missed detections and outages are not simulated, because
-the recording already says which paths exist.
+A ray tracer (or a survey) gives the paths and what a perfect receiver would measure on them. Each
+episode adds what a real receiver has: noise, the bias of an oscillator, and a prior. All three are
+drawn from a seed and a radio profile. Blockage, multipath, missed detections and outages are not
+simulated, because the recording already says which paths exist.
 """
 
 from dataclasses import dataclass

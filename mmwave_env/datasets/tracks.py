@@ -97,8 +97,9 @@ class Track(ABC):
         """Return the epochs of the track, all or a slice, as an episode with known true positions.
 
         The prior is drawn around the true state. If the bias of the oscillator is unknown, the mean
-        of its prior is 0. With a clock in the layout, a recording gets a random clock offset, which
-        does not change the other draws; the ranges of a measured track already contain one.
+        of its prior is 0. If the layout has a clock, a random clock offset is added to the ranges
+        of a recording; the other random numbers stay the same. The ranges of a measured track
+        already contain an offset.
 
         Raises:
             ValueError: the true position in an epoch is not known.
@@ -148,10 +149,10 @@ class Track(ABC):
     ) -> tuple[dict[str, Any], Array]:
         """Check arrays; return the fields of a :class:`Track`, and the links' SNR or gain (T, L).
 
-        The arrays are those of ``from_arrays``. ``links`` has one array (T, L) or None for each
-        measurement of ``LINK``, with NaN where not measured. ``strength`` is the name and the array
-        of the SNR or gain, ``truth`` the true positions and velocities (T, 3), and ``signal`` the
-        carrier frequency and the bandwidth, Hz.
+        The arrays are arguments of ``from_arrays`` of a subclass. ``links`` has one array (T, L) or
+        None for each measurement of ``LINK``, with NaN where not measured. ``strength`` is the name
+        and the array of the SNR or gain, ``truth`` the true positions and velocities (T, 3), and
+        ``signal`` the carrier frequency and the bandwidth, Hz.
 
         Raises:
             ValueError: an array has the wrong shape, or times do not increase.
@@ -174,11 +175,10 @@ class Track(ABC):
         if doppler_hz is not None:
             rows[:, layout.doppler] = numbers(record, "doppler_hz", doppler_hz, (T,))
         wrap_angles(rows, layout)
-        name_of, values = strength
-        shape = T, layout.anchors
-        strengths = np.full(shape, np.nan)
+        strengths = np.full((T, layout.anchors), np.nan)
+        field, values = strength
         if values is not None:
-            strengths = numbers(record, name_of, values, shape)
+            strengths = numbers(record, field, values, strengths.shape)
         visible, _ = whole_groups(rows, np.isfinite(strengths), layout)
         fields = {
             "name": name,

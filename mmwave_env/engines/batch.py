@@ -2,7 +2,8 @@
 
 The workspace of such a program begins with three fields that a :class:`Batch` fills in:
 ``incoming``, the next epoch (:class:`~mmwave_env.world.episode.Incoming`); ``site``, the anchors
-and the prior; and ``is_first``, which is 1 if an episode begins. The program sets it back to 0.
+and the prior; and ``is_first``, which is 1 if an episode begins. The program sets ``is_first``
+back to 0.
 """
 
 from collections.abc import Sequence
@@ -29,7 +30,7 @@ from mmwave_env.numerics.pytree import flatten
 from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
 from mmwave_env.world.simulated import Begun, SimulatedSource
 
-BLOCKS_PER_THREAD = 64  # minimum; waking a thread takes as long as running 32 blocks
+BLOCKS_PER_THREAD = 64  # minimum; waking a thread takes as long as 32 blocks of 8 environments
 
 
 class Batch(Generic[Workspace]):
@@ -42,7 +43,8 @@ class Batch(Generic[Workspace]):
         input_rows: leaves of ``program.index`` that receive an input in every epoch.
         on_floats: whether to run in plain Python instead of on SIMD lanes.
         threads: number of threads that may work at once; results do not depend on it.
-        ahead: number of epochs that the program is ahead of actions: 1 for corrections, else 0.
+        ahead: number of epochs to run before the first action: 1 if actions are corrections, as
+            there must be a belief to correct, else 0.
 
     Attributes:
         at: tree like the workspace, with row numbers in place of values; selects the rows to read.
@@ -71,7 +73,7 @@ class Batch(Generic[Workspace]):
 
     @property
     def completed(self) -> Index:
-        """Return the number of epochs (n,) completed by actions; later epochs wait for actions."""
+        """Return the number of epochs (n,) that actions have completed so far."""
         return self.state.epoch - 1 - self.ahead
 
     def load(

@@ -37,7 +37,7 @@ class Engine:
             share a belief.
         action, base: same as in :class:`~mmwave_env.task.Task`.
         on_floats: whether to run in plain Python, as filterpy needs, instead of on SIMD lanes.
-        threads: number of threads that may work at once; results do not depend on it.
+        threads: number of threads that may work at once; results do not depend on this number.
 
     Attributes:
         batch: workspaces and episodes of the environments.
@@ -98,7 +98,7 @@ class Engine:
         Args:
             task: a task with simulated episodes, the same in every call.
             keys: (n,) keys of the episodes.
-            places: (n,) environments.
+            places: (n,) indices of the environments.
             threads: number of threads that may draw at once.
 
         Returns:
@@ -160,7 +160,10 @@ class Engine:
         return io.observations[:, 0], io.outputs[:, 0]
 
     def lead(self, places: Index) -> None:
-        """If actions are corrections, run one epoch ahead in environments that were just loaded."""
+        """Finish the first epoch of episodes just loaded, if actions are corrections.
+
+        The first action then corrects the belief after this epoch.
+        """
         if self.batch.ahead:
             self.start(places)
 
@@ -188,7 +191,7 @@ class Engine:
 
         Args:
             actions: numbers of modes, from 0; with a belief per mode, from 1, or 0 for no mode.
-            output_rows: (k,) numbers of the result's rows to return, such as from :func:`rows_of`.
+            output_rows: (k,) row numbers of the values to return, such as from :func:`rows_of`.
 
         Returns:
             The observations (n, features) and the output rows (n, k), in new arrays.

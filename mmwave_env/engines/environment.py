@@ -5,7 +5,6 @@ An environment that continues from a copy or a state computes exactly what the o
 
 from collections.abc import Callable
 from copy import deepcopy
-from dataclasses import replace
 from functools import partial
 from math import fsum
 from typing import Any, Self
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from mmwave_env.compiler.threads import portions, share
 from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.tally import Tally
 from mmwave_env.engines.vector_step import ActionHistory, Stepper
@@ -35,14 +34,14 @@ from mmwave_env.world.episode import EpisodeBatch
 from mmwave_env.world.keys import Streams
 
 # maximum number of episodes in one job of replaying and in one job of filtering, to save memory
-REPLAYED, FILTERED = 64, 256
+REPLAYED, FILTERED = 8, 256
 
 
 class Baseline:
     """The baseline of a paired reward: the rewards of an IMM on the episodes of a batch.
 
     No action changes an episode, so these rewards are known once the episode is loaded. If actions
-    are corrections, the program computes the baseline: the reward of the uncorrected belief.
+    are corrections, the baseline is the reward of the uncorrected belief, which a step computes.
 
     Args:
         task: the task, whose baseline is the IMM.
@@ -51,10 +50,7 @@ class Baseline:
     """
 
     def __init__(self, task: Task, batch: Batch[Any], threads: int = 1) -> None:
-        bank = task.baseline
-        assert bank is not None
-        pipeline = replace(task.pipeline, modes=bank.modes)
-        self._imm = ImmEngine(pipeline, task.reward, bank.transition, bank.nis_quantile)
+        self._task = task
         self._batch, self._threads = batch, threads
         self._rewards = np.zeros((batch.n, 0), np.float32)
 
@@ -67,11 +63,14 @@ class Baseline:
         """
         if self._batch.ahead:
             return
+        task, planar = self._task, self._task.pipeline.planar
         missing = self._batch.state.length.max() - self._rewards.shape[1]
         self._rewards = np.pad(self._rewards, ((0, 0), (0, max(0, missing))))
 
         def run(some: Index) -> None:
-            rewards = self._imm.run(episodes(some), "reward")["reward"]
+            assert task.baseline is not None
+            played = run_imm(task.baseline, task.reward, episodes(some), "reward", planar=planar)
+            rewards = played["reward"]
             self._rewards[some, : rewards.shape[1]] = rewards
 
         parts = portions(len(places), self._threads, FILTERED)
@@ -102,7 +101,7 @@ class Baseline:
 
 
 class Environment:
-    """Environments on an engine, which can be copied by ``deepcopy`` and ``pickle``.
+    """Environments that run on an engine and can be copied by ``deepcopy`` and ``pickle``.
 
     A copy creates compiled code and references to this code anew, and copies everything else. A
     deep copy shares the task, including the source of episodes, because no step changes the task.
@@ -286,7 +285,10 @@ class RestorableEnvironment(Environment):
         """
         self._require_simulated("restore")
         n, history, source = self.num_envs, self._history, self._task.simulated
-        self._make_room()
+        # make room for the state's episodes; current episodes continue
+        self._engine.attach(self._task)
+        self._tally.make_room(min(round(1.0 / source.dt), source.epochs))
+        self._remember(source.epochs)
         arrays = self._arrays()
         others = {"streams": (n, 2), "over": (n,), "actions": history.rows.shape}
         for name, shape in (others | {key: array.shape for key, array in arrays.items()}).items():
@@ -309,13 +311,6 @@ class RestorableEnvironment(Environment):
         self._begin_baseline(np.arange(n))
         self._begin_pictures(np.arange(n))  # the path so far is not part of a state
         self._begun = True
-
-    def _make_room(self) -> None:
-        """Make room for the simulated episodes of a state; current episodes continue."""
-        source = self._task.simulated
-        self._engine.attach(self._task)
-        self._tally.make_room(min(round(1.0 / source.dt), source.epochs))
-        self._remember(source.epochs)
 
     def _require_simulated(self, call: str) -> None:
         if not self._task.has_keys:

@@ -1,16 +1,16 @@
-"""An epoch of an environment whose modes share a belief, and of one with a belief per mode.
+"""A step of an environment, for modes that share a belief and for modes that each keep their own.
 
 A step takes the result of the chosen mode as the new belief (mean and covariance), scores the
 belief against the truth, loads the next epoch and runs every mode on it. Modes run before the next
 action, because the observation shows the result of each. No action changes the world.
 
 If the modes share a belief, their results are *candidates*, and the action chooses one. If every
-mode keeps its own, the modes interact as in an IMM (:mod:`mmwave_env.filters.imm`), and an action
-is the mode to trust in the epoch that was just filtered: the probability of that mode is raised
-before the beliefs are combined, scored and mixed again. Action 0 trusts no mode, as in the IMM.
-With ``action="weights"``, the action raises or lowers the probability of every mode. With
-``action="correction"``, filters run an epoch ahead: a step corrects and scores the belief of the
-last epoch, and goes on as if there were no corrections.
+mode keeps its own belief, the modes interact as in an IMM (:mod:`mmwave_env.filters.imm`), and an
+action is the mode to trust in the epoch that was just filtered: the probability of that mode is
+raised before the beliefs are combined, scored and mixed again. Action 0 trusts no mode, as in the
+IMM. With ``action="weights"``, the action raises or lowers the probability of every mode. With
+``action="correction"``, the filters run an epoch ahead: a step corrects and scores the belief of
+the last epoch, and the filters go on from the uncorrected beliefs.
 """
 
 from functools import lru_cache, partial
@@ -72,7 +72,7 @@ class EnvState(NamedTuple):
     candidates: list[ModeResult]
     observation: list[Number]  # (features,)
     reward: Number  # reward of the last epoch in which an action was taken
-    reward_terms: list[Number]  # terms of the reward, and minus the mode's cost
+    reward_terms: list[Number]  # terms of the reward; the last one is minus the mode's cost
     truth: list[Number]  # (6,) truth in that epoch; before any action, truth in the first epoch
     error: list[Number]  # (3,) position error in that epoch, m
     distance: Number  # length of the error, m
@@ -111,7 +111,7 @@ def shared_epoch(
 
 
 class Reported(NamedTuple):
-    """The epoch that was corrected; fields mean the same as in :class:`PerModeState`."""
+    """The corrected epoch. Its fields mean the same as in :class:`PerModeState`."""
 
     x: list[Number]
     P: list[Number]
@@ -128,7 +128,7 @@ class PerModeState(NamedTuple):
     site: Site  # anchors, carrier and prior
     is_first: Number  # 1 to start over from the prior instead of taking the action
     action: Number  # number of the mode to trust, from 1; 0 for none
-    numbers: list[Number]  # (k,) weights or correction, if actions are numbers
+    numbers: list[Number]  # (k,) an action of weights or a correction; else empty
     settings: ImmSettings  # parameters of the bank
     pending: PendingEpoch  # the epoch whose mixture waits for an action
     mixture: Mixture  # belief after that epoch
@@ -213,7 +213,7 @@ def program_of(
     """Return the program of an epoch, shared by all environments with the same arguments.
 
     Args:
-        pipeline: modes and layout; with a belief per mode, the tunings are part of the state.
+        pipeline: modes and layout; with a belief per mode, the tunings come from the state.
         kind: kind of observation.
         reward: function of (belief, truth).
         per_mode: whether every mode keeps its own belief.

@@ -77,14 +77,17 @@ def last_of(w: Any, layout: Layout, probabilities: Vector = ()) -> LastEpoch | N
 def begun(
     w: Any, x: list[Number], P: list[Number], memory: Memory, pipeline: Pipeline
 ) -> tuple[list[Number], list[Number], Memory]:
-    """Return belief (7,), (28,) and memory; at the start of a track, the prior and a new memory."""
+    """Return the belief x (7,), P (28,), and the memory, with which an epoch begins.
+
+    At the start of a track, they are the prior and a new memory; otherwise they are those given.
+    """
     blank, first = initial_memory(pipeline.layout, len(pipeline.modes)), w.is_first > 0.5
     x, P = select(first, w.site.prior_x, x), select(first, w.site.prior_P, P)
     return x, P, select(first, blank, memory)
 
 
 def scores(belief: Belief, truth: Vector, reward: Reward, cost: Number) -> dict[str, Any]:
-    """Return the reward for an environment's belief after an epoch, and its errors."""
+    """Return the errors of a belief after an epoch, and the reward for it, less ``cost``."""
     terms = terms_of(reward, belief, truth)
     return {
         "reward": total(terms) - cost,

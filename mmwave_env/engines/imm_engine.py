@@ -15,7 +15,7 @@ from mmwave_env.compiler.program import BatchState, Program, StepIO, blocks_of, 
 from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.epoch_state import blank_track
 from mmwave_env.engines.track_engine import EpisodeFilter, untuned
-from mmwave_env.filters.bank import Bank, Transition, settings_of
+from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.imm import (
     ImmSettings,
@@ -122,52 +122,35 @@ def _program(pipeline: Pipeline, reward: Reward, acted: bool, signed: bool) -> P
     return Program(function, template)
 
 
-class ImmEngine:
-    """An IMM over the modes of a pipeline; it weights the modes itself, without an agent.
+def run_imm(
+    bank: Bank,
+    reward: Reward,
+    episodes: EpisodeBatch | Sequence[Episode],
+    *names: str,
+    planar: bool = False,
+) -> dict[str, Array]:
+    """Filter complete episodes, from their priors on, by an IMM, which weights its modes itself.
 
     Args:
-        pipeline: modes and layout.
+        bank: the modes and the parameters of their interaction.
         reward: function of (belief, truth), for comparison with policies.
-        transition, nis_quantile: same as in :class:`~mmwave_env.filters.bank.Bank`, which also
-            lists the values that are refused.
+        episodes: n episodes with the same layout.
+        names: parts of :class:`ImmState` to return, such as "reward" or "mixture.probability".
+        planar: same as in :class:`~mmwave_env.filters.pipeline.Pipeline`.
+
+    Returns:
+        For each name, an array: (n, epochs) for a part that is a single number, else (n, epochs,
+        numbers). Values past the end of an episode are meaningless.
     """
-
-    def __init__(
-        self,
-        pipeline: Pipeline,
-        reward: Reward,
-        transition: Transition | None = None,
-        nis_quantile: float = 1.0,
-    ) -> None:
-        self.pipeline = pipeline
-        self.bank = Bank(pipeline.modes, transition, nis_quantile)
-        self._program = imm_program(pipeline, reward)
-        self._start = self._program.start.copy()
-        settings = flatten(settings_of(self.bank, pipeline.layout))
-        self._start[flatten(self._program.index.settings)] = settings
-
-    def run(self, episodes: EpisodeBatch | Sequence[Episode], *names: str) -> dict[str, Array]:
-        """Filter episodes from their priors to their ends.
-
-        Args:
-            episodes: N episodes.
-            names: parts of :class:`ImmState` to return, such as "reward" or
-                "mixture.probability".
-
-        Returns:
-            For each name, (n, epochs) if it is a single number, else (n, epochs, numbers); values
-            past the end of an episode are meaningless.
-
-        Raises:
-            ValueError: the layout of an episode differs from the pipeline's.
-        """
-        packed, program = EpisodeBatch.of(episodes, self.pipeline.layout), self._program
-        n, epochs, _ = packed.table.shape
-        rows = fill(blocks_of(self._start, n), rows_of(program.index.site), packed.site)
-        io = StepIO.of(n, epochs, output_rows=program.rows(names))
-        state = BatchState.of(packed.table, rows)._replace(length=packed.length)
-        program.run_on_lanes(state, io)
-        return program.by_name(names, io.outputs)
+    packed = EpisodeBatch.of(episodes)
+    program = imm_program(Pipeline(bank.modes, packed.layout, planar), reward)
+    start, (n, epochs, _) = program.start.copy(), packed.table.shape
+    start[flatten(program.index.settings)] = flatten(settings_of(bank, packed.layout))
+    rows = fill(blocks_of(start, n), rows_of(program.index.site), packed.site)
+    io = StepIO.of(n, epochs, output_rows=program.rows(names))
+    state = BatchState.of(packed.table, rows)._replace(length=packed.length)
+    program.run_on_lanes(state, io)
+    return program.by_name(names, io.outputs)
 
 
 class ImmTracker(EpisodeFilter[ImmState]):

@@ -29,7 +29,7 @@ from mmwave_env.numerics.pytree import indices
 
 
 class ModeBeliefs(NamedTuple):
-    """Beliefs of all modes after an epoch, or after every epoch, of N tracks.
+    """Beliefs of all modes of N tracks, after one epoch or after every epoch.
 
     Attributes:
         x: (N, ..., modes, 7) means.
@@ -86,7 +86,7 @@ def smooth_modes(
 
 
 def _beliefs(mixtures: Array, pipeline: Pipeline) -> tuple[ModeBeliefs, Array]:
-    """Return the beliefs of the modes and the scales (N, T, modes) of their noise."""
+    """Return the modes' beliefs, and the scales (N, T, modes) of the modes' noise."""
     n, triangle = pipeline.layout.state_size, pipeline.layout.triangle
     at = indices(begin(pipeline, [0.0] * n, [0.0] * triangle))
     packed = mixtures[..., np.array([track.P for track in at.tracks])]
@@ -111,7 +111,7 @@ def _backwards(
 
     Args:
         pipeline: pipeline of the modes.
-        now, gamma: filtered beliefs of the epoch, and the scales (N, modes) of their noise.
+        now, gamma: filtered beliefs of the epoch, and the scales (N, modes) of the modes' noise.
         after: smoothed beliefs of the following epoch.
         coming: step and Doppler spread of the following epoch, (N, 1).
         hz_per_mps: carrier frequency divided by the speed of light.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmTracker
-from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.engines.track_engine import EpisodeFilter, Tracker
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.correction import corrected_all
 from mmwave_env.filters.pipeline import Pipeline
@@ -57,23 +57,21 @@ class PolicyTracker:
             if bank
             else Tracker(pipeline, 1)
         )
+        self._observed = EpisodeFilter(self._engine.batch)
         self._policy, self._pipeline = policy, pipeline
-        self._epochs, self._end_s, self._action = 0, 0.0, 0
-        self._starts = True
+        self._action, self._starts = 0, True
 
     def load(self, episodes: Sequence[Episode], go_on: bool = False) -> None:
         """Load one episode, in the same way as :meth:`Tracker.load`."""
-        (episode,) = episodes
         self._filter.load(episodes, go_on)
-        gap_s = float(episode.time_s[0]) - self._end_s if go_on else None
-        self._engine.batch.load(episodes, gap_s=gap_s)
-        self._epochs, self._end_s, self._starts = len(episode), float(episode.time_s[-1]), not go_on
+        self._observed.load(episodes, go_on)
+        self._starts = not go_on
 
     def load_epoch(self, incoming: Sequence[float], time_s: float) -> None:
         """Load one more epoch of the track, as :meth:`Tracker.load_epoch` does."""
         self._filter.load_epoch(incoming, time_s)
-        self._engine.batch.load_epoch(incoming, time_s - self._end_s)
-        self._epochs, self._end_s, self._starts = 1, time_s, False
+        self._observed.load_epoch(incoming, time_s)
+        self._starts = False
 
     def run(self, *names: str) -> dict[str, Array]:
         """Filter the loaded episode once, in the same way as :meth:`Tracker.run`.
@@ -83,8 +81,9 @@ class PolicyTracker:
         """
         if self._starts:
             self._policy.reset(np.array([True]))
-        actions = np.empty((1, self._epochs), np.int64)
-        for t in range(self._epochs):
+        epochs = self._filter.epochs
+        actions = np.empty((1, epochs), np.int64)
+        for t in range(epochs):
             # An environment that starts over ignores the action.
             observations, _ = self._engine.step(np.int64(self._action))
             (self._action,) = actions[:, t] = self._policy(observations)
@@ -96,10 +95,8 @@ class PolicyTracker:
             np.stack(each, axis=1) for each in zip(*corrections, strict=True)
         )
         before = parts["x"], parts["P"], shift, log_factor
-        if self._epochs == 1:  # numbers are faster than arrays of one number
+        if epochs == 1:  # numbers are faster than arrays of one number
             before = tuple(part[0, 0] for part in before)
         belief = corrected_all(*before, self._pipeline)
-        x, P = (
-            np.stack(of, axis=-1).reshape(1, self._epochs, -1) for of in (belief.x, pack(belief.P))
-        )
+        x, P = (np.stack(of, axis=-1).reshape(1, epochs, -1) for of in (belief.x, pack(belief.P)))
         return parts | {"corrected_x": x, "corrected_P": P, "trusted": trusted}

@@ -27,7 +27,7 @@ class Counts(NamedTuple):
     sums: Array  # (n, 7)
     errors: Array  # (n, T, 3) ring buffer of the latest position errors, m
     second: Index  # (n,) number of epochs in a second, from 1 to the length of the episode
-    interval: Array  # (2,) interval that contains the NEES if a filter is consistent
+    interval: Array  # (2,) interval that contains 95 % of a consistent filter's NEES
 
 
 class Tally:
@@ -85,8 +85,8 @@ class Tally:
 def count(counts, e, k, x, y, z, nees):  # type: ignore[no-untyped-def]
     """Count epoch ``k`` of an episode, from 0, with its position error (m) and NEES.
 
-    During the burn-in, each epoch replaces the earlier epochs in the sums. So an episode that is
-    shorter than the burn-in is scored by its last epoch.
+    During the burn-in (the first BURN_IN epochs), each epoch replaces the earlier epochs in the
+    sums. So an episode that is shorter than the burn-in is scored by its last epoch.
 
     Args:
         counts: a :class:`Counts`, changed in place.

@@ -109,18 +109,19 @@ def untuned(pipeline: Pipeline) -> Pipeline:
 
 
 class EpisodeFilter(Generic[Workspace]):
-    """N tracks of a program, each filtered from the first epoch of an episode to the last.
+    """N tracks that a program filters, each from the first epoch of an episode to the last.
 
     Args:
         batch: batch of N environments; the caller sets rows that episodes lack, such as tunings.
 
     Attributes:
         program: the program of an epoch.
+        epochs: number of epochs that were loaded last.
     """
 
     def __init__(self, batch: Batch[Workspace]) -> None:
         self.program, self._batch = batch.program, batch
-        self._epochs, self._end_s = 0, 0.0
+        self.epochs, self._end_s = 0, 0.0
 
     def load(self, episodes: Sequence[Episode], go_on: bool = False) -> None:
         """Load N episodes, to be filtered from their priors.
@@ -134,13 +135,13 @@ class EpisodeFilter(Generic[Workspace]):
         """
         gap_s = float(episodes[0].time_s[0]) - self._end_s if go_on else None
         self._batch.load(episodes, gap_s=gap_s)
-        self._epochs = max(len(episode) for episode in episodes)
+        self.epochs = max(len(episode) for episode in episodes)
         self._end_s = float(episodes[0].time_s[-1])
 
     def load_epoch(self, incoming: Sequence[float], time_s: float) -> None:
         """Load one more epoch of a single track; see :meth:`Batch.load_epoch`."""
         self._batch.load_epoch(incoming, time_s - self._end_s)
-        self._epochs, self._end_s = 1, time_s
+        self.epochs, self._end_s = 1, time_s
 
     def run(self, *names: str, actions: NDArray[np.integer[Any]] | None = None) -> dict[str, Array]:
         """Filter the loaded episodes once.
@@ -152,14 +153,14 @@ class EpisodeFilter(Generic[Workspace]):
         Returns:
             For each name, (n, epochs) if it is a single number, else (n, epochs, numbers).
         """
-        io = self._batch.io(self._epochs, self.program.rows(names))
+        io = self._batch.io(self.epochs, self.program.rows(names))
         io.inputs[..., 0] = 0 if actions is None else actions
         self._batch.advance(io)
         return self.program.by_name(names, io.outputs)
 
 
 class Tracker(EpisodeFilter[TrackState]):
-    """N tracks of a pipeline; each epoch runs exactly one of its modes.
+    """N tracks of a pipeline; in each epoch, exactly one of the pipeline's modes runs.
 
     Args:
         pipeline: the mode, or the modes to choose from.

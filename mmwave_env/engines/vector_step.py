@@ -49,7 +49,7 @@ class ActionHistory:
         self.turn = (self.turn + 1) % len(self.rows)
 
     def of(self, places: Index, steps: int) -> Modes:
-        """Return the modes (places, steps) of some environments in the last steps, at most T."""
+        """Return some environments' modes (places, steps) in the last ``steps`` steps (<= T)."""
         return np.ascontiguousarray(self.all()[-steps:, places].T)
 
     def all(self) -> Modes:
@@ -92,7 +92,7 @@ class StepMemory(NamedTuple):
     counts: Counts  # sums for the metrics
     modes: Modes  # (T, n) the modes of the last T steps
     turn: int  # the row of ``modes`` to write
-    ahead: int  # same as in :class:`~mmwave_env.engines.batch.Batch`
+    ahead: int  # 1 if the program runs an epoch before the first action (for corrections), else 0
 
 
 class Stepper:
@@ -102,7 +102,8 @@ class Stepper:
         engine: the environments, which run on SIMD lanes.
         tally: sums for the metrics of current episodes.
         history: the modes of the last steps.
-        infos: "all" for infos of every step, "episode" for infos on request, "none" for no infos.
+        infos: "all" if :meth:`step` returns infos, "episode" if :meth:`look` does, "none" if
+            neither does.
     """
 
     def __init__(
@@ -135,7 +136,7 @@ class Stepper:
         """Apply every environment's action and consider the next epoch; see :meth:`Engine.step`.
 
         Args:
-            actions: (n,) numbers of the modes; infos keep this array.
+            actions: (n,) numbers of the modes; infos contain this array itself, not a copy.
             numbers: (n, k) weights or corrections, or None; if given, ``actions`` are zeros.
 
         Returns:
@@ -160,7 +161,7 @@ class Stepper:
         program = batch.program.on_lanes(), batch.program.blank
         arguments = (*program, batch.state, io, self._read, chosen, result, memory)
         jobs = [(begin, end, *arguments) for begin, end in batch.parts]
-        history.next()  # before the step, because an interrupt after it could skip this line
+        history.next()  # before the run: Ctrl-C during the run would skip a later call
         ended = sum(self._run(len(batch.state.rows), jobs))
         if not self._told:
             return result, ended, {}

@@ -14,7 +14,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Matrix, Number, Vector, exp, maximum, sqrt, where
 
-MOST_SHIFT, MOST_LOG_FACTOR = 4.0, 2.0  # limits of corrections, in deviations and as logarithms
+MOST_SHIFT, MOST_LOG_FACTOR = 4.0, 2.0  # limits of a shift, in deviations, and of a log factor
 SLOWEST_MPS = 1e-3  # below this speed, the x axis counts as the direction of motion
 
 
@@ -41,7 +41,7 @@ class Frame(NamedTuple):
         return self.cosine * along - self.sine * across, self.sine * along + self.cosine * across
 
     def covariance(self, P: Matrix, first: int = 0) -> tuple[Number, Number, Number]:
-        """Return variance along, variance across, and covariance of two components of P.
+        """Return the variance along, the variance across, and the covariance of the two.
 
         Args:
             P: (n, n) covariance.

@@ -68,10 +68,10 @@ class _Trial(NamedTuple):
 
 
 def _trials(layout: Layout) -> Iterator[_Trial]:
-    """Yield an epoch that measures everything, and one with an outlier and missing groups.
+    """Yield an epoch that measures everything, and one with an outlier and missing groups of rows.
 
-    In a partial layout, also yield an epoch in which only some rows are measured and the Doppler
-    shift belongs to another anchor.
+    In a partial layout, in which single rows may be missing, also yield an epoch with only some of
+    the rows and with the Doppler shift of the last anchor instead of the first.
     """
     hz_per_mps, scale = 93.4, [2.0, 1.5, 0.5, 1.0, 0.8, 0.2, 30.0]
     x = [12.0, -7.0, 1.5, 3.0, -2.0, 0.1, 20.0]

@@ -2,8 +2,9 @@
 
 Prediction, sigma points, innovation, gain and covariance come from filterpy; the measurement
 function and its Jacobian come from :class:`~mmwave_env.filters.textbook.Sensor`, row by row,
-without this package's shortcuts, such as latents. Tests, the benchmark and users in doubt compare
-the two implementations. Use ``Engine(filterpy_pipeline(...), on_floats=True)`` to run such modes.
+without this package's shortcuts, such as latent variables. Tests, the benchmark and users in doubt
+compare the two implementations. To run such modes, use
+``Engine(filterpy_pipeline(...), on_floats=True)``.
 
 An update works in coordinates relative to the prior mean m: dx = x - m and dz = z - h(m). Small
 values are needed for two reasons. filterpy subtracts angles without wrapping them. And it computes
@@ -132,7 +133,7 @@ class _Ukf(_PointFilter):
 
 
 class _Ckf(_PointFilter):
-    """The CKF of filterpy, which needs column vectors; this class sets its points and arrays."""
+    """The CKF of filterpy, which needs column vectors; this class sets the points and arrays."""
 
     def __init__(self, size: int) -> None:
         self._filter = CubatureKalmanFilter(size, 1, 1.0, None, None)

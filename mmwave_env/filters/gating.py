@@ -30,9 +30,10 @@ class Gate(NamedTuple):
 
 
 def innovation_statistics(group: Group, V: Matrix, latents: Latents) -> tuple[Number, Number]:
-    """Return a group's NIS y' S^-1 y at the prior, and det S; S is its innovation covariance.
+    """Return a group's NIS y' S^-1 y at the prior, and det S, for its innovation y.
 
-    With latents, S is V cov(eta) V' + R; in :mod:`~mmwave_env.filters.textbook`, it is H P H' + R.
+    The covariance S of y is H P H' + R in :mod:`~mmwave_env.filters.textbook`; here it is
+    V cov(eta) V' + R, with the latent variables eta of :mod:`~mmwave_env.filters.linearization`.
     """
     shift = [latents.shift(row) for row in V]
     variance = latents.variance

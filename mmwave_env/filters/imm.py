@@ -219,7 +219,7 @@ def prediction(now: ImmEpoch, dt: Number, hz_per_mps: Number) -> tuple[list[Numb
 
     The Rauch-Tung-Striebel smoother assumes x_predicted = F x + noise, with noise independent of x.
     So the shifts that the modes' known accelerations cause count as noise: their covariance is
-    added, but not their correlation with x, which could make smoothed variances negative.
+    added. Their correlation with x is left out; it could make smoothed variances negative.
     """
     moved = [move(x, dt, hz_per_mps) for x in now.mixed]
     shifts = [

@@ -8,16 +8,17 @@ Both linearizations express a group of measurements as a linear function of *lat
 The tangent (EKF) has V = dh/dx L, and no curvature latents kappa. For sigma points m +- s L_j, let
 up and down be the changes of h at the two points. Then V_j = (up - down) / 2s, and each column j
 along which h is curved has a curvature latent with V_kappa_j = up + down. With cov(kappa) =
-(w / 2) I + bend w^2 1 1', V cov(eta) V' is exactly the covariance of the 2n + 1 points.
+(w / 2) I + bend w^2 1 1' (:class:`Latents` defines w and bend), V cov(eta) V' is exactly the
+covariance of the 2n + 1 points.
 
 Only columns 0 to 2 of L move the position. So the order of the latents is [xi_0..2, kappa,
 xi_3..6], and links depend only on the first 3 + len(kappa) latents. The range bias of a clock also
 affects links; column 3 moves it (:func:`factor_of`), and the order is [xi_0..3, kappa, xi_4..7].
 
 Source: Julier and Uhlmann 2004, Sec. IV (scaled sigma points as in van der Merwe 2004).
-The cubature filter (Arasaratnam and Haykin 2009) is alpha = 1, beta = 0, kappa = 0. The textbook
-forms, with points and weights, are ``tangent``, ``unscented`` and ``cubature`` in
-:mod:`~mmwave_env.filters.textbook`.
+The cubature filter (Arasaratnam and Haykin 2009) uses sigma points with the parameters alpha = 1,
+beta = 0, kappa = 0. The textbook forms, with points and weights, are ``tangent``, ``unscented`` and
+``cubature`` in :mod:`~mmwave_env.filters.textbook`.
 """
 
 from collections.abc import Sequence
@@ -102,7 +103,7 @@ class Latents:
 
     curvatures: int  # number of curvature latents
     weight: float  # w, the weight of an outer sigma point
-    bend: float  # weight of the outer product of the mean shift, beta - alpha^2
+    bend: float  # beta - alpha^2, weight of the mean shift's outer product with itself
     size: int = STATE_SIZE  # number of components of the state
 
     @property

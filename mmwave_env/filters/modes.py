@@ -61,7 +61,7 @@ class Mode:
         recovery: number of consecutive epochs with every visible link rejected, after which links
             are accepted until one passes its gate again; None for never, as in the paper.
         adaptive: whether to scale Q and R by the windowed mean of NIS (paper, Sec. III-E).
-        blockage_aware: whether to inflate R of a link whose SNR fell below its slow mean.
+        blockage_aware: whether to inflate R of a link whose SNR fell below its slow running mean.
         robust: whether to inflate R of a link with a large NIS instead of rejecting it.
         cost: amount to subtract from the reward of every epoch in which this mode runs.
     """

@@ -41,7 +41,7 @@ Predictor = Callable[
 def _linear_prediction(
     mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: Number, hz_per_mps: Number
 ) -> tuple[list[Number], Matrix]:
-    """Return the Kalman prediction; the motion is linear, so it is exact for every algorithm."""
+    """Return the Kalman prediction; it is exact for every algorithm, as motion is linear."""
     return move(x, dt, hz_per_mps), predict_covariance(P, noise, dt, hz_per_mps)
 
 
@@ -52,8 +52,8 @@ class Pipeline:
     Attributes:
         modes: the modes that are available.
         layout: rows of the measurement vector.
-        planar: whether the terrain is flat: z and vz stay at their prior values (paper, Sec. II-A).
-            Sigma points are spaced as if all seven components of the state were uncertain.
+        planar: whether the terrain is flat, so that z and vz keep their prior values (paper, Sec.
+            II-A). Sigma points are spaced as if all seven components of the state were uncertain.
         predict, update: the filter's two steps, which the filterpy reference replaces.
 
     Raises:
@@ -107,7 +107,7 @@ def measurement_of(
     gamma = memory.gamma if mode.adaptive else 1.0
     variance = [gamma * (s * s) for s in epoch.sigma]
     if mode.blockage_aware:
-        for link in range(layout.anchors):  # more noise where the SNR fell below its slow mean
+        for link in range(layout.anchors):  # more noise if the SNR fell below its running mean
             fall_db = memory.snr_mean_db[link] - epoch.snr_db[link] - BLOCKAGE_ONSET_DB
             depth = clip(fall_db * (1.0 / BLOCKAGE_SLOPE_DB), 0.0, BLOCKAGE_DEPTH)
             factor = 1.0 + BLOCKAGE_GAIN * depth

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from mmwave_env.models.layout import STATE_SIZE
 from mmwave_env.models.motion import transition_times
 from mmwave_env.numerics.linalg import backward, cholesky, dot, forward, pack, symmetric, unpack
-from mmwave_env.numerics.numbers import Matrix, Number, Vector
+from mmwave_env.numerics.numbers import Number, Vector
 from mmwave_env.numerics.pytree import select
 
 SMOOTHING_WINDOW = 200  # epochs; N_w of the paper, Sec. III-F
@@ -36,7 +36,7 @@ class BackwardState(NamedTuple):
     dt: Number
     x_predicted: list[Number]
     P_predicted: list[Number]
-    # x, P: (7,), (28,) smoothed belief of that epoch; P is empty if only means are smoothed
+    # x, P: (7,), (28,) smoothed belief of that epoch
     x: list[Number]
     P: list[Number]
 
@@ -48,38 +48,20 @@ def blank_epoch(size: int = STATE_SIZE) -> ForwardEpoch:
     return ForwardEpoch(1.0, nothing, identity, nothing, identity, carrier)
 
 
-def track_end(with_covariance: bool, size: int = STATE_SIZE) -> BackwardState:
+def track_end(size: int = STATE_SIZE) -> BackwardState:
     """Return the state from which the backward pass begins."""
     blank = blank_epoch(size)
-    P = blank.P if with_covariance else []
-    return BackwardState(1.0, blank.dt, blank.x_predicted, blank.P_predicted, blank.x, P)
-
-
-def _mean(now: ForwardEpoch, P: Matrix, factor: Matrix, after: BackwardState) -> list[Number]:
-    """Return x + P F' P_predicted^-1 (x_after - x_predicted); P_predicted = factor factor'."""
-    FP = transition_times(P, after.dt, *now.hz_per_mps)
-    step = [a - b for a, b in zip(after.x, after.x_predicted, strict=True)]
-    y = backward(factor, forward(factor, step))
-    return [a + dot([row[i] for row in FP], y) for i, a in enumerate(now.x)]
-
-
-def smooth_mean(
-    now: ForwardEpoch, after: BackwardState, known_axes: tuple[int, ...] = ()
-) -> BackwardState:
-    """Smooth the mean of an epoch: x + C (x_after - x_predicted), C = P F' P_predicted^-1.
-
-    ``after`` is the following epoch, which the backward pass has smoothed.
-    """
-    P = unpack(now.P, zero=known_axes)
-    factor = cholesky(unpack(after.P_predicted, zero=known_axes))
-    x = select(after.is_last > 0.5, now.x, _mean(now, P, factor, after))
-    return BackwardState(0.0, now.dt, now.x_predicted, now.P_predicted, x, [])
+    return BackwardState(1.0, blank.dt, blank.x_predicted, blank.P_predicted, blank.x, blank.P)
 
 
 def smooth_epoch(
     now: ForwardEpoch, after: BackwardState, known_axes: tuple[int, ...] = ()
 ) -> BackwardState:
-    """Smooth the belief: :func:`smooth_mean`, and P + C (P_after - P_predicted) C'."""
+    """Smooth the belief of an epoch, with the gain C = P F' P_predicted^-1.
+
+    The mean is x + C (x_after - x_predicted), the covariance P + C (P_after - P_predicted) C'.
+    ``after`` is the following epoch, which the backward pass has smoothed.
+    """
     P, P_predicted = unpack(now.P, zero=known_axes), unpack(after.P_predicted, zero=known_axes)
     factor, FP = cholesky(P_predicted), transition_times(P, after.dt, *now.hz_per_mps)
     n = len(P)
@@ -91,6 +73,8 @@ def smooth_epoch(
     ]
     half = [[dot(row, column) for column in zip(*change, strict=True)] for row in gain]
     smoothed = symmetric(n, lambda i, j: P[i][j] + dot(half[i], gain[j]))
-    better = [_mean(now, P, factor, after), pack(smoothed)]
-    x, packed = select(after.is_last > 0.5, [now.x, now.P], better)
+    step = [a - b for a, b in zip(after.x, after.x_predicted, strict=True)]
+    y = backward(factor, forward(factor, step))
+    mean = [a + dot([row[i] for row in FP], y) for i, a in enumerate(now.x)]
+    x, packed = select(after.is_last > 0.5, [now.x, now.P], [mean, pack(smoothed)])
     return BackwardState(0.0, now.dt, now.x_predicted, now.P_predicted, x, packed)

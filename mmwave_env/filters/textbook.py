@@ -7,8 +7,9 @@ numbers are the paper's (Sec. III); the IMM is from Bar-Shalom, Li and Kirubaraj
 
 The state x (7,) is position (m), velocity (m/s) and oscillator bias (Hz). The rows of a
 measurement z are range (m), azimuth and elevation of arrival and azimuth of departure (rad) of
-each anchor, then the Doppler shift of anchor 1 (Hz), then, optionally, speed and heading. With a
-clock that is not synchronized, the state (8,) ends with its range bias (m); replace 7 by 8 below.
+each anchor, then the Doppler shift of anchor 1 (Hz), then, optionally, speed and heading. If the
+user's clock is not synchronized, the state (8,) ends with the clock's range bias (m); replace 7 by
+8 below.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -174,8 +175,8 @@ def rts(
 
     Args:
         x, P: (T, 7) and (T, 7, 7) filtered beliefs at times (T,).
-        P_predicted, x_predicted: (T, 7, 7), (T, 7) predicted covariances and means; if the
-            means are None, they are F x.
+        P_predicted, x_predicted: (T, 7, 7), (T, 7) predicted covariances and means; None as
+            ``x_predicted`` stands for the means F x.
         free: indices of the uncertain components of x; on flat terrain there are five.
         hz_per_mps: same as for :func:`F`.
     """
@@ -198,7 +199,7 @@ class Sensor:
     anchors: Array  # (L, 3) positions, m; the first is the base station
     hz_per_mps: float  # f_c / c
     odometry: bool = False  # whether speed and heading are measured, too
-    shifted: int = 0  # number of the anchor whose Doppler shift is measured
+    shifted: int = 0  # index, from 0, of the anchor whose Doppler shift is measured
     clock: bool = False  # whether ranges include the range bias of the user's clock
 
     def h(self, x: Array) -> Array:

@@ -23,8 +23,9 @@ class Posterior(NamedTuple):
         P: (7, 7) covariance.
         nis: (groups,) normalized innovation squared at the prior; 0 if the group is missing.
         accepted: (groups,) 1 if the group was used, else 0.
-        log_likelihood: sum of the log densities of the innovations of each visible group, accepted
-            or not, as if groups were independent; without the constant -(rows / 2) log(2 pi).
+        log_likelihood: sum of the log densities of the visible groups' innovations, as if groups
+            were independent. Groups that were not accepted are included; the constant
+            -(rows / 2) log(2 pi) is not.
     """
 
     x: list[Number]
@@ -40,7 +41,8 @@ Algorithm = Callable[[Vector, Matrix, Measurement, Gate], Posterior]
 class _Row(NamedTuple):
     """A scalar row that depends on all latents, conditioned on the links and the rows before it."""
 
-    white: list[Number]  # C^-1 times the row's coefficients on the coupled latents (C C' = B)
+    # C^-1 times the row's coefficients on the coupled latents, with C C' = B (:func:`update`)
+    white: list[Number]
     free: list[Number]  # coefficients on the free latents, xi_3..6
     links: list[Number]  # conditional covariances with the earlier rows
     cross: list[Number]  # conditional covariance with xi
@@ -101,14 +103,15 @@ def update(
     The links depend only on the *coupled latents*: the first three columns of the factor L of P
     (four with a clock) and their curvatures. So all links add up to a small information matrix B
     of these latents, whose posterior covariance is B^-1. Rows that depend on the velocity are added
-    one by one. The new covariance is L B^-1 L' + sum over free columns L_j L_j' - sum gain c c', a
-    sum of squares except for the last term, which comes from the rows added one by one.
+    one by one; c is the covariance of such a row with the state. The new covariance is L B^-1 L' +
+    sum over free columns L_j L_j' - sum over such rows gain c c', a sum of squares except for the
+    last term.
 
     The result equals the textbook update with all rows at once, K = P H' S^-1, x + K y,
     P - K S K' (:func:`mmwave_env.filters.textbook.update`).
 
-    The prior is x (7,) and P (7, 7), positive definite except for structural zeros; it is
-    linearized by the tangent (EKF) or by sigma points (UKF, CKF).
+    The prior is x (7,) and P (7, 7), positive definite except for structural zeros. The measurement
+    is linearized by the tangent (EKF) or by sigma points (UKF, CKF).
     """
     anchors = measurement.layout.anchors
     L, latents, groups, V = prior = linearize(x, P, measurement, linearization)
@@ -189,7 +192,7 @@ class ModeResult(NamedTuple):
     # nis, accepted: (groups,) as in :class:`Posterior`
     nis: list[Number]
     accepted: list[Number]
-    passed: Number  # number of links that passed their gates; forced ones do not count
+    passed: Number  # number of links within their gates; not those accepted to end a lock-out
     log_likelihood: Number  # log-likelihood of the visible groups
 
 
@@ -197,7 +200,7 @@ def limited_likelihood(candidate: ModeResult, limits: Vector) -> Number:
     """Return the log-likelihood with the NIS of each group counted only up to its limit (groups,).
 
     The tail of a Gaussian falls so fast that, without limits, a single outlier (a link off the line
-    of sight) would decide which mode seems right: the one whose prediction is nearest to it.
+    of sight) would decide: the mode whose prediction is nearest to the outlier would seem right.
     """
     excess = [maximum(nis - limit, 0.0) for nis, limit in zip(candidate.nis, limits, strict=True)]
     return candidate.log_likelihood + 0.5 * dot(excess, [1.0] * len(excess))

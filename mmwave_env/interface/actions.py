@@ -14,7 +14,7 @@ from mmwave_env.numerics.numbers import Array
 MODE, WEIGHTS, CORRECTION = "mode", "weights", "correction"
 ACTIONS = {
     MODE: "the number of the mode to run or, with a belief per mode, to trust",
-    WEIGHTS: "logarithms of factors on the probabilities of the modes, per second",
+    WEIGHTS: "for each mode, the logarithm of a factor per second on its probability",
     CORRECTION: "three shifts of the belief and three logarithms of factors on its deviations",
 }
 

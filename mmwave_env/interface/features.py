@@ -54,7 +54,7 @@ class View(NamedTuple):
     epoch: Epoch  # the coming epoch
     site: Site  # anchors and carrier
     mixture: Any = None  # a MixtureView if each mode has its own belief
-    last: Any = None  # a LastEpoch if there are signed features
+    last: Any = None  # a ``signed.LastEpoch`` if there are signed features (residuals)
 
 
 @dataclass(frozen=True)
@@ -293,8 +293,8 @@ def _candidate(layout: Layout, m: int, name: str) -> list[Feature]:
                 0, layout.anchors,
                 lambda v: dot(links, v.epoch.visible) - dot(links, v.candidates[m].accepted),
                 "coming rejected"),
-        Feature(f"coming variance {name}", "ln of the trace of its P for the horizontal position",
-                "ln m^2", -20, 20,
+        Feature(f"coming variance {name}",
+                "ln of the trace of the mode's P for the horizontal position", "ln m^2", -20, 20,
                 lambda v: log(v.candidates[m].P[0] + v.candidates[m].P[2] + 1e-12),
                 "coming variance"),
         *(Feature(f"coming {of} correction {way} {name}", meaning, unit, -10, 10,
@@ -329,8 +329,8 @@ def _posterior(m: int, name: str) -> list[Feature]:
         Feature(f"coming speed {name}", "ln(horizontal speed of the mode + 0.05 m/s)", "ln m/s",
                 -4, 4, lambda v: _log_speed(v, m), "coming speed"),
         Feature(f"coming velocity variance {name}",
-                "ln of the trace of its P for the horizontal velocity", "ln (m/s)^2", -20, 20,
-                lambda v: log(v.candidates[m].P[9] + v.candidates[m].P[14] + 1e-12),
+                "ln of the trace of the mode's P for the horizontal velocity", "ln (m/s)^2",
+                -20, 20, lambda v: log(v.candidates[m].P[9] + v.candidates[m].P[14] + 1e-12),
                 "coming velocity variance"),
     ]  # fmt: skip
 

@@ -27,18 +27,18 @@ LAST_KEYS = (*INFO_KEYS.values(), SMOOTHED_KEY)  # in the info of the last step
 INFOS = {
     "all": "everything that is known",
     "fixed": "the same keys at every reset and step, with numbers only",
-    "episode": "everything that is known, at the first and last step of episodes",
+    "episode": "everything that is known, at each reset and at the last step of each episode",
     "none": "nothing",
 }
 
 
 def reported(at: Any) -> Any:
-    """Return the part of an environment's workspace about the epoch that its infos describe."""
+    """Return the part of a workspace with the epoch that infos describe, or the whole workspace."""
     return getattr(at, "reported", ()) or at
 
 
 def info_rows(at: Any) -> dict[str, Any]:
-    """Return the parts of an environment's workspace that are in its infos, except ``mode``.
+    """Return where in an environment's workspace the values of infos are, by key, except ``mode``.
 
     Args:
         at: workspace of :mod:`~mmwave_env.engines.environment_epoch` with row numbers as leaves.
@@ -58,7 +58,7 @@ def drawn_rows(at: Any, span: Callable[[Any], slice]) -> dict[str, slice]:
 
     Args:
         at: workspace with row numbers as leaves, as for :func:`info_rows`.
-        span: returns the rows of a part of the workspace.
+        span: function that returns the rows of a part of the workspace.
     """
     rows = info_rows(at)
     parts = {name: rows[name] for name in ("truth", "estimate", "nees", "accepted", "rejected")}

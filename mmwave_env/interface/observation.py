@@ -57,7 +57,7 @@ class Scale(NamedTuple):
 def feature_scales() -> dict[str, Scale]:
     """Read mean and deviation of every kind of feature from data/feature_scales.json."""
     # Measured 2026-11-23 (code at commit 476d657): 24 episodes with random actions in each
-    # combination of scene, radio, kind of beliefs and one of four sets of modes (two, two with
+    # combination of scene, radio, kind of beliefs and set of modes (two modes, two with
     # odometry, eight, the radio's bank); values are medians over combinations, without clipping.
     text = files("mmwave_env").joinpath("data/feature_scales.json").read_text(encoding="utf-8")
     return {kind: Scale(**scale) for kind, scale in json.loads(text)["kinds"].items()}
@@ -105,7 +105,7 @@ class Observation:
         self._index = {feature.name: i for i, feature in enumerate(self.features)}
 
     def only(self, features: Sequence[Feature]) -> "Observation":
-        """Return a table of only these features, in their order."""
+        """Return a table of only these features, in the given order."""
         table = copy(self)
         table._take(list(features))
         return table

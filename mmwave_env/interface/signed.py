@@ -21,7 +21,7 @@ _LEAST_M = 0.05  # minimum of the standard deviations, m, by which residuals are
 _LEAST_RAD = 1e-3
 _LEAST_S = 1e-3
 _WAYS = ("along", "across")
-# name of a row of a link -> index of the row, and whether it measures position along the ray
+# name of a link's row -> (its index, whether it measures along the anchor's ray, not across it)
 _ROWS = {"range": (0, True), "azimuth": (1, False), "departure": (3, False)}
 
 
@@ -29,7 +29,7 @@ class LastEpoch(NamedTuple):
     """The last epoch, whose update led to the belief that features describe."""
 
     epoch: Epoch
-    is_missing: Number  # 1 if there was no epoch before, else 0
+    is_missing: Number  # 1 if no epoch has been filtered yet, else 0
     velocity: Vector  # (3,) velocity of the belief before the epoch
     probabilities: Vector  # (modes,) probabilities after the update; empty with a shared belief
 
@@ -52,7 +52,7 @@ def signed(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
         *_belief(2 not in pipeline.known_axes),
         Feature("turn sine", "sine of the turn of the direction of motion in the last epoch", "",
                 -1, 1, lambda v: _turn(v)[1]),
-        Feature("turn cosine", "cosine of that turn", "", -1, 1, lambda v: _turn(v)[0]),
+        Feature("turn cosine", "cosine of the same turn", "", -1, 1, lambda v: _turn(v)[0]),
         Feature("last step", "ln of the last epoch's step; 0 in an episode's first epoch", "ln s",
                 -7, 4, _step),
         Feature("last speed", "ln(1 + estimated horizontal speed / (1 m/s))", "", 0, 4,
@@ -95,7 +95,7 @@ def _squashed(q: Number) -> Number:
 
 
 def _ray(view: View, anchor: int) -> tuple[list[Number], Number, tuple[Number, Number, Number]]:
-    """Return the vector from an anchor to the belief, its horizontal length, and its direction."""
+    """Return the vector from an anchor to the estimate, its horizontal length and its direction."""
     step = [view.x[i] - view.site.anchors[anchor][i] for i in range(3)]
     flat = sqrt(step[0] * step[0] + step[1] * step[1])
     return step, flat, direction(step)

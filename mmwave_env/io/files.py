@@ -72,7 +72,7 @@ def read_bounded(path: Path, most: int, expected: str = "a file") -> bytes:
     """
     with open_regular(path, expected) as file, naming(path):
         size = os.fstat(file.fileno()).st_size
-        content = file.read(most + 1) if size <= most else b""  # size is 0 in folders like /proc
+        content = file.read(most + 1) if size <= most else b""  # files in /proc have size 0
         if max(size, len(content)) > most:
             length = f"{size} bytes" if size > most else f"more than {most} bytes"
             raise OSError(f"{path}: found {length}, expected {expected} of at most {most} bytes")
@@ -192,8 +192,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file completely or not at all; create missing folders."""
-    with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8", newline="\n")
+    write_bytes(path, text.encode())
 
 
 def write_bytes(path: Path, content: bytes) -> None:

@@ -40,7 +40,7 @@ class Bound:
         return bool(low and (value < self.below if self.most is None else value <= self.most))
 
     def outside(self, values: Array) -> Mask:
-        """Return which numbers, of any shape, are outside the two limits; NaN always is."""
+        """Return which elements of an array are outside the two limits; NaN always is."""
         assert self.least is not None and self.most is not None
         return ~((values >= self.least) & (values <= self.most))  # type: ignore[no-any-return]
 
@@ -145,7 +145,7 @@ def _said(hint: Any) -> str:
 
 
 def require_fields(record: Any, of: str = "") -> None:
-    """Refuse fields whose values do not fit their types; dataclasses call it when they are made.
+    """Refuse fields whose values do not fit their types; call this in ``__post_init__``.
 
     In the message, ``of`` (such as " of radio 'lab'") follows the field's name.
 
@@ -153,7 +153,7 @@ def require_fields(record: Any, of: str = "") -> None:
         ValueError: a value is invalid; the message names field, value and what was expected.
     """
     for name, hint in hints_of(type(record)).items():  # type: ignore[arg-type]
-        _require(hint, getattr(record, name), name, of)
+        require(name, getattr(record, name), hint, of)
 
 
 def require_ordered(record: object, *names: str) -> None:
@@ -164,18 +164,14 @@ def require_ordered(record: object, *names: str) -> None:
             raise ValueError(f"{name}: found {(low, high)}, expected [low, high]")
 
 
-def require(name: str, value: Any, hint: Any) -> None:
+def require(name: str, value: Any, hint: Any, of: str = "") -> None:
     """Refuse an argument that does not fit a type, which may be annotated with limits."""
-    _require(hint, value, name, "")
-
-
-def _require(hint: Any, value: Any, name: str, of: str) -> None:
     if _fits(hint, value):
         return
     bare = get_args(hint)[0] if get_origin(hint) is Annotated else hint
     if get_origin(bare) is tuple and get_args(bare)[-1] is ... and _is_list(value):
         for i, element in enumerate(value):  # find the invalid element
-            _require(get_args(bare)[0], element, f"{name}[{i}]", of)
+            require(f"{name}[{i}]", element, get_args(bare)[0], of)
         raise ValueError(f"{name}{of}: found length {len(value)}, expected {_said(hint)}")
     raise ValueError(f"{name}{of}: found {quoted(value)}, expected {_said(hint)}")
 

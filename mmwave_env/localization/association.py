@@ -5,8 +5,8 @@ epoch. Given this state, global nearest neighbor assigns the paths to anchors. T
 ordinary log, so all code that localizes a log can localize it.
 
 A track begins with the hypothesis that some path is the line of sight, if the hypothesis explains
-enough paths of the coming epochs. A new track replaces the current track if the latter is lost, or
-explains fewer paths than a new hypothesis.
+enough paths of the coming epochs. A new track replaces the current track if the current track is
+lost, or if the current track explains fewer paths than the hypothesis of the new track.
 """
 
 from collections.abc import Iterable, Iterator
@@ -91,7 +91,7 @@ def associate(
 def _labelled(
     epochs: Iterable[PathEpoch], scene: Scene, radio: Radio, mode: Mode, tally: Association
 ) -> Iterator[LogBlock]:
-    """Yield every epoch with its paths assigned to anchors; with no paths if there is no track."""
+    """Yield every epoch with its paths assigned to anchors, or without paths if no track exists."""
     track: PathTrack | None = None
     tracker: PathTracker | None = None
     for window in _windows(epochs, LOOK_AHEAD):

@@ -22,7 +22,7 @@ NIS_LIMITS = (0.2, 5.0)  # per degree of freedom
 SNR_LIMITS_DB = (-60.0, 90.0)
 REJECTED_LIMIT = 1.0 / 3.0
 _ENOUGH = 20  # minimum number of epochs for a conclusion
-_ENOUGH_IF_BLOCKED = 100  # minimum where blockage may cause errors for seconds
+_ENOUGH_IF_BLOCKED = 100  # minimum if blockages of a few seconds could distort the conclusion
 _WINDOW_S = 30.0  # the oscillator's offset hardly changes over this time
 _MOST_APART_S = 3.0  # longest gap over which the Doppler shift is integrated
 _SLOPE_LIMITS = (0.5, 1.5)
@@ -45,8 +45,8 @@ def contradictions(
 ) -> list[Contradiction]:
     """Return all contradictions between a log and its scene, its radio or physical limits.
 
-    ``block`` is the beginning of the log. ``groups`` has, by the name of a group of measurements,
-    its statistics in a track: ``seen``, ``rejected_share`` and ``nis_per_dof``, as
+    ``block`` is the beginning of the log. ``groups`` maps the name of each group of measurements to
+    the group's statistics in a track: ``seen``, ``rejected_share`` and ``nis_per_dof``, as
     :meth:`~mmwave_env.localization.track_scores.Groups.figures` returns them.
     """
     return [*impossible(block), *_oddities(block, scene, radio), *_misfits(groups)]
@@ -75,7 +75,7 @@ def impossible(block: LogBlock) -> Iterator[Contradiction]:
     step = float(np.median(np.diff(block.time_s))) if len(block) > 1 else 0.0
     if step > GAP_S:
         yield Contradiction(
-            "time", f"epochs {step:.3g} s apart", f"at most {GAP_S:g} s: is its unit right?"
+            "time", f"epochs {step:.3g} s apart", f"at most {GAP_S:g} s: is the unit right?"
         )
     elif len(block) > 1 and not STEP_S.holds(np.diff(block.time_s).min()):
         yield Contradiction("time", f"epochs {step:.3g} s apart", STEP_S.expected)
@@ -117,9 +117,10 @@ def _oddities(block: LogBlock, scene: Scene, radio: Radio) -> Iterator[Contradic
 def _range_per_doppler(block: LogBlock, scene: Scene, radio: Radio) -> tuple[float, float]:
     """Regress the range of anchor 1 on the distance that follows from the Doppler shift.
 
-    In each window, ranges are regressed on three terms: the integrated shift; a constant; and time,
-    multiplied by the oscillator's offset, whose prior is the radio's. Return the slope of the first
-    term, which is 1 if sign and unit are right, and its standard error; (1, inf) if nothing moves.
+    In each window, ranges are regressed on three terms: the integrated shift, a constant, and time.
+    The coefficient of time is the oscillator's offset, whose prior is the radio's. Return the
+    coefficient of the shift, which is 1 if sign and unit are right, and its standard error; return
+    (1, inf) if there are too few epochs or nothing moves.
     """
     direct = block.visible[:, 0] & block.visible[:, block.layout.anchors]
     time, z = block.time_s[direct], block.measurement[direct]
@@ -139,7 +140,7 @@ def _range_per_doppler(block: LogBlock, scene: Scene, radio: Radio) -> tuple[flo
 
 
 def _windows(time_s: Array) -> Iterator[slice]:
-    """Yield short windows of consecutive epochs, from their times (T,), without long gaps."""
+    """Yield slices of the times (T,) of epochs: short windows that contain no long gap."""
     if not len(time_s):
         return
     gap = np.diff(time_s, prepend=time_s[:1]) > _MOST_APART_S
@@ -151,7 +152,7 @@ def _windows(time_s: Array) -> Iterator[slice]:
 
 
 def _regression(time_s: Array, range_m: Array, rate: Array, sigma: float, radio: Radio) -> Array:
-    """Return a window's residual degrees of freedom, and three sums, divided by sigma^2.
+    """Return a window's residual degrees of freedom, and three sums divided by sigma^2.
 
     The sums are of moved^2, moved * range and range^2, after a regression on a constant and time.
     """

@@ -3,8 +3,8 @@
 A hypothesis is a way to read the values in the file. For every hypothesis, the same filter
 without gates computes a track from the first epochs. A hypothesis makes the log consistent if the
 NIS per degree of freedom (dof) is near 1 and :mod:`~mmwave_env.localization.contradictions` reports
-nothing. Such hypotheses are ranked by the likelihood of the values as they are in the file, because
-values in different units can't be compared. If no single mistake explains the log, pairs of
+nothing. Such hypotheses are ranked by the likelihood of the values in the file's units, because
+likelihoods in different units can't be compared. If no single mistake explains the log, pairs of
 mistakes are tried.
 """
 
@@ -76,8 +76,8 @@ class Finding(NamedTuple):
     """The result of testing a hypothesis."""
 
     hypothesis: str  # the hypothesis in words
-    # name of a group of measurements, such as a link -> median of its NIS over epochs, divided by
-    # the median of chi-square: near 1 if the hypothesis is right; None if the group was not used
+    # for each group of measurements (by name), the median of its NIS over epochs, divided by the
+    # median of chi-square: near 1 if the hypothesis is right; None if the group was not used
     nis_per_dof: dict[str, float | None]
     # mean over epochs of the log-likelihood of the file's values; None if there is no track
     log_likelihood: float | None
@@ -87,7 +87,7 @@ class Finding(NamedTuple):
 
     @property
     def worst_anchor(self) -> float | None:
-        """Return the NIS / dof that is farthest from 1 among the anchors; None if there is none."""
+        """Return the NIS / dof farthest from 1 among the anchors; None if no anchor was used."""
         anchors = [nis for name, nis in self.nis_per_dof.items() if name.startswith("anchor")]
         return max(filter(None, anchors), key=lambda nis: abs(np.log(nis)), default=None)
 

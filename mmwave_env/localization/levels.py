@@ -1,13 +1,13 @@
 """Protection levels of position errors: Gaussian levels times factors that a network learned.
 
 An error exceeds its Gaussian level (:mod:`mmwave_env.localization.position_errors`) with the stated
-risk only if the covariance is right. So a small network reads what a filter knows after an epoch,
-and returns a factor for the Gaussian level; it was trained by quantile regression. Then one
-constant per risk and direction corrects the factor, by split conformal prediction on other
-episodes (Y. Romano, R. Patterson and E. Candès, "Conformalized quantile regression", NeurIPS 2019;
-for epochs grouped in episodes: Y. Lee, R. F. Barber and R. Willett, "Distribution-free
-inference with hierarchical data", 2023). docs/errors.md says what this guarantees;
-experiments/training/levels.py trains the network.
+risk only if the covariance is right. So a small network, trained by quantile regression, reads
+what a filter knows after an epoch, and returns a factor for the Gaussian level. Constants (one per
+kind of filter, risk and direction) then correct the factor. They were computed by split conformal
+prediction on episodes that the training did not use (Y. Romano, R. Patterson and E. Candès,
+"Conformalized quantile regression", NeurIPS 2019; for epochs grouped in episodes: Y. Lee, R. F.
+Barber and R. Willett, "Distribution-free inference with hierarchical data", 2023). docs/errors.md
+says what the levels guarantee; experiments/training/levels.py trains the network.
 """
 
 from base64 import b64decode, b64encode
@@ -22,7 +22,7 @@ import numpy as np
 
 from mmwave_env.io.files import read_json
 from mmwave_env.io.lookup import choose
-from mmwave_env.localization.position_errors import gaussian_levels, require_risk
+from mmwave_env.localization.position_errors import gaussian_levels, horizontal, require_risk
 from mmwave_env.metrics import RISK
 from mmwave_env.numerics.numbers import Array
 
@@ -31,7 +31,7 @@ PARTS = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected")
 CALIBRATED, GAUSSIAN = KINDS = ("calibrated", "gaussian")
 _MEMORY = np.array([[0.6], [0.9], [0.97]])  # share of a running mean that remains after 1 s
 _LEAST, _LEAST_S = 1e-9, 1e-2  # lower limits, so that logarithms and quotients are finite
-_KIND = [16, 18]  # indices of the features that tell whether there is a corrector, and a bank
+_KIND = [18, 20]  # indices of features that are 1 or 0: a corrector runs, a bank runs
 
 
 class Network(NamedTuple):
@@ -39,8 +39,8 @@ class Network(NamedTuple):
 
     Attributes:
         risks: (R,) risks for which the network was trained and calibrated.
-        constants: (3, R, 2) numbers that the calibration adds to the network's outputs: for a
-            single filter, a bank and a corrector; for each risk; horizontally and vertically.
+        constants: (3, R, 2) numbers that the calibration adds to the network's outputs, for every
+            kind of filter (single, bank, corrector), risk, and direction (horizontal, vertical).
         low, high: (features,) limits of the features in the training.
         layers: weights (outputs, inputs) and biases of the layers.
     """
@@ -112,6 +112,7 @@ class Levels:
     def reset(self) -> None:
         """Forget the past, because new tracks begin."""
         self._means: Array | None = None  # (n, 3, numbers) running means
+        self._x = np.empty(0)  # (n, 1, 7 or 8) states after the last epoch
         self._first_s = self._last_s = 0.0
 
     def factors(self, anchors: int, mixes: bool, time_s: Array, *parts: Any) -> Array:
@@ -129,28 +130,35 @@ class Levels:
 
         Args:
             anchors: number of anchors.
-            mixes: whether beliefs are those of a bank, whose modes interact.
+            mixes: whether the beliefs come from a bank of interacting modes.
             time_s: (T,) times of the epochs.
             parts: beliefs x (n, T, 7 or 8) and P (n, T, 28 or 36), packed; for every group of
                 measurements (n, T, groups) its NIS, whether it was accepted, and whether it was
                 rejected; and, optionally, trust in a corrector (n, T), NaN without a corrector.
         """
         x, P, nis, accepted, rejected, trusted = (*parts, None)[:6]
-        now = np.stack([*_gates(anchors, nis, accepted, rejected), *_sizes(P)], axis=-1)
         if self._means is None:
-            self._means = np.repeat(now[:, 0, None], len(_MEMORY), axis=1)
-            self._first_s = self._last_s = float(time_s[0])
-        dt = np.diff(time_s, prepend=self._last_s)
-        self._last_s = float(time_s[-1])
+            self._x, self._first_s, self._last_s = x[:, :1], *2 * [float(time_s[0])]
+        dt, past = np.diff(time_s, prepend=self._last_s), np.append(self._x, x[:, :-1], axis=1)
+        self._x, self._last_s = x[:, -1:], float(time_s[-1])
+        moved, sizes = x[..., :3] - past[..., :3] - dt[:, None] * past[..., 3:6], _sizes(P)
+        gates = _gates(anchors, nis, accepted, rejected)
+        now = np.stack([*gates, *sizes, *_relative(moved, sizes)], axis=-1)
+        averaged = np.concatenate([now, moved, x[..., 3:5]], axis=-1)
+        if self._means is None:
+            self._means = np.repeat(averaged[:, 0, None], len(_MEMORY), axis=1)
         means = np.empty((*now.shape[:2], *self._means.shape[1:]))
         for t, keep in enumerate(_MEMORY ** dt[:, None, None]):
-            means[:, t] = self._means = keep * self._means + (1.0 - keep) * now[:, t, None]
+            means[:, t] = self._means = keep * self._means + (1.0 - keep) * averaged[:, t, None]
+        lag = _relative(means[..., -5:-2], [size[..., None] for size in sizes])
+        turn = np.log1p(horizontal(means[..., -2:] - x[..., None, 3:5]))
         clocks = np.log(np.maximum(dt, _LEAST_S)), np.log1p(time_s - self._first_s)
         known = np.full(now.shape[:2], np.nan) if trusted is None else trusted
         corrected = np.isfinite(known)
         rest = [*_shape(x, P), *clocks, corrected, np.where(corrected, known, 1.0), float(mixes)]
         alone = np.stack(np.broadcast_arrays(*rest), axis=-1)
-        return np.concatenate([now, alone, means.reshape(*now.shape[:2], -1)], axis=-1)
+        steady = means[..., :-5].reshape(*now.shape[:2], -1)
+        return np.concatenate([now, alone, steady, *lag, turn], axis=-1)
 
 
 def _gates(anchors: int, nis: Any, accepted: Any, rejected: Any) -> list[Array]:
@@ -179,8 +187,14 @@ def _sizes(P: Array) -> list[Array]:
     return [np.log(np.maximum(level, _LEAST)) for level in (horizontal, vertical)]
 
 
+def _relative(moved: Array, sizes: Sequence[Array]) -> list[Array]:
+    """Return how large vectors (..., 3) are, against the logarithms of the Gaussian levels."""
+    lengths = horizontal(moved), np.abs(moved[..., 2])
+    return [np.log1p(10.0 * a * np.exp(-b)) for a, b in zip(lengths, sizes, strict=True)]
+
+
 def _shape(x: Array, P: Array) -> list[Array]:
-    """Return numbers (n, T) on the position's ellipse, and on the velocity."""
+    """Return four numbers (n, T) on the position's error ellipse and on the velocity."""
     xx, xy, yy, vx, vy = P[..., 0], P[..., 1], P[..., 2], x[..., 3], x[..., 4]
     mean, square = np.maximum(0.5 * (xx + yy), _LEAST), vx * vx + vy * vy
     along = vx * vx * xx + 2.0 * vx * vy * xy + vy * vy * yy

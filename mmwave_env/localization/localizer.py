@@ -64,7 +64,8 @@ class TrackBlock(LogBlock):
     # (T,) factor from 0 to 1 by which a corrector's correction was scaled before it was applied to
     # x and P; NaN without a corrector. The smoothed belief does not contain corrections
     trusted: Array
-    level_factors: Array  # (T, 2) factors for the horizontal and vertical Gaussian levels
+    # (T, 2) factors for the horizontal and the vertical Gaussian protection level
+    level_factors: Array
 
 
 @dataclass(frozen=True)

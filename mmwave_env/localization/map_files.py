@@ -17,7 +17,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 import pymap3d
 
-from mmwave_env.io.files import atomic_path, naming
+from mmwave_env.io.files import atomic_path
 from mmwave_env.localization.localizer import TrackBlock
 from mmwave_env.models.scene import Origin, Scene
 from mmwave_env.numerics.numbers import Array
@@ -46,7 +46,7 @@ def geodetic(origin: Origin, points_m: Array) -> Array:
 
 
 def _ellipses(origin: Origin, x: Array, P: Array) -> Array:
-    """Return the corners (n, corners, 2) of the 95 % ellipses, longitude and latitude."""
+    """Return longitude and latitude (n, corners, 2) of the corners of the 95 % ellipses."""
     variance = np.array([[P[:, 0], P[:, 1]], [P[:, 1], P[:, 2]]]).transpose(2, 0, 1)
     size, axes = np.linalg.eigh(variance)
     axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]  # rings are counterclockwise (RFC 7946)
@@ -101,7 +101,8 @@ def _geojson(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
 @contextmanager
 def _gpx(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
     """Write a GPX 1.1 track with a segment for each segment of the track."""
-    file.write(f"{_GPX}<trk><name>{_escaped(name)}</name>")
+    ascii_name = escape(name).encode("ascii", "xmlcharrefreplace").decode("ascii")
+    file.write(f"{_GPX}<trk><name>{ascii_name}</name>")
     current = -1
 
     def write(block: TrackBlock) -> None:
@@ -212,12 +213,6 @@ def map_file(path: Path, scene: Scene, name: str) -> Iterator[Write]:
     with (
         atomic_path(path) as temporary,
         temporary.open("w", encoding="ascii", newline="") as file,
-        naming(path),
         MAP_FILES[path.suffix].writer(file, scene.origin, name) as write,
     ):
         yield write
-
-
-def _escaped(name: str) -> str:
-    """Return a name as ASCII text for XML."""
-    return escape(name).encode("ascii", "xmlcharrefreplace").decode("ascii")

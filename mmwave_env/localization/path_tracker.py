@@ -1,4 +1,4 @@
-"""Tracker of a user from propagation paths whose anchors are unknown, by testing hypotheses.
+"""Tracker that follows a user by propagation paths with unknown anchors; it tests hypotheses.
 
 A track begins with the hypothesis that a certain path is the line of sight. This path gives a
 position, and the paths of the next epochs confirm or contradict it. Tracks are immutable values,
@@ -107,7 +107,7 @@ class _Links(NamedTuple):
 class PathTracker:
     """A tracker that follows users by propagation paths.
 
-    :func:`~mmwave_env.localization.association.associate` describes its arguments.
+    :func:`~mmwave_env.localization.association.associate` describes the arguments.
     """
 
     def __init__(self, scene: Scene, radio: Radio, mode: Mode, layout: Layout) -> None:
@@ -142,8 +142,8 @@ class PathTracker:
         if best is None:
             return None
         # The path with which a track begins always fits, so it does not count. To be believed, the
-        # new track must explain at least one path per coming epoch, and clearly more than ``track``
-        # does: its velocity is unknown at first, so its gates are wide, and wrong paths may fit.
+        # new track must explain one path or more per coming epoch, and clearly more than ``track``.
+        # A new track does not know the velocity, so its gates are wide, and wrong paths may fit.
         own = 0.0 if track is None else self._fitted(track, coming) + CLEARLY_MORE * len(coming)
         if fitted - 1 < max(own, len(coming)):
             return None
@@ -154,12 +154,8 @@ class PathTracker:
         self, track: PathTrack | None, paths: PathEpoch, coming: Sequence[PathEpoch]
     ) -> tuple[PathTrack | None, int]:
         """Return the track that begins with ``paths`` and explains the most paths, and how many."""
-        best: tuple[PathTrack | None, int] = None, 0
-        for begun in self._beginnings(track, paths):
-            fitted = self._fitted(begun, coming)
-            if fitted > best[1]:
-                best = begun, fitted
-        return best
+        begun = ((new, self._fitted(new, coming)) for new in self._beginnings(track, paths))
+        return max(begun, key=lambda pair: pair[1], default=(None, 0))
 
     def _fitted(self, track: PathTrack, coming: Sequence[PathEpoch]) -> int:
         """Count the paths that a track explains in its epoch and in coming epochs."""
@@ -184,7 +180,7 @@ class PathTracker:
                 yield begun
 
     def _begin(self, paths: PathEpoch, links: _Links, path: int) -> PathTrack | None:
-        """Return a track with this path as line of sight; None if it begins behind a wall."""
+        """Return a track with this path as line of sight; None if it would begin behind a wall."""
         anchors, fix = self._scene.anchors_m, (links.z[0, path], links.sigma[0, path])
         mean, covariance = prior_from_fix(anchors[0], *fix, self._radio, self._scene)
         distance = np.linalg.norm(mean[:3] - anchors, axis=1)

@@ -2,8 +2,8 @@
 
 The horizontal error is the length of the error in x and y; the vertical error is the absolute value
 of the error in z. Shares count the epochs with an error within the distances that 3GPP TS 22.261,
-Table 7.3.2.2-1, defines for positioning services. A track may be larger than memory, so errors are
-kept in a temporary file for each kind (horizontal and vertical), 16 bytes per epoch.
+Table 7.3.2.2-1, defines for positioning services. Errors and levels are kept in memory, 16 bytes
+per epoch and kind (horizontal or vertical).
 
 A protection level is a bound that an error exceeds with a stated risk if the covariance is right.
 With position errors e ~ N(0, P), the level at risk r is the distance that |e| exceeds with
@@ -24,9 +24,7 @@ for b = 0.)
 """
 
 from functools import lru_cache
-from tempfile import SpooledTemporaryFile
 from typing import Any
-from weakref import finalize
 
 import numpy as np
 
@@ -102,7 +100,6 @@ def exceedance(error: Array, level: Array) -> dict[str, Any]:
 
 SHARES = (0.50, 0.67, 0.80, 0.90, 0.95)  # shares of epochs, for percentiles
 DISTANCES_M = (0.2, 1.0, 3.0, 10.0)
-_IN_MEMORY = 1 << 20  # bytes; larger files are on disk
 
 
 def horizontal(error: Array) -> Array:
@@ -129,39 +126,6 @@ def percentiles(sizes: Array) -> dict[str, float | None]:
     }
 
 
-class BoundedErrors:
-    """Errors of one kind, horizontal or vertical, each with its protection level."""
-
-    def __init__(self) -> None:
-        self._file: Any = SpooledTemporaryFile(_IN_MEMORY)  # noqa: SIM115 - open as long as self
-        finalize(self, self._file.close)
-
-    def add(self, error_m: Array, level_m: Array) -> None:
-        """Add epochs: errors and levels of the same shape, m."""
-        self._file.write(np.stack([error_m.ravel(), level_m.ravel()], axis=1).tobytes())
-
-    def rows(self) -> Array:
-        """Return errors and levels (n, 2) of all epochs, m."""
-        self._file.seek(0)
-        rows = np.frombuffer(self._file.read()).reshape(-1, 2)
-        self._file.seek(0, 2)
-        return rows
-
-    def figures(self) -> dict[str, Any]:
-        """Return the statistics of errors and levels that docs/errors.md describes."""
-        error, level = self.rows().T
-        return {
-            "epochs": len(error),
-            "percentiles_m": percentiles(error),
-            "within_m": {
-                f"{limit:g}": float((error <= limit).mean()) if error.size else None
-                for limit in DISTANCES_M
-            },
-            "median_level_m": percentiles(level)["50"],
-            **exceedance(error, level),
-        }
-
-
 class PositionErrors:
     """Errors of tracks by kind, "horizontal" and "vertical", with levels from their covariances.
 
@@ -171,20 +135,36 @@ class PositionErrors:
 
     def __init__(self, risk: float = RISK, planar: bool = False) -> None:
         self.risk = risk
-        self.kinds = {"horizontal": BoundedErrors()}
+        self._sizes_of = {"horizontal": horizontal}
         if not planar:
-            self.kinds["vertical"] = BoundedErrors()
+            self._sizes_of["vertical"] = vertical
+        # errors and levels (n, 2) of each part of the epochs, m
+        self._parts: dict[str, list[Array]] = {kind: [np.empty((0, 2))] for kind in self._sizes_of}
 
     def add(self, error: Array, P: Array, factors: Array | float = 1.0) -> None:
         """Add errors (..., 3), m, and packed covariances (..., 6 or more), position first.
 
         ``factors`` (..., 2) are those of :class:`~mmwave_env.localization.levels.Levels`.
         """
-        level = gaussian_levels(P, self.risk) * factors
-        self.kinds["horizontal"].add(horizontal(error), level[..., 0])
-        if "vertical" in self.kinds:
-            self.kinds["vertical"].add(vertical(error), level[..., 1])
+        levels = np.moveaxis(gaussian_levels(P, self.risk) * factors, -1, 0)
+        for (kind, parts), level in zip(self._parts.items(), levels, strict=False):
+            sizes = self._sizes_of[kind](error)
+            parts.append(np.stack([sizes.ravel(), level.ravel()], axis=1))
 
     def figures(self) -> dict[str, dict[str, Any]]:
-        """Return the statistics of the errors by kind."""
-        return {kind: errors.figures() for kind, errors in self.kinds.items()}
+        """Return the statistics of errors and levels that docs/errors.md describes, by kind."""
+        return {kind: _statistics(*np.concatenate(parts).T) for kind, parts in self._parts.items()}
+
+
+def _statistics(error: Array, level: Array) -> dict[str, Any]:
+    """Return the statistics of errors (n,) of one kind and their levels (n,), m."""
+    return {
+        "epochs": len(error),
+        "percentiles_m": percentiles(error),
+        "within_m": {
+            f"{limit:g}": float((error <= limit).mean()) if error.size else None
+            for limit in DISTANCES_M
+        },
+        "median_level_m": percentiles(level)["50"],
+        **exceedance(error, level),
+    }

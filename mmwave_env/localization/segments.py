@@ -24,8 +24,8 @@ from mmwave_env.models.radio import CLOCK_OFFSET_S, Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Mask
 
-# Standard deviations of the weak prior: of the height, whose mean is the height of the streets, and
-# of x and y, whose mean is the mean position of the anchors.
+# The weak prior: standard deviation of the height, around the height of the streets; and standard
+# deviation of x and y, around the mean position of the anchors.
 HEIGHT_SIGMA_M, _FARTHEST_M = 2.0, 1e3
 _WORST_FIX_M = 50.0  # maximum horizontal standard deviation of a position to begin a track with
 _AMBIGUOUS = 12.0  # two solutions are both possible if their squared errors differ by less

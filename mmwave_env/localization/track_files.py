@@ -44,10 +44,11 @@ def table_beside(track: Path) -> Path | None:
 
 
 def require_own_files(track: Path) -> None:
-    """Refuse to replace a file, unless it is an earlier track or the table of one.
+    """Refuse to replace a file, unless it is an earlier track or an earlier track's table.
 
     A track and its table can be made again from their log. Any other file may be the only copy:
-    a TUM file may hold ground truth, and users may not expect a table, whose name they do not type.
+    a TUM file may hold ground truth, and users do not type the name of the table, so they may not
+    expect it to replace a file.
 
     Raises:
         ValueError: the track or its table would replace a file that ``localize`` did not write.
@@ -127,8 +128,6 @@ def _tum_file(track: Path) -> Iterator[Write]:
                 tum.write(tum_lines(block.time_s, block.smooth_x[:, :3]))
 
         yield write
-        with naming(track):
-            tum.flush()
 
 
 @contextmanager
@@ -155,8 +154,6 @@ def _table_file(path: Path, modes: Sequence[str], corrected: bool, risk: float) 
                 table.writelines(rows)
 
         yield write
-        with naming(path):
-            table.flush()
 
 
 def _as_cell(name: str) -> str:

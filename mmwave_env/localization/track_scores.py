@@ -1,4 +1,4 @@
-"""Scores of a track, computed from running sums, because the track may be larger than memory."""
+"""Scores of a track, from running sums; percentiles need all errors, so these are kept, too."""
 
 import warnings
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from mmwave_env.numerics.numbers import Array
 Index = NDArray[np.intp]
 
 FAR_NEES = 100.0  # a larger mean NEES means that the track is far from the truth
-_ENOUGH = 100  # number of epochs from which the time step is estimated
+_ENOUGH = 100  # number of epochs that are used to estimate the time step
 
 
 def ratio(part: float, whole: float) -> float | None:
@@ -34,7 +34,7 @@ class Accuracy:
 
     def __init__(self, axes: int) -> None:
         self._interval = nees_interval(axes)
-        self._sums = np.zeros(4)  # distance, its square, NEES, share in the interval
+        self._sums = np.zeros(4)  # distance, its square, NEES, epochs in the interval
         self._scored = self._pairs = 0
         self._change = 0.0
         self._waiting = np.empty((0, 3))  # errors not yet paired with the error a second later
@@ -48,7 +48,7 @@ class Accuracy:
         self._waiting = np.concatenate([self._waiting, error])
 
     def pair(self, first: Index, second: Index, done: int) -> None:
-        """Add the changes between errors with these indices; drop the ``done`` oldest errors."""
+        """Add the changes between errors with these indices; drop the oldest ``done`` errors."""
         change = self._waiting[second] - self._waiting[first]
         self._change += float(np.linalg.norm(change, axis=1).sum())
         self._pairs += len(change)
@@ -133,11 +133,14 @@ class TruthScores:
             self.scored += len(known)
             self._between += int(np.count_nonzero(away[known]))
             self._away_s += float(np.abs(away[known]).sum())
+            where = list(truth[known].T)
             for name, accuracy in self._tracks.items():
                 smooth = name == "smoothed"
                 x, P = (block.smooth_x, block.smooth_P) if smooth else (block.x, block.P)
-                error, nees = self._against(x[known], P[known], truth[known])
-                accuracy.add(error, nees)
+                covariance = unpack(list(P[known].T), zero=self._pinned)
+                belief = Belief(list(x[known].T), covariance, self._axes)
+                error = np.column_stack(belief.error(where))
+                accuracy.add(error, belief.nees(where))
                 self.errors[name].add(error, P[known], block.level_factors[known])
         self._pair()
         return truth
@@ -152,11 +155,6 @@ class TruthScores:
                 "from the same drive, and are the scene's anchors right? If so, the track is lost",
                 stacklevel=2,
             )
-
-    def _against(self, x: Array, P: Array, truth: Array) -> tuple[Array, Array]:
-        belief = Belief(list(x.T), unpack(list(P.T), zero=self._pinned), self._axes)
-        where = list(truth.T)
-        return np.column_stack(belief.error(where)), belief.nees(where)
 
     def _pair(self, end: bool = False) -> None:
         pairs = self._pairs.take(end)
@@ -235,7 +233,7 @@ class Course:
         self.epochs = 0
         self.first_s = self.last_s = 0.0
         self._skipped = self._restarts = self._dropped = self._switches = self._fast = 0
-        self._modes = dict.fromkeys(modes, 0)
+        self._modes, self._counts = modes, np.zeros(len(modes), np.int64)
         self._last_mode = -1
         self._clock: dict[str, Any] = {}  # the clock in the last epoch
         self._speed = self._fastest = self._trusted = 0.0
@@ -245,10 +243,7 @@ class Course:
         self._trusted += float(block.trusted.sum())
         if not self.epochs:
             self.first_s, self._last_mode = float(block.time_s[0]), int(block.mode[0])
-        counts = np.bincount(block.mode, minlength=len(self._modes)).tolist()
-        self._modes = {
-            name: total + n for (name, total), n in zip(self._modes.items(), counts, strict=True)
-        }
+        self._counts += np.bincount(block.mode, minlength=len(self._modes))
         self._switches += int(np.count_nonzero(np.diff(block.mode, prepend=self._last_mode)))
         self._last_mode = int(block.mode[-1])
         speed = np.linalg.norm(block.x[:, 3:6], axis=1)
@@ -276,9 +271,9 @@ class Course:
                 "max": self._fastest,
                 "epochs_above_design_limit": self._fast,
             },
-            "modes": self._modes,
+            "modes": dict(zip(self._modes, self._counts.tolist(), strict=True)),
             "switches": self._switches,
             **self._clock,
-            # with a corrector only
+            # only if a corrector ran
             **({} if isnan(self._trusted) else {"trusted": ratio(self._trusted, self.epochs)}),
         }

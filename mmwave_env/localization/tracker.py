@@ -66,7 +66,7 @@ class Position(NamedTuple):
 
 
 class Tracker:
-    """A track that grows by one epoch at a time, with the same bits as a track of the complete log.
+    """A track that grows by one epoch at a time; bit for bit, it equals the complete log's track.
 
     ```python
     >>> tracker = Tracker("street", policy="corrector")
@@ -108,8 +108,8 @@ class Tracker:
         self._log: LiveLog | None = None
         self._filter: Any = None
         self._last_s: float | None = None  # time of the last measurement; None without a track
-        # time, Doppler spread, mode, factors for levels and input of the smoother, for each of the
-        # last epochs
+        # for each of the last epochs: time; Doppler spread; mode; factors by which Gaussian levels
+        # are multiplied; input of the smoother
         self._late: deque[tuple[float, float, str, Array | None, dict[str, Array]]]
         self._late = deque(maxlen=lag + 1)
 

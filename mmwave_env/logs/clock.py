@@ -19,7 +19,7 @@ estimate, until the remaining offset is within its error (Gauss-Newton).
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +34,7 @@ from mmwave_env.numerics.numbers import Array, wrap
 _STRETCHES, _SHORTEST_S = 32, 2.0  # maximum number and minimum length of stretches
 _FEWEST = 5  # minimum number of stretches for a standard error
 _CHANCE = 0.005  # probability of finding an offset if there is none
-_PART = 0.01  # minimum share of the squared error, noise included, that a relevant offset explains
+_PART = 0.01  # share of the squared error (with noise) that an offset must explain to matter
 _STEP_M = 1e-3  # step of the numerical derivative of the rows of a link
 _ENOUGH = 20  # minimum number of epochs for a standard deviation
 _OUTLIER = 6.0  # standard deviations; larger errors are ignored
@@ -69,14 +69,6 @@ class ClockOffset(NamedTuple):
             f"found its clock {size:.0f} ± {deviation:.0f} ms {side} the log's, expected the same; "
             f"nothing was changed: if this is real, shift its times by {change}{size / 1e3:.3f} s"
         )
-
-
-def keeping(blocks: Iterable[LogBlock], kept: list[LogBlock]) -> Iterator[LogBlock]:
-    """Yield the same blocks; append the first ones to ``kept``, for :func:`clock_offset`."""
-    for block in blocks:
-        if sum(map(len, kept)) < _COMPARED:
-            kept.append(block)
-        yield block
 
 
 def clock_offset(

@@ -29,7 +29,7 @@ class LiveEpoch(NamedTuple):
 
 
 class LiveLog:
-    """A collector of the rows of a log, which groups them into epochs as they arrive.
+    """A collector that groups the rows of a log into epochs as the rows arrive.
 
     An epoch is over when every anchor has a row, when a row with a later time arrives, or when
     :meth:`end_epoch` is called. Only the rows of one epoch are kept in memory.
@@ -71,7 +71,7 @@ class LiveLog:
         ]
         snr = [nan if snr_db is None else snr_db] * self.layout.anchors
         self._blank = [nan] * 2 * self.layout.size + snr + [nan]
-        self._sound = {column.name: _sound(of, column.unit) for of, column in columns.items()}
+        self._limits = {column.name: _limits(of, column.unit) for of, column in columns.items()}
         self._anchors = set(range(1, self.layout.anchors + 1))
         of_epoch = [of for of in columns if QUANTITIES[of].per_epoch or of == "doppler"]
         self._of_epoch = [(columns[of].number, of == "doppler") for of in of_epoch]
@@ -81,12 +81,12 @@ class LiveLog:
     def add(self, row: str | Mapping[str, Any], number: int = 0) -> list[LiveEpoch]:
         """Add a row, as a line of CSV or as values by column; return the epochs that are over now.
 
-        Error messages name ``number``, the number of the row in the source.
+        Error messages contain ``number``, the number of the row in the source.
 
         Raises:
             LogError: the row is damaged or late, and is ignored.
         """
-        cells = self._quickly(row) or self._carefully(row, number)
+        cells = self._cells(row, number)
         if not cells:
             return self.end_epoch()
         time_s, over = self._time_s(cells), []
@@ -146,42 +146,31 @@ class LiveLog:
                 return False
         return cells[self._anchor] != before[self._anchor]
 
-    def _quickly(self, row: str | Mapping[str, Any]) -> list[float] | None:
-        """Return the cells of a row that is plainly sound; None if it needs the full checks."""
-        if isinstance(row, str):
-            words = row.split(",")
-            if len(words) != len(self._sound) or "_" in row or not row.isascii():
-                return None
-            try:
-                row = dict(zip(self._sound, [float(word or "nan") for word in words], strict=True))
-            except ValueError:
-                return None
-        cells = []
-        for name, (low, high) in self._sound.items():
-            cell = row.get(name)
-            if cell is None:
-                cells.append(nan)
-            elif type(cell) in _NUMBERS and not (cell < low or cell > high):  # NaN is an empty cell
-                cells.append(float(cell))
-            else:
-                return None
-        known = cells[self._anchor] in self._anchors and row.keys() <= self._sound.keys()
-        return cells if known and not isnan(cells[self._time]) else None
-
-    def _carefully(self, row: str | Mapping[str, Any], number: int) -> list[float]:
+    def _cells(self, row: str | Mapping[str, Any], number: int) -> list[float]:
         """Return the cells of a row (no cells for a blank line); refuse a damaged row."""
         if not isinstance(row, str):
             for name in row:
-                if name not in self._sound:
+                if name not in self._limits:
                     raise LogError(
                         f"{self._log.path}, row {number}, column {name!r}: "
-                        f"found an unknown column, expected one of {', '.join(self._sound)}"
+                        f"found an unknown column, expected one of {', '.join(self._limits)}"
                     )
-            cells = (row.get(name) for name in self._sound)
-            row = ",".join("" if cell is None else str(cell) for cell in cells)
+            values = [nan if (of := row.get(name)) is None else of for name in self._limits]
+            if all(type(value) in _NUMBERS for value in values) and self._plain(values):
+                return list(map(float, values))
+            row = ",".join(map(str, values))
         table = parse_carefully(self._log, [row], number, 0.0)
-        self._require_sound(table)
-        return [cell for cells in table.cells.tolist() for cell in cells]
+        cells: list[float] = table.cells[0].tolist() if len(table) else []
+        if table.damage or not self._plain(cells):
+            self._require_sound(table)
+        return cells
+
+    def _plain(self, cells: list[float]) -> bool:
+        """Tell whether the cells of a row are plainly sound; if not, they need the full checks."""
+        for cell, (low, high) in zip(cells, self._limits.values(), strict=False):
+            if cell < low or cell > high:  # NaN is an empty cell
+                return False
+        return not cells or (cells[self._anchor] in self._anchors and not isnan(cells[self._time]))
 
     def _require_sound(self, table: Table) -> None:
         _, damage = first_damage(self._log, table, self.layout.anchors, limits=True)
@@ -189,7 +178,7 @@ class LiveLog:
             raise damage
 
 
-def _sound(quantity: str, unit: Unit) -> tuple[float, float]:
+def _limits(quantity: str, unit: Unit) -> tuple[float, float]:
     """Return the limits of plainly sound cells, a little tighter than the quantity's own."""
     limits = QUANTITIES[quantity].limits
     if not limits:

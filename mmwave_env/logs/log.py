@@ -63,7 +63,7 @@ class LogBlock(Block):
     restarts: Mask
     share: float  # share of the file read so far, 0 to 1
     whole_columns: bool = True  # whether the log has a column for each value of a link
-    segment: int = 0  # number, from 0, of the track's segment to which all epochs belong
+    segment: int = 0  # number, from 0, of the segment that contains all epochs of the block
     # whether the segment begins here, with a first fix that gives its prior
     begins: bool = False
     skipped: int = 0  # number of epochs of the log before the first segment
@@ -206,7 +206,7 @@ def block_of(
     time[epoch] = table["time"]
     for quantity, (first, step) in places(layout).items():
         numbers = of_link[quantity] if quantity in of_link else table[quantity]
-        some = np.flatnonzero(~np.isnan(numbers))[::-1]  # backwards: the first value remains
+        some = np.flatnonzero(~np.isnan(numbers))[::-1]  # in reverse, so the first value is kept
         placed[epoch[some], first + step * anchor[some]] = numbers[some]
     measurement, sigma, snr, spread = np.split(
         placed, [size, 2 * size, 2 * size + layout.anchors], axis=1

@@ -20,7 +20,7 @@ _ROUNDING_DEG = 1e-4  # rounding error of angles that were once stored as 32-bit
 
 
 def whole_epochs(log: LogFile, anchors: int | None, limits: bool) -> Iterator[Table]:
-    """Yield the rows of complete epochs, in one part per table of the log.
+    """Yield the rows of complete epochs: about one part per table that ``log.tables()`` yields.
 
     Args:
         log: the file.

@@ -23,7 +23,7 @@ class Unit(NamedTuple):
     divide: float = 1.0
 
     def convert(self, value: Number) -> Number:
-        """Return a value of a column in SI units and dB."""
+        """Convert a value of a column to SI units; values in dB stay in dB."""
         return value * self.multiply / self.divide
 
 
@@ -45,7 +45,7 @@ def _in(name: str, units: dict[str, Unit]) -> dict[str, Unit]:
 _TIME = {"_s": Unit(), "_ms": Unit(1.0, 1e3), "_us": Unit(1.0, 1e6), "_ns": Unit(1.0, 1e9)}
 _LENGTH = {"_m": Unit(), "_ft": Unit(0.3048)}  # international foot
 _ANGLE = {"_rad": Unit(), "_deg": Unit(np.pi, 180.0)}
-_SHIFT = {"_hz": Unit(), "_khz": Unit(1e3), "_mps": Unit()}  # columns_of sets f_c / c for _mps
+_SHIFT = {"_hz": Unit(), "_khz": Unit(1e3), "_mps": Unit()}  # columns_of multiplies _mps by f_c / c
 
 
 def _flight(name: str) -> dict[str, Unit]:
@@ -163,7 +163,7 @@ def columns_of(
     If ``odometry`` is False, columns of odometry are ignored, except a heading that angles need; if
     ``associated`` is False, a column of anchors is ignored. A Doppler shift in m/s is multiplied by
     ``hz_per_mps``, f_c / c. If ``partial`` is True, any of the horizontal measurements is enough;
-    otherwise all rows of a link and the SNR are required.
+    otherwise the range, the three angles and the SNR are required.
 
     Raises:
         ValueError: a name is unknown or lacks its unit, or a quantity occurs twice or is
@@ -228,7 +228,7 @@ def _require(
 
 def _problem(name: str) -> str:
     """Return what is wrong with the unknown name of a column, and the nearest known names."""
-    # The longest match, so that doppler_spread_x is not taken for a Doppler shift.
+    # The longest match counts, so that doppler_spread_x is not taken for a Doppler shift.
     spelled = {**{quantity: quantity for quantity in QUANTITIES}, "range": "toa"}
     meant = [start for start in spelled if name == start or name.startswith(f"{start}_")]
     if meant:

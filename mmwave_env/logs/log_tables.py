@@ -36,7 +36,7 @@ class LogError(ValueError):
 
 
 class Block:
-    """Base class of dataclasses of n rows or epochs: arrays (n, ...) and values shared by all."""
+    """Base class for dataclasses that hold n rows or epochs: arrays (n, ...), and shared values."""
 
     arrays: ClassVar[tuple[str, ...]] = ()  # names of the arrays; the first gives the length
 
@@ -68,9 +68,9 @@ def in_windows(
 ) -> Iterator[AnyBlock]:
     """Yield the epochs in blocks of whole windows; only a segment's last window may be shorter.
 
-    A window is ``window`` epochs long. A LogError of ``blocks`` is raised only after the epochs
-    before it were yielded. ``segment`` returns the number of a block's segment; blocks of different
-    segments are not joined.
+    A window is ``window`` epochs long. If ``blocks`` raises a LogError, the epochs read before are
+    yielded first. A segment is a part of the log without a long gap; ``segment`` returns the number
+    of a block's segment, and blocks of different segments are not joined.
     """
     waiting: list[AnyBlock] = []
     count = 0
@@ -103,7 +103,7 @@ class Table(Block):
     rows: Rows  # (n,) row numbers in the file, for messages
     cells: Array  # (n, columns) as in the file, NaN where empty
     share: float  # share of the file read so far, 0 to 1
-    # damage in the last row, after which nothing follows; cells that can't be read are NaN there
+    # damage in the last row, which ends the log; cells of that row that can't be read are NaN
     damage: LogError | None = None
 
     def raw(self, quantity: str) -> Array:
@@ -119,20 +119,21 @@ class Table(Block):
     @cached_property
     def epoch(self) -> Rows:
         """Return the epoch (n,), from 0, of every row; the rows of an epoch have the same time."""
-        # Times as in the file, because different ones may become equal when converted to seconds.
+        # Compare times as in the file: different times may become equal when converted to seconds.
         return np.concatenate([[0], np.cumsum(np.diff(self.raw("time")) != 0.0)])
 
     def first(self, values: Array) -> Array:
-        """Return, for every epoch, the first of its values (n,) that is not NaN; else NaN."""
+        """Return each epoch's first value that is not NaN, or NaN; values (n,) are given by row."""
         first = np.full(self.epoch[-1] + 1, np.nan)
         some = np.flatnonzero(~np.isnan(values))[::-1]
         first[self.epoch[some]] = values[some]  # backwards, so that the first row's value remains
         return first
 
     def links(self) -> Array:
-        """Return the rows of links (n, 4), m and rad; departures are in the frame of the map.
+        """Return ranges (m) and angles (rad) of links, (n, 4); departures are in the map's frame.
 
-        If the log has azimuths of arrival at the base station, the rows contain these instead.
+        If the log has azimuths of arrival at the base station, the result contains these instead
+        of the azimuths at the anchors.
         """
         arrival = self[STATION if STATION in self.columns else "aoa_azimuth"]
         departure = self["aod_azimuth"]
@@ -253,7 +254,7 @@ def _parse_quickly(lines: list[str], log: LogFile) -> Array | None:
         return None
     text = "\n" + "\n".join(lines) + "\n"
     if log.delimiter != ",":
-        if "," in text:  # decimal commas, which no reader should guess
+        if "," in text:  # probably decimal commas; parse_carefully refuses them
             return None
         text = text.replace(log.delimiter, ",")
     for empty, filled in ((",,", ",nan,"), (",,", ",nan,"), ("\n,", "\nnan,"), (",\n", ",nan\n")):

@@ -20,16 +20,16 @@ class TrueEpochs(NamedTuple):
 
     position_m: Array  # (T, 3), NaN where not known
     velocity_mps: Array  # (T, 3), NaN where not known
-    away_s: Array  # (T,) time of the nearest pose minus that of the epoch; NaN where not known
+    away_s: Array  # (T,) time of the nearest pose minus the time of the epoch; NaN where not known
 
 
 class Truth:
     """A track of true positions, from a TUM file that is read only as far as needed.
 
     Between two poses that are at most ``BRIDGED_S`` apart, the position is on the cubic Hermite
-    spline through both. Its velocity at a pose is that of the parabola through this pose and its
-    neighbors. Next to a gap and at the ends, the position is that of a pose within ``TOLERANCE_S``,
-    or unknown if there is no such pose. ``last_s`` is the last time that was read so far.
+    spline through both. The spline's velocity at a pose is that of the parabola through this pose
+    and its neighbors. Next to a gap and at the ends, the position is that of a pose within
+    ``TOLERANCE_S``, or unknown if there is no such pose. ``last_s`` is the last time read so far.
 
     Raises:
         ValueError, OSError: as for :func:`~mmwave_env.logs.tum.tum_blocks`; also from methods.
@@ -74,8 +74,8 @@ class Truth:
         self.read_on()
         return ValueError(
             f"{self.path}: found times from {self.first_s!r} to {self.last_s!r} s, expected some "
-            f"within {TOLERANCE_S} s of a time of the log, or two around it that are at most "
-            f"{BRIDGED_S:g} s apart; the log's times are from {first_s!r} to {last_s!r} s"
+            f"within {TOLERANCE_S} s of the log's times ({first_s!r} to {last_s!r} s), or pairs at "
+            f"most {BRIDGED_S:g} s apart with a time of the log between them"
         )
 
     def warn_if_few(self, matched: int, epochs: int, first_s: float, last_s: float) -> None:

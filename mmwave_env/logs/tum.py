@@ -47,16 +47,10 @@ def tum_blocks(path: Path) -> Iterator[Poses]:
         raise ValueError(f"{path}: found no line with a pose, expected {' '.join(COLUMNS)}")
 
 
-def read_tum(path: Path) -> Poses:
-    """Read a complete trajectory at once; :func:`tum_blocks` reads it in parts."""
-    time_s, position_m = zip(*tum_blocks(path), strict=True)
-    return Poses(np.concatenate(time_s), np.concatenate(position_m))
-
-
 def _parse(path: Path, lines: list[str], first: int, last_s: float) -> Array:
-    """Parse times and positions (lines, 4) of lines that follow the time ``last_s``.
+    """Return the times and positions (lines, 4) in lines; refuse damaged lines.
 
-    ``first`` is the number of the first line.
+    ``first`` is the number of the first line. Its time must be later than ``last_s``.
     """
     poses = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
     if not poses:
@@ -68,7 +62,7 @@ def _parse(path: Path, lines: list[str], first: int, last_s: float) -> Array:
     times = np.concatenate([[last_s], rows[:, :1].ravel()])
     if rows.shape[1] != len(COLUMNS) or not np.isfinite(rows).all() or (np.diff(times) <= 0).any():
         _find_damage(path, lines, first, last_s)
-    return rows[:, :4].copy()
+    return rows[:, :4]
 
 
 def _find_damage(path: Path, lines: list[str], first: int, last_s: float) -> NoReturn:

@@ -2,7 +2,7 @@
 
 Like the filters, the channel is written as functions of plain numbers, so that it can also be
 compiled to simulate eight episodes at once on SIMD lanes. The functions receive random numbers that
-were drawn before; a :class:`ChannelState` is the state of the channel between two epochs.
+were drawn before. A :class:`ChannelState` is the state of the channel between two epochs.
 """
 
 import math

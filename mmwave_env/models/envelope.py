@@ -18,7 +18,7 @@ BIAS_HZ = between(-1e7, 1e7, "Hz")  # oscillator bias in the prior's mean
 POSITION_SIGMA_M = between(1e-4, 1e4, "m")
 VELOCITY_SIGMA_MPS = between(1e-4, 1e2, "m/s")
 BIAS_SIGMA_HZ = between(1e-8, 1e6, "Hz")
-# standard deviations of measurements; the limits of ranges also hold for odometry's speed, in m/s
+# standard deviations of measurements; RANGE_SIGMA_M also holds for odometry's speed, in m/s
 RANGE_SIGMA_M = between(1e-3, 1e5, "m")
 ANGLE_SIGMA_RAD = between(1e-5, 1e2, "rad")
 DOPPLER_SIGMA_HZ = between(0.02, 1e6, "Hz")

@@ -8,8 +8,8 @@ Each *group* of rows (a link, the Doppler shift, the odometry) is gated separate
 present or missing as a whole, except in a *partial* layout, in which single rows may be missing,
 and in which the Doppler shift may belong to any anchor instead of anchor 1.
 
-With a *clock* that is not synchronized, the state has an eighth component: the range bias B of the
-user's clock, the speed of light times its offset, which is added to every range.
+With a *clock* that is not synchronized, the state has an eighth component, the range bias B: the
+offset of the user's clock times the speed of light. It is added to every range.
 """
 
 from collections.abc import Iterable, Sequence
@@ -29,7 +29,7 @@ LINK = ("range_m", "aoa_azimuth_rad", "aoa_elevation_rad", "aod_azimuth_rad")
 MEASUREMENTS = ("range", "azimuth", "elevation", "departure", "doppler")
 CLOCKS = {  # states of the user's clock
     "synchronized": "in step with the anchors' clocks",
-    "offset": "ahead of them or behind, by an unknown time that drifts",
+    "offset": "ahead of or behind the anchors' clocks, by an unknown time that drifts",
 }
 _HORIZONTAL = {"range", "azimuth", "departure"}  # a horizontal position needs one of these
 
@@ -192,7 +192,7 @@ def whole_groups(
     Args:
         measurement: (T, rows), NaN where not measured.
         heard: (T, L) whether a link's SNR is known. The SNR determines the noise of the link's
-            rows; that of the first link also determines the noise of the Doppler shift.
+            rows; the first link's SNR also determines the noise of the Doppler shift.
         layout: rows and groups.
     """
     starts = [group.start for group in layout.groups]

@@ -54,7 +54,8 @@ class Measurement(NamedTuple):
         visible: (groups,) 1 where the group was measured, else 0.
         layout: which quantity is in which row.
         measured: (rows,) 1 where the row was measured, else 0; empty unless the layout is partial.
-        doppler_of: (L,) 1 for the anchor of the Doppler shift, else 0; also empty unless partial.
+        doppler_of: (L,) 1 for the anchor whose Doppler shift was measured, else 0; empty unless the
+            layout is partial.
     """
 
     anchors: Matrix
@@ -161,7 +162,7 @@ def link_group(
     ``Sensor`` in :mod:`mmwave_env.filters.textbook` keeps all four rows.
 
     The prior mean is (7,), the anchor (3,), m; z and variance are (4,), and ``measured`` (4,) is 1
-    where a row was measured, else 0, or empty if all were.
+    where a row was measured, else 0; it is empty if all rows were measured.
     """
     d = [x[i] - anchor[i] for i in range(3)]
     distance, azimuth, elevation = direction(d)
@@ -295,7 +296,7 @@ def odometry_group(x: Vector, z: Vector, variance: Vector) -> Group:
 
 
 def doppler_anchor(anchors: Matrix, doppler_of: Vector) -> Vector:
-    """Return the position (3,) of the Doppler shift's anchor; see :class:`Measurement`."""
+    """Return the position (3,) of the anchor whose Doppler shift was measured."""
     if not len(doppler_of):
         return anchors[0]
     return [dot(doppler_of, list(column)) for column in zip(*anchors, strict=True)]

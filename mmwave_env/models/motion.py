@@ -32,11 +32,12 @@ def white_noise_acceleration(
     The variances added per second are those of the position (3,), in m^2; of the velocity (3,), in
     (m/s)^2; and of the oscillator's bias, in Hz^2.
 
-    With ``coupling`` 1, the velocity noise q = velocity dt also moves the position, like a constant
-    acceleration during the step: it adds [[q dt^2 / 4, q dt / 2], [q dt / 2, q]] (discrete
-    white-noise acceleration, Bar-Shalom et al. 2001, Sec. 6.3.2) to the position noise. So Q is
-    positive semidefinite for any variances. With ``coupling`` 0, Q is the paper's diagonal
-    matrix, which underestimates how the position's uncertainty grows at dt = 1 s.
+    With ``coupling`` 1, the velocity noise, whose variance is q = ``velocity`` * dt, also moves the
+    position, like a constant acceleration during the step: the term [[q dt^2 / 4, q dt / 2],
+    [q dt / 2, q]] (discrete white-noise acceleration, Bar-Shalom et al. 2001, Sec. 6.3.2) is added
+    to the position noise. So Q is positive semidefinite for any variances. With ``coupling`` 0, Q
+    is the paper's diagonal matrix, which underestimates how the position's uncertainty grows at
+    dt = 1 s.
     """
     q = [v * dt for v in velocity]
     half = coupling * (0.5 * dt)
@@ -60,7 +61,7 @@ def with_clock(
 
 
 def move(x: Vector, dt: Number, hz_per_mps: Number | None = None) -> list[Number]:
-    """Return F x, the mean one step later; with a clock, x is (8,) and needs ``hz_per_mps``."""
+    """Return F x, the mean one step later; with a clock, x is (8,) and ``hz_per_mps`` is given."""
     moved = [x[i] + dt * x[i + 3] if i < 3 else x[i] for i in range(min(len(x), STATE_SIZE))]
     return moved + [bias + (dt / hz_per_mps) * x[6] for bias in x[STATE_SIZE:]]
 

@@ -10,7 +10,8 @@ from mmwave_env.numerics.numbers import PI, Array, wrap
 
 # Longest gap in a track; filters lost none of 100 vehicles in gaps of 10 s, and some in 20 s.
 GAP_S = 15.0
-STEEPEST_FIX_RAD = math.radians(85.0)  # 5 degrees off the vertical, 2.5 sigma of a handset
+# Steepest link for a prior; it is 5 degrees off the vertical, 2.5 sigma of a handset's elevation.
+STEEPEST_FIX_RAD = math.radians(85.0)
 # Standard deviation per axis of an unknown horizontal velocity: half of the filters' 20 m/s limit.
 UNKNOWN_VELOCITY_MPS = 10.0
 

@@ -48,7 +48,7 @@ Speed = Annotated[float, between(1e-4, 100.0, "m/s")]
 PriorPosition = Annotated[float, envelope.POSITION_SIGMA_M]
 PriorVelocity = Annotated[float, envelope.VELOCITY_SIGMA_MPS]
 Decibel = Annotated[float, between(-300.0, 300.0, "dB")]
-Spell = Annotated[float, between(1e-3, 1e6, "s")]  # mean length of a spell
+Spell = Annotated[float, between(1e-3, 1e6, "s")]  # mean length of blockage, multipath or outage
 Rate = Annotated[float, between(0.0, 1e3, "Hz")]
 RangeBias = Annotated[float, between(0.0, 1e5, "m")]
 AngleBias = Annotated[
@@ -83,7 +83,7 @@ class Radio:
         reflection_loss_db: loss on a virtual anchor's path.
         blockage_loss_db: loss while a link is blocked.
         shadowing_db: standard deviation of log-normal shadowing.
-        shadowing_correlation: correlation of shadowing values one second apart, an AR(1) process.
+        shadowing_correlation: correlation of shadowing, an AR(1) process, over one second.
         detection_snr_db: SNR at which a link is detected with probability 0.5.
         detection_slope_db: scale of the logistic curve of detection probability against SNR.
         doppler_window_s: coherent processing interval T for the Doppler shift.
@@ -173,7 +173,7 @@ class Radio:
         return self.link_budget_db + path_gain_db - self.thermal_noise_dbm(bandwidth_hz)
 
     def variances(self, scene: Scene, layout: Layout) -> tuple[list[float], list[float]]:
-        """Return every row's noise floor and Cramer-Rao bound at 0 dB, both in squared units."""
+        """Return variances of every row: noise floors, and Cramer-Rao bounds at an SNR of 0 dB."""
         range_bound = SPEED_OF_LIGHT / (2.0 * math.pi * scene.bandwidth_hz / math.sqrt(12.0))
         elements = self.ue_elements, self.gnb_elements
         # A single element has no aperture and cannot measure angles, so it counts as two.

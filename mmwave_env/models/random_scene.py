@@ -35,8 +35,8 @@ class RandomScene:
     Attributes:
         name: name to show in results.
         block_m: distance between parallel streets.
-        blocks: maximum number of blocks in each direction; if 0 are drawn in one
-            direction, the grid is a single street.
+        blocks: maximum number of blocks in each direction; the grid is a single street if the
+            number drawn for one direction is 0.
         beside_m: distance of the base station from each street of its crossing, on a random side.
         height_m: height of the base station.
         behind_m: distance from a wall to the last street, or to the base station if that is

@@ -105,7 +105,7 @@ class Streets:
     Attributes:
         x_m: west-east extent (low, high), m.
         y_m: south-north extent (low, high), m.
-        block_m: distance between parallel streets, m; extents are a whole number of blocks.
+        block_m: distance between parallel streets, m; both extents are multiples of it.
         height_m: height of the user equipment, m.
     """
 
@@ -132,7 +132,7 @@ class SceneNumbers(NamedTuple):
 
     anchors: list[list[Any]]  # (L, 3) positions, m
     block_m: Any  # distance between parallel streets
-    # extent_m, origin_m: (2,) size (west-east, south-north) and corner of the grid of streets
+    # extent_m, origin_m: (2,) size (west-east, south-north) and south-west corner of the streets
     extent_m: list[Any]
     origin_m: list[Any]
     height_m: Any  # height of the user equipment
@@ -278,7 +278,7 @@ def read_scene(path: Path) -> Scene:
 
 
 def scene_json(scene: Scene) -> dict[str, Any]:
-    """Return the scene in the form with walls if it has any, else in the form with anchors."""
+    """Return the content of a scene file: with walls if the scene has any, else with anchors."""
     origin = {"origin": asdict(scene.origin)} if scene.origin else {}
     if scene.walls:
         return {key: value for key, value in asdict(scene).items() if key != "origin"} | origin

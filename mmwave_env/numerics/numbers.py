@@ -32,7 +32,7 @@ def _is_float(a: Number) -> bool:
 
 
 def _function(name: str, of: Any = math) -> Callable[[Number], Number]:
-    """Return a function that calls numpy for arrays, Lanes for lanes, and ``of`` for floats."""
+    """Return a function that uses numpy for arrays, Lanes for lanes, module ``of`` for floats."""
     of_float, of_array = getattr(of, name), getattr(np, name)
 
     def function(a: Number) -> Number:

@@ -15,7 +15,7 @@ from mmwave_env.numerics.numbers import Number, Vector, cos_sin, log, sqrt
 
 STATE_WORDS = 4
 _MASK = 2**64 - 1
-_WARM_UP = 18  # number of words that are dropped after seeding
+_WARM_UP = 18  # number of words to drop after seeding, as they still resemble the key
 
 
 def _bitwise(operation: Callable[[int, int], int]) -> Any:

@@ -73,10 +73,10 @@ class Canvas:
     def words(
         self, text: str, at: Point, color: Color, size: float = 15.0, align: float = 0.0
     ) -> Rect:
-        """Write a line centered vertically at a point; return the part of the picture it covers.
+        """Write one line of text, centered vertically at a point; return the part that it covers.
 
-        Pass text from users through :func:`~mmwave_env.io.lookup.printable`. ``size`` is in units,
-        and ``align`` the share of the line's width that is left of the point.
+        Pass text from users through :func:`~mmwave_env.io.lookup.printable`. ``size`` is in units.
+        ``align`` is the share of the text's width that is left of the point.
         """
         drawn = _font(round(size * self.unit)).render(text, True, color)
         width, height = drawn.get_size()

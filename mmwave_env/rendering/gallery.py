@@ -46,8 +46,8 @@ class Gallery:
     ) -> None:
         """Begin new recordings of some environments, with the prior in their workspaces.
 
-        ``names`` (N,) are those of the episodes. For the index of an environment, ``streets``
-        returns its streets, and ``workspace`` its workspace (size,), the array of all its values.
+        ``names`` (N,) are the names of the episodes. Given the index of an environment, ``streets``
+        returns the streets of its episode, and ``workspace`` the array (size,) of all its values.
         """
         for index in indices[indices < len(self.recorders)].tolist():
             self.recorders[index].begin(names[index], streets(index), workspace(index))

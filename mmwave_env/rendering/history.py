@@ -28,7 +28,7 @@ class History:
     """The prior and the k epochs after it, as rows of arrays; the first row is the prior."""
 
     scenery: Scenery  # data that stay the same through the episode
-    axes: int  # position axes that NEES covers
+    axes: int  # number of position axes that NEES covers
     time_s: Array  # (k + 1,) time since the first epoch
     modes: Index  # (k + 1,) number of the mode that ran; ``NO_MODE`` in the first row
     truth: Array  # (k + 1, 6) position (m), velocity (m/s)
@@ -80,7 +80,7 @@ class Recorder:
     Args:
         rows: slices of the workspace that contain ``anchors``, ``dt`` of the next epoch, ``truth``,
             ``estimate``, ``P`` (packed), ``nees``, ``accepted`` and ``rejected``.
-        axes: position axes that NEES covers.
+        axes: number of position axes that NEES covers.
     """
 
     def __init__(self, rows: Mapping[str, slice], axes: int) -> None:

@@ -52,7 +52,7 @@ class Picture:
 
         The picture depends only on the arguments: the same history gives the same picture. The
         histories ``beside`` belong to the same episode, and their pictures are shown next to this
-        one; the scales of speed and error fit all of them.
+        one; the scales of speed and error fit all histories.
         """
         canvas, theme, unit = self._canvas, self._theme, self._canvas.unit
         legend = unit * (15.0 * self._rows + 4.0)
@@ -170,8 +170,8 @@ class Playback:
 
 _WINDOW = 120  # number of epochs that strips show
 _NEES = (0.03, 300.0)  # range of the NEES strip; other values are drawn at its edge
-_WORDS_SHARE = 0.235  # share of the picture's width that is left of the strips, for words
-_TICKS_SHARE = 0.06  # share of the picture's width that is right of the strips, for ticks
+_WORDS_SHARE = 0.235  # room for words to the left of the strips, as a share of the width
+_TICKS_SHARE = 0.06  # room for ticks to the right of the strips, as a share of the width
 _ROW = 13.0  # height of a line of words, in units
 
 
@@ -299,7 +299,7 @@ def _draw_strip(
 def _draw_ribbon(
     canvas: Canvas, place: Rect, lane: Rect, x: Array, modes: Index, theme: Theme
 ) -> None:
-    """Draw a ribbon in the color of the mode that ran in each epoch, with its number if it fits."""
+    """Draw a ribbon in the colors of the modes that ran, with the modes' numbers where they fit."""
     unit = canvas.unit
     canvas.words("mode", (place.left + 8.0 * unit, lane.centery), theme.ink, 15)
     canvas.fill(theme.ground, lane)

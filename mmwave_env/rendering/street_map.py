@@ -21,7 +21,7 @@ _LEAST_M = 25.0  # minimum distance from the center to the upper edge
 _INNER = 0.5  # share of the picture's height and width in which user and estimate stay
 _STREET_M = 14.0  # width of streets in the picture, if blocks leave enough room
 _FACADE_M = 4.0  # depth of a wall in the picture
-_SAME_HEIGHT_M = 0.1  # tolerance: the image in a vertical wall is as high as the base station
+_SAME_HEIGHT_M = 0.1  # tolerance; an image in a vertical wall is as high as the base station
 _TRAIL = 1500  # maximum number of epochs of a trajectory that are drawn
 
 
@@ -48,8 +48,8 @@ def follow(history: History, frame: Rect) -> View:
     """Return the view of the last epoch.
 
     The view depends only on the arguments, so a copy of an environment draws the same pictures.
-    Center and scale are averages over the last seconds, so that they change smoothly, unless the
-    user or the estimate would leave the picture.
+    Center and scale are averages over the last seconds, so that they change smoothly. They change
+    faster only if the user or the estimate would otherwise leave the middle of the picture.
     """
     recent = history.time_s >= history.time_s[-1] - _MEMORY_S
     weights = np.exp((history.time_s[recent] - history.time_s[-1]) / _LAG_S)
@@ -77,7 +77,7 @@ def follow(history: History, frame: Rect) -> View:
 
 
 def clipped(start: Point, end: Point, frame: Rect) -> tuple[Point, Point] | None:
-    """Clip a line to a frame (Liang and Barsky 1984); return None if it is outside."""
+    """Clip a line to a frame (Liang and Barsky 1984); return None if the line is outside."""
     begin, way = np.array(start), np.subtract(end, start)
     with np.errstate(divide="ignore", invalid="ignore"):
         shares = (np.array([frame.topleft, frame.bottomright]) - begin) / way
@@ -226,7 +226,7 @@ def _draw_scale(canvas: Canvas, view: View, theme: Theme) -> Rect:
 
 
 def _draw_anchors(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
-    """Draw scale bar and anchors; anchors outside are arrows at the edge, with distances."""
+    """Draw scale bar and anchors; for an anchor outside, an arrow at the edge, and its distance."""
     inner = view.frame.inflate(-14.0 * canvas.unit, -14.0 * canvas.unit)
     user, here = _point(view, history.truth[-1]), history.truth[-1, :3]
     around = 9.0 * canvas.unit

@@ -95,10 +95,10 @@ FRAMES_PER_SECOND = 10  # default speed of videos and windows
 def require_drawable(size: int, theme: str, purpose: str) -> None:
     """Refuse a picture that can't be drawn, before any work is done.
 
-    Messages about a missing package name the ``purpose`` of the picture.
+    If a package is missing, the message names the ``purpose`` of the picture.
 
     Raises:
-        ValueError: the size, px, or the theme is invalid.
+        ValueError: the size (in px) or the theme is invalid.
         MissingExtraError: pygame is not installed.
     """
     require_extra("pygame", "render", purpose)

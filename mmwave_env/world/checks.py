@@ -6,12 +6,11 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from mmwave_env.io.records import Bound
 from mmwave_env.numerics.numbers import Array
 
 
 def refuse(record: str, field: str, value: object, expected: str) -> NoReturn:
-    """Raise a ValueError about a field of a record, such as "episode 'jam'"."""
+    """Raise a ValueError about a field of a record; a record is, for example, "episode 'jam'"."""
     raise ValueError(f"{field} of {record}: found {value}, expected {expected}")
 
 
@@ -36,13 +35,6 @@ def require_increasing(record: str, time_s: Array) -> None:
     """Refuse times (T,) of epochs that do not increase."""
     if len(time_s) < 1 or not (np.diff(time_s) > 0.0).all():
         refuse(record, "time_s", "times that do not increase", "one or more increasing times")
-
-
-def require_within(record: str, field: str, values: Array, bound: Bound) -> None:
-    """Refuse values (of any shape) of a field if one of them is NaN or outside a bound."""
-    wrong = bound.outside(values)
-    if wrong.any():
-        refuse(record, field, f"{values[wrong].flat[0]:g}", bound.expected)
 
 
 def require_finite(record: str, epochs: Any, fields: Iterable[str]) -> None:

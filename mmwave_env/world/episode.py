@@ -19,9 +19,9 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index, Mask, Number, Vector, where
 from mmwave_env.numerics.pytree import flatten, indices
-from mmwave_env.world.checks import refuse, require_epochs, require_finite, require_within
+from mmwave_env.world.checks import refuse, require_epochs, require_finite
 
-NEUTRAL_SNR_DB = 20.0  # about the mean in streets, for links whose SNR was not measured
+NEUTRAL_SNR_DB = 20.0  # stands for an SNR that was not measured; about the mean in streets
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,9 @@ class Episode:
         if not (abs(P - P.T).max() <= 1e-8 * abs(P).max() and np.linalg.eigvalsh(P)[0] > 0.0):
             refuse(self._record, "prior_covariance", P.tolist(), "a positive definite matrix")
         for field, values, bound in self._bounded():
-            require_within(self._record, field, values, bound)
+            wrong = bound.outside(values)
+            if wrong.any():
+                refuse(self._record, field, f"{values[wrong].flat[0]:g}", bound.expected)
 
     def _bounded(self) -> Iterator[tuple[str, Array, Bound]]:
         """Yield the name, the values and the bound of everything that has a bound."""
@@ -195,7 +197,7 @@ class Episode:
             raise ValueError(f"{self._record}: found no truth, which reward and metrics need")
 
     def on_flat_ground(self, height_m: float | None = None) -> "Episode":
-        """Return the episode with a prior mean of vz 0 and this height, by default the true one."""
+        """Return the episode with a prior mean of this height (default: the true one) and vz 0."""
         if height_m is None:
             self.require_truth()
             height_m = self.truth_position_m[0, 2]  # type: ignore[index]
@@ -300,14 +302,14 @@ class EpisodeBatch(NamedTuple):
 
 
 def level(sites: Array, height_m: Array, layout: Layout) -> Array:
-    """Return the sites (n, numbers) with known heights (n,) and with vz 0."""
+    """Return the sites (n, numbers) with these heights (n,) and vz 0 in the mean of the prior."""
     sites, prior = sites.copy(), indices(blank_site(layout)).prior_x
     sites[:, prior[2]], sites[:, prior[5]] = height_m, 0.0
     return sites
 
 
 class Incoming(NamedTuple):
-    """A row of :meth:`Episode.table`, an epoch's data that engines load; see :class:`Epoch`."""
+    """A row of :meth:`Episode.table`; fields without comments are the same as in :class:`Epoch`."""
 
     dt: Number
     z: list[Number]

@@ -68,14 +68,14 @@ def keys_from(keys: Any, n: int) -> Keys:
 
 
 def option_of(options: Any, name: str) -> Any:
-    """Return the entry ``name`` of ``reset(options=...)``, a dict; None if it is missing."""
+    """Return the entry ``name`` of the dict in ``reset(options=...)``; None if it is missing."""
     if options is not None and not isinstance(options, dict):
         raise ValueError(f"options: found {options!r}, expected a dict or None")
     return (options or {}).get(name)
 
 
 class Stream:
-    """The position of one environment in its stream of keys, which its seed determines."""
+    """The position of one environment in its stream of keys; the seed determines the stream."""
 
     def __init__(self) -> None:
         self._state = np.zeros(2, np.uint64)  # stream, and number of keys drawn from it

@@ -33,12 +33,12 @@ class Traveler(NamedTuple):
     straight on). The second crossing is known, too: braking for it may begin before the first one.
     """
 
-    due: Number  # 1 if an event is due before the next substep: gait, crossing or phase
+    due: Number  # 1 if an event is due now: a new target speed, crossing or phase
     time: Number  # time since the episode began, s
     # x, y: position at which the way ahead begins, m
     x: Number
     y: Number
-    heading: Number  # heading before the arc, in quarter turns from east to the left: 0 to 3
+    heading: Number  # heading before the arc, in quarter turns counterclockwise from east: 0 to 3
     traveled: Number  # distance traveled on the way ahead, m
     # stretch, arc: lengths of the two parts of the way ahead, m
     stretch: Number
@@ -57,7 +57,7 @@ class Traveler(NamedTuple):
     phase: Number  # number of the phase, which ends at ``phase_end`` s
     phase_end: Number
     stopping: Number  # 1 while the traveler brakes to a standstill, before the next phase
-    # turn, red: quarter turns to the left and seconds of red light at the next crossing
+    # turn, red: at the next crossing, quarter turns to the left, and seconds of red light
     turn: Number
     red: Number
     # turn_after, red_after: the same at the second crossing

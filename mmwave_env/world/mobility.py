@@ -25,7 +25,7 @@ from mmwave_env.world.kinematics import FAR
 from mmwave_env.world.travel import PhasePlan, TravelPlan, blank_plan
 
 FASTEST_MPS = 100.0  # faster than any user in streets
-ROOM = 3  # minimum number of phases and gaits in a compiled program, enough for all shipped users
+ROOM = 3  # every program has room for at least 3 phases of 3 gaits, enough for all shipped users
 
 Speed = Annotated[float, Bound(f"0 to {FASTEST_MPS:g} m/s", least=0.0, most=FASTEST_MPS)]
 Duration = Annotated[float, Bound("a number >= 0.001", least=1e-3, most=inf)]
@@ -60,13 +60,13 @@ class Limits:
     """The limits of a traveler's motion; limits given as ranges are drawn once per episode.
 
     Attributes:
-        acceleration_mps2: range of the limit of acceleration.
-        braking_mps2: range of the limit of braking.
-        lateral_mps2: range of the limit of lateral acceleration, in corners.
+        acceleration_mps2: range from which the acceleration limit is drawn.
+        braking_mps2: range from which the braking limit is drawn.
+        lateral_mps2: range from which the limit of lateral acceleration, in corners, is drawn.
         jerk_mps3: limit of the rate at which the acceleration changes.
         corner_radius_m: radius of arcs at crossings; at most half the distance between crossings.
         red_light_probability: probability of a red light at a crossing.
-        red_light_s: range of the duration of a red light; each is drawn anew.
+        red_light_s: range from which the duration of each red light is drawn.
     """
 
     acceleration_mps2: Range
@@ -89,7 +89,7 @@ class Phase:
     Attributes:
         limits: limits of the motion.
         gaits: target speeds, one of which is chosen at a time.
-        duration_s: range of the phase's duration; by default it lasts until the episode ends.
+        duration_s: range of the duration; by default the phase lasts until the episode ends.
     """
 
     limits: Limits

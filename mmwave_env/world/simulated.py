@@ -53,9 +53,9 @@ class Begun(NamedTuple):
         kinds: (n,) index of the kind of user, or of the given way.
         worlds: (n, numbers) state of receiver and user before the first epoch; if a way is given,
             only the state of the receiver.
-        truth: (n, epochs, 6) true positions and velocities if a way is given, or (n, epochs, 0).
+        truth: (n, epochs, 6) true positions and velocities on given ways; else (n, epochs, 0).
         first: (n, 7) true states at the first epoch.
-        sites: (n, numbers) rows of :meth:`Episode.site`.
+        sites: (n, numbers) anchors, carrier and prior, each row as :meth:`Episode.site` returns it.
     """
 
     kinds: Index
@@ -74,7 +74,7 @@ class SimulatedSource:
     """A source of episodes of simulated users in a street scene.
 
     Attributes:
-        scene: geometry and carrier; or the random scene from which each episode draws its own.
+        scene: the scene of all episodes, or a random scene from which each episode draws its own.
         radio: radio profile, which determines noise, blockage and multipath.
         scenario: kind of user (a name, "mixed", a JSON file or a Mobility), or given ways (a CSV
             file, a Trajectory or Ways).
@@ -84,7 +84,7 @@ class SimulatedSource:
         odometry: whether the user also reports speed and heading.
         measurements: names of the quantities that the receiver measures, some of
             :data:`~mmwave_env.models.layout.MEASUREMENTS`; None for all.
-        clock: whether the user's clock has an unknown offset, which drifts.
+        clock: whether the user's clock has an unknown, drifting offset.
     """
 
     scene: Scene | RandomScene
@@ -216,7 +216,7 @@ class SimulatedSource:
         )
 
     def feed(self, worlds: Array) -> Feed:
-        """Return the feed that computes the epochs of ``worlds`` (n, numbers) from a ``Begun``."""
+        """Return a feed, which computes the epochs of n episodes, given their ``Begun.worlds``."""
         _, _, receiver, user = self.world.template  # fills unused lanes
         kept = blocks_of(np.array(flatten([receiver, user]), float), len(worlds))
         fill(kept, np.arange(kept.shape[1]), worlds)
@@ -237,7 +237,7 @@ class SimulatedSource:
 
     @property
     def travels(self) -> bool:
-        """Return whether users are simulated; otherwise a table contains their given ways."""
+        """Return whether users are simulated; otherwise they follow given ways from a table."""
         return bool(self._plans)
 
     def begin(self, keys: Keys) -> Begun:
@@ -301,14 +301,14 @@ class SimulatedSource:
 
     @property
     def _room(self) -> tuple[int, int]:
-        """Return the numbers of phases and gaits for which the plans have room."""
+        """Return for how many phases, and for how many gaits per phase, a plan has room."""
         phases = [plan.phases for plan in self._plans]
         return (len(phases[0]), len(phases[0][0].phase.gaits)) if phases else (1, 1)
 
     @property
     def _beginning(self) -> Program[Beginning]:
         streets = None
-        if isinstance(self.scene, RandomScene):  # one program for every carrier
+        if isinstance(self.scene, RandomScene):  # all carriers share one program
             same = RandomScene()
             streets = replace(
                 self.scene, carrier_hz=same.carrier_hz, bandwidth_hz=same.bandwidth_hz

@@ -42,13 +42,13 @@ class WorldSettings(NamedTuple):
     """The settings that are the same in all episodes of a source."""
 
     hz_per_mps: Number  # carrier frequency over the speed of light
-    channel: Channel  # radio and scene
+    channel: Channel  # constants of the channel, from radio and scene
     drift_hz: Number  # standard deviation of the oscillator's change from epoch to epoch
     step_s: Number  # length of a substep
     stride: Number  # number of substeps in an epoch
     offered: Vector = ()  # (rows,) 1 if the receiver measures the row; empty if it measures all
-    # (2,) half the step divided by ``hz_per_mps``, and standard deviation of the noise that the
-    # clock itself adds in a step, m; empty if the user's clock is synchronized
+    # (2,) half the time between epochs divided by ``hz_per_mps``, and standard deviation of the
+    # noise that the clock itself adds between epochs, m; empty if the user's clock is synchronized
     clock: Vector = ()
 
 
@@ -137,7 +137,7 @@ def measure(
 def _run_on(receiver: ReceiverState, bias_hz: Number, clock: Vector) -> Clock | tuple[()]:
     """Return the clock one epoch later, moved by noise and by the oscillator's bias.
 
-    The bias that counts is the mean of the biases at the beginning and the end of the step.
+    The bias that counts is the mean of the oscillator's biases in this epoch and in the next.
     """
     if not isinstance(receiver.clock, Clock):
         return ()
@@ -161,7 +161,7 @@ def _observe(w: WorldState, layout: Layout) -> WorldState:
 
 
 def _attend(w: WorldState) -> WorldState:
-    """Let the traveler react to an event (a new gait, crossing or phase), if one is due."""
+    """Let the traveler react to an event (new target speed, crossing or phase), if one is due."""
     user = w.user
     dice, due = Dice(user.dice), user.traveler.due > 0.5
     traveler = attend(dice, user.traveler, user.phases, user.net)
@@ -195,7 +195,8 @@ def blank_world(layout: Layout, phases: int, gaits: int) -> WorldState:
 class World:
     """The simulation of a user's epochs: each epoch is measured, then the user moves on.
 
-    ``phases`` and ``gaits`` are the maximum numbers of phases and of gaits in a phase.
+    ``phases`` is the maximum number of phases, and ``gaits`` the maximum number of gaits (target
+    speeds) in a phase.
     """
 
     def __init__(self, layout: Layout, phases: int, gaits: int) -> None:
@@ -315,9 +316,10 @@ class Beginning(NamedTuple):
 
 
 def begin(w: Beginning, streets: RandomScene | None) -> Beginning:
-    """Draw the beginning of an episode; keep the order of draws, so that keys keep their episodes.
+    """Draw the beginning of an episode.
 
-    Only random scenes need ``streets``.
+    If the order of the draws changed, every key would give another episode. Only random scenes need
+    ``streets``.
     """
     dice, others = Dice(seeded(w.key[0], USER)), Dice(seeded(w.key[0], RECEIVER))
     scene = streets.draw_numbers(dice) if streets else w.scene

@@ -1,6 +1,6 @@
-"""Trajectories of users; placed in a scene, they are the ways from which episodes are drawn.
+"""Trajectories of users, and *ways*: trajectories in a scene, from which episodes are drawn.
 
-This module also interprets the argument ``scenario=``: kinds of users, or such ways.
+This module also interprets the argument ``scenario=``: kinds of users, or ways.
 """
 
 import os
@@ -73,7 +73,7 @@ class Trajectory:
         speed = np.linalg.norm(moved, axis=1) / step
         most = f"at most {FASTEST_MPS:g} m/s"
         unit = f"{most}: is t in seconds, and are x, y in meters, not in degrees?"
-        self._require(speed <= FASTEST_MPS, speed, "m/s since the row before", unit)
+        self._require(speed <= FASTEST_MPS, speed, "speed since the row before", unit)
         if v is not None:
             fast = np.linalg.norm(v, axis=1)
             self._require(fast <= FASTEST_MPS, v, "vx, vy, vz", most)
@@ -152,7 +152,7 @@ class Ways:
         """Place the ways in a scene, for episodes of at most ``epochs`` epochs, ``dt`` s apart.
 
         Ways shorter than an episode are left out, with a warning; if all ways are shorter,
-        episodes are as long as the longest way. The positions are in the frame of the scene.
+        episodes are as long as the longest way. Ways must be in the frame of the scene.
 
         Raises:
             ValueError: a way does not fit the scene, see :meth:`Trajectory.way`.

@@ -2,7 +2,7 @@
 
 A traveler walks or drives along a net of streets, turns at crossings on circular arcs,
 waits at red lights, and follows gaits (target speeds that change now and then) within
-limits of acceleration, braking, lateral acceleration and jerk. A substep lasts about 0.1 s.
+limits of acceleration, braking, lateral acceleration and jerk, in substeps of about 0.1 s.
 
 This module draws the events of a traveler (a new gait, crossing or phase);
 :mod:`mmwave_env.world.kinematics` moves the traveler. Each SIMD lane holds one traveler.
@@ -57,7 +57,7 @@ class PhasePlan(NamedTuple):
     acceleration: list[Number]
     braking: list[Number]
     lateral: list[Number]
-    ends_early: Number  # 1 if the first phase is repeated afterwards, to the end of the episode
+    ends_early: Number  # 1 if this phase ends early enough to repeat the first phase after it
     phase: Phase  # the values that are not drawn
 
 

@@ -6,15 +6,15 @@ import re
 import numpy as np
 import pytest
 
-from mmwave_env.logs.tum import read_tum
 from tests.cli import command
 from tests.commands.localizing import RIDE, options
 from tests.localization.mistakes import MISTAKES, read_columns, write_columns
+from tests.logs.writing import read_tum
 
 
 @pytest.fixture(scope="module")
 def downlink(tmp_path_factory):
-    """Return a log of the ride with angles of arrival at the user, as in a downlink."""
+    """Return a copy of the ride's log with angles of arrival at the user, as in a downlink."""
     log = tmp_path_factory.mktemp("downlink") / "log.csv"
     mistake = MISTAKES["arrival is at the user, as in a downlink"]
     write_columns(log, mistake(read_columns(RIDE / "log.csv")))

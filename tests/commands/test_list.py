@@ -3,7 +3,7 @@
 import pytest
 
 from experiments.evaluation.contenders import contenders
-from mmwave_env.datasets.samples import log_names, sample_names
+from mmwave_env.datasets.samples import sample_folder, sample_names
 from mmwave_env.filters.bank import named_modes
 from mmwave_env.interface.reward import REWARDS
 from mmwave_env.models.radio import RADIOS
@@ -40,16 +40,18 @@ def test_an_unknown_kind_or_radio_is_refused():
     assert_one_clear_line(command("list", "modes", "--radio", "lab"), "radio: found 'lab'")
 
 
-def test_all_samples_or_one_can_be_copied(tmp_path):
-    said = succeed("list", "samples", "--out", tmp_path / "all")
-    logs, recordings = (tmp_path / "all" / kind for kind in ("logs", "recordings"))
-    assert [folder.name for folder in sorted(recordings.iterdir())] == list(sample_names())
-    assert [folder.name for folder in sorted(logs.iterdir())] == list(log_names())
-    count = sum(path.is_file() for path in (tmp_path / "all").rglob("*"))
-    assert said == f"copied to {tmp_path / 'all'}/: {count} files\n"
+def test_a_sample_can_be_copied(tmp_path):
+    folders = {"canyon28_pedestrian": "log", "canyon28_stop_and_go": "recording"}
+    for name, kind in folders.items():
+        said = succeed("list", "samples", "--copy", name, "--out", tmp_path / name)
+        files = list(sample_folder(name, kind).iterdir())
+        assert said == f"copied to {tmp_path / name}/: {len(files)} files\n"
+        for file in files:
+            assert (tmp_path / name / file.name).read_bytes() == file.read_bytes()
+
+
+def test_copying_a_sample_replaces_no_file(tmp_path):
     succeed("list", "samples", "--copy", "canyon28_pedestrian", "--out", tmp_path / "walk")
-    for file in (logs / "canyon28_pedestrian").iterdir():
-        assert (tmp_path / "walk" / file.name).read_bytes() == file.read_bytes()
     (tmp_path / "walk" / "log.csv").unlink()  # a second copy must not add it again
     done = command("list", "samples", "--copy", "canyon28_pedestrian", "--out", tmp_path / "walk")
     assert_one_clear_line(done, "scene.json: found a file, expected a folder without it")
@@ -57,7 +59,7 @@ def test_all_samples_or_one_can_be_copied(tmp_path):
 
 
 def test_copying_an_unknown_sample_or_naming_no_folder_is_refused(tmp_path):
-    for words in (["--out", tmp_path], ["samples", "--copy", "canyon28_vehicle"]):
+    for words in (["samples", "--out", tmp_path], ["samples", "--copy", "canyon28_vehicle"]):
         assert_one_clear_line(command("list", *words), "expected: list samples --copy NAME --out")
     done = command("list", "samples", "--copy", "canyon29", "--out", tmp_path / "new")
     assert_one_clear_line(done, "sample: found 'canyon29', expected one of canyon28_")

@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc localize``: how a speed chooses modes, and the figures it reports."""
+"""Tests of ``mmwave-loc localize``: how a speed chooses modes, and the reported figures."""
 
 import csv
 import json
@@ -10,9 +10,10 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from experiments.console.main import run
-from mmwave_env.logs.tum import read_tum, tum_lines
+from mmwave_env.logs.tum import tum_lines
 from tests.cli import command, succeed
 from tests.commands.localizing import EPOCHS, RIDE, WALK, figures, lines_of, options, refused
+from tests.logs.writing import read_tum
 
 # --- the speed (Algorithm 1)
 
@@ -153,7 +154,7 @@ def test_the_printed_figures_equal_those_in_the_json_file(capsys, tmp_path):
 def test_the_json_file_records_the_command_that_makes_the_figures_again(tmp_path):
     """Run the recorded command again; the record leaves out the options for output files."""
     file, again = tmp_path / "figures.json", tmp_path / "again.json"
-    words = ["--sample", RIDE.name, "--speed", "9", "--no-gating"]
+    words = ["--sample", RIDE.name, "--speed", "9", "--robust"]
     run("localize", [*words, "--json", str(file), "--out", str(tmp_path / "track.tum")])
     results = json.loads(file.read_text())
     program, name, *made = shlex.split(results["command"])
@@ -185,7 +186,7 @@ def test_epochs_before_the_first_line_of_sight_are_counted(capsys, tmp_path):
     assert results["skipped"] == 20 and results["epochs"] == 380 == results["truth"]["scored"]
 
 
-@pytest.mark.filterwarnings("ignore:Doppler")  # the slowed walk keeps the shifts of the fast one
+@pytest.mark.filterwarnings("ignore:Doppler")  # slowed times contradict the shifts
 def test_a_restart_or_an_end_at_a_long_gap_is_reported(capsys, tmp_path):
     """Use the walk at a tenth of its rate, without the epochs from 100 to 129 s.
 

@@ -12,19 +12,18 @@ from experiments.evaluation.contenders import imm_banks
 from mmwave_env.filters.bank import best_bank, default_modes
 from mmwave_env.localization.localizer import Switching, localize
 from mmwave_env.logs.log import read_log
-from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
 from tests.commands.localizing import EPOCHS, RIDE, WALK, figures, options, refused
+from tests.logs.writing import read_tum
 
 
 def test_the_track_equals_that_of_the_python_function(tmp_path):
     out = tmp_path / "track.tum"
-    more = ("--no-gating", "--no-adaptive", "--window", "50", "--radio", "high")
+    more = ("--window", "50", "--radio", "high")
     figures(RIDE, "--speed", "10", "--out", out, *more)
     scene = read_scene(RIDE / "scene.json")
     mode = default_modes("high")[1]
-    mode = type(mode)(**{**vars(mode), "gate": None, "adaptive": False})
     log = read_log(RIDE / "log.csv", scene, partial=True)
     blocks = localize(log, scene, RADIOS["high"], Switching((mode,)), window=50)
     x = np.concatenate([block.smooth_x for block in blocks])
@@ -34,13 +33,11 @@ def test_the_track_equals_that_of_the_python_function(tmp_path):
 @pytest.mark.slow
 def test_every_option_changes_the_track():
     tracks = {}
-    flags = ([], ["--no-gating"], ["--no-adaptive"], ["--no-smoothing"], ["--robust"])
+    flags = ([], ["--no-smoothing"], ["--robust"])
     for switch in (*flags, ["--window", "20"], ["--height", "1.5"], ["--radio", "handset"]):
         radio = () if "--radio" in switch else ("--radio", "standard")
         results = figures(WALK, "--speed", "1.4", *radio, *switch)
         tracks[" ".join(switch)] = json.dumps(results["truth"]["tracks"])
-        if switch == ["--no-gating"]:
-            assert results["groups"]["all"]["rejected"] == 0
         if switch == ["--robust"]:
             assert list(results["modes"]) == ["ekf-robust"]
         if switch == ["--height", "1.5"]:
@@ -48,6 +45,7 @@ def test_every_option_changes_the_track():
     assert len(set(tracks.values())) == len(tracks)
 
 
+@pytest.mark.slow  # compiles several programs
 def test_a_known_height_needs_no_other_option():
     known, estimated = figures(WALK, "--height", "1.5"), figures(WALK)
     assert known["truth"]["nees_expected"] == 2 and estimated["truth"]["nees_expected"] == 3
@@ -95,7 +93,7 @@ def test_an_imm_can_be_given_by_a_bank_file_or_by_its_name(tmp_path):
     bank = {"modes": modes, "transition": [[0.9, 0.1], [0.2, 0.8]], "nis_quantile": 0.99}
     file.write_text(json.dumps(bank))
     assert list(figures(RIDE, "--radio", "standard", "--imm", file)["modes"]) == ["calm", "wild"]
-    robust = figures(RIDE, "--radio", "standard", "--imm", file, "--robust", "--no-gating")
+    robust = figures(RIDE, "--radio", "standard", "--imm", file, "--robust")
     assert list(robust["modes"]) == ["calm-robust", "wild-robust"]
     assert robust["groups"]["all"]["rejected"] == 0
     for name in imm_banks("standard"):

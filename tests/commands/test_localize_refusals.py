@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mmwave_env.logs.tum import COLUMNS, read_tum, tum_lines
+from mmwave_env.logs.tum import COLUMNS, tum_lines
 from tests.cli import environment
 from tests.commands.localizing import (
     RIDE,
@@ -23,6 +23,7 @@ from tests.commands.localizing import (
     refused,
     with_line,
 )
+from tests.logs.writing import read_tum
 
 # A file that begins with this line is a track written by localize, so localize may replace it.
 OLD = f"# {' '.join(COLUMNS)}; mmwave-loc localize\n"
@@ -165,7 +166,7 @@ def test_a_truth_without_common_times_is_refused_with_both_time_spans(capsys, tm
     more = ("--speed", "1", "--truth", truth, "--out", out)
     shown, line = refused(capsys, options(WALK / "log.csv", *more))
     assert "found times from 1000.0 to 1002.5 s, expected some within 0.01 s" in line
-    assert "from 0.0 to 39.9 s; 400 epochs are written" in line
+    assert "(0.0 to 39.9 s)" in line and "; 400 epochs are written" in line
     assert len(read_tum(out).time_s) == 400 and "ATE" not in shown
 
 

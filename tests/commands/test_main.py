@@ -190,7 +190,7 @@ def test_an_interrupt_while_the_program_starts_ends_with_one_line(module):
 
 
 def test_defaults_of_options_equal_the_constants_of_the_library():
-    """Compare constants that are defined twice, because help must not import slow modules."""
+    """Compare constants with their copies in options; help must not import slow modules."""
     from experiments.evaluation import protocol
     from mmwave_env.filters.smoother import SMOOTHING_WINDOW
     from mmwave_env.interface.reward import TrackingReward

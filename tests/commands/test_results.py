@@ -25,6 +25,7 @@ def results(tmp_path_factory):
         return json.loads((folder / "r.json").read_text()), list(csv.DictReader(file))
 
 
+@pytest.mark.slow  # evaluates two policies
 def test_results_match_their_schema(results, tmp_path):
     validate = pytest.importorskip("jsonschema").validate
     validate(results[0], SCHEMA)

@@ -142,7 +142,7 @@ def test_an_edit_in_any_folder_makes_a_new_version(whole, monkeypatch, room):
     assert disk_cache._version() == before
 
 
-READ_ONLY = {  # environment variables, number of files kept
+READ_ONLY = {  # name -> environment variables, number of files that the cache then keeps
     "a home": ({}, 1),
     "a cache folder of one's own": ({"XDG_CACHE_HOME": "{tmp}/mine"}, 1),
     "no writable home": ({"HOME": "{tmp}/blocked"}, 0),
@@ -284,7 +284,7 @@ function._cache.save_overload(function.signatures[0], SimpleNamespace(
 
 @pytest.fixture
 def planted(package, tmp_path):
-    """Return a stored file, in a shared folder, that runs planted code when it is loaded."""
+    """Return a file, stored in a shared folder, that runs planted code when it is loaded."""
     shared = tmp_path / "shared"
     finished(started(package, PLANT, NUMBA_CACHE_DIR=str(shared)))
     (file,) = shared.glob("*/*")
@@ -292,7 +292,7 @@ def planted(package, tmp_path):
 
 
 def given_away(path):
-    """Give a path to another user; without the right to do so, return code that simulates it."""
+    """Make another user own a path or, without the right to do so, return code that fakes this."""
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         os.chown(path, 65534, 65534)
         return ""

@@ -51,7 +51,7 @@ NAN, INF = math.nan, math.inf
 
 @cache
 def compiled(function, arity):
-    """Compile a function of ``arity`` numbers; return a function that runs it on lane blocks."""
+    """Compile a function of ``arity`` numbers to run on lanes; the result takes blocks of lanes."""
 
     def build(rows):
         rows[arity] = function(*(rows[i] for i in range(arity)))
@@ -82,7 +82,7 @@ def close(actual, expected, rtol=1e-15, atol=0.0):
 
 
 def floats(low, high):
-    """Return a strategy for 64 floats, none subnormal, none -0 (where atan2 may differ in sign)."""
+    """Return a strategy for 64 floats: none subnormal, and no -0 (its atan2 may differ in sign)."""
     elements = st.floats(low, high, allow_subnormal=False).map(lambda a: a + 0.0)
     return hnp.arrays(float, 64, elements=elements)
 

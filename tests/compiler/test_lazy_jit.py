@@ -16,9 +16,9 @@ def function(x):
 
 @pytest.fixture
 def fresh(tmp_path, monkeypatch):
-    """Return a function that makes a LazyJit as in a new process; all share a folder on disk."""
+    """Return a function that makes a LazyJit as a new process would; all of them share a cache."""
     monkeypatch.setattr(disk_cache, "_folder", lambda: tmp_path)
-    return lambda: LazyJit(function, 5)  # plain for 5 units of work
+    return lambda: LazyJit(function, 5)  # runs as plain Python for 5 units of work
 
 
 def kinds(sparing, *works):
@@ -36,7 +36,7 @@ def test_a_function_is_compiled_at_once_for_much_work(fresh):
 
 
 def test_a_compiled_function_is_used_for_any_amount_of_work(fresh):
-    for ready in (fresh(), fresh()):  # the first in memory, the second on disk
+    for ready in (fresh(), fresh()):  # the first compiles, the second loads from disk
         ready.compiled(20)
         assert kinds(ready, 1) == ["compiled"]
     assert kinds(fresh(), 1) == ["compiled"]

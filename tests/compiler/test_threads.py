@@ -66,7 +66,7 @@ def test_an_error_in_another_thread_is_raised_and_later_jobs_run():
 
 
 def test_jobs_can_share_jobs_of_their_own_among_threads():
-    """Run more jobs than threads, where each job waits for its own jobs, without a deadlock."""
+    """Run more jobs than threads; each job waits for jobs of its own, but there is no deadlock."""
 
     def job(i):
         return share(lambda j: i + j, [(j,) for j in range(4)], 4)

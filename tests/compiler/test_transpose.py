@@ -82,15 +82,6 @@ def test_scatter_writes_the_rows_and_nothing_else(scatter, dtype, rows, seed):
     np.testing.assert_array_equal(room, expected)
 
 
-@pytest.mark.parametrize("pick", [tiles.pick, numba.njit(tiles.pick)])
-@settings(deadline=None)
-@given(rows=st.lists(st.integers(0, SIZE - 1), max_size=30), seed=st.integers(0, 99))
-def test_pick_copies_the_chosen_rows(pick, rows, seed):
-    block, out = some_block(seed), np.zeros((len(rows), WIDTH))
-    pick(block, np.array(rows, np.int64), out)
-    np.testing.assert_array_equal(out, block[rows])
-
-
 @pytest.mark.parametrize("address", [tiles.address, compiled_address])
 def test_address_returns_where_an_element_of_a_table_is(address):
     table = np.zeros((5, 4, 3))[1::2, 1:]

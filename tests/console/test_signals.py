@@ -1,4 +1,4 @@
-"""Tests that a command that is ended by a signal cleans up, as after Ctrl-C."""
+"""Tests that a command cleans up if a signal ends it, as after Ctrl-C."""
 
 import os
 import signal
@@ -62,7 +62,7 @@ def test_a_signal_removes_half_written_files(writing, tmp_path, sent):
     command = writing(preexec_fn=heeds)
     assert len(list(tmp_path.iterdir())) == 1
     command.send_signal(sent)
-    # A signal of ENDING may come twice: once to the process, once to its group.
+    # A signal of ENDING may be sent twice: to the process and to its process group.
     command.send_signal(sent if sent in ENDING else 0)
     out, err = command.communicate(timeout=30)
     assert command.returncode == 128 + sent and out == ""

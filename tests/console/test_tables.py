@@ -99,7 +99,7 @@ SPELLED = r"$x$|a\nb\x1b[31m[red]\u202e<script>"
 
 @pytest.fixture
 def screen(monkeypatch):
-    """Return what is shown on standard error, as on a terminal of 100 columns."""
+    """Return a buffer to which bars are drawn as to a terminal of 100 columns."""
     shown = io.StringIO()
 
     def console(**_):

@@ -62,7 +62,7 @@ def test_a_simulated_log_gives_the_simulated_episode(tmp_path, odometry):
     ranges[: true.layout.doppler : 4] = True
     z, expected = episode.measurement, true.measurement
     np.testing.assert_array_equal(z[at & ~ranges], expected[at & ~ranges])
-    # Ranges are divided by the speed of light for the log, and multiplied by it again.
+    # Writing a log divides ranges by the speed of light; reading multiplies them again.
     np.testing.assert_array_max_ulp(z[at & ranges], expected[at & ranges])
     np.testing.assert_array_max_ulp(episode.sigma[at], true.sigma[at], maxulp=4)
 
@@ -101,7 +101,7 @@ def test_a_wrong_clock_of_the_truth_is_reported_but_not_corrected(sample):
 
 
 def test_a_log_that_lacks_rows_and_states_its_noise_can_be_played_and_written_again(folder):
-    """Write a log with Doppler shifts in the rows of anchor 2; written again, it reads the same."""
+    """Write a log with Doppler shifts in anchor 2's rows, read it, write it again and compare."""
     lines = (folder / "log.csv").read_text().splitlines()
     rows = [dict(zip(lines[0].split(","), line.split(","), strict=True)) for line in lines[1:]]
     doppler = ""

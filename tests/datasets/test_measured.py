@@ -112,7 +112,7 @@ def test_a_receiver_that_states_its_noise_needs_no_snr():
     assert not episode.usable[:, 3].any() and episode.layout.partial
     seen = np.isfinite(episode.measurement[:, :2])
     np.testing.assert_array_equal(episode.sigma[:, :2][seen], np.tile([0.3, 0.02], (60, 1))[seen])
-    stated["range_sigma_m"][:, 0] = np.nan  # a range without noise and SNR counts as missing
+    stated["range_sigma_m"][:, 0] = np.nan  # a range with neither noise nor SNR counts as missing
     lost = MeasuredTrack.from_arrays(**some, **stated)
     np.testing.assert_array_equal(
         np.isfinite(lost.measurement[:, [0, 4]]), np.isfinite(own["range_m"][:, :2]) & [False, True]
@@ -167,7 +167,7 @@ def exchanged(a):
     return {f"ao{x}_azimuth_rad": a[f"ao{y}_azimuth_rad"] for x, y in ("ad", "da")}
 
 
-MISTAKES = {  # by name: the changed arrays, and the column that the warning names
+MISTAKES = {  # name -> function that changes arrays, column that the warning names
     "exchanged": (exchanged, "aod_azimuth_rad of anchor 1"),
     "degrees": (lambda a: {"aoa_azimuth_rad": np.degrees(a["aoa_azimuth_rad"])}, "aoa_azimuth_rad"),
     "zenith": (

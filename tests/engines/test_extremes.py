@@ -1,4 +1,4 @@
-"""Tests that beliefs are sound for inputs within the envelope (bounds); others are refused."""
+"""Tests that inputs within the envelope (bounds) give sound beliefs; other inputs are refused."""
 
 from collections.abc import Callable
 from contextlib import suppress

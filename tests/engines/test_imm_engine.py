@@ -1,16 +1,17 @@
 """Tests of the engine that runs an IMM over complete episodes."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.filters.bank import best_bank, default_modes
+from mmwave_env.engines.imm_engine import run_imm
+from mmwave_env.filters.bank import Bank, best_bank, default_modes
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import LogScore, TrackingReward, terms_of, total
-from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import blank_site
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
@@ -21,7 +22,8 @@ from tests.filters.tracks import STREET, simulated, unpacked
 from tests.refusals import refuses
 
 N, T = 11, 60
-TWO = Pipeline(default_modes(), STREET)
+MODES = default_modes()
+TWO = Pipeline(MODES, STREET)
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +34,7 @@ def episodes():
 @pytest.mark.parametrize("reward", [TrackingReward(), LogScore()])
 def test_rewards_errors_and_nees_follow_from_the_belief(reward, episodes):
     names = ("x", "P", "reward", "error", "nees")
-    parts = ImmEngine(TWO, reward).run(episodes, *names)
+    parts = run_imm(Bank(MODES), reward, episodes, *names)
     for e, t in ((0, 0), (3, 7), (N - 1, T - 1)):
         x, P, earned, error, nees = (parts[name][e, t] for name in names)
         truth, P = episodes[e].truth_position_m[t], unpacked(P)
@@ -44,37 +46,35 @@ def test_rewards_errors_and_nees_follow_from_the_belief(reward, episodes):
 
 
 def test_the_transition_determines_which_mode_is_likely(episodes):
-    share = [
-        ImmEngine(TWO, TrackingReward(), [[1.0 - to_last, to_last]] * 2)
-        .run(episodes, "mixture.probability")["mixture.probability"][..., 1]
-        .mean()
-        for to_last in (0.01, 0.5, 0.99)
-    ]
+    share, name = [], "mixture.probability"
+    for to_last in (0.01, 0.5, 0.99):
+        bank = Bank(MODES, [[1.0 - to_last, to_last]] * 2)
+        share.append(run_imm(bank, TrackingReward(), episodes, name)[name][..., 1].mean())
     assert share[0] + 0.2 < share[1] < share[2] - 0.2
 
 
 def test_an_episode_gives_the_same_results_alone_as_in_a_batch(episodes):
-    imm = ImmEngine(TWO, TrackingReward())
+    imm = partial(run_imm, Bank(MODES), TrackingReward())
     lengths = [T, 25, 1, T - 1]
     packed = EpisodeBatch.of(episodes[:4])
     cut = packed._replace(length=np.array(lengths))
-    together = imm.run(cut, "x", "nees")
+    together = imm(cut, "x", "nees")
     for e, length in enumerate(lengths):
-        alone = imm.run([episodes[e]], "x", "nees")
+        alone = imm([episodes[e]], "x", "nees")
         for name, values in alone.items():
             np.testing.assert_array_equal(together[name][e, :length], values[0, :length])
 
 
 def test_episodes_of_another_engine_are_scored_without_changing_that_engine(episodes):
-    imm = ImmEngine(TWO, TrackingReward())
+    imm = partial(run_imm, Bank(MODES), TrackingReward())
     engines = [Engine(TWO, N, TrackingReward()) for _ in range(2)]
     for engine in engines:
         engine.reset(episodes)
         for action in (0, 1, 1):
             engine.step(np.int64(action))
     places = np.array([1, 4, 10])
-    ours = imm.run(engines[0].batch.episodes(places), "reward")["reward"]
-    expected = imm.run([episodes[place] for place in places], "reward")["reward"]
+    ours = imm(engines[0].batch.episodes(places), "reward")["reward"]
+    expected = imm([episodes[place] for place in places], "reward")["reward"]
     np.testing.assert_array_equal(ours, expected)
     stepped = [engine.step(np.int64(0))[0] for engine in engines]
     np.testing.assert_array_equal(*stepped)
@@ -93,19 +93,13 @@ def test_episodes_of_another_engine_are_scored_without_changing_that_engine(epis
 )
 def test_an_invalid_transition_is_refused(transition):
     with refuses("transition"):
-        ImmEngine(TWO, TrackingReward(), transition)
+        Bank(MODES, transition)
 
 
 @pytest.mark.parametrize("quantile", [0.0, 1.5, float("nan")])
 def test_an_invalid_quantile_is_refused(quantile):
     with refuses("nis_quantile"):
-        ImmEngine(TWO, TrackingReward(), nis_quantile=quantile)
-
-
-def test_another_layout_is_refused(episodes):
-    imm = ImmEngine(Pipeline(default_modes(), Layout(1)), TrackingReward())
-    with refuses("layout of episode"):
-        imm.run(episodes, "x")
+        Bank(MODES, nis_quantile=quantile)
 
 
 @pytest.mark.slow
@@ -117,11 +111,9 @@ def test_a_track_that_starts_100_m_off_recovers(radio):
     direction = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, len(site))
     site[:, prior[0]] += 100.0 * np.cos(direction)
     site[:, prior[1]] += 100.0 * np.sin(direction)
-    imm = ImmEngine(
-        Pipeline(bank.modes, batch.layout), TrackingReward(), bank.transition, bank.nis_quantile
-    )
+    imm = partial(run_imm, bank, TrackingReward())
     good, bad = (
-        np.linalg.norm(imm.run(some, "error")["error"], axis=2)
+        np.linalg.norm(imm(some, "error")["error"], axis=2)
         for some in (batch, batch._replace(site=site))
     )
     assert (bad[:, 0] > 50.0).mean() > 0.5

@@ -1,9 +1,11 @@
 """Tests of the smoother for interacting modes, against the single-mode smoother and the truth."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
-from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.engines.mode_smoothing import smooth_modes
 from mmwave_env.engines.replay import smooth
 from mmwave_env.filters.bank import Bank, default_modes
@@ -21,8 +23,8 @@ def filtered(task, bank, n):
     """Return a batch of n episodes, the bank's pipeline, and the filtered tracks of its IMM."""
     batch = task.tables(np.arange(TUNING, TUNING + n).astype(np.uint64))
     pipeline = Pipeline(bank.modes, batch.layout, task.pipeline.planar)
-    engine = ImmEngine(pipeline, TrackingReward(), bank.transition, bank.nis_quantile)
-    return batch, pipeline, engine.run(batch, *PARTS)
+    engine = partial(run_imm, bank, TrackingReward(), planar=pipeline.planar)
+    return batch, pipeline, engine(batch, *PARTS)
 
 
 def smoothed(task, bank, n):

@@ -1,12 +1,13 @@
 """Tests of engines with a belief for every mode, where an action trusts one mode or none."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.engines.replay import Replay, smooth
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters import textbook
@@ -49,16 +50,14 @@ def played(bank, episodes, actions, names=("x", "P", "mode_probabilities"), **op
 def test_trusting_no_mode_equals_the_imm(radio, dt):
     bank, episodes = best_bank(radio), in_steps_of(dt, simulated(9, epochs=200))
     _, ours = played(bank, episodes, np.zeros((9, 200), int), ("x", "P", "reward", "nees"))
-    pipeline = Pipeline(bank.modes, STREET)
-    imm = ImmEngine(pipeline, TrackingReward(), bank.transition, bank.nis_quantile)
-    expected = imm.run(episodes, *ours)
+    expected = run_imm(bank, TrackingReward(), episodes, *ours)
     for name, values in ours.items():
         np.testing.assert_allclose(values, expected[name], rtol=1e-10, atol=1e-10, err_msg=name)
 
 
 @pytest.mark.parametrize("dt", [1.0, 0.25])
 def test_trust_raises_the_odds_of_a_mode_as_in_the_textbook(dt):
-    """Compare with the textbook's IMM; raise its probability of the trusted mode in every epoch."""
+    """Compare with a textbook IMM in which each epoch raises the trusted mode's probability."""
     episodes = in_steps_of(dt, simulated(4, epochs=30))
     actions = np.random.default_rng(1).integers(0, 3, (4, 30))
     _, ours = played(BANK, episodes, actions)
@@ -138,9 +137,9 @@ def test_the_prediction_of_a_mixture_is_the_mean_over_its_modes():
     With constant velocity, they are F x and F P F' plus the mean Q of the modes.
     """
     modes = tuple(replace(mode, spread_gain=0.0) for mode in BANK.modes)
-    imm = ImmEngine(Pipeline(modes, STREET), TrackingReward(), BANK.transition, 0.99)
+    imm = partial(run_imm, Bank(modes, BANK.transition, 0.99), TrackingReward())
     names = ("x", "P", "x_predicted", "P_predicted", "mixture.probability")
-    run = imm.run(simulated(3, epochs=20), *names)
+    run = imm(simulated(3, epochs=20), *names)
     F, P = textbook.F(1.0), unpacked(run["P"])
     moved = run["x"][:, :-1] @ F.T
     np.testing.assert_allclose(run["x_predicted"][:, 1:], moved, rtol=1e-9, atol=1e-9)

@@ -1,10 +1,12 @@
 """Tests of the smoother, against filterpy on a linear model and against numpy on our tracks."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
-from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.engines.replay import smooth
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters import textbook
@@ -89,12 +91,10 @@ def mixture(request):
         best_bank(),
     )
     episodes = [source.sample(np.random.default_rng(seed)) for seed in range(9)]
-    imm = ImmEngine(
-        Pipeline(bank.modes, source.layout), TrackingReward(), bank.transition, bank.nis_quantile
-    )
+    imm = partial(run_imm, bank, TrackingReward())
     names = ("x", "P", "x_predicted", "P_predicted")
     truth = np.stack([episode.truth_position_m for episode in episodes])
-    return request.param, truth, list(imm.run(episodes, *names).values())
+    return request.param, truth, list(imm(episodes, *names).values())
 
 
 def test_smoothing_a_mixture_equals_plain_numpy(mixture):
@@ -133,7 +133,7 @@ def test_uneven_epochs_are_smoothed_with_their_own_steps():
         x[None], packed(P)[None], x_predicted[None], packed(P_predicted)[None], steps
     )
     expected_x, _ = textbook.rts(x, P, P_predicted, time_s)
-    # Arbitrary covariances make the backward recursion grow, so errors are relative to its size.
+    # Arbitrary covariances make smoothed states grow, so the tolerance is relative to the largest.
     assert np.abs(found_x[0] - expected_x).max() <= TOLERANCE * np.abs(expected_x).max()
 
 

@@ -19,7 +19,7 @@ OWN = '''
 import numpy as np
 
 class Second:
-    """Always the second mode."""
+    """An agent that always chooses the second mode."""
 
     def __call__(self, observations):
         return np.ones(len(observations), int)

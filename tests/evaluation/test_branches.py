@@ -35,7 +35,7 @@ def begun(walked):
 
 
 def rest(walked, action):
-    """Return the sum (N,) of rewards after ``walked`` epochs: of ``action``, then of action 0."""
+    """Return sums (N,) of rewards after ``walked`` epochs if ``action`` is taken, then action 0."""
     engine, total = begun(walked), 0.0
     for taken in [action, *[np.int64(0)] * (EPOCHS - walked - 1)]:
         total += engine.step(taken, rows_of(engine.at.reward))[1][:, 0]
@@ -70,5 +70,5 @@ def test_the_clairvoyant_is_refused_where_there_is_no_truth():
     unknown = [replace(e, truth_position_m=None, truth_velocity_mps=None) for e in EPISODES]
     with refuses("policy"):
         run_contender(policy, policy.start(LAYOUT), unknown)
-    with refuses("policy"):  # foresee was not called, as when localizing a log
+    with refuses("policy"):  # localizing a log never calls foresee
         policy.start(LAYOUT)(begun(0).observations())

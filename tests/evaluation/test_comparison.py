@@ -67,7 +67,7 @@ def test_without_a_reference_all_contenders_are_compared_with_each_other():
 
 def test_paired_differences_are_taken_episode_by_episode():
     rng = np.random.default_rng(0)
-    hardness = rng.normal(0.0, 10.0, 40)  # shared by both, so it cancels
+    hardness = rng.normal(0.0, 10.0, 40)  # both contenders share it, so their difference lacks it
     table = scores(speed_rule=hardness, ppo=hardness - 1.0 + 0.01 * rng.normal(size=40))
     result = compare_scores(table, **WHAT)
     assert list(result.paired) == ["ppo - speed-rule"]

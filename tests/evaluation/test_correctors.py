@@ -1,4 +1,4 @@
-"""Tests of the evaluation of correctors: metrics are those of the corrected beliefs."""
+"""Tests that the scores of a corrector are the metrics of the corrected beliefs."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def episodes():
 @pytest.fixture(scope="module")
 def base():
     bank: Bank = PER_MODE["banks"]["handset"]
-    return Contender("imm", bank.modes, None, bank.transition, bank.nis_quantile)
+    return Contender("imm", bank, None)
 
 
 def contender_with(path, tensors):

@@ -36,7 +36,7 @@ def test_a_history_equals_what_an_environment_records(name, arguments):
     scoring = Scoring(TrackingReward(), arguments.get("planar", False))
     contender = contender_from(name, "handset")
     history = history_of(contender, EPISODE, scoring, STREETS)
-    modes = contender.bank or contender.modes
+    modes = contender.bank if contender.mixes else contender.modes
     env = gym.make("MmWaveLoc-v0", render_mode="rgb_array", modes=modes, **arguments).unwrapped
     env.reset(seed=SEED)
     for mode in history.modes[1:]:

@@ -32,8 +32,8 @@ def test_one_episode_gives_a_mean_and_no_interval():
 def test_intervals_agree_with_scipy_s_bootstrap(n):
     values = np.random.default_rng(0).exponential(2.0, (n, 2))
     ours = bootstrap(values)
-    # Standard error of a 2.5 % quantile estimated from R resamples; the unit is the standard error
-    # of the mean. In 10^5 tests, two estimates differ by more than 4.5 sqrt(2) of it once.
+    # A 2.5 % quantile from R resamples has the mean's standard error times this factor. Two such
+    # quantiles differ by more than 4.5 sqrt(2) of their standard errors in one of 10^5 tests.
     quantile_error = np.sqrt(0.025 * 0.975 / RESAMPLES) / norm.pdf(norm.ppf(0.025))
     for column, interval in zip(values.T, ours, strict=True):
         same = {"n_resamples": RESAMPLES, "method": "percentile", "rng": np.random.default_rng(0)}
@@ -160,6 +160,6 @@ def coverage(K, spread, trials=400, episodes=40):
 @pytest.mark.usefixtures("fewer_resamples")
 def test_intervals_contain_the_truth_in_about_95_percent_of_trials(K, spread):
     share = coverage(K, SPREADS[spread])
-    # Three standard errors of 400 trials are 0.033. Small samples lower the coverage a little; the
-    # interaction of seeds and episodes, which counts twice (Owen 2007), raises it a little.
+    # Over 400 trials, three standard errors of the share are 0.033. Small samples lower the share a
+    # little; the interaction of seeds and episodes counts twice (Owen 2007) and raises it a little.
     assert 0.91 < share < 0.99

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import gymnasium as gym
@@ -14,9 +15,8 @@ from experiments.evaluation import runner as evaluation
 from experiments.evaluation.contenders import Contender, contender_from, contenders
 from experiments.evaluation.runner import score, score_contenders
 from experiments.evaluation.seeds import Selection, draw_episodes
-from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.filters.bank import bank_as_written, best_bank, modes_from
-from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.engines.imm_engine import run_imm
+from mmwave_env.filters.bank import Bank, bank_as_written, best_bank, modes_from
 from mmwave_env.interface.observation import BELIEFS
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.metrics import BURN_IN, INFO_KEYS, METRICS
@@ -101,10 +101,8 @@ def test_the_best_imm_runs_with_its_tuned_transition_and_quantile():
     contender, episodes = contender_from("imm-best", "handset"), draw_episodes(SOURCE, range(3))
     tuned = best_bank("handset")
     assert contender.modes == tuned.modes
-    imm = ImmEngine(
-        Pipeline(tuned.modes, SOURCE.layout), TrackingReward(), tuned.transition, tuned.nis_quantile
-    )
-    expected = imm.run(episodes, "reward")["reward"][:, 10:].mean(axis=1)
+    imm = partial(run_imm, tuned, TrackingReward())
+    expected = imm(episodes, "reward")["reward"][:, 10:].mean(axis=1)
     np.testing.assert_array_equal(score(contender, None, episodes)["reward"], expected)
     plain = score(contender_from("imm", "handset"), None, episodes)["reward"]
     assert (np.abs(plain - expected) > 1e-3).all()
@@ -211,11 +209,11 @@ def test_trusting_no_mode_equals_the_imm_of_the_bank():
     own = Contender.own("none", none, "handset", HANDSET, beliefs="per-mode")
     assert own.bank == HANDSET and own.actions == ["none", "stand", "walk", "ride"]
     imm = contenders("handset", HANDSET)["imm"]()
-    assert imm.policy is None and imm.transition == HANDSET.transition
+    assert imm.policy is None and imm.bank == HANDSET
     scores, expected = score_contenders([own, imm], SOURCE, "handset", Selection(range(3))).values()
     for metric, values in expected.items():
         np.testing.assert_allclose(scores[metric], values, rtol=1e-9)
-    elsewhere = replace(imm, transition=None, nis_quantile=1.0)
+    elsewhere = replace(imm, bank=Bank(HANDSET.modes))
     other = score(elsewhere, None, draw_episodes(SOURCE, range(3)))
     assert (other["reward"] != expected["reward"]).all()
 
@@ -225,9 +223,8 @@ def test_the_imm_uses_the_transition_of_a_bank_or_bank_file_with_any_beliefs(tmp
     path.write_text(json.dumps(bank_as_written(HANDSET)))
     for modes in (HANDSET, path, str(path), (str(path),)):
         for beliefs in BELIEFS:
-            assert contender_from("imm", "handset", modes, beliefs=beliefs) == Contender(
-                "imm", HANDSET.modes, None, HANDSET.transition, HANDSET.nis_quantile
-            )
+            imm = contender_from("imm", "handset", modes, beliefs=beliefs)
+            assert imm == Contender("imm", HANDSET, None)
     assert contender_from("fixed-walk", "handset", path).modes == HANDSET.modes
 
 

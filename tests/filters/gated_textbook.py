@@ -1,4 +1,4 @@
-"""Textbook updates with this package's gates, and sensors for part of the state or some rows."""
+"""Textbook updates with this package's gates, and sensors that show part of a state or of z."""
 
 from dataclasses import dataclass
 from itertools import pairwise

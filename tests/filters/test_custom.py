@@ -53,7 +53,7 @@ REFUSED = {
 
 @pytest.fixture
 def written(tmp_path):
-    """Return a function that writes an algorithm with a given line of code to a file."""
+    """Return a function that writes an algorithm with a given line to a file and imports it."""
 
     def write(line):
         file = tmp_path / "filters.py"

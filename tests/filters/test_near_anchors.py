@@ -15,7 +15,7 @@ from tests.filters.tracks import OwnModel, assert_same_beliefs, pipeline_of, pro
 OURS = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 ANCHORS = np.array([[0.0, 0.0, 10.0], [80.0, 60.0, 12.0], [-50.0, 70.0, 15.0]])
 SILENT = {"vertical": [1, 3], "anchor": [1, 2, 3, 12]}  # rows that carry no information
-# Offset of the mean from the first anchor, m; key of SILENT, or None if every row has information.
+# Name -> offset (m) of the prior mean from the first anchor; key of SILENT (None: no silent row).
 OFFSETS = {
     "below": ((0.0, 0.0, -8.5), "vertical"),
     "above": ((0.0, 0.0, 20.0), "vertical"),
@@ -30,7 +30,7 @@ everywhere = pytest.mark.parametrize("where", OFFSETS)
 
 
 def near(where, odometry=False):
-    """Return an update whose prior mean has the offset ``where``; the user is about 2 m away."""
+    """Return an update whose prior mean has the offset ``where``, about 2 m from the truth."""
     sensor = textbook.Sensor(ANCHORS, HZ_PER_MPS, odometry)
     x = np.array([*(ANCHORS[0] + OFFSETS[where][0]), 3.0, -2.0, 0.1, 20.0])
     scale = np.array([3.0, 3.0, 1.0, 1.0, 1.0, 0.3, 50.0])

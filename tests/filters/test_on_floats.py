@@ -1,7 +1,7 @@
 """Tests of epochs on plain floats against the textbook: modes, memory, IMMs, smoothing, scores.
 
-Engines run the same functions compiled; here they run as plain Python, so that each test takes
-at most a second.
+Engines run the same functions compiled; these tests run them as plain Python, so that each test
+takes at most a second.
 """
 
 import numpy as np
@@ -290,14 +290,14 @@ def test_trust_multiplies_the_odds_of_a_mode_and_zero_trust_changes_nothing():
 # --- smoothing and scores
 
 
-def backward_pass(x, P, P_predicted, x_predicted, dt, known, step, with_covariance):
-    after, found = smoother.track_end(with_covariance), []
+def backward_pass(x, P, P_predicted, x_predicted, dt, known):
+    after, found = smoother.track_end(), []
     for t in reversed(range(len(x))):
         now = smoother.ForwardEpoch(
             dt[t], x[t].tolist(), pack(P[t].tolist()), x_predicted[t].tolist(),
             pack(P_predicted[t].tolist()),
         )  # fmt: skip
-        after = step(now, after, known)
+        after = smoother.smooth_epoch(now, after, known)
         found.insert(0, after)
     return found
 
@@ -319,15 +319,12 @@ def test_the_backward_pass_equals_the_textbook_smoother(known):
         x[t, free] = rng.normal(0.0, 10.0, len(free))
         x_predicted[t] = F @ x[t - 1] + np.isin(range(7), free)
     expected, covariance = textbook.rts(x, P, P_predicted, time_s, free, x_predicted)
-    given_all = x, P, P_predicted, x_predicted, dt, known
-    both = backward_pass(*given_all, smoother.smooth_epoch, True)
-    alone = backward_pass(*given_all, smoother.smooth_mean, False)
+    smoothed = backward_pass(x, P, P_predicted, x_predicted, dt, known)
     for t in range(T):
-        np.testing.assert_allclose(both[t].x, expected[t], rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(alone[t].x, expected[t], rtol=1e-9, atol=1e-9)
-        found = unpacked(np.array(both[t].P))
+        np.testing.assert_allclose(smoothed[t].x, expected[t], rtol=1e-9, atol=1e-9)
+        found = unpacked(np.array(smoothed[t].P))
         np.testing.assert_allclose(found, covariance[t], rtol=1e-8, atol=1e-8)
-        assert alone[t].P == [] and both[t].is_last == 0.0
+        assert smoothed[t].is_last == 0.0
 
 
 @pytest.mark.parametrize("axes", [(0, 1, 2), (0, 1)])

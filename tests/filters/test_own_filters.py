@@ -13,8 +13,9 @@ from scipy.stats import chi2
 
 from experiments.evaluation.runner import score_contenders
 from experiments.evaluation.seeds import Selection
-from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.custom import AlgorithmError
 from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.modes import Mode
@@ -83,8 +84,8 @@ def test_engine_tracker_and_imm_give_the_same_track_with_a_custom_filter(mine):
     tracker = Tracker(pipeline, 2)
     tracker.load(episodes)
     np.testing.assert_allclose(tracker.run("x")["x"], engine, rtol=1e-9, atol=1e-9)
-    imm = ImmEngine(pipeline, TrackingReward())
-    np.testing.assert_allclose(imm.run(episodes, "x")["x"], engine, rtol=1e-9, atol=1e-9)
+    imm = partial(run_imm, Bank((mine,)), TrackingReward())
+    np.testing.assert_allclose(imm(episodes, "x")["x"], engine, rtol=1e-9, atol=1e-9)
 
 
 def test_a_log_is_localized_with_a_custom_filter(iekf, tmp_path):

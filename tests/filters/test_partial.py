@@ -32,6 +32,7 @@ RUNS, EPOCHS, LEVEL = 600, 25, 0.01
 QUIET = {"gate": None, "adaptive": False, "sigma_v": 0.3}
 
 
+@pytest.mark.slow  # compiles eight programs
 @pytest.mark.parametrize("odometry", [False, True], ids=["radio", "odometry"])
 @pytest.mark.parametrize("tuning", [{}, {"robust": True, "blockage_aware": True}], ids=str)
 def test_a_partial_layout_without_missing_rows_equals_the_plain_layout(odometry, tuning):
@@ -81,7 +82,7 @@ def runs():
 
 
 def with_its_doppler(episode, model):
-    """Return the episode with every epoch's Doppler shift moved to its ``doppler_anchor``."""
+    """Return the episode with Doppler shifts of ``doppler_anchor`` instead of the first anchor."""
     sensor, row = model.sensor, episode.layout.doppler
     z = episode.measurement.copy()
     truth = [*episode.truth_position_m.T], [*episode.truth_velocity_mps.T]

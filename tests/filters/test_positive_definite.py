@@ -28,7 +28,7 @@ def pipeline():
 
 
 def smallest_eigenvalues(pipeline, episodes, actions):
-    """Return the smallest eigenvalues of all P and of all correlation matrices of a run."""
+    """Return the smallest eigenvalue of any P in a run, and that of any correlation matrix."""
     engine = Engine(pipeline, len(episodes), TrackingReward(), "prior")
     engine.reset(episodes)
     smallest, smallest_scaled = np.inf, np.inf

@@ -76,7 +76,7 @@ def test_an_update_with_any_scaled_sigma_points_equals_the_textbook(odometry, pa
 @pytest.mark.parametrize(
     ("algorithm", "moments"),
     [
-        # Sigma points of 7 states reach sqrt(7) deviations; so do those of 5 with kappa = 2.
+        # Sigma points of 7 states reach sqrt(7) deviations; so do those of 5 states with kappa = 2.
         ("ekf", textbook.tangent),
         ("ukf", textbook.unscented(1.0, 2.0, 2.0)),
         ("ckf", textbook.unscented(1.0, 0.0, 2.0)),
@@ -139,7 +139,7 @@ def test_values_of_a_missing_group_do_not_matter(algorithm, data):
 
 
 def link_to_the_east(azimuth_of_arrival, azimuth_of_departure):
-    """Return an update with an anchor 100 m to the east, where arrival azimuths are near +-pi."""
+    """Return an update with an anchor 100 m to the east; its azimuth of arrival is near +-pi."""
     sensor = textbook.Sensor(np.array([[100.0, 0.0, 10.0]]), HZ_PER_MPS)
     x = np.array([0.0, 0.0, 1.5, 3.0, -2.0, 0.1, 20.0])
     P = np.diag([4.0, 2.0, 0.5, 1.0, 1.0, 0.1, 900.0])

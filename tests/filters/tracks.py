@@ -1,15 +1,17 @@
 """Helpers that make episodes to filter, run engines on them and compare the tracks."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from operator import attrgetter
 from types import SimpleNamespace
 
 import numpy as np
 
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters import textbook
+from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
@@ -33,7 +35,7 @@ def geometry(position, velocity, scene, layout):
 
 
 def simulated(n, epochs=200, odometry=False, seed=0):
-    """Return episodes of the noisiest radio; omit more groups of rows and add gross outliers."""
+    """Return episodes of the noisiest radio that lack more rows than usual and have outliers."""
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=epochs, odometry=odometry)
     return [spoiled(source.sample(np.random.default_rng([seed, i])), i) for i in range(n)]
 
@@ -187,8 +189,9 @@ def track(pipeline, episodes, actions, epochs, parts, on_floats=False):
 def imm_track(pipeline, episodes, transition=None, nis_quantile=1.0):
     """Return x, P, probabilities and NEES of an IMM at every epoch, each (epochs, n, ...)."""
     names = {"x": "x", "P": "P", "nees": "nees", "probability": "mixture.probability"}
-    imm = ImmEngine(pipeline, TrackingReward(), transition, nis_quantile)
-    results = imm.run(episodes, *names.values())
+    bank = Bank(pipeline.modes, transition, nis_quantile)
+    imm = partial(run_imm, bank, TrackingReward(), planar=pipeline.planar)
+    results = imm(episodes, *names.values())
     return {name: results[part].swapaxes(0, 1) for name, part in names.items()}
 
 

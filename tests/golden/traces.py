@@ -18,9 +18,9 @@ from experiments.timing.operations import count
 from mmwave_env.datasets.samples import recording_from
 from mmwave_env.datasets.tracks import TrackSource
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.imm_engine import ImmEngine, imm_program
+from mmwave_env.engines.imm_engine import imm_program, run_imm
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.filters.bank import best_bank, default_modes, named_modes
+from mmwave_env.filters.bank import Bank, best_bank, default_modes, named_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
 from mmwave_env.interface.reward import TrackingReward
@@ -66,8 +66,8 @@ def smoother(log: str, mode: str) -> Iterator[Row]:
 def track_imm(log: str) -> Iterator[Row]:
     """Filter a log with the IMM of the default modes; yield rows of some epochs."""
     episode, modes = _episode(log), default_modes(RADIO)
-    engine = ImmEngine(Pipeline(modes, episode.layout), TrackingReward())
-    parts = engine.run([episode], "x", "P", "mixture.probability")
+    names = ("x", "P", "mixture.probability")
+    parts = run_imm(Bank(modes), TrackingReward(), [episode], *names)
     x, P, probability = (values[0] for values in parts.values())
     for k in _shown(x):
         yield _belief(k, x, P) | _parts("probability", probability[k])
@@ -145,9 +145,9 @@ def rollout(keys: Sequence[int | None], **arguments: Any) -> Iterator[Row]:
 
 
 def vector_rollout(keys: Sequence[int], later: Sequence[int], **arguments: Any) -> Iterator[Row]:
-    """Play an episode per key in parallel; after one that ends early, play its key in ``later``.
+    """Play ``keys[i]`` in environment i; if this episode ends early, then play ``later[i]``.
 
-    In between, autoreset begins a third episode, which is not part of the trace.
+    Between the two, autoreset begins another episode, which is not part of the trace.
     """
     n = len(keys)
     env = gym.make_vec(ID, num_envs=n, autoreset_mode="SameStep", **arguments)

@@ -256,7 +256,7 @@ def test_features_of_the_coming_epoch_are_what_the_chosen_mode_then_computes(rol
         mean_nis = info["nis"][visible].sum() / max(dof[visible].sum(), 1)
         close(coming("NIS"), limited("NIS", np.log1p(mean_nis)))
         assert coming("rejected") == info["rejected"][:3].sum()
-        if name == "ukf":  # only the last mode has features of the NIS of every group
+        if name == "ukf":  # only the last mode has an NIS feature for each group
             for g, group in enumerate(("anchor 1", "anchor 2", "anchor 3", "Doppler")):
                 part = f"NIS {group}"
                 close(coming(part), limited(part, np.log1p(info["nis"][g])))

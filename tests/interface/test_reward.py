@@ -1,7 +1,7 @@
 """Tests of rewards: shipped ones against SciPy, users' own, and those paired with an IMM."""
 
 import math
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import gymnasium as gym
@@ -14,8 +14,8 @@ from scipy.stats import multivariate_normal
 
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.filters.bank import default_modes
+from mmwave_env.engines.imm_engine import run_imm
+from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.modes import Mode
 from mmwave_env.interface.reward import (
@@ -237,10 +237,10 @@ ENDING = {"reward": "paired", "terminate_on_divergence": True} | DIVERGING
 def imm_rewards(seed, episodes, reward=REWARDS["tracking"], **task):
     """Return the IMM's rewards (episodes, epochs) in the first episodes of a seed."""
     source = task_from(**task)
-    imm = ImmEngine(replace(source.pipeline, modes=default_modes("handset")), reward)
+    imm = partial(run_imm, Bank(default_modes("handset")), reward)
     keys = keys_at(stream_of(seed), np.arange(episodes, dtype=np.uint64))
     drawn = source.tables(keys)
-    return imm.run(drawn, "reward")["reward"].astype(np.float32)
+    return imm(drawn, "reward")["reward"].astype(np.float32)
 
 
 @pytest.mark.parametrize(

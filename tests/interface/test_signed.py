@@ -1,4 +1,4 @@
-"""Tests that signed features (residuals seen from the user) equal formulas in any place."""
+"""Tests that signed features (residuals seen from the user) equal formulas wherever users are."""
 
 from dataclasses import replace
 

@@ -154,7 +154,7 @@ def full_disk(*_, **__):
 
 
 def test_the_error_about_a_full_disk_names_the_result(tmp_path, monkeypatch):
-    monkeypatch.setattr(Path, "write_text", full_disk)
+    monkeypatch.setattr(Path, "write_bytes", full_disk)
     with pytest.raises(OSError, match="a.json") as error:
         write_json(tmp_path / "a.json", {})
     assert error.value.filename == str(tmp_path / "a.json")

@@ -1,4 +1,4 @@
-"""Tests of calibrated protection levels: how often errors exceed them; levels of live tracks."""
+"""Tests of protection levels: how often errors exceed them, and levels of live tracks."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def parts(seed=0):
 
 
 def watched(levels, policies, source, radio, seeds):
-    """Return errors divided by levels (episodes, epochs, 2) by policy."""
+    """Return, for each policy, the ratios (episodes, epochs, 2) of errors to levels."""
     over = {}
 
     def keep(contender, time_s, results):
@@ -115,7 +115,7 @@ def test_gaussian_levels_are_those_that_covariances_promise():
 @pytest.mark.parametrize("place", ["street:handset", "o1:standard", "dynamic-doppler:high"])
 @pytest.mark.parametrize("risk", [0.01, 0.001])
 def test_errors_exceed_levels_at_most_as_often_as_stated(place, risk):
-    """Fail only if a share is above the risk at a confidence of 99.9 %, over 300 episodes."""
+    """Fail only if 300 episodes show with 99.9 % confidence that a share is above the risk."""
     scene, radio = place.split(":")
     source, seeds = task_from(scene=scene, radio=radio).source, range(FRESH, FRESH + 300)
     policies = ("guided", "corrector", "imm-best")

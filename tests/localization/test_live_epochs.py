@@ -26,7 +26,10 @@ SCENE, RADIO, EKF = read_scene(WALK / "scene.json"), RADIOS["standard"], named_m
 
 
 def walk(count=60, **changed):
-    """Return the walk's first epochs; a keyword computes its column from a row (None drops it)."""
+    """Return the walk's first epochs with changed columns.
+
+    Each keyword names a column; its value makes a cell from a row, or None drops the column.
+    """
     with (WALK / "log.csv").open() as file:
         rows = [
             {k: float(v) if v else None for k, v in row.items()} for row in csv.DictReader(file)
@@ -50,7 +53,7 @@ UNITS |= {"toa_s": None, "rtt_ns": of("toa_s", lambda t: 2e9 * t)}
 MOVES = {"speed_mps": lambda row: 1.2, "heading_deg": lambda row: 350.0}
 BODY = MOVES | {DEPARTURE: None, "aod_azimuth_body_rad": of(DEPARTURE, lambda a: a - 6.0)}
 SECOND = {"doppler_hz": lambda row: -20.0 if row["anchor"] == 2 else None}
-LOGGED = {  # by name: changed columns, the stated SNR, and whether epochs are loaded quickly
+LOGGED = {  # name -> changed columns, stated SNR, whether Tracker loads epochs the quick way
     "as it is": ({}, None, True),
     "other units": (UNITS, None, True),
     "own noise": ({"snr_db": None} | {k: lambda row, v=v: v for k, v in OWN.items()}, None, True),
@@ -124,5 +127,5 @@ def test_an_epoch_takes_little_work_and_no_lasting_memory():
     profile.runcall(lambda: [tracker.update(epoch) for epoch in epochs[200:250]])
     assert tracemalloc.get_traced_memory()[0] < before + 100_000
     tracemalloc.stop()
-    assert pstats.Stats(profile).total_calls < 600 * 50  # 600 calls per epoch; 10,000 take 1 ms
+    assert pstats.Stats(profile).total_calls < 600 * 50  # 50 epochs; 10,000 calls take 1 ms
     assert len(os.listdir("/dev/fd")) == files

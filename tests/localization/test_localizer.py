@@ -1,14 +1,14 @@
 """Tests of localizing a log: filters, smoothing, gaps, where tracks begin, and blocks."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.filters.bank import Bank, best_bank, default_modes
 from mmwave_env.filters.modes import robust
 from mmwave_env.filters.pipeline import Pipeline
@@ -31,7 +31,7 @@ from tests.refusals import refuses
 
 SCENE, RADIO = SCENES["street"], RADIOS["handset"]
 T = 230
-SHIFT = 3  # group of the Doppler shift
+SHIFT = 3  # index of the group with the Doppler shift
 EKF, UKF = default_modes()
 BANK = best_bank()
 
@@ -153,10 +153,8 @@ def test_a_track_on_flat_terrain_keeps_its_height(block, modes):
 def assert_imms(result, block, bank):
     """Assert that the IMM engine gives the same filtered track on the same epochs."""
     names = ("x", "P", "mixture")
-    imm = ImmEngine(
-        Pipeline(bank.modes, block.layout), TrackingReward(), bank.transition, bank.nis_quantile
-    )
-    expected = imm.run([episode_of(block)], *names, "mixture.probability", "memory.nis")
+    imm = partial(run_imm, bank, TrackingReward())
+    expected = imm([episode_of(block)], *names, "mixture.probability", "memory.nis")
     for name in names:
         np.testing.assert_allclose(
             result.filtered[:, 35:] if name == "mixture" else getattr(result, name),
@@ -206,6 +204,7 @@ def test_without_smoothing_the_track_is_the_filtered_track(block):
     np.testing.assert_array_equal(result.x, run([block]).x)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("modes", "rule"), [((EKF, UKF), by_predicted_speed), (BANK, None)], ids=["rule", "imm"]
 )
@@ -253,7 +252,7 @@ def test_the_track_before_a_damaged_line_is_returned_before_its_error(block, win
 UNGATED = replace(UKF, gate=None)
 
 
-@pytest.mark.parametrize(  # finite: number of finite states from the damaged epoch on
+@pytest.mark.parametrize(  # finite: 1 if the damaged epoch still has a finite state, else 0
     ("modes", "finite"),
     [((UNGATED,), 1), (Bank((UNGATED, replace(UNGATED, name="twin"))), 0)],
     ids=["one", "imm"],

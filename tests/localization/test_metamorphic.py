@@ -24,7 +24,7 @@ pytestmark = pytest.mark.slow  # half a minute in total
 
 RADIO = RADIOS["standard"]
 PIPELINES = {name: [mode] for name, mode in named_modes("standard").items()}
-ROTATABLE = ["ekf", "ekf-robust"]  # others have sigma points along the axes of the map
+ROTATABLE = ["ekf", "ekf-robust"]  # sigma points of other modes lie along the map's axes
 ROUNDING = 1e-6  # in standard deviations
 UNTURNED = np.eye(3)
 
@@ -81,7 +81,7 @@ def mirrored(signs, offset):
     return PIPELINES, np.diag(signs), (0.0, 0.0, 0.0), lambda azimuth: offset - azimuth
 
 
-MOVES = {  # pipelines, turn (3, 3), shift in m, function of azimuths
+MOVES = {  # name -> pipelines, turn (3, 3), shift in m, function that converts azimuths
     "elsewhere": (PIPELINES, UNTURNED, (812.5, -4_096.25, 37.0), lambda azimuth: azimuth),
     **{f"turned by {angle:.1f}": turned(angle) for angle in (0.5 * np.pi, np.pi, -2.0, 0.3)},
     "mirrored in x": mirrored([-1.0, 1.0, 1.0], np.pi),
@@ -131,7 +131,7 @@ UNITS = {  # old name -> new name and factor
 
 
 def test_units_orders_clock_and_division_of_a_log_into_parts_do_not_matter(street, tmp_path):
-    """Compare a log with its compressed parts, in other units, at later times, in another order."""
+    """Compare a log with three gzipped parts of it: in other units, reordered, at later times."""
     (columns, scene), modes = street, [replace(PIPELINES["ukf"][0], spread_gain=0.01)]
     plain = track_of(tmp_path, columns, scene, modes)
     order = np.lexsort((-columns["anchor"], columns["time_s"]))

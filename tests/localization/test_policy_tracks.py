@@ -43,7 +43,7 @@ def blocks(size):
 
 @pytest.fixture(scope="module")
 def rows():
-    """Return the rows of each epoch as dicts by column."""
+    """Return, for each of the first epochs of the walk, its rows of the log as dicts by column."""
     with (WALK / "log.csv").open() as file:
         table = [
             {k: float(v) if v else None for k, v in row.items()} for row in csv.DictReader(file)

@@ -1,4 +1,4 @@
-"""Tests that statistics of position errors equal NumPy's, in whatever pieces errors are added."""
+"""Tests that statistics of position errors equal NumPy's, however the errors are split."""
 
 import json
 
@@ -44,17 +44,6 @@ def test_statistics_of_errors_in_any_pieces_equal_those_of_numpy(error, cut):
     across, upwards = np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])
     assert_figures(figures["horizontal"], across, horizontal_level(P, 0.05))
     assert_figures(figures["vertical"], upwards, vertical_level(P, 0.05))
-
-
-def test_errors_that_are_kept_on_disk_give_the_same_statistics():
-    error, P = np.random.default_rng(1).normal(size=(150_000, 3)), covariances(1)
-    errors = PositionErrors()
-    for part in np.split(error, 30):
-        errors.add(part, np.broadcast_to(P, (len(part), 28)))
-    upwards = np.abs(error[:, 2])
-    np.testing.assert_array_equal(errors.kinds["vertical"].rows()[:, 0], upwards)
-    figures = errors.figures()["vertical"]["percentiles_m"]
-    assert [*figures.values()] == np.quantile(upwards, SHARES).tolist()
 
 
 @pytest.mark.parametrize("lost", [np.nan, np.inf])

@@ -70,7 +70,7 @@ def test_levels_of_many_covariances_equal_those_of_each_one():
 
 @pytest.mark.parametrize("risk", [0.3, 1e-2, 1e-3])
 def test_random_errors_exceed_levels_with_the_stated_probability(risk):
-    """Check horizontal and vertical counts against binomial intervals (99 % for both; seed 0)."""
+    """Check with binomial intervals (99 % for both together) how many errors exceed each level."""
     rng, n = np.random.default_rng(0), 200_000
     factor = rng.normal(size=(n, 3, 3)) * rng.lognormal(size=(n, 1, 1))
     P = packed(factor @ np.swapaxes(factor, 1, 2))

@@ -17,7 +17,7 @@ LINK_1, LINK_2, DOPPLER, ODOMETRY = range(4)
 
 
 def log(time_s, groups_seen, odometry=True):
-    """Return a log with two anchors; ``groups_seen`` lists the visible groups of each epoch."""
+    """Return a log with two anchors; ``groups_seen`` has, per epoch, the visible groups of rows."""
     layout, T = Layout(2, odometry), len(time_s)
     visible = np.zeros((T, len(layout.groups)), bool)
     for epoch, groups in enumerate(groups_seen):
@@ -50,7 +50,7 @@ def test_a_gap_in_time_ends_a_segment():
 def test_epochs_without_a_link_belong_to_a_segment_until_the_gap_is_too_long():
     block = log(range(30), [NOTHING] * 2 + [FIX] + [(DOPPLER,)] * 20 + [OTHER] * 3 + [FIX] * 4)
     assert pieces_of(block) == [
-        (list(range(2, 18)), 0, True, 2, 8),  # epoch 18 is more than 15 s after epoch 2
+        (list(range(2, 18)), 0, True, 2, 8),  # epoch 18 is more than 15 s after the link in epoch 2
         ([26, 27, 28, 29], 1, True, 2, 8),
     ]
 

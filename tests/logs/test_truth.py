@@ -10,9 +10,10 @@ from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.logs.clock import clock_offset
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.truth import BRIDGED_S, TOLERANCE_S, TrueEpochs, Truth
-from mmwave_env.logs.tum import read_tum, tum_lines
+from mmwave_env.logs.tum import tum_lines
 from mmwave_env.models.layout import LINK, Layout
 from mmwave_env.models.scene import SCENES, read_scene
+from tests.logs.writing import read_tum
 from tests.refusals import refuses
 
 
@@ -25,7 +26,7 @@ def truth_of(folder, time_s, position_m, monkeypatch, block_bytes=200):
 
 
 def expected(pose_s, position, time_s):
-    """Interpolate positions and velocities between gaps by SciPy's cubics and NumPy's gradients."""
+    """Return positions and velocities from SciPy's cubics with NumPy's gradients; NaN in gaps."""
     p, v = np.full((2, len(time_s), 3), np.nan)
     runs = np.split(np.arange(len(pose_s)), np.flatnonzero(np.diff(pose_s) > BRIDGED_S) + 1)
     for run in runs:
@@ -117,7 +118,7 @@ def exact_links(position_m, anchors_m):
 
 
 def log_of(time_s, position_m, rng, bias=0.0):
-    """Return a log of a receiver at given positions, with noise and a bias (in deviations)."""
+    """Return a noisy log of a receiver at given positions; ``bias`` is in standard deviations."""
     layout = Layout(3)
     sigma = np.tile([0.3, 0.01, 0.01, 0.02], 3)
     z = exact_links(position_m, STREET.anchors_m)

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from mmwave_env.logs.tum import read_tum, tum_blocks, tum_lines
+from mmwave_env.logs.tum import tum_blocks, tum_lines
+from tests.logs.writing import read_tum
 from tests.refusals import refuses
 
 POSES = "0.0 1 2 3 0 0 0 1\n0.1 1.5 2 3 0 0 0 1\n0.2 2 2 3 0 0 0 1\n"

@@ -31,7 +31,7 @@ def matrix(noise):
 
 
 def written_out(position, velocity, bias, dt, coupled):
-    """Return Q of independent random walks and of accelerations constant over the step."""
+    """Return Q (7, 7): position and bias are random walks; accelerations are constant in a step."""
     Q = np.diag([*(position * dt), 0.0, 0.0, 0.0, bias * dt])
     for i, q in enumerate(velocity * dt):
         effect = np.zeros(7)
@@ -94,7 +94,7 @@ def test_braking_ends_at_a_standstill(heading, speed, dt):
     v = speed * np.array([np.cos(heading), np.sin(heading)])
     moved = np.array(accelerate([0.0, 0.0, 1.5, *v, 0.1, 7.0], -100.0, dt))
     np.testing.assert_allclose(moved[3:5], 0.0, atol=1e-12)
-    np.testing.assert_allclose(moved[:2], -0.5 * dt * v, atol=1e-12)  # undoes half of the move dt v
+    np.testing.assert_allclose(moved[:2], -0.5 * dt * v, atol=1e-12)  # takes back half of dt v
     np.testing.assert_array_equal(moved[[2, 5, 6]], [1.5, 0.1, 7.0])
 
 

@@ -33,7 +33,7 @@ def channel(radio, epochs, users, distance_m=100.0, speed_mps=0.0, dt=1.0, seed=
     """Simulate independent channels of users at constant distance and speed.
 
     Returns snr_db, detected and range_bias_m (epochs, users, links) or, for one link, (epochs,
-    users); angle_bias_rad with a last axis of 3; doppler_spread_hz (epochs, users).
+    users); angle_bias_rad of the first link (epochs, users, 3); doppler_spread_hz (epochs, users).
     """
     rng = np.random.default_rng(seed)
     layout = Layout(links)
@@ -91,7 +91,7 @@ def assert_variance(values, variance):
 
 
 def changes(on):
-    """Return whether each epoch with ``on`` is followed by one without, and the reverse."""
+    """Return where True in ``on`` is followed by False, and where False is followed by True."""
     before, after = on[:-1], on[1:]
     return ~after[before], after[~before]
 
@@ -116,7 +116,7 @@ def test_blockage_reduces_the_snr_by_25_db():
     np.testing.assert_allclose(loss, np.where(blocked, 25.0, 0.0), atol=1e-9)
 
 
-PROFILES = {  # elements per side (gNB, UE); floors: two ranges, m, three angles, deg, Doppler, m/s
+PROFILES = {  # elements (gNB, UE); floors of 2 ranges (m), 3 angles (deg) and Doppler (m/s)
     "handset": (4, 2, 0.5, 0.8, 3.0, 2.0, 2.0, 0.1),
     "standard": (8, 4, 0.2, 0.4, 1.0, 0.7, 0.5, 0.1),
     "high": (16, 8, 0.1, 0.2, 0.5, 0.4, 0.25, 0.05),
@@ -246,7 +246,7 @@ def test_an_outage_affects_every_link():
     assert_share(ends, 1.0 - np.exp(-1.0 / 3.0))
 
 
-BIASES = {  # radio; least range bias, mean of its excess over this (m); deviation of angles (deg)
+BIASES = {  # radio; least range bias and mean excess over it (m); deviation of angle biases (deg)
     "blockage": (replace(CLEAR, blockage_scale=0.5), 0.0, 3.0, 3.0),
     "multipath": (replace(CLEAR, multipath_rate_hz=0.008), 1.0, 4.0, 5.0),
 }

@@ -18,7 +18,7 @@ def number(key):
 
 
 def theirs(key, stream):
-    """Return NumPy's generator in the state that a key gives it, before the warm-up."""
+    """Return NumPy's generator in a key's initial state; our generator drops the first 18 words."""
     bits = np.random.SFC64(0)
     state = bits.state
     state["state"]["state"] = np.array([key, key, stream, 1], np.uint64)
@@ -143,7 +143,7 @@ def test_consecutive_numbers_and_keys_are_not_correlated(many):
 
 @pytest.mark.slow
 def test_keys_that_differ_in_one_bit_and_the_two_streams_are_not_correlated():
-    """Use a bound at 99.9 % for all pairs together."""
+    """Bound the correlations with 99.9 % confidence for all pairs together."""
     base = np.uint64(0x0123456789ABCDEF)
     keys = np.append(base, base ^ _BITS)
     first, *others = stats.norm.ppf(drawn(keys, 2500)[0])

@@ -35,7 +35,7 @@ KINDS = {"plain": {}, "linear": {"hidden": ()}, "narrow": {"hidden": (7,)}}
 
 @pytest.fixture
 def make(tmp_path):
-    """Return a function that makes the policy and the tensors of a kind of actor."""
+    """Return a function that makes an actor of one of the KINDS: its policy and its tensors."""
 
     def policy_and_tensors(kind, **changes):
         tensors = actor(**KINDS[kind] | changes)

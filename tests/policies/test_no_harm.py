@@ -18,7 +18,7 @@ from mmwave_env.world.simulated import SimulatedSource
 pytestmark = pytest.mark.slow
 
 N, SEED = 100, 5_400_000
-MOST_HARM = 0.02  # reward per epoch
+MOST_HARM = 0.02  # reward per epoch that the corrector may lose against its base
 FACTORS = (1.0, 4.0, 8.0, 16.0)  # by which the stated noise is wrong
 
 

@@ -64,19 +64,6 @@ def test_the_threshold_of_the_paper_is_the_default(table):
     np.testing.assert_array_equal(actions, [0, 1])
 
 
-def test_the_speed_rule_may_use_odometry(table):
-    observation = observe(table, predicted_speed=[1.0, 5.0], odometry_speed=[5.0, 1.0])
-    np.testing.assert_array_equal(SpeedRule(table)(observation), [0, 1])
-    by_odometry = SpeedRule(table, feature="odometry speed")
-    np.testing.assert_array_equal(by_odometry(observation), [1, 0])
-
-
-def test_the_speed_rule_by_odometry_needs_an_observation_with_odometry():
-    plain = Observation(Pipeline(modes_from(None), Layout()))
-    with pytest.raises(KeyError, match="odometry speed"):
-        SpeedRule(plain, feature="odometry speed")(np.zeros((1, len(plain)), np.float32))
-
-
 def test_above_the_design_window_the_rule_warns_once_and_keeps_its_mode(table):
     rule = SpeedRule(table)
     fast = observe(table, predicted_speed=[1.0, 20.5, 35.0])
@@ -91,12 +78,11 @@ def test_above_the_design_window_the_rule_warns_once_and_keeps_its_mode(table):
         np.testing.assert_array_equal(rule(fast), [0, 1, 1])
 
 
-@pytest.mark.parametrize("pace", ["fast", "slow"])
-def test_the_likelihood_rule_chooses_the_mode_with_the_highest_preference(table, pace):
+def test_the_likelihood_rule_chooses_the_mode_with_the_highest_preference(table):
     # Preferences are relative to the last mode (ckf), whose own preference is 0.
     scores = np.random.default_rng(0).normal(0.0, 5.0, (100, 2))
-    features = {f"preference_{pace}_ekf": scores[:, 0], f"preference_{pace}_ukf": scores[:, 1]}
-    actions = LikelihoodRule(table, list(THREE), pace)(observe(table, **features))
+    features = {"preference_fast_ekf": scores[:, 0], "preference_fast_ukf": scores[:, 1]}
+    actions = LikelihoodRule(table, list(THREE))(observe(table, **features))
     expected = np.column_stack([scores, np.zeros(100)]).argmax(axis=1)
     np.testing.assert_array_equal(actions, expected)
     assert set(actions) == {0, 1, 2}
@@ -138,7 +124,7 @@ def test_speed_rules_of_tracks_switch_at_the_threshold_of_the_paper(speed, mode)
 @pytest.mark.filterwarnings("ignore:speed .* is outside the design window")
 @pytest.mark.parametrize("radio", RADIOS)
 def test_no_threshold_of_the_speed_rule_beats_zero(radio):
-    """Use tuning seeds; a rule with a threshold of zero acts like fixed-ukf (docs/results.md)."""
+    """Use tuning seeds; a rule with a threshold of zero acts like `fixed-ukf` (docs/results.md)."""
     source = SimulatedSource(scene_from("street"), radio_from(radio))
     episodes = draw_episodes(source, range(TUNING_SEED, TUNING_SEED + 500))
     rule = contender_from("speed-rule", radio)

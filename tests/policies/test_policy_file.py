@@ -68,7 +68,7 @@ def refused(path, content, *fields):
 
 
 def assembled(tensors=TENSORS, card=None, **document):
-    """Return an unchecked file with a correct checksum; ``document`` replaces its entries."""
+    """Return an unchecked file with a correct checksum; ``document`` replaces metadata in it."""
     card = CARD.as_json() if card is None else card
     whole = {"format": FORMAT, "sha256": _checksum(tensors, card), "card": card} | document
     return save(tensors, {"policy": json.dumps(whole)})
@@ -293,7 +293,7 @@ def test_a_card_with_a_wrong_field_is_neither_read_nor_made(path, field, value):
 )
 def test_a_feature_without_a_valid_name_unit_and_scale_is_refused(path, row):
     content = CARD.as_json()
-    for features in ([*content["features"][:2], row], content["features"][:2]):  # or too few
+    for features in ([*content["features"][:2], row], content["features"][:2]):  # wrong, or missing
         refused(path, assembled(card=content | {"features": features}), "features")
 
 

@@ -1,4 +1,4 @@
-"""Tests of mmwave-loc report: what is on the page, and what is refused."""
+"""Tests of `mmwave-loc report`: what is on the page, and what is refused."""
 
 import json
 import re
@@ -20,7 +20,7 @@ NONE = ("--episodes", 0)  # options with which no episode is played again
 
 @pytest.fixture(scope="module")
 def track(tmp_path_factory):
-    """Return results of localize."""
+    """Return results of `localize`."""
     file = tmp_path_factory.mktemp("track") / "t.json"
     succeed("localize", "--sample", "canyon28_vehicle", "--imm", "imm", "--json", file)
     return json.loads(file.read_text())

@@ -1,4 +1,4 @@
-"""Tests of rival trackers: particles, Student-t and adaptive noise, estimators as contenders."""
+"""Tests of rival trackers: particles, Student-t or adaptive noise, and estimators as contenders."""
 
 from dataclasses import replace
 
@@ -57,7 +57,7 @@ def priors_and_measurements():
 
 
 def test_particles_agree_with_the_ekf_where_all_is_nearly_linear():
-    """Use so much noise that thousands of particles keep some weight and err by a few percent."""
+    """Use large noise, so that thousands of particles keep weight and err by only a few percent."""
     good = replace(SOURCE, radio=RADIOS["standard"])
     some = [replace(episode, sigma=4.0 * episode.sigma) for episode in episodes(4, good)]
     cloud, kalman = (

@@ -1,4 +1,4 @@
-"""Tests of the parts of mmwave-loc speed; tests/commands/test_speed.py runs the command."""
+"""Tests of the parts of `mmwave-loc speed`; tests/commands/test_speed.py runs the command."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def test_operations_whose_result_is_not_used_are_not_counted():
 def test_a_timed_mix_has_the_proportions_of_the_operations():
     order = interleaved(Operations(fused=20, add=10, select=20))
     shares = [order.count(kind) / LENGTH for kind in ("fused", "add", "select")]
-    assert shares == [0.5, 0.25, 0.25] and len(order) == LENGTH  # a timed step has two selects
+    assert shares == [0.5, 0.25, 0.25] and len(order) == LENGTH  # a timed select is two operations
 
 
 def test_more_operations_have_a_longer_time_limit():

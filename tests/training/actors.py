@@ -22,7 +22,7 @@ PER_MODE_TABLE = Observation(Pipeline(MODES, Layout()), "full", "per-mode")
 
 
 def card_of(table=TABLE, **changes):
-    """Return a card as a trainer writes it for a table of features."""
+    """Return the card (metadata of a policy file) that a trainer writes for a table of features."""
     card = Card(
         *(table.modes, table.kind, table.columns, "mixed", "handset", "PPO", 10_000_000, 1000),
         *("mmwave-loc train", {"reward": -1.75}, {"mmwave-loc": "0.1.0"}),

@@ -130,7 +130,7 @@ def test_a_checkpoint_with_other_content_is_refused(tmp_path, state, named):
 
 
 def test_a_checkpoint_of_another_network_is_refused(tmp_path):
-    """Use a checkpoint of correct form and checksum that does not fit this training."""
+    """Use a checkpoint whose form and checksum are correct, but which fits another training."""
     path = tmp_path / "checkpoint.pt"
     write_checkpoint(path, BEGIN | {"learner": {"timesteps": 3}, "env": {}})
     with refuses("checkpoint.pt", "updates"):

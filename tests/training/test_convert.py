@@ -153,7 +153,7 @@ class Malicious:
 
 
 def with_a_trap(file, trap):
-    """Add to a model an object that runs code when it is loaded."""
+    """Add to the file of a model an object that runs code when the file is loaded."""
     with zipfile.ZipFile(file) as archive:
         content = {name: archive.read(name) for name in archive.namelist()}
     data = json.loads(content["data"])
@@ -225,4 +225,4 @@ def test_a_policy_that_computes_more_than_its_layers_is_refused(tmp_path, modes,
 
     monkeypatch.setattr(unzip, "actor_tensors", turned)
     done = command("convert", file, tmp_path / "policy.safetensors", "--modes", modes)
-    assert_one_clear_line(done, r"its layers alone give its action for \d+ of 1000 observations")
+    assert_one_clear_line(done, r"alone choose the same action as the model for \d+ of 1000 obs")

@@ -1,4 +1,4 @@
-"""Tests of training correctors: lots (batches) of episodes, interruptions, files, and learning."""
+"""Tests of the training of correctors: lots (batches) of episodes, interruptions, learning."""
 
 from dataclasses import replace
 
@@ -82,6 +82,7 @@ def test_no_episode_is_played_twice():
     assert len(shapes) == 2 or (first.error != second.error).all()
 
 
+@pytest.mark.slow
 def test_an_interrupted_training_continues_to_the_same_result(tmp_path):
     whole, job = job_of(tmp_path / "whole"), job_of(tmp_path / "part")
     CorrectorTraining(whole, silent).run()

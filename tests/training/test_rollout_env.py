@@ -52,7 +52,7 @@ def walked(env, epochs=WALKED, seed=0):
 
 
 def by_hand(place, seed, first_episode, actions, first, act, beliefs):
-    """Replay ``actions``, then try ``first``; return the discounted sum of the rewards since."""
+    """Replay ``actions``, then try ``first``; return the discounted sum of rewards from there."""
     bank = BANKS[place.radio]
     modes = bank if beliefs == "per-mode" else bank.modes
     at = {"scene": place.scene, "radio": place.radio, "dt": place.dt}
@@ -178,7 +178,7 @@ def assert_same_ends(infos, expected):
 
 @pytest.mark.slow
 def test_several_places_together_equal_each_place_alone():
-    """Number seeds across places, and let the episodes of the second place end earlier."""
+    """Let the second place continue the seeds of the first, and let its episodes end earlier."""
     together = PlacesVecEnv(TASK, PAIRED)
     first, second = alone(PLACES[0], 3), alone(PLACES[1], 2)
     together.seed(10_000_000)

@@ -127,9 +127,10 @@ def learner(hyper=LEARNING, seed=0):
 
 
 def states(n, seed, turned=False):
-    """Return states; action 1 is best if feature 0 is above its mean, else 2 (``turned``: reverse).
+    """Return states and their best actions: 1 if feature 0 is above its mean, else 2.
 
-    In a state, all actions earn the same large random sum; the best one earns a little more.
+    ``turned`` swaps the two actions. In a state, all actions earn the same large random sum; the
+    best one earns a little more.
     """
     rng = np.random.default_rng(seed)
     x = rng.normal(size=(n, FEATURES))

@@ -1,4 +1,4 @@
-"""Tests of the search for the best bank: how a vector of numbers becomes a bank; what is found."""
+"""Tests of the search for the best bank: how numbers become a bank, and which bank is found."""
 
 from dataclasses import fields
 

@@ -1,4 +1,4 @@
-"""Tests of training policies: hyperparameters, evaluations, options and folders of runs."""
+"""Tests of the training of policies: hyperparameters, evaluations, options, folders of runs."""
 
 import json
 import math
@@ -95,7 +95,7 @@ def test_the_exported_actor_chooses_the_actions_of_the_trained_one(tmp_path):
 
 
 def test_a_training_reports_its_periodic_evaluations(tmp_path):
-    """Check the best evaluation, too. (A search needs all evaluations to stop trials early.)"""
+    """Check the best evaluation, too. (A search uses all evaluations to stop trials early.)"""
     heard = []
     outcome = train(job_of(tmp_path), heard.append)
     rewards = {news.timesteps: news.evaluation["reward"] for news in heard if news.evaluation}
@@ -163,7 +163,7 @@ def written(path, change):
 
 
 def refused(*words):
-    """Run train with options that it must refuse; return its last line."""
+    """Run `train` with options that it must refuse; return its last line."""
     done = command("train", *words)
     line = done.stderr.splitlines()[-1]
     assert done.returncode == 2 and done.stdout == "" and line.startswith("mmwave-loc train: ")
@@ -281,7 +281,7 @@ PLACES = ("street:handset", "o1:standard:0.5")
 
 @pytest.mark.slow
 def test_a_policy_trained_at_two_places_with_beliefs_per_mode_plays_at_a_third(tmp_path):
-    """Run the commands train and then evaluate."""
+    """Run the command `train`, then the command `evaluate`."""
     short = ("--seeds", 1, "--total-timesteps", 1, "--out", tmp_path / "run")
     shown = succeed("train", "--beliefs", "per-mode", "--places", *PLACES, *short)
     assert "| minus imm-best |" in shown

@@ -62,7 +62,7 @@ def train(job):
 
 
 def forked(job):
-    """Start a forked process that trains with the functions compiled in this one."""
+    """Start a forked process that trains with the functions compiled in this process."""
     process = multiprocessing.get_context("fork").Process(target=train, args=(job,))
     process.start()
     return process
@@ -187,7 +187,7 @@ def test_a_damaged_checkpoint_ends_all_trainings(tmp_path):
 
 @pytest.fixture
 def started():
-    """Return a function that starts train in a process group, which is killed after the test."""
+    """Return a function that starts `train` in a process group, which is killed after the test."""
     commands = []
     # Commands that a shell runs in the background ignore Ctrl-C, and so do their children.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)

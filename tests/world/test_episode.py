@@ -190,7 +190,7 @@ def test_nan_is_refused_in_fields_that_must_be_complete(episode, field):
         replace(episode, **{field: damaged})
 
 
-# --- packed for the engine
+# --- packed for the engine: a table with a row per epoch, and a site with all that is constant
 
 
 @pytest.mark.parametrize("odometry", [False, True])

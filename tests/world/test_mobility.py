@@ -31,13 +31,13 @@ STEP_S, STEPS, SEEDS = 0.1, 2000, 40
 
 
 class Bounds(NamedTuple):
-    """Bounds for a kind of user, from the project's model, in m/s, m/s^2, m/s^2, m/s^3 and m."""
+    """Bounds for a kind of user, from the project's model of mobility."""
 
-    speed: float
-    acceleration: float
-    braking: float
-    jerk: float
-    radius: float
+    speed: float  # most, m/s
+    acceleration: float  # most, m/s^2
+    braking: float  # most, m/s^2
+    jerk: float  # most, m/s^3
+    radius: float  # of corners, m
 
 
 DRIVING = Bounds(20.0, 3.0, 3.5, 4.0, 8.0)
@@ -55,7 +55,7 @@ every_scene = pytest.mark.parametrize("scene", representative(SCENES, "street"))
 
 
 class Users(NamedTuple):
-    """Tracks of many users of one kind: vectors (SEEDS, STEPS, 2), others (SEEDS, STEPS)."""
+    """Tracks of many users of one kind: vectors (SEEDS, STEPS, 2) and numbers (SEEDS, STEPS)."""
 
     position: np.ndarray
     velocity: np.ndarray

@@ -35,8 +35,8 @@ SOURCES = {
     ),
 }
 KEYS = np.random.default_rng(0).integers(0, 2**64, 20, np.uint64)
-# For two in a thousand keys, the two simulations give different trajectories: they round sums
-# differently, so that an event, such as the end of a gait, is a substep later in one of them.
+# For two in a thousand keys (none of these), trajectories of the two simulations differ: they round
+# sums differently, so that an event, such as the end of a gait, is a substep later in one of them.
 
 
 class PlainDice:

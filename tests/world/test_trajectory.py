@@ -81,7 +81,7 @@ def test_constant_acceleration_is_resampled_exactly(dt, steps, a, v):
         (changed(3, 0, "nan"), "line 5, column t"),
         (changed(1, 1, ""), "line 3, column x"),
         (changed(4, 0, 20.0), "line 6: t"),
-        (changed(1, 1, 900.0), "line 3: m/s since the row before"),
+        (changed(1, 1, 900.0), "line 3: speed since the row before"),
         (straight(4) + [[4.0, 100.0]], "line 6"),
         ([[t, x, 20.0 + 3.0 * t, z] for t, x, _, z in straight()], "line 4: x, y, z"),
     ],

@@ -23,7 +23,7 @@ VARIABLES = {  # variables of the page's style, by color in pictures
 }
 COLOR = re.compile("|".join(VARIABLES))
 TAG = re.compile(r"<[^>]*>")  # a tag in matplotlib's SVG, which escapes > in attributes
-OWN = re.compile(r"<style.*?</style>|<metadata>.*?</metadata>", re.DOTALL)  # not copied
+OWN = re.compile(r"<style.*?</style>|<metadata>.*?</metadata>", re.DOTALL)  # parts to leave out
 NAMED = re.compile(r'( id="|="#|url\(#)')  # precedes the name of an element
 
 

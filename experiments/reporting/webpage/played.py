@@ -45,7 +45,7 @@ class Played:
     epochs: EpochErrors = field(default_factory=lambda: EpochErrors({}))
     positions: Positions = field(default_factory=lambda: Positions({}))
     shown: list[dict[str, Any]] = field(default_factory=list)  # episodes to watch, as JSON
-    # reason why a contender is missing, by its name; under the name "", why all are missing
+    # names of missing contenders, with the reasons; the name "" stands for all contenders
     missing: dict[str, str] = field(default_factory=dict)
 
 
@@ -186,8 +186,8 @@ def _course(results: Mapping[str, Any], modes: Sequence[str], weighed: bool) -> 
     """Return the results of a contender in an episode, in the form that the player needs.
 
     ``results`` are those of :func:`~experiments.evaluation.runner.run_contender` on one episode:
-    "x", "P", "error", "nees" and the parts in AFTER. If modes are ``weighed``, the mode of an epoch
-    is the most probable one.
+    "x", "P", "error", "nees" and the parts in AFTER. ``weighed`` says that an IMM combined all
+    modes by their probabilities; the mode of an epoch is then the most probable mode.
     """
     accepted, rejected = results["memory.accepted"] > 0.5, results["memory.rejected"] > 0.5
     letters = np.where(accepted, "a", np.where(rejected, "r", "m"))[ROWS]

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from experiments.evaluation.runs import curves_of
 from mmwave_env.io.files import read_json
 
-READ = "results (--json) of compare, demo or localize, or a folder of train"
+READ = "results (--json) of compare, demo or localize, or a folder that train wrote"
 NEEDED = {  # required keys by kind of results
     "comparison": ("command", "versions", "scenario", "radio", "episodes", "policies", "paired"),
     "track": ("command", "versions", "log", "scene", "epochs", "first_s", "last_s", "groups"),
@@ -26,7 +26,7 @@ def read_source(path: Path) -> list[Source]:
     """Read a file of results, or the folder of a run, finished or not.
 
     Raises:
-        ValueError: the file does not hold results; names the file and what it lacks.
+        ValueError: the file does not hold results; the message names the file and what it lacks.
         FileNotFoundError: there is no such file.
     """
     over, begun = path / "summary.json", path / "run.json"

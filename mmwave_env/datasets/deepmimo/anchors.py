@@ -6,8 +6,8 @@ the signal come from the mirror image a of the station at g (paper, Sec. II):
     a = q + |g - q| (q - p) / |q - p|
 
 A flat wall gives all receivers the same image, so each cluster of images is a virtual anchor. The
-arrival and the range of a path are those of the straight line from the image. Its departure is
-measured at the station, before the bounce, and must be mirrored.
+arrival and the range of a path are those of the straight line from the image. The departure of a
+path is measured at the station, before the bounce, so it must be mirrored.
 
 Other paths (two bounces, diffraction, scattering, transmission) are left out: they have no fixed
 image, or their image can't be computed from their first point of interaction.
@@ -86,7 +86,7 @@ class StationLinks:
     """The anchors that the paths of a station lead to, and the exact measurements of the paths."""
 
     paths: StationPaths  # paths of the station, for E receivers, P paths each
-    anchors_m: Array  # (K, 3) position of the station, then of its images as they were found
+    anchors_m: Array  # (K, 3) position of the station, then of its images, in the order found
     member: Index  # (E, P) index of the anchor that a path leads to; -1 for none
     rows: Array  # (E, P, 4) rows of a link, as in ``LINK``: m, rad; NaN if there is no anchor
 
@@ -135,7 +135,7 @@ def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, Index]:
     station, q = paths.position_m, paths.bounce_m
     member = np.where(paths.interactions == LINE_OF_SIGHT, 0, -1)
     if not (member == 0).any():
-        expected = "one in at least one epoch; the file named here is that of the first epoch"
+        expected = "a line of sight in some epoch; the file named here is that of the first epoch"
         paths.refuse("inter", 0, "no line of sight (0)", expected)
     reflected = paths.interactions == REFLECTION
     back = q - position_m[:, None]

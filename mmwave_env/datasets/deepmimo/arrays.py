@@ -44,8 +44,9 @@ def read_array(file: Path, key: str, shape: Shape, rows: Index | None = None) ->
             .npy file are not read.
 
     Raises:
-        ValueError: the path is not a regular file, or the array can't be read, is not real, has
-            another shape or is larger than MOST_BYTES; the message names file and key.
+        ValueError: the path is not a regular file, or the array can't be read, has numbers that
+            are not real, has another shape or is larger than MOST_BYTES; the message names file
+            and key.
     """
     if not file.is_file():  # reading a pipe or a device would block
         refuse_in(file, key, "a path that is not a file", f"a file, {' or '.join(SUFFIXES)}")

@@ -46,8 +46,8 @@ def read_deepmimo(
     each receiver or, if the scenario is dynamic, for each scene.
 
     If there is one station, or ``base_station`` selects one, the anchors are this station and
-    its images. Otherwise the anchors are all stations that are in sight in some epoch, the one
-    seen most often first. The first anchor's Doppler shift is computed from the true velocity.
+    its mirror images. Otherwise the anchors are all stations that are in sight in some epoch, the
+    one seen most often first. The first anchor's Doppler shift is computed from the true velocity.
 
     Args:
         folder: folder of a DeepMIMO v4 scenario.
@@ -142,7 +142,7 @@ def _way_of(scenario: Scenario, epochs: Index, dt_s: float | None) -> Trajectory
 def _links(
     stations: list[StationPaths], position_m: Array, virtual_anchors: int
 ) -> list[tuple[StationLinks, int]]:
-    """Return the links of each anchor's station, and the anchor's index in their ``anchors_m``."""
+    """Return, for each anchor, its station's links and the anchor's row in ``links.anchors_m``."""
     if len(stations) == 1:
         links = find_links(stations[0], position_m)
         images = np.flatnonzero(~links.is_ground)[1:].tolist()

@@ -32,7 +32,7 @@ _RECEIVERS = re.compile(r"rx_pos_(t\d+_tx\d+)_r(\d+)\.(?:npz|npy)")
 
 @dataclass(frozen=True)
 class Scenario:
-    """A description of a scenario folder, without its paths."""
+    """A description of a scenario folder, without the propagation paths."""
 
     folder: Path  # folder of the scenario
     scenes: tuple[Path, ...]  # folder of each scene, in order of time; only ``folder`` if static
@@ -123,7 +123,7 @@ class Scenario:
 
 
 def open_scenario(folder: Path, receiver_set: int | None = None) -> Scenario:
-    """Read the description of a scenario folder, but not its paths.
+    """Read the description of a scenario folder, but not the propagation paths.
 
     ``receiver_set`` is the number of a set of receivers; None for the only set.
 
@@ -253,7 +253,7 @@ def _read_scene(scenario: Scenario, scene: int, station: str, rows: Index) -> di
 def _finite(
     file: Path, key: str, array: Array, rows: Index | None, used: Mask | None = None
 ) -> Array:
-    """Refuse an array with NaN or infinity, or return it.
+    """Return an array, or refuse it if it contains NaN or infinity.
 
     If ``used`` (R, P) is given, only the values it marks are checked; all others become NaN.
     """

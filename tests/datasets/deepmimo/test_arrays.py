@@ -54,11 +54,11 @@ def test_an_npz_file_is_preferred_to_an_npy_file(tmp_path):
     for _ in range(2):
         with refuses("power.npz", error=FileNotFoundError):
             find_array(tmp_path, "power")
-        (tmp_path / "power.mat").touch()  # the format before version 4
+        (tmp_path / "power.mat").touch()  # the format that DeepMIMO used before version 4
 
 
 def npy_header(shape, descr="<f4", claimed=None):
-    """Return an .npy file's header, which states its length: the true one, or ``claimed``."""
+    """Return the header of an .npy file; ``claimed`` replaces the header length that it states."""
     text = repr({"descr": descr, "fortran_order": False, "shape": shape}).encode() + b"\n"
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", claimed or len(text)) + text
 

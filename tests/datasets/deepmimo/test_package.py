@@ -11,7 +11,7 @@ from tests.datasets.deepmimo.scenarios import dynamic_twin, shortened
 from tests.paths import RECORDINGS
 
 # DeepMIMO needs numpy below 2.3, and therefore a virtual environment of its own.
-deepmimo = pytest.importorskip("deepmimo", reason="make deepmimo runs it")
+deepmimo = pytest.importorskip("deepmimo", reason="make deepmimo runs these tests")
 
 ANGLES = {"aoa": "arrival", "aod": "departure"}
 

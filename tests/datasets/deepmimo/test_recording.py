@@ -149,7 +149,7 @@ def test_a_wall_in_any_direction_becomes_an_anchor(turn, offset, tilt, height, c
     gnb = np.array([0.0, 0.0, height])
     normal = np.array([np.cos(turn), np.sin(turn), tilt])
     normal /= np.linalg.norm(normal)
-    # Users on the gNB's side of the wall, four meters from it or more.
+    # Users are on the gNB's side of the wall, at least four meters away from the wall.
     along = np.array([np.cos(course), np.sin(course), 0.0])
     users = np.array([3.0, -2.0, 1.5]) + np.linspace(-30.0, 30.0, 7)[:, None] * along
     distance = max(offset, gnb @ normal + 4.0, float((users @ normal).max()) + 4.0)
@@ -198,7 +198,7 @@ def line(number, content):
     return lambda folder: edit_line(folder, number, content)
 
 
-DAMAGE = {  # by name: the damage, and the file, key or line that the refusal names
+DAMAGE = {  # name -> damage; file, key or line that the refusal names
     "no params": (drop("params.json"), "params.json"),
     "params not JSON": (write("params.json", b"{"), "params.json"),
     "params a list": (write("params.json", b"[]"), "params.json"),

@@ -70,7 +70,7 @@ def nothing(folder):
     pass
 
 
-SPOILT = {  # by name: the damage, arguments, and the place that the refusal names
+SPOILT = {  # name -> damage, arguments of the reader, place that the refusal names
     "a jump": (jump, {}, "line 12: m/s"),
     "a jump of the receivers": (receivers_jump, {"dt_s": 0.1}, "row 10: m/s"),
     "a time in milliseconds": (scaled([0], 1e3), {}, "line 3: t"),
