@@ -99,9 +99,10 @@ class Network(nn.Module):
         of_user = memory[:, None].expand(-1, links.shape[1], -1)
         gains = self.gains(torch.tanh(self.head(torch.cat([links, of_user], -1))))
         gains = gains.unflatten(-1, (3, 3)).transpose(1, 2).flatten(2)  # (n, 3, 3 L)
-        step, push = ((share * gap)[:, None] * torch.sigmoid(gains[:, :2]) @ basis).unbind(1)
+        shares = torch.sigmoid(gains[:, :2]) * torch.tensor([[2.0], [1.0]])
+        step, push = ((share * gap)[:, None] * shares.clamp(max=1.0) @ basis).unbind(1)
         faster, drift = (torch.sigmoid(self.of_doppler(memory) - 1.0) * miss).split(1, dim=1)
-        x = x + torch.cat([2.0 * step, push + faster * toward / hz**2, drift], 1)
+        x = x + torch.cat([step, push + faster * toward / hz**2, drift], 1)
         weight = gains[:, 2].clamp(-5.0, 5.0).exp() / scale**2
         inverse = basis.mT @ (weight[..., None] * basis) + 1e-4 * torch.eye(3)
         return x, torch.cat([memory, scale], 1), inverse
@@ -150,7 +151,7 @@ def loss_of(error, inverse):
 
 def lots(seed, count):
     """Yield layout, site, epochs and true positions (T, n, 3) of episodes at places to train in."""
-    rng, sources = np.random.default_rng(seed), [s.source for s in sites() if s.kind == TRAINED]
+    rng, sources = np.random.default_rng(seed), [s.source() for s in sites() if s.kind == TRAINED]
     for first in range(seed, seed + count * EPISODES, EPISODES):
         keys = keys_of(range(first, first + EPISODES))
         some = [replace(s, dt=float(rng.choice(STEPS_S))).sample_batch(keys) for s in sources]
