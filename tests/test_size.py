@@ -16,12 +16,12 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 34_250,
-    "tokens of source": 235_600,
+    "lines of source": 34_035,
+    "tokens of source": 233_700,
     "files of source": 239,
-    "lines of tests": 27_500,
+    "lines of tests": 27_550,
     "tokens of tests": 247_400,
-    "words of docs": 47_400,
+    "words of docs": 48_600,
     "pages of docs": 24,
     "tracked files": 670,
     "tracked MB": 9,
@@ -31,14 +31,14 @@ BUDGET = {
     "lines that ruff may not format": 60,
 }
 ROOMS = {  # maximum lines of source in a folder
-    "experiments/evaluation": 2_140,
-    "experiments/training": 2_940,
+    "experiments/evaluation": 2_100,
+    "experiments/training": 2_935,
     "experiments/reporting/webpage": 1_060,
-    "mmwave_env/datasets": 1_715,
-    "mmwave_env/engines": 2_330,
+    "mmwave_env/datasets": 1_690,
+    "mmwave_env/engines": 2_215,
     "mmwave_env/filters": 2_490,
-    "mmwave_env/localization": 2_745,
-    "mmwave_env/world": 2_140,
+    "mmwave_env/localization": 2_750,
+    "mmwave_env/world": 2_135,
 }
 SOURCE = ("mmwave_env", "experiments", "policies")
 FOR_DEVELOPERS = {"dev", "docs", "lint"}  # extras for developers only

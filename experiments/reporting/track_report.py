@@ -81,6 +81,8 @@ def _course(figures: dict[str, Any]) -> list[str]:
     switches = f", switched {_times(f['switches'])}" if len(f["modes"]) > 1 else ""
     lines.append(f"modes {escaped(f['rule'])}: {shares} of the epochs{switches}")
     lines.append(f"noise of radio {escaped(f['radio'])}")
+    expected = " and ".join(f"{size:.2f} m {axis}" for axis, size in f["expected_rmse_m"].items())
+    lines.append(f"expected error (RMS, by the track's covariances): {expected}")
     if "trusted" in f:
         lines.append(f"trust in the policy's corrections, on average: {_percent(f['trusted'])}")
     if "clock" in f:

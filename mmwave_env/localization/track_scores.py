@@ -237,10 +237,13 @@ class Course:
         self._last_mode = -1
         self._clock: dict[str, Any] = {}  # the clock in the last epoch
         self._speed = self._fastest = self._trusted = 0.0
+        self._variance = np.zeros(2)  # sums of the horizontal and the vertical variance, m^2
 
     def add(self, block: TrackBlock) -> None:
         """Add a block."""
         self._trusted += float(block.trusted.sum())
+        xx, yy, zz = block.smooth_P[:, [0, 2, 5]].sum(axis=0)
+        self._variance += xx + yy, zz
         if not self.epochs:
             self.first_s, self._last_mode = float(block.time_s[0]), int(block.mode[0])
         self._counts += np.bincount(block.mode, minlength=len(self._modes))
@@ -259,6 +262,7 @@ class Course:
 
     def figures(self) -> dict[str, Any]:
         """Return the statistics as a dictionary."""
+        expected = np.sqrt(self._variance / max(self.epochs, 1))
         return {
             "epochs": self.epochs,
             "skipped": self._skipped,
@@ -271,6 +275,9 @@ class Course:
                 "max": self._fastest,
                 "epochs_above_design_limit": self._fast,
             },
+            "expected_rmse_m": dict(
+                zip(("horizontal", "vertical"), expected.tolist(), strict=True)
+            ),
             "modes": dict(zip(self._modes, self._counts.tolist(), strict=True)),
             "switches": self._switches,
             **self._clock,
