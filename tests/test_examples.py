@@ -101,7 +101,7 @@ def localizer(tmp_path, monkeypatch):
 
 def on_a_street(**receiver):
     """Return four short episodes."""
-    source = replace(sites()[0].source, epochs=30, **receiver)
+    source = replace(sites()[0].source(), epochs=30, **receiver)
     return source.sample_batch(keys_of(range(5_000_000, 5_000_004)))
 
 

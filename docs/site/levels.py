@@ -27,7 +27,7 @@ DIRECTIONS, RISKS = ("Horizontally", "Vertically"), (1e-3, 1e-2)
 def cells_at(site: Site) -> NDArray[np.str_]:
     """Return cells (risks, directions, 6) on the levels of the policies, in percent and ratios."""
     cells: list[list[list[list[str]]]] = [[[], []] for _ in RISKS]
-    source, few = site.source, site.kind in (RECORDED, HARD)
+    source, few = site.source(), site.kind in (RECORDED, HARD)
 
     def add(contender: Contender, time_s: Array, results: EpochResults) -> None:
         parts, counts = [*(results[p] for p in PARTS), results.get("trusted")], scored(len(time_s))

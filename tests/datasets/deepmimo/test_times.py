@@ -71,12 +71,12 @@ def nothing(folder):
 
 
 SPOILT = {  # name -> damage, arguments of the reader, place that the refusal names
-    "a jump": (jump, {}, "line 12: m/s"),
-    "a jump of the receivers": (receivers_jump, {"dt_s": 0.1}, "row 10: m/s"),
+    "a jump": (jump, {}, "line 12: speed"),
+    "a jump of the receivers": (receivers_jump, {"dt_s": 0.1}, "row 10: speed"),
     "a time in milliseconds": (scaled([0], 1e3), {}, "line 3: t"),
     "a time in nanoseconds": (scaled([0], 1e9), {}, "line 3: t"),
     "a time step in milliseconds": (nothing, {"dt_s": 100.0}, "row 2: t"),
-    "a time step of another unit": (nothing, {"dt_s": 1e-4}, "row 2: m/s"),
+    "a time step of another unit": (nothing, {"dt_s": 1e-4}, "row 2: speed"),
     "velocities in km/h": (scaled([4, 5, 6], 3.6), {}, "vx, vy, vz"),
 }
 
