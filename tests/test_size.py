@@ -16,8 +16,8 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 34_035,
-    "tokens of source": 233_700,
+    "lines of source": 34_065,
+    "tokens of source": 233_800,
     "files of source": 239,
     "lines of tests": 27_550,
     "tokens of tests": 247_400,
@@ -31,13 +31,13 @@ BUDGET = {
     "lines that ruff may not format": 60,
 }
 ROOMS = {  # maximum lines of source in a folder
-    "experiments/evaluation": 2_100,
+    "experiments/evaluation": 2_110,
     "experiments/training": 2_935,
     "experiments/reporting/webpage": 1_060,
     "mmwave_env/datasets": 1_690,
     "mmwave_env/engines": 2_215,
     "mmwave_env/filters": 2_490,
-    "mmwave_env/localization": 2_750,
+    "mmwave_env/localization": 2_760,
     "mmwave_env/world": 2_135,
 }
 SOURCE = ("mmwave_env", "experiments", "policies")

@@ -1,4 +1,4 @@
-"""Scores of a track, from running sums; percentiles need all errors, so these are kept, too."""
+"""Scores of a track, computed from running sums, because the track may be larger than memory."""
 
 import warnings
 from collections.abc import Sequence

@@ -237,7 +237,8 @@ ENDING = {"reward": "paired", "terminate_on_divergence": True} | DIVERGING
 def imm_rewards(seed, episodes, reward=REWARDS["tracking"], **task):
     """Return the IMM's rewards (episodes, epochs) in the first episodes of a seed."""
     source = task_from(**task)
-    imm = partial(run_imm, Bank(default_modes("handset")), reward)
+    planar = task.get("planar", False)
+    imm = partial(run_imm, Bank(default_modes("handset")), reward, planar=planar)
     keys = keys_at(stream_of(seed), np.arange(episodes, dtype=np.uint64))
     drawn = source.tables(keys)
     return imm(drawn, "reward")["reward"].astype(np.float32)
