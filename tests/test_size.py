@@ -20,7 +20,7 @@ BUDGET = {
     "tokens of source": 233_800,
     "files of source": 239,
     "lines of tests": 27_550,
-    "tokens of tests": 247_450,
+    "tokens of tests": 247_500,
     "words of docs": 48_700,
     "pages of docs": 24,
     "tracked files": 670,

@@ -190,3 +190,6 @@ def test_the_course_of_a_track_does_not_depend_on_its_pieces(sizes):
     assert figures["speed_mps"]["mean"] == pytest.approx(speed.mean())
     assert figures["speed_mps"]["max"] == speed.max()
     assert figures["speed_mps"]["epochs_above_design_limit"] == (speed > 20.0).sum()
+    xx, yy, zz = (unpacked(block.smooth_P)[:, i, i].mean() for i in range(3))
+    expected = {"horizontal": np.sqrt(xx + yy), "vertical": np.sqrt(zz)}
+    assert figures["expected_rmse_m"] == pytest.approx(expected, rel=1e-12)
