@@ -7,18 +7,8 @@ from experiments.console.options import EpisodeArgs
 from experiments.evaluation.compare import compare
 from experiments.reporting.comparison_results import results
 from mmwave_env.metrics import METRICS
-from mmwave_env.models.layout import Layout
 from tests.refusals import refuses
 from tests.training.actors import HANDSET
-
-
-class Own:
-    """A user's own source, whose episodes have no keys."""
-
-    name, layout = "own", Layout(3)
-
-    def sample(self, rng):
-        raise AssertionError("nobody plays it")
 
 
 def test_an_agent_that_always_chooses_the_second_mode_scores_as_fixed_ukf_does():
