@@ -8,6 +8,8 @@ import pytest
 pytest.importorskip("stable_baselines3")
 import torch
 
+from experiments.evaluation.intervals import bootstrap
+from experiments.evaluation.protocol import judge, sites
 from experiments.training.corrector import CorrectorTraining, loss_of, mixed
 from experiments.training.corrector_data import (
     EPOCHS,
@@ -127,8 +129,15 @@ def test_the_loss_is_least_where_the_answer_is_the_error():
 
 @pytest.mark.slow
 def test_a_short_training_beats_its_base(tmp_path):
-    hyper = replace(HYPER, num_envs=64, front=32, units=32, head=32)
-    job = job_of(tmp_path, hyper, timesteps=6_000_000, episodes=300)
-    best = CorrectorTraining(job, silent).run()["best"]
-    low, high = best["minus imm"]["ci95"]
-    assert 0.0 < low < high
+    """Compare with a network that has learned nothing, which leaves the base as it is."""
+    policies = []
+    for rate, timesteps in ((1e-12, 1), (0.01, 400_000)):
+        hyper = replace(HYPER, num_envs=16, front=16, units=16, head=16, learning_rate=rate)
+        folder = tmp_path / str(timesteps)
+        folder.mkdir()
+        CorrectorTraining(job_of(folder, hyper, timesteps=timesteps), silent).run()
+        policies.append(str(folder / "policy.safetensors"))
+    base, trained = policies
+    gain = judge(policies, sites()[0], 200, seed=5_000_000).gain(trained, base)
+    (interval,) = bootstrap(gain[:, None])
+    assert 0.0 < interval.low
