@@ -80,7 +80,8 @@ def test_a_reward_is_minus_the_sum_of_its_terms(reward, axes):
         held = belief(error_m, 2.0, axes)
         epoch = np.array(held.distance(ORIGIN)), np.array(held.nees(ORIGIN))
         error, nees = reward.costs(*epoch, len(axes))
-        assert reward(held, ORIGIN) == pytest.approx({"error": -error, "nees": -nees})
+        terms = reward(held, ORIGIN)
+        assert (terms["error"], terms["nees"]) == pytest.approx((-error, -nees))
         assert pays(reward, held) == pytest.approx(-(error + nees))
 
 
