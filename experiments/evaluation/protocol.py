@@ -25,8 +25,8 @@ from experiments.evaluation.runner import Scores, score_contenders
 from experiments.evaluation.seeds import Selection
 from mmwave_env.datasets.samples import sample_names
 from mmwave_env.io.files import read_json
-from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
+from mmwave_env.models.radio import TUNED_RADIOS
+from mmwave_env.models.scene import TRAINED_SCENES
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import EpisodeSource
 
@@ -63,7 +63,11 @@ def sites() -> list[Site]:
     """Return all sites: training sites, unseen streets and radio, recordings, hard sites."""
     unseen = {name: unseen_file(name) for name in UNSEEN}
     at = WorldArgs
-    trained = [Site.of(f"{s}:{r}", TRAINED, at(scene=s, radio=r)) for s in SCENES for r in RADIOS]
+    trained = [
+        Site.of(f"{s}:{r}", TRAINED, at(scene=s, radio=r))
+        for s in TRAINED_SCENES
+        for r in TUNED_RADIOS
+    ]
     streets = [
         Site.of(f"{s}:{r}", UNSEEN_KIND, at(scene=unseen[s], radio=r))
         for s in UNSEEN_SCENES

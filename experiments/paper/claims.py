@@ -14,11 +14,11 @@ from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.metrics import nees_interval
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
-from mmwave_env.models.radio import RADIOS, Radio
+from mmwave_env.models.radio import RADIOS, TUNED_RADIOS, Radio
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.episode import Episode
 
-SETTINGS = [Setting(scenario, radio) for scenario in TUNED_ON for radio in RADIOS]
+SETTINGS = [Setting(scenario, radio) for scenario in TUNED_ON for radio in TUNED_RADIOS]
 ALGORITHMS = ("ekf", "ukf", "ckf")
 HEADLINE = {
     "pedestrian": LOW_MOBILITY["optimized"].ate_m,

@@ -7,7 +7,7 @@ from typing import Any
 from experiments.evaluation.intervals import Interval
 from experiments.figures.canvas import picture, plain_numbers
 from experiments.paper.bench import Cell, Section
-from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.radio import TUNED_RADIOS
 
 COUPLED = 3  # column of our ATE with coupled process noise; column 1 has the paper's ATE
 FILTERS = 4  # number of rows that are also in the paper
@@ -36,7 +36,7 @@ def _bars(axes: Any, sections: Sequence[Section], title: str) -> None:
     axes.scatter(
         range(FILTERS), [row[1] for row in rows], marker="_", s=900, color="black", label="paper"
     )
-    for offset, radio, section in zip((-0.2, 0.0, 0.2), RADIOS, sections, strict=True):
+    for offset, radio, section in zip((-0.2, 0.0, 0.2), TUNED_RADIOS, sections, strict=True):
         cells = [row[COUPLED] for row in section.rows[:FILTERS]]
         x = [i + offset for i in range(FILTERS)]
         _errorbars(axes, x, cells, fmt="o", markersize=4, label=radio)
@@ -67,6 +67,6 @@ def draw(sections: dict[str, Section], path: Path) -> None:
     with picture(path, 13.0, 4.2) as figure:
         axes = figure.subplots(1, 3)
         for panel, title in zip(axes, ("Table I: pedestrian", "Table II: vehicle"), strict=False):
-            _bars(panel, [sections[f"{title}, {radio}"] for radio in RADIOS], title)
+            _bars(panel, [sections[f"{title}, {radio}"] for radio in TUNED_RADIOS], title)
         axes[0].legend(markerscale=0.6)
         _sweep(axes[2], sections["Vehicle ATE against process noise, m"])

@@ -10,7 +10,7 @@ from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.runner import Scores
 from experiments.paper.bench import Bench, Row, Section, Setting, section
 from mmwave_env.filters.modes import Mode, robust
-from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.radio import TUNED_RADIOS
 
 
 class Published(NamedTuple):
@@ -90,7 +90,7 @@ def tables_one_and_two(bench: Bench) -> Iterator[Section]:
         )
         if scenario == "pedestrian":
             note += " Rows with odometry have the same true tracks, but other noise."
-        for radio in RADIOS:
+        for radio in TUNED_RADIOS:
             rows = _rows(bench, Setting(scenario, radio), printed)
             yield Section(f"Table {number}: {scenario}, {radio}", note, header, rows=[*rows])
 
@@ -99,19 +99,19 @@ def tables_one_and_two(bench: Bench) -> Iterator[Section]:
     "Table III",
     "The results of other authors are quoted from the paper and are from other data: they show "
     "an order of magnitude, not a ranking. Ours: tuned, gated, scaled and smoothed, coupled Q.",
-    " | ".join(["method", "scenario", "ATE m: paper", *RADIOS]),
+    " | ".join(["method", "scenario", "ATE m: paper", *TUNED_RADIOS]),
     labels=2,
 )
 def table_three(bench: Bench) -> Iterator[Row]:
     """Yield the rows of Table III, with our results for coupled process noise."""
     for method, (environment, ate) in OTHERS.items():
-        yield [method, environment, ate, *[""] * len(RADIOS)]
+        yield [method, environment, ate, *[""] * len(TUNED_RADIOS)]
     for name, scenario, printed in (
         ("Proposed EKF", "pedestrian", LOW_MOBILITY),
         ("Proposed UKF", "vehicle", HIGH_MOBILITY),
     ):
         row: Row = [name, scenario, printed["optimized"].ate_m]
-        for setting in (Setting(scenario, radio) for radio in RADIOS):
+        for setting in (Setting(scenario, radio) for radio in TUNED_RADIOS):
             smoothed = bench.run(setting.tuned(), setting).smoothed
             row += bootstrap(smoothed.scores["ate_m"][:, None])
         yield row

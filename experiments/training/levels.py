@@ -23,8 +23,8 @@ from mmwave_env.compiler.program import rows_of
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.localization.levels import GAUSSIAN, PARTS, Levels, Network
 from mmwave_env.localization.position_errors import gaussian_levels, horizontal, vertical
-from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
+from mmwave_env.models.radio import TUNED_RADIOS
+from mmwave_env.models.scene import TRAINED_SCENES
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import columns_of
 
@@ -33,7 +33,7 @@ SINGLE = ("speed-rule", "fixed-ekf", "fixed-ukf")
 # Groups of policies for training and calibration; one policy of every group plays an episode.
 LEARNED_FROM = (("guided",), ("corrector",), ("imm-best", "imm", *SINGLE))
 KINDS = (SINGLE, ("guided", "imm-best"), ("corrector",))
-PLACES = [f"{scene}:{radio}" for scene in SCENES for radio in RADIOS]
+PLACES = [f"{scene}:{radio}" for scene in TRAINED_SCENES for radio in TUNED_RADIOS]
 SEED = TRAINING_SEED + 9 * SEEDS_EACH  # seed of episodes that no corrector was trained on
 # ENVS: episodes per place in each round. ROUNDS, CALIBRATION: rounds to train and to calibrate
 ENVS, ROUNDS, CALIBRATION = 64, 24, 30

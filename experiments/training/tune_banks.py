@@ -26,7 +26,7 @@ from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.io.lookup import require_extra
 from mmwave_env.metrics import DIVERGENCE_M, scored
 from mmwave_env.models.radio import radio_from
-from mmwave_env.models.scene import SCENES
+from mmwave_env.models.scene import TRAINED_SCENES
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import EpisodeBatch, EpisodeSource
 
@@ -61,7 +61,9 @@ def tuned_bank(radio: str, episodes: int, seed: int, evaluations: int) -> dict[s
     """
     require_extra("cmaes", "tune", "tune --bank")
     sources = [
-        source_of(WorldArgs(radio=radio, scene=scene, dt=dt)) for scene in SCENES for dt in STEPS_S
+        source_of(WorldArgs(radio=radio, scene=scene, dt=dt))
+        for scene in TRAINED_SCENES
+        for dt in STEPS_S
     ]
     each = episodes // len(sources)
     shares = drawn(sources, range(seed, seed + each), SHARES)

@@ -20,7 +20,7 @@ from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.io.lookup import choose
 from mmwave_env.io.records import Bound, Probability, Size, object_from, read_object, require_fields
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.radio import RADIOS, Radio, radio_from
+from mmwave_env.models.radio import TUNED_RADIOS, Radio, radio_from
 
 MOST_MODES = 32  # maximum number of modes; each is compiled, and runs in every epoch
 Transition = Annotated[tuple[tuple[Probability, ...], ...], "a list of rows of probabilities"]
@@ -137,7 +137,7 @@ def bank_as_written(bank: Bank) -> dict[str, Any]:
 @cache  # so that it warns only once for each radio
 def _tuned_profile(radio: Radio) -> str:
     """Return the radio's base, the shipped profile whose modes and banks are used for it."""
-    if radio.name not in RADIOS:
+    if radio.name not in TUNED_RADIOS:
         warnings.warn(
             f"radio {radio.name!r}: found no modes tuned for it, using those of {radio.base!r}; "
             "to tune some for modes= and --modes, run mmwave-loc tune --radio "

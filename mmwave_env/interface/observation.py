@@ -24,7 +24,7 @@ from mmwave_env.interface.features import Feature, View, coming, context
 from mmwave_env.interface.signed import signed
 from mmwave_env.io.lookup import choose
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.radio import TUNED_RADIOS
 from mmwave_env.numerics.numbers import Number, clip
 
 LIMIT = 10.0  # maximum distance of a feature from its mean, in standard deviations
@@ -202,7 +202,7 @@ def with_tables(docstring: str) -> str:
     for action, (kind, algorithm) in enumerate(
         (("low mobility", "EKF"), ("high mobility", "UKF (alpha 1, beta 2, kappa 0)"))
     ):
-        tuned = (f"{default_modes(radio)[action].sigma_v:.2f} {radio}" for radio in RADIOS)
+        tuned = (f"{default_modes(radio)[action].sigma_v:.2f} {radio}" for radio in TUNED_RADIOS)
         lines.append(f"| {action} | {kind} | {algorithm} | {', '.join(tuned)} |")
     modes = "\n".join(lines)
     return inspect.cleandoc(docstring).replace("{table}", observed).replace("{modes}", modes)

@@ -237,6 +237,7 @@ SCENES: dict[str, Scene] = {
         Streets((-215.0, 215.0), (0.0, 0.0), block_m=107.5),
     ),
 }
+TRAINED_SCENES = ("street", "o1", "dynamic-doppler")  # the shipped banks and policies learned here
 
 
 def scene_of_anchors(name: str, anchors_m: Array, carrier_hz: float, bandwidth_hz: float) -> Scene:

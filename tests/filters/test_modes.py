@@ -18,7 +18,7 @@ from mmwave_env.filters.bank import (
 )
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.update import ekf
-from mmwave_env.models.radio import RADIOS, Radio
+from mmwave_env.models.radio import TUNED_RADIOS, Radio
 from tests.refusals import refuses
 
 THREE = [
@@ -50,8 +50,8 @@ def test_names_files_and_mode_objects_can_be_mixed_in_a_list(mode_file):
     assert [mode.name for mode in modes] == ["ukf", "slow", "fast", "plain", "own"]
 
 
-@pytest.mark.parametrize("radio", RADIOS)
-def test_every_radio_profile_has_tuned_modes(radio):
+@pytest.mark.parametrize("radio", TUNED_RADIOS)
+def test_every_tuned_radio_has_tuned_modes(radio):
     low, high = default_modes(radio)
     assert (low.name, low.algorithm, high.name, high.algorithm) == ("ekf", "ekf", "ukf", "ukf")
     assert low.sigma_v < high.sigma_v and low.coupling and high.coupling
