@@ -31,7 +31,7 @@ test-release: .venv/.dev ## complete trainings and all figures of the paper's pa
 golden: .venv/.dev ## write tests/golden anew, after a change that is to move numbers; FLAGS=--check compares exactly
 	$(BIN)/python -m tests.golden.write $(FLAGS)
 
-generated: .venv/.dev ## write anew what is made from code: the JSON schemas, docs/environment.md, docs/angles.png
+generated: .venv/.dev ## write anew what is made from code: JSON schemas, docs/environment.md, the table of docs/commands.md, docs/angles.png
 	$(BIN)/python -m tests.schemas
 	PYTHONPATH=. $(BIN)/python docs/site/environment.py
 	PYTHONPATH=. $(BIN)/python docs/site/angles.py

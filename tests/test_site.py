@@ -62,9 +62,10 @@ def test_a_link_leads_to_the_page_or_to_the_code_host(hooks, link, uri, expected
     assert hooks.relinked(text, "index.md" if readme else uri, source) == expected
 
 
-def test_the_page_of_the_environment_is_its_docstring():
+def test_pages_made_from_code_are_up_to_date():
     module = loaded("docs/site/environment.py")
     assert module.PAGE.read_text("utf-8") == module.page(), "run: make generated"
+    assert module.LISTED.read_text("utf-8") == module.listed(), "run: make generated"
 
 
 def test_the_page_of_a_notebook_shows_its_cells_and_their_outputs(hooks):

@@ -99,7 +99,7 @@ def test_a_training_reports_its_periodic_evaluations(tmp_path):
     heard = []
     outcome = train(job_of(tmp_path), heard.append)
     rewards = {news.timesteps: news.evaluation["reward"] for news in heard if news.evaluation}
-    assert len(rewards) >= 4 and max(rewards) == outcome["timesteps"] == 1024
+    assert len(rewards) > 1 and max(rewards) == outcome["timesteps"] == 1024
     best = outcome["best"]
     assert rewards[best["timesteps"]] == best["reward"] == max(rewards.values())
     assert [news.timesteps for news in heard] == sorted(news.timesteps for news in heard)
