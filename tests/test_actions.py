@@ -169,6 +169,7 @@ class Shifting:
         return Correction(shift, log_factor, np.ones(len(observations)))
 
 
+@pytest.mark.slow  # compiles large programs
 def test_the_evaluation_of_an_own_agent_corrects_as_the_environment_does():
     env = gym.make_vec(ID, num_envs=4, episode_steps=30, **KINDS["correction"]).unwrapped
     _, infos = env.reset(seed=0)

@@ -275,7 +275,7 @@ def test_ranges_below_zero_are_accepted_if_the_clock_may_be_behind(tmp_path, rid
     moved = [[*row[:2], repr(float(row[2]) - 1e-6) if row[2] else "", *row[3:]] for row in rows]
     log = tmp_path / "log.csv"
     log.write_text("\n".join([lines[0], *map(",".join, moved)]) + "\n")
-    words = log, *words_of(ride)[1:]
+    words = log, *words_of(ride)[1:], "--speed", "auto"
     assert "at least 0" in command("localize", *words).stderr
     assert "behind" in succeed("localize", *words, "--clock", "offset")
 

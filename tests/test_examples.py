@@ -32,7 +32,7 @@ FOLDER = ROOT / "examples"
 # Examples that make data, draw a Pareto front, compare filters or train a localizer, not an agent.
 OTHERS = {"raytrace", "sumo", "minari_collect", "mo_front", "recurrent_localizer", "stone_soup"}
 # Examples that train for minutes. CI leaves these out; `make examples` runs them.
-LONG = {"recurrent_ppo", "sb3_contrib_trpo", "sb3_correct"}
+LONG = {"cleanrl_a2c", "optuna_sb3", "recurrent_ppo", "sb3_contrib_trpo", "sb3_correct"}
 EXAMPLES = {path.stem: path for path in sorted(FOLDER.glob("*.py")) if path.stem not in OTHERS}
 
 

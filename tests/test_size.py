@@ -16,11 +16,11 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 34_065,
-    "tokens of source": 233_800,
+    "lines of source": 34_070,
+    "tokens of source": 233_810,
     "files of source": 239,
-    "lines of tests": 27_550,
-    "tokens of tests": 247_500,
+    "lines of tests": 27_575,
+    "tokens of tests": 247_740,
     "words of docs": 48_700,
     "pages of docs": 24,
     "tracked files": 670,
@@ -31,7 +31,7 @@ BUDGET = {
     "lines that ruff may not format": 60,
 }
 ROOMS = {  # maximum lines of source in a folder
-    "experiments/evaluation": 2_110,
+    "experiments/evaluation": 2_115,
     "experiments/training": 2_935,
     "experiments/reporting/webpage": 1_060,
     "mmwave_env/datasets": 1_690,

@@ -26,7 +26,7 @@ def page() -> str:
 def listed() -> str:
     """Return the page of the commands with a table of all commands."""
     more = {name: f"[{page}.md]({page}.md)" for name, page in MORE.items()}
-    rows = [f"| `{name}` | {what} | {more.get(name, '')} |\n" for name, what in COMMANDS.items()]
+    rows = [f"| `{name}` | {about} | {more.get(name, '')} |\n" for name, about in COMMANDS.items()]
     table = f"| command | what it does | more |\n|---|---|---|\n{''.join(rows)}"
     return re.sub(
         r"\| command \|(.*\n\|)*.*\n", lambda _: table, LISTED.read_text("utf-8"), count=1

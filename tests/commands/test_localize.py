@@ -61,6 +61,7 @@ def test_an_invalid_speed_is_refused(capsys, word):
     assert f"speed: found {word!r}, expected a number of m/s, at least 0" in line
 
 
+@pytest.mark.slow  # compiles large programs
 def test_the_corrector_is_the_default():
     log = WALK / "log.csv"
     choices = ((), ("--policy", "corrector"), ("--speed", "auto"))

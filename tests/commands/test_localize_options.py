@@ -45,14 +45,6 @@ def test_every_option_changes_the_track():
     assert len(set(tracks.values())) == len(tracks)
 
 
-@pytest.mark.slow  # compiles several programs
-def test_a_known_height_needs_no_other_option():
-    known, estimated = figures(WALK, "--height", "1.5"), figures(WALK)
-    assert known["truth"]["nees_expected"] == 2 and estimated["truth"]["nees_expected"] == 3
-    # With a known height, the policy "guided" replaces "corrector"; both have the same bank.
-    assert list(known["modes"]) == list(estimated["modes"])
-
-
 def test_modes_can_be_read_from_a_file(capsys, tmp_path):
     file = tmp_path / "modes.json"
     modes = [{"name": "calm"}, {"name": "wild", "algorithm": "ckf", "sigma_v": 2.0}]

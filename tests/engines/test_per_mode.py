@@ -18,6 +18,7 @@ from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.radio import RADIOS
 from tests.filters.test_imm import textbook_imm
 from tests.filters.tracks import STREET, simulated, unpacked
+from tests.paths import representative
 
 T = 60
 PLAIN = {"gate": None, "adaptive": False, "coupling": False}
@@ -46,7 +47,7 @@ def played(bank, episodes, actions, names=("x", "P", "mode_probabilities"), **op
 
 
 @pytest.mark.parametrize("dt", [1.0, 0.1])
-@pytest.mark.parametrize("radio", RADIOS)
+@pytest.mark.parametrize("radio", representative(RADIOS, "standard"))
 def test_trusting_no_mode_equals_the_imm(radio, dt):
     bank, episodes = best_bank(radio), in_steps_of(dt, simulated(9, epochs=200))
     _, ours = played(bank, episodes, np.zeros((9, 200), int), ("x", "P", "reward", "nees"))

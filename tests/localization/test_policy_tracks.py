@@ -25,7 +25,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
 from mmwave_env.numerics.linalg import unpack
 from policies import Corrector, LearnedSwitch
-from tests.paths import LOGS
+from tests.paths import LOGS, representative
 from tests.policies.test_corrector import card, network
 from tests.refusals import refuses
 from tests.training.actors import write
@@ -52,7 +52,7 @@ def rows():
     return epochs[:EPOCHS]
 
 
-@pytest.mark.parametrize("name", ["guided", "ppo-standard"])
+@pytest.mark.parametrize("name", representative(("guided", "ppo-standard"), "ppo-standard"))
 @pytest.mark.parametrize("size", [7, EPOCHS])
 def test_the_track_equals_that_of_the_environment_to_the_last_bit(name, size):
     switching = learned(name, "standard")
@@ -97,6 +97,7 @@ def corrector(tmp_path_factory):
     return write(path, network(limit=50.0), card())
 
 
+@pytest.mark.slow  # compiles large programs
 def test_a_corrected_track_has_the_corrected_beliefs_of_the_environment(corrector):
     switching = learned(corrector, "standard")
     (whole,) = blocks(EPOCHS)

@@ -85,15 +85,28 @@ def test_records_contain_every_number_of_a_section():
     assert section.records() == [["T", "x", "a", 1.5, "", ""], ["T", "x", "b", 2, 1, 3]]
 
 
+PAGE = ROOT / "docs" / "paper.md"
+
+
 @pytest.mark.slow
+@pytest.mark.release
 def test_the_page_is_what_the_command_writes(tmp_path):
     page = tmp_path / "paper.md"
-    shutil.copy(ROOT / "docs" / "paper.md", page)
-    printed = succeed("tables", "--out", tmp_path, "--docs", page)
-    made, shown = page.read_text(), (ROOT / "docs" / "paper.md").read_text()
+    shutil.copy(PAGE, page)
+    succeed("tables", "--out", tmp_path, "--docs", page)
+    made, shown = page.read_text(), PAGE.read_text()
     assert re.sub(r"\d", "", made) == re.sub(r"\d", "", shown)
     # Other processors round differently, which matters only in the few rows with lost tracks.
     assert np.isclose(numbers(made), numbers(shown), rtol=0.03, atol=0.005).mean() > 0.99
+
+
+@pytest.mark.slow
+def test_the_command_writes_tables_figures_and_the_page(tmp_path):
+    page = tmp_path / "paper.md"
+    shutil.copy(PAGE, page)
+    printed = succeed("tables", "--episodes", "10", "--out", tmp_path, "--docs", page)
+    titles = [re.findall("<!-- table.*", p.read_text()) for p in (page, PAGE)]
+    assert titles[0] == titles[1] and page.read_text() != PAGE.read_text()
     with (tmp_path / "tables.csv").open() as file:
         records = list(csv.DictReader(file))
     assert tuple(records[0]) == FIELDS and len(records) > 500
