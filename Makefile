@@ -25,7 +25,7 @@ test: .venv/.dev ## all tests but the slow ones; FLAGS="..." are for pytest
 test-slow: .venv/.dev ## the slow tests
 	$(BIN)/python -m pytest -m "slow and not release" -n auto --dist worksteal --durations=15
 
-test-release: .venv/.dev ## complete trainings and all figures of the paper's page, before a release
+test-release: .venv/.dev ## before a release: complete trainings, the figures of the paper's page
 	$(BIN)/python -m pytest -m release -n auto --dist worksteal --durations=0
 
 golden: .venv/.dev ## write tests/golden anew, after a change that is to move numbers; FLAGS=--check compares exactly

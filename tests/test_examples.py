@@ -31,8 +31,6 @@ from tests.paths import ROOT
 FOLDER = ROOT / "examples"
 # Examples that make data, draw a Pareto front, compare filters or train a localizer, not an agent.
 OTHERS = {"raytrace", "sumo", "minari_collect", "mo_front", "recurrent_localizer", "stone_soup"}
-# Examples that train for minutes. CI leaves these out; `make examples` runs them.
-LONG = {"cleanrl_a2c", "optuna_sb3", "recurrent_ppo", "sb3_contrib_trpo", "sb3_correct"}
 EXAMPLES = {path.stem: path for path in sorted(FOLDER.glob("*.py")) if path.stem not in OTHERS}
 
 
@@ -66,12 +64,9 @@ def test_an_example_is_short(name):
     assert len([line for line in source.splitlines()[begin:] if line.strip()]) <= 30
 
 
-def marked(name):
-    return pytest.param(name, marks=pytest.mark.release) if name in LONG else name
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", map(marked, EXAMPLES))
+@pytest.mark.release
+@pytest.mark.parametrize("name", EXAMPLES)
 def test_an_example_beats_the_best_fixed_mode_or_its_base(name, tmp_path):
     source = EXAMPLES[name].read_text("utf-8")
     for module in imported(source):

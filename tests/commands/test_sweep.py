@@ -121,6 +121,7 @@ def test_rows_equal_the_results_of_compare_and_new_cells_are_added(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 def test_a_killed_or_interrupted_sweep_can_be_continued_and_leaves_no_process(tmp_path):
     others, out = ray_processes(), tmp_path / "out"
