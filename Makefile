@@ -31,9 +31,9 @@ test-release: .venv/.dev ## before a release: complete trainings, the figures of
 golden: .venv/.dev ## write tests/golden anew, after a change that is to move numbers; FLAGS=--check compares exactly
 	$(BIN)/python -m tests.golden.write $(FLAGS)
 
-generated: .venv/.dev ## write anew what is made from code: JSON schemas, docs/environment.md, the table of docs/commands.md, docs/angles.png
+generated: .venv/.dev ## write anew what is made from code: JSON schemas, pages and a picture of docs
 	$(BIN)/python -m tests.schemas
-	PYTHONPATH=. $(BIN)/python docs/site/environment.py
+	PYTHONPATH=. $(BIN)/python docs/site/generated_pages.py
 	PYTHONPATH=. $(BIN)/python docs/site/angles.py
 
 coverage: ## the same tests, and the lines and branches they miss; 90 % must be covered

@@ -63,9 +63,8 @@ def test_a_link_leads_to_the_page_or_to_the_code_host(hooks, link, uri, expected
 
 
 def test_pages_made_from_code_are_up_to_date():
-    module = loaded("docs/site/environment.py")
-    assert module.PAGE.read_text("utf-8") == module.page(), "run: make generated"
-    assert module.LISTED.read_text("utf-8") == module.listed(), "run: make generated"
+    for name, page in loaded("docs/site/generated_pages.py").PAGES.items():
+        assert (ROOT / "docs" / name).read_text("utf-8") == page(), "run: make generated"
 
 
 def test_the_page_of_a_notebook_shows_its_cells_and_their_outputs(hooks):

@@ -19,10 +19,10 @@ from experiments.console.signals import Ended, ended_by_signals, stopped_at_once
 GROUPS = {
     "begin": {
         "demo": "compare all policies on simulated and ray-traced streets",
-        "list": "show all names: policies, kinds of users, radios, streets, ...",
+        "list": "show all names: policies, radios, streets, ...; copy samples",
     },
     "localize": {
-        "localize": "compute the track of a measurement log",
+        "localize": "compute the track of a measurement log, or find its errors",
         "simulate": "write one episode as files: measurement log, scene and truth",
     },
     "compare": {
@@ -34,12 +34,12 @@ GROUPS = {
         "report": "make one self-contained web page of results",
     },
     "train": {
-        "train": "train policies, with several training seeds",
-        "tune": "tune the process noise of modes by likelihood",
+        "train": "train policies, with several training seeds; resume trainings",
+        "tune": "tune the process noise of modes, or whole banks",
         "sweep": "run grids of comparisons and trainings, here or on a Ray cluster",
         "convert": "convert a model of Stable-Baselines3 to a file without code",
     },
-    "measure": {"speed": "measure steps per second, compared with filterpy"},
+    "measure": {"speed": "measure steps per second, memory and latency"},
 }
 COMMANDS = {name: about for group in GROUPS.values() for name, about in group.items()}
 SAME = {"evaluate": "compare"}  # aliases of commands
