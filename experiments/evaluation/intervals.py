@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm, t
+from scipy.special import ndtri, stdtrit
 
 from mmwave_env.numerics.numbers import Array, Index
 
@@ -126,7 +126,7 @@ def few_seeds_factor(seeds: int) -> float:
     """
     if seeds == 1:
         return 1.0  # one seed says nothing about the spread
-    return float(np.sqrt(seeds / (seeds - 1.0)) * t.ppf(0.975, seeds - 1) / norm.ppf(0.975))
+    return float(np.sqrt(seeds / (seeds - 1.0)) * stdtrit(seeds - 1, 0.975) / ndtri(0.975))
 
 
 def crossed_bootstrap(scores: Array) -> Interval:

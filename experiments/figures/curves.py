@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtr, chdtri
 
 from experiments.figures.canvas import COLORS, caption, contenders, legend_of, panels, plain_numbers
 from mmwave_env.localization.position_errors import SHARES, horizontal, vertical
@@ -55,7 +55,7 @@ def draw_consistency(
         path, width_mm: arguments of :func:`~experiments.figures.canvas.panels`.
     """
     episodes = len(next(iter(nees.values())))
-    low, high = chi2.ppf([0.025, 0.975], episodes * dof) / (episodes * dof)
+    low, high = chdtri(episodes * dof, [0.975, 0.025]) / (episodes * dof)
     with panels(path, 2, len(nees) + 2, width_mm) as (figure, (over_time, whole)):
         bounds = over_time.axhspan(low, high, color="0.7", lw=0.0, label=BOUNDS)
         whole.plot([0.0, 1.0], [0.0, 1.0], color="0.5", lw=4.0, alpha=0.6, label="consistent")
@@ -63,7 +63,7 @@ def draw_consistency(
         for number, (name, values) in enumerate(nees.items()):
             look = _style(number) | {"label": names[name]}
             over_time.plot(time_s, values.mean(axis=0) / dof, **look)
-            inside = np.sort(chi2.cdf(values, dof), axis=None)
+            inside = np.sort(chdtr(dof, values), axis=None)
             whole.plot(_SHARES, np.searchsorted(inside, _SHARES, "right") / inside.size, **look)
         label = f"mean NEES / {dof}, of {episodes:,} episodes"
         over_time.set(xlabel="time since the start (s)", yscale="log", ylabel=label)

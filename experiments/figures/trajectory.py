@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from experiments.figures.canvas import caption, legend_beside, picture
 from experiments.figures.timeline import mode_ribbon
@@ -86,7 +86,7 @@ def _draw_ellipses(axes: Any, track: DrawnTrack) -> None:
 
     at = np.unique(np.linspace(0, len(track.time_s) - 1, ELLIPSES).astype(int))
     variances, directions = np.linalg.eigh(track.covariance_m2[at, :2, :2])
-    axes_m = np.sqrt(chi2.ppf(0.95, 2) * np.maximum(variances, 0.0))  # semi-axes, the shorter first
+    axes_m = np.sqrt(chdtri(2, 0.05) * np.maximum(variances, 0.0))  # semi-axes, the shorter first
     extent = float(np.ptp(track.position_m[:, :2], axis=0).max())
     wanted = _VISIBLE * extent / max(float(np.median(axes_m[:, 1])), 1e-9)
     enlarged = next((n for n in _ENLARGED if n >= wanted), _ENLARGED[-1])

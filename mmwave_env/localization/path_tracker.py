@@ -14,7 +14,6 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 from scipy.special import chdtri
 
 from mmwave_env.filters.gating import innovation_statistics
@@ -54,6 +53,8 @@ def assign(nis: Array, gate: float) -> Index:
 
     ``nis`` is (L, n); a path may belong to an anchor only if its NIS is below ``gate``.
     """
+    from scipy.optimize import linear_sum_assignment
+
     labels = np.full(len(nis), NO_PATH)
     # A pair of anchor and path outside the gate costs as much as the gate, and is not assigned.
     anchors, paths = linear_sum_assignment(np.minimum(np.nan_to_num(nis, nan=np.inf), gate))

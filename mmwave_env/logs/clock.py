@@ -102,7 +102,7 @@ def clock_offset(
 
 def _linear(log: LogBlock, scene: Scene, truth: TrueEpochs) -> tuple[ClockOffset, Array] | None:
     """Estimate the offset to first order; also return standard deviations (4 L,) of the rows."""
-    from scipy.stats import t
+    from scipy.special import stdtrit
 
     anchors, layout = scene.anchors_m.tolist(), Layout(len(scene.anchors_m))
 
@@ -148,7 +148,7 @@ def _linear(log: LogBlock, scene: Scene, truth: TrueEpochs) -> tuple[ClockOffset
     fits = filter(None, [_fit(total - stretch) for stretch in sums])
     without = np.array([fit[0] for fit in fits])
     error_s = math.sqrt((n - 1) / n * float(((without - seconds) ** 2).sum()))
-    return ClockOffset(seconds, error_s, share, float(t.isf(0.5 * _CHANCE, n - 1))), deviation
+    return ClockOffset(seconds, error_s, share, float(-stdtrit(n - 1, 0.5 * _CHANCE))), deviation
 
 
 def _fit(sums: Array) -> tuple[float, float] | None:
