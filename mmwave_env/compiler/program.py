@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from mmwave_env.compiler.advance import advance
 from mmwave_env.compiler.disk_cache import LazyJit, compiled_callback
-from mmwave_env.compiler.fingerprint import fingerprint
 from mmwave_env.compiler.lanes import WIDTH, kernel
 from mmwave_env.compiler.threads import share
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.numerics.pytree import Tree, flatten, indices, unflatten
+from mmwave_env.numerics.tape import fingerprint
 
 Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
 Blocks = tuple[int, int]  # first block, and the block after the last

@@ -12,7 +12,6 @@ from numba import types
 from numba.core.compiler_lock import global_compiler_lock
 
 from mmwave_env.compiler.disk_cache import compiled_callback
-from mmwave_env.compiler.fingerprint import fingerprint
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import Program, tree_kernel
 from mmwave_env.compiler.transpose import number_at
@@ -33,6 +32,7 @@ from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Number, Vector, floor, sqrt, where, wrap
 from mmwave_env.numerics.pytree import flatten, indices, select, tree_at
 from mmwave_env.numerics.random import STATE_WORDS, Dice, seeded
+from mmwave_env.numerics.tape import fingerprint
 from mmwave_env.world.episode import Incoming, blank_incoming
 from mmwave_env.world.kinematics import Net, Traveler, move, state_of
 from mmwave_env.world.travel import Phase, TravelPlan, attend, blank_plan, draw_phases, set_off
