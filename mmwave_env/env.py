@@ -286,10 +286,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         self._io, self._counts = self._engine.io(), self._tally.in_python()
         self._observed, self._error = self._engine.obs_rows, span(at.error)
         self._spread = span(reported(at).P[:3])
-        self._told = {
-            key: part if isinstance(part, int) else span(part)
-            for key, part in info_rows(at).items()
-        }
+        self._told = {key: span(part) for key, part in info_rows(at).items()}
 
     @property  # type: ignore[override]
     def spec(self) -> EnvSpec | None:

@@ -6,7 +6,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.theme import SMALLEST, Color
@@ -42,7 +42,7 @@ class Canvas:
         """Fill a part of the picture, or all of it."""
         self._large.fill(color, part and self._scaled(part))
 
-    def polygon(self, points: Array, color: Color, opacity: float = 1.0) -> None:
+    def polygon(self, points: ArrayLike, color: Color, opacity: float = 1.0) -> None:
         """Fill a polygon (n, 2)."""
         large = self._enlarged(points)
         if opacity == 1.0:
@@ -54,7 +54,9 @@ class Canvas:
         pygame.draw.polygon(glass, (*color, round(255 * opacity)), large - box.topleft)
         self._large.blit(glass, box)
 
-    def line(self, points: Array, color: Color, width: float = 1.0, closed: bool = False) -> None:
+    def line(
+        self, points: ArrayLike, color: Color, width: float = 1.0, closed: bool = False
+    ) -> None:
         """Draw a line through at least two points (n, 2)."""
         thick = max(1, round(width * self._scale))
         pygame.draw.lines(self._large, color, closed, self._enlarged(points), thick)
@@ -69,7 +71,7 @@ class Canvas:
 
     def disc(self, center: Point, radius: float, color: Color) -> None:
         """Draw a filled circle."""
-        (middle,) = self._enlarged(np.array([center])).tolist()
+        (middle,) = self._enlarged([center]).tolist()
         pygame.draw.circle(self._large, color, middle, radius * self._scale)
 
     def words(
@@ -107,10 +109,11 @@ class Canvas:
         pixels = np.frombuffer(pygame.image.tobytes(self._surface, "RGB"), np.uint8)
         return pixels.reshape(*size, 3).copy()
 
-    def _enlarged(self, points: Array) -> Array:
+    def _enlarged(self, points: ArrayLike) -> Array:
         """Return points (n, 2) in the coordinates of the large surface."""
         # np.clip would keep NaN; these functions replace NaN with a limit
-        return np.fmax(np.fmin(points * self._scale, _FAR), -_FAR)  # type: ignore[no-any-return]
+        enlarged = np.multiply(points, self._scale)
+        return np.fmax(np.fmin(enlarged, _FAR), -_FAR)  # type: ignore[no-any-return]
 
     def _scaled(self, part: Rect) -> pygame.Rect:
         """Return a part of the picture in the coordinates of the large surface."""

@@ -49,23 +49,6 @@ class History:
         """Return the length (k + 1,) of the position error."""
         return np.linalg.norm(self.estimate[:, :3] - self.truth[:, :3], axis=1)  # type: ignore[no-any-return]
 
-    @cached_property
-    def error_95_m(self) -> Array:
-        """Return the radius (k + 1,) within which 95 % of the errors are expected, given P.
-
-        The squared error of a Gaussian belief is a weighted sum of chi-squares, approximated by a
-        scaled chi-square with the same mean and variance (Satterthwaite).
-        """
-        from scipy.special import chdtri
-
-        xx, xy, yy, xz, yz, zz = self.P.T
-        if self.axes == 2:
-            xz, yz, zz = 0.0 * xz, 0.0 * yz, 0.0 * zz
-        mean = xx + yy + zz
-        square = xx**2 + yy**2 + zz**2 + 2.0 * (xy**2 + xz**2 + yz**2)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return np.sqrt(square / mean * chdtri(mean**2 / square, 0.05))  # type: ignore[no-any-return]
-
     def until(self, epochs: int) -> "History":
         """Return the history as it was after this number of epochs."""
         own = {field.name: getattr(self, field.name) for field in fields(self)}
@@ -78,12 +61,13 @@ class Recorder:
     """Recorder of an environment's epochs, from its workspace (all its values in one array).
 
     Args:
-        rows: slices of the workspace that contain ``anchors``, ``dt`` of the next epoch, ``truth``,
-            ``estimate``, ``P`` (packed), ``nees``, ``accepted`` and ``rejected``.
+        rows: slices of the workspace that contain ``anchors``, ``truth``, ``estimate``, ``P``
+            (packed), ``accepted`` and ``rejected``, and rows of ``nees`` and of the next epoch's
+            ``dt``.
         axes: number of position axes that NEES covers.
     """
 
-    def __init__(self, rows: Mapping[str, slice], axes: int) -> None:
+    def __init__(self, rows: Mapping[str, Any], axes: int) -> None:
         P = slice(rows["P"].start, rows["P"].start + POSITION_NUMBERS)
         self._rows, self._axes = {**rows, "P": P}, axes
         self._scenery = Scenery("", np.zeros((0, 3)), None)
@@ -106,10 +90,9 @@ class Recorder:
     def history(self) -> History:
         """Return all epochs so far."""
         part = {key: np.array([epoch[key] for epoch in self._epochs]) for key in self._rows}
-        time_s = np.cumsum(np.append(0.0, part["dt"][:-1]))  # dt is that of the next epoch
-        nees = part["nees"][:, 0]
-        nees[0] = np.nan  # instead of the previous episode's NEES
-        states = part["truth"], part["estimate"], part["P"], nees
+        time_s = np.cumsum(np.append(0.0, part["dt"][:-1]))
+        part["nees"][0] = np.nan  # instead of the previous episode's NEES
+        states = part["truth"], part["estimate"], part["P"], part["nees"]
         gates = part["accepted"] > 0.5, part["rejected"] > 0.5
         modes = np.array(self._modes)
         return History(self._scenery, self._axes, time_s, modes, *states, *gates)

@@ -66,7 +66,7 @@ class Picture:
         frame = Rect(0.0, top, UNITS, strips - 17.0 - top)
         draw_map(canvas, follow(history, frame), history, theme)
         self._draw_key(history, strips - 8.5)
-        draw_strips(canvas, Rect(0.0, strips, UNITS, 160.0), history, theme, beside)
+        draw_strips(canvas, strips, history, theme, beside)
         self._draw_modes(history, legend)
         return canvas.finish()
 
@@ -110,7 +110,7 @@ class Picture:
             if meaning == "rejected":
                 canvas.dashes(start, end, color, width)
             else:
-                canvas.line(np.array([start, end]), color, width)
+                canvas.line([start, end], color, width)
             x = canvas.words(meaning, (end[0] + 4.0, y), theme.quiet, 14).right
             x += 12.0
 
@@ -167,8 +167,8 @@ class Playback:
 
 _WINDOW = 120  # number of epochs that strips show
 _NEES = (0.03, 300.0)  # range of the NEES strip; other values are drawn at its edge
-# in units: room for words to the left of the strips, and for ticks to the right; height of a line
-_WORDS, _TICKS, _ROW = 112.8, 28.8, 13.0
+_LEFT, _WIDTH = 112.8, 338.4  # left edge and width of the strips; words are beside them
+_HEIGHT, _GAP, _RIBBON = 121.0 / 3.0, 4.0, 12.0  # heights of a strip, of a gap and of the ribbon
 
 
 @dataclass(frozen=True)
@@ -179,8 +179,7 @@ class Strip:
     curve: Array  # (n,) values of the estimate, drawn in the colors of the modes
     values: tuple[float, float]  # values at the lower and upper edge of the strip
     truth: Array | None = None  # (n,) true values, if known
-    # a band of expected values: its lower and upper edge, (n,) or numbers, and its label
-    band: tuple[Array | float, Array | float, str] | None = None
+    band: tuple[float, float, str] | None = None  # expected values: lower and upper edge, label
     # labelled values of a logarithmic scale; without them the scale is linear
     ticks: tuple[float, ...] = ()
 
@@ -194,25 +193,20 @@ class Strip:
 
 
 def draw_strips(
-    canvas: Canvas, place: Rect, history: History, theme: Theme, beside: Sequence[History] = ()
+    canvas: Canvas, top: float, history: History, theme: Theme, beside: Sequence[History]
 ) -> None:
-    """Draw all strips in a part of the picture, with scales that also fit ``beside``."""
+    """Draw all strips below a height, with scales that also fit ``beside``."""
     rows = slice(max(1, history.epochs - _WINDOW + 1), None)
-    ribbon = 12.0
-    height = (place.height - ribbon - 15.0) / 3.0
-    lane = Rect(place.left + _WORDS, place.top, place.width - _WORDS - _TICKS, height)
-    first, last = _times(history, rows)
-    x = lane.left + (history.time_s[rows] - first) / (last - first) * lane.width
-    modes = history.modes[rows]
+    modes, (first, last) = history.modes[rows], _times(history, rows)
+    x = _LEFT + (history.time_s[rows] - first) / (last - first) * _WIDTH
     for i, make in enumerate((_speed, _error, _nees)):
         strips = [make(drawn, rows) for drawn in (history, *beside)]
         low, _ = strips[0].values
         strip = replace(strips[0], values=(low, max(strip.values[1] for strip in strips)))
-        top = place.top + i * height + 2.0
-        plot = Rect(lane.left, top, lane.width, height - 4.0)
-        _draw_strip(canvas, place, plot, strip, x, modes, theme)
-    lane = Rect(lane.left, place.top + 3.0 * height + 1.0, lane.width, ribbon)
-    _draw_ribbon(canvas, place, lane, x, modes, theme)
+        plot = Rect(_LEFT, top + i * (_HEIGHT + _GAP) + _GAP / 2.0, _WIDTH, _HEIGHT)
+        _draw_strip(canvas, plot, strip, x, modes, theme)
+    lane = Rect(_LEFT, top + 3.0 * (_HEIGHT + _GAP) + 1.0, _WIDTH, _RIBBON)
+    _draw_ribbon(canvas, lane, x, modes, theme)
     _draw_clock(canvas, lane, (first, last), theme)
 
 
@@ -234,10 +228,8 @@ def _speed(history: History, rows: slice) -> Strip:
 
 
 def _error(history: History, rows: slice) -> Strip:
-    error, expected = history.error_m[rows], history.error_95_m[rows]
-    top = max(_top(error), _top(np.sort(expected)[: max(1, len(expected) // 2)]))
-    band = (0.0, expected, "95 % band")
-    return Strip("error, m", error, (0.0, top), band=band)
+    error = history.error_m[rows]
+    return Strip("error, m", error, (0.0, _top(error)))
 
 
 def _nees(history: History, rows: slice) -> Strip:
@@ -254,7 +246,7 @@ def _top(values: Array) -> float:
 
 
 def _draw_strip(
-    canvas: Canvas, place: Rect, plot: Rect, strip: Strip, x: Array, modes: Index, theme: Theme
+    canvas: Canvas, plot: Rect, strip: Strip, x: Array, modes: Index, theme: Theme
 ) -> None:
     """Draw the frame, ticks, band and lines of a strip, and to the left the key of the lines."""
 
@@ -263,38 +255,34 @@ def _draw_strip(
 
     canvas.fill(theme.ground, plot)
     color = theme.mode(int(modes[-1])) if len(modes) else theme.quiet
-    keys = [] if strip.truth is None else [("true", theme.truth, 1.6)]
-    keys.append(("estimate", color, 2.4))
+    keys = [("estimate", color, 2.4)]
+    if strip.truth is not None:
+        keys.insert(0, ("true", theme.truth, 1.6))
     if strip.band:
         low, high, meaning = strip.band
         keys.append((meaning, theme.band, 9.0))
-        if len(x) > 1 or not isinstance(high, np.ndarray):
-            edges = np.array([plot.left, plot.right]) if np.ndim(high) == 0 else x
-            lower, upper = (np.broadcast_to(y(edge), edges.shape) for edge in (low, high))
-            outline = np.stack([np.r_[edges, edges[::-1]], np.r_[lower, upper[::-1]]], axis=1)
-            canvas.polygon(outline, theme.band)
+        upper, lower = float(y(high)), float(y(low))
+        canvas.fill(theme.band, Rect(plot.left, upper, plot.width, lower - upper))
     for tick in strip.ticks or strip.values:
         level = float(y(tick))
-        canvas.line(np.array([[plot.left, level], [plot.right, level]]), theme.grid, 0.6)
+        canvas.line([[plot.left, level], [plot.right, level]], theme.grid, 0.6)
         inside = min(max(level, plot.top + 5.0), plot.bottom - 5.0)
         canvas.words(f"{tick:g}", (plot.right + 4.0, inside), theme.quiet, 13)
     if len(x) > 1:
         if strip.truth is not None:
             canvas.line(np.stack([x, y(strip.truth)], axis=1), theme.truth, 1.4)
         draw_by_mode(canvas, np.stack([x, y(strip.curve)], axis=1), modes, theme, 1.8)
-    left, row = place.left + _PAD, min(_ROW, plot.height / (len(keys) + 1))
-    canvas.words(strip.title, (left, plot.top + row / 2.0), theme.ink, 15)
+    row = min(13.0, plot.height / (len(keys) + 1))
+    canvas.words(strip.title, (_PAD, plot.top + row / 2.0), theme.ink, 15)
     for i, (meaning, color, width) in enumerate(keys, start=1):
         level = plot.top + (i + 0.5) * row
-        canvas.line(np.array([[left, level], [left + 14.0, level]]), color, width)
-        canvas.words(meaning, (left + 19.0, level), theme.quiet, 13)
+        canvas.line([[_PAD, level], [_PAD + 14.0, level]], color, width)
+        canvas.words(meaning, (_PAD + 19.0, level), theme.quiet, 13)
 
 
-def _draw_ribbon(
-    canvas: Canvas, place: Rect, lane: Rect, x: Array, modes: Index, theme: Theme
-) -> None:
+def _draw_ribbon(canvas: Canvas, lane: Rect, x: Array, modes: Index, theme: Theme) -> None:
     """Draw a ribbon in the colors of the modes that ran, with the modes' numbers where they fit."""
-    canvas.words("mode", (place.left + _PAD, lane.centery), theme.ink, 15)
+    canvas.words("mode", (_PAD, lane.centery), theme.ink, 15)
     canvas.fill(theme.ground, lane)
     if len(x) == 0:
         return
@@ -317,5 +305,5 @@ def _draw_clock(canvas: Canvas, lane: Rect, times_s: tuple[float, float], theme:
     y = lane.bottom
     for time in np.arange(math.ceil(first / step), last / step + 1e-9) * step:
         x = lane.left + (time - first) / (last - first) * lane.width
-        canvas.line(np.array([[x, y], [x, y + 3.0]]), theme.quiet, 0.8)
+        canvas.line([[x, y], [x, y + 3.0]], theme.quiet, 0.8)
         canvas.words(f"{time:g} s", (x, y + 9.0), theme.quiet, 13, 0.5)

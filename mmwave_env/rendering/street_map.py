@@ -159,9 +159,9 @@ def _draw_links(canvas: Canvas, view: View, history: History, theme: Theme) -> N
         if history.rejected[-1, link]:
             canvas.dashes(*ends, theme.rejected, 1.6)
         elif history.accepted[-1, link]:
-            canvas.line(np.array(ends), theme.accepted, 1.2)
+            canvas.line(ends, theme.accepted, 1.2)
         else:
-            canvas.line(np.array(ends), theme.missing)
+            canvas.line(ends, theme.missing)
 
 
 def _draw_ways(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
@@ -263,7 +263,7 @@ def _label(
 def _draw_plate(canvas: Canvas, place: Rect, theme: Theme) -> None:
     """Draw a translucent background for words."""
     corners = [place.topleft, place.topright, place.bottomright, place.bottomleft]
-    canvas.polygon(np.array(corners), theme.paper, 0.8)
+    canvas.polygon(corners, theme.paper, 0.8)
 
 
 def _point(view: View, position_m: Array) -> Point:
