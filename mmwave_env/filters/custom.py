@@ -5,14 +5,13 @@ trial run uses numbers that refuse the same operations, so it takes milliseconds
 line that asked for a value. It finds functions that cannot run, but not wrong results.
 """
 
-import linecache
 import os
 import sysconfig
 from collections.abc import Callable, Iterator
 from functools import lru_cache, partial
 from pathlib import Path
-from traceback import walk_tb
-from typing import Any, NamedTuple
+from traceback import FrameSummary, format_list, walk_tb
+from typing import Any
 
 from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.modes import ALGORITHMS, Mode
@@ -40,19 +39,6 @@ class AlgorithmError(TypeError):
     """An error in a user's algorithm; the message says where, why, and what to write instead."""
 
 
-class Line(NamedTuple):
-    """A line of a user's function; ``function`` is the function's name."""
-
-    file: str
-    number: int
-    function: str
-
-    def __str__(self) -> str:
-        shown = f'  File "{self.file}", line {self.number}, in {self.function}'
-        text = linecache.getline(self.file, self.number).strip()
-        return f"{shown}\n    {text}" if text else shown
-
-
 def name_of(function: Callable[..., Any]) -> str:
     """Return the name of a function, or of the class of an object that can be called."""
     while isinstance(function, partial):
@@ -60,15 +46,15 @@ def name_of(function: Callable[..., Any]) -> str:
     return str(getattr(function, "__name__", type(function).__name__))
 
 
-def _begin_of(function: Callable[..., Any]) -> Line | None:
+def _begin_of(function: Callable[..., Any]) -> FrameSummary | None:
     """Return the line on which a function begins; None if it was not written in Python."""
     while isinstance(function, partial):
         function = function.func
     code = getattr(function, "__code__", getattr(type(function).__call__, "__code__", None))
-    return None if code is None else Line(code.co_filename, code.co_firstlineno, code.co_name)
+    return code and FrameSummary(code.co_filename, code.co_firstlineno, code.co_name)
 
 
-def _line_of(error: BaseException, begin: Line | None) -> Line | None:
+def _line_of(error: BaseException, begin: FrameSummary | None) -> FrameSummary | None:
     """Return the innermost line of the user's code in an error's traceback.
 
     The line is in the file in which the user's function begins, or in a file that is not part of a
@@ -77,8 +63,8 @@ def _line_of(error: BaseException, begin: Line | None) -> Line | None:
     innermost = begin
     for frame, number in walk_tb(error.__traceback__):
         file = frame.f_code.co_filename
-        if (begin and file == begin.file) or not file.startswith(_LIBRARIES):
-            innermost = Line(file, number, frame.f_code.co_name)
+        if (begin and file == begin.filename) or not file.startswith(_LIBRARIES):
+            innermost = FrameSummary(file, number, frame.f_code.co_name)
     return innermost
 
 
@@ -96,9 +82,9 @@ def complaint(
     """
     begin = _begin_of(function)
     line = _line_of(error, begin) if error else begin
-    parts = [f"{subject} {problem}", line and str(line), advice]
-    # Gymnasium appends the environment's arguments to a message: let them begin on a new line.
-    return "\n".join(part for part in parts if part) + "\n"
+    shown = [*format_list([line] if line else []), f"{advice}\n" if advice else ""]
+    # Gymnasium appends the environment's arguments to a message, which ends with a new line.
+    return f"{subject} {problem}\n" + "".join(shown)
 
 
 def try_out(
@@ -170,10 +156,10 @@ def _wrong_shapes(layout: Layout, result: Any) -> Iterator[str]:
     state, groups = [0.0] * layout.state_size, [0.0] * len(layout.groups)
     expected = Posterior(state, [state] * len(state), groups, groups, 0.0)
     for parts in zip(Posterior._fields, result, expected, strict=True):
-        yield from _wrong_parts(*parts)
+        yield from wrong_parts(*parts)
 
 
-def _wrong_parts(name: str, value: Any, like: Any) -> Iterator[str]:
+def wrong_parts(name: str, value: Any, like: Any) -> Iterator[str]:
     """Yield the parts of a value that differ in type or shape from those of ``like``."""
     if isinstance(like, list):
         if not isinstance(value, list) or len(value) != len(like):
@@ -181,7 +167,7 @@ def _wrong_parts(name: str, value: Any, like: Any) -> Iterator[str]:
             yield f"{name}: {_kind(value)}, expected a list of {len(like)} {parts}"
             return
         for i, (part, wanted) in enumerate(zip(value, like, strict=True)):
-            yield from _wrong_parts(f"{name}[{i}]", part, wanted)
+            yield from wrong_parts(f"{name}[{i}]", part, wanted)
     elif isinstance(value, bool | TracerCondition):
         yield f"{name}: a condition, expected a number: where(condition, 1.0, 0.0)"
     elif not isinstance(value, float | int | Tracer):

@@ -16,11 +16,10 @@ from typing import Any, cast
 import numpy as np
 
 from mmwave_env.filters.belief import Belief
-from mmwave_env.filters.custom import complaint, name_of, try_out
+from mmwave_env.filters.custom import complaint, name_of, try_out, wrong_parts
 from mmwave_env.io.lookup import choose
 from mmwave_env.numerics.numbers import Array, Number, Vector, log, maximum, minimum
 from mmwave_env.numerics.tape import taped
-from mmwave_env.numerics.tracer import Tracer, TracerCondition
 
 Terms = dict[str, Number]
 Reward = Callable[[Belief, Vector], Terms | Number]
@@ -170,9 +169,6 @@ def _check(reward: Reward) -> None:
     terms = _as_terms(try_out(reward, _trial(), subject, ValueError))
     if not terms or not all(isinstance(name, str) for name in terms):
         raise refused(f"returned terms named {list(terms)}, expected one or more strings")
-    for value in terms.values():
-        if isinstance(value, bool | TracerCondition):
-            raise refused("returned a condition, expected where(condition, 1.0, 0.0)")
-        if not isinstance(value, float | int | Tracer):
-            kind = "None" if value is None else type(value).__name__
-            raise refused(f"returned {kind}, expected a number or a dict of numbers")
+    for name, value in terms.items():
+        if problem := next(wrong_parts(name, value, 0.0), ""):
+            raise refused(f"returned {problem}")
