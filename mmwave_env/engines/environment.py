@@ -27,7 +27,6 @@ from mmwave_env.interface.info import SMOOTHED_KEY, drawn_rows, reported
 from mmwave_env.interface.reward import term_names
 from mmwave_env.metrics import INFO_KEYS, ate, scored
 from mmwave_env.models.scene import Streets
-from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.task import Task
 from mmwave_env.world.episode import EpisodeBatch
@@ -138,7 +137,7 @@ class Environment:
         self._baseline = Baseline(task, self._engine.batch, threads) if task.baseline else None
 
     @property
-    def _drawn(self) -> tuple[dict[str, slice], int, list[str]]:
+    def _drawn(self) -> tuple[dict[str, Any], int, list[str]]:
         """Return the rows that pictures read, the number of NEES axes and the actions' names."""
         rows = drawn_rows(self._engine.at, self._engine.span)
         return rows, len(self._task.pipeline.position_axes), self.observation.actions
@@ -153,9 +152,9 @@ class Environment:
             ResetNeeded: no episode is under way.
         """
         self._require_begun("belief")
-        pipeline, at = self._engine.pipeline, reported(self._engine.at)
+        at = reported(self._engine.at)
         x, P = (self._engine.read(part)[environment].tolist() for part in (at.x, at.P))
-        return Belief(x, unpack(P, pipeline.known_axes), pipeline.position_axes)
+        return self._engine.pipeline.belief(x, P)
 
     def _streets_of(self, place: int) -> Streets | None:
         return self._task.streets_of(int(self._engine.keys[place]))
