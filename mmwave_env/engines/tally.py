@@ -1,4 +1,4 @@
-"""What is recorded of an episode for its end: sums for its metrics, and modes to replay it."""
+"""Records of an episode that are used when it ends: sums for metrics, and modes for a replay."""
 
 import math
 from statistics import NormalDist
