@@ -286,10 +286,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         self._io, self._counts = self._engine.io(), self._tally.in_python()
         self._observed, self._error = self._engine.obs_rows, span(at.error)
         self._spread = span(reported(at).P[:3])
-        self._told = {
-            key: part if isinstance(part, int) else span(part)
-            for key, part in info_rows(at).items()
-        }
+        self._told = {key: span(part) for key, part in info_rows(at).items()}
 
     @property  # type: ignore[override]
     def spec(self) -> EnvSpec | None:
@@ -329,7 +326,6 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         self._begun, self._over, self._steps = True, False, 0
         self._length = int(self._engine.batch.state.length[0])
         self._counts = self._tally.in_python()
-        self._history.make_room(self._length)
         column = self._engine.column(0)
         if self._gallery:
             names = [info["episode_name"]]
@@ -367,7 +363,8 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         off, nees = column[self._error].tolist(), info["nees"]
         info[COST_KEY] = exceeds(*off[:2], *column[self._spread].tolist())
         count(self._counts, 0, self._steps, *off, nees)
-        self._history.rows[self._steps, 0] = mode
+        if self._smoothing:
+            self._counts.modes[self._steps, 0] = mode
         self._steps += 1
         terminated = self._task.worst is not None and not distance <= DIVERGENCE_M
         if terminated:
@@ -423,7 +420,6 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
 
     def _episode_info(self) -> dict[str, Any]:
         """Return metrics of the processed epochs, and how many of them had nonfinite beliefs."""
-        self._history.turn = self._steps
         metrics: dict[str, Any] = {k: float(v[0]) for k, v in self._metrics_of(_HERE).items()}
         (lost,) = self._tally.nonfinite(_HERE).tolist()
         if lost:

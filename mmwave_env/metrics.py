@@ -47,11 +47,11 @@ def rpe(error: Array, delta: int = 1) -> Array:
     return ate(change)
 
 
-def nees_interval(axes: int = 3, share: float = 0.95) -> tuple[float, float]:
-    """Return the two-sided interval that holds a consistent filter's NEES in a share of epochs."""
+def nees_interval(axes: int = 3) -> tuple[float, float]:
+    """Return the two-sided interval that holds a consistent filter's NEES in 95 % of epochs."""
     from scipy.special import chdtri
 
-    tail = (1.0 - share) / 2.0
+    tail = (1.0 - 0.95) / 2.0
     return float(chdtri(axes, 1.0 - tail)), float(chdtri(axes, tail))
 
 

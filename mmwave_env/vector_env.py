@@ -140,7 +140,7 @@ class MmWaveLocVectorEnv(
         self._start_engine(self._task.pipeline, self.num_envs, threads=self._threads)
         engine = self._engine
         self.batch = engine.batch
-        self._stepper = Stepper(engine, self._tally, self._history, self._infos)
+        self._stepper = Stepper(engine, self._tally, self._infos)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
         """Draw pictures (size, size, 3) of the first 16 environments; None without a render mode.
@@ -238,7 +238,6 @@ class MmWaveLocVectorEnv(
             infos["nonfinite"][places] = [episode.nonfinite for episode in drawn]
         engine.lead(places)
         self._begin_tracks(places)
-        self._remember(int(engine.batch.state.length.max()))
         self._names[places] = infos["episode_name"][places]
         self._over = self._over.copy()
         self._over[places] = False

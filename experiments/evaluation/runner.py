@@ -12,7 +12,6 @@ from experiments.evaluation.agents import NO_FILTERS, Estimator, require_actions
 from experiments.evaluation.branches import Clairvoyant
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.seeds import Selection
-from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.filters.bank import Modes
@@ -122,7 +121,7 @@ def run_contender(
     if isinstance(policy, Clairvoyant):
         policy.foresee(engine)
     program = engine.batch.program
-    rows = rows_of(program.parts(names))
+    rows = program.rows(names)
     outputs, taken = np.empty((n, T, len(rows))), np.empty((n, T), np.int8)
     corrections: list[Correction] = []
     observations = engine.observations()

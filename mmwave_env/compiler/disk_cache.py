@@ -266,6 +266,4 @@ class LazyJit:
 
     def __call__(self, work: int, *arguments: Any) -> Any:
         """Do an amount of work, as plain Python or compiled."""
-        if not self._left:  # a shortcut for the many steps after the first ones
-            return self.compiled(*arguments)
         return self.choice(work, *arguments)(*arguments)

@@ -7,7 +7,7 @@ Before each run, the field ``incoming`` of a workspace is set from a table or by
 """
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from operator import attrgetter
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from mmwave_env.compiler.advance import advance
 from mmwave_env.compiler.disk_cache import LazyJit, compiled_callback
-from mmwave_env.compiler.fingerprint import fingerprint
 from mmwave_env.compiler.lanes import WIDTH, kernel
 from mmwave_env.compiler.threads import share
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.numerics.pytree import Tree, flatten, indices, unflatten
+from mmwave_env.numerics.tape import fingerprint
 
 Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
 Blocks = tuple[int, int]  # first block, and the block after the last
@@ -45,6 +45,20 @@ if hasattr(os, "register_at_fork"):
 def rows_of(tree: Any) -> Index:
     """Return the row numbers in a tree, such as a part of :attr:`Program.index`."""
     return np.array(flatten(tree), np.int64)
+
+
+def laid_out(parts: Mapping[str, Any]) -> tuple[Index, dict[str, int | slice]]:
+    """Return the rows of some parts of an index, and each part's columns in outputs of these rows.
+
+    The columns are a slice, or a number for a part that is a single number.
+    """
+    columns: dict[str, int | slice] = {}
+    first = 0
+    for name, part in parts.items():
+        width = len(flatten(part))
+        columns[name] = first if isinstance(part, int) else slice(first, first + width)
+        first += width
+    return rows_of(list(parts.values())), columns
 
 
 def blocks_of(start: Array, n: int) -> Array:
@@ -161,16 +175,12 @@ class Program(Generic[Workspace]):
         self._compiled: Any = None
         self._columns: dict[Sequence[str], tuple[Index, dict[str, int | slice]]] = {}
 
-    def parts(self, names: Sequence[str]) -> list[Any]:
-        """Return parts of ``index`` by name, such as "x" or "memory.nis"."""
-        return [attrgetter(name)(self.index) for name in names]
-
     def rows(self, names: Sequence[str]) -> Index:
-        """Return the row numbers of :meth:`parts`."""
+        """Return the row numbers of parts of ``index``, such as "x" or "memory.nis"."""
         return self._found(tuple(names))[0]
 
     def by_name(self, names: Sequence[str], outputs: Array) -> dict[str, Array]:
-        """Split outputs (n, epochs, rows) by name; the rows are those of :meth:`parts`, in order.
+        """Split outputs (n, epochs, rows) by name; the rows are those of :meth:`rows`, in order.
 
         A part is (n, epochs) if it is a single number, else (n, epochs, numbers).
         """
@@ -181,12 +191,8 @@ class Program(Generic[Workspace]):
     def _found(self, names: tuple[str, ...]) -> tuple[Index, dict[str, int | slice]]:
         """Return the rows of some parts, and each part's columns in outputs of these rows."""
         if names not in self._columns:
-            parts, columns, first = self.parts(names), {}, 0
-            for name, part in zip(names, parts, strict=True):
-                width = len(flatten(part))
-                columns[name] = first if isinstance(part, int) else slice(first, first + width)
-                first += width
-            self._columns[names] = rows_of(parts), columns
+            parts = {name: attrgetter(name)(self.index) for name in names}
+            self._columns[names] = laid_out(parts)
         return self._columns[names]
 
     def run_on_lanes(self, state: BatchState, io: StepIO, blocks: Blocks | None = None) -> None:

@@ -19,9 +19,6 @@ from numpy.typing import NDArray
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.numerics.numbers import Array, Index
 
-LINE = 64  # bytes of a cache line on most machines; if lines are longer, some are prefetched twice
-
-
 _INTEGER, _DOUBLE, _SINGLE = ir.IntType(64), ir.DoubleType(), ir.FloatType()
 _VECTOR = ir.VectorType(_DOUBLE, WIDTH)
 _BYTES = {_DOUBLE: 8, _SINGLE: 4}
@@ -95,28 +92,6 @@ def _compiled_scatter(kind: ir.Type) -> Callable[..., Any]:
         return compiled
 
     return choose
-
-
-def prefetch(address: int) -> None:
-    """Prefetch the cache line that contains an address."""
-
-
-@overload(prefetch)  # type: ignore[untyped-decorator]
-def _compiled_prefetch(address):  # type: ignore[no-untyped-def]
-    return lambda address: _prefetch(address)  # noqa: PLW0108 (numba wants a function)
-
-
-@intrinsic  # type: ignore[untyped-decorator]
-def _prefetch(_, address):  # type: ignore[no-untyped-def]
-    def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        pointer, flag = ir.IntType(8).as_pointer(), ir.IntType(32)
-        kind = ir.FunctionType(ir.VoidType(), [pointer, flag, flag, flag])
-        ask = builder.module.declare_intrinsic("llvm.prefetch", [pointer], kind)
-        place = builder.inttoptr(arguments[0], pointer)
-        builder.call(ask, [place, flag(0), flag(2), flag(1)])
-        return context.get_dummy_value()
-
-    return types.void(address), build
 
 
 @intrinsic  # type: ignore[untyped-decorator]

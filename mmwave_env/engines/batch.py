@@ -193,9 +193,11 @@ class Batch(Generic[Workspace]):
         jobs = [(begin, end, *program) for begin, end in self.parts]
         self._run(len(state.rows) * io.outputs.shape[1], jobs)
 
-    def span(self, tree: Any) -> slice:
-        """Return the slice of the rows of a subtree of ``at``; these rows are contiguous."""
-        numbers = flatten(tree)
+    def span(self, tree: Any) -> Any:
+        """Return the row of a leaf of ``at``, or the slice of the rows of a subtree."""
+        if isinstance(tree, int):
+            return tree
+        numbers = flatten(tree)  # these rows are contiguous
         return slice(numbers[0], numbers[-1] + 1)
 
     def read(self, tree: Any, dtype: DTypeLike = np.float64) -> NDArray[Any]:
@@ -219,5 +221,4 @@ class Batch(Generic[Workspace]):
         """
         places = np.arange(self.n) if places is None else places
         block, lane = np.divmod(places, WIDTH)
-        rows = tree if isinstance(tree, int) else self.span(tree)
-        self.state.rows[block, rows, lane] = values
+        self.state.rows[block, self.span(tree), lane] = values

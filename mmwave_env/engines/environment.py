@@ -19,7 +19,7 @@ from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.tally import Tally
-from mmwave_env.engines.vector_step import ActionHistory, Stepper
+from mmwave_env.engines.vector_step import Stepper
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import MODE, limits_of
@@ -27,7 +27,6 @@ from mmwave_env.interface.info import SMOOTHED_KEY, drawn_rows, reported
 from mmwave_env.interface.reward import term_names
 from mmwave_env.metrics import INFO_KEYS, ate, scored
 from mmwave_env.models.scene import Streets
-from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.task import Task
 from mmwave_env.world.episode import EpisodeBatch
@@ -119,9 +118,9 @@ class Environment:
                 f"smoothed: found {smoothed} with action={task.action!r}, expected False"
             )
         self._task, self._observation_kind, self._smoothing = task, observation, smoothed
-        self._limits = limits_of(task.action, len(task.pipeline.modes))
-        self._tally = Tally(n, len(task.pipeline.position_axes))
-        self._history = ActionHistory(n, len(task.pipeline.modes) + 1)
+        modes = len(task.pipeline.modes)
+        self._limits = limits_of(task.action, modes)
+        self._tally = Tally(n, len(task.pipeline.position_axes), smoothed, modes + 1)
         self._begun = False
 
     def _start_engine(
@@ -138,7 +137,7 @@ class Environment:
         self._baseline = Baseline(task, self._engine.batch, threads) if task.baseline else None
 
     @property
-    def _drawn(self) -> tuple[dict[str, slice], int, list[str]]:
+    def _drawn(self) -> tuple[dict[str, Any], int, list[str]]:
         """Return the rows that pictures read, the number of NEES axes and the actions' names."""
         rows = drawn_rows(self._engine.at, self._engine.span)
         return rows, len(self._task.pipeline.position_axes), self.observation.actions
@@ -153,9 +152,9 @@ class Environment:
             ResetNeeded: no episode is under way.
         """
         self._require_begun("belief")
-        pipeline, at = self._engine.pipeline, reported(self._engine.at)
+        at = reported(self._engine.at)
         x, P = (self._engine.read(part)[environment].tolist() for part in (at.x, at.P))
-        return Belief(x, unpack(P, pipeline.known_axes), pipeline.position_axes)
+        return self._engine.pipeline.belief(x, P)
 
     def _streets_of(self, place: int) -> Streets | None:
         return self._task.streets_of(int(self._engine.keys[place]))
@@ -174,11 +173,6 @@ class Environment:
         length = self._engine.batch.state.length[places]
         self._tally.begin(places, self._engine.steps_s(places), length)
 
-    def _remember(self, epochs: int) -> None:
-        """Make room for the actions of this many steps, if a replay needs them."""
-        if self._replay:
-            self._history.make_room(epochs)
-
     def _metrics_of(self, ended: Index, threads: int = 1) -> dict[str, Array]:
         """Compute the final metrics of episodes that ended in some environments (k,)."""
         epochs = self._engine.batch.completed[ended]
@@ -194,7 +188,7 @@ class Environment:
 
         def smooth(some: Index, steps: int) -> None:
             episodes = self._engine.episodes(self._task, ended[some])
-            *_, errors = replay.run(episodes, self._history.of(ended[some], steps))
+            *_, errors = replay.run(episodes, self._tally.counts.modes[:steps, ended[some]].T)
             smoothed[some] = ate(errors[:, scored(steps)])
 
         share(smooth, jobs, threads)
@@ -259,7 +253,6 @@ class RestorableEnvironment(Environment):
         return {name: array.copy() for name, array in self._arrays().items()} | {
             "streams": self._streams.states(),
             "over": self._over.copy(),
-            "actions": self._history.all(),
         }
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
@@ -271,7 +264,8 @@ class RestorableEnvironment(Environment):
             "table": tracks.table,
         }
         arrays |= {"length": tracks.length, "epoch": tracks.epoch, "keys": self._engine.keys}
-        return arrays | {"sums": counts.sums, "errors": counts.errors, "second": counts.second}
+        arrays |= {"sums": counts.sums, "errors": counts.errors, "second": counts.second}
+        return arrays | {"actions": counts.modes}
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
         """Continue exactly like the environment that returned this :meth:`state`.
@@ -284,13 +278,12 @@ class RestorableEnvironment(Environment):
                 simulated.
         """
         self._require_simulated("restore")
-        n, history, source = self.num_envs, self._history, self._task.simulated
+        n, source = self.num_envs, self._task.simulated
         # make room for the state's episodes; current episodes continue
         self._engine.attach(self._task)
-        self._tally.make_room(min(round(1.0 / source.dt), source.epochs))
-        self._remember(source.epochs)
+        self._tally.make_room(min(round(1.0 / source.dt), source.epochs), source.epochs)
         arrays = self._arrays()
-        others = {"streams": (n, 2), "over": (n,), "actions": history.rows.shape}
+        others = {"streams": (n, 2), "over": (n,)}
         for name, shape in (others | {key: array.shape for key, array in arrays.items()}).items():
             stored = state[name].shape if name in state else "nothing"
             if stored != shape:
@@ -306,7 +299,6 @@ class RestorableEnvironment(Environment):
         for name, array in arrays.items():
             array[:] = state[name]
         self._streams.set_states(state["streams"])
-        history.set_all(state["actions"])
         self._over, self._ended = state["over"].copy(), int(np.count_nonzero(state["over"]))
         self._begin_baseline(np.arange(n))
         self._begin_pictures(np.arange(n))  # the path so far is not part of a state

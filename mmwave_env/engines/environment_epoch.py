@@ -88,7 +88,7 @@ def shared_epoch(
     cost: Number = tree_at(w.action, [mode.cost for mode in modes])
     dt, visible, truth, measured, _ = w.pending
     memory = memory_after(layout, w.action, w.x, chosen, w.memory, dt, visible, measured)
-    belief = Belief(chosen.x, unpack(chosen.P, zero=pipeline.known_axes), pipeline.position_axes)
+    belief = pipeline.belief(chosen.x, chosen.P)
 
     x, P, memory = begun(w, chosen.x, chosen.P, memory, pipeline)
     coming = w.incoming.epoch(layout)
@@ -166,7 +166,7 @@ def per_mode_epoch(
     scored = truth
     if action == CORRECTION:
         scored = w.truth
-        before = Belief(w.x, unpack(w.P, zero=pipeline.known_axes), pipeline.position_axes)
+        before = pipeline.belief(w.x, w.P)
         belief = corrected(before, w.numbers[:3], w.numbers[3:])
         earned = total(terms_of(reward, before, scored))
         reported = Reported(

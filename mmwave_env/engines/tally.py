@@ -1,4 +1,4 @@
-"""Running sums from which the metrics of an episode are computed when it ends."""
+"""Records of an episode that are used when it ends: sums for metrics, and modes for a replay."""
 
 import math
 from statistics import NormalDist
@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba.extending import register_jitable
+from numpy.typing import NDArray
 
 from mmwave_env.metrics import BURN_IN, RISK, Sums, nees_interval, running_summary
 from mmwave_env.numerics.numbers import Array, Index
@@ -22,12 +23,15 @@ ANGLES, LEAST = 64, 1e-12  # number of angles in a quadrant; smallest variance, 
 
 
 class Counts(NamedTuple):
-    """The sums of n environments; plain Python may use sequences with the shapes of the arrays."""
+    """The records of n environments; plain Python may use sequences with the arrays' shapes."""
 
     sums: Array  # (n, 7)
     errors: Array  # (n, T, 3) ring buffer of the latest position errors, m
     second: Index  # (n,) number of epochs in a second, from 1 to the length of the episode
     interval: Array  # (2,) interval that contains 95 % of a consistent filter's NEES
+    # (epochs, n) mode in each epoch of the current episode, in the smallest type that can hold it;
+    # (0, n) if episodes are not replayed
+    modes: NDArray[np.unsignedinteger]
 
 
 class Tally:
@@ -36,34 +40,39 @@ class Tally:
     Args:
         n: number of environments.
         axes: number of position axes that NEES covers.
+        replayed: whether to record the modes of episodes, for replays.
+        actions: number of actions that a mode may be.
 
     Attributes:
-        counts: the sums; the ring buffer covers a second, or an episode that is shorter.
+        counts: the records; the ring buffer covers a second, or an episode that is shorter.
     """
 
-    def __init__(self, n: int, axes: int) -> None:
-        interval = np.array(nees_interval(axes))
-        self.counts = Counts(
-            np.zeros((n, SUMS)), np.zeros((n, 1, 3)), np.ones(n, np.int64), interval
-        )
+    def __init__(self, n: int, axes: int, replayed: bool = False, actions: int = 1) -> None:
+        self._replayed, interval = replayed, np.array(nees_interval(axes))
+        modes = np.zeros((0, n), np.min_scalar_type(actions))
+        sums, errors, second = np.zeros((n, SUMS)), np.zeros((n, 1, 3)), np.ones(n, np.int64)
+        self.counts = Counts(sums, errors, second, interval, modes)
 
     def begin(self, places: Index, step_s: Array, epochs: Index) -> None:
         """Start over in some environments, given the step (s) and number of epochs of each."""
         second = self.counts.second
         second[places] = np.clip(np.round(1.0 / step_s), 1, epochs)
-        self.make_room(int(second.max()))
+        self.make_room(int(second.max()), int(epochs.max(initial=0)))
 
-    def make_room(self, epochs: int) -> None:
-        """Make room for at least this number of errors per environment."""
-        errors = self.counts.errors
-        missing = max(0, epochs - errors.shape[1])
-        self.counts = self.counts._replace(errors=np.pad(errors, ((0, 0), (0, missing), (0, 0))))
+    def make_room(self, second: int, epochs: int) -> None:
+        """Make room for at least this number of errors and of epochs per environment."""
+        errors, modes = self.counts.errors, self.counts.modes
+        missing = max(0, second - errors.shape[1])
+        errors = np.pad(errors, ((0, 0), (0, missing), (0, 0)))
+        if self._replayed:
+            modes = np.pad(modes, ((0, max(0, epochs - len(modes))), (0, 0)))
+        self.counts = self.counts._replace(errors=errors, modes=modes)
 
     def in_python(self) -> Counts:
         """Return the counts of the first environment, in a form that is fast without a compiler."""
-        sums, errors, second, interval = self.counts
+        sums, errors, second, interval, modes = self.counts
         rows: Any = [[memoryview(sums[0])], [[memoryview(error) for error in errors[0]]]]
-        return Counts(rows[0], rows[1], second.tolist(), interval.tolist())  # type: ignore[arg-type]
+        return Counts(rows[0], rows[1], second.tolist(), interval.tolist(), modes)  # type: ignore[arg-type]
 
     def nonfinite(self, places: Index) -> Index:
         """Return how many epochs (k,) had no finite belief in some environments (k,)."""

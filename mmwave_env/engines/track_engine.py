@@ -15,13 +15,11 @@ from numpy.typing import NDArray
 from mmwave_env.compiler.program import Program, Workspace, rows_of
 from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.epoch_state import begun, blank_track
-from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.memory import Memory, memory_after, memory_before
 from mmwave_env.filters.modes import Tuning
 from mmwave_env.filters.pipeline import Pipeline, predict_update
 from mmwave_env.filters.update import ModeResult
 from mmwave_env.models.measurement import Epoch, Site
-from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Number, Vector
 from mmwave_env.numerics.pytree import flatten, tree_at
 from mmwave_env.world.episode import Episode, Incoming
@@ -64,8 +62,7 @@ def track_epoch(w: TrackState, pipeline: Pipeline, rule: Rule | None) -> TrackSt
     memory = memory_after(
         layout, number, x, chosen, memory, epoch.dt, epoch.visible, epoch.measured
     )
-    covariance = unpack(chosen.P, zero=pipeline.known_axes)
-    belief = Belief(chosen.x, covariance, pipeline.position_axes)
+    belief = pipeline.belief(chosen.x, chosen.P)
     return w._replace(
         is_first=0.0,
         x=chosen.x,

@@ -13,52 +13,13 @@ from numpy.typing import NDArray
 from mmwave_env.compiler.advance import advance
 from mmwave_env.compiler.disk_cache import LazyJit
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.program import PLAIN_BLOCK_EPOCHS, Repeated, StepIO, rows_of
+from mmwave_env.compiler.program import PLAIN_BLOCK_EPOCHS, Repeated, StepIO, laid_out
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.tally import Counts, Tally, count, exceeds
+from mmwave_env.engines.tally import Tally, count, exceeds
 from mmwave_env.interface.info import COST_KEY, FLAGS, STATE_KEYS, info_rows, mask_keys, reported
 from mmwave_env.numerics.numbers import Array, Index, Mask
-from mmwave_env.numerics.pytree import flatten
 
-Modes = NDArray[np.unsignedinteger]
 Infos = dict[str, NDArray[Any]]
-
-
-class ActionHistory:
-    """A ring buffer of the modes of the last T steps of n environments, one row per step.
-
-    All environments step together, so an episode that has run for k steps used the last k rows.
-
-    Attributes:
-        rows: (T, n) modes, in the smallest integer type that can hold them.
-        turn: the row for the modes of the next step.
-    """
-
-    def __init__(self, n: int, modes: int) -> None:
-        self.rows: Modes = np.zeros((0, n), np.min_scalar_type(modes))
-        self.turn = 0
-
-    def make_room(self, steps: int) -> None:
-        """Make T at least this many steps; the modes stored so far are kept."""
-        missing = steps - len(self.rows)
-        if missing > 0:
-            self.set_all(np.pad(self.all(), ((missing, 0), (0, 0))))
-
-    def next(self) -> None:
-        """Go on to the next row, after the modes of a step were written to the current row."""
-        self.turn = (self.turn + 1) % len(self.rows)
-
-    def of(self, places: Index, steps: int) -> Modes:
-        """Return some environments' modes (places, steps) in the last ``steps`` steps (<= T)."""
-        return np.ascontiguousarray(self.all()[-steps:, places].T)
-
-    def all(self) -> Modes:
-        """Return the modes (T, n) of the last T steps, oldest first; 0 where no step was made."""
-        return np.roll(self.rows, -self.turn, axis=0)
-
-    def set_all(self, modes: Modes) -> None:
-        """Restore the modes (T, n) that :meth:`all` returned."""
-        self.rows, self.turn = modes.astype(self.rows.dtype), 0
 
 
 class StepResult(NamedTuple):
@@ -86,51 +47,33 @@ class StepColumns(NamedTuple):
     rejected: int
 
 
-class StepMemory(NamedTuple):
-    """The data that a step records for later steps and for the ends of episodes."""
-
-    counts: Counts  # sums for the metrics
-    modes: Modes  # (T, n) the modes of the last T steps
-    turn: int  # the row of ``modes`` to write
-    ahead: int  # 1 if the program runs an epoch before the first action (for corrections), else 0
-
-
 class Stepper:
     """An object that steps the environments of an engine and returns infos about them.
 
     Args:
         engine: the environments, which run on SIMD lanes.
-        tally: sums for the metrics of current episodes.
-        history: the modes of the last steps.
+        tally: records of current episodes.
         infos: "all" if :meth:`step` returns infos, "episode" if :meth:`look` does, "none" if
             neither does.
     """
 
-    def __init__(
-        self, engine: Engine, tally: Tally, history: ActionHistory, infos: str = "all"
-    ) -> None:
+    def __init__(self, engine: Engine, tally: Tally, infos: str) -> None:
         at, n = engine.at, engine.batch.n
         self._known = {} if infos == "none" else info_rows(at)
         shown = self._known if infos == "all" else {}
         parts = {"reward": at.reward, "nees": at.nees, "error": at.error}
         parts["covariance"] = reported(at).P[:3]
         parts |= {key: [] for key in FLAGS} | shown
-        ends = np.cumsum([len(flatten(part)) for part in parts.values()]).tolist()
-        begins = dict(zip(parts, [0, *ends], strict=False))
-        self._columns = {
-            name: (slice(None), 0, begin if isinstance(part, int) else slice(begin, end))
-            for (name, part), begin, end in zip(parts.items(), begins.values(), ends, strict=True)
-        }
+        self._rows, columns = laid_out(parts)
+        self._columns = {name: (slice(None), 0, at) for name, at in columns.items()}
+        begins = {name: at if isinstance(at, int) else at.start for name, at in columns.items()}
         self._read = StepColumns(*[begins[name] for name in StepColumns._fields])
         self._engine, self._told = engine, tuple(key for key in shown if key not in FLAGS)
         self._groups = len(at.memory.accepted) if shown else 0
-        self._rows = rows_of(list(parts.values()))
         self._io = engine.io(self._rows)
         self._mask_keys = mask_keys([*shown, "mode", COST_KEY])
         self._everywhere = np.ones(n, np.bool_)
-        self._tally, self._history = tally, history
-        self._run = Repeated(_step)
-        history.make_room(1)
+        self._tally, self._run = tally, Repeated(_step)
 
     def step(self, actions: Index, numbers: Array | None) -> tuple[StepResult, int, Infos]:
         """Apply every environment's action and consider the next epoch; see :meth:`Engine.step`.
@@ -143,7 +86,7 @@ class Stepper:
             New results; the number of environments without epochs left; and new infos about all
             environments, with their masks, if every step returns infos.
         """
-        batch, history, io = self._engine.batch, self._history, self._io
+        batch, io = self._engine.batch, self._io
         n, features, chosen = len(actions), len(io.obs_rows), actions
         if numbers is not None:
             io.inputs[:, 0, 1:], chosen = numbers, self._engine.choices()
@@ -156,12 +99,10 @@ class Stepper:
         # earlier infos still use the previous outputs
         outputs = np.empty_like(io.outputs) if self._told else io.outputs
         io = StepIO(io.input_rows, io.inputs, self._rows, outputs, io.obs_rows, observations)
-        counts = self._tally.counts
-        self._io, memory = io, StepMemory(counts, history.rows, history.turn, batch.ahead)
-        program = batch.program.on_lanes(), batch.program.blank
-        arguments = (*program, batch.state, io, self._read, chosen, result, memory)
+        self._io, program = io, (batch.program.on_lanes(), batch.program.blank)
+        recorded = self._tally.counts, batch.ahead
+        arguments = (*program, batch.state, io, self._read, chosen, result, *recorded)
         jobs = [(begin, end, *arguments) for begin, end in batch.parts]
-        history.next()  # before the run: Ctrl-C during the run would skip a later call
         ended = sum(self._run(len(batch.state.rows), jobs))
         if not self._told:
             return result, ended, {}
@@ -199,15 +140,16 @@ class Stepper:
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _step_blocks(  # type: ignore[no-untyped-def]
-    begin, end, run, blank, state, io, columns, actions, result, memory
+    begin, end, run, blank, state, io, columns, actions, result, counts, ahead
 ):
-    """Step the environments of blocks ``begin`` to ``end``; return how many episodes ended."""
+    """Step the environments of blocks ``begin`` to ``end``; return how many episodes ended.
+
+    ``ahead`` is that of :class:`Batch`.
+    """
     first, last = begin * WIDTH, min(end * WIDTH, len(actions))
     inputs, outputs, epoch, length = io.inputs, io.outputs, state.epoch, state.length
-    counts, modes, turn, ahead = memory
     for e in range(first, last):
         inputs[e, 0, 0] = actions[e]
-        modes[turn, e] = actions[e]
     advance(begin, end, run, blank, state, io)
     _, rewards, _, truncated, accepted, rejected, costs = result
     ended = 0
@@ -218,6 +160,8 @@ def _step_blocks(  # type: ignore[no-untyped-def]
             i = columns.error
             x, y, z = outputs[e, 0, i], outputs[e, 0, i + 1], outputs[e, 0, i + 2]
             count(counts, e, k, x, y, z, outputs[e, 0, columns.nees])
+            if k < len(counts.modes):
+                counts.modes[k, e] = actions[e]
         if len(costs):
             i, c = columns.error, columns.covariance
             xx, xy, yy = outputs[e, 0, c], outputs[e, 0, c + 1], outputs[e, 0, c + 2]

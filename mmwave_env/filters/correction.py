@@ -11,7 +11,6 @@ import numpy as np
 
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Matrix, Number, Vector, exp, maximum, sqrt, where
 
 MOST_SHIFT, MOST_LOG_FACTOR = 4.0, 2.0  # limits of a shift, in deviations, and of a log factor
@@ -113,5 +112,4 @@ def corrected_all(
         part.tolist() if part.ndim == 1 else list(np.moveaxis(part, -1, 0))
         for part in (x, P, shift, log_factor)
     )
-    belief = Belief(mean, unpack(packed, pipeline.known_axes), pipeline.position_axes)
-    return corrected(belief, *correction)
+    return corrected(pipeline.belief(mean, packed), *correction)

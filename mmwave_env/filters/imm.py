@@ -59,12 +59,12 @@ def begin(pipeline: Pipeline, x: Vector, P: Vector) -> Mixture:
     return Mixture(tracks, [1.0 / modes] * modes)
 
 
-def stay_matrix(modes: int, stay: float = DEFAULT_STAY) -> tuple[tuple[float, ...], ...]:
-    """Return probabilities (from, to): ``stay`` on the diagonal, and equal values elsewhere."""
+def stay_matrix(modes: int) -> list[list[float]]:
+    """Return probabilities (from, to): DEFAULT_STAY on the diagonal, and equal values elsewhere."""
     if modes == 1:
-        return ((1.0,),)
-    move = (1.0 - stay) / (modes - 1)
-    return tuple(tuple(stay if i == j else move for j in range(modes)) for i in range(modes))
+        return [[1.0]]
+    move = (1.0 - DEFAULT_STAY) / (modes - 1)
+    return [[DEFAULT_STAY if i == j else move for j in range(modes)] for i in range(modes)]
 
 
 def moments(

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from operator import attrgetter
 
+from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.custom import check_algorithm
 from mmwave_env.filters.gating import Gate, passes
 from mmwave_env.filters.memory import Memory
@@ -80,6 +81,10 @@ class Pipeline:
     def position_axes(self) -> tuple[int, ...]:
         """Return the position components that are estimated: all, or x and y on flat terrain."""
         return (0, 1) if self.planar else (0, 1, 2)
+
+    def belief(self, x: list[Number], P: Vector) -> Belief:
+        """Return the belief with a mean (7,) and a packed covariance (28,)."""
+        return Belief(x, unpack(P, zero=self.known_axes), self.position_axes)
 
 
 def process_noise(

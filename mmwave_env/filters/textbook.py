@@ -14,7 +14,7 @@ user's clock is not synchronized, the state (8,) ends with the clock's range bia
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,22 +44,6 @@ def predict(
     return transition @ x, transition @ P @ transition.T + Q
 
 
-class Model(Protocol):
-    """A measurement model."""
-
-    def h(self, x: Array) -> Array:
-        """Return the measurement that is expected in a state."""
-        ...
-
-    def jacobian(self, x: Array) -> Array:
-        """Return H = dh/dx."""
-        ...
-
-    def residual(self, a: Array, b: Array, x: Array) -> Array:
-        """Return a - b, with angles wrapped, and 0 in rows that say nothing about x."""
-        ...
-
-
 class Moments(NamedTuple):
     """The predicted measurement: mean, covariance without noise, covariance with the state."""
 
@@ -68,10 +52,10 @@ class Moments(NamedTuple):
     C: Array
 
 
-Method = Callable[[Model, Array, Array], Moments]
+Method = Callable[["Sensor", Array, Array], Moments]
 
 
-def tangent(model: Model, x: Array, P: Array) -> Moments:
+def tangent(model: "Sensor", x: Array, P: Array) -> Moments:
     """Linearize at the mean: the extended Kalman filter, eqs. (13) to (15)."""
     H = model.jacobian(x)
     return Moments(model.h(x), H @ P @ H.T, P @ H.T)
@@ -80,7 +64,7 @@ def tangent(model: Model, x: Array, P: Array) -> Moments:
 def unscented(alpha: float, beta: float, kappa: float) -> Method:
     """Return the scaled unscented transform (van der Merwe 2004): the UKF, eq. (16)."""
 
-    def moments(model: Model, x: Array, P: Array) -> Moments:
+    def moments(model: "Sensor", x: Array, P: Array) -> Moments:
         n = len(x)
         scale = alpha**2 * (n + kappa)
         columns = np.linalg.cholesky(scale * P).T
@@ -94,7 +78,7 @@ def unscented(alpha: float, beta: float, kappa: float) -> Method:
     return moments
 
 
-def cubature(model: Model, x: Array, P: Array) -> Moments:
+def cubature(model: "Sensor", x: Array, P: Array) -> Moments:
     """Use the third-degree spherical-radial rule: the CKF (Arasaratnam and Haykin 2009)."""
     n = len(x)
     columns = np.sqrt(n) * np.linalg.cholesky(P).T
@@ -103,7 +87,7 @@ def cubature(model: Model, x: Array, P: Array) -> Moments:
 
 
 def _weighted(
-    model: Model, x: Array, points: Array, mean_weights: Array, weights: Array
+    model: "Sensor", x: Array, points: Array, mean_weights: Array, weights: Array
 ) -> Moments:
     center = model.h(x)
     relative = np.array([model.residual(model.h(point), center, x) for point in points])
@@ -117,7 +101,7 @@ METHODS: dict[str, Method] = {"ekf": tangent, "ukf": unscented(1.0, 2.0, 0.0), "
 
 
 def update(
-    method: Method, model: Model, x: Array, P: Array, z: Array, R: Array, keep: Mask
+    method: Method, model: "Sensor", x: Array, P: Array, z: Array, R: Array, keep: Mask
 ) -> tuple[Array, Array]:
     """Condition the belief on the rows to keep: x + K y, K = C S^-1, eqs. (13) to (16).
 
@@ -267,7 +251,7 @@ class Sensor:
         return np.where(self.angles, wrapped, a - b)
 
     def residual(self, a: Array, b: Array, x: Array) -> Array:
-        """Return a - b (rows,), and 0 in rows that say nothing about x."""
+        """Return a - b (rows,), with angles wrapped, and 0 in rows that say nothing about x."""
         return np.where(self.silent(x), 0.0, self.difference(a, b))
 
     def silent(self, x: Array) -> Mask:

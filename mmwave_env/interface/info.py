@@ -53,7 +53,7 @@ def info_rows(at: Any) -> dict[str, Any]:
     return rows
 
 
-def drawn_rows(at: Any, span: Callable[[Any], slice]) -> dict[str, slice]:
+def drawn_rows(at: Any, span: Callable[[Any], Any]) -> dict[str, Any]:
     """Return the rows of a workspace that a :class:`~mmwave_env.rendering.history.Recorder` reads.
 
     Args:
@@ -137,12 +137,12 @@ def mask_keys(keys: Iterable[str]) -> list[str]:
     return [f"_{key}" for key in keys]
 
 
-def warn_of_nonfinite(stacklevel: int = 3) -> None:
+def warn_of_nonfinite() -> None:
     """Warn that an episode ended with beliefs that were not finite; Python shows this once."""
     warnings.warn(
         "the belief was NaN or infinite in an episode, so the metrics of the episode are NaN; "
         f"info[{NONFINITE_KEY!r}] is the number of epochs with such a belief "
         "(docs/reliability.md)",
         RuntimeWarning,
-        stacklevel,
+        stacklevel=3,
     )

@@ -11,15 +11,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, reduce
 from operator import add
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
 from mmwave_env.filters.belief import Belief
-from mmwave_env.filters.custom import begin_of, line_of
+from mmwave_env.filters.custom import complaint, name_of, try_out, wrong_parts
 from mmwave_env.io.lookup import choose
 from mmwave_env.numerics.numbers import Array, Number, Vector, log, maximum, minimum
-from mmwave_env.numerics.tracer import FloatTracer, NoValueError, Tracer, TracerCondition
+from mmwave_env.numerics.tape import taped
 
 Terms = dict[str, Number]
 Reward = Callable[[Belief, Vector], Terms | Number]
@@ -103,7 +103,10 @@ REWARDS: dict[str, Reward | PairedReward] = {
 
 def terms_of(reward: Reward, belief: Belief, truth: Vector) -> Terms:
     """Return the terms of a reward by name; a single number is a term named "reward"."""
-    paid = reward(belief, truth)
+    return _as_terms(reward(belief, truth))
+
+
+def _as_terms(paid: Terms | Number) -> Terms:
     return paid if isinstance(paid, dict) else {"reward": paid}
 
 
@@ -146,39 +149,26 @@ def reward_name(reward: Reward) -> str:
     for name, known in REWARDS.items():
         if reward == known:
             return name
-    return str(getattr(reward, "__name__", type(reward).__name__))
+    return name_of(reward)
 
 
 def _trial() -> tuple[Belief, Vector]:
     """Return a belief and a truth whose numbers hide their values, as numbers on lanes do."""
-    P = [[FloatTracer(4.0 if i == j else 0.5) for j in range(7)] for i in range(7)]
-    belief = Belief([FloatTracer(float(i)) for i in range(7)], P)
-    return belief, [FloatTracer(0.5 * i) for i in range(6)]
+    numbers: list[Any] = [[0.0] * 7, [[0.0] * 7] * 7, [0.0] * 6]
+    x, P, truth = taped(numbers, [])
+    return Belief(x, P), truth
 
 
 def _check(reward: Reward) -> None:
     """Try a reward on numbers that hide their values; refuse it if that fails."""
-    try:
-        terms = terms_of(reward, *_trial())
-    except NoValueError as refusal:
-        raise _refused(reward, "cannot run on lanes", refusal, str(refusal)) from None
-    except Exception as error:
-        advice = f"{type(error).__name__}: {error}"
-        raise _refused(reward, "failed in a trial run", error, advice) from error
+    subject = f"reward {name_of(reward)}"
+
+    def refused(problem: str) -> ValueError:
+        return ValueError(complaint(subject, reward, problem))
+
+    terms = _as_terms(try_out(reward, _trial(), subject, ValueError))
     if not terms or not all(isinstance(name, str) for name in terms):
-        raise _refused(reward, f"returned terms named {list(terms)}, expected one or more strings")
-    for value in terms.values():
-        if isinstance(value, bool | TracerCondition):
-            raise _refused(reward, "returned a condition, expected where(condition, 1.0, 0.0)")
-        if not isinstance(value, float | int | Tracer):
-            kind = "None" if value is None else type(value).__name__
-            raise _refused(reward, f"returned {kind}, expected a number or a dict of numbers")
-
-
-def _refused(
-    reward: Reward, problem: str, error: BaseException | None = None, *advice: str
-) -> ValueError:
-    name = getattr(reward, "__name__", type(reward).__name__)
-    line = (error and line_of(error, reward)) or begin_of(reward)
-    # Gymnasium appends the environment's arguments to the message, so end it with a new line.
-    return ValueError("\n".join([f"reward {name} {problem}", str(line), *advice, ""]))
+        raise refused(f"returned terms named {list(terms)}, expected one or more strings")
+    for name, value in terms.items():
+        if problem := next(wrong_parts(name, value, 0.0), ""):
+            raise refused(f"returned {problem}")

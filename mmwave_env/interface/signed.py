@@ -21,8 +21,7 @@ _LEAST_M = 0.05  # minimum of the standard deviations, m, by which residuals are
 _LEAST_RAD = 1e-3
 _LEAST_S = 1e-3
 _WAYS = ("along", "across")
-# name of a link's row -> (its index, whether it measures along the anchor's ray, not across it)
-_ROWS = {"range": (0, True), "azimuth": (1, False), "departure": (3, False)}
+_ROWS = {"range": 0, "azimuth": 1, "elevation": 2, "departure": 3}  # rows of a link
 
 
 class LastEpoch(NamedTuple):
@@ -103,12 +102,12 @@ def _ray(view: View, anchor: int) -> tuple[list[Number], Number, tuple[Number, N
 
 def _residual(view: View, layout: Layout, anchor: int, name: str) -> tuple[Number, Number]:
     """Return a row's squashed residual as a vector: its components along and across."""
-    row, outward = _ROWS[name]
+    row = _ROWS[name]
     step, flat, (distance, azimuth, _) = _ray(view, anchor)
     scale = 1.0 / maximum(flat, 1.0)
     ux, uy = step[0] * scale, step[1] * scale
     z = view.last.epoch.z[4 * anchor + row]
-    if outward:
+    if name == "range":
         bias = view.x[7] if layout.clock else 0.0
         residual, way = z - distance - bias, (ux, uy)
     else:
@@ -127,9 +126,10 @@ def _turned(angle: Number) -> Number:
 
 def _deviation(view: View, anchor: int, name: str) -> Number:
     """Return a row's standard deviation, m; for an angle, it is a length across the ray."""
-    row, outward = _ROWS[name]
-    sigma, (_, flat, _) = view.last.epoch.sigma[4 * anchor + row], _ray(view, anchor)
-    return maximum(sigma if outward else sigma * flat, _LEAST_M)
+    sigma = view.last.epoch.sigma[4 * anchor + _ROWS[name]]
+    _, flat, (distance, _, _) = _ray(view, anchor)
+    reach = {"range": 1.0, "azimuth": flat, "elevation": distance, "departure": flat}
+    return maximum(sigma * reach[name], _LEAST_M)
 
 
 def _elevation(view: View, layout: Layout, anchor: int) -> Number:
@@ -138,12 +138,6 @@ def _elevation(view: View, layout: Layout, anchor: int) -> Number:
     sigma = maximum(view.last.epoch.sigma[row], _LEAST_RAD)
     q = _squashed(wrap(view.last.epoch.z[row] - elevation) / sigma)
     return q * _measured(view, layout, anchor, 2)
-
-
-def _elevation_deviation(view: View, layout: Layout, anchor: int) -> Number:
-    _, _, (distance, _, _) = _ray(view, anchor)
-    sigma = view.last.epoch.sigma[4 * anchor + 2] * distance
-    return log(maximum(sigma, _LEAST_M)) * _measured(view, layout, anchor, 2)
 
 
 def _link(layout: Layout, a: int) -> list[Feature]:
@@ -155,12 +149,11 @@ def _link(layout: Layout, a: int) -> list[Feature]:
         return _residual(v, layout, a, name)[way]
 
     def deviation(name: str, v: View) -> Number:
-        row, _ = _ROWS[name]
-        return log(_deviation(v, a, name)) * _measured(v, layout, a, row)
+        return log(_deviation(v, a, name)) * _measured(v, layout, a, _ROWS[name])
 
     of = f"anchor {a + 1}"
     table = []
-    for name in _ROWS:
+    for name in ("range", "azimuth", "departure"):
         meaning = f"sign(q) ln(1 + |q|), q: {name} minus the updated estimate, in deviations"
         table += [
             *(Feature(f"{name} residual {way} {of}", f"{meaning}, times the {way} component of the "
@@ -175,7 +168,7 @@ def _link(layout: Layout, a: int) -> list[Feature]:
         Feature(f"elevation residual {of}", "residual of the elevation: sign(q) ln(1 + |q|); 0 if "
                 "missing", "", -10, 10, lambda v: _elevation(v, layout, a), "elevation residual"),
         Feature(f"elevation deviation {of}", "ln of the standard deviation, in meters at the user; "
-                "0 if missing", "ln m", -4, 8, lambda v: _elevation_deviation(v, layout, a),
+                "0 if missing", "ln m", -4, 8, partial(deviation, "elevation"),
                 "elevation deviation"),
         Feature(f"measured {of}", "share of the link's quantities that were measured", "", 0, 1,
                 share, "measured"),

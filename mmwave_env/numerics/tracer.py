@@ -2,16 +2,11 @@
 
 A function that runs on such numbers never asks for a value, so it can be compiled for SIMD lanes
 (numbers that stand for eight environments). An operation that needs a value is refused, and the
-message says what to write instead. There are three kinds of such numbers: lanes; probes, which are
-floats that hide their value, to try a function before it is compiled; and the numbers of
-:mod:`mmwave_env.compiler.fingerprint`, which record operations.
+message says what to write instead. There are two kinds of such numbers: lanes; and the numbers of
+:mod:`mmwave_env.numerics.tape`, on which a function is tried before it is compiled.
 """
 
-from collections.abc import Callable
-from operator import add, ge, gt, le, lt, mul, sub, truediv
 from typing import Any, NoReturn
-
-from mmwave_env.numerics import numbers
 
 
 class NoValueError(TypeError):
@@ -125,74 +120,3 @@ def _combined(op: str, a: Any, b: Any) -> Any:
     if settled is not None:
         return settled
     return (a if isinstance(a, Tracer) else b).combine(op, a, b)
-
-
-_OPERATORS: dict[str, Any] = {"add": add, "sub": sub, "mul": mul, "div": truediv}
-_OPERATORS |= {"<": lt, "<=": le, ">": gt, ">=": ge}
-
-
-class FloatCondition(TracerCondition):
-    """A condition on probes."""
-
-    __slots__ = ("hidden",)
-
-    def __init__(self, hidden: bool) -> None:
-        self.hidden = hidden
-
-    def __and__(self, other: "FloatCondition") -> "FloatCondition":
-        return FloatCondition(self.hidden & other.hidden)
-
-    def __or__(self, other: "FloatCondition") -> "FloatCondition":
-        return FloatCondition(self.hidden | other.hidden)
-
-    def select(self, a: Any, b: Any) -> "FloatTracer":
-        """Return ``a`` if the condition is true, else ``b``."""
-        return FloatTracer(numbers.where(self.hidden, value_of(a), value_of(b)))
-
-
-def _applying(function: Callable[[float], float]) -> Any:
-    return lambda a: FloatTracer(function(a.hidden))
-
-
-class FloatTracer(Tracer):
-    """A probe: a float that hides its value, but supports the arithmetic that lanes support."""
-
-    __slots__ = ("hidden",)
-
-    def __init__(self, hidden: float) -> None:
-        self.hidden = hidden
-
-    def combine(self, op: str, a: Any, b: Any) -> "FloatTracer":
-        """Compute ``a op b``."""
-        return FloatTracer(_OPERATORS[op](value_of(a), value_of(b)))
-
-    def compare(self, op: str, other: Any) -> FloatCondition:
-        """Return the condition ``self op other``."""
-        return FloatCondition(_OPERATORS[op](self.hidden, value_of(other)))
-
-    def __neg__(self) -> "FloatTracer":
-        return FloatTracer(-self.hidden)
-
-    def __abs__(self) -> "FloatTracer":
-        return FloatTracer(abs(self.hidden))
-
-    def constant(self, value: float) -> "FloatTracer":
-        """Return a probe that hides a value."""
-        return FloatTracer(value)
-
-    sqrt, log, exp = _applying(numbers.sqrt), _applying(numbers.log), _applying(numbers.exp)
-    floor = _applying(numbers.floor)
-
-    def cos_sin(self) -> "tuple[FloatTracer, FloatTracer]":
-        """Return the cosine and the sine."""
-        cosine, sine = numbers.cos_sin(self.hidden)
-        return FloatTracer(cosine), FloatTracer(sine)
-
-    def atan2(self, x: Any) -> "FloatTracer":
-        """Return the angle of the vector (x, self)."""
-        return FloatTracer(numbers.atan2(self.hidden, value_of(x)))
-
-
-def value_of(a: Any) -> float:
-    """Return the value of a float or a probe."""
-    return a.hidden if isinstance(a, FloatTracer) else float(a)

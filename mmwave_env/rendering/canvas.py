@@ -6,44 +6,45 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.rendering.theme import Color
+from mmwave_env.rendering.theme import SMALLEST, Color
 
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # pygame would print its greeting
 import pygame
 
 Point = tuple[float, float]
-Rect = pygame.FRect  # a part of a picture, px from its upper left corner
+Rect = pygame.FRect  # a part of a picture, in units from its upper left corner
+UNITS = float(SMALLEST)  # height and width of a picture, in units
 _TIMES = 2  # factor of supersampling, for smooth edges
-_FAR = 1e4  # px; larger coordinates are reduced to this
+_FAR = 2e4  # px of the supersampled picture; larger coordinates are reduced to this
 
 
 class Canvas:
-    """A picture that is being drawn, ``width`` x ``height`` px; words appear above all shapes.
+    """A square picture that is being drawn, ``size`` px wide; words appear above all shapes.
 
-    Line widths and font sizes are in units of ``unit`` px, which is 1 in the smallest picture.
+    Coordinates, line widths and font sizes are in units; a unit is 1 px in the smallest picture.
     """
 
-    def __init__(self, width: int, height: int, unit: float) -> None:
+    def __init__(self, size: int) -> None:
         pygame.font.init()
-        self.unit = unit
-        self._large = pygame.Surface((width * _TIMES, height * _TIMES), 0, 32)
-        self.surface = pygame.Surface((width, height), 0, 32)
+        self._unit, self._scale = size / UNITS, _TIMES * size / UNITS
+        self._large = pygame.Surface((size * _TIMES, size * _TIMES), 0, 32)
+        self._surface = pygame.Surface((size, size), 0, 32)
         self._words: list[tuple[Any, Point]] = []
 
     def clip(self, part: Rect | None) -> None:
         """Draw the following shapes only inside a part of the picture; None for all of it."""
-        self._large.set_clip(None if part is None else _scaled(part))
+        self._large.set_clip(part and self._scaled(part))
 
     def fill(self, color: Color, part: Rect | None = None) -> None:
         """Fill a part of the picture, or all of it."""
-        self._large.fill(color, None if part is None else _scaled(part))
+        self._large.fill(color, part and self._scaled(part))
 
-    def polygon(self, points: Array, color: Color, opacity: float = 1.0) -> None:
+    def polygon(self, points: ArrayLike, color: Color, opacity: float = 1.0) -> None:
         """Fill a polygon (n, 2)."""
-        large = _large(points)
+        large = self._enlarged(points)
         if opacity == 1.0:
             pygame.draw.polygon(self._large, color, large)
             return
@@ -53,43 +54,47 @@ class Canvas:
         pygame.draw.polygon(glass, (*color, round(255 * opacity)), large - box.topleft)
         self._large.blit(glass, box)
 
-    def line(self, points: Array, color: Color, width: float = 1.0, closed: bool = False) -> None:
+    def line(
+        self, points: ArrayLike, color: Color, width: float = 1.0, closed: bool = False
+    ) -> None:
         """Draw a line through at least two points (n, 2)."""
-        pygame.draw.lines(self._large, color, closed, _large(points), self._width(width))
+        thick = max(1, round(width * self._scale))
+        pygame.draw.lines(self._large, color, closed, self._enlarged(points), thick)
 
     def dashes(self, start: Point, end: Point, color: Color, width: float = 1.0) -> None:
         """Draw a dashed line between two points in the picture."""
-        way, dash = np.subtract(end, start), 5.0 * self.unit
+        way, dash = np.subtract(end, start), 5.0
         length = math.hypot(*way)
         for i in range(math.ceil(length / (2.0 * dash))):
             shares = 2.0 * i * dash / length, min((2.0 * i + 1.0) * dash / length, 1.0)
             self.line(start + np.outer(shares, way), color, width)
 
     def disc(self, center: Point, radius: float, color: Color) -> None:
-        """Draw a filled circle, whose radius is given in units."""
-        (middle,) = _large(np.array([center])).tolist()
-        pygame.draw.circle(self._large, color, middle, radius * self.unit * _TIMES)
+        """Draw a filled circle."""
+        (middle,) = self._enlarged([center]).tolist()
+        pygame.draw.circle(self._large, color, middle, radius * self._scale)
 
     def words(
         self, text: str, at: Point, color: Color, size: float = 15.0, align: float = 0.0
     ) -> Rect:
         """Write one line of text, centered vertically at a point; return the part that it covers.
 
-        Pass text from users through :func:`~mmwave_env.io.lookup.printable`. ``size`` is in units.
-        ``align`` is the share of the text's width that is left of the point.
+        Pass text from users through :func:`~mmwave_env.io.lookup.printable`. ``align`` is the share
+        of the text's width that is left of the point.
         """
-        drawn = _font(round(size * self.unit)).render(text, True, color)
-        width, height = drawn.get_size()
+        drawn = _font(round(size * self._unit)).render(text, True, color)
+        width, height = (length / self._unit for length in drawn.get_size())
         place = Rect(at[0] - align * width, at[1] - height / 2.0, width, height)
-        self._words.append((drawn, (round(place.left), round(place.top))))
+        corner = round(place.left * self._unit), round(place.top * self._unit)
+        self._words.append((drawn, corner))
         return place
 
     def width_of(self, text: str, size: float = 15.0) -> float:
-        """Return the width of a line of words, px."""
-        return float(_font(round(size * self.unit)).size(text)[0])
+        """Return the width of a line of words."""
+        return float(_font(round(size * self._unit)).size(text)[0] / self._unit)
 
     def fitting(self, text: str, width: float, size: float = 15.0) -> str:
-        """Return the text, shortened to a width in px if it is wider."""
+        """Return the text, shortened to a width if it is wider."""
         if self.width_of(text, size) <= width:
             return text
         cut = (f"{text[:kept]}..." for kept in range(len(text), -1, -1))
@@ -97,32 +102,30 @@ class Canvas:
 
     def finish(self) -> NDArray[np.uint8]:
         """Combine shapes and words; return the picture (height, width, 3)."""
-        pygame.transform.smoothscale(self._large, self.surface.get_size(), self.surface)
-        self.surface.blits(self._words, False)
+        size = self._surface.get_size()
+        pygame.transform.smoothscale(self._large, size, self._surface)
+        self._surface.blits(self._words, False)
         self._words = []
-        width, height = self.surface.get_size()
-        pixels = np.frombuffer(pygame.image.tobytes(self.surface, "RGB"), np.uint8)
-        return pixels.reshape(height, width, 3).copy()
+        pixels = np.frombuffer(pygame.image.tobytes(self._surface, "RGB"), np.uint8)
+        return pixels.reshape(*size, 3).copy()
 
-    def _width(self, units: float) -> int:
-        return max(1, round(units * self.unit * _TIMES))
+    def _enlarged(self, points: ArrayLike) -> Array:
+        """Return points (n, 2) in the coordinates of the large surface."""
+        # np.clip would keep NaN; these functions replace NaN with a limit
+        enlarged = np.multiply(points, self._scale)
+        return np.fmax(np.fmin(enlarged, _FAR), -_FAR)  # type: ignore[no-any-return]
+
+    def _scaled(self, part: Rect) -> pygame.Rect:
+        """Return a part of the picture in the coordinates of the large surface."""
+        edges = *part.topleft, *part.bottomright
+        left, top, right, bottom = (round(edge * self._scale) for edge in edges)
+        return pygame.Rect(left, top, right - left, bottom - top)
 
 
 @lru_cache(maxsize=32)
 def _font(size: int) -> Any:
     pygame.font.init()
     return pygame.font.Font(None, size)
-
-
-def _large(points: Array) -> Array:
-    """Return points (n, 2) in the coordinates of the large surface."""
-    # np.clip would keep NaN; these functions replace NaN with a limit
-    return np.fmax(np.fmin(points, _FAR), -_FAR) * _TIMES  # type: ignore[no-any-return]
-
-
-def _scaled(part: Rect) -> tuple[int, int, int, int]:
-    left, top, right, bottom = (round(edge * _TIMES) for edge in (*part.topleft, *part.bottomright))
-    return left, top, right - left, bottom - top
 
 
 def ellipse(center: Array, P: Array, deviations: float) -> Array:

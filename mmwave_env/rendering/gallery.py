@@ -22,7 +22,7 @@ class Gallery:
     def __init__(
         self,
         n: int,
-        rows: Mapping[str, slice],
+        rows: Mapping[str, Any],
         axes: int,
         modes: Sequence[str],
         size: int,

@@ -49,23 +49,6 @@ class History:
         """Return the length (k + 1,) of the position error."""
         return np.linalg.norm(self.estimate[:, :3] - self.truth[:, :3], axis=1)  # type: ignore[no-any-return]
 
-    @cached_property
-    def error_95_m(self) -> Array:
-        """Return the radius (k + 1,) within which 95 % of the errors are expected, given P.
-
-        The squared error of a Gaussian belief is a weighted sum of chi-squares, approximated by a
-        scaled chi-square with the same mean and variance (Satterthwaite).
-        """
-        from scipy.special import chdtri
-
-        xx, xy, yy, xz, yz, zz = self.P.T
-        if self.axes == 2:
-            xz, yz, zz = 0.0 * xz, 0.0 * yz, 0.0 * zz
-        mean = xx + yy + zz
-        square = xx**2 + yy**2 + zz**2 + 2.0 * (xy**2 + xz**2 + yz**2)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return np.sqrt(square / mean * chdtri(mean**2 / square, 0.05))  # type: ignore[no-any-return]
-
     def until(self, epochs: int) -> "History":
         """Return the history as it was after this number of epochs."""
         own = {field.name: getattr(self, field.name) for field in fields(self)}
@@ -78,39 +61,38 @@ class Recorder:
     """Recorder of an environment's epochs, from its workspace (all its values in one array).
 
     Args:
-        rows: slices of the workspace that contain ``anchors``, ``dt`` of the next epoch, ``truth``,
-            ``estimate``, ``P`` (packed), ``nees``, ``accepted`` and ``rejected``.
+        rows: slices of the workspace that contain ``anchors``, ``truth``, ``estimate``, ``P``
+            (packed), ``accepted`` and ``rejected``, and rows of ``nees`` and of the next epoch's
+            ``dt``.
         axes: number of position axes that NEES covers.
     """
 
-    def __init__(self, rows: Mapping[str, slice], axes: int) -> None:
+    def __init__(self, rows: Mapping[str, Any], axes: int) -> None:
         P = slice(rows["P"].start, rows["P"].start + POSITION_NUMBERS)
         self._rows, self._axes = {**rows, "P": P}, axes
         self._scenery = Scenery("", np.zeros((0, 3)), None)
-        self._epochs: dict[str, list[Any]] = {}  # lists with one entry per epoch
+        self._modes: list[int] = []
+        self._epochs: list[dict[str, Array]] = []
 
     def begin(self, name: str, streets: Streets | None, workspace: Array) -> None:
         """Start over with the prior in the workspace (size,)."""
         anchors_m = workspace[self._rows["anchors"]].reshape(-1, 3).copy()
         self._scenery = Scenery(name, anchors_m, streets)
-        self._epochs = {key: [] for key in (*self._rows, "time_s", "mode")}
-        self._append(workspace, 0.0, NO_MODE)
-        self._epochs["nees"][0] = np.array([np.nan])  # replaces the previous episode's NEES
+        self._modes, self._epochs = [], []
+        self.add(workspace, NO_MODE)
 
     def add(self, workspace: Array, mode: int) -> None:
         """Record the epoch that a mode just processed."""
-        last = {key: values[-1] for key, values in self._epochs.items()}
-        self._append(workspace, last["time_s"] + last["dt"][0], mode)
-
-    def _append(self, workspace: Array, time_s: float, mode: int) -> None:
-        numbers = {key: workspace[rows].copy() for key, rows in self._rows.items()}
-        for key, value in {**numbers, "time_s": time_s, "mode": mode}.items():
-            self._epochs[key].append(value)
+        self._modes.append(mode)
+        self._epochs.append({key: workspace[rows].copy() for key, rows in self._rows.items()})
 
     @property
     def history(self) -> History:
         """Return all epochs so far."""
-        part = {key: np.array(values) for key, values in self._epochs.items()}
-        states = part["truth"], part["estimate"], part["P"], part["nees"][:, 0]
+        part = {key: np.array([epoch[key] for epoch in self._epochs]) for key in self._rows}
+        time_s = np.cumsum(np.append(0.0, part["dt"][:-1]))
+        part["nees"][0] = np.nan  # instead of the previous episode's NEES
+        states = part["truth"], part["estimate"], part["P"], part["nees"]
         gates = part["accepted"] > 0.5, part["rejected"] > 0.5
-        return History(self._scenery, self._axes, part["time_s"], part["mode"], *states, *gates)
+        modes = np.array(self._modes)
+        return History(self._scenery, self._axes, time_s, modes, *states, *gates)

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from mmwave_env.io.lookup import choose, printable
 from mmwave_env.metrics import nees_interval
 from mmwave_env.numerics.numbers import Array, Index
-from mmwave_env.rendering.canvas import Canvas, Rect
+from mmwave_env.rendering.canvas import UNITS, Canvas, Rect
 from mmwave_env.rendering.history import History
 from mmwave_env.rendering.street_map import draw_by_mode, draw_map, follow, nice, runs
 from mmwave_env.rendering.theme import SMALLEST, THEMES, Theme
 
 _COLUMNS, _ROWS = 4, 3  # maximum numbers of columns and rows in the legend of modes
+_PAD = 8.0  # space to the left and right of words, units
 
 
 def legend_rows(modes: int) -> int:
@@ -41,9 +42,8 @@ class Picture:
         title: str = "",
         rows: int = 0,
     ) -> None:
-        self._size = size
         self._theme = choose(THEMES, theme, "render_theme").for_modes(modes)
-        self._canvas = Canvas(size, size, size / SMALLEST)
+        self._canvas = Canvas(size)
         self._modes = [f"{number} {printable(name)}" for number, name in enumerate(modes)]
         self._title, self._rows = printable(title), max(rows, legend_rows(len(modes)))
 
@@ -54,28 +54,25 @@ class Picture:
         histories ``beside`` belong to the same episode, and their pictures are shown next to this
         one; the scales of speed and error fit all histories.
         """
-        canvas, theme, unit = self._canvas, self._theme, self._canvas.unit
-        legend = unit * (15.0 * self._rows + 4.0)
-        strips = unit * 160.0
-        title, links = unit * (24.0 if self._title else 0.0), unit * 17.0
-        header = title + unit * 20.0
-        below = self._size - legend - strips
+        canvas, theme = self._canvas, self._theme
         canvas.fill(theme.paper)
+        title = 24.0 if self._title else 0.0
         if self._title:
-            pad = 8.0 * unit
-            words = canvas.fitting(self._title, self._size - 2.0 * pad, 22)
-            canvas.words(words, (pad, title / 2.0 + pad / 4.0), theme.ink, 22)
-        self._draw_header(history, title + unit * 10.0)
-        frame = Rect(0.0, header, self._size, below - links - header)
+            words = canvas.fitting(self._title, UNITS - 2.0 * _PAD, 22)
+            canvas.words(words, (_PAD, 14.0), theme.ink, 22)
+        self._draw_header(history, title + 10.0)
+        top, legend = title + 20.0, UNITS - 15.0 * self._rows - 4.0
+        strips = legend - 160.0
+        frame = Rect(0.0, top, UNITS, strips - 17.0 - top)
         draw_map(canvas, follow(history, frame), history, theme)
-        self._draw_key(history, below - links / 2.0)
-        draw_strips(canvas, Rect(0.0, below, self._size, strips), history, theme, beside)
-        self._draw_modes(history, self._size - legend)
+        self._draw_key(history, strips - 8.5)
+        draw_strips(canvas, strips, history, theme, beside)
+        self._draw_modes(history, legend)
         return canvas.finish()
 
     def _draw_header(self, history: History, y: float) -> None:
         """Draw the episode's name and the epoch's values in one line."""
-        canvas, theme, pad = self._canvas, self._theme, 8.0 * self._canvas.unit
+        canvas, theme = self._canvas, self._theme
         error = f"error {history.error_m[-1]:.2f} m"
         if history.epochs == 0:
             numbers = f"prior   {error}"
@@ -87,52 +84,52 @@ class Picture:
                 f"{error}   NEES {history.nees[-1]:.3g}   "
                 f"links {history.accepted[-1, :links].sum()} of {links}"
             )
-        room = self._size - 3.0 * pad - canvas.width_of(numbers)
+        room = UNITS - 3.0 * _PAD - canvas.width_of(numbers)
         name = canvas.fitting(printable(history.scenery.name), room)
-        canvas.words(name, (pad, y), theme.ink)
-        canvas.words(numbers, (self._size - pad, y), theme.ink, align=1.0)
+        canvas.words(name, (_PAD, y), theme.ink)
+        canvas.words(numbers, (UNITS - _PAD, y), theme.ink, align=1.0)
 
     def _draw_key(self, history: History, y: float) -> None:
         """Draw the key that explains symbols and lines of the map."""
-        canvas, theme, unit = self._canvas, self._theme, self._canvas.unit
-        x = 12.0 * unit
+        canvas, theme = self._canvas, self._theme
+        x = 12.0
         mode = theme.mode(int(history.modes[-1])) if history.epochs else theme.quiet
         canvas.disc((x, y), 4.0, theme.truth)
-        x = canvas.words("user", (x + 8.0 * unit, y), theme.quiet, 14).right + 16.0 * unit
+        x = canvas.words("user", (x + 8.0, y), theme.quiet, 14).right + 16.0
         canvas.disc((x, y), 4.0, mode)
         canvas.disc((x, y), 2.0, theme.paper)
-        x = canvas.words("estimate, 2σ", (x + 8.0 * unit, y), theme.quiet, 14).right
-        canvas.words("links:", (x + 16.0 * unit, y), theme.quiet, 14)
-        x += 16.0 * unit + canvas.width_of("links: ", 14)
+        x = canvas.words("estimate, 2σ", (x + 8.0, y), theme.quiet, 14).right
+        canvas.words("links:", (x + 16.0, y), theme.quiet, 14)
+        x += 16.0 + canvas.width_of("links: ", 14)
         for meaning, color, width in (
             ("accepted", theme.accepted, 1.4),
             ("rejected", theme.rejected, 1.6),
             ("missing", theme.missing, 1.4),
         ):
-            start, end = (x, y), (x + 22.0 * unit, y)
+            start, end = (x, y), (x + 22.0, y)
             if meaning == "rejected":
                 canvas.dashes(start, end, color, width)
             else:
-                canvas.line(np.array([start, end]), color, width)
-            x = canvas.words(meaning, (end[0] + 4.0 * unit, y), theme.quiet, 14).right
-            x += 12.0 * unit
+                canvas.line([start, end], color, width)
+            x = canvas.words(meaning, (end[0] + 4.0, y), theme.quiet, 14).right
+            x += 12.0
 
     def _draw_modes(self, history: History, top: float) -> None:
         """Draw the legend of modes, with the name of the current mode highlighted."""
-        canvas, theme, unit = self._canvas, self._theme, self._canvas.unit
+        canvas, theme = self._canvas, self._theme
         columns = min(_COLUMNS, len(self._modes))
-        width = (self._size - 16.0 * unit) / columns
+        width = (UNITS - 2.0 * _PAD) / columns
         shown = self._modes[: _COLUMNS * _ROWS]
         for mode, name in enumerate(shown):
-            left = 8.0 * unit + mode % columns * width
-            y = top + (mode // columns * 15.0 + 8.0) * unit
+            left = _PAD + mode % columns * width
+            y = top + mode // columns * 15.0 + 8.0
             color, now = theme.mode(mode), int(history.modes[-1]) == mode
-            canvas.fill(color, Rect(left, y - 5.0 * unit, 14.0 * unit, 10.0 * unit))
-            words = canvas.fitting(name, width - 24.0 * unit, 14)
-            canvas.words(words, (left + 19.0 * unit, y), theme.ink if now else theme.quiet, 14)
+            canvas.fill(color, Rect(left, y - 5.0, 14.0, 10.0))
+            words = canvas.fitting(name, width - 24.0, 14)
+            canvas.words(words, (left + 19.0, y), theme.ink if now else theme.quiet, 14)
 
 
-_GAP_SHARE = 1 / 120  # gap between two maps, as a share of a picture's width
+_GAP_SHARE = 1 / 120  # gap between two pictures, as a share of a picture's width
 
 
 class Playback:
@@ -170,9 +167,8 @@ class Playback:
 
 _WINDOW = 120  # number of epochs that strips show
 _NEES = (0.03, 300.0)  # range of the NEES strip; other values are drawn at its edge
-_WORDS_SHARE = 0.235  # room for words to the left of the strips, as a share of the width
-_TICKS_SHARE = 0.06  # room for ticks to the right of the strips, as a share of the width
-_ROW = 13.0  # height of a line of words, in units
+_LEFT, _WIDTH = 112.8, 338.4  # left edge and width of the strips; words are beside them
+_HEIGHT, _GAP, _RIBBON = 121.0 / 3.0, 4.0, 12.0  # heights of a strip, of a gap and of the ribbon
 
 
 @dataclass(frozen=True)
@@ -183,8 +179,7 @@ class Strip:
     curve: Array  # (n,) values of the estimate, drawn in the colors of the modes
     values: tuple[float, float]  # values at the lower and upper edge of the strip
     truth: Array | None = None  # (n,) true values, if known
-    # a band of expected values: its lower and upper edge, (n,) or numbers, and its label
-    band: tuple[Array | float, Array | float, str] | None = None
+    band: tuple[float, float, str] | None = None  # expected values: lower and upper edge, label
     # labelled values of a logarithmic scale; without them the scale is linear
     ticks: tuple[float, ...] = ()
 
@@ -198,26 +193,20 @@ class Strip:
 
 
 def draw_strips(
-    canvas: Canvas, place: Rect, history: History, theme: Theme, beside: Sequence[History] = ()
+    canvas: Canvas, top: float, history: History, theme: Theme, beside: Sequence[History]
 ) -> None:
-    """Draw all strips in a part of the picture, with scales that also fit ``beside``."""
-    unit, rows = canvas.unit, slice(max(1, history.epochs - _WINDOW + 1), None)
-    words, ticks = _WORDS_SHARE * place.width, _TICKS_SHARE * place.width
-    ribbon = 12.0 * unit
-    height = (place.height - ribbon - 15.0 * unit) / 3.0
-    lane = Rect(place.left + words, place.top, place.width - words - ticks, height)
-    first, last = _times(history, rows)
-    x = lane.left + (history.time_s[rows] - first) / (last - first) * lane.width
-    modes = history.modes[rows]
+    """Draw all strips below a height, with scales that also fit ``beside``."""
+    rows = slice(max(1, history.epochs - _WINDOW + 1), None)
+    modes, (first, last) = history.modes[rows], _times(history, rows)
+    x = _LEFT + (history.time_s[rows] - first) / (last - first) * _WIDTH
     for i, make in enumerate((_speed, _error, _nees)):
         strips = [make(drawn, rows) for drawn in (history, *beside)]
         low, _ = strips[0].values
         strip = replace(strips[0], values=(low, max(strip.values[1] for strip in strips)))
-        top = place.top + i * height + 2.0 * unit
-        plot = Rect(lane.left, top, lane.width, height - 4.0 * unit)
-        _draw_strip(canvas, place, plot, strip, x, modes, theme)
-    lane = Rect(lane.left, place.top + 3.0 * height + 1.0, lane.width, ribbon)
-    _draw_ribbon(canvas, place, lane, x, modes, theme)
+        plot = Rect(_LEFT, top + i * (_HEIGHT + _GAP) + _GAP / 2.0, _WIDTH, _HEIGHT)
+        _draw_strip(canvas, plot, strip, x, modes, theme)
+    lane = Rect(_LEFT, top + 3.0 * (_HEIGHT + _GAP) + 1.0, _WIDTH, _RIBBON)
+    _draw_ribbon(canvas, lane, x, modes, theme)
     _draw_clock(canvas, lane, (first, last), theme)
 
 
@@ -239,10 +228,8 @@ def _speed(history: History, rows: slice) -> Strip:
 
 
 def _error(history: History, rows: slice) -> Strip:
-    error, expected = history.error_m[rows], history.error_95_m[rows]
-    top = max(_top(error), _top(np.sort(expected)[: max(1, len(expected) // 2)]))
-    band = (0.0, expected, "95 % band")
-    return Strip("error, m", error, (0.0, top), band=band)
+    error = history.error_m[rows]
+    return Strip("error, m", error, (0.0, _top(error)))
 
 
 def _nees(history: History, rows: slice) -> Strip:
@@ -259,49 +246,43 @@ def _top(values: Array) -> float:
 
 
 def _draw_strip(
-    canvas: Canvas, place: Rect, plot: Rect, strip: Strip, x: Array, modes: Index, theme: Theme
+    canvas: Canvas, plot: Rect, strip: Strip, x: Array, modes: Index, theme: Theme
 ) -> None:
     """Draw the frame, ticks, band and lines of a strip, and to the left the key of the lines."""
-    unit = canvas.unit
 
     def y(values: Array | float) -> Array:
         return plot.bottom - strip.heights(values) * plot.height
 
     canvas.fill(theme.ground, plot)
     color = theme.mode(int(modes[-1])) if len(modes) else theme.quiet
-    keys = [] if strip.truth is None else [("true", theme.truth, 1.6)]
-    keys.append(("estimate", color, 2.4))
+    keys = [("estimate", color, 2.4)]
+    if strip.truth is not None:
+        keys.insert(0, ("true", theme.truth, 1.6))
     if strip.band:
         low, high, meaning = strip.band
         keys.append((meaning, theme.band, 9.0))
-        if len(x) > 1 or not isinstance(high, np.ndarray):
-            edges = np.array([plot.left, plot.right]) if np.ndim(high) == 0 else x
-            lower, upper = (np.broadcast_to(y(edge), edges.shape) for edge in (low, high))
-            outline = np.stack([np.r_[edges, edges[::-1]], np.r_[lower, upper[::-1]]], axis=1)
-            canvas.polygon(outline, theme.band)
+        upper, lower = float(y(high)), float(y(low))
+        canvas.fill(theme.band, Rect(plot.left, upper, plot.width, lower - upper))
     for tick in strip.ticks or strip.values:
         level = float(y(tick))
-        canvas.line(np.array([[plot.left, level], [plot.right, level]]), theme.grid, 0.6)
-        inside = min(max(level, plot.top + 5.0 * unit), plot.bottom - 5.0 * unit)
-        canvas.words(f"{tick:g}", (plot.right + 4.0 * unit, inside), theme.quiet, 13)
+        canvas.line([[plot.left, level], [plot.right, level]], theme.grid, 0.6)
+        inside = min(max(level, plot.top + 5.0), plot.bottom - 5.0)
+        canvas.words(f"{tick:g}", (plot.right + 4.0, inside), theme.quiet, 13)
     if len(x) > 1:
         if strip.truth is not None:
             canvas.line(np.stack([x, y(strip.truth)], axis=1), theme.truth, 1.4)
         draw_by_mode(canvas, np.stack([x, y(strip.curve)], axis=1), modes, theme, 1.8)
-    left, row = place.left + 8.0 * unit, min(_ROW * unit, plot.height / (len(keys) + 1))
-    canvas.words(strip.title, (left, plot.top + row / 2.0), theme.ink, 15)
+    row = min(13.0, plot.height / (len(keys) + 1))
+    canvas.words(strip.title, (_PAD, plot.top + row / 2.0), theme.ink, 15)
     for i, (meaning, color, width) in enumerate(keys, start=1):
         level = plot.top + (i + 0.5) * row
-        canvas.line(np.array([[left, level], [left + 14.0 * unit, level]]), color, width)
-        canvas.words(meaning, (left + 19.0 * unit, level), theme.quiet, 13)
+        canvas.line([[_PAD, level], [_PAD + 14.0, level]], color, width)
+        canvas.words(meaning, (_PAD + 19.0, level), theme.quiet, 13)
 
 
-def _draw_ribbon(
-    canvas: Canvas, place: Rect, lane: Rect, x: Array, modes: Index, theme: Theme
-) -> None:
+def _draw_ribbon(canvas: Canvas, lane: Rect, x: Array, modes: Index, theme: Theme) -> None:
     """Draw a ribbon in the colors of the modes that ran, with the modes' numbers where they fit."""
-    unit = canvas.unit
-    canvas.words("mode", (place.left + 8.0 * unit, lane.centery), theme.ink, 15)
+    canvas.words("mode", (_PAD, lane.centery), theme.ink, 15)
     canvas.fill(theme.ground, lane)
     if len(x) == 0:
         return
@@ -311,7 +292,7 @@ def _draw_ribbon(
         part = Rect(left, lane.top, right - left, lane.height)
         color = theme.mode(int(modes[begin]))
         canvas.fill(color, part)
-        if part.width > 12.0 * unit:
+        if part.width > 12.0:
             light = np.dot(color, (0.299, 0.587, 0.114)) > 140.0
             ink = (0, 0, 0) if light else (255, 255, 255)  # the color that contrasts more
             canvas.words(str(modes[begin]), part.center, ink, 13, 0.5)
@@ -324,5 +305,5 @@ def _draw_clock(canvas: Canvas, lane: Rect, times_s: tuple[float, float], theme:
     y = lane.bottom
     for time in np.arange(math.ceil(first / step), last / step + 1e-9) * step:
         x = lane.left + (time - first) / (last - first) * lane.width
-        canvas.line(np.array([[x, y], [x, y + 3.0 * canvas.unit]]), theme.quiet, 0.8)
-        canvas.words(f"{time:g} s", (x, y + 9.0 * canvas.unit), theme.quiet, 13, 0.5)
+        canvas.line([[x, y], [x, y + 3.0]], theme.quiet, 0.8)
+        canvas.words(f"{time:g} s", (x, y + 9.0), theme.quiet, 13, 0.5)

@@ -29,11 +29,11 @@ class View(NamedTuple):
     """The visible part of the map, and the part of the picture in which it is drawn."""
 
     center_m: Array  # (2,) position on the map that is at the center
-    scale: float  # px per meter
+    scale: float  # units of the picture per meter
     frame: Rect  # part of the picture
 
     def pixels(self, points_m: Array) -> Array:
-        """Convert points (n, 2 or more) of the map into positions (n, 2) in the picture, px."""
+        """Convert points (n, 2 or more) of the map into positions (n, 2) in the picture."""
         offset = (points_m[:, :2] - self.center_m) * self.scale
         return self.frame.center + offset * (1.0, -1.0)
 
@@ -74,18 +74,6 @@ def follow(history: History, frame: Rect) -> View:
     now = np.stack([truth[-1], estimate[-1]])
     center = np.clip(center, now.max(axis=0) - inner, now.min(axis=0) + inner)
     return View(center, frame.height / (2.0 * half), frame)
-
-
-def clipped(start: Point, end: Point, frame: Rect) -> tuple[Point, Point] | None:
-    """Clip a line to a frame (Liang and Barsky 1984); return None if the line is outside."""
-    begin, way = np.array(start), np.subtract(end, start)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        shares = (np.array([frame.topleft, frame.bottomright]) - begin) / way
-    first = np.nanmax(shares.min(axis=0), initial=0.0)
-    last = np.nanmin(shares.max(axis=0), initial=1.0)
-    if not first <= last:
-        return None
-    return tuple((begin + np.outer((first, last), way)).tolist())
 
 
 def nice(value: float) -> float:
@@ -154,7 +142,7 @@ def _draw_walls(canvas: Canvas, view: View, anchors_m: Array, theme: Theme) -> N
         middle = (anchors_m[0, :2] + image[:2]) / 2.0
         foot = middle + along * ((view.center_m - middle) @ along)
         front = view.pixels(np.array([foot - reach * along, foot + reach * along]))
-        deep = max(_FACADE_M * view.scale, 3.0 * canvas.unit) * normal * (1.0, -1.0)
+        deep = max(_FACADE_M * view.scale, 3.0) * normal * (1.0, -1.0)
         canvas.polygon(np.vstack([front, front[::-1] + deep]), theme.building)
         canvas.line(front, theme.wall, 1.5)
 
@@ -165,15 +153,15 @@ def _draw_links(canvas: Canvas, view: View, history: History, theme: Theme) -> N
         return
     user = _point(view, history.truth[-1])
     for link, anchor in enumerate(view.pixels(history.scenery.anchors_m)):
-        ends = clipped(user, (float(anchor[0]), float(anchor[1])), view.frame)
-        if ends is None:
+        ends = view.frame.clipline(user, anchor.tolist())
+        if not ends:
             continue
         if history.rejected[-1, link]:
             canvas.dashes(*ends, theme.rejected, 1.6)
         elif history.accepted[-1, link]:
-            canvas.line(np.array(ends), theme.accepted, 1.2)
+            canvas.line(ends, theme.accepted, 1.2)
         else:
-            canvas.line(np.array(ends), theme.missing)
+            canvas.line(ends, theme.missing)
 
 
 def _draw_ways(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
@@ -212,37 +200,33 @@ def runs(modes: Index) -> list[tuple[int, int]]:
 
 def _draw_scale(canvas: Canvas, view: View, theme: Theme) -> Rect:
     """Draw a scale bar in the lower right corner; return the part of the picture it covers."""
-    unit = canvas.unit
-    length = nice(110.0 * unit / view.scale)
-    place = Rect(0.0, 0.0, length * view.scale + 12.0 * unit, 25.0 * unit)
-    place.bottomright = view.frame.right - 4.0 * unit, view.frame.bottom - 2.0 * unit
+    length = nice(110.0 / view.scale)
+    place = Rect(0.0, 0.0, length * view.scale + 12.0, 25.0)
+    place.bottomright = view.frame.right - 4.0, view.frame.bottom - 2.0
     _draw_plate(canvas, place, theme)
-    bar, tick = place.inflate(-12.0 * unit, -12.0 * unit), np.array([0.0, 3.0 * unit])
+    bar, tick = place.inflate(-12.0, -12.0), np.array([0.0, 3.0])
     ends = np.array([bar.bottomleft, bar.bottomright])
     for line in (ends, ends[:1] + [-tick, tick], ends[1:] + [-tick, tick]):
         canvas.line(line, theme.ink, 1.2)
-    canvas.words(f"{length:g} m", (bar.centerx, bar.bottom - 10.0 * unit), theme.ink, 14, 0.5)
+    canvas.words(f"{length:g} m", (bar.centerx, bar.bottom - 10.0), theme.ink, 14, 0.5)
     return place
 
 
 def _draw_anchors(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
     """Draw scale bar and anchors; for an anchor outside, an arrow at the edge, and its distance."""
-    inner = view.frame.inflate(-14.0 * canvas.unit, -14.0 * canvas.unit)
+    inner = view.frame.inflate(-14.0, -14.0)
     user, here = _point(view, history.truth[-1]), history.truth[-1, :3]
-    around = 9.0 * canvas.unit
+    around = 9.0
     names: list[tuple[str, Point]] = []
     for number, anchor in enumerate(history.scenery.anchors_m):
         at, name = _point(view, anchor), f"anchor {number + 1}" if number else "gNB"
-        if clipped(at, at, inner):
+        if inner.collidepoint(at):
             # the base station is a filled triangle, its mirror images are hollow ones
-            shape = at + np.array([[0.0, -7.0], [6.0, 5.0], [-6.0, 5.0]]) * canvas.unit
+            shape = at + np.array([[0.0, -7.0], [6.0, 5.0], [-6.0, 5.0]])
             canvas.polygon(shape, theme.paper if number else theme.ink)
             canvas.line(shape, theme.wall if number else theme.ink, 1.5, closed=True)
         else:
-            rim = clipped(user, at, inner)
-            if rim is None:  # the position of the anchor is not finite
-                continue
-            at = rim[1]
+            _, at = inner.clipline(user, at) or (user, user)
             _draw_arrow(canvas, user, at, theme.wall if number else theme.ink)
             name += f", {np.linalg.norm(anchor - here):.0f} m"
         names.append((name, at))
@@ -255,7 +239,7 @@ def _draw_anchors(canvas: Canvas, view: View, history: History, theme: Theme) ->
 
 def _draw_arrow(canvas: Canvas, start: Point, tip: Point, color: Color) -> None:
     way = np.subtract(tip, start)
-    way *= 10.0 * canvas.unit / max(float(np.hypot(*way)), 1e-9)
+    way *= 10.0 / max(float(np.hypot(*way)), 1e-9)
     side, back = 0.5 * np.array([-way[1], way[0]]), np.array(tip) - way
     canvas.polygon(np.array([tip, back + side, back - side]), color)
 
@@ -264,8 +248,7 @@ def _label(
     canvas: Canvas, text: str, at: Point, frame: Rect, theme: Theme, taken: list[Rect]
 ) -> None:
     """Draw a name near a point, inside the frame and, if possible, not over the parts ``taken``."""
-    unit = canvas.unit
-    width, height, gap = canvas.width_of(text, 14) + 6.0 * unit, 15.0 * unit, 10.0 * unit
+    width, height, gap = canvas.width_of(text, 14) + 6.0, 15.0, 10.0
     places = [
         Rect(left, at[1] + (row - 0.5) * height, width, height).clamp(frame)
         for row in (0, 1, -1, 2, -2)
@@ -274,13 +257,13 @@ def _label(
     place = next((place for place in places if place.collidelist(taken) < 0), places[0])
     taken.append(place)
     _draw_plate(canvas, place, theme)
-    canvas.words(text, (place.left + 3.0 * unit, place.centery), theme.ink, 14)
+    canvas.words(text, (place.left + 3.0, place.centery), theme.ink, 14)
 
 
 def _draw_plate(canvas: Canvas, place: Rect, theme: Theme) -> None:
     """Draw a translucent background for words."""
     corners = [place.topleft, place.topright, place.bottomright, place.bottomleft]
-    canvas.polygon(np.array(corners), theme.paper, 0.8)
+    canvas.polygon(corners, theme.paper, 0.8)
 
 
 def _point(view: View, position_m: Array) -> Point:

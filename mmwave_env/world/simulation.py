@@ -5,14 +5,13 @@ lane. All random numbers come from generators that a key seeds, so a key determi
 """
 
 from collections.abc import Callable
-from functools import cache, lru_cache, partial
+from functools import cache, cached_property, lru_cache, partial
 from typing import Any, NamedTuple
 
 from numba import types
 from numba.core.compiler_lock import global_compiler_lock
 
 from mmwave_env.compiler.disk_cache import compiled_callback
-from mmwave_env.compiler.fingerprint import fingerprint
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import Program, tree_kernel
 from mmwave_env.compiler.transpose import number_at
@@ -33,6 +32,7 @@ from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Number, Vector, floor, sqrt, where, wrap
 from mmwave_env.numerics.pytree import flatten, indices, select, tree_at
 from mmwave_env.numerics.random import STATE_WORDS, Dice, seeded
+from mmwave_env.numerics.tape import fingerprint
 from mmwave_env.world.episode import Incoming, blank_incoming
 from mmwave_env.world.kinematics import Net, Traveler, move, state_of
 from mmwave_env.world.travel import Phase, TravelPlan, attend, blank_plan, draw_phases, set_off
@@ -206,22 +206,20 @@ class World:
         sizes = [len(flatten(part)) for part in self.template]
         # the rows at which the measured epoch, the settings and the kept state end
         self.ends = (sizes[0], sizes[0] + sizes[1], sum(sizes))
-        self._compiled: Any = None
 
     def on_lanes(self) -> int:
         """Return the address of a compiled C function that simulates an epoch, for a ``Feed``."""
         with global_compiler_lock:
-            if self._compiled is None:
-                self._compiled = self._compile()
-        return self._compiled.address  # type: ignore[no-any-return]
+            return self._compiled.address  # type: ignore[no-any-return]
 
     @property
     def parts(self) -> tuple[Callable[[WorldState], WorldState], ...]:
         """Return the three parts of an epoch: measurement, events and motion during a substep."""
         return partial(_observe, layout=self._layout), _attend, _move
 
-    def _compile(self) -> Any:
-        """Compile the parts of an epoch; events are computed only if one is due in some lane."""
+    @cached_property
+    def _compiled(self) -> Any:
+        """Return the compiled parts of an epoch; events run only if one is due in some lane."""
         parts, ends = self.parts, self.ends
         look, happen, substep = (tree_kernel(part, self.template, ends) for part in parts)
         row = 8 * WIDTH  # bytes

@@ -33,11 +33,6 @@ def compiled_scatter_single(block, rows, targets):
 
 
 @numba.njit
-def compiled_prefetch(place):
-    tiles.prefetch(place)
-
-
-@numba.njit
 def compiled_address(table, i, j):
     return tiles.address(table, i, j)
 
@@ -88,11 +83,6 @@ def test_address_returns_where_an_element_of_a_table_is(address):
     for i in range(2):
         for j in range(3):
             assert address(table, i, j) == table[i, j].ctypes.data
-
-
-@pytest.mark.parametrize("prefetch", [tiles.prefetch, compiled_prefetch])
-def test_prefetching_an_invalid_address_does_no_harm(prefetch):
-    prefetch(8)
 
 
 USERS = """

@@ -5,7 +5,6 @@ import pytest
 
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.tally import Tally, count
-from mmwave_env.engines.vector_step import ActionHistory
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.metrics import summary
 from tests.filters.tracks import pipeline_of, simulated
@@ -68,23 +67,6 @@ def test_epochs_after_the_end_of_an_episode_are_blank(on_floats):
         alone.step(np.int64(0))
         np.testing.assert_array_equal(together.column(1), alone.column(0))
     assert alone.read(alone.at.pending.visible).max() == 0.0
-
-
-@pytest.mark.parametrize("modes", [2, 300])
-def test_the_action_history_keeps_the_last_actions_while_it_grows(modes):
-    rng, history, steps, room = np.random.default_rng(0), ActionHistory(5, modes), [], 0
-    for asked in (3, 4, 2, 9, 30):
-        known, room = min(room, len(steps)), max(room, asked)
-        history.make_room(asked)
-        for _ in range(11):
-            if known:
-                some = rng.permutation(5)[:3]
-                expected = np.transpose(steps[-known:])[some]
-                np.testing.assert_array_equal(history.of(some, known), expected)
-            steps.append(rng.integers(modes, size=5))
-            history.rows[history.turn] = steps[-1]
-            history.next()
-            known = min(known + 1, room)
 
 
 @pytest.mark.parametrize("axes", [2, 3])

@@ -2,8 +2,6 @@
 
 import importlib.util
 import linecache
-import math
-import random
 from dataclasses import replace
 from functools import partial
 
@@ -164,13 +162,10 @@ RETURNS = {
     changed(x=lambda x: [None, *x[1:]]): "returned x[0]: None",
     changed(P=lambda P: P[:6]): "returned P: list of 6",
     changed(P=lambda P: [*P[:6], P[6][:2]]): "returned P[6]: list of 2",
-    changed(nis=lambda q: q[0]): "returned nis: float",
+    changed(nis=lambda q: q[0]): "returned nis: a number",
     changed(accepted=lambda a: [*a, 1.0]): "returned accepted: list of 5",
     changed(log_likelihood=lambda v: [v]): "returned log_likelihood: list of 1",
-    flags: "returned accepted[0]: bool",
-    changed(x=lambda x: [math.nan, *x[1:]]): "returned x[0]: nan",
-    changed(accepted=lambda a: [1.0 for _ in a]): "accepted[1]: 1",
-    changed(P=lambda P: [[P[0][0] + 1.0] * 7, *P[1:]]): "P[1][0]",
+    flags: "returned accepted[0]: a condition",
     too_few: "takes 3 positional arguments",
 }
 
@@ -202,21 +197,6 @@ def test_an_algorithm_that_changes_its_arguments_is_refused(name, algorithm):
     assert f"changed its argument {name}" in str(refusal(algorithm))
 
 
-def asks_for_the_type(x, P, measurement, gate):
-    scale = 2.0 if isinstance(P[0][0], float) else 1.0
-    return ekf(x, [[scale * v for v in row] for row in P], measurement, gate)
-
-
-def draws(x, P, measurement, gate):
-    return ekf([v + random.gauss(0.0, 0.1) for v in x], P, measurement, gate)
-
-
-@pytest.mark.parametrize("algorithm", [asks_for_the_type, draws])
-def test_an_algorithm_that_returns_other_values_on_lanes_than_on_floats_is_refused(algorithm):
-    message = str(refusal(algorithm))
-    assert "on floats" in message and "on lanes" in message
-
-
 # --- where algorithms are tried
 
 
@@ -228,7 +208,7 @@ def test_making_an_environment_with_an_algorithm_that_cannot_run_is_refused(writ
         assert f'File "{file}", line {LINE}, in mine' in str(error.value)
 
 
-@pytest.mark.parametrize("layout", [Layout(1), Layout(3), Layout(9, True)], ids=str)
+@pytest.mark.parametrize("layout", [Layout(1), Layout(9, True), Layout(3, partial=True)], ids=str)
 @pytest.mark.parametrize("planar", [False, True], ids=["hilly", "planar"])
 @pytest.mark.parametrize("ours", [ekf, ukf, ckf])
 @pytest.mark.parametrize("options", [{}, {"robust": True}, {"gate": None, "recovery": None}])
@@ -257,20 +237,6 @@ def test_an_algorithm_that_ignores_groups_of_the_layout_is_refused():
     assert "returned nis: list of 4" in str(refusal(three_anchors, Layout(5)))
 
 
-def test_an_algorithm_that_uses_missing_rows_is_refused():
-    def all_rows(x, P, measurement, gate):
-        return ekf(x, P, measurement._replace(measured=[1.0] * measurement.layout.size), gate)
-
-    def mine(x, P, measurement, gate):
-        return ekf(x, P, measurement, gate)
-
-    partial = Layout(3, partial=True)
-    assert "rows that are missing" in str(refusal(all_rows, partial))
-    Pipeline((Mode("own", all_rows),), STREET)
-    for layout in (partial, Layout(1, odometry=True, partial=True)):
-        Pipeline((Mode("own", mine),), layout)
-
-
 def test_equal_pipelines_share_one_trial():
     calls = []
 
@@ -279,7 +245,7 @@ def test_equal_pipelines_share_one_trial():
         return ekf(x, P, measurement, gate)
 
     pipeline = Pipeline((Mode("own", counting),), STREET)
-    assert len(calls) == 4  # two epochs, each on floats and on stand-ins for lanes
+    assert len(calls) == 1
     replace(pipeline, modes=pipeline.modes)
     Engine(pipeline, 1, TrackingReward())
-    assert len(calls) == 4
+    assert len(calls) == 1

@@ -249,9 +249,8 @@ def spread(weights, points):
 
 
 def test_the_stay_matrix_gives_all_other_modes_the_same_probability():
-    np.testing.assert_allclose(imm.stay_matrix(3, 0.9), 0.05 + 0.85 * np.eye(3))
-    np.testing.assert_allclose(imm.stay_matrix(2, 0.05), [[0.05, 0.95], [0.95, 0.05]])
-    assert imm.stay_matrix(1) == ((1.0,),)
+    np.testing.assert_allclose(imm.stay_matrix(3), 0.025 + 0.925 * np.eye(3))
+    assert imm.stay_matrix(1) == [[1.0]]
 
 
 @pytest.mark.parametrize("sigmas", [(0.03, 30.0), (30.0, 0.03)])

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import pytest
 
 import mmwave_env
-from mmwave_env.compiler.fingerprint import fingerprint
 from mmwave_env.numerics.numbers import atan2, cos_sin, exp, log, maximum, sqrt, where
+from mmwave_env.numerics.tape import fingerprint
 
 
 class Pair(NamedTuple):

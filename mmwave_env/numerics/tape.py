@@ -1,9 +1,11 @@
-"""Fingerprints: names that identify what a function of numbers computes.
+"""Numbers that write every operation on a tape: to try a function, and to name what it computes.
 
-To name a function, we run it once on numbers that record every operation. Two functions share a
-name only if they use the same operations on the same rows and constants; then each can run the
-compiled code of the other. So users need not name the functions of their modes and rewards, and a
-change in such a function is never missed. Recording takes a hundredth of the time of compiling.
+Such numbers hide their value, as lanes do, so a function that runs on them can be compiled.
+
+The name of a function is its *fingerprint*, a hash of its tape. Two functions share a name only if
+they use the same operations on the same rows and constants; then each can run the compiled code of
+the other. So users need not name the functions of their modes and rewards, and a change in such a
+function is never missed. Writing a tape takes a hundredth of the time of compiling.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,13 +15,21 @@ from typing import Any
 from mmwave_env.numerics.pytree import Tree, flatten, unflatten
 from mmwave_env.numerics.tracer import Tracer, TracerCondition
 
+Tape = list[tuple[Any, ...]]
+
+
+def taped(template: Tree, tape: Tape) -> Tree:
+    """Return a tree of the template's shape; operations on its leaves are written on the tape."""
+    rows = range(len(flatten(template)))
+    return unflatten(template, (_Number(tape, -1 - row) for row in rows))
+
 
 def fingerprint(function: Callable[[Tree], Tree], template: Tree) -> str:
     """Return a name (20 hexadecimal digits) for a function between trees of the same shape."""
-    tape: list[tuple[Any, ...]] = []
-    rows = [_Number(tape, -1 - row) for row in range(len(flatten(template)))]
-    results = _references(flatten(function(unflatten(template, iter(rows)))))
-    return sha256(repr((len(rows), tape, results)).encode()).hexdigest()[:20]
+    tape: Tape = []
+    results = _references(flatten(function(taped(template, tape))))
+    whole = len(flatten(template)), tape, results
+    return sha256(repr(whole).encode()).hexdigest()[:20]
 
 
 class _Recorded:
@@ -27,10 +37,10 @@ class _Recorded:
 
     __slots__ = ("number", "tape")
 
-    def __init__(self, tape: list[tuple[Any, ...]], number: int) -> None:
+    def __init__(self, tape: Tape, number: int) -> None:
         self.tape, self.number = tape, number
 
-    def _record(self, op: str, *operands: Any) -> tuple[list[tuple[Any, ...]], int]:
+    def _record(self, op: str, *operands: Any) -> tuple[Tape, int]:
         self.tape.append((op, *_references(operands)))
         return self.tape, len(self.tape) - 1
 
