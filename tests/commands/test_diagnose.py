@@ -6,10 +6,10 @@ import re
 import numpy as np
 import pytest
 
+from mmwave_env.logs.tum import read_tum
 from tests.cli import command
 from tests.commands.localizing import RIDE, options
 from tests.localization.mistakes import MISTAKES, read_columns, write_columns
-from tests.logs.writing import read_tum
 
 
 @pytest.fixture(scope="module")
