@@ -229,11 +229,8 @@ def _direct(block: LogBlock) -> bool:
 
 def _first_fix(block: LogBlock, scene: Scene, radio: Radio) -> int:
     """Return the index of the first epoch that gives a prior, or the number of epochs if none."""
-    if _direct(block):
-        whole = np.isfinite(block.measurement[:, :4]).all(axis=1)
-        fixes = np.flatnonzero(block.visible[:, 0] & whole & gives_fix(block.measurement))
-        return int(fixes[0]) if len(fixes) else len(block)
-    for epoch in np.flatnonzero(block.visible[:, : block.layout.anchors].any(axis=1)):
+    links = 1 if _direct(block) else block.layout.anchors
+    for epoch in np.flatnonzero(block.visible[:, :links].any(axis=1)):
         if can_begin(block, int(epoch), scene, radio):
             return int(epoch)
     return len(block)
