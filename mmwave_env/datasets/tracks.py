@@ -270,13 +270,10 @@ class TrackSource:
                 )
         runs = stretches(track.time_s, track.position_m, GAP_S)
         if not runs:
-            step = float(np.median(np.diff(track.time_s))) if len(track) > 1 else 0.0
-            if step > GAP_S:
-                expected = f"at most {GAP_S:g} s: are its times in seconds?"
-                refuse(track.record, "time_s", f"epochs {step:.4g} s apart", expected)
             raise ValueError(
-                f"{track.record}: found no two consecutive epochs with a true position, expected "
-                "some, because reward and metrics need them (docs/own-log.md)"
+                f"{track.record}: found no two consecutive epochs, at most {GAP_S:g} s apart, with "
+                "a true position, expected some, because reward and metrics need them "
+                "(docs/own-log.md): are its times in seconds?"
             )
         longest = max(runs, key=lambda run: run.stop - run.start)
         most = longest.stop - longest.start
