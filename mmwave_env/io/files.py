@@ -2,7 +2,6 @@
 
 import json
 import os
-import stat
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,9 +15,6 @@ T = TypeVar("T")
 TEXT_BYTES = 16 << 20  # maximum size of a text file; longer logs and tracks are read in blocks
 JSON_BYTES = 8 << 20  # maximum size of a JSON file; our largest file is a hundredth of this
 JSON_DEPTH = 50  # maximum depth of nested lists and objects
-
-_KINDS = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a FIFO", stat.S_IFSOCK: "a socket"}
-_KINDS |= dict.fromkeys((stat.S_IFCHR, stat.S_IFBLK), "a device")
 
 
 def _named(error: OSError, path: Path) -> OSError:
@@ -54,14 +50,13 @@ def open_regular(path: Path, expected: str = "a file") -> BinaryIO:
         FileNotFoundError: there is no such file; the message calls it ``expected``.
         OSError: the path is not a regular file, or can't be opened.
     """
-    try:
-        kind = stat.S_IFMT(path.stat().st_mode)
-    except (FileNotFoundError, NotADirectoryError, ValueError):  # ValueError: a name with a NUL
-        raise FileNotFoundError(f"{path}: found no such file, expected {expected}") from None
-    if kind != stat.S_IFREG:
-        error = IsADirectoryError if kind == stat.S_IFDIR else OSError
-        raise error(f"{path}: found {_KINDS.get(kind, 'a special file')}, expected {expected}")
-    return path.open("rb")
+    if path.is_dir():
+        raise IsADirectoryError(f"{path}: found a folder, expected {expected}")
+    if path.is_file():
+        return path.open("rb")
+    if path.exists():
+        raise OSError(f"{path}: found a FIFO, a socket or a device, expected {expected}")
+    raise FileNotFoundError(f"{path}: found no such file, expected {expected}")
 
 
 def read_bounded(path: Path, most: int, expected: str = "a file") -> bytes:
