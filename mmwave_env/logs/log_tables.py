@@ -6,11 +6,11 @@ and whether cells are numbers are checked here; ``log.py`` interprets the number
 
 import csv
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,64 +35,28 @@ class LogError(ValueError):
     """Error for a file that is not a measurement log, or that is damaged from some row on."""
 
 
+@dataclass(frozen=True, eq=False)
 class Block:
     """Base class for dataclasses that hold n rows or epochs: arrays (n, ...), and shared values."""
 
-    arrays: ClassVar[tuple[str, ...]] = ()  # names of the arrays; the first gives the length
-
-    def __init_subclass__(cls) -> None:
-        hints = cls.__annotations__.items()
-        own = [name for name, hint in hints if getattr(hint, "__origin__", 0) is np.ndarray]
-        cls.arrays = (*cls.arrays, *own)
+    def arrays(self) -> dict[str, Array]:
+        """Return the arrays by name."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
 
     def __len__(self) -> int:
-        return len(getattr(self, self.arrays[0]))
+        return len(next(iter(self.arrays().values())))
 
     def part(self: AnyBlock, rows: slice) -> AnyBlock:
         """Return a part of the block."""
-        return self._with({name: getattr(self, name)[rows] for name in self.arrays})
+        return replace(self, **{name: values[rows] for name, values in self.arrays().items()})
 
     @classmethod
     def joined(cls, blocks: Sequence[AnyBlock]) -> AnyBlock:
         """Join blocks that follow each other; the shared values are the last block's."""
-        return blocks[-1]._with(
-            {name: np.concatenate([getattr(b, name) for b in blocks]) for name in cls.arrays}
-        )
-
-    def _with(self: AnyBlock, arrays: dict[str, Any]) -> AnyBlock:
-        return replace(self, **arrays)  # type: ignore[type-var]
-
-
-def in_windows(
-    blocks: Iterable[AnyBlock], window: int, segment: Callable[[AnyBlock], int] = lambda block: 0
-) -> Iterator[AnyBlock]:
-    """Yield the epochs in blocks of whole windows; only a segment's last window may be shorter.
-
-    A window is ``window`` epochs long. If ``blocks`` raises a LogError, the epochs read before are
-    yielded first. A segment is a part of the log without a long gap; ``segment`` returns the number
-    of a block's segment, and blocks of different segments are not joined.
-    """
-    waiting: list[AnyBlock] = []
-    count = 0
-    try:
-        for block in blocks:
-            if waiting and segment(block) != segment(waiting[0]):
-                yield block.joined(waiting)
-                waiting, count = [], 0
-            waiting.append(block)
-            count += len(block)
-            if count >= window:
-                joined = block.joined(waiting)
-                whole = count // window * window
-                yield joined.part(slice(whole))
-                count -= whole
-                waiting = [joined.part(slice(whole, None))] if count else []
-    except LogError:
-        if waiting:
-            yield waiting[-1].joined(waiting)
-        raise
-    if waiting:
-        yield waiting[-1].joined(waiting)
+        last = blocks[-1]
+        names = last.arrays()
+        return replace(last, **{n: np.concatenate([getattr(b, n) for b in blocks]) for n in names})
 
 
 @dataclass(frozen=True, eq=False)
