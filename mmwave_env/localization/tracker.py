@@ -188,9 +188,7 @@ class Tracker:
         self._group_of = np.repeat(np.arange(len(layout.groups)), layout.widths).tolist()
         ends = np.repeat(np.array([SNR_LIMITS_DB]).T, layout.anchors, axis=1)
         sigma = self._radio.sigma(ends, self._scene, layout)
-        self._sound = not any(
-            bound.outside(sigma[:, rows]).any() for rows, bound in sigma_bounds(layout)
-        )
+        self._sound = all(bound.holds(sigma[:, rows]).all() for rows, bound in sigma_bounds(layout))
 
     def _load(self, block: LogBlock, begins: bool) -> tuple[list[bool], float]:
         """Load an epoch (T = 1); return which groups were seen, and the Doppler spread, Hz."""

@@ -89,7 +89,7 @@ class Episode:
         if not (abs(P - P.T).max() <= 1e-8 * abs(P).max() and np.linalg.eigvalsh(P)[0] > 0.0):
             refuse(self._record, "prior_covariance", P.tolist(), "a positive definite matrix")
         for field, values, bound in self._bounded():
-            wrong = bound.outside(values)
+            wrong = ~bound.holds(values)
             if wrong.any():
                 refuse(self._record, field, f"{values[wrong].flat[0]:g}", bound.expected)
 
