@@ -38,10 +38,6 @@ class MeasuredTrack(Track):
     sigma: Array | None = None
     doppler_anchor: Index | None = None
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.warn_of_contradictions()
-
     @classmethod
     def from_arrays(
         cls,

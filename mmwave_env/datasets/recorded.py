@@ -67,7 +67,6 @@ class Recording(Track):
         )
         recording = cls(**fields, path_gain_db=gain)
         recording.add_doppler()
-        recording.warn_of_contradictions()
         return recording
 
     def add_doppler(self) -> None:

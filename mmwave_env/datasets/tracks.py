@@ -75,6 +75,7 @@ class Track(ABC):
     def __post_init__(self) -> None:
         if not is_name(self.name):
             refuse(self.record, "name", quoted(self.name), Printable.expected)
+        self._warn_of_contradictions()
 
     @abstractmethod
     def _received(self, radio: Radio, rng: np.random.Generator, epochs: slice) -> Received:
@@ -194,7 +195,7 @@ class Track(ABC):
     def __len__(self) -> int:
         return len(self.time_s)
 
-    def warn_of_contradictions(self) -> None:
+    def _warn_of_contradictions(self) -> None:
         """Warn if the errors of links, computed with the true positions, have a large median.
 
         The cause is a wrong convention or unit, or a true track in another frame. Noise alone gives
