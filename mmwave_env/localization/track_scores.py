@@ -200,46 +200,46 @@ class Course:
     def __init__(self, modes: Sequence[str]) -> None:
         self.epochs = 0
         self.first_s = self.last_s = 0.0
-        self._skipped = self._restarts = self._dropped = self._switches = self._fast = 0
+        self._last: TrackBlock | None = None
         self._modes, self._counts = modes, np.zeros(len(modes), np.int64)
-        self._last_mode = -1
-        self._clock: dict[str, Any] = {}  # the clock in the last epoch
+        self._switches = self._fast = 0
         self._speed = self._fastest = self._trusted = 0.0
         self._variance = np.zeros(2)  # sums of the horizontal and the vertical variance, m^2
 
     def add(self, block: TrackBlock) -> None:
         """Add a block."""
-        self._trusted += float(block.trusted.sum())
+        if self._last is None:
+            self.first_s = float(block.time_s[0])
+        before = block.mode[0] if self._last is None else self._last.mode[-1]
+        self._counts += np.bincount(block.mode, minlength=len(self._modes))
+        self._switches += int(np.count_nonzero(np.diff(block.mode, prepend=before)))
         xx, yy, zz = block.smooth_P[:, [0, 2, 5]].sum(axis=0)
         self._variance += xx + yy, zz
-        if not self.epochs:
-            self.first_s, self._last_mode = float(block.time_s[0]), int(block.mode[0])
-        self._counts += np.bincount(block.mode, minlength=len(self._modes))
-        self._switches += int(np.count_nonzero(np.diff(block.mode, prepend=self._last_mode)))
-        self._last_mode = int(block.mode[-1])
         speed = np.linalg.norm(block.x[:, 3:6], axis=1)
         self._speed += float(speed.sum())
         self._fastest = max(self._fastest, float(speed.max()))
         self._fast += int((speed > DESIGN_LIMIT_MPS).sum())
-        self._skipped, self._restarts, self._dropped = block.skipped, block.segment, block.dropped
-        self.last_s = float(block.time_s[-1])
+        self._trusted += float(block.trusted.sum())
+        self.last_s, self._last = float(block.time_s[-1]), block
         self.epochs += len(block)
-        if block.layout.clock:
-            bias, deviation = float(block.x[-1, 7]), float(np.sqrt(block.P[-1, 35]))
-            self._clock = {"clock": {"range_bias_m": bias, "deviation_m": deviation}}
 
     def figures(self) -> dict[str, Any]:
-        """Return the statistics as a dictionary."""
-        expected = np.sqrt(self._variance / max(self.epochs, 1))
+        """Return the statistics of a track of one block or more as a dictionary."""
+        last = self._last
+        assert last is not None
+        expected, clock = np.sqrt(self._variance / self.epochs), {}
+        if last.layout.clock:  # the clock in the last epoch
+            bias, deviation = float(last.x[-1, 7]), float(np.sqrt(last.P[-1, 35]))
+            clock = {"clock": {"range_bias_m": bias, "deviation_m": deviation}}
         return {
             "epochs": self.epochs,
-            "skipped": self._skipped,
-            "restarts": self._restarts,
-            "dropped": self._dropped,
+            "skipped": last.skipped,
+            "restarts": last.segment,
+            "dropped": last.dropped,
             "first_s": self.first_s,
             "last_s": self.last_s,
             "speed_mps": {
-                "mean": ratio(self._speed, self.epochs),
+                "mean": self._speed / self.epochs,
                 "max": self._fastest,
                 "epochs_above_design_limit": self._fast,
             },
@@ -248,7 +248,7 @@ class Course:
             ),
             "modes": dict(zip(self._modes, self._counts.tolist(), strict=True)),
             "switches": self._switches,
-            **self._clock,
+            **clock,
             # only if a corrector ran
-            **({} if isnan(self._trusted) else {"trusted": ratio(self._trusted, self.epochs)}),
+            **({} if isnan(self._trusted) else {"trusted": self._trusted / self.epochs}),
         }
