@@ -26,7 +26,6 @@ AnyBlock = TypeVar("AnyBlock", bound="Block")
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 _BATCH_ROWS = 1 << 14
-_WHOLE = "a complete file"
 _NUMBER = "a number, or nothing if it was not measured"
 _ANCHOR = "the number of an anchor in the scene (1: the base station)"
 
@@ -318,4 +317,4 @@ def _parquet_tables(log: LogFile) -> Iterator[Table]:
                 yield Table(log.columns, rows, np.stack(cells, axis=1), done / total)
         except (OSError, pyarrow.ArrowException) as error:
             problem = f"broken Parquet data ({error})"
-            raise DamagedFileError(log.path, done + 1, problem, _WHOLE, "row") from error
+            raise DamagedFileError(log.path, done + 1, problem, "a complete file", "row") from error
