@@ -209,7 +209,6 @@ def _read_station(scenario: Scenario, epochs: Index, station: str) -> StationPat
         return scenario.file(scene, key, station), row
 
     return StationPaths(
-        name=station,
         position_m=here[0],
         interactions=path["inter"],
         bounce_m=path["inter_pos"],
