@@ -6,7 +6,6 @@ from math import isnan
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
@@ -16,9 +15,7 @@ from mmwave_env.localization.position_errors import PositionErrors
 from mmwave_env.logs.truth import Truth
 from mmwave_env.metrics import RISK, Sums, nees_interval, running_summary
 from mmwave_env.numerics.linalg import unpack
-from mmwave_env.numerics.numbers import Array
-
-Index = NDArray[np.intp]
+from mmwave_env.numerics.numbers import Array, Index
 
 FAR_NEES = 100.0  # a larger mean NEES means that the track is far from the truth
 _ENOUGH = 100  # number of epochs that are used to estimate the time step
@@ -110,7 +107,7 @@ def _pairs(time_s: Array, segment: Array, first_s: Array) -> tuple[Index, float 
     segments are not paired. The time step is estimated from the ``first_s`` times of the log.
     """
     if len(first_s) < 2 or not len(time_s):
-        return np.empty((0, 2), np.intp), None
+        return np.empty((0, 2), np.int64), None
     step = float(np.median(np.diff(first_s)))
     apart_s = max(1, round(1.0 / step)) * step
     later = time_s + apart_s

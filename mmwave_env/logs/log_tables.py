@@ -13,15 +13,13 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.io.files import open_regular
 from mmwave_env.io.lookup import quoted
 from mmwave_env.logs.lines import DamagedFileError, line_blocks, number
 from mmwave_env.logs.log_columns import BODY, STATION, Column, columns_of
-from mmwave_env.numerics.numbers import Array
+from mmwave_env.numerics.numbers import Array, Index
 
-Rows = NDArray[np.int64]
 AnyBlock = TypeVar("AnyBlock", bound="Block")
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
@@ -63,7 +61,7 @@ class Table(Block):
     """Consecutive rows of a log."""
 
     columns: dict[str, Column]  # the columns that are used, by quantity
-    rows: Rows  # (n,) row numbers in the file, for messages
+    rows: Index  # (n,) row numbers in the file, for messages
     cells: Array  # (n, columns) as in the file, NaN where empty
     share: float  # share of the file read so far, 0 to 1
     # damage in the last row, which ends the log; cells of that row that can't be read are NaN
@@ -80,7 +78,7 @@ class Table(Block):
         return self.columns[quantity].unit.convert(self.raw(quantity))  # type: ignore[no-any-return]
 
     @cached_property
-    def epoch(self) -> Rows:
+    def epoch(self) -> Index:
         """Return the epoch (n,), from 0, of every row; the rows of an epoch have the same time."""
         # Compare times as in the file: different times may become equal when converted to seconds.
         return np.concatenate([[0], np.cumsum(np.diff(self.raw("time")) != 0.0)])
