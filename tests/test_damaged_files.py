@@ -25,13 +25,13 @@ from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.ways import read_ways
 from mmwave_env.filters.bank import modes_from, read_bank
 from mmwave_env.logs.log import LogBlock, read_log, read_paths
+from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.radio import read_radio
 from mmwave_env.models.scene import SCENES, read_scene, scene_json
 from mmwave_env.world.mobility import read_mobility
 from policies.policy_file import _checksum, read_policy, save
 from tests.damage import changed, damaged
 from tests.datasets.deepmimo.scenarios import SAVE, shortened
-from tests.logs.writing import read_tum
 from tests.paths import LOGS, ROOT
 from tests.training.actors import TABLE, actor, card_of
 

@@ -200,7 +200,7 @@ def _run(args: LogArgs, work: Work) -> tuple[dict[str, Any], TrackSampler, Value
         figures["association"] = work.association.figures()
     if truth and scores and scores.scored:
         truth.warn_if_few(scores.scored, course.epochs, course.first_s, course.last_s)
-        clock = clock_offset(work.first, work.scene, lambda time_s: Truth(truth.path).at(time_s))
+        clock = clock_offset(work.first, work.scene, truth.at)
         figures["truth"] = scores.figures() | {
             "levels": args.levels,
             "clock": clock and clock.figures(),

@@ -54,7 +54,7 @@ def read_log_folder(folder: Path, clock: bool = False) -> MeasuredTrack:
     if not matched:
         raise truth.no_match(*ends)
     truth.warn_if_few(matched, len(log), *ends)
-    ahead = clock_offset(log, scene, lambda time_s: Truth(truth.path).at(time_s))
+    ahead = clock_offset(log, scene, truth.at)
     if ahead and ahead.matters:
         warnings.warn(f"{truth.path}: {ahead.advice}", stacklevel=2)
     return MeasuredTrack(

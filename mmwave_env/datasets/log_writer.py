@@ -6,7 +6,7 @@ import numpy as np
 
 from mmwave_env.models.layout import LINK, sigma_name
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
-from mmwave_env.numerics.numbers import PI, Array, Index, Mask
+from mmwave_env.numerics.numbers import PI, Array, Index
 from mmwave_env.world.episode import NEUTRAL_SNR_DB, Episode
 
 
@@ -19,43 +19,43 @@ def log_columns(episode: Episode) -> dict[str, Array]:
     """
     layout, usable = episode.layout, episode.usable
     T, L = len(episode), layout.anchors
-    links = np.where(
-        usable[:, :L, None], episode.measurement[:, : layout.doppler].reshape(T, L, 4), np.nan
+    epochs, shifted = np.arange(T), episode.doppler_anchor
+    if shifted is None:
+        shifted = np.zeros(T, np.int64)
+    shown = np.repeat(usable, layout.widths, axis=1)
+    measured = np.where(shown, episode.measurement, np.nan)
+    measured[:, 2 : layout.doppler : 4] = np.clip(
+        measured[:, 2 : layout.doppler : 4], -PI / 2, PI / 2
     )
-    links[..., 2] = np.clip(links[..., 2], -PI / 2, PI / 2)
-    epochs, shifted = np.arange(T), np.zeros(T, np.int64)
-    if episode.doppler_anchor is not None:
-        shifted = episode.doppler_anchor
+    sigma = np.where(np.isnan(measured), np.nan, episode.sigma)
     heard = usable[:, :L].copy()
     heard[epochs, shifted] |= usable[:, L]
     if layout.partial:
         heard &= episode.snr_db != NEUTRAL_SNR_DB  # this value means that no SNR was measured
 
-    def first_row(values: Array, shown: Mask | bool = True, anchor: Index | int = 0) -> Array:
+    def of_links(values: Array, row: int) -> Array:
+        return values[:, row : layout.doppler : 4].ravel()
+
+    def of_epochs(values: Array, anchor: Index | int = 0) -> Array:
         out = np.full((T, L), np.nan)
-        out[epochs, anchor] = np.where(shown, values, np.nan)
+        out[epochs, anchor] = values
         return out.ravel()
 
     columns = {
         "time_s": np.repeat(episode.time_s, L),
         "anchor": np.tile(np.arange(1, L + 1), T),
-        "toa_s": links[..., 0].ravel() / SPEED_OF_LIGHT,
-        **{name: links[..., i].ravel() for i, name in enumerate(LINK) if i},
-        "doppler_hz": first_row(episode.measurement[:, layout.doppler], usable[:, L], shifted),
+        "toa_s": of_links(measured, 0) / SPEED_OF_LIGHT,
+        **{name: of_links(measured, row) for row, name in enumerate(LINK) if row},
+        "doppler_hz": of_epochs(measured[:, layout.doppler], shifted),
         "snr_db": np.where(heard, episode.snr_db, np.nan).ravel(),
-        "doppler_spread_hz": first_row(episode.doppler_spread_hz),
+        "doppler_spread_hz": of_epochs(episode.doppler_spread_hz),
     }
     if layout.partial:
-        sigma = episode.sigma[:, : layout.doppler].reshape(T, L, 4)
-        for i, name in enumerate(LINK):
-            own = np.where(np.isnan(links[..., i]), np.nan, sigma[..., i])
-            columns[sigma_name(name)] = own.ravel()
-        own = episode.sigma[:, layout.doppler]
-        columns[sigma_name("doppler_hz")] = first_row(own, usable[:, L], shifted)
+        columns |= {sigma_name(name): of_links(sigma, row) for row, name in enumerate(LINK)}
+        columns[sigma_name("doppler_hz")] = of_epochs(sigma[:, layout.doppler], shifted)
     if layout.odometry:
-        odometry = episode.measurement[:, layout.doppler + 1 :].T
-        for name, values in zip(("speed_mps", "heading_rad"), odometry, strict=True):
-            columns[name] = first_row(values, usable[:, -1])
+        columns["speed_mps"] = of_epochs(measured[:, layout.doppler + 1])
+        columns["heading_rad"] = of_epochs(measured[:, layout.doppler + 2])
     return columns
 
 

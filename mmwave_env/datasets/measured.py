@@ -38,14 +38,6 @@ class MeasuredTrack(Track):
     sigma: Array | None = None
     doppler_anchor: Index | None = None
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.warn_of_contradictions()
-
-    def _own_shapes(self, T: int, L: int) -> dict[str, tuple[int, ...]]:
-        own = {"sigma": (T, self.layout.size), "doppler_anchor": (T,)}
-        return {"snr_db": (T, L), "doppler_spread_hz": (T,)} | own
-
     @classmethod
     def from_arrays(
         cls,

@@ -17,7 +17,6 @@ from mmwave_env.models.layout import wrap_angles
 from mmwave_env.models.measurement import range_rate
 from mmwave_env.models.radio import Radio, doppler_spread, oscillator_bias
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.world.checks import refuse, require_finite
 
 _NO_PATH_DB = -200.0  # gain of a missing path: so low that it is negligible, but not infinite
 
@@ -33,20 +32,6 @@ class Recording(Track):
     KIND: ClassVar[str] = "recording"
 
     path_gain_db: Array
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_finite(self.record, self, ("time_s", "position_m", "velocity_mps"))
-        heard = self.path_gain_db[self.visible[:, : self.layout.anchors]]
-        for field, values in (
-            ("measurement", self.measurement[np.repeat(self.visible, self.layout.widths, axis=1)]),
-            ("path_gain_db", heard),
-        ):
-            if not np.isfinite(values).all():
-                refuse(self.record, field, "NaN or infinity where visible", "finite numbers")
-
-    def _own_shapes(self, T: int, L: int) -> dict[str, tuple[int, ...]]:
-        return {"path_gain_db": (T, L)}
 
     @classmethod
     def from_arrays(
@@ -82,7 +67,6 @@ class Recording(Track):
         )
         recording = cls(**fields, path_gain_db=gain)
         recording.add_doppler()
-        recording.warn_of_contradictions()
         return recording
 
     def add_doppler(self) -> None:

@@ -71,15 +71,11 @@ def source_from(
     if episodes in sample_names():
         return TrackSource(recording_from(str(episodes)), radio, epochs, measurements, clock)
     folder = Path(episodes)
-    if folder.is_file():
-        raise ValueError(
-            f"episodes: found the file {folder}, expected its folder, {folder.parent}; to use "
-            f"your own trajectory, pass --scenario {folder}"
-        )
     if not folder.is_dir():
         raise ValueError(
             f"episodes: found {str(folder)!r}, expected one of {', '.join(sample_names())}, "
-            "or a folder with a measurement log, its scene and its truth, or a DeepMIMO scenario"
+            "or a folder with a measurement log, its scene and its truth, or a DeepMIMO scenario "
+            "(a file with a trajectory belongs to --scenario)"
         )
     is_scenario = (folder / PARAMS).exists()
     track = read_deepmimo(folder) if is_scenario else read_log_folder(folder, clock)

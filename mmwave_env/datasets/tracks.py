@@ -25,8 +25,8 @@ from mmwave_env.models.prior import GAP_S, draw_prior
 from mmwave_env.models.radio import Radio, clock_bias, radio_from
 from mmwave_env.models.scene import Scene, scene_of_anchors
 from mmwave_env.numerics.numbers import Array, Index, Mask, wrap
-from mmwave_env.world.checks import refuse, require_epochs, require_increasing
-from mmwave_env.world.episode import Episode, shapes_of
+from mmwave_env.world.checks import refuse, require_increasing
+from mmwave_env.world.episode import Episode
 
 # Limits of the median errors of ranges (m) and angles (rad). Noise can't cause a median above _FAR;
 # a median below _NEAR is acceptable.
@@ -75,17 +75,7 @@ class Track(ABC):
     def __post_init__(self) -> None:
         if not is_name(self.name):
             refuse(self.record, "name", quoted(self.name), Printable.expected)
-        T, L = len(self.time_s), len(self.scene.anchors_m)
-        if self.layout.anchors != L:
-            refuse(self.record, "anchors", f"{L} in the scene", str(self.layout.anchors))
-        truth = {"position_m": (T, 3), "velocity_mps": (T, 3)}
-        require_epochs(
-            self.record, self, shapes_of(self.layout, T) | truth | self._own_shapes(T, L)
-        )
-
-    @abstractmethod
-    def _own_shapes(self, T: int, L: int) -> dict[str, tuple[int, ...]]:
-        """Return the shapes of the arrays that only this kind of track has."""
+        self._warn_of_contradictions()
 
     @abstractmethod
     def _received(self, radio: Radio, rng: np.random.Generator, epochs: slice) -> Received:
@@ -205,7 +195,7 @@ class Track(ABC):
     def __len__(self) -> int:
         return len(self.time_s)
 
-    def warn_of_contradictions(self) -> None:
+    def _warn_of_contradictions(self) -> None:
         """Warn if the errors of links, computed with the true positions, have a large median.
 
         The cause is a wrong convention or unit, or a true track in another frame. Noise alone gives
@@ -281,13 +271,10 @@ class TrackSource:
                 )
         runs = stretches(track.time_s, track.position_m, GAP_S)
         if not runs:
-            step = float(np.median(np.diff(track.time_s))) if len(track) > 1 else 0.0
-            if step > GAP_S:
-                expected = f"at most {GAP_S:g} s: are its times in seconds?"
-                refuse(track.record, "time_s", f"epochs {step:.4g} s apart", expected)
             raise ValueError(
-                f"{track.record}: found no two consecutive epochs with a true position, expected "
-                "some, because reward and metrics need them (docs/own-log.md)"
+                f"{track.record}: found no two consecutive epochs, at most {GAP_S:g} s apart, with "
+                "a true position, expected some, because reward and metrics need them "
+                "(docs/own-log.md): are its times in seconds?"
             )
         longest = max(runs, key=lambda run: run.stop - run.start)
         most = longest.stop - longest.start

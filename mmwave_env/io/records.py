@@ -19,7 +19,6 @@ import numpy as np
 
 from mmwave_env.io.files import read_json
 from mmwave_env.io.lookup import LONGEST, choose, is_name, quoted
-from mmwave_env.numerics.numbers import Array, Mask
 
 T = TypeVar("T")
 
@@ -34,15 +33,10 @@ class Bound:
     most: float | None = None
     below: float = math.inf
 
-    def holds(self, value: Any) -> bool:
-        """Tell whether a number is within the limits; NaN never is."""
+    def holds(self, value: Any) -> Any:
+        """Tell whether a number, or each element of an array, is within the limits; NaN is not."""
         low = value > self.above if self.least is None else value >= self.least
-        return bool(low and (value < self.below if self.most is None else value <= self.most))
-
-    def outside(self, values: Array) -> Mask:
-        """Return which elements of an array are outside the two limits; NaN always is."""
-        assert self.least is not None and self.most is not None
-        return ~((values >= self.least) & (values <= self.most))  # type: ignore[no-any-return]
+        return low & (value < self.below if self.most is None else value <= self.most)
 
 
 def between(least: float, most: float, unit: str = "") -> Bound:

@@ -16,8 +16,8 @@ import numpy as np
 
 from mmwave_env.filters.modes import Mode
 from mmwave_env.localization.path_tracker import NO_PATH, PathTrack, PathTracker
-from mmwave_env.logs.log import LogBlock, PathEpoch
-from mmwave_env.logs.log_tables import LogError, in_windows
+from mmwave_env.logs.log import LogBlock, PathEpoch, in_windows
+from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.measurement import Epoch
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio

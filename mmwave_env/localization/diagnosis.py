@@ -65,13 +65,6 @@ class Reading(NamedTuple):
 Hypothesis = Callable[[Reading], Reading]
 
 
-class Mistake(NamedTuple):
-    """A mistake: the function that undoes it, and words that say how to correct the log."""
-
-    undo: Hypothesis
-    cure: str
-
-
 class Finding(NamedTuple):
     """The result of testing a hypothesis."""
 
@@ -145,8 +138,8 @@ def _orders(anchors: int) -> list[tuple[int, ...]]:
     return [order for order in dict.fromkeys(orders) if order != tuple(right)]
 
 
-def hypotheses(scene: Scene, radio: Radio) -> dict[str, Mistake]:
-    """Return likely mistakes by name: for each, the function that undoes it, and its cure."""
+def hypotheses(scene: Scene, radio: Radio) -> dict[str, tuple[Hypothesis, str]]:
+    """Return likely mistakes by name: the function that undoes each, and how to correct the log."""
     ends, turned = partial(_exchanged, _AZIMUTH, _DEPARTURE), _scaled([_ELEVATION], -1.0)
     vertical = partial(_exchanged, _AZIMUTH, _ELEVATION)
     zenith, nadir = (_scaled([_ELEVATION], sign, -sign * PI / 2.0) for sign in (-1.0, 1.0))
@@ -186,7 +179,7 @@ def hypotheses(scene: Scene, radio: Radio) -> dict[str, Mistake]:
     for name in sorted(RADIOS.keys() - {radio.name}):
         cure = f"use --radio {name}, or radio={name!r}"
         mistakes[f"radio is {name}"] = partial(Reading._replace, radio=RADIOS[name]), cure
-    return {name: Mistake(*mistake) for name, mistake in mistakes.items()}
+    return mistakes
 
 
 def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
@@ -210,18 +203,15 @@ def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Fi
     first = block.part(slice(fixes[0], fixes[0] + DIAGNOSED_EPOCHS))
     as_it_is = Reading(first, scene, radio)
     single = hypotheses(scene, radio)
-    readings = {AS_IT_IS: as_it_is} | {name: m.undo(as_it_is) for name, m in single.items()}
+    readings = {AS_IT_IS: as_it_is} | {name: undo(as_it_is) for name, (undo, _) in single.items()}
     findings = _findings(readings, mode)
     if findings[0].contradictions:
-        double = {
-            f"{a}; {b}": single[b].undo(single[a].undo(as_it_is))
-            for a, b in permutations(single, 2)
-        }
+        double = {f"{a}; {b}": single[b][0](readings[a]) for a, b in permutations(single, 2)}
         best = [f for f in _findings(double, mode) if not f.contradictions]
         findings = best[:1] + findings
     for i, finding in enumerate(findings):
         names = finding.hypothesis.split("; ")
-        cures = [single[name].cure for name in names if name in single]
+        cures = [single[name][1] for name in names if name in single]
         findings[i] = finding._replace(cure="; then ".join(cures))
     return findings
 

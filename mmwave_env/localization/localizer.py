@@ -26,8 +26,8 @@ from mmwave_env.filters.smoother import SMOOTHING_WINDOW
 from mmwave_env.interface.observation import Observation
 from mmwave_env.localization.levels import GAUSSIAN, Levels
 from mmwave_env.localization.segments import first_fix, segments
-from mmwave_env.logs.log import LogBlock
-from mmwave_env.logs.log_tables import LogError, in_windows
+from mmwave_env.logs.log import LogBlock, in_windows
+from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
@@ -249,7 +249,7 @@ def _smoothed(
     blocks: Iterable[TrackBlock], window: int, scene: Scene, switching: Switching
 ) -> Iterator[TrackBlock]:
     """Yield the track, smoothed window by window; a segment's last window may be shorter."""
-    for block in in_windows(blocks, window, lambda block: block.segment):
+    for block in in_windows(blocks, window):
         epochs = min(window, len(block))
         parts, time_s, spread_hz = (
             values.reshape(-1, epochs, *values.shape[1:])

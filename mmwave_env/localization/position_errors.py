@@ -2,8 +2,7 @@
 
 The horizontal error is the length of the error in x and y; the vertical error is the absolute value
 of the error in z. Shares count the epochs with an error within the distances that 3GPP TS 22.261,
-Table 7.3.2.2-1, defines for positioning services. A track may be larger than memory, so errors are
-kept in a temporary file for each kind (horizontal and vertical), 16 bytes per epoch.
+Table 7.3.2.2-1, defines for positioning services.
 
 A protection level is a bound that an error exceeds with a stated risk if the covariance is right.
 With position errors e ~ N(0, P), the level at risk r is the distance that |e| exceeds with
@@ -24,9 +23,7 @@ for b = 0.)
 """
 
 from functools import lru_cache
-from tempfile import SpooledTemporaryFile
 from typing import Any
-from weakref import finalize
 
 import numpy as np
 
@@ -102,7 +99,6 @@ def exceedance(error: Array, level: Array) -> dict[str, Any]:
 
 SHARES = (0.50, 0.67, 0.80, 0.90, 0.95)  # shares of epochs, for percentiles
 DISTANCES_M = (0.2, 1.0, 3.0, 10.0)
-_IN_MEMORY = 1 << 20  # bytes; larger files are on disk
 
 
 def horizontal(error: Array) -> Array:
@@ -141,11 +137,8 @@ class PositionErrors:
         self._sizes_of = {"horizontal": horizontal}
         if not planar:
             self._sizes_of["vertical"] = vertical
-        # files of errors and levels (n, 2), m
-        self._files: dict[str, Any] = {}
-        for kind in self._sizes_of:
-            self._files[kind] = SpooledTemporaryFile(_IN_MEMORY)  # noqa: SIM115 - open as long as self
-            finalize(self, self._files[kind].close)
+        # parts (2, n) of each kind: errors and levels, m
+        self._parts = {kind: [np.empty((2, 0))] for kind in self._sizes_of}
 
     def add(self, error: Array, P: Array, factors: Array | float = 1.0) -> None:
         """Add errors (..., 3), m, and packed covariances (..., 6 or more), position first.
@@ -153,21 +146,14 @@ class PositionErrors:
         ``factors`` (..., 2) are those of :class:`~mmwave_env.localization.levels.Levels`.
         """
         levels = np.moveaxis(gaussian_levels(P, self.risk) * factors, -1, 0)
-        for (kind, file), level in zip(self._files.items(), levels, strict=False):
-            sizes = self._sizes_of[kind](error)
-            file.write(np.stack([sizes.ravel(), level.ravel()], axis=1).tobytes())
+        for (kind, sizes_of), level in zip(self._sizes_of.items(), levels, strict=False):
+            self._parts[kind].append(np.stack([sizes_of(error).ravel(), level.ravel()]))
 
     def figures(self) -> dict[str, dict[str, Any]]:
         """Return the statistics of errors and levels that docs/errors.md describes, by kind."""
-        return {kind: _statistics(*_read(file).T) for kind, file in self._files.items()}
-
-
-def _read(file: Any) -> Array:
-    """Return all errors and levels (n, 2) in a file, which can be added to afterwards."""
-    file.seek(0)
-    rows = np.frombuffer(file.read()).reshape(-1, 2)
-    file.seek(0, 2)
-    return rows
+        return {
+            kind: _statistics(*np.concatenate(parts, axis=1)) for kind, parts in self._parts.items()
+        }
 
 
 def _statistics(error: Array, level: Array) -> dict[str, Any]:

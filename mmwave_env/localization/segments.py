@@ -175,7 +175,7 @@ def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator
         ValueError: no epoch determines a position with which a track could begin.
     """
     held: LogBlock | None = None  # block to yield once its number of dropped epochs is known
-    skipped, incomplete = 0, 0
+    skipped = 0
     last_s: float | None = None  # last time with a measurement; None between segments
     try:
         for whole in blocks:
@@ -188,7 +188,6 @@ def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator
                         held = replace(held, dropped=held.dropped + first)
                     else:
                         skipped += first
-                        incomplete += int(block.incomplete[:first, 0].sum())
                     block = block.part(slice(first, None))
                     if not len(block):
                         break
@@ -210,14 +209,11 @@ def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator
             yield held
         raise
     if not held:
-        sight = (
-            f"one with a range of at least {RANGE_LIMITS_M[0]:g} m, angles and SNR of anchor 1, "
-            f"and an elevation of at most {np.degrees(STEEPEST_FIX_RAD):g} degrees"
-        )
         raise ValueError(
-            f"log: found {skipped} epochs, none of which determines a position, expected "
-            f"{sight if _direct(block) else 'one with links that have a unique solution'}, to "
-            f"begin the track (the link of anchor 1 is incomplete in {incomplete} of them)"
+            f"log: found {skipped} epochs, none of which determines a position, expected one with "
+            f"a range of at least {RANGE_LIMITS_M[0]:g} m, all angles and SNR of anchor 1 and an "
+            f"elevation of at most {np.degrees(STEEPEST_FIX_RAD):g} degrees; or, if the log lacks "
+            "columns for these or the clock has an offset, links that have a unique solution"
         )
     yield held
 
@@ -229,11 +225,8 @@ def _direct(block: LogBlock) -> bool:
 
 def _first_fix(block: LogBlock, scene: Scene, radio: Radio) -> int:
     """Return the index of the first epoch that gives a prior, or the number of epochs if none."""
-    if _direct(block):
-        whole = np.isfinite(block.measurement[:, :4]).all(axis=1)
-        fixes = np.flatnonzero(block.visible[:, 0] & whole & gives_fix(block.measurement))
-        return int(fixes[0]) if len(fixes) else len(block)
-    for epoch in np.flatnonzero(block.visible[:, : block.layout.anchors].any(axis=1)):
+    links = 1 if _direct(block) else block.layout.anchors
+    for epoch in np.flatnonzero(block.visible[:, :links].any(axis=1)):
         if can_begin(block, int(epoch), scene, radio):
             return int(epoch)
     return len(block)

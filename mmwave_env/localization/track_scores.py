@@ -1,4 +1,4 @@
-"""Scores of a track, computed from running sums, because the track may be larger than memory."""
+"""Scores of a track against true positions, and statistics of its measurements and its course."""
 
 import warnings
 from collections.abc import Sequence
@@ -6,7 +6,6 @@ from math import isnan
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
@@ -16,9 +15,7 @@ from mmwave_env.localization.position_errors import PositionErrors
 from mmwave_env.logs.truth import Truth
 from mmwave_env.metrics import RISK, Sums, nees_interval, running_summary
 from mmwave_env.numerics.linalg import unpack
-from mmwave_env.numerics.numbers import Array
-
-Index = NDArray[np.intp]
+from mmwave_env.numerics.numbers import Array, Index
 
 FAR_NEES = 100.0  # a larger mean NEES means that the track is far from the truth
 _ENOUGH = 100  # number of epochs that are used to estimate the time step
@@ -29,89 +26,11 @@ def ratio(part: float, whole: float) -> float | None:
     return float(part / whole) if whole else None
 
 
-class Accuracy:
-    """ATE, RMSE, RPE and NEES of one track, in 2 or 3 axes; see :mod:`mmwave_env.metrics`."""
-
-    def __init__(self, axes: int) -> None:
-        self._interval = nees_interval(axes)
-        self._sums = np.zeros(4)  # distance, its square, NEES, epochs in the interval
-        self._scored = self._pairs = 0
-        self._change = 0.0
-        self._waiting = np.empty((0, 3))  # errors not yet paired with the error a second later
-
-    def add(self, error: Array, nees: Array) -> None:
-        """Add scored epochs: errors (n, 3), m, and NEES (n,)."""
-        distance = np.linalg.norm(error, axis=1)
-        inside = (nees >= self._interval[0]) & (nees <= self._interval[1])
-        self._sums += [v.sum() for v in (distance, distance**2, nees, inside)]
-        self._scored += len(error)
-        self._waiting = np.concatenate([self._waiting, error])
-
-    def pair(self, first: Index, second: Index, done: int) -> None:
-        """Add the changes between errors with these indices; drop the oldest ``done`` errors."""
-        change = self._waiting[second] - self._waiting[first]
-        self._change += float(np.linalg.norm(change, axis=1).sum())
-        self._pairs += len(change)
-        self._waiting = self._waiting[done:]
-
-    def figures(self) -> dict[str, float | None]:
-        """Return the running metrics by name, except divergence, which only episodes have."""
-        counts = (max(self._scored, 1), self._pairs)
-        sums = Sums(*np.array([*counts, *self._sums[:2], self._change, *self._sums[2:], 0.0]))
-        known = {"rpe_m": self._pairs}
-        return {
-            name: float(value) if known.get(name, self._scored) else None
-            for name, value in running_summary(sums).items()
-            if name != "divergence_rate"
-        }
-
-
-class Pairs:
-    """Pairs of scored epochs that are a second apart, or one time step if steps are longer."""
-
-    def __init__(self) -> None:
-        # time between the epochs of a pair: the multiple of the time step nearest to a second
-        self.apart_s: float | None = None
-        self._slack_s = 0.0
-        self._first_s = np.empty(0)  # the first times of the log, from which its step is estimated
-        self._time_s, self._segment = np.empty(0), np.empty(0, np.int64)  # epochs still to pair
-
-    def add(self, time_s: Array, scored: Index, segment: int) -> None:
-        """Add epochs (T,) of one segment of the log, and the indices of those that are scored."""
-        more = time_s[: _ENOUGH - len(self._first_s)]
-        self._first_s = np.concatenate([self._first_s, more])
-        self._time_s = np.concatenate([self._time_s, time_s[scored]])
-        self._segment = np.concatenate([self._segment, np.full(len(scored), segment)])
-
-    def take(self, end: bool) -> tuple[Index, Index, int]:
-        """Return the indices of pairs among the waiting epochs, and how many epochs to drop now."""
-        nothing = np.empty(0, np.intp)
-        if self.apart_s is None:
-            if len(self._first_s) < (2 if end else _ENOUGH):
-                return nothing, nothing, 0
-            step = float(np.median(np.diff(self._first_s)))
-            self.apart_s, self._slack_s = max(1, round(1.0 / step)) * step, 0.5 * step
-        time, n = self._time_s, len(self._time_s)
-        later = time + self.apart_s
-        done = n if end else int(np.searchsorted(later, time[-1:], "right").sum())
-        if not done:
-            return nothing, nothing, 0
-        after = np.minimum(np.searchsorted(time, later[:done]), n - 1)
-        before = np.maximum(after - 1, 0)
-        nearer = np.abs(time[before] - later[:done]) < np.abs(time[after] - later[:done])
-        second = np.where(nearer, before, after)
-        first = np.arange(done)
-        paired = (
-            (np.abs(time[second] - later[:done]) <= self._slack_s)
-            & (second > first)
-            & (self._segment[second] == self._segment[:done])
-        )
-        self._time_s, self._segment = time[done:], self._segment[done:]
-        return first[paired], second[paired], done
-
-
 class TruthScores:
-    """Scores of tracks ("filtered", "smoothed" or both) against true positions, planar or in 3D."""
+    """Scores of tracks ("filtered", "smoothed" or both) against true positions, planar or in 3D.
+
+    :mod:`mmwave_env.metrics` defines ATE, RMSE, RPE and NEES.
+    """
 
     def __init__(
         self, truth: Truth, names: Sequence[str], planar: bool, risk: float = RISK
@@ -120,35 +39,38 @@ class TruthScores:
         self.errors = {name: PositionErrors(risk, planar) for name in names}
         self._axes: tuple[int, ...] = (0, 1) if planar else (0, 1, 2)
         self._pinned: tuple[int, ...] = VERTICAL if planar else ()
-        self._tracks = {name: Accuracy(len(self._axes)) for name in names}
-        self._pairs = Pairs()
+        self._first_s = np.empty(0)  # the first times of the log, from which its step is estimated
         self._between, self._away_s = 0, 0.0
+        # of all scored epochs: times and segments (n, 2); and, by track, errors and NEES (n, 4)
+        self._times = [np.empty((0, 2))]
+        self._scores = {name: [np.empty((0, 4))] for name in names}
 
     def add(self, block: TrackBlock) -> Array:
         """Score a block; return true positions (T, 3), NaN where not known."""
         truth, _, away = self.truth.at(block.time_s)
         known = np.flatnonzero(~np.isnan(truth[:, 0]))
-        self._pairs.add(block.time_s, known, block.segment)
+        self._first_s = np.append(self._first_s, block.time_s)[:_ENOUGH]
         if len(known):
             self.scored += len(known)
             self._between += int(np.count_nonzero(away[known]))
             self._away_s += float(np.abs(away[known]).sum())
+            segment = np.full(len(known), block.segment)
+            self._times.append(np.column_stack([block.time_s[known], segment]))
             where = list(truth[known].T)
-            for name, accuracy in self._tracks.items():
+            for name, scores in self._scores.items():
                 smooth = name == "smoothed"
                 x, P = (block.smooth_x, block.smooth_P) if smooth else (block.x, block.P)
                 covariance = unpack(list(P[known].T), zero=self._pinned)
                 belief = Belief(list(x[known].T), covariance, self._axes)
                 error = np.column_stack(belief.error(where))
-                accuracy.add(error, belief.nees(where))
+                scores.append(np.column_stack([error, belief.nees(where)]))
                 self.errors[name].add(error, P[known], block.level_factors[known])
-        self._pair()
         return truth
 
     def warn_if_far(self, track: str) -> None:
         """Warn if the true positions are far from the beliefs of a track."""
-        nees = self._tracks[track].figures()["nees"]
-        if nees is not None and not nees <= FAR_NEES:
+        nees = np.concatenate(self._scores[track])[:, 3].mean()
+        if not nees <= FAR_NEES:
             warnings.warn(
                 f"{self.truth.path}: found a mean NEES of {nees:.3g}, expected about "
                 f"{len(self._axes)}: is this file in m, in the scene's frame (x east, y north) and "
@@ -156,29 +78,72 @@ class TruthScores:
                 stacklevel=2,
             )
 
-    def _pair(self, end: bool = False) -> None:
-        pairs = self._pairs.take(end)
-        for accuracy in self._tracks.values():
-            accuracy.pair(*pairs)
-
     def figures(self) -> dict[str, Any]:
         """Return the accuracy of every track, with reference values to compare it with."""
-        self._pair(end=True)
+        time_s, segment = np.concatenate(self._times).T
+        pairs, apart_s = _pairs(time_s, segment, self._first_s)
+        interval = nees_interval(len(self._axes))
         tracks = {
-            name: {**accuracy.figures(), **self.errors[name].figures()}
-            for name, accuracy in self._tracks.items()
+            name: _accuracy(np.concatenate(scores), pairs, interval) | self.errors[name].figures()
+            for name, scores in self._scores.items()
         }
-        paired = any(row["rpe_m"] is not None for row in tracks.values())
         return {
             "scored": self.scored,
             "interpolated": self._between,
             "nearest_pose_s": ratio(self._away_s, self.scored),
-            "rpe_s": self._pairs.apart_s if paired else None,
+            "rpe_s": apart_s if len(pairs) else None,
             "nees_expected": len(self._axes),
-            "nees_interval": nees_interval(len(self._axes)),
+            "nees_interval": interval,
             "risk": self._risk,
             "tracks": tracks,
         }
+
+
+def _pairs(time_s: Array, segment: Array, first_s: Array) -> tuple[Index, float | None]:
+    """Pair scored epochs (n,) that are a second apart, or one time step if steps are longer.
+
+    Return the indices (pairs, 2) of the earlier and the later epoch, and the time between them:
+    the multiple of the time step nearest to a second, None without pairs. Epochs of different
+    segments are not paired. The time step is estimated from the ``first_s`` times of the log.
+    """
+    if len(first_s) < 2 or not len(time_s):
+        return np.empty((0, 2), np.int64), None
+    step = float(np.median(np.diff(first_s)))
+    apart_s = max(1, round(1.0 / step)) * step
+    later = time_s + apart_s
+    after = np.minimum(np.searchsorted(time_s, later), len(time_s) - 1)
+    before = np.maximum(after - 1, 0)
+    nearer = np.abs(time_s[before] - later) < np.abs(time_s[after] - later)
+    second, first = np.where(nearer, before, after), np.arange(len(time_s))
+    paired = (np.abs(time_s[second] - later) <= 0.5 * step) & (second > first)
+    paired &= segment[second] == segment
+    return np.column_stack([first, second])[paired], apart_s
+
+
+def _accuracy(
+    scores: Array, pairs: Index, interval: tuple[float, float]
+) -> dict[str, float | None]:
+    """Return the running metrics by name, except divergence, which only episodes have.
+
+    A metric is None without epochs, the RPE also without pairs.
+
+    Args:
+        scores: (n, 4) errors, m, and NEES of the scored epochs.
+        pairs: (pairs, 2) indices of epochs that are a second apart.
+        interval: interval of the NEES of a consistent filter.
+    """
+    error, nees, n = scores[:, :3], scores[:, 3], len(scores)
+    distance = np.linalg.norm(error, axis=1)
+    change = np.linalg.norm(error[pairs[:, 1]] - error[pairs[:, 0]], axis=1)
+    inside = (nees >= interval[0]) & (nees <= interval[1])
+    summed = [values.sum() for values in (distance, distance**2, change, nees, inside)]
+    sums = Sums(*np.array([max(n, 1), len(pairs), *summed, 0.0]))
+    known = {"rpe_m": len(pairs)}
+    return {
+        name: float(value) if known.get(name, n) else None
+        for name, value in running_summary(sums).items()
+        if name != "divergence_rate"
+    }
 
 
 class Groups:
@@ -232,46 +197,46 @@ class Course:
     def __init__(self, modes: Sequence[str]) -> None:
         self.epochs = 0
         self.first_s = self.last_s = 0.0
-        self._skipped = self._restarts = self._dropped = self._switches = self._fast = 0
+        self._last: TrackBlock | None = None
         self._modes, self._counts = modes, np.zeros(len(modes), np.int64)
-        self._last_mode = -1
-        self._clock: dict[str, Any] = {}  # the clock in the last epoch
+        self._switches = self._fast = 0
         self._speed = self._fastest = self._trusted = 0.0
         self._variance = np.zeros(2)  # sums of the horizontal and the vertical variance, m^2
 
     def add(self, block: TrackBlock) -> None:
         """Add a block."""
-        self._trusted += float(block.trusted.sum())
+        if self._last is None:
+            self.first_s = float(block.time_s[0])
+        before = block.mode[0] if self._last is None else self._last.mode[-1]
+        self._counts += np.bincount(block.mode, minlength=len(self._modes))
+        self._switches += int(np.count_nonzero(np.diff(block.mode, prepend=before)))
         xx, yy, zz = block.smooth_P[:, [0, 2, 5]].sum(axis=0)
         self._variance += xx + yy, zz
-        if not self.epochs:
-            self.first_s, self._last_mode = float(block.time_s[0]), int(block.mode[0])
-        self._counts += np.bincount(block.mode, minlength=len(self._modes))
-        self._switches += int(np.count_nonzero(np.diff(block.mode, prepend=self._last_mode)))
-        self._last_mode = int(block.mode[-1])
         speed = np.linalg.norm(block.x[:, 3:6], axis=1)
         self._speed += float(speed.sum())
         self._fastest = max(self._fastest, float(speed.max()))
         self._fast += int((speed > DESIGN_LIMIT_MPS).sum())
-        self._skipped, self._restarts, self._dropped = block.skipped, block.segment, block.dropped
-        self.last_s = float(block.time_s[-1])
+        self._trusted += float(block.trusted.sum())
+        self.last_s, self._last = float(block.time_s[-1]), block
         self.epochs += len(block)
-        if block.layout.clock:
-            bias, deviation = float(block.x[-1, 7]), float(np.sqrt(block.P[-1, 35]))
-            self._clock = {"clock": {"range_bias_m": bias, "deviation_m": deviation}}
 
     def figures(self) -> dict[str, Any]:
-        """Return the statistics as a dictionary."""
-        expected = np.sqrt(self._variance / max(self.epochs, 1))
+        """Return the statistics of a track of one block or more as a dictionary."""
+        last = self._last
+        assert last is not None
+        expected, clock = np.sqrt(self._variance / self.epochs), {}
+        if last.layout.clock:  # the clock in the last epoch
+            bias, deviation = float(last.x[-1, 7]), float(np.sqrt(last.P[-1, 35]))
+            clock = {"clock": {"range_bias_m": bias, "deviation_m": deviation}}
         return {
             "epochs": self.epochs,
-            "skipped": self._skipped,
-            "restarts": self._restarts,
-            "dropped": self._dropped,
+            "skipped": last.skipped,
+            "restarts": last.segment,
+            "dropped": last.dropped,
             "first_s": self.first_s,
             "last_s": self.last_s,
             "speed_mps": {
-                "mean": ratio(self._speed, self.epochs),
+                "mean": self._speed / self.epochs,
                 "max": self._fastest,
                 "epochs_above_design_limit": self._fast,
             },
@@ -280,7 +245,7 @@ class Course:
             ),
             "modes": dict(zip(self._modes, self._counts.tolist(), strict=True)),
             "switches": self._switches,
-            **self._clock,
+            **clock,
             # only if a corrector ran
-            **({} if isnan(self._trusted) else {"trusted": ratio(self._trusted, self.epochs)}),
+            **({} if isnan(self._trusted) else {"trusted": self._trusted / self.epochs}),
         }

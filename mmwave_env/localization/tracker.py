@@ -174,10 +174,12 @@ class Tracker:
         self._late.append((time_s, spread_hz, mode, factors, parts))
         passed, numbers = accepted[0].tolist(), nis[0].tolist()
         groups = [g for g, is_seen in enumerate(visible) if is_seen]
-        return self._position(
-            time_s, x[0], P[0], mode, {self._groups[g]: numbers[g] for g in groups},
-            [self._groups[g] for g in groups if passed[g] < 0.5], begins, factors,
-        )._replace(trusted=None if trusted is None else float(trusted[0]))  # fmt: skip
+        return self._position(time_s, x[0], P[0], mode, factors)._replace(
+            nis={self._groups[g]: numbers[g] for g in groups},
+            rejected=[self._groups[g] for g in groups if passed[g] < 0.5],
+            begins=begins,
+            trusted=None if trusted is None else float(trusted[0]),
+        )
 
     def _prepare(self, layout: Layout) -> None:
         """Create the filter and everything else that all epochs share."""
@@ -188,9 +190,7 @@ class Tracker:
         self._group_of = np.repeat(np.arange(len(layout.groups)), layout.widths).tolist()
         ends = np.repeat(np.array([SNR_LIMITS_DB]).T, layout.anchors, axis=1)
         sigma = self._radio.sigma(ends, self._scene, layout)
-        self._sound = not any(
-            bound.outside(sigma[:, rows]).any() for rows, bound in sigma_bounds(layout)
-        )
+        self._sound = all(bound.holds(sigma[:, rows]).all() for rows, bound in sigma_bounds(layout))
 
     def _load(self, block: LogBlock, begins: bool) -> tuple[list[bool], float]:
         """Load an epoch (T = 1); return which groups were seen, and the Doppler spread, Hz."""
@@ -241,22 +241,23 @@ class Tracker:
             np.concatenate(list(map(filtered_of, parts)))[None], np.array([times]),
             np.array([spreads]),
         )  # fmt: skip
-        return self._position(times[0], x[0, 0], P[0, 0], modes[0], {}, [], False, factors[0])
+        return self._position(times[0], x[0, 0], P[0, 0], modes[0], factors[0])
 
     def _position(
-        self, time_s: float, x: Array, P: Array, mode: str, nis: dict[str, float],
-        rejected: list[str], begins: bool, factors: Array | None,
-    ) -> Position:  # fmt: skip
+        self, time_s: float, x: Array, P: Array, mode: str, factors: Array | None
+    ) -> Position:
+        """Return a belief, without what only the filter of its epoch knows."""
         xx, yx, yy, zx, zy, zz = P[:6].tolist()
         covariance = [[xx, yx, zx], [yx, yy, zy], [zx, zy, zz]]
         origin, place = self._scene.origin, None
         if origin is not None:
             place = geodetic(origin, x[None, :3])[0].tolist()
-        clock: list[Any] = [float(x[7]), float(np.sqrt(P[35]))] if len(x) > 7 else []
         position = Position(
-            time_s, x[:3].tolist(), covariance, x[3:6].tolist(), mode, nis, rejected, begins,
-            place, *clock,
-        )  # fmt: skip
+            time_s, x[:3].tolist(), covariance, x[3:6].tolist(), mode, {}, [], False, place
+        )
+        if self._layout.clock:
+            clock_sigma_m = float(np.sqrt(P[35]))
+            position = position._replace(clock_m=float(x[7]), clock_sigma_m=clock_sigma_m)
         if self._levels is None or factors is None:
             return position
         levels = gaussian_levels(P, self._levels.risk) * factors

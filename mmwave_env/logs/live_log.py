@@ -89,14 +89,12 @@ class LiveLog:
         cells = self._cells(row, number)
         if not cells:
             return self.end_epoch()
-        time_s, over = self._time_s(cells), []
-        if time_s <= self._last_s:
-            problem = f"time {time_s:g} s although the epoch of {self._last_s:g} s is over"
-            raise self._log.error(number, "time", problem, "times that increase")
-        if self._rows and cells[self._time] != self._rows[0][self._time]:
-            first_s = self._time_s(self._rows[0])
-            if time_s <= first_s:
-                problem = f"time {time_s:g} s although the epoch of {first_s:g} s has begun"
+        over = []
+        if not self._rows or cells[self._time] != self._rows[0][self._time]:
+            time_s = self._time_s(cells)
+            latest_s = self._time_s(self._rows[0]) if self._rows else self._last_s
+            if time_s <= latest_s:
+                problem = f"time {time_s:g} s after the epoch of {latest_s:g} s"
                 raise self._log.error(number, "time", problem, "times that increase")
             over = self.end_epoch()
         for before in self._rows:

@@ -18,7 +18,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from mmwave_env.logs.log_columns import (
     SIGMA_OF,
     STATION,
 )
-from mmwave_env.logs.log_tables import Block, LogError, LogFile, Table, in_windows, open_log
+from mmwave_env.logs.log_tables import Block, LogError, LogFile, Table, open_log
 from mmwave_env.models.layout import Layout, whole_groups, without_noise, wrap_angles, wrapped
 from mmwave_env.models.measurement import seen_from_image
 from mmwave_env.models.scene import Scene
@@ -76,6 +76,38 @@ class LogBlock(Block):
         visible, _ = whole_groups(self.measurement, np.isfinite(self.snr_db), layout)
         visible[:, layout.anchors] &= self.doppler_anchor == 0
         return replace(self, layout=layout, visible=visible & self.visible)
+
+
+AnyLogBlock = TypeVar("AnyLogBlock", bound=LogBlock)
+
+
+def in_windows(blocks: Iterable[AnyLogBlock], window: int) -> Iterator[AnyLogBlock]:
+    """Yield the epochs in blocks of whole windows; only a segment's last window may be shorter.
+
+    A window is ``window`` epochs long. If ``blocks`` raises a LogError, the epochs read before are
+    yielded first. Blocks of different segments are not joined.
+    """
+    waiting: list[AnyLogBlock] = []
+    count = 0
+    try:
+        for block in blocks:
+            if waiting and block.segment != waiting[0].segment:
+                yield block.joined(waiting)
+                waiting, count = [], 0
+            waiting.append(block)
+            count += len(block)
+            if count >= window:
+                joined = block.joined(waiting)
+                whole = count // window * window
+                yield joined.part(slice(whole))
+                count -= whole
+                waiting = [joined.part(slice(whole, None))] if count else []
+    except LogError:
+        if waiting:
+            yield waiting[-1].joined(waiting)
+        raise
+    if waiting:
+        yield waiting[-1].joined(waiting)
 
 
 def read_log(

@@ -6,27 +6,24 @@ and whether cells are numbers are checked here; ``log.py`` interprets the number
 
 import csv
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.io.files import open_regular
 from mmwave_env.io.lookup import quoted
 from mmwave_env.logs.lines import DamagedFileError, line_blocks, number
 from mmwave_env.logs.log_columns import BODY, STATION, Column, columns_of
-from mmwave_env.numerics.numbers import Array
+from mmwave_env.numerics.numbers import Array, Index
 
-Rows = NDArray[np.int64]
 AnyBlock = TypeVar("AnyBlock", bound="Block")
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 _BATCH_ROWS = 1 << 14
-_WHOLE = "a complete file"
 _NUMBER = "a number, or nothing if it was not measured"
 _ANCHOR = "the number of an anchor in the scene (1: the base station)"
 
@@ -35,64 +32,28 @@ class LogError(ValueError):
     """Error for a file that is not a measurement log, or that is damaged from some row on."""
 
 
+@dataclass(frozen=True, eq=False)
 class Block:
     """Base class for dataclasses that hold n rows or epochs: arrays (n, ...), and shared values."""
 
-    arrays: ClassVar[tuple[str, ...]] = ()  # names of the arrays; the first gives the length
-
-    def __init_subclass__(cls) -> None:
-        hints = cls.__annotations__.items()
-        own = [name for name, hint in hints if getattr(hint, "__origin__", 0) is np.ndarray]
-        cls.arrays = (*cls.arrays, *own)
+    def arrays(self) -> dict[str, Array]:
+        """Return the arrays by name."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
 
     def __len__(self) -> int:
-        return len(getattr(self, self.arrays[0]))
+        return len(next(iter(self.arrays().values())))
 
     def part(self: AnyBlock, rows: slice) -> AnyBlock:
         """Return a part of the block."""
-        return self._with({name: getattr(self, name)[rows] for name in self.arrays})
+        return replace(self, **{name: values[rows] for name, values in self.arrays().items()})
 
     @classmethod
     def joined(cls, blocks: Sequence[AnyBlock]) -> AnyBlock:
         """Join blocks that follow each other; the shared values are the last block's."""
-        return blocks[-1]._with(
-            {name: np.concatenate([getattr(b, name) for b in blocks]) for name in cls.arrays}
-        )
-
-    def _with(self: AnyBlock, arrays: dict[str, Any]) -> AnyBlock:
-        return replace(self, **arrays)  # type: ignore[type-var]
-
-
-def in_windows(
-    blocks: Iterable[AnyBlock], window: int, segment: Callable[[AnyBlock], int] = lambda block: 0
-) -> Iterator[AnyBlock]:
-    """Yield the epochs in blocks of whole windows; only a segment's last window may be shorter.
-
-    A window is ``window`` epochs long. If ``blocks`` raises a LogError, the epochs read before are
-    yielded first. A segment is a part of the log without a long gap; ``segment`` returns the number
-    of a block's segment, and blocks of different segments are not joined.
-    """
-    waiting: list[AnyBlock] = []
-    count = 0
-    try:
-        for block in blocks:
-            if waiting and segment(block) != segment(waiting[0]):
-                yield block.joined(waiting)
-                waiting, count = [], 0
-            waiting.append(block)
-            count += len(block)
-            if count >= window:
-                joined = block.joined(waiting)
-                whole = count // window * window
-                yield joined.part(slice(whole))
-                count -= whole
-                waiting = [joined.part(slice(whole, None))] if count else []
-    except LogError:
-        if waiting:
-            yield waiting[-1].joined(waiting)
-        raise
-    if waiting:
-        yield waiting[-1].joined(waiting)
+        last = blocks[-1]
+        names = last.arrays()
+        return replace(last, **{n: np.concatenate([getattr(b, n) for b in blocks]) for n in names})
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +61,7 @@ class Table(Block):
     """Consecutive rows of a log."""
 
     columns: dict[str, Column]  # the columns that are used, by quantity
-    rows: Rows  # (n,) row numbers in the file, for messages
+    rows: Index  # (n,) row numbers in the file, for messages
     cells: Array  # (n, columns) as in the file, NaN where empty
     share: float  # share of the file read so far, 0 to 1
     # damage in the last row, which ends the log; cells of that row that can't be read are NaN
@@ -117,7 +78,7 @@ class Table(Block):
         return self.columns[quantity].unit.convert(self.raw(quantity))  # type: ignore[no-any-return]
 
     @cached_property
-    def epoch(self) -> Rows:
+    def epoch(self) -> Index:
         """Return the epoch (n,), from 0, of every row; the rows of an epoch have the same time."""
         # Compare times as in the file: different times may become equal when converted to seconds.
         return np.concatenate([[0], np.cumsum(np.diff(self.raw("time")) != 0.0)])
@@ -354,4 +315,4 @@ def _parquet_tables(log: LogFile) -> Iterator[Table]:
                 yield Table(log.columns, rows, np.stack(cells, axis=1), done / total)
         except (OSError, pyarrow.ArrowException) as error:
             problem = f"broken Parquet data ({error})"
-            raise DamagedFileError(log.path, done + 1, problem, _WHOLE, "row") from error
+            raise DamagedFileError(log.path, done + 1, problem, "a complete file", "row") from error

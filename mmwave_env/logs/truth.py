@@ -1,18 +1,18 @@
 """True positions of a user at any time, interpolated from a recorded track."""
 
 import warnings
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from mmwave_env.logs.tum import Poses, tum_blocks
+from mmwave_env.logs.tum import read_tum
 from mmwave_env.numerics.numbers import Array
 
 BRIDGED_S = 1.5  # longest gap that is interpolated: GPS gives a pose per second, sometimes late
 TOLERANCE_S = 0.01  # maximum time to a pose that is used without interpolation; evo's default
-_REACH_S = 2.0 * BRIDGED_S  # interpolation depends on two poses on either side
 
 
 class TrueEpochs(NamedTuple):
@@ -24,54 +24,48 @@ class TrueEpochs(NamedTuple):
 
 
 class Truth:
-    """A track of true positions, from a TUM file that is read only as far as needed.
+    """A track of true positions, from a TUM file.
 
     Between two poses that are at most ``BRIDGED_S`` apart, the position is on the cubic Hermite
     spline through both. The spline's velocity at a pose is that of the parabola through this pose
     and its neighbors. Next to a gap and at the ends, the position is that of a pose within
-    ``TOLERANCE_S``, or unknown if there is no such pose. ``last_s`` is the last time read so far.
+    ``TOLERANCE_S``, or unknown if there is no such pose.
 
     Raises:
-        ValueError, OSError: as for :func:`~mmwave_env.logs.tum.tum_blocks`; also from methods.
+        ValueError, OSError: as for :func:`~mmwave_env.logs.tum.read_tum`.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._blocks = tum_blocks(path)
-        self._near = next(self._blocks)
-        self._ended = False
-        self.first_s, self.last_s = (float(self._near.time_s[i]) for i in (0, -1))
+        self._poses = read_tum(path)
+        self._slope = velocity_of(*self._poses, BRIDGED_S)
+        self.first_s, self.last_s = (float(self._poses.time_s[i]) for i in (0, -1))
+
+    @cached_property
+    def _spline(self) -> Any:
+        from scipy.interpolate import CubicHermiteSpline
+
+        return CubicHermiteSpline(*self._poses, np.nan_to_num(self._slope))
 
     def at(self, time_s: Array) -> TrueEpochs:
-        """Interpolate at times (T,), which must increase, also from one call to the next."""
-        parts, start = [], 0
-        while start < len(time_s):
-            settled = time_s[start:] < self.last_s - _REACH_S
-            stop = len(time_s) if self._ended else start + int(settled.sum())
-            parts.append(_interpolated(self._near, time_s[start:stop]))
-            start = stop
-            if start < len(time_s):
-                self._read(time_s[start] - _REACH_S)
-        return TrueEpochs(*map(np.concatenate, zip(*parts, strict=True)))
-
-    def _read(self, first_s: float) -> None:
-        """Read the next block, and drop the poses before a time."""
-        poses = next(self._blocks, None)
-        if poses is None:
-            self._ended = True
-            return
-        kept = self._near.time_s >= first_s
-        both = zip(Poses(*(part[kept] for part in self._near)), poses, strict=True)
-        self._near, self.last_s = Poses(*map(np.concatenate, both)), float(poses.time_s[-1])
-
-    def read_on(self) -> None:
-        """Read to the end of the file, to set ``last_s``."""
-        for poses in self._blocks:
-            self.last_s = float(poses.time_s[-1])
+        """Interpolate at times (T,)."""
+        t, p = self._poses
+        after = np.searchsorted(t, time_s)
+        before, after = np.maximum(after - 1, 0), np.minimum(after, len(t) - 1)
+        nearest = np.where(time_s - t[before] <= t[after] - time_s, before, after)
+        away = t[nearest] - time_s
+        held = np.abs(away) <= TOLERANCE_S
+        position = np.where(held[:, None], p[nearest], np.nan)
+        velocity = np.where((away == 0.0)[:, None], self._slope[nearest], np.nan)
+        step = t[after] - t[before]
+        between = (t[before] < time_s) & (time_s < t[after]) & (step <= BRIDGED_S)
+        if between.any():
+            position[between] = self._spline(time_s[between])
+            velocity[between] = self._spline(time_s[between], 1)
+        return TrueEpochs(position, velocity, np.where(held | between, away, np.nan))
 
     def no_match(self, first_s: float, last_s: float) -> ValueError:
         """Return the error for a track without a match in a log from ``first_s`` to ``last_s``."""
-        self.read_on()
         return ValueError(
             f"{self.path}: found times from {self.first_s!r} to {self.last_s!r} s, expected some "
             f"within {TOLERANCE_S} s of the log's times ({first_s!r} to {last_s!r} s), or pairs at "
@@ -82,7 +76,6 @@ class Truth:
         """Warn if less than half of a log's epochs have a position: clock or unit may differ."""
         if 2 * matched >= epochs:
             return
-        self.read_on()
         warnings.warn(
             f"{self.path}: found a true position for {matched} of the log's {epochs} epochs, "
             f"expected at least half; the log's times are {first_s:.10g} to {last_s:.10g} s, those "
@@ -90,26 +83,6 @@ class Truth:
             f"are there gaps of more than {BRIDGED_S:g} s in this file?",
             stacklevel=3,
         )
-
-
-def _interpolated(poses: Poses, time_s: Array) -> TrueEpochs:
-    """Interpolate poses (N,) at times (T,)."""
-    from scipy.interpolate import CubicHermiteSpline
-
-    t, p = poses
-    after = np.searchsorted(t, time_s)
-    before, after = np.maximum(after - 1, 0), np.minimum(after, len(t) - 1)
-    nearest = np.where(time_s - t[before] <= t[after] - time_s, before, after)
-    away, slope = t[nearest] - time_s, velocity_of(t, p, BRIDGED_S)
-    held = np.abs(away) <= TOLERANCE_S
-    position = np.where(held[:, None], p[nearest], np.nan)
-    velocity = np.where((away == 0.0)[:, None], slope[nearest], np.nan)
-    step = t[after] - t[before]
-    between = (t[before] < time_s) & (time_s < t[after]) & (step <= BRIDGED_S)
-    if between.any():
-        way = CubicHermiteSpline(t, p, np.nan_to_num(slope))
-        position[between], velocity[between] = way(time_s[between]), way(time_s[between], 1)
-    return TrueEpochs(position, velocity, np.where(held | between, away, np.nan))
 
 
 def stretches(time_s: Array, position_m: Array, gap_s: float) -> list[slice]:

@@ -70,7 +70,10 @@ class Episode:
 
     def __post_init__(self) -> None:
         T, layout = len(self.time_s), self.layout
-        shapes = shapes_of(layout, T) | {
+        shapes = {
+            "time_s": (T,),
+            "measurement": (T, layout.size),
+            "visible": (T, len(layout.groups)),
             "scene_anchors_m": (layout.anchors, 3),
             "sigma": (T, layout.size),
             "snr_db": (T, layout.anchors),
@@ -89,7 +92,7 @@ class Episode:
         if not (abs(P - P.T).max() <= 1e-8 * abs(P).max() and np.linalg.eigvalsh(P)[0] > 0.0):
             refuse(self._record, "prior_covariance", P.tolist(), "a positive definite matrix")
         for field, values, bound in self._bounded():
-            wrong = bound.outside(values)
+            wrong = ~bound.holds(values)
             if wrong.any():
                 refuse(self._record, field, f"{values[wrong].flat[0]:g}", bound.expected)
 
@@ -245,11 +248,6 @@ def sigma_bounds(layout: Layout) -> list[tuple[list[int], Bound]]:
     angles, doppler = envelope.ANGLE_SIGMA_RAD, envelope.DOPPLER_SIGMA_HZ
     of_lengths = lengths, envelope.RANGE_SIGMA_M
     return [of_lengths, (layout.angles, angles), ([layout.doppler], doppler)]
-
-
-def shapes_of(layout: Layout, T: int) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of the arrays that are in every record of T epochs."""
-    return {"time_s": (T,), "measurement": (T, layout.size), "visible": (T, len(layout.groups))}
 
 
 class EpisodeBatch(NamedTuple):

@@ -56,7 +56,7 @@ class Trajectory:
         for name, values in (("t", t), ("x, y, z", p), ("vx, vy, vz", v)):
             if values is not None:
                 self._require(np.isfinite(values), values, name, "finite numbers")
-        self._require(~POSITION_M.outside(p), p, "x, y, z", POSITION_M.expected)
+        self._require(POSITION_M.holds(p), p, "x, y, z", POSITION_M.expected)
         self._require_motion(t, p, v)
         object.__setattr__(self, "time_s", t)
         object.__setattr__(self, "position_m", p)

@@ -6,10 +6,10 @@ import re
 import numpy as np
 import pytest
 
+from mmwave_env.logs.tum import read_tum
 from tests.cli import command
 from tests.commands.localizing import RIDE, options
 from tests.localization.mistakes import MISTAKES, read_columns, write_columns
-from tests.logs.writing import read_tum
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +57,7 @@ def test_a_log_that_is_refused_can_be_diagnosed(tmp_path):
     words = options(log, "--radio", "standard", folder=RIDE)
     refusal = command("localize", *words, "--speed", "auto")
     assert refusal.returncode == 2
-    assert "if the value is in degrees, name the column aoa_azimuth_deg; mmwave" in refusal.stderr
+    assert "mmwave-loc localize --diagnose tries likely mistakes" in refusal.stderr
     done = command("localize", *words, "--diagnose")
     assert "\nThe log is consistent if angles are in degrees." in done.stdout
 

@@ -10,10 +10,9 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from experiments.console.main import run
-from mmwave_env.logs.tum import tum_lines
+from mmwave_env.logs.tum import read_tum, tum_lines
 from tests.cli import command, succeed
 from tests.commands.localizing import EPOCHS, RIDE, WALK, figures, lines_of, options, refused
-from tests.logs.writing import read_tum
 
 # --- the speed (Algorithm 1)
 

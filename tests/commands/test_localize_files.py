@@ -119,7 +119,7 @@ def test_a_fifo_is_refused_before_it_is_read(tmp_path, option):
     files = {"log": RIDE / "log.csv", "--scene": RIDE / "scene.json", option: odd}
     log = files.pop("log")
     done = command("localize", log, *chain(*files.items()), "--speed", "9")
-    assert_one_clear_line(done, "odd.*: found a FIFO, expected")
+    assert_one_clear_line(done, "odd.*: found a FIFO, a socket or a device, expected")
 
 
 @pytest.mark.parametrize("name", ["a\nb", "e\x1b]0;owned\x07", "\ud800", "x" * 81, "", 7])

@@ -12,10 +12,10 @@ from experiments.evaluation.contenders import imm_banks
 from mmwave_env.filters.bank import best_bank, default_modes
 from mmwave_env.localization.localizer import Switching, localize
 from mmwave_env.logs.log import read_log
+from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
 from tests.commands.localizing import EPOCHS, RIDE, WALK, figures, options, refused
-from tests.logs.writing import read_tum
 
 
 def test_the_track_equals_that_of_the_python_function(tmp_path):

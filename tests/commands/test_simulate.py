@@ -10,12 +10,12 @@ from experiments.console.main import run
 from mmwave_env.datasets.log_writer import log_columns, log_text
 from mmwave_env.datasets.samples import log_names
 from mmwave_env.logs.log import read_log
+from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, read_scene
 from mmwave_env.world.keys import keys_of
 from mmwave_env.world.simulated import SimulatedSource
-from tests.logs.writing import read_tum
 from tests.paths import LOGS
 
 FILES = ["log.csv", "scene.json", "truth.tum"]

@@ -287,7 +287,7 @@ def test_windows_that_are_empty_or_longer_than_every_stretch_are_refused(epochs)
 def test_a_track_without_truth_or_with_another_unit_of_time_is_refused():
     with refuses("track 'own'"):
         TrackSource(track(position_m=np.full((60, 3), np.nan)), RADIO)
-    with refuses("time_s of track 'own'"):
+    with refuses("track 'own'"):
         TrackSource(track(time_s=1e3 * np.arange(60)), RADIO)
 
 

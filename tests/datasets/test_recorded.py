@@ -168,21 +168,3 @@ def test_values_of_rows_that_are_not_visible_have_no_effect():
     episode = TrackSource(recording, RADIO).sample(generator())
     np.testing.assert_array_equal(episode.table(), expected.table())
     np.testing.assert_array_equal(episode.sigma, expected.sigma)
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("visible", np.ones((120, 3), bool)),
-        ("position_m", np.zeros((119, 3))),
-        ("time_s", np.zeros(120)),
-        ("position_m", np.full((120, 3), np.nan)),
-        ("measurement", np.full((120, 13), np.nan)),
-        ("path_gain_db", np.full((120, 3), np.inf)),
-    ],
-)
-def test_recordings_with_wrong_arrays_are_refused(field, value):
-    with refuses(f"{field} of recording 'canyon28_vehicle'"):
-        replace(VEHICLE, **{field: value})
-    with refuses("anchors of recording 'canyon28_vehicle'"):
-        replace(VEHICLE, scene=Scene("bare", (0.0, 0.0, 8.0)))

@@ -47,7 +47,7 @@ def joined(blocks):
     blocks = list(blocks)
     return {
         name: np.concatenate([getattr(block, name) for block in blocks])
-        for name in blocks[0].arrays
+        for name in blocks[0].arrays()
     }
 
 

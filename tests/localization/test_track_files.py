@@ -10,9 +10,9 @@ import pytest
 from mmwave_env.localization.localizer import TrackBlock
 from mmwave_env.localization.position_errors import gaussian_levels
 from mmwave_env.localization.track_files import require_own_files, table_beside, track_files
+from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.scene import SCENES
-from tests.logs.writing import read_tum
 from tests.refusals import refuses
 
 NAMES = ["slow", 'fast, "wild"']

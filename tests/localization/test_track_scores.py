@@ -1,4 +1,4 @@
-"""Tests of scores that are summed block by block, against metrics of complete tracks."""
+"""Tests of scores of tracks that arrive in blocks, against metrics of complete tracks."""
 
 from dataclasses import replace
 
@@ -28,9 +28,7 @@ def pieces(block, sizes):
 @pytest.mark.parametrize("sizes", [[T], [1, 99, 300], [250, 150], [40] * 10])
 @pytest.mark.parametrize("planar", [False, True])
 @pytest.mark.parametrize("known", [slice(0, T), slice(70, 330), slice(10, 12), slice(10, 11)])
-def test_scores_summed_by_block_equal_the_metrics_of_complete_tracks(
-    tmp_path, sizes, planar, known
-):
+def test_scores_of_blocks_equal_the_metrics_of_complete_tracks(tmp_path, sizes, planar, known):
     block = replace(some_track(T), planar=planar)
     truth = block.x[:, :3] + np.random.default_rng(1).standard_normal((T, 3))
     (tmp_path / "truth.tum").write_text(tum_lines(block.time_s[known], truth[known]))

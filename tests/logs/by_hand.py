@@ -55,7 +55,7 @@ def delivered(path, *fields, reader=read_log, **options):
 
 def assert_same(block, expected):
     """Check that all arrays of two blocks are equal."""
-    for name in expected.arrays:
+    for name in expected.arrays():
         np.testing.assert_array_equal(getattr(block, name), getattr(expected, name), err_msg=name)
 
 

@@ -10,18 +10,14 @@ from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.logs.clock import clock_offset
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.truth import BRIDGED_S, TOLERANCE_S, TrueEpochs, Truth
-from mmwave_env.logs.tum import tum_lines
+from mmwave_env.logs.tum import read_tum, tum_lines
 from mmwave_env.models.layout import LINK, Layout
 from mmwave_env.models.scene import SCENES, read_scene
-from tests.logs.writing import read_tum
-from tests.refusals import refuses
 
 
-def truth_of(folder, time_s, position_m, monkeypatch, block_bytes=200):
-    """Write a true track, and return a Truth that reads a few poses at a time."""
+def truth_of(folder, time_s, position_m):
     path = folder / "truth.tum"
     path.write_text(tum_lines(time_s, position_m))
-    monkeypatch.setattr("mmwave_env.logs.lines._BLOCK_BYTES", block_bytes)
     return Truth(path)
 
 
@@ -45,17 +41,12 @@ times = st.lists(st.integers(0, 4000), min_size=1, max_size=60, unique=True)
 
 
 @settings(max_examples=80, deadline=None)
-@given(poses=times, epochs=times, size=st.integers(1, 20), late=st.sampled_from([0.0, 1e-3]))
-def test_poses_are_interpolated_between_gaps_for_any_sizes_of_blocks(
-    tmp_path_factory, poses, epochs, size, late
-):
+@given(poses=times, epochs=times, late=st.sampled_from([0.0, 1e-3]))
+def test_poses_are_interpolated_between_gaps(tmp_path_factory, poses, epochs, late):
     pose_s, time_s = np.sort(poses) * 1e-2, np.sort(epochs) * 1e-2 + late
     position = np.random.default_rng(0).standard_normal((len(pose_s), 3))
-    with pytest.MonkeyPatch.context() as patch:
-        truth = truth_of(tmp_path_factory.mktemp("truth"), pose_s, position, patch)
-        parts = [truth.at(time_s[i : i + size]) for i in range(0, len(time_s), size)]
-        truth.read_on()
-    positions, velocity, away = map(np.concatenate, zip(*parts, strict=True))
+    truth = truth_of(tmp_path_factory.mktemp("truth"), pose_s, position)
+    positions, velocity, away = truth.at(time_s)
     p, v = expected(pose_s, position, time_s)
     np.testing.assert_allclose(positions, p, atol=1e-9)
     np.testing.assert_allclose(velocity, v, atol=1e-6)
@@ -66,36 +57,13 @@ def test_poses_are_interpolated_between_gaps_for_any_sizes_of_blocks(
     assert (truth.first_s, truth.last_s) == (pose_s[0], pose_s[-1])
 
 
-def test_a_pose_at_the_time_of_an_epoch_is_returned_unchanged(tmp_path, monkeypatch):
+def test_a_pose_at_the_time_of_an_epoch_is_returned_unchanged(tmp_path):
     rng = np.random.default_rng(1)
     pose_s = np.cumsum(rng.uniform(0.01, 2.0, 300))
     position = 1e3 * rng.standard_normal((300, 3))
-    true = truth_of(tmp_path, pose_s, position, monkeypatch).at(pose_s)
+    true = truth_of(tmp_path, pose_s, position).at(pose_s)
     np.testing.assert_array_equal(true.position_m, position)
     np.testing.assert_array_equal(true.away_s, 0.0)
-
-
-def test_only_the_needed_part_of_a_long_ground_truth_is_kept_in_memory(tmp_path, monkeypatch):
-    pose_s = np.arange(0.0, 900.0, 0.01)
-    truth = truth_of(tmp_path, pose_s, np.zeros((len(pose_s), 3)), monkeypatch, 20_000)
-    read, held = truth._read, []
-
-    def watched(first_s):
-        read(first_s)
-        held.append(len(truth._near.time_s))
-
-    monkeypatch.setattr(truth, "_read", watched)
-    truth.at(np.arange(0.0, 890.0, 1.0))
-    assert max(held) < 3000 and len(held) > 90
-
-
-def test_the_error_names_a_damaged_line_of_the_ground_truth(tmp_path, monkeypatch):
-    truth = truth_of(tmp_path, np.arange(90.0), np.zeros((90, 3)), monkeypatch)
-    truth.path.write_text(truth.path.read_text().replace("\n50.0 ", "\nx "))
-    truth = Truth(truth.path)
-    assert np.isfinite(truth.at(np.arange(20.0)).position_m).all()
-    with refuses("truth.tum, line 51, t"):
-        truth.at(np.arange(20.0, 60.0))
 
 
 STREET = SCENES["street"]
@@ -227,6 +195,6 @@ def test_an_offset_is_found_even_if_it_is_too_large_for_one_linearization(tmp_pa
     path.write_text(tum_lines(poses.time_s + late_s, poses.position_m))
     scene = read_scene(folder / "scene.json")
     log = LogBlock.joined(list(read_log(folder / "log.csv", scene)))
-    clock = clock_offset(log, scene, lambda time_s: Truth(path).at(time_s))
+    clock = clock_offset(log, scene, Truth(path).at)
     assert clock.matters and clock.seconds == pytest.approx(late_s, abs=0.03)
     assert clock.deviation_s < 0.02

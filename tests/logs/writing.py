@@ -1,11 +1,10 @@
-"""A writer of logs in every format that can be read, and a reader of complete tracks."""
+"""A writer of logs in every format that can be read."""
 
 import gzip
 
 import numpy as np
 
 from mmwave_env.datasets.log_writer import log_columns, log_text
-from mmwave_env.logs.tum import Poses, tum_blocks
 
 
 def write_log(path, episode):
@@ -20,9 +19,3 @@ def write_log(path, episode):
         return
     content = log_text(columns).encode()
     path.write_bytes(gzip.compress(content, mtime=0) if path.suffix == ".gz" else content)
-
-
-def read_tum(path):
-    """Read a complete trajectory at once."""
-    time_s, position_m = zip(*tum_blocks(path), strict=True)
-    return Poses(np.concatenate(time_s), np.concatenate(position_m))

@@ -42,7 +42,6 @@ class StationPaths:
     ``bounce_m``. The values of other paths are meaningless.
     """
 
-    name: str  # name of the station in the files
     position_m: Array  # (3,) position of the station
     interactions: Array  # (E, P) 0 for a line of sight, 1 for one reflection, ...; NaN for no path
     bounce_m: Array  # (E, P, 3) first point of interaction

@@ -28,9 +28,8 @@ def find_array(folder: Path, name: str) -> Path:
     for file in files:
         if file.exists():
             return file
-    matlab = f"only {name}.mat" if (folder / f"{name}.mat").exists() else "no such file"
     raise FileNotFoundError(
-        f"{files[0]}: found {matlab}, expected an .npz or .npy file, as DeepMIMO 4 writes it"
+        f"{files[0]}: found no such file, expected an .npz or .npy file, as DeepMIMO 4 writes it"
     )
 
 

@@ -132,10 +132,6 @@ def open_scenario(folder: Path, receiver_set: int | None = None) -> Scenario:
         ValueError: ``params.json`` can't be read or contradicts the files, or ``receiver_set``
             does not select exactly one set of receivers; the message lists the sets.
     """
-    if not folder.exists():
-        raise FileNotFoundError(f"{folder}: found nothing, expected the folder of a scenario")
-    if not folder.is_dir():
-        refuse_in(folder, "folder", "a file", "the folder of a DeepMIMO scenario")
     carrier_hz, count = _read_params(folder / PARAMS)
     scenes = _scenes(folder, count)
     number, stations = _stations(scenes[0], receiver_set)
@@ -159,7 +155,7 @@ def _read_params(file: Path) -> tuple[float, int]:
             numbers.append(value)
         return float(numbers[0]), numbers[1]
 
-    return read_json(file, "the parameters of a scenario", make)
+    return read_json(file, "the parameters of a DeepMIMO scenario", make)
 
 
 def _scenes(folder: Path, count: int) -> tuple[Path, ...]:
@@ -213,7 +209,6 @@ def _read_station(scenario: Scenario, epochs: Index, station: str) -> StationPat
         return scenario.file(scene, key, station), row
 
     return StationPaths(
-        name=station,
         position_m=here[0],
         interactions=path["inter"],
         bounce_m=path["inter_pos"],

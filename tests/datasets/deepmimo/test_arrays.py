@@ -51,10 +51,8 @@ def test_an_npz_file_is_preferred_to_an_npy_file(tmp_path):
     for suffix in (".npy", ".npz"):
         SAVE[suffix](tmp_path / f"delay{suffix}", "delay", np.zeros((2, 2)))
         assert find_array(tmp_path, "delay").suffix == suffix
-    for _ in range(2):
-        with refuses("power.npz", error=FileNotFoundError):
-            find_array(tmp_path, "power")
-        (tmp_path / "power.mat").touch()  # the format that DeepMIMO used before version 4
+    with refuses("power.npz", error=FileNotFoundError):
+        find_array(tmp_path, "power")
 
 
 def npy_header(shape, descr="<f4", claimed=None):
