@@ -62,11 +62,11 @@ def unknown(field: str, name: object, known: Iterable[str]) -> str:
     return f"{field}: found {quoted(name)}, {begin}xpected one of {', '.join(names)}"
 
 
-def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """Return the end of a message that names the closest known name; empty if none is close."""
+def did_you_mean(name: object, known: Iterable[str], most: int = 1) -> str:
+    """Return the end of a message that names the closest known names; empty if none is close."""
     typed = isinstance(name, str) and len(name) <= LONGEST
-    close = get_close_matches(str(name), list(known), 1) if typed else []
-    return f"; did you mean {close[0]}?" if close else ""
+    close = get_close_matches(str(name), list(known), most) if typed else []
+    return f"; did you mean {' or '.join(close)}?" if close else ""
 
 
 class MissingExtraError(ImportError, ValueError):

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mmwave_env.io.records import Bound
-from mmwave_env.logs.log_columns import QUANTITIES
+from mmwave_env.logs.log_columns import QUANTITIES, STATION
 from mmwave_env.logs.log_tables import LogError, LogFile, Table
 from mmwave_env.models import envelope
 from mmwave_env.numerics.numbers import Array, Mask
@@ -161,10 +161,15 @@ def _limit(table: Table, quantity: str, bound: Bound, unit: str) -> _Check:
     wrong = abs(values) > most
     if (least := bound.least or 0.0) > 0.0:
         wrong |= values < least
+    stem, _, ending = table.columns[quantity].name.rpartition("_")
+    likely = f"if the value is in degrees, name the column {stem}_deg; " if ending == "rad" else ""
+    azimuth = table.columns.get("aoa_azimuth") or table.columns.get(STATION)
+    if quantity == "aoa_elevation" and azimuth and abs(values[np.argmax(wrong)]) <= 360.0:
+        likely += f"if the value is the azimuth, exchange the column with {azimuth.name}; "
     return _Check(
         quantity,
         wrong,
-        f"{bound.expected}, in the unit that the name of the column ends with; "
+        f"{bound.expected}, in the unit that the name of the column ends with; {likely}"
         "mmwave-loc localize --diagnose tries likely mistakes",
         lambda row: f"{_show(table.raw(quantity)[row])}, which is {values[row]:.3g} {unit}",
     )

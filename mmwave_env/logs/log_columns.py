@@ -1,11 +1,12 @@
 """Columns of a measurement log: the name of a column is a quantity and its unit."""
 
+import re
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.io.lookup import quoted
+from mmwave_env.io.lookup import did_you_mean, quoted
 from mmwave_env.io.records import Bound, between
 from mmwave_env.models import envelope
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
@@ -117,6 +118,18 @@ QUANTITIES = {
 }
 _QUANTITY_OF = {name: quantity for quantity, row in QUANTITIES.items() for name in row.columns}
 
+# Words in the names that receivers give to columns, by quantity.
+_SYNONYMS = {
+    "time": ("t", "timestamp", "epoch", "seconds"),
+    "anchor": ("bs", "gnb", "cell", "trp", "station", "beacon", "tx"),
+    "toa": ("delay", "tof", "tau", "distance", "dist", "flight"),
+    "aoa_azimuth": ("az", "azimuth", "aoa"),
+    "aoa_elevation": ("el", "elev", "elevation"),
+    "aod_azimuth": ("aod", "departure"),
+    "snr": ("sinr",),
+    "doppler": ("cfo", "shift"),
+}
+
 LINK_QUANTITIES = ("toa", "aoa_azimuth", "aoa_elevation", "aod_azimuth")
 ODOMETRY_QUANTITIES = ("speed", "heading")
 SIGMA_OF = {quantity: f"{quantity}_sigma" for quantity in (*LINK_QUANTITIES, "doppler")}
@@ -214,14 +227,24 @@ def _require(
 
 
 def _problem(name: str) -> str:
-    """Return what is wrong with the unknown name of a column."""
+    """Return what is wrong with the unknown name of a column, and the nearest known names."""
     # The longest match counts, so that doppler_spread_x is not taken for a Doppler shift.
     spelled = {**{quantity: quantity for quantity in QUANTITIES}, "range": "toa"}
     meant = [start for start in spelled if name == start or name.startswith(f"{start}_")]
     if meant:
         expected = _one_of(QUANTITIES[spelled[max(meant, key=len)]].columns)
         return f"column {quoted(name)}: found no known unit, expected {expected}"
-    return f"column {quoted(name)}: found an unknown quantity"
+    *_, unit = words = re.findall("[a-z]+", name.lower()) or [name]
+    hint = did_you_mean(name, _QUANTITY_OF, 2)
+    for quantity, synonyms in _SYNONYMS.items():
+        if not set(synonyms).isdisjoint(words):
+            known = QUANTITIES[quantity].columns
+            same = [own for own in known if own.endswith(f"_{unit}")] or known
+            hint = f"; did you mean {_one_of(same)}, {QUANTITIES[quantity].meaning}?"
+            break
+    return f"column {quoted(name)}: found an unknown quantity{hint.replace('; ', ' (', 1)}" + (
+        ")" if hint else ""
+    )
 
 
 def _one_of(names: Iterable[str]) -> str:

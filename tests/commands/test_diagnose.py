@@ -57,7 +57,7 @@ def test_a_log_that_is_refused_can_be_diagnosed(tmp_path):
     words = options(log, "--radio", "standard", folder=RIDE)
     refusal = command("localize", *words, "--speed", "auto")
     assert refusal.returncode == 2
-    assert "mmwave-loc localize --diagnose tries likely mistakes" in refusal.stderr
+    assert "if the value is in degrees, name the column aoa_azimuth_deg; mmwave" in refusal.stderr
     done = command("localize", *words, "--diagnose")
     assert "\nThe log is consistent if angles are in degrees." in done.stdout
 

@@ -145,14 +145,15 @@ def test_a_log_that_gives_no_track_leaves_existing_files_unchanged(capsys, tmp_p
             [
                 "column 'range_yd': found no known unit, expected toa_s, ",
                 ", range_m or range_ft; column 'azimuth_deg_compass'",
-                "found an unknown quantity; column 'mood': found an unknown quantity; ",
+                "(did you mean aoa_azimuth_rad or aoa_azimuth_deg, the azimuth from",
                 "column 'speed_knots': found no known unit, expected speed_mps or speed_kmh; a",
             ],
         ),
+        ("t_ms,bs,delay_ns,dist_m", ["mean time_ms", "mean anchor", "mean toa_ns", "mean range_m"]),
         ("A,B,C,D,E,F,G,H,I,J,K,L", ["column 'J': found an unknown quantity; allowed are only "]),
     ],
 )
-def test_all_unknown_columns_are_named(capsys, tmp_path, header, parts):
+def test_all_unknown_columns_are_named_with_the_nearest_known_ones(capsys, tmp_path, header, parts):
     (tmp_path / "log.csv").write_text(f"{header}\n")
     _, line = refused(capsys, options(tmp_path / "log.csv"))
     assert not [part for part in parts if part not in line], line
