@@ -171,7 +171,7 @@ def _scenes(folder: Path, count: int) -> tuple[Path, ...]:
 
 def _stations(scene: Path, receiver_set: int | None) -> tuple[str, tuple[str, ...]]:
     """Return the set of receivers, and the base stations that have paths to it."""
-    links = sorted(m.groups() for f in scene.iterdir() if (m := _RECEIVERS.fullmatch(f.name)))
+    links = sorted({m.groups() for f in scene.iterdir() if (m := _RECEIVERS.fullmatch(f.name))})
     if not links:
         raise FileNotFoundError(
             f"{scene}: found no rx_pos_t*_tx*_r*.npz or .npy, expected the receivers of a "
