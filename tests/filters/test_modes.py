@@ -140,8 +140,3 @@ def test_a_mode_with_a_wrong_value_is_refused_with_the_name_of_the_field(tmp_pat
 def test_a_mode_whose_algorithm_is_a_function_cannot_be_written_to_a_file():
     with refuses("algorithm of mode 'own'"):
         as_written(Mode("own", ekf))
-
-
-def test_the_error_about_a_missing_mode_file_names_it():
-    with refuses("nowhere.json", error=FileNotFoundError):
-        modes_from("nowhere.json")

@@ -96,11 +96,6 @@ def test_a_scene_file_may_leave_out_everything_except_the_base_station(tmp_path)
     assert scene_from(write(tmp_path, MINIMAL)) == Scene("plaza", (10.0, 10.0, 10.0))
 
 
-def test_the_error_about_a_missing_scene_file_names_it(tmp_path):
-    with refuses("plaza.json", error=FileNotFoundError):
-        scene_from(tmp_path / "plaza.json")
-
-
 ANCHORS = {"anchors": [[10, 10, 10], [10, 40, 10]], "carrier_hz": 28e9, "bandwidth_hz": 1e8}
 
 

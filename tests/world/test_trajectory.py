@@ -98,11 +98,6 @@ def test_a_file_without_all_columns_is_refused(tmp_path, header):
         read_trajectory(write(tmp_path, straight(), header))
 
 
-def test_the_error_about_a_missing_file_names_it():
-    with refuses("nowhere.csv", error=FileNotFoundError):
-        read_trajectory("nowhere.csv")
-
-
 def test_impossible_velocities_are_refused(tmp_path):
     rows = [[*row, 2.0, 0.0, 0.0] for row in straight()]
     rows[3][4] = 720.0
