@@ -95,13 +95,15 @@ def with_anchors(episode, anchors):
     )
 
 
-def process_noise(mode):
-    """Return Q (7, 7) of one second, computed as the documentation of modes says."""
+def process_noise(mode, dt=1.0, spread_hz=0.0, gamma=1.0, hz_per_mps=HZ_PER_MPS):
+    """Return Q (7, 7) of a step, computed as documented: discrete white-noise acceleration."""
     velocity = np.square([mode.sigma_v, mode.sigma_v, mode.sigma_vz])
+    velocity[:2] += mode.spread_gain * spread_hz
     position = np.square([mode.sigma_p, mode.sigma_p, mode.sigma_pz])
-    drift = (mode.sigma_b_mps * HZ_PER_MPS) ** 2
-    Q = np.diag([*(position + velocity / 4), *velocity, drift])
-    return Q + np.diag([*velocity / 2, 0], k=3) + np.diag([*velocity / 2, 0], k=-3)
+    q, half = velocity * dt, 0.5 * dt * mode.coupling
+    Q = np.diag([*(position * dt + q * half**2), *q, (mode.sigma_b_mps * hz_per_mps) ** 2 * dt])
+    Q[range(3), range(3, 6)] = Q[range(3, 6), range(3)] = q * half
+    return gamma * Q
 
 
 @dataclass(frozen=True, eq=False)
