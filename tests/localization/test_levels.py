@@ -12,7 +12,13 @@ from mmwave_env.localization.localizer import Switching, TrackBlock, learned, lo
 from mmwave_env.localization.position_errors import PositionErrors, gaussian_levels
 from mmwave_env.localization.tracker import Tracker
 from mmwave_env.task import task_from
-from tests.localization.test_policy_tracks import RADIO, SCENE, blocks, rows  # noqa: F401
+from tests.localization.test_policy_tracks import (  # noqa: F401
+    RADIO,
+    SCENE,
+    blocks,
+    corrector,
+    rows,
+)
 from tests.refusals import refuses
 
 N, T, ANCHORS = 3, 40, 3
@@ -84,9 +90,9 @@ def test_epochs_in_pieces_have_the_factors_of_the_whole_track():
 
 
 @pytest.mark.parametrize("name", ["corrector", "ekf"])
-def test_live_levels_are_those_of_the_complete_log(rows, name):  # noqa: F811
+def test_live_levels_are_those_of_the_complete_log(rows, corrector, name):  # noqa: F811
     modes = learned("ppo-standard", "standard").modes[:1]
-    switching = Switching(modes) if name == "ekf" else learned(name, "standard")
+    switching = Switching(modes) if name == "ekf" else learned(corrector, "standard")
     track = TrackBlock.joined(
         list(localize(blocks(50), SCENE, RADIO, switching, window=None, levels=Levels()))
     )

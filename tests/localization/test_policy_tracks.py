@@ -1,9 +1,5 @@
 """Tests of tracks (live and from logs) whose modes a policy chooses, compared with the engine."""
 
-import csv
-from dataclasses import replace
-from itertools import groupby
-
 import numpy as np
 import pytest
 
@@ -21,18 +17,15 @@ from mmwave_env.localization.localizer import (
 from mmwave_env.localization.tracker import Tracker
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.log_tables import LogError
-from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import read_scene
 from mmwave_env.numerics.linalg import unpack
 from policies import Corrector, LearnedSwitch
-from tests.paths import LOGS, representative
+from tests.localization.test_live_epochs import RADIO, SCENE, WALK, walk
+from tests.paths import representative
 from tests.policies.test_corrector import card, network
 from tests.refusals import refuses
 from tests.training.actors import write
 
-WALK = LOGS / "canyon28_pedestrian"
-SCENE, RADIO = read_scene(WALK / "scene.json"), RADIOS["standard"]
-EPOCHS = 150
+EPOCHS = 60
 
 
 def blocks(size):
@@ -44,12 +37,7 @@ def blocks(size):
 @pytest.fixture(scope="module")
 def rows():
     """Return, for each of the first epochs of the walk, its rows of the log as dicts by column."""
-    with (WALK / "log.csv").open() as file:
-        table = [
-            {k: float(v) if v else None for k, v in row.items()} for row in csv.DictReader(file)
-        ]
-    epochs = [list(group) for _, group in groupby(table, lambda row: row["time_s"])]
-    return epochs[:EPOCHS]
+    return walk(EPOCHS)
 
 
 @pytest.mark.parametrize("name", representative(("guided", "ppo-standard"), "ppo-standard"))
@@ -69,10 +57,8 @@ def test_the_track_equals_that_of_the_environment_to_the_last_bit(name, size):
     np.testing.assert_array_equal(track.x, expected)
 
 
-@pytest.mark.parametrize("name", ["guided", "ekf"])
-def test_a_live_track_equals_that_of_the_complete_log_to_the_last_bit(rows, name):
-    modes = LearnedSwitch("ppo-standard").modes[:1]
-    switching = learned(name, "standard") if name == "guided" else Switching(modes)
+def test_a_live_track_equals_that_of_the_complete_log_to_the_last_bit(rows):
+    switching = learned("guided", "standard")
     track = TrackBlock.joined(list(localize(blocks(50), SCENE, RADIO, switching, window=None)))
     tracker = Tracker(SCENE, switching, "standard", lag=5)
     positions, late = [], []
@@ -164,9 +150,3 @@ def test_an_error_names_the_field_of_a_damaged_row_and_the_track_continues(rows,
     with refuses(field, error=LogError):
         tracker.update([change(rows[3][0])])
     assert tracker.update(rows[4]).begins is False
-
-
-def test_a_rule_together_with_a_bank_is_refused():
-    bank = learned("guided", "standard").modes
-    with refuses("rule"):
-        replace(Switching(bank), rule=lambda x, epoch: 0.0)
