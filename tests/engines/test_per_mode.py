@@ -151,17 +151,6 @@ def test_the_prediction_of_a_mixture_is_the_mean_over_its_modes():
     np.testing.assert_allclose(Q[..., 0, 0], 0.01, rtol=1e-4)
 
 
-@pytest.mark.slow
-def test_trusting_a_mode_reduces_the_reward_by_its_cost():
-    costly = tuple(replace(mode, cost=0.25) for mode in BANK.modes)
-    episodes, actions = simulated(3, epochs=10), np.tile([0, 1, 2, 0, 2], (3, 2))
-    free, paid = (
-        played(bank, episodes, actions, ("reward",))[1]["reward"]
-        for bank in (BANK, replace(BANK, modes=costly))
-    )
-    np.testing.assert_allclose(free - paid, 0.25 * (actions > 0), atol=1e-12)
-
-
 def test_environments_of_one_engine_can_have_different_banks():
     bank, other = best_bank("handset"), best_bank("high")
     episodes, actions = simulated(10, epochs=15), np.zeros((10, 15), int)
