@@ -8,11 +8,12 @@ from hypothesis import strategies as st
 from mmwave_env.datasets.deepmimo import read_deepmimo
 from mmwave_env.datasets.deepmimo.anchors import find_links
 from mmwave_env.datasets.deepmimo.v4 import open_scenario
-from mmwave_env.models.measurement import SPEED_OF_LIGHT, range_rate
+from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from tests.datasets.deepmimo.scenarios import (
     KEYS,
     LINK,
     PEDESTRIAN,
+    assert_fits,
     edit,
     load,
     reflect,
@@ -53,21 +54,7 @@ def test_several_stations_are_anchors_sorted_by_how_often_they_are_visible(three
     recording = read_deepmimo(three_stations)
     np.testing.assert_allclose(recording.anchors_m, STATIONS[[1, 2, 0]], atol=1e-6)
     assert recording.visible.sum(axis=0).tolist() == [26, 22, 17, 26]
-    for a, anchor in enumerate(recording.anchors_m):
-        away = recording.position_m - anchor
-        rows = recording.measurement[:, recording.layout.link(a)][recording.visible[:, a]]
-        distance = np.linalg.norm(away, axis=1)[recording.visible[:, a]]
-        azimuth = np.arctan2(away[:, 1], away[:, 0])[recording.visible[:, a]]
-        np.testing.assert_allclose(rows[:, 0], distance, atol=1e-4)
-        np.testing.assert_allclose(rows[:, 1], azimuth, atol=1e-5)
-
-
-def test_the_doppler_shift_is_that_of_the_first_anchor(three_stations):
-    recording = read_deepmimo(three_stations)
-    away = recording.position_m - STATIONS[1]
-    rate = range_rate(list(away.T), list(recording.velocity_mps.T))
-    hz_per_mps = recording.scene.hz_per_mps
-    np.testing.assert_allclose(recording.measurement[:, -1], hz_per_mps * rate)
+    assert_fits(recording, recording.scene)
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])
