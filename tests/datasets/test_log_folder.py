@@ -189,10 +189,3 @@ def test_commands_accept_a_log_folder_as_data(folder):
             command(*words, "--data", folder), f"{folder}: found no scene.json, expected"
         )
     assert not (folder / "out").exists()
-
-
-def test_a_log_is_written_again_as_it_was_read(folder):
-    succeed("simulate", "--data", folder, "--out", folder / "again")
-    first, second = read_log_folder(folder), read_log_folder(folder / "again")
-    np.testing.assert_array_equal(first.visible, second.visible)
-    np.testing.assert_allclose(first.measurement, second.measurement, rtol=1e-15)
