@@ -1,5 +1,7 @@
 """Tests that filterpy's filters and ours give the same tracks over complete episodes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,13 +10,13 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.update import ekf
 from mmwave_env.models.layout import Layout
+from mmwave_env.models.scene import SCENES
 from tests.filters.tracks import (
     assert_same_beliefs,
     pipeline_of,
     simulated,
     some_rows,
     track,
-    with_anchors,
 )
 from tests.refusals import refuses
 
@@ -63,9 +65,10 @@ def test_complete_episodes_agree_with_filterpy(algorithm, name):
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
-@pytest.mark.parametrize("anchors", [1, 3])
-def test_episodes_with_odometry_and_one_or_three_anchors_agree_with_filterpy(algorithm, anchors):
-    episodes = [with_anchors(e, anchors) for e in simulated(1, epochs=100, odometry=True)]
+@pytest.mark.parametrize("walls", [(), SCENES["street"].walls], ids=["alone", "images"])
+def test_episodes_with_odometry_and_one_or_three_anchors_agree_with_filterpy(algorithm, walls):
+    scene = replace(SCENES["street"], walls=walls)
+    episodes = simulated(1, epochs=100, odometry=True, scene=scene)
     pipeline = pipeline_of(episodes[0].layout, [algorithm])
     ours, twin = both(pipeline, episodes, 0, ("x", "P"))
     assert_same_beliefs(twin, ours, rtol=1e-9)

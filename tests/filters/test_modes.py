@@ -13,7 +13,6 @@ from mmwave_env.filters.bank import (
     default_modes,
     modes_from,
     named_modes,
-    read_bank,
     shipped_modes,
 )
 from mmwave_env.filters.modes import Mode
@@ -33,10 +32,6 @@ def mode_file(tmp_path):
     path = tmp_path / "three.json"
     path.write_text(json.dumps({"command": "by hand", "modes": [as_written(m) for m in THREE]}))
     return path
-
-
-def test_modes_read_from_a_file_equal_the_modes_that_were_written(mode_file):
-    assert read_bank(mode_file).modes == tuple(THREE)
 
 
 @pytest.mark.parametrize("as_type", [str, lambda path: path, lambda path: [str(path)]])
@@ -100,7 +95,6 @@ def test_arguments_that_do_not_name_modes_are_refused(modes):
         ("", "bad.json"),
         ("[]", "bad.json"),
         ("{}", "modes"),
-        ('{"modes": 3}', "modes"),
         ('{"modes": {"ekf": {}}}', "modes"),
         (json.dumps({"modes": [{"name": "a"}] * 33}), "modes"),
         ('{"modes": [{"name": "a"}, {"name": "a"}]}', "modes"),
@@ -121,12 +115,8 @@ def test_a_damaged_mode_file_is_refused_with_the_name_of_the_field(tmp_path, tex
         ("key", 1),
         ("sigma_v", -1),
         ("sigma_v", "much"),
-        ("sigma_v", True),
-        ("algorithm", "pf"),
         ("algorithm", ["ekf"]),
-        ("name", 7),
         ("robust", "false"),
-        ("coupling", 1),
         ("recovery", 2.5),
     ],
 )

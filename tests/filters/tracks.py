@@ -34,9 +34,9 @@ def geometry(position, velocity, scene, layout):
     return np.stack(exact_rows(*tracks, scene.anchors_m, scene.hz_per_mps, layout), axis=1)
 
 
-def simulated(n, epochs=200, odometry=False, seed=0):
+def simulated(n, epochs=200, odometry=False, seed=0, scene=SCENES["street"]):
     """Return episodes of the noisiest radio that lack more rows than usual and have outliers."""
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=epochs, odometry=odometry)
+    source = SimulatedSource(scene, RADIOS["handset"], epochs=epochs, odometry=odometry)
     return [spoiled(source.sample(np.random.default_rng([seed, i])), i) for i in range(n)]
 
 
@@ -77,22 +77,6 @@ def some_rows(episode, rng, share):
     visible = np.logical_or.reduceat(np.isfinite(measurement), starts, axis=1)
     anchor = rng.integers(whole.layout.anchors, size=len(whole))
     return replace(whole, measurement=measurement, visible=visible, doppler_anchor=anchor)
-
-
-def with_anchors(episode, anchors):
-    """Return the episode with only the first ``anchors`` anchors."""
-    old = episode.layout
-    rows = [*range(4 * anchors), *range(old.doppler, old.size)]
-    groups = [*range(anchors), *range(old.anchors, len(old.groups))]
-    return replace(
-        episode,
-        scene_anchors_m=episode.scene_anchors_m[:anchors],
-        measurement=episode.measurement[:, rows],
-        sigma=episode.sigma[:, rows],
-        visible=episode.visible[:, groups],
-        snr_db=episode.snr_db[:, :anchors],
-        layout=Layout(anchors, old.odometry),
-    )
 
 
 def process_noise(mode, dt=1.0, spread_hz=0.0, gamma=1.0, hz_per_mps=HZ_PER_MPS):

@@ -313,9 +313,7 @@ def test_angles_in_a_radio_file_have_the_unit_in_their_names(tmp_path):
         ({"base": "lab"}, "base"),
         ({"aoa_floor_deg": 2.0, "aoa_floor_rad": 0.1}, "aoa_floor_rad"),
         ({"aoa_floor_deg": -2.0}, "aoa_floor_rad of radio 'phone'"),
-        ({"gnb_elements": True}, "gnb_elements of radio 'phone'"),
         ({"name": "handset"}, "name"),
-        ({"name": 7}, "name of radio 7"),
     ],
     ids=repr,
 )
