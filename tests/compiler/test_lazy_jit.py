@@ -26,11 +26,8 @@ def kinds(sparing, *works):
     return [named[sparing.choice(work, 20)] for work in works]
 
 
-def test_a_function_is_compiled_only_after_enough_work(fresh):
+def test_a_function_is_compiled_after_enough_work_and_at_once_for_much_work(fresh):
     assert kinds(fresh(), 2, 3, 1, 1) == ["plain", "plain", "compiled", "compiled"]
-
-
-def test_a_function_is_compiled_at_once_for_much_work(fresh):
     assert kinds(fresh(), 6, 1) == ["compiled", "compiled"]
 
 

@@ -173,13 +173,6 @@ def test_two_logs_are_refused(folder):
         source_from(folder, "handset")
 
 
-def test_a_truth_without_common_times_is_refused(folder):
-    track = read_log_folder(folder)
-    (folder / "truth.tum").write_text(tum_lines(track.time_s + 1e9, track.position_m))
-    with refuses("truth.tum"):
-        source_from(folder, "handset")
-
-
 def test_commands_accept_a_log_folder_as_data(folder):
     text = succeed("compare", "--policies", "fixed-ukf", "imm", "--data", folder, "--episodes", 3)
     assert f"### {folder.name}, handset, 3 episodes" in text

@@ -1,7 +1,6 @@
 """Tests of engines with a belief for every mode, where an action trusts one mode or none."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.engines.replay import Replay, smooth
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.filters import textbook
 from mmwave_env.filters.bank import Bank, best_bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
@@ -130,25 +128,6 @@ def test_two_equal_modes_are_smoothed_as_a_single_filter():
     x, _ = smooth(run["x"], run["P"], *predicted, np.ones(T - 1))
     expected = run["error"] + (x - run["x"])[..., :3]
     np.testing.assert_allclose(ours, expected, rtol=1e-7, atol=1e-7)
-
-
-def test_the_prediction_of_a_mixture_is_the_mean_over_its_modes():
-    """Check x_predicted and P_predicted, the mixture's mean and covariance before the update.
-
-    With constant velocity, they are F x and F P F' plus the mean Q of the modes.
-    """
-    modes = tuple(replace(mode, spread_gain=0.0) for mode in BANK.modes)
-    imm = partial(run_imm, Bank(modes, BANK.transition, 0.99), TrackingReward())
-    names = ("x", "P", "x_predicted", "P_predicted", "mixture.probability")
-    run = imm(simulated(3, epochs=20), *names)
-    F, P = textbook.F(1.0), unpacked(run["P"])
-    moved = run["x"][:, :-1] @ F.T
-    np.testing.assert_allclose(run["x_predicted"][:, 1:], moved, rtol=1e-9, atol=1e-9)
-    weights = run["mixture.probability"][:, :-1] @ np.array(BANK.transition)
-    Q = unpacked(run["P_predicted"])[:, 1:] - F @ P[:, :-1] @ F.T
-    velocity = weights @ np.square([mode.sigma_v for mode in modes])
-    np.testing.assert_allclose(Q[..., 3, 3], velocity, rtol=1e-6)
-    np.testing.assert_allclose(Q[..., 0, 0], 0.01, rtol=1e-4)
 
 
 def test_environments_of_one_engine_can_have_different_banks():

@@ -27,7 +27,6 @@ KINDS = {
 WHOLE = ["radio", "odometry", "clock"]
 
 algorithms = pytest.mark.parametrize("algorithm", OURS)
-with_odometry = pytest.mark.parametrize("odometry", [False, True], ids=["radio", "odometry"])
 
 
 @algorithms
@@ -96,37 +95,6 @@ def test_a_planar_update_equals_that_of_the_five_free_states(algorithm, moments,
     assert [ours.x[i] for i in known_axes] == problem.x[known_axes].tolist()
     assert not whole[known_axes].any()
     assert not whole[:, known_axes].any()
-
-
-@algorithms
-@with_odometry
-@given(data=st.data())
-@settings(max_examples=12, deadline=None)
-def test_an_update_without_visible_groups_leaves_the_prior_unchanged(algorithm, odometry, data):
-    problem = data.draw(problems(odometry))
-    problem = problem._replace(visible=np.zeros_like(problem.visible))
-    posterior = problem.ours(OURS[algorithm], Gate(0.99))
-    sigma = np.sqrt(np.diag(problem.P))
-    assert posterior.log_likelihood == 0.0
-    assert not any(posterior.accepted)
-    np.testing.assert_allclose((posterior.x - problem.x) / sigma, 0.0, atol=1e-12)
-    np.testing.assert_allclose(
-        (np.array(posterior.P) - problem.P) / np.outer(sigma, sigma), 0.0, atol=1e-12
-    )
-
-
-@algorithms
-@given(data=st.data())
-@settings(max_examples=12, deadline=None)
-def test_values_of_a_missing_group_do_not_matter(algorithm, data):
-    problem = data.draw(problems(odometry=True, anchors=3))
-    missing = ~np.repeat(problem.visible, [g.stop - g.start for g in problem.sensor.groups])
-    blanked = problem._replace(
-        z=np.where(missing, 0.0, problem.z), R=np.where(missing, 1.0, problem.R)
-    )
-    a, b = (p.ours(OURS[algorithm], Gate(0.99)) for p in (problem, blanked))
-    assert (a.x, a.P, a.accepted) == (b.x, b.P, b.accepted)
-    assert a.log_likelihood == pytest.approx(b.log_likelihood, rel=1e-12, abs=1e-12)
 
 
 def link_to_the_east(azimuth_of_arrival, azimuth_of_departure):

@@ -75,20 +75,6 @@ def test_a_pose_at_the_time_of_an_epoch_is_returned_unchanged(tmp_path, monkeypa
     np.testing.assert_array_equal(true.away_s, 0.0)
 
 
-def test_only_the_needed_part_of_a_long_ground_truth_is_kept_in_memory(tmp_path, monkeypatch):
-    pose_s = np.arange(0.0, 900.0, 0.01)
-    truth = truth_of(tmp_path, pose_s, np.zeros((len(pose_s), 3)), monkeypatch, 20_000)
-    read, held = truth._read, []
-
-    def watched(first_s):
-        read(first_s)
-        held.append(len(truth._near.time_s))
-
-    monkeypatch.setattr(truth, "_read", watched)
-    truth.at(np.arange(0.0, 890.0, 1.0))
-    assert max(held) < 3000 and len(held) > 90
-
-
 def test_the_error_names_a_damaged_line_of_the_ground_truth(tmp_path, monkeypatch):
     truth = truth_of(tmp_path, np.arange(90.0), np.zeros((90, 3)), monkeypatch)
     truth.path.write_text(truth.path.read_text().replace("\n50.0 ", "\nx "))

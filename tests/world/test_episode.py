@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.measurement import blank_site
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.pytree import unflatten
@@ -179,15 +178,6 @@ def test_the_table_has_what_the_template_of_the_engine_reads(odometry):
         assert epoch.doppler_spread_hz == episode.doppler_spread_hz[t]
         state = [*episode.truth_position_m[t], *episode.truth_velocity_mps[t]]
         np.testing.assert_array_equal(incoming.truth, state)
-
-
-def test_the_site_has_what_the_template_of_the_engine_reads(episode):
-    site = unflatten(blank_site(episode.layout), iter(episode.site().tolist()))
-    np.testing.assert_array_equal(site.anchors, episode.scene_anchors_m)
-    assert site.hz_per_mps == episode.hz_per_mps
-    np.testing.assert_array_equal(site.prior_x, episode.prior_mean)
-    lower = [episode.prior_covariance[i, j] for i in range(7) for j in range(i + 1)]
-    np.testing.assert_array_equal(site.prior_P, lower)
 
 
 def test_the_table_of_an_episode_without_truth_has_nan_in_its_place(episode):
