@@ -145,18 +145,18 @@ def pipeline_of(layout=STREET, algorithms=("ekf", "ukf", "ckf"), planar=False, *
     return Pipeline(tuple(modes), layout, planar)
 
 
-def track(pipeline, episodes, actions, epochs, parts, on_floats=False):
+def track(pipeline, episodes, actions, epochs, parts, on_floats=False, bank=None):
     """Run an engine and record ``parts`` of its workspace, such as "memory.gamma", every epoch.
 
     Args:
-        actions: (epochs, n) or (n,) modes to choose.
+        actions: (epochs, n) or (n,) modes to choose; with a bank, modes to trust.
 
     Returns:
         An array (epochs, n, ...) per part; "P_predicted" comes from a tracker, not an engine.
     """
     n = len(episodes)
     actions = np.broadcast_to(actions, (epochs, n))
-    engine = Engine(pipeline, n, TrackingReward(), on_floats=on_floats)
+    engine = Engine(pipeline, n, TrackingReward(), bank=bank, on_floats=on_floats)
     engine.reset(episodes)
     history = {name: [] for name in parts if name != "P_predicted"}
     for action in actions:

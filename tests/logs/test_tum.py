@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from mmwave_env.logs.tum import tum_blocks, tum_lines
+from mmwave_env.logs.tum import tum_lines
 from tests.logs.writing import read_tum
 from tests.refusals import refuses
 
@@ -32,16 +32,6 @@ def test_a_written_track_is_read_back_exactly(tmp_path_factory, track, start, st
     poses = read_tum(path)
     np.testing.assert_array_equal(poses.time_s, time)
     np.testing.assert_array_equal(poses.position_m, track)
-
-
-def test_a_file_is_read_block_by_block(tmp_path, monkeypatch):
-    track = np.random.default_rng(0).standard_normal((200, 3))
-    path = store(tmp_path, "# by hand\n" * 50 + tum_lines(np.arange(200.0), track))
-    monkeypatch.setattr("mmwave_env.logs.lines._BLOCK_BYTES", 300)
-    blocks = list(tum_blocks(path))
-    assert len(blocks) > 20 and all(len(block.time_s) for block in blocks)
-    np.testing.assert_array_equal(np.concatenate([b.time_s for b in blocks]), np.arange(200.0))
-    np.testing.assert_array_equal(np.concatenate([b.position_m for b in blocks]), track)
 
 
 def test_evo_reads_our_files(tmp_path):
