@@ -14,7 +14,6 @@ from mmwave_env.logs.tum import tum_lines
 from mmwave_env.models.layout import LINK, Layout
 from mmwave_env.models.scene import SCENES, read_scene
 from tests.logs.writing import read_tum
-from tests.refusals import refuses
 
 
 def truth_of(folder, time_s, position_m, monkeypatch, block_bytes=200):
@@ -73,15 +72,6 @@ def test_a_pose_at_the_time_of_an_epoch_is_returned_unchanged(tmp_path, monkeypa
     true = truth_of(tmp_path, pose_s, position, monkeypatch).at(pose_s)
     np.testing.assert_array_equal(true.position_m, position)
     np.testing.assert_array_equal(true.away_s, 0.0)
-
-
-def test_the_error_names_a_damaged_line_of_the_ground_truth(tmp_path, monkeypatch):
-    truth = truth_of(tmp_path, np.arange(90.0), np.zeros((90, 3)), monkeypatch)
-    truth.path.write_text(truth.path.read_text().replace("\n50.0 ", "\nx "))
-    truth = Truth(truth.path)
-    assert np.isfinite(truth.at(np.arange(20.0)).position_m).all()
-    with refuses("truth.tum, line 51, t"):
-        truth.at(np.arange(20.0, 60.0))
 
 
 STREET = SCENES["street"]

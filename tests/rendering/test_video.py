@@ -66,22 +66,6 @@ def test_an_mp4_has_every_picture(tmp_path):
     assert blue.argmax(axis=1).tolist() == pytest.approx([10 * n for n in range(COUNT)], abs=2)
 
 
-@pytest.mark.parametrize("ending", ["gif", "mp4"])
-def test_a_video_that_fails_leaves_the_old_file_unchanged(ending, tmp_path):
-    pytest.importorskip({"gif": "PIL", "mp4": "imageio_ffmpeg"}[ending])
-    path = tmp_path / f"square.{ending}"
-    path.write_bytes(b"before")
-
-    def fails(number):
-        if number == 3:
-            raise ZeroDivisionError
-        return square(number)
-
-    with pytest.raises(ZeroDivisionError):
-        write_video(path, fails, range(COUNT), 5, lambda _: None)
-    assert path.read_bytes() == b"before" and list(tmp_path.iterdir()) == [path]
-
-
 @pytest.mark.parametrize("name", ["square", "square.avi", "gif"])
 def test_other_endings_are_refused(name, tmp_path):
     with refuses("out"):
