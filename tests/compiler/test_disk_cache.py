@@ -232,21 +232,6 @@ def test_several_processes_can_start_at_once(package):
     assert run(package) == (41, 1)
 
 
-@pytest.mark.slow
-def test_old_versions_are_removed_but_never_the_one_in_use(package):
-    run(package)
-    (file,) = kept(package)
-    os.utime(file.parent, (0, 0))
-    for age in range(1, 31):
-        newer = file.parent.parent / f"mmwave_env-{age}"
-        newer.mkdir()
-        os.utime(newer, (age, age))
-    assert run(package) == (41, 1)
-    versions = {path.name for path in file.parent.parent.glob("mmwave_env-*")}
-    assert 1 < len(versions) < 30
-    assert "mmwave_env-30" in versions and "mmwave_env-1" not in versions
-
-
 PLANT = """
 import os
 from types import SimpleNamespace
@@ -359,20 +344,26 @@ def test_files_are_written_as_private_and_loaded_even_if_others_may_read_them(pa
 
 @pytest.mark.slow
 @posix
-def test_old_versions_of_other_users_and_links_are_kept(package, tmp_path):
+def test_old_versions_are_removed_except_the_one_in_use_those_of_others_and_links(
+    package, tmp_path
+):
     shared, precious = tmp_path / "shared", tmp_path / "precious"
-    for folder in (precious, *[shared / f"mmwave_env-{age}" for age in range(30)]):
-        folder.mkdir(parents=True)
+    assert run(package, NUMBA_CACHE_DIR=str(shared)) == (41, 0)
+    (used,) = shared.iterdir()
+    os.utime(used, (0, 0))
+    for age, folder in enumerate([precious, *[shared / f"mmwave_env-{n}" for n in range(1, 31)]]):
+        folder.mkdir()
         (folder / "content").write_text("")
-        os.utime(folder, (1, 1))
+        os.utime(folder, (age + 1, age + 1))
     (shared / "mmwave_env-link").symlink_to(precious)
     (shared / "mmwave_env-broken").symlink_to(tmp_path / "nothing")
-    script = given_away(shared / "mmwave_env-0") + SCRIPT
-    assert finished(started(package, script, NUMBA_CACHE_DIR=str(shared))) == ["41", "0"]
+    script = given_away(shared / "mmwave_env-1") + SCRIPT
+    assert finished(started(package, script, NUMBA_CACHE_DIR=str(shared))) == ["41", "1"]
     left = {path.name for path in shared.iterdir()}
-    assert {"mmwave_env-0", "mmwave_env-link", "mmwave_env-broken"} < left
-    assert (shared / "mmwave_env-0" / "content").exists() and (precious / "content").exists()
-    assert len(left) < 15
+    assert {used.name, "mmwave_env-30", "mmwave_env-1"} < left
+    assert {"mmwave_env-link", "mmwave_env-broken"} < left
+    assert (shared / "mmwave_env-1" / "content").exists() and (precious / "content").exists()
+    assert "mmwave_env-2" not in left and len(left) < 15
     assert run(package, NUMBA_CACHE_DIR=str(shared)) == (41, 1)
 
 
