@@ -52,11 +52,6 @@ def test_without_a_disk_cache_a_process_uses_what_it_has_compiled(fresh, monkeyp
     assert kinds(sparing, 1) == ["compiled"]
 
 
-def test_plain_and_compiled_functions_give_the_same_result(fresh):
-    sparing = fresh()
-    assert [sparing(5, 20), sparing(1, 20)] == [21, 21]
-
-
 @pytest.mark.parametrize(("scenario", "mode"), [("walk-ride", "NextStep"), ("mixed", "SameStep")])
 def test_environments_with_plain_and_compiled_functions_are_bit_identical(
     scenario, mode, monkeypatch

@@ -1,7 +1,6 @@
 """Helpers that make episodes to filter, run engines on them and compare the tracks."""
 
 from dataclasses import dataclass, replace
-from functools import partial
 from operator import attrgetter
 from types import SimpleNamespace
 
@@ -176,8 +175,7 @@ def imm_track(pipeline, episodes, transition=None, nis_quantile=1.0):
     """Return x, P, probabilities and NEES of an IMM at every epoch, each (epochs, n, ...)."""
     names = {"x": "x", "P": "P", "nees": "nees", "probability": "mixture.probability"}
     bank = Bank(pipeline.modes, transition, nis_quantile)
-    imm = partial(run_imm, bank, TrackingReward(), planar=pipeline.planar)
-    results = imm(episodes, *names.values())
+    results = run_imm(bank, TrackingReward(), episodes, *names.values())
     return {name: results[part].swapaxes(0, 1) for name, part in names.items()}
 
 
