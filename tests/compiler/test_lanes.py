@@ -122,9 +122,9 @@ FUNCTIONS = {  # function on lanes -> the same in numpy, limits of arguments, rt
 def test_functions_on_lanes_agree_with_numpy(function, data):
     expected, limits, rtol, atol = FUNCTIONS[function]
     columns = [data.draw(floats(*limit)) for limit in limits]
-    found = on_lanes(function, *columns)
-    np.testing.assert_allclose(found, expected(*columns), rtol=rtol, atol=atol)
-    assert function is not wrap or np.all(np.abs(found) <= math.pi)
+    results = on_lanes(function, *columns)
+    np.testing.assert_allclose(results, expected(*columns), rtol=rtol, atol=atol)
+    assert function is not wrap or np.all(np.abs(results) <= math.pi)
 
 
 ANGLE = np.linspace(-math.pi, math.pi, 100_001)
