@@ -8,23 +8,16 @@ import textwrap
 import threading
 import time
 import weakref
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import mmwave_env
 from mmwave_env.compiler.threads import share
-from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
-from mmwave_env.world.simulated import SimulatedSource
-from tests.vector_checker import same
 
 
-@pytest.mark.parametrize("threads", [1, 2, 3, 50])
-@pytest.mark.parametrize("jobs", [0, 1, 2, 20])
-def test_results_are_in_the_order_of_the_jobs(threads, jobs):
+@pytest.mark.parametrize(("jobs", "threads"), [(0, 2), (1, 2), (2, 50), (20, 1), (20, 3)])
+def test_results_are_in_the_order_of_the_jobs(jobs, threads):
     assert share(lambda a, b: a * b, [(i, 2) for i in range(jobs)], threads) == [
         2 * i for i in range(jobs)
     ]
@@ -44,13 +37,9 @@ def test_no_more_threads_than_allowed_are_used():
     assert threads == {threading.get_ident()}
 
 
-@pytest.mark.parametrize("wrong", [0, 7])
-def test_an_error_in_a_job_is_raised(wrong):
+def test_an_error_in_this_or_in_another_thread_is_raised_and_later_jobs_run():
     with pytest.raises(ZeroDivisionError):
-        share(lambda i: 1 / (i - wrong), [(i,) for i in range(8)], 2)
-
-
-def test_an_error_in_another_thread_is_raised_and_later_jobs_run():
+        share(lambda i: 1 / i, [(i,) for i in range(8)], 2)
     me, begun = threading.get_ident(), threading.Event()
 
     def job(i):
@@ -75,15 +64,6 @@ def test_jobs_can_share_jobs_of_their_own_among_threads():
     assert results == [[i + j for j in range(4)] for i in range(200)]
 
 
-def test_several_threads_can_share_jobs_at_once():
-    def many():
-        return [share(lambda a: a * a, [(i,) for i in range(7)], 3) for _ in range(200)]
-
-    with ThreadPoolExecutor(6) as callers:
-        results = [future.result() for future in [callers.submit(many) for _ in range(6)]]
-    assert results == [[[i * i for i in range(7)]] * 200] * 6
-
-
 def test_arguments_are_released_once_the_jobs_are_done():
     class Thing:
         pass
@@ -94,20 +74,6 @@ def test_arguments_are_released_once_the_jobs_are_done():
     del thing
     gc.collect()
     assert gone() is None
-
-
-def test_draws_do_not_depend_on_the_thread():
-    """Check that draws do not use numba's random generators, because each thread has its own."""
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=20)
-
-    def draw(seed):
-        time.sleep(0.001)  # otherwise one thread might do all jobs
-        episode = source.sample(np.random.default_rng(seed))
-        return threading.get_ident(), (episode.name, episode.table(), episode.prior_mean)
-
-    alone, many = (share(draw, [(seed,) for seed in range(40)], threads) for threads in (1, 5))
-    assert len({thread for thread, _ in many}) > 1
-    assert all(same(a, b) for (_, a), (_, b) in zip(alone, many, strict=True))
 
 
 # --- environments in new processes
@@ -267,10 +233,3 @@ def test_several_threads_can_step_environments_at_once(tmp_path):
     print(*(np.array_equal(a, stepped(s, 20, **fresh)[1]) for a, s in zip(together, seeds)))
     """
     assert process(code, tmp_path) == ["True"] * 8
-
-
-@pytest.mark.slow
-def test_more_threads_than_cores_change_nothing(tmp_path):
-    """Check also that the process ends although an environment exists and threads are idle."""
-    code = "print(np.array_equal(rewards, stepped(threads=50)[1]), threading.active_count() > 1)"
-    assert process(code, tmp_path) == ["True", "True"]

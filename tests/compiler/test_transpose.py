@@ -17,24 +17,13 @@ SIZE = 50
 COUNTS = st.integers(0, SIZE)
 
 
-@numba.njit
-def compiled_gather(block, sources, count):
-    tiles.gather(block, sources, count)
-
-
-@numba.njit
-def compiled_scatter(block, rows, targets):
-    tiles.scatter(block, rows, targets)
-
-
-@numba.njit
-def compiled_scatter_single(block, rows, targets):
-    tiles.scatter_single(block, rows, targets)
-
-
-@numba.njit
-def compiled_address(table, i, j):
-    return tiles.address(table, i, j)
+# Compiled code calls these functions; called from Python, they run as plain Python.
+compiled_gather = numba.njit(lambda block, sources, count: tiles.gather(block, sources, count))
+compiled_scatter = numba.njit(lambda block, rows, targets: tiles.scatter(block, rows, targets))
+compiled_scatter_single = numba.njit(
+    lambda block, rows, targets: tiles.scatter_single(block, rows, targets)
+)
+compiled_address = numba.njit(lambda table, i, j: tiles.address(table, i, j))
 
 
 def some_block(seed):

@@ -15,6 +15,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import Scene, Wall
 from mmwave_env.world.episode import EpisodeSource
 from tests.filters.tracks import geometry
+from tests.logs.by_hand import shown
 from tests.refusals import refuses
 
 EPOCHS = {"pedestrian": 400, "stop_and_go": 587, "vehicle": 120, "walk_ride_walk": 908}
@@ -33,12 +34,6 @@ def residuals(episode, recording, cut=slice(None)):
     angles = recording.layout.angles
     out[:, angles] = np.remainder(out[:, angles] + np.pi, 2.0 * np.pi) - np.pi
     return out
-
-
-def shown(recording):
-    """Return a mask (T, rows) of visible rows."""
-    widths = [rows.stop - rows.start for rows in recording.layout.groups]
-    return np.repeat(recording.visible, widths, axis=1)
 
 
 def track(epochs=50, dt=1.0, odometry=False):

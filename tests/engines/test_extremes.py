@@ -13,7 +13,6 @@ import pytest
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.filters.bank import named_modes
-from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.io.records import Bound, hints_of
 from mmwave_env.models import envelope
@@ -256,13 +255,6 @@ def test_a_setting_at_its_bounds_gives_sound_beliefs_or_is_refused(record, name,
                 observation, reward, *_, info = env.step(k % 2)
                 assert np.isfinite([reward, info["nees"], *info["estimate"], *observation]).all()
             assert "nonfinite_beliefs" not in info
-
-
-@pytest.mark.parametrize("name", [*NOISES, "spread_gain"])
-@pytest.mark.parametrize("value", [-0.1, 100.1, 1e150, np.nan])
-def test_a_mode_with_noise_beyond_its_bounds_is_refused_by_name(name, value):
-    with refuses(f"{name} of mode 'loud'"):
-        Mode("loud", **{name: value})
 
 
 @pytest.mark.parametrize("dt", [0.0, 1e-9, 61.0, 1e12, np.inf, np.nan])

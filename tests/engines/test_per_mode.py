@@ -1,7 +1,6 @@
 """Tests of engines with a belief for every mode, where an action trusts one mode or none."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -10,14 +9,14 @@ from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.engines.replay import Replay, smooth
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.filters import textbook
 from mmwave_env.filters.bank import Bank, best_bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.radio import RADIOS
+from mmwave_env.world.episode import EpisodeBatch
 from tests.filters.test_imm import textbook_imm
-from tests.filters.tracks import STREET, simulated, unpacked
+from tests.filters.tracks import STREET, simulated, track, unpacked
 from tests.paths import representative
 
 T = 60
@@ -33,24 +32,18 @@ def in_steps_of(dt, episodes):
     return [replace(episode, time_s=dt * np.arange(len(episode))) for episode in episodes]
 
 
-def played(bank, episodes, actions, names=("x", "P", "mode_probabilities"), **options):
-    """Return an engine after actions (n, T), and parts of its workspace by epoch (n, T, ...)."""
-    pipeline = Pipeline(bank.modes, episodes[0].layout, options.pop("planar", False))
-    engine = Engine(pipeline, len(episodes), TrackingReward(), bank=bank, **options)
-    engine.reset(episodes)
-    history = {name: [] for name in names}
-    for chosen in actions.T:
-        engine.step(chosen)
-        for name, values in history.items():
-            values.append(engine.read(getattr(engine.at, name)))
-    return engine, {name: np.stack(values, axis=1) for name, values in history.items()}
+def played(bank, episodes, actions, *names, planar=False, on_floats=False):
+    """Return parts of an engine's workspace (n, T, ...) after every one of the actions (n, T)."""
+    pipeline = Pipeline(bank.modes, episodes[0].layout, planar)
+    parts = track(pipeline, episodes, actions.T, actions.shape[1], names, on_floats, bank)
+    return {name: values.swapaxes(0, 1) for name, values in parts.items()}
 
 
 @pytest.mark.parametrize("dt", [1.0, 0.1])
 @pytest.mark.parametrize("radio", representative(RADIOS, "standard"))
 def test_trusting_no_mode_equals_the_imm(radio, dt):
     bank, episodes = best_bank(radio), in_steps_of(dt, simulated(9, epochs=200))
-    _, ours = played(bank, episodes, np.zeros((9, 200), int), ("x", "P", "reward", "nees"))
+    ours = played(bank, episodes, np.zeros((9, 200), int), "x", "P", "reward", "nees")
     expected = run_imm(bank, TrackingReward(), episodes, *ours)
     for name, values in ours.items():
         np.testing.assert_allclose(values, expected[name], rtol=1e-10, atol=1e-10, err_msg=name)
@@ -61,7 +54,7 @@ def test_trust_raises_the_odds_of_a_mode_as_in_the_textbook(dt):
     """Compare with a textbook IMM in which each epoch raises the trusted mode's probability."""
     episodes = in_steps_of(dt, simulated(4, epochs=30))
     actions = np.random.default_rng(1).integers(0, 3, (4, 30))
-    _, ours = played(BANK, episodes, actions)
+    ours = played(BANK, episodes, actions, "x", "P", "mode_probabilities")
     for e, episode in enumerate(episodes):
         drift = BANK.modes[0].sigma_b_mps * episode.hz_per_mps
         modes = [
@@ -92,22 +85,21 @@ def test_floats_and_lanes_agree():
     actions = np.random.default_rng(2).integers(0, 6, (2, 12))
     names = ("x", "P", "mode_probabilities", "observation", "reward")
     lanes, floats = (
-        played(bank, episodes, actions, names, on_floats=on_floats)[1]
-        for on_floats in (False, True)
+        played(bank, episodes, actions, *names, on_floats=on_floats) for on_floats in (False, True)
     )
     for name in names:
         np.testing.assert_allclose(floats[name], lanes[name], rtol=1e-9, atol=1e-9, err_msg=name)
 
 
-@pytest.mark.parametrize("planar", [False, True])
+@pytest.mark.parametrize("planar", representative([False, True], False))
 def test_a_replay_repeats_the_results_of_the_engine(planar):
     bank, episodes = BANK, simulated(9, epochs=T)
     if planar:
         episodes = [e.on_flat_ground(float(e.truth_position_m[0, 2])) for e in episodes]
     actions = np.random.default_rng(3).integers(0, 3, (9, T)).astype(np.uint8)
-    engine, stepped = played(bank, episodes, actions, ("error", "nees"), planar=planar)
-    replay = Replay(engine.pipeline, bank)
-    error, nees, smoothed = replay.run(engine.batch.episodes(np.arange(9)), actions)
+    stepped = played(bank, episodes, actions, "error", "nees", planar=planar)
+    replay = Replay(Pipeline(bank.modes, STREET, planar), bank)
+    error, nees, smoothed = replay.run(EpisodeBatch.of(episodes), actions)
     np.testing.assert_allclose(error, stepped["error"], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(nees, stepped["nees"], rtol=1e-9, atol=1e-9)
     np.testing.assert_array_equal(smoothed[:, -1], error[:, -1])
@@ -121,8 +113,8 @@ def test_two_equal_modes_are_smoothed_as_a_single_filter():
     mode = Mode("a", "ukf", sigma_v=1.2)
     twins, episodes = Bank((mode, replace(mode, name="b"))), simulated(5, epochs=T)
     actions = np.random.default_rng(4).integers(0, 3, (5, T)).astype(np.uint8)
-    engine, _ = played(twins, episodes, actions)
-    _, _, ours = Replay(engine.pipeline, twins).run(engine.batch.episodes(np.arange(5)), actions)
+    replay = Replay(Pipeline(twins.modes, STREET), twins)
+    _, _, ours = replay.run(EpisodeBatch.of(episodes), actions)
     tracker = Tracker(Pipeline((mode,), STREET), 5)
     tracker.load(episodes)
     run = tracker.run("x", "P", "x_predicted", "P_predicted", "error")
@@ -130,36 +122,6 @@ def test_two_equal_modes_are_smoothed_as_a_single_filter():
     x, _ = smooth(run["x"], run["P"], *predicted, np.ones(T - 1))
     expected = run["error"] + (x - run["x"])[..., :3]
     np.testing.assert_allclose(ours, expected, rtol=1e-7, atol=1e-7)
-
-
-def test_the_prediction_of_a_mixture_is_the_mean_over_its_modes():
-    """Check x_predicted and P_predicted, the mixture's mean and covariance before the update.
-
-    With constant velocity, they are F x and F P F' plus the mean Q of the modes.
-    """
-    modes = tuple(replace(mode, spread_gain=0.0) for mode in BANK.modes)
-    imm = partial(run_imm, Bank(modes, BANK.transition, 0.99), TrackingReward())
-    names = ("x", "P", "x_predicted", "P_predicted", "mixture.probability")
-    run = imm(simulated(3, epochs=20), *names)
-    F, P = textbook.F(1.0), unpacked(run["P"])
-    moved = run["x"][:, :-1] @ F.T
-    np.testing.assert_allclose(run["x_predicted"][:, 1:], moved, rtol=1e-9, atol=1e-9)
-    weights = run["mixture.probability"][:, :-1] @ np.array(BANK.transition)
-    Q = unpacked(run["P_predicted"])[:, 1:] - F @ P[:, :-1] @ F.T
-    velocity = weights @ np.square([mode.sigma_v for mode in modes])
-    np.testing.assert_allclose(Q[..., 3, 3], velocity, rtol=1e-6)
-    np.testing.assert_allclose(Q[..., 0, 0], 0.01, rtol=1e-4)
-
-
-@pytest.mark.slow
-def test_trusting_a_mode_reduces_the_reward_by_its_cost():
-    costly = tuple(replace(mode, cost=0.25) for mode in BANK.modes)
-    episodes, actions = simulated(3, epochs=10), np.tile([0, 1, 2, 0, 2], (3, 2))
-    free, paid = (
-        played(bank, episodes, actions, ("reward",))[1]["reward"]
-        for bank in (BANK, replace(BANK, modes=costly))
-    )
-    np.testing.assert_allclose(free - paid, 0.25 * (actions > 0), atol=1e-12)
 
 
 def test_environments_of_one_engine_can_have_different_banks():
@@ -171,5 +133,5 @@ def test_environments_of_one_engine_can_have_different_banks():
     for chosen in actions.T:
         engine.step(chosen)
     for own, some in ((bank, slice(5)), (other, slice(5, 10))):
-        alone, _ = played(own, episodes[some], actions[some])
-        np.testing.assert_array_equal(engine.read(engine.at.x)[some], alone.read(alone.at.x))
+        alone = played(own, episodes[some], actions[some], "x")["x"]
+        np.testing.assert_array_equal(engine.read(engine.at.x)[some], alone[:, -1])

@@ -121,32 +121,6 @@ def test_smoothing_a_mixture_reduces_its_errors_and_its_covariances(mixture):
     assert after.mean() < 0.8 * before.mean()  # smoothing a mixture is approximate
 
 
-def test_uneven_epochs_are_smoothed_with_their_own_steps():
-    rng = np.random.default_rng(0)
-    roots = rng.normal(size=(2, 30, 7, 7))
-    P, P_predicted = roots @ np.swapaxes(roots, -1, -2) + np.eye(7)
-    x, time_s = rng.normal(size=(30, 7)), rng.uniform(0.2, 2.0, 30).cumsum()
-    steps = np.diff(time_s)
-    x_predicted = x.copy()
-    x_predicted[1:] = [textbook.F(dt) @ before for dt, before in zip(steps, x[:-1], strict=True)]
-    found_x, _ = smooth(
-        x[None], packed(P)[None], x_predicted[None], packed(P_predicted)[None], steps
-    )
-    expected_x, _ = textbook.rts(x, P, P_predicted, time_s)
-    # Arbitrary covariances make smoothed states grow, so the tolerance is relative to the largest.
-    assert np.abs(found_x[0] - expected_x).max() <= TOLERANCE * np.abs(expected_x).max()
-
-
-def test_smoothing_does_not_change_the_last_epoch():
-    x, P, x_predicted, P_predicted = (part[:2] for part in tracks(planar=False))
-    found_x, found_P = smooth(x, P, x_predicted, P_predicted, np.ones(x.shape[1] - 1))
-    np.testing.assert_array_equal(found_x[:, -1], x[:, -1])
-    np.testing.assert_array_equal(found_P[:, -1], P[:, -1])
-    # Variances of earlier epochs decrease if later epochs have information.
-    before, after = P[:, :-1, 0], found_P[:, :-1, 0]
-    assert (after <= before).all() and (after < before).mean() > 0.98
-
-
 def test_smoothing_does_not_change_a_single_epoch():
     x, P, x_predicted, P_predicted = (part[:1, :1] for part in tracks(planar=False))
     smoothed_x, smoothed_P = smooth(x, P, x_predicted, P_predicted, np.empty(0))
@@ -154,13 +128,16 @@ def test_smoothing_does_not_change_a_single_epoch():
     np.testing.assert_array_equal(smoothed_P, P)
 
 
-def test_tracks_can_have_different_times():
-    x, P, x_predicted, P_predicted = (part[:3] for part in tracks(planar=False))
-    times = np.random.default_rng(0).uniform(0.2, 2.0, x.shape[:2]).cumsum(axis=1)
-    together = smooth(x, P, x_predicted, P_predicted, np.diff(times))
-    for e in range(3):
-        alone = smooth(
-            *(part[e : e + 1] for part in (x, P, x_predicted, P_predicted)), np.diff(times[e])
-        )
-        for all_tracks, single in zip(together, alone, strict=True):
-            np.testing.assert_array_equal(all_tracks[e], single[0])
+def test_each_track_is_smoothed_with_its_own_uneven_steps():
+    rng, n, T = np.random.default_rng(0), 3, 30
+    roots = rng.normal(size=(2, n, T, 7, 7))
+    P, P_predicted = roots @ np.swapaxes(roots, -1, -2) + np.eye(7)
+    x, time_s = rng.normal(size=(n, T, 7)), rng.uniform(0.2, 2.0, (n, T)).cumsum(axis=1)
+    x_predicted, steps = x.copy(), np.diff(time_s)
+    for e, t in np.ndindex(steps.shape):
+        x_predicted[e, t + 1] = textbook.F(steps[e, t]) @ x[e, t]
+    found_x, _ = smooth(x, packed(P), x_predicted, packed(P_predicted), steps)
+    for e in range(n):
+        expected_x, _ = textbook.rts(x[e], P[e], P_predicted[e], time_s[e])
+        # Arbitrary covariances make smoothed states grow; the tolerance is relative to the largest.
+        assert np.abs(found_x[e] - expected_x).max() <= TOLERANCE * np.abs(expected_x).max()

@@ -26,6 +26,12 @@ pytestmark = pytest.mark.slow
 N = 128  # environments, which make 384,000 steps with all users and radios
 PARTS = ("x", "P", "memory", "candidates", "observation", "reward", "nees", "distance")
 STAY = (0.0, 0.95, 1.0)  # probabilities of keeping the mode; each environment uses one
+EXTREME = (  # their covariances become much smaller or larger than those of the named modes
+    Mode("tight", "ekf", sigma_p=0.01, sigma_v=0.05),
+    Mode("wide", "ukf", sigma_v=5.0, spread_gain=0.01, coupling=False),
+    Mode("re-acquire", "ckf", sigma_v=1.8, gate=None),
+)
+MODES = (*named_modes().values(), *EXTREME)
 
 
 def damaged(episode, rng):
@@ -62,16 +68,16 @@ def unsound(engine):
     return kinds
 
 
-def soaked(modes, users, n):
+def soaked(modes, users, n, epochs=200):
     """Run damaged episodes with random modes; return the first unsound epoch and parts, or None."""
     engine = Engine(Pipeline(tuple(modes), Layout(3)), n, TrackingReward())
     for turn, (scenario, radio) in enumerate(users):
         rng = np.random.default_rng(turn)
-        source = SimulatedSource(scene_from("street"), radio, scenario)
+        source = SimulatedSource(scene_from("street"), radio, scenario, epochs=epochs)
         seeds = range(turn * n, (turn + 1) * n)
         engine.reset([damaged(episode, rng) for episode in draw_episodes(source, seeds)])
         actions, stay = rng.integers(len(modes), size=n), rng.choice(STAY, n)
-        for epoch in range(200):
+        for epoch in range(epochs):
             engine.step(actions)
             if kinds := unsound(engine):
                 return f"{scenario}, {radio.name}, epoch {epoch}", kinds
@@ -81,7 +87,8 @@ def soaked(modes, users, n):
 
 
 def test_all_numbers_stay_finite_and_covariances_positive_definite():
-    assert soaked(named_modes().values(), product(MOBILITIES, RADIOS.values()), N) is None
+    assert soaked(MODES, product(MOBILITIES, RADIOS.values()), N) is None
+    assert soaked(MODES, [("mixed", RADIOS["handset"])], 1, epochs=50_000) is None
 
 
 def rotten(x, P, measurement, gate):

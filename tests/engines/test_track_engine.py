@@ -17,7 +17,7 @@ def episodes():
     return simulated(N, epochs=T)
 
 
-@pytest.mark.parametrize("mode", [*default_modes(), Mode("plain", "ekf", coupling=False)])
+@pytest.mark.parametrize("mode", default_modes())
 def test_a_track_equals_that_of_the_stepping_engine(mode, episodes):
     pipeline = Pipeline((mode,), STREET)
     tracker = Tracker(pipeline, N)
@@ -52,13 +52,3 @@ def test_actions_choose_the_mode_of_every_epoch(on_floats, episodes):
     np.testing.assert_array_equal(ours["memory.mode"], actions)
     expected = track(pipeline, episodes[:3], actions.T, T, ("x",))["x"]
     np.testing.assert_allclose(ours["x"], expected.swapaxes(0, 1), rtol=1e-11, atol=1e-11)
-
-
-def test_recovery_halves_the_error_of_a_tight_filter():
-    def mean_error(recovery):
-        tight = Mode("tight", sigma_p=0.01, sigma_v=0.05, recovery=recovery)
-        tracker = Tracker(Pipeline((tight,), STREET), 64)
-        tracker.load(simulated(64, epochs=120))
-        return np.linalg.norm(tracker.run("error")["error"], axis=-1).mean()
-
-    assert mean_error(Mode("tight").recovery) < 0.5 * mean_error(None)

@@ -11,7 +11,7 @@ from mmwave_env.filters import textbook
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Measurement
 from tests.filters import gated_textbook
-from tests.filters.gated_textbook import Rows
+from tests.filters.gated_textbook import Restricted, Rows
 
 HZ_PER_MPS = 93.4
 RTOL = 1e-9
@@ -53,9 +53,26 @@ class Problem(NamedTuple):
         visible = self.visible if self.measured is None else self.visible[self.visible]
         return s.groups, s.links, self.x, self.P, self.z[rows], self.R[rows], visible
 
-    def textbook(self, moments, gate, force=False):
-        rule = gate.quantile, force, gate.robust
-        return gated_textbook.update(moments, self.seen, *self.update, *rule)
+    @property
+    def order(self):
+        """Return the states in the order in which our filters factor P.
+
+        With odometry, which is nonlinear in the velocity, results of sigma points depend on it.
+        """
+        return [0, 1, 2, 7, 3, 4, 5, 6] if self.sensor.clock else [*range(7)]
+
+    def textbook(self, moments, gate, force=None, free=None):
+        """Return the textbook's update of the ``free`` states; the others are known exactly.
+
+        None stands for all states in ``free``, and for the gate's own value in ``force``.
+        """
+        free = self.order if free is None else free
+        groups, links, x, P, *measured = self.update
+        model, prior = Restricted(self.seen, x, free), (x[free], P[np.ix_(free, free)])
+        rule = gate.quantile, gate.force if force is None else force, gate.robust
+        update = gated_textbook.update(moments, model, groups, links, *prior, *measured, *rule)
+        back = np.argsort(free)
+        return update._replace(x=update.x[back], P=update.P[np.ix_(back, back)])
 
 
 def numbers(low, high, shape=()):

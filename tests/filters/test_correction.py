@@ -43,13 +43,6 @@ def test_a_correction_is_a_shift_and_a_scaling_in_the_frame_of_motion(angle, shi
     assert np.linalg.eigvalsh(np.array(after.P))[0] > 0.0
 
 
-def test_no_correction_leaves_the_belief():
-    belief = belief_of()
-    after = corrected(belief, [0.0] * 3, [0.0] * 3)
-    np.testing.assert_allclose(after.x, belief.x, atol=1e-12)
-    np.testing.assert_allclose(after.P, belief.P, rtol=1e-12)
-
-
 def test_a_correction_of_many_beliefs_equals_one_after_the_other():
     beliefs = [belief_of(seed, seed) for seed in range(5)]
     shift, factors = np.random.default_rng(1).normal(size=(2, 3, 5))

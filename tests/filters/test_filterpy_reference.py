@@ -1,5 +1,7 @@
 """Tests that filterpy's filters and ours give the same tracks over complete episodes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,13 +10,13 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.update import ekf
 from mmwave_env.models.layout import Layout
+from mmwave_env.models.scene import SCENES
 from tests.filters.tracks import (
     assert_same_beliefs,
     pipeline_of,
     simulated,
     some_rows,
     track,
-    with_anchors,
 )
 from tests.refusals import refuses
 
@@ -40,6 +42,15 @@ def both(pipeline, episodes, actions, parts):
     ]
 
 
+def assert_agree(pipeline, episodes, *more):
+    """Assert that beliefs, memories and observations agree; return the tracks with more parts."""
+    ours, twin = both(pipeline, episodes, 0, ("x", "P", "memory", "observation", *more))
+    assert_same_beliefs(twin, ours, rtol=1e-9)
+    for part in ("memory", "observation"):
+        np.testing.assert_allclose(twin[part], ours[part], rtol=1e-7, atol=1e-7)
+    return ours, twin
+
+
 def pairs():
     """Yield pairs of an algorithm and a tuning; per tuning, one algorithm is not marked slow."""
     for index, name in enumerate(TUNINGS):
@@ -51,24 +62,20 @@ def pairs():
 @pytest.mark.parametrize(("algorithm", "name"), [*pairs()])
 def test_complete_episodes_agree_with_filterpy(algorithm, name):
     pipeline = pipeline_of(algorithms=[algorithm], **TUNINGS[name])
-    kept = ("x", "P", "P_predicted", "memory", "observation", "memory.lockout")
-    ours, twin = both(pipeline, simulated(1, EPOCHS), 0, kept)
-    assert_same_beliefs(twin, ours, rtol=1e-9)
+    more = "P_predicted", "memory.lockout"
+    ours, twin = assert_agree(pipeline, simulated(1, EPOCHS), *more)
     predicted = [{"x": t["x"], "P": t["P_predicted"]} for t in (twin, ours)]
     assert_same_beliefs(*predicted, rtol=1e-9)
-    for part in ("memory", "observation"):
-        np.testing.assert_allclose(twin[part], ours[part], rtol=1e-7, atol=1e-7)
     if name == "locked out and recovered":
         assert ours["memory.lockout"].max() > 2.0
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
-@pytest.mark.parametrize("anchors", [1, 3])
-def test_episodes_with_odometry_and_one_or_three_anchors_agree_with_filterpy(algorithm, anchors):
-    episodes = [with_anchors(e, anchors) for e in simulated(1, epochs=100, odometry=True)]
-    pipeline = pipeline_of(episodes[0].layout, [algorithm])
-    ours, twin = both(pipeline, episodes, 0, ("x", "P"))
-    assert_same_beliefs(twin, ours, rtol=1e-9)
+@pytest.mark.parametrize("walls", [(), SCENES["street"].walls], ids=["alone", "images"])
+def test_episodes_with_odometry_and_one_or_three_anchors_agree_with_filterpy(algorithm, walls):
+    scene = replace(SCENES["street"], walls=walls)
+    episodes = simulated(1, epochs=100, odometry=True, scene=scene)
+    assert_agree(pipeline_of(episodes[0].layout, [algorithm]), episodes)
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
@@ -76,11 +83,7 @@ def test_episodes_with_odometry_and_one_or_three_anchors_agree_with_filterpy(alg
 def test_episodes_with_missing_rows_agree_with_filterpy(algorithm, name):
     rng = np.random.default_rng(1)
     episodes = [some_rows(e, rng, 0.6) for e in simulated(1, epochs=100, odometry=True)]
-    pipeline = pipeline_of(episodes[0].layout, [algorithm], **TUNINGS[name])
-    ours, twin = both(pipeline, episodes, 0, ("x", "P", "memory", "observation"))
-    assert_same_beliefs(twin, ours, rtol=1e-9)
-    for part in ("memory", "observation"):
-        np.testing.assert_allclose(twin[part], ours[part], rtol=1e-7, atol=1e-7)
+    assert_agree(pipeline_of(episodes[0].layout, [algorithm], **TUNINGS[name]), episodes)
 
 
 def test_switching_between_filters_gives_the_same_beliefs_as_with_filterpy():

@@ -1,36 +1,16 @@
 """Tests of the interacting multiple model (IMM) against single filters and a textbook's IMM."""
 
-from dataclasses import replace
-
 import numpy as np
-import pytest
 from scipy.stats import chi2
 
 from mmwave_env.filters import textbook
-from mmwave_env.filters.bank import default_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.layout import Layout
 from tests.filters import gated_textbook
-from tests.filters.tracks import (
-    assert_same_beliefs,
-    imm_track,
-    pipeline_of,
-    simulated,
-    track,
-)
+from tests.filters.tracks import assert_same_beliefs, imm_track, simulated, track
 
 EPOCHS = 60
-
-
-@pytest.mark.parametrize("algorithm", ["ekf", "ukf"])
-def test_an_imm_of_one_mode_equals_that_mode(algorithm):
-    pipeline, episodes = pipeline_of(algorithms=[algorithm]), simulated(9, EPOCHS)
-    imm = imm_track(pipeline, episodes)
-    single = track(pipeline, episodes, 0, EPOCHS, ("x", "P", "nees"))
-    assert_same_beliefs(imm, single, rtol=1e-12)
-    np.testing.assert_allclose(imm["nees"], single["nees"], rtol=1e-9)
-    np.testing.assert_array_equal(imm["probability"], 1.0)
 
 
 def test_an_imm_of_identical_modes_equals_one_of_them_and_keeps_equal_probabilities():
@@ -40,23 +20,6 @@ def test_an_imm_of_identical_modes_equals_one_of_them_and_keeps_equal_probabilit
     single = track(Pipeline(twins.modes[:1], Layout(3)), episodes, 0, EPOCHS, ("x", "P"))
     assert_same_beliefs(imm, single, rtol=1e-11)
     np.testing.assert_allclose(imm["probability"], 0.5, rtol=1e-9)
-
-
-def test_mode_probabilities_sum_to_one_and_stay_positive():
-    probability = imm_track(Pipeline(default_modes(), Layout(3)), simulated(16, 200))["probability"]
-    np.testing.assert_allclose(probability.sum(axis=-1), 1.0, rtol=1e-12)
-    assert probability.min() > 0.0
-    assert probability.std() > 0.1
-
-
-def test_a_planar_mixture_keeps_its_height_and_a_vertical_speed_of_zero():
-    level = [1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 1.0]
-    episodes = [replace(e, prior_mean=e.prior_mean * level) for e in simulated(8, EPOCHS)]
-    imm = imm_track(Pipeline(default_modes(), Layout(3), planar=True), episodes)
-    height = [episode.prior_mean[2] for episode in episodes]
-    np.testing.assert_allclose(imm["x"][..., 2], np.broadcast_to(height, (EPOCHS, 8)), rtol=1e-12)
-    assert not imm["x"][..., 5].any()
-    assert np.isfinite(imm["x"]).all()
 
 
 def textbook_imm(episode, modes, transitions, nis_quantile=1.0, change=None):

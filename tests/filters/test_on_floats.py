@@ -24,7 +24,7 @@ from mmwave_env.numerics.pytree import unflatten
 from mmwave_env.world.episode import blank_incoming
 from tests.filters.problems import HZ_PER_MPS, assume_clear_of, problems
 from tests.filters.test_imm import textbook_imm
-from tests.filters.tracks import simulated, unpacked
+from tests.filters.tracks import process_noise, simulated, unpacked
 
 few = settings(max_examples=6, deadline=None)
 
@@ -37,16 +37,6 @@ def epoch_of(problem, dt=0.7, snr_db=20.0, spread_hz=300.0):
 
 def layout_of(problem):
     return Layout(problem.sensor.links, problem.sensor.odometry)
-
-
-def noise_of(mode, spread_hz, dt, gamma):
-    """Return Q (7, 7) of a step, computed as documented: discrete white-noise acceleration."""
-    velocity = np.array([mode.sigma_v**2 + mode.spread_gain * spread_hz] * 2 + [mode.sigma_vz**2])
-    position = np.array([mode.sigma_p**2] * 2 + [mode.sigma_pz**2])
-    q, half = velocity * dt, 0.5 * dt * mode.coupling
-    Q = np.diag([*(position * dt + q * half**2), *q, (mode.sigma_b_mps * HZ_PER_MPS) ** 2 * dt])
-    Q[range(3), range(3, 6)] = Q[range(3, 6), range(3)] = q * half
-    return gamma * Q
 
 
 def assert_same(result, expected, sigma):
@@ -79,7 +69,8 @@ def test_an_epoch_of_a_mode_equals_the_textbook(mode, lockout, data):
         gamma=gamma, lockout=lockout, snr_mean_db=[20.0, 20.0 + drop_db]
     )
     scale = gamma if mode.adaptive else 1.0
-    x, P = textbook.predict(problem.x, problem.P, noise_of(mode, 300.0, epoch.dt, scale), epoch.dt)
+    Q = process_noise(mode, epoch.dt, 300.0, scale)
+    x, P = textbook.predict(problem.x, problem.P, Q, epoch.dt)
     if mode.acceleration_mps2:
         x = np.array(accelerate(x.tolist(), mode.acceleration_mps2, epoch.dt))
     if mode.turn_rate_radps:

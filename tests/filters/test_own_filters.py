@@ -13,14 +13,10 @@ from scipy.stats import chi2
 
 from experiments.evaluation.runner import score_contenders
 from experiments.evaluation.seeds import Selection
-from mmwave_env.engines.imm_engine import run_imm
-from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.custom import AlgorithmError
 from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.localization.localizer import Switching, localize
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
@@ -28,7 +24,7 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
 from tests.filters import gated_textbook
 from tests.filters.problems import assert_same, assume_clear_of, problems
-from tests.filters.tracks import STREET, simulated, track
+from tests.filters.tracks import STREET
 from tests.logs.writing import write_log
 from tests.paths import ROOT
 
@@ -74,18 +70,6 @@ def test_the_iekf_equals_the_textbook(iekf, iterations, gate, odometry, data):
     if gate.quantile is not None:
         assume_clear_of(expected.nis, s, [lambda n: chi2.ppf(gate.quantile, n)])
     assert_same(problem.ours(partial(iekf, iterations=iterations), gate), expected)
-
-
-@pytest.mark.slow
-def test_engine_tracker_and_imm_give_the_same_track_with_a_custom_filter(mine):
-    episodes = simulated(2, epochs=30)
-    pipeline = Pipeline((mine,), STREET)
-    engine = track(pipeline, episodes, 0, 30, ("x",))["x"].swapaxes(0, 1)
-    tracker = Tracker(pipeline, 2)
-    tracker.load(episodes)
-    np.testing.assert_allclose(tracker.run("x")["x"], engine, rtol=1e-9, atol=1e-9)
-    imm = partial(run_imm, Bank((mine,)), TrackingReward())
-    np.testing.assert_allclose(imm(episodes, "x")["x"], engine, rtol=1e-9, atol=1e-9)
 
 
 def test_a_log_is_localized_with_a_custom_filter(iekf, tmp_path):

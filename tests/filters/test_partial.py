@@ -21,32 +21,13 @@ from tests.filters.tracks import (
     assert_same_beliefs,
     far_from_the_anchors,
     imm_track,
-    pipeline_of,
     process_noise,
     simulated,
     some_rows,
-    track,
 )
 
 RUNS, EPOCHS, LEVEL = 600, 25, 0.01
 QUIET = {"gate": None, "adaptive": False, "sigma_v": 0.3}
-
-
-@pytest.mark.slow  # compiles eight programs
-@pytest.mark.parametrize("odometry", [False, True], ids=["radio", "odometry"])
-@pytest.mark.parametrize("tuning", [{}, {"robust": True, "blockage_aware": True}], ids=str)
-def test_a_partial_layout_without_missing_rows_equals_the_plain_layout(odometry, tuning):
-    plain = simulated(2, 100, odometry)
-    partial = [episode.only(MEASUREMENTS) for episode in plain]
-    actions = np.random.default_rng(0).integers(3, size=(100, 2))
-    parts = ("x", "P", "memory", "observation", "reward")
-    ours, expected = (
-        track(pipeline_of(episodes[0].layout, **tuning), episodes, actions, 100, parts)
-        for episodes in (partial, plain)
-    )
-    assert_same_beliefs(ours, expected, rtol=1e-9)
-    for part in parts[2:]:
-        np.testing.assert_allclose(ours[part], expected[part], rtol=1e-7, atol=1e-7)
 
 
 def test_an_imm_in_a_partial_layout_without_missing_rows_equals_the_plain_imm():

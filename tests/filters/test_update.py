@@ -10,42 +10,37 @@ from mmwave_env.filters import textbook
 from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.linearization import SigmaPoints
 from mmwave_env.filters.update import ckf, ekf, ukf, update
-from tests.filters import gated_textbook
 from tests.filters.problems import HZ_PER_MPS, Problem, assert_same, assume_clear_of, problems
 from tests.refusals import refuses
 
 OURS = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 GATES = [Gate(None), Gate(0.99), Gate(0.5), Gate(0.5, force=1.0), Gate(0.99, robust=True)]
 
+KINDS = {
+    "radio": {},
+    "odometry": {"odometry": True},
+    "some rows": {"partial": True},
+    "odometry and some rows": {"odometry": True, "partial": True},
+    "clock": {"clock": True},
+    "clock, odometry and some rows": {"clock": True, "odometry": True, "partial": True},
+}
+WHOLE = ["radio", "odometry", "clock"]
+
 algorithms = pytest.mark.parametrize("algorithm", OURS)
-with_odometry = pytest.mark.parametrize("odometry", [False, True], ids=["radio", "odometry"])
 
 
 @algorithms
-@with_odometry
-@pytest.mark.parametrize("gate", GATES, ids=str)
+@pytest.mark.parametrize("kind", KINDS)
 @given(data=st.data())
-@settings(max_examples=15, deadline=None)
-def test_an_update_equals_the_textbook(algorithm, odometry, gate, data):
-    problem = data.draw(problems(odometry))
-    expected = problem.textbook(textbook.METHODS[algorithm], gate, gate.force)
-    if gate.quantile is not None:
-        assume_clear_of(expected.nis, problem.sensor, [lambda n: chi2.ppf(gate.quantile, n)])
-    assert_same(problem.ours(OURS[algorithm], gate), expected)
-
-
-@algorithms
-@with_odometry
-@pytest.mark.parametrize("gate", GATES, ids=str)
-@given(data=st.data())
-@settings(max_examples=15, deadline=None)
-def test_an_update_with_missing_rows_equals_the_textbook(algorithm, odometry, gate, data):
-    """Let gates depend on how many rows are measured, and use the Doppler shift of any anchor."""
-    problem = data.draw(problems(odometry, partial=True))
-    expected = problem.textbook(textbook.METHODS[algorithm], gate, gate.force)
+@settings(max_examples=40, deadline=None)
+def test_an_update_equals_the_textbook(algorithm, kind, data):
+    """Include missing rows, on whose number gates depend, and Doppler shifts of any anchor."""
+    problem, gate = data.draw(problems(**KINDS[kind])), data.draw(st.sampled_from(GATES))
+    expected = problem.textbook(textbook.METHODS[algorithm], gate)
     if gate.quantile is not None:
         assume_clear_of(expected.nis, problem.seen, [lambda n: chi2.ppf(gate.quantile, n)])
-    assert_same(problem.ours(OURS[algorithm], gate), expected, visible=problem.visible)
+    visible = problem.visible if "some rows" in kind else None
+    assert_same(problem.ours(OURS[algorithm], gate), expected, visible=visible)
 
 
 @given(problem=problems(anchors=9))
@@ -56,14 +51,14 @@ def test_determinants_of_many_links_equal_the_textbook(problem):
     assert_same(problem.ours(ekf, Gate(None)), expected)
 
 
-@with_odometry
+@pytest.mark.parametrize("kind", WHOLE)
 @pytest.mark.parametrize(
     "parameters", [(0.5, 2.0, 0.0), (1.0, 2.0, -4.0), (1.0, 2.0, 3.0)], ids=str
 )
 @given(data=st.data())
 @settings(max_examples=15, deadline=None)
-def test_an_update_with_any_scaled_sigma_points_equals_the_textbook(odometry, parameters, data):
-    problem = data.draw(problems(odometry))
+def test_an_update_with_any_scaled_sigma_points_equals_the_textbook(kind, parameters, data):
+    problem = data.draw(problems(**KINDS[kind]))
 
     def ours(x, P, measurement, gate):
         return update(x, P, measurement, gate, SigmaPoints(*parameters))
@@ -82,60 +77,24 @@ def test_an_update_with_any_scaled_sigma_points_equals_the_textbook(odometry, pa
         ("ckf", textbook.unscented(1.0, 0.0, 2.0)),
     ],
 )
-@with_odometry
+@pytest.mark.parametrize("kind", WHOLE)
 @given(data=st.data())
 @settings(max_examples=12, deadline=None)
-def test_a_planar_update_equals_that_of_the_five_free_states(algorithm, moments, odometry, data):
-    problem, gate = data.draw(problems(odometry)), Gate(0.99)
-    free, known_axes = [0, 1, 3, 4, 6], [2, 5]
+def test_a_planar_update_equals_that_of_the_five_free_states(algorithm, moments, kind, data):
+    """With a clock, there are six free states."""
+    problem, gate, known_axes = data.draw(problems(**KINDS[kind])), Gate(0.99), [2, 5]
+    free = [i for i in problem.order if i not in known_axes]
+    expected = problem.textbook(moments, gate, free=free)
+    assume_clear_of(expected.nis, problem.sensor, [lambda n: chi2.ppf(0.99, n)])
     P = problem.P.copy()
     P[known_axes, :] = P[:, known_axes] = 0.0
-    s = problem.sensor
-    restricted = gated_textbook.Restricted(s, problem.x, free)
-    groups, links, _, _, *measured = problem.update
-    prior = problem.x[free], P[np.ix_(free, free)]
-    expected = gated_textbook.update(
-        moments, restricted, groups, links, *prior, *measured, gate.quantile
-    )
-    assume_clear_of(expected.nis, s, [lambda n: chi2.ppf(0.99, n)])
-    ours = problem.ours(OURS[algorithm], gate, P)
+    ours, free = problem.ours(OURS[algorithm], gate, P), sorted(free)
     whole = np.array(ours.P)
     reduced = whole[np.ix_(free, free)]
     assert_same(ours._replace(x=np.array(ours.x)[free], P=reduced), expected)
     assert [ours.x[i] for i in known_axes] == problem.x[known_axes].tolist()
     assert not whole[known_axes].any()
     assert not whole[:, known_axes].any()
-
-
-@algorithms
-@with_odometry
-@given(data=st.data())
-@settings(max_examples=12, deadline=None)
-def test_an_update_without_visible_groups_leaves_the_prior_unchanged(algorithm, odometry, data):
-    problem = data.draw(problems(odometry))
-    problem = problem._replace(visible=np.zeros_like(problem.visible))
-    posterior = problem.ours(OURS[algorithm], Gate(0.99))
-    sigma = np.sqrt(np.diag(problem.P))
-    assert posterior.log_likelihood == 0.0
-    assert not any(posterior.accepted)
-    np.testing.assert_allclose((posterior.x - problem.x) / sigma, 0.0, atol=1e-12)
-    np.testing.assert_allclose(
-        (np.array(posterior.P) - problem.P) / np.outer(sigma, sigma), 0.0, atol=1e-12
-    )
-
-
-@algorithms
-@given(data=st.data())
-@settings(max_examples=12, deadline=None)
-def test_values_of_a_missing_group_do_not_matter(algorithm, data):
-    problem = data.draw(problems(odometry=True, anchors=3))
-    missing = ~np.repeat(problem.visible, [g.stop - g.start for g in problem.sensor.groups])
-    blanked = problem._replace(
-        z=np.where(missing, 0.0, problem.z), R=np.where(missing, 1.0, problem.R)
-    )
-    a, b = (p.ours(OURS[algorithm], Gate(0.99)) for p in (problem, blanked))
-    assert (a.x, a.P, a.accepted) == (b.x, b.P, b.accepted)
-    assert a.log_likelihood == pytest.approx(b.log_likelihood, rel=1e-12, abs=1e-12)
 
 
 def link_to_the_east(azimuth_of_arrival, azimuth_of_departure):
@@ -169,11 +128,11 @@ def test_a_link_with_disagreeing_azimuths_is_rejected_even_if_their_mean_fits():
     assert disagreeing.ours(ekf, Gate(0.99)).accepted[0] == 0.0
 
 
-@given(problem=problems(odometry=True))
+@given(problem=problems(odometry=True, clock=True))
 @settings(max_examples=30, deadline=None)
 def test_the_textbook_jacobian_equals_the_numerical_derivative(problem):
     s, x = problem.sensor, problem.x
-    step = 1e-4 * np.eye(7)
+    step = 1e-4 * np.eye(8)
     columns = [s.difference(s.h(x + e), s.h(x - e)) / 2e-4 for e in step]
     np.testing.assert_allclose(s.jacobian(x), np.array(columns).T, rtol=1e-5, atol=1e-5)
 

@@ -1,7 +1,6 @@
 """Helpers that make episodes to filter, run engines on them and compare the tracks."""
 
 from dataclasses import dataclass, replace
-from functools import partial
 from operator import attrgetter
 from types import SimpleNamespace
 
@@ -34,9 +33,9 @@ def geometry(position, velocity, scene, layout):
     return np.stack(exact_rows(*tracks, scene.anchors_m, scene.hz_per_mps, layout), axis=1)
 
 
-def simulated(n, epochs=200, odometry=False, seed=0):
+def simulated(n, epochs=200, odometry=False, seed=0, scene=SCENES["street"]):
     """Return episodes of the noisiest radio that lack more rows than usual and have outliers."""
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=epochs, odometry=odometry)
+    source = SimulatedSource(scene, RADIOS["handset"], epochs=epochs, odometry=odometry)
     return [spoiled(source.sample(np.random.default_rng([seed, i])), i) for i in range(n)]
 
 
@@ -79,29 +78,15 @@ def some_rows(episode, rng, share):
     return replace(whole, measurement=measurement, visible=visible, doppler_anchor=anchor)
 
 
-def with_anchors(episode, anchors):
-    """Return the episode with only the first ``anchors`` anchors."""
-    old = episode.layout
-    rows = [*range(4 * anchors), *range(old.doppler, old.size)]
-    groups = [*range(anchors), *range(old.anchors, len(old.groups))]
-    return replace(
-        episode,
-        scene_anchors_m=episode.scene_anchors_m[:anchors],
-        measurement=episode.measurement[:, rows],
-        sigma=episode.sigma[:, rows],
-        visible=episode.visible[:, groups],
-        snr_db=episode.snr_db[:, :anchors],
-        layout=Layout(anchors, old.odometry),
-    )
-
-
-def process_noise(mode):
-    """Return Q (7, 7) of one second, computed as the documentation of modes says."""
+def process_noise(mode, dt=1.0, spread_hz=0.0, gamma=1.0, hz_per_mps=HZ_PER_MPS):
+    """Return Q (7, 7) of a step, computed as documented: discrete white-noise acceleration."""
     velocity = np.square([mode.sigma_v, mode.sigma_v, mode.sigma_vz])
+    velocity[:2] += mode.spread_gain * spread_hz
     position = np.square([mode.sigma_p, mode.sigma_p, mode.sigma_pz])
-    drift = (mode.sigma_b_mps * HZ_PER_MPS) ** 2
-    Q = np.diag([*(position + velocity / 4), *velocity, drift])
-    return Q + np.diag([*velocity / 2, 0], k=3) + np.diag([*velocity / 2, 0], k=-3)
+    q, half = velocity * dt, 0.5 * dt * mode.coupling
+    Q = np.diag([*(position * dt + q * half**2), *q, (mode.sigma_b_mps * hz_per_mps) ** 2 * dt])
+    Q[range(3), range(3, 6)] = Q[range(3, 6), range(3)] = q * half
+    return gamma * Q
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,18 +144,18 @@ def pipeline_of(layout=STREET, algorithms=("ekf", "ukf", "ckf"), planar=False, *
     return Pipeline(tuple(modes), layout, planar)
 
 
-def track(pipeline, episodes, actions, epochs, parts, on_floats=False):
+def track(pipeline, episodes, actions, epochs, parts, on_floats=False, bank=None):
     """Run an engine and record ``parts`` of its workspace, such as "memory.gamma", every epoch.
 
     Args:
-        actions: (epochs, n) or (n,) modes to choose.
+        actions: (epochs, n) or (n,) modes to choose; with a bank, modes to trust.
 
     Returns:
         An array (epochs, n, ...) per part; "P_predicted" comes from a tracker, not an engine.
     """
     n = len(episodes)
     actions = np.broadcast_to(actions, (epochs, n))
-    engine = Engine(pipeline, n, TrackingReward(), on_floats=on_floats)
+    engine = Engine(pipeline, n, TrackingReward(), bank=bank, on_floats=on_floats)
     engine.reset(episodes)
     history = {name: [] for name in parts if name != "P_predicted"}
     for action in actions:
@@ -190,8 +175,7 @@ def imm_track(pipeline, episodes, transition=None, nis_quantile=1.0):
     """Return x, P, probabilities and NEES of an IMM at every epoch, each (epochs, n, ...)."""
     names = {"x": "x", "P": "P", "nees": "nees", "probability": "mixture.probability"}
     bank = Bank(pipeline.modes, transition, nis_quantile)
-    imm = partial(run_imm, bank, TrackingReward(), planar=pipeline.planar)
-    results = imm(episodes, *names.values())
+    results = run_imm(bank, TrackingReward(), episodes, *names.values())
     return {name: results[part].swapaxes(0, 1) for name, part in names.items()}
 
 

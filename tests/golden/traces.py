@@ -18,7 +18,7 @@ from experiments.timing.operations import count
 from mmwave_env.datasets.samples import recording_from
 from mmwave_env.datasets.tracks import TrackSource
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.imm_engine import imm_program, run_imm
+from mmwave_env.engines.imm_engine import imm_program
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters.bank import Bank, best_bank, default_modes, named_modes
 from mmwave_env.filters.pipeline import Pipeline
@@ -26,7 +26,6 @@ from mmwave_env.filters.smoother import SMOOTHING_WINDOW
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.localization.localizer import Switching, TrackBlock, localize
 from mmwave_env.logs.log import read_log
-from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import read_scene, scene_from
 from mmwave_env.vector_env import MmWaveLocVectorEnv
@@ -46,7 +45,7 @@ DIAGONAL = [i * (i + 3) // 2 for i in range(7)]  # indices of the variances in a
 
 
 def track(log: str, mode: str) -> Iterator[Row]:
-    """Filter a log in one mode; yield rows of some epochs."""
+    """Filter a log in one mode, or with the IMM of the default modes; yield rows of some epochs."""
     block = _localized(log, mode)
     for k in _shown(block.x):
         yield (
@@ -63,35 +62,12 @@ def smoother(log: str, mode: str) -> Iterator[Row]:
         yield _belief(k, block.smooth_x, block.smooth_P)
 
 
-def track_imm(log: str) -> Iterator[Row]:
-    """Filter a log with the IMM of the default modes; yield rows of some epochs."""
-    episode, modes = _episode(log), default_modes(RADIO)
-    names = ("x", "P", "mixture.probability")
-    parts = run_imm(Bank(modes), TrackingReward(), [episode], *names)
-    x, P, probability = (values[0] for values in parts.values())
-    for k in _shown(x):
-        yield _belief(k, x, P) | _parts("probability", probability[k])
-
-
 def _localized(log: str, mode: str, window: int | None = None) -> TrackBlock:
     scene = read_scene(LOGS / log / "scene.json")
-    modes = (named_modes(RADIO)[mode],)
+    modes = Bank(default_modes(RADIO)) if mode == "imm" else (named_modes(RADIO)[mode],)
     blocks = read_log(LOGS / log / "log.csv", scene)
     (block,) = localize(blocks, scene, radio_from(RADIO), Switching(modes), window=window)
     return block
-
-
-def _episode(log: str) -> Episode:
-    """Return a log as an episode, with the fix of the first epoch as the prior."""
-    scene, radio = read_scene(LOGS / log / "scene.json"), radio_from(RADIO)
-    (block,) = read_log(LOGS / log / "log.csv", scene)
-    sigma, visible = radio.sigma(block.snr_db, scene, block.layout), block.visible.copy()
-    fix = block.measurement[0, :4], sigma[0, :4]
-    mean, covariance = prior_from_fix(scene.anchors_m[0], *fix, radio, scene)
-    visible[0, 0] = False  # the prior has already used this link
-    measured = block.measurement, sigma, visible, block.snr_db, block.doppler_spread_hz
-    received = log, scene.anchors_m, scene.hz_per_mps, block.time_s, *measured
-    return Episode(*received, mean, covariance, None, None, block.layout)
 
 
 def _shown(states: Any) -> list[int]:
@@ -229,7 +205,7 @@ def memory() -> Iterator[Row]:
 TRACES: dict[str, Callable[[], Iterator[Row]]] = {
     "track-ekf": partial(track, "canyon28_pedestrian", "ekf"),
     "track-ukf": partial(track, "canyon28_vehicle", "ukf"),
-    "track-imm": partial(track_imm, "canyon28_vehicle"),
+    "track-imm": partial(track, "canyon28_vehicle", "imm"),
     "smoother": partial(smoother, "canyon28_pedestrian", "ekf"),
     "rollout-mixed": partial(
         rollout, [11749869230777074271, 2**64 - 1], episode_steps=12, smoothed=True

@@ -74,8 +74,9 @@ def observed(table, values):
 @every_pipeline
 @pytest.mark.parametrize("beliefs", BELIEFS)
 def test_reading_a_feature_inverts_its_standardization(pipeline, beliefs):
-    table = Observation(pipeline, beliefs=beliefs)
-    values = np.random.default_rng(0).uniform(-40.0, 40.0, 1000)
+    """Check also that integers are read exactly."""
+    table, whole = Observation(pipeline, beliefs=beliefs), np.arange(-30.0, 31.0)
+    values = np.append(np.random.default_rng(0).uniform(-40.0, 40.0, 1000), whole)
     observations = observed(table, values)
     for i, feature in enumerate(table.features):
         read = table.read(observations, feature.name)
@@ -83,15 +84,7 @@ def test_reading_a_feature_inverts_its_standardization(pipeline, beliefs):
         known = np.spacing(np.abs(observations[:, i])) * table.scales[i].deviation
         assert (np.abs(read - values) <= 2.0 * known + 1e-12).all()
         assert table.read(observations[0], feature.name) == read[0]
-
-
-@pytest.mark.parametrize("beliefs", BELIEFS)
-def test_integer_values_of_features_are_read_exactly(beliefs):
-    table = Observation(PIPELINES["odometry"], beliefs=beliefs)
-    whole = np.arange(-30.0, 31.0)
-    for feature in table.features:
-        read = table.read(observed(table, whole), feature.name)
-        np.testing.assert_array_equal(read, whole, err_msg=feature.name)
+        np.testing.assert_array_equal(read[1000:], whole, err_msg=feature.name)
 
 
 # --- the constants

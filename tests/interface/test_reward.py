@@ -13,7 +13,6 @@ from hypothesis.extra import numpy as hnp
 from scipy.stats import multivariate_normal
 
 import mmwave_env  # noqa: F401  registers the environment
-from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.filters.belief import Belief
@@ -31,7 +30,6 @@ from mmwave_env.interface.reward import (
 from mmwave_env.numerics.numbers import maximum
 from mmwave_env.task import task_from
 from mmwave_env.world.keys import keys_at, stream_of
-from tests.filters.tracks import pipeline_of, simulated, unpacked
 from tests.refusals import refuses
 from tests.training.actors import MODES
 
@@ -184,17 +182,6 @@ def test_the_reward_terms_of_a_vector_environment_are_one_array():
         _, rewards, _, _, infos = envs.step(np.full(9, t % 2))
         assert infos["reward_terms"].shape == (9, 3)
         np.testing.assert_allclose(infos["reward_terms"].sum(axis=1), rewards, atol=1e-12)
-
-
-def test_the_engine_pays_the_log_score_of_its_belief():
-    (episode,) = simulated(1, epochs=20)
-    engine = Engine(pipeline_of(episode.layout, ["ekf"]), 1, LogScore())
-    engine.reset([episode])
-    for truth in episode.truth_position_m:
-        engine.step(np.int64(0))
-        x, P = engine.read(engine.at.x)[0], unpacked(engine.read(engine.at.P)[0])
-        expected = max(multivariate_normal(x[:3], P[:3, :3]).logpdf(truth), -30.0)
-        assert engine.read(engine.at.reward)[0] == pytest.approx(expected, abs=1e-9)
 
 
 def branch(belief, truth):

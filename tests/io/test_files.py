@@ -149,18 +149,6 @@ def test_a_device_that_a_link_points_to_is_not_replaced(tmp_path):
 # --- errors name the file that the user gave
 
 
-def full_disk(*_, **__):
-    raise OSError(errno.ENOSPC, "No space left on device")
-
-
-def test_the_error_about_a_full_disk_names_the_result(tmp_path, monkeypatch):
-    monkeypatch.setattr(Path, "write_bytes", full_disk)
-    with pytest.raises(OSError, match="a.json") as error:
-        write_json(tmp_path / "a.json", {})
-    assert error.value.filename == str(tmp_path / "a.json")
-    assert error.value.errno == errno.ENOSPC and names(tmp_path) == []
-
-
 def test_errors_never_name_a_temporary_file(tmp_path, monkeypatch):
     with pytest.raises(FileNotFoundError) as error, atomic_path(tmp_path / "a") as temporary:
         temporary.unlink()

@@ -12,7 +12,7 @@ from mmwave_env.localization.localizer import Switching, TrackBlock, learned, lo
 from mmwave_env.localization.position_errors import PositionErrors, gaussian_levels
 from mmwave_env.localization.tracker import Tracker
 from mmwave_env.task import task_from
-from tests.localization.test_policy_tracks import RADIO, SCENE, blocks, rows  # noqa: F401
+from tests.localization.test_policy_tracks import RADIO, ROWS, SCENE, blocks, corrector  # noqa: F401
 from tests.refusals import refuses
 
 N, T, ANCHORS = 3, 40, 3
@@ -84,18 +84,18 @@ def test_epochs_in_pieces_have_the_factors_of_the_whole_track():
 
 
 @pytest.mark.parametrize("name", ["corrector", "ekf"])
-def test_live_levels_are_those_of_the_complete_log(rows, name):  # noqa: F811
+def test_live_levels_are_those_of_the_complete_log(corrector, name):  # noqa: F811
     modes = learned("ppo-standard", "standard").modes[:1]
-    switching = Switching(modes) if name == "ekf" else learned(name, "standard")
+    switching = Switching(modes) if name == "ekf" else learned(corrector, "standard")
     track = TrackBlock.joined(
         list(localize(blocks(50), SCENE, RADIO, switching, window=None, levels=Levels()))
     )
     tracker = Tracker(SCENE, switching, "standard", levels=Levels())
-    live = [tracker.update(epoch).levels_m for epoch in rows]
+    live = [tracker.update(epoch).levels_m for epoch in ROWS]
     expected = gaussian_levels(track.P, 1e-3) * track.level_factors
     np.testing.assert_allclose(live, expected, rtol=1e-6)
     assert tracker.smoothed().levels_m[0] > 0.0
-    assert Tracker(SCENE, switching, "standard").update(rows[0]).levels_m is None
+    assert Tracker(SCENE, switching, "standard").update(ROWS[0]).levels_m is None
 
 
 def test_gaussian_levels_are_those_that_covariances_promise():

@@ -9,7 +9,6 @@ import pymap3d
 import pynmea2
 import pytest
 
-from mmwave_env.io.records import object_from
 from mmwave_env.localization.map_files import MAP_FILES, geodetic
 from mmwave_env.localization.track_files import require_own_files, track_files
 from mmwave_env.models.scene import SCENES, Origin
@@ -131,12 +130,3 @@ def test_a_map_file_needs_an_origin_and_replaces_only_files_of_its_kind(tmp_path
     path.write_text("{}")
     with refuses("out"):
         require_own_files(path)
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"latitude_deg": 90.5}, {"longitude_deg": 181.0}, {"bearing_deg": "north"}]
-)
-def test_an_origin_with_impossible_values_is_refused(wrong):
-    (field,) = wrong
-    with refuses(field):
-        object_from(Origin, {"latitude_deg": 60.0, "longitude_deg": 24.0} | wrong)

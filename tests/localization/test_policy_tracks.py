@@ -1,9 +1,5 @@
 """Tests of tracks (live and from logs) whose modes a policy chooses, compared with the engine."""
 
-import csv
-from dataclasses import replace
-from itertools import groupby
-
 import numpy as np
 import pytest
 
@@ -21,35 +17,22 @@ from mmwave_env.localization.localizer import (
 from mmwave_env.localization.tracker import Tracker
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.log_tables import LogError
-from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import read_scene
 from mmwave_env.numerics.linalg import unpack
 from policies import Corrector, LearnedSwitch
-from tests.paths import LOGS, representative
+from tests.localization.test_live_epochs import RADIO, SCENE, WALK, walk
+from tests.paths import representative
 from tests.policies.test_corrector import card, network
 from tests.refusals import refuses
 from tests.training.actors import write
 
-WALK = LOGS / "canyon28_pedestrian"
-SCENE, RADIO = read_scene(WALK / "scene.json"), RADIOS["standard"]
-EPOCHS = 150
+EPOCHS = 60
+ROWS = walk(EPOCHS)  # for each epoch, its rows of the log as dicts by column
 
 
 def blocks(size):
     """Return the first epochs of the walk in blocks of this size."""
     whole = next(read_log(WALK / "log.csv", SCENE, partial=True)).part(slice(EPOCHS))
     return [whole.part(slice(first, first + size)) for first in range(0, EPOCHS, size)]
-
-
-@pytest.fixture(scope="module")
-def rows():
-    """Return, for each of the first epochs of the walk, its rows of the log as dicts by column."""
-    with (WALK / "log.csv").open() as file:
-        table = [
-            {k: float(v) if v else None for k, v in row.items()} for row in csv.DictReader(file)
-        ]
-    epochs = [list(group) for _, group in groupby(table, lambda row: row["time_s"])]
-    return epochs[:EPOCHS]
 
 
 @pytest.mark.parametrize("name", representative(("guided", "ppo-standard"), "ppo-standard"))
@@ -69,14 +52,12 @@ def test_the_track_equals_that_of_the_environment_to_the_last_bit(name, size):
     np.testing.assert_array_equal(track.x, expected)
 
 
-@pytest.mark.parametrize("name", ["guided", "ekf"])
-def test_a_live_track_equals_that_of_the_complete_log_to_the_last_bit(rows, name):
-    modes = LearnedSwitch("ppo-standard").modes[:1]
-    switching = learned(name, "standard") if name == "guided" else Switching(modes)
+def test_a_live_track_equals_that_of_the_complete_log_to_the_last_bit():
+    switching = learned("guided", "standard")
     track = TrackBlock.joined(list(localize(blocks(50), SCENE, RADIO, switching, window=None)))
     tracker = Tracker(SCENE, switching, "standard", lag=5)
     positions, late = [], []
-    for epoch in rows:
+    for epoch in ROWS:
         positions.append(tracker.update(epoch))
         late.append(tracker.smoothed())
     np.testing.assert_array_equal([p.position_m for p in positions], track.x[:, :3])
@@ -121,11 +102,11 @@ def test_a_corrected_track_has_the_corrected_beliefs_of_the_environment(correcto
     assert (track.trusted > 0.1).mean() > 0.5
 
 
-def test_a_live_corrected_track_equals_that_of_the_complete_log(corrector, rows):
+def test_a_live_corrected_track_equals_that_of_the_complete_log(corrector):
     switching = learned(corrector, "standard")
     track = TrackBlock.joined(list(localize(blocks(50), SCENE, RADIO, switching, window=None)))
     tracker = Tracker(SCENE, corrector, "standard")
-    positions = [tracker.update(epoch) for epoch in rows]
+    positions = [tracker.update(epoch) for epoch in ROWS]
     np.testing.assert_array_equal([p.position_m for p in positions], track.x[:, :3])
     np.testing.assert_array_equal([p.trusted for p in positions], track.trusted)
 
@@ -140,33 +121,27 @@ def test_a_track_is_smoothed_from_beliefs_without_corrections(corrector):
     np.testing.assert_allclose(*smooth, atol=1e-9)
 
 
-def test_a_live_track_begins_again_after_a_long_gap(rows):
+def test_a_live_track_begins_again_after_a_long_gap():
     tracker = Tracker(SCENE, Switching(LearnedSwitch("ppo-standard").modes[:1]), "standard")
-    later = [[{**row, "time_s": row["time_s"] + 100.0} for row in epoch] for epoch in rows[50:60]]
-    begins = [tracker.update(epoch).begins for epoch in [*rows[:10], *later]]
+    later = [[{**row, "time_s": row["time_s"] + 100.0} for row in epoch] for epoch in ROWS[50:60]]
+    begins = [tracker.update(epoch).begins for epoch in [*ROWS[:10], *later]]
     assert begins == [True, *[False] * 9, True, *[False] * 9]
 
 
 @pytest.mark.parametrize(
-    ("field", "change"),
+    ("field", "value"),
     [
-        ("aoa_azimuth_rad", lambda row: {**row, "aoa_azimuth_rad": "north"}),
-        ("anchor", lambda row: {**row, "anchor": 9}),
-        ("time_s", lambda row: {**row, "time_s": -1.0}),
-        ("mood", lambda row: {**row, "mood": 1.0}),
-        ("toa_s", lambda row: {**row, "toa_s": -1e-7}),
+        ("aoa_azimuth_rad", "north"),
+        ("anchor", 9),
+        ("time_s", -1.0),
+        ("mood", 1.0),
+        ("toa_s", -1e-7),
     ],
 )
-def test_an_error_names_the_field_of_a_damaged_row_and_the_track_continues(rows, field, change):
+def test_an_error_names_the_field_of_a_damaged_row_and_the_track_continues(field, value):
     tracker = Tracker(SCENE, Switching(LearnedSwitch("ppo-standard").modes[:1]), "standard")
-    for epoch in rows[:3]:
+    for epoch in ROWS[:3]:
         tracker.update(epoch)
     with refuses(field, error=LogError):
-        tracker.update([change(rows[3][0])])
-    assert tracker.update(rows[4]).begins is False
-
-
-def test_a_rule_together_with_a_bank_is_refused():
-    bank = learned("guided", "standard").modes
-    with refuses("rule"):
-        replace(Switching(bank), rule=lambda x, epoch: 0.0)
+        tracker.update([ROWS[3][0] | {field: value}])
+    assert tracker.update(ROWS[4]).begins is False

@@ -1,4 +1,4 @@
-"""Tests that statistics of position errors equal NumPy's, however the errors are split."""
+"""Tests of protection levels against integrals and textbooks, and of statistics against NumPy."""
 
 import json
 
@@ -7,14 +7,98 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from scipy.integrate import quad
+from scipy.stats import beta, norm
 
 from mmwave_env.localization.position_errors import (
     DISTANCES_M,
     SHARES,
     PositionErrors,
+    exceedance,
     horizontal_level,
+    require_risk,
     vertical_level,
 )
+from tests.refusals import refuses
+
+risks = st.floats(-7.0, np.log10(0.5)).map(lambda power: 10.0**power)
+
+
+def packed(P):
+    """Pack covariances (..., 3, 3) as filters do."""
+    return np.asarray(P)[(..., *np.tril_indices(3))]
+
+
+def turned(major, minor, angle):
+    """Return the packed covariance of a turned horizontal ellipse and a vertical variance of 1."""
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return packed(turn @ np.diag([major**2, minor**2, 1.0]) @ turn.T)
+
+
+def beyond(distance, major, minor):
+    """Integrate P(|e| > distance), for e ~ N(0, diag(major^2, minor^2)), over the minor axis."""
+
+    def given_minor(y):
+        rest = np.sqrt(max(distance**2 - (minor * y) ** 2, 0.0)) / major
+        return norm.pdf(y) * 2.0 * norm.sf(rest)
+
+    end = min(distance / minor, 40.0)
+    inside, _ = quad(given_minor, 0.0, end, epsabs=1e-13, limit=300, points=[end / 9.0, end / 3.0])
+    return 2.0 * (inside + norm.sf(distance / minor))
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    risk=risks, major=st.floats(0.01, 100.0), ratio=st.floats(0.01, 1.0), angle=st.floats(0.0, 7.0)
+)
+def test_errors_exceed_the_horizontal_level_with_the_stated_probability(risk, major, ratio, angle):
+    level = float(horizontal_level(turned(major, ratio * major, angle), risk))
+    assert beyond(level, major, ratio * major) == pytest.approx(risk, rel=2e-5)
+
+
+@settings(max_examples=25, deadline=None)
+@given(risk=risks, sigma=st.floats(0.01, 100.0))
+def test_levels_of_a_line_and_of_a_circle_equal_the_textbook(risk, sigma):
+    line, circle = (horizontal_level(turned(sigma, minor, 1.0), risk) for minor in (0.0, sigma))
+    assert line == pytest.approx(sigma * norm.isf(0.5 * risk), rel=1e-6)
+    assert circle == pytest.approx(sigma * np.sqrt(-2.0 * np.log(risk)), rel=1e-6)  # Rayleigh
+    upwards = packed(np.diag([9.0, 4.0, sigma**2]))
+    assert vertical_level(upwards, risk) == pytest.approx(sigma * norm.isf(0.5 * risk))
+
+
+def test_levels_of_many_covariances_equal_those_of_each_one():
+    P = np.stack([turned(3.0, 1.0, 0.3), turned(1.0, 1.0, 0.0), turned(2.0, 0.0, 1.0)])
+    many = horizontal_level(P.reshape(3, 1, 6), 1e-3)
+    assert many.shape == (3, 1)
+    assert many[:, 0].tolist() == [float(horizontal_level(single, 1e-3)) for single in P]
+
+
+@pytest.mark.parametrize(("exceeded", "epochs"), [(0, 50), (3, 200), (7, 7)])
+def test_the_interval_of_the_share_is_that_of_clopper_and_pearson(exceeded, epochs):
+    error = np.zeros(epochs)
+    error[:exceeded] = 2.0
+    figures = exceedance(error, np.ones(epochs))
+    low = beta.ppf(0.025, exceeded, epochs - exceeded + 1) if exceeded else 0.0
+    high = beta.ppf(0.975, exceeded + 1, epochs - exceeded) if exceeded < epochs else 1.0
+    assert figures["exceeded"] == exceeded and figures["share"] == exceeded / epochs
+    assert figures["ci95"] == pytest.approx([low, high])
+
+
+def test_nan_counts_as_exceeded_and_the_share_of_zero_epochs_is_none():
+    error, level = np.array([np.nan, 1.0, 1.0]), np.array([5.0, np.nan, 5.0])
+    assert exceedance(error, level)["exceeded"] == 2
+    nothing = exceedance(np.empty(0), np.empty(0))
+    assert nothing == {"exceeded": 0, "share": None, "ci95": None}
+
+
+@pytest.mark.parametrize("risk", [0.0, -1.0, 0.6, np.nan, np.inf])
+def test_an_impossible_risk_is_refused(risk):
+    with refuses("risk"):
+        require_risk(risk)
+
+
+# --- statistics
 
 ERRORS = hnp.arrays(float, st.tuples(st.integers(1, 60), st.just(3)), elements=st.floats(-50, 50))
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from mmwave_env.localization.localizer import TrackBlock
 from mmwave_env.localization.position_errors import gaussian_levels
@@ -83,21 +82,6 @@ def test_a_track_is_written_in_blocks_as_tum_and_as_a_table(tmp_path):
     for kind, level in zip(KINDS, (gaussian_levels(P, 1e-3) * factors).T, strict=True):
         np.testing.assert_allclose(numbers.pop(f"{kind}_level_m"), level, rtol=1e-5)
     assert not numbers
-
-
-@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
-def test_a_track_that_fails_halfway_leaves_the_old_file_unchanged(tmp_path, error):
-    out = tmp_path / "walk.tum"
-    out.write_text("old")
-
-    def write_some():
-        with track_files(out, NAMES, SCENE) as write:
-            write(some_track(5))
-            raise error
-
-    with pytest.raises(error):
-        write_some()
-    assert out.read_text() == "old" and [path.name for path in tmp_path.iterdir()] == ["walk.tum"]
 
 
 def test_only_tum_files_have_a_table_and_unknown_endings_are_refused():

@@ -2,13 +2,9 @@
 
 import gzip
 import sys
-import tempfile
-from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from mmwave_env.datasets.log_writer import log_columns, log_text
 from mmwave_env.logs.log import LogBlock, read_log
@@ -34,7 +30,6 @@ from tests.logs.by_hand import (
     read,
     require_pyarrow,
     rows,
-    shown,
     store,
     text,
 )
@@ -145,33 +140,6 @@ def test_wrong_values_that_apply_to_a_whole_epoch_are_refused(tmp_path, column, 
     ]
     path = store(tmp_path, text(lines, f"{HEADER},{','.join(columns)}"))
     assert not delivered(path, f"line {line}", column)
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    row=st.integers(0, 74),
-    column=st.integers(0, 8),
-    cell=st.sampled_from(["x", "-inf", "1e999", "--1", "1.2.3", "0x10", "1,2", "\0", "é", None]),
-    size=st.integers(1, 30),
-    table_bytes=st.sampled_from([400, 1000, 1 << 20]),
-)
-def test_the_epochs_before_any_damaged_cell_are_returned(row, column, cell, size, table_bytes):
-    true = episode(epochs=25)
-    header, *lines = [line.split(",") for line in log_text(log_columns(true)).splitlines()]
-    lines[row][column : column + 1] = [] if cell is None else [cell]
-    with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mmwave_env.logs.lines._BLOCK_BYTES", table_bytes)
-        path = store(Path(folder), text(lines, ",".join(header)))
-        column_named = [] if cell in (None, "1,2") else [f"column {header[column]!r}"]
-        blocks = delivered(path, f"line {row + 2}", *column_named, epochs_per_block=size)
-    assert sum(map(len, blocks)) == row // L
-    if blocks:
-        block = LogBlock.joined(blocks)
-        np.testing.assert_array_equal(block.visible, true.usable[: row // L])
-        keep = shown(block)
-        np.testing.assert_allclose(
-            block.measurement[keep], true.measurement[: row // L][keep], rtol=1e-15
-        )
 
 
 HEADERS = {  # header, fields in the message

@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters import textbook
 from mmwave_env.models.motion import (
     ProcessNoise,
@@ -16,7 +15,6 @@ from mmwave_env.models.motion import (
     turn,
     white_noise_acceleration,
 )
-from tests.filters.tracks import pipeline_of, simulated
 
 variances = hnp.arrays(float, 3, elements=st.floats(0.0, 10.0))
 steps = st.sampled_from([0.0, 0.1, 0.5, 1.0, 2.5])
@@ -116,25 +114,3 @@ def test_a_turn_is_the_coordinated_turn_of_the_textbook(x, rate, dt):
     straight = np.array(textbook.F(dt)) @ x
     np.testing.assert_allclose(turn(straight.tolist(), rate, dt), F @ x, rtol=1e-9, atol=1e-5)
     assert np.hypot(*turn(straight.tolist(), rate, dt)[3:5]) == pytest.approx(np.hypot(*x[3:5]))
-
-
-@pytest.mark.parametrize(
-    ("field", "value", "maneuver"),
-    [("acceleration_mps2", 1.5, accelerate), ("turn_rate_radps", 0.4, turn)],
-)
-def test_a_mode_with_a_maneuver_predicts_it_and_nothing_else_changes(field, value, maneuver):
-    """Compare one step of a mode with and without the maneuver."""
-    episodes, runs = simulated(3, epochs=4), []
-    for driven_by in (0.0, value):
-        pipeline = pipeline_of(algorithms=["ekf"], **{field: driven_by})
-        tracker = Tracker(pipeline, 3)
-        tracker.load(episodes)
-        runs.append(tracker.run("x", "x_predicted", "P_predicted"))
-    plain, driven = runs
-    np.testing.assert_allclose(plain["P_predicted"][:, 0], driven["P_predicted"][:, 0])
-    np.testing.assert_array_equal(plain["x_predicted"][:, 0], driven["x_predicted"][:, 0])  # dt = 0
-    for e in range(3):
-        moved = textbook.F(1.0) @ driven["x"][e, 0]
-        np.testing.assert_allclose(
-            driven["x_predicted"][e, 1], maneuver(moved.tolist(), value, 1.0), rtol=1e-12
-        )

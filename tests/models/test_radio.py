@@ -271,26 +271,15 @@ def test_biases_are_drawn_once_per_spell(kind):
 
 # --- arguments
 
-MAY_BE_ZERO = """shadowing_db shadowing_correlation blockage_scale blockage_base blockage_per_100m
-blockage_limit blockage_range_m blockage_angle_rad multipath_rate_hz multipath_angle_rad
-outage_rate_hz spread_gain spread_sigma spread_floor_mps drift_mps odometry_slowest_mps"""
-MAY_BE_NEGATIVE = """transmit_dbm gnb_gain_db ue_gain_db implementation_loss_db noise_figure_db
-reflection_loss_db blockage_loss_db detection_snr_db"""
-NUMBERS = [name for name, value in vars(CLEAR).items() if isinstance(value, int | float)]
-IMPOSSIBLE = {
-    **dict.fromkeys(NUMBERS, (float("nan"), -1.0, 0.0)),
-    **dict.fromkeys(MAY_BE_ZERO.split(), (float("nan"), -1.0)),
-    **dict.fromkeys(MAY_BE_NEGATIVE.split(), (float("nan"),)),
-    "range_floor_m": ((0.0, 0.4), (0.2, -0.4), (0.2,)),
-    "multipath_range_m": ((1.0, -4.0),),
-}
 
-
-@pytest.mark.parametrize(("field", "values"), IMPOSSIBLE.items(), ids=IMPOSSIBLE)
-def test_impossible_parameters_are_refused_by_name(field, values):
-    for value in values:
-        with refuses(field, "'lab'"):
-            Radio("lab", **{field: value})
+# tests/engines/test_extremes.py checks the bounds of every number.
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("shadowing_db", -1.0), ("range_floor_m", (0.2, -0.4)), ("range_floor_m", (0.2,))],
+)
+def test_impossible_parameters_are_refused_by_name(field, value):
+    with refuses(field, "'lab'"):
+        Radio("lab", **{field: value})
 
 
 def test_a_radio_is_given_by_name_or_as_an_object():
@@ -324,9 +313,7 @@ def test_angles_in_a_radio_file_have_the_unit_in_their_names(tmp_path):
         ({"base": "lab"}, "base"),
         ({"aoa_floor_deg": 2.0, "aoa_floor_rad": 0.1}, "aoa_floor_rad"),
         ({"aoa_floor_deg": -2.0}, "aoa_floor_rad of radio 'phone'"),
-        ({"gnb_elements": True}, "gnb_elements of radio 'phone'"),
         ({"name": "handset"}, "name"),
-        ({"name": 7}, "name of radio 7"),
     ],
     ids=repr,
 )
@@ -334,8 +321,3 @@ def test_a_damaged_radio_file_is_refused_with_the_name_of_the_field(tmp_path, co
     path = write(tmp_path, content)
     with refuses(path, field):
         radio_from(path)
-
-
-def test_the_error_about_a_missing_radio_file_names_it():
-    with refuses("nowhere.json", error=FileNotFoundError):
-        radio_from("nowhere.json")

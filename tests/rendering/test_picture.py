@@ -165,15 +165,9 @@ def test_a_picture_does_not_depend_on_later_epochs():
 @pytest.mark.parametrize(
     "arguments",
     [
-        {"scene": "random"},
         {"scene": "o1", "scenario": "vehicle"},
-        {"episodes": "canyon28_pedestrian"},
         {"backend": "filterpy"},
-        # these compile kernels of their own:
-        pytest.param({"odometry": True}, marks=pytest.mark.slow),
-        pytest.param({"modes": ["ekf", "ukf", "ckf", "ekf-robust"]}, marks=pytest.mark.slow),
-        pytest.param({"beliefs": "per-mode"}, marks=pytest.mark.slow),
-        pytest.param({"planar": True}, marks=pytest.mark.slow),
+        pytest.param({"beliefs": "per-mode", "odometry": True}, marks=pytest.mark.slow),
     ],
     ids=str,
 )

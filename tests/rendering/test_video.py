@@ -5,10 +5,10 @@ import sys
 import numpy as np
 import pytest
 
-from mmwave_env.rendering.history import NO_MODE, History, Scenery
 from mmwave_env.rendering.picture import Picture, Playback
 from mmwave_env.rendering.video import require_video, write_video
 from tests.refusals import refuses
+from tests.rendering.test_picture import history
 
 HEIGHT, WIDTH, COUNT = 60, 100, 7
 
@@ -66,22 +66,6 @@ def test_an_mp4_has_every_picture(tmp_path):
     assert blue.argmax(axis=1).tolist() == pytest.approx([10 * n for n in range(COUNT)], abs=2)
 
 
-@pytest.mark.parametrize("ending", ["gif", "mp4"])
-def test_a_video_that_fails_leaves_the_old_file_unchanged(ending, tmp_path):
-    pytest.importorskip({"gif": "PIL", "mp4": "imageio_ffmpeg"}[ending])
-    path = tmp_path / f"square.{ending}"
-    path.write_bytes(b"before")
-
-    def fails(number):
-        if number == 3:
-            raise ZeroDivisionError
-        return square(number)
-
-    with pytest.raises(ZeroDivisionError):
-        write_video(path, fails, range(COUNT), 5, lambda _: None)
-    assert path.read_bytes() == b"before" and list(tmp_path.iterdir()) == [path]
-
-
 @pytest.mark.parametrize("name", ["square", "square.avi", "gif"])
 def test_other_endings_are_refused(name, tmp_path):
     with refuses("out"):
@@ -95,18 +79,14 @@ def test_a_video_without_the_package_for_it_is_refused(package, ending, tmp_path
         require_video("out", tmp_path / f"square.{ending}")
 
 
-def history(error_m, rows=6):
+def leaving(error_m):
     """Return the history of a user at rest, from whom the estimate moves away."""
-    truth, estimate = np.zeros((rows, 6)), np.zeros((rows, 7))
-    estimate[:, 0] = error_m * np.arange(rows)
-    gates, P = np.zeros((rows, 2), bool), np.tile([1.0, 0.0, 1.0, 0.0, 0.0, 1.0], (rows, 1))
-    time, modes = np.arange(rows) - 1.0, np.r_[NO_MODE, np.zeros(rows - 1, int)]
-    place = Scenery("test", np.array([[50.0, 30.0, 10.0]]), None)
-    return History(place, 3, time, modes, truth, estimate, P, np.ones(rows), gates, gates)
+    away = [(error_m * k, 0.0) for k in range(1, 6)]
+    return history([(0.0, 0.0)] * 5, away, [0] * 5, anchors=[(50.0, 30.0, 10.0)])
 
 
 def test_pictures_side_by_side_equal_the_single_pictures():
-    histories, titles = [history(1.0), history(4.0), history(2.0)], ["one", "two", "three"]
+    histories, titles = [leaving(1.0), leaving(4.0), leaving(2.0)], ["one", "two", "three"]
     playback = Playback(histories, [["ekf"]] * 3, titles, 480, "dark")
     for epochs in (0, 3, 5):
         whole = playback.draw(epochs)
@@ -119,7 +99,7 @@ def test_pictures_side_by_side_equal_the_single_pictures():
 
 
 def test_errors_side_by_side_have_the_same_scale():
-    near, far = history(0.1), history(30.0)
+    near, far = leaving(0.1), leaving(30.0)
     ticks = np.s_[300:380, 452:]  # labels beside the strips of speed and error
     whole = Playback([near, far], [["ekf"]] * 2, ["near", "far"], 480, "light").draw(5)
     of_near, of_far = whole[:, :480][ticks], whole[:, 480:][ticks]
@@ -130,14 +110,14 @@ def test_errors_side_by_side_have_the_same_scale():
 
 def test_strips_side_by_side_are_at_the_same_height_for_any_modes():
     many = [f"mode {number}" for number in range(9)]
-    whole = Playback([history(1.0)] * 2, [["ekf"], many], ["one", "two"], 480, "light").draw(5)
+    whole = Playback([leaving(1.0)] * 2, [["ekf"], many], ["one", "two"], 480, "light").draw(5)
     few, more = whole[240:420, 20:480], whole[240:420, 500:]
     np.testing.assert_array_equal(few, more)
 
 
 def test_a_title_changes_only_the_top_line_of_a_picture():
-    rule, ppo = (Picture(["ekf"], title=title).draw(history(1.0)) for title in ("rule", "ppo"))
+    rule, ppo = (Picture(["ekf"], title=title).draw(leaving(1.0)) for title in ("rule", "ppo"))
     differs = (rule != ppo).any(axis=(1, 2))
     assert differs[:24].any() and not differs[24:].any()
     for title in ("a" * 500, "a\nb\x1b[31m", "$x$ | 名"):
-        assert (Picture(["ekf"], title=title).draw(history(1.0)) != rule).any()
+        assert (Picture(["ekf"], title=title).draw(leaving(1.0)) != rule).any()

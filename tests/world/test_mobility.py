@@ -174,10 +174,6 @@ def test_users_of_walk_ride_walk_first_walk_then_ride_then_walk(tracks):
     assert (speed[:, :first].max(axis=1) > 0.4).mean() > 0.9
 
 
-def test_vehicles_reach_driving_speed(tracks):
-    assert (tracks("vehicle").speed.max(axis=1) > 9.0 - 1e-6).all()
-
-
 @every_mobility
 @pytest.mark.parametrize("dt", [0.5, 1.0, 2.0])
 def test_the_time_step_does_not_change_the_trajectory(name, dt):

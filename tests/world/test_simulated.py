@@ -211,15 +211,6 @@ def test_a_batch_equals_single_episodes_to_the_last_bit(name, threads):
         np.testing.assert_array_equal(getattr(batch, field), getattr(expected, field))
 
 
-def test_the_trajectory_of_a_key_does_not_depend_on_radio_and_odometry():
-    def truth(radio, **options):
-        return SimulatedSource(SCENES["street"], RADIOS[radio], **options).sample_batch(KEYS).table
-
-    expected = truth("handset")[..., -6:]
-    np.testing.assert_array_equal(truth("high")[..., -6:], expected)
-    np.testing.assert_array_equal(truth("handset", odometry=True)[..., -6:], expected)
-
-
 def test_a_random_generator_draws_the_key_of_a_sample():
     source = SOURCES["jam"]
     key = np.random.default_rng(7).integers(0, 2**64, dtype=np.uint64)

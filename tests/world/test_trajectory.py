@@ -98,11 +98,6 @@ def test_a_file_without_all_columns_is_refused(tmp_path, header):
         read_trajectory(write(tmp_path, straight(), header))
 
 
-def test_the_error_about_a_missing_file_names_it():
-    with refuses("nowhere.csv", error=FileNotFoundError):
-        read_trajectory("nowhere.csv")
-
-
 def test_impossible_velocities_are_refused(tmp_path):
     rows = [[*row, 2.0, 0.0, 0.0] for row in straight()]
     rows[3][4] = 720.0
@@ -133,17 +128,3 @@ def test_a_trajectory_that_does_not_fit_the_scene_is_refused(ends, dt, place):
     with refuses("mine", place):
         way = Trajectory("mine", np.arange(11.0), np.linspace(*ends, 11))
         SimulatedSource(STREET, RADIOS["handset"], way, dt=dt)
-
-
-def test_windows_begin_anywhere_and_the_default_is_the_complete_trajectory():
-    rows = np.array(straight(7))
-    walk = Trajectory("walk", rows[:, 0], rows[:, 1:])
-    source = SimulatedSource(STREET, RADIOS["handset"], walk, epochs=4)
-    begins = set()
-    for seed in range(40):
-        truth = source.sample(np.random.default_rng(seed)).truth_position_m
-        np.testing.assert_allclose(np.diff(truth[:, 0]), 2.0)
-        begins.add(round(truth[0, 0]))
-    assert begins == {20, 22, 24, 26}
-    assert SimulatedSource(STREET, RADIOS["handset"], walk).epochs == 7
-    assert source.name == "walk"

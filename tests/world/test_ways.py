@@ -57,16 +57,6 @@ def test_each_episode_is_a_window_of_one_of_the_ways(tmp_path):
     assert names == set(source.names) and len(names) == 3
 
 
-def test_a_file_with_one_way_gives_the_episodes_of_that_trajectory(tmp_path):
-    path = write(tmp_path, {"a": straight(40)})
-    alone = SimulatedSource(STREET, RADIO, straight(40), epochs=20)
-    named = SimulatedSource(STREET, RADIO, read_ways(path), epochs=20)
-    for seed in range(3):
-        a, b = (s.sample(np.random.default_rng(seed)) for s in (alone, named))
-        np.testing.assert_array_equal(a.truth_position_m, b.truth_position_m)
-        np.testing.assert_array_equal(a.measurement, b.measurement)
-
-
 def test_ways_shorter_than_an_episode_are_left_out():
     ways = Ways("many", [straight(n, name=str(n)) for n in (5, 30, 60)])
     with pytest.warns(UserWarning, match="many: found 1 of 3"):

@@ -6,6 +6,7 @@ import shutil
 import numpy as np
 
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
+from tests.filters.tracks import geometry
 from tests.paths import RECORDINGS
 
 VEHICLE, PEDESTRIAN = RECORDINGS / "canyon28_vehicle", RECORDINGS / "canyon28_pedestrian"
@@ -97,6 +98,19 @@ def dynamic_twin(static, folder, others=0):
 
 def reflect(point, normal, offset):
     return point - 2.0 * (point @ normal - offset)[..., None] * normal
+
+
+def assert_fits(recording, scene):
+    """Assert that the rows of all visible links fit the geometry of a scene."""
+    layout = recording.layout
+    exact = geometry(recording.position_m, recording.velocity_mps, scene, layout)
+    difference = np.where(
+        np.repeat(recording.visible, layout.widths, axis=1), recording.measurement - exact, 0.0
+    )
+    angles = np.remainder(difference[:, layout.angles] + np.pi, 2.0 * np.pi) - np.pi
+    np.testing.assert_allclose(angles, 0.0, atol=2e-5)
+    np.testing.assert_allclose(difference[:, : layout.doppler : 4], 0.0, atol=1e-4)
+    np.testing.assert_allclose(difference[:, layout.doppler], 0.0, atol=1e-9)
 
 
 def write_hall(folder, gnb, receivers, walls, link=LINK):

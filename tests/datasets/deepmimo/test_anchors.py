@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from mmwave_env.datasets.deepmimo import read_deepmimo
 from mmwave_env.datasets.deepmimo.anchors import find_links
 from mmwave_env.datasets.deepmimo.v4 import open_scenario
-from mmwave_env.models.measurement import SPEED_OF_LIGHT, range_rate
 from tests.datasets.deepmimo.scenarios import (
     KEYS,
     LINK,
     PEDESTRIAN,
+    assert_fits,
     edit,
     load,
     reflect,
@@ -53,21 +53,7 @@ def test_several_stations_are_anchors_sorted_by_how_often_they_are_visible(three
     recording = read_deepmimo(three_stations)
     np.testing.assert_allclose(recording.anchors_m, STATIONS[[1, 2, 0]], atol=1e-6)
     assert recording.visible.sum(axis=0).tolist() == [26, 22, 17, 26]
-    for a, anchor in enumerate(recording.anchors_m):
-        away = recording.position_m - anchor
-        rows = recording.measurement[:, recording.layout.link(a)][recording.visible[:, a]]
-        distance = np.linalg.norm(away, axis=1)[recording.visible[:, a]]
-        azimuth = np.arctan2(away[:, 1], away[:, 0])[recording.visible[:, a]]
-        np.testing.assert_allclose(rows[:, 0], distance, atol=1e-4)
-        np.testing.assert_allclose(rows[:, 1], azimuth, atol=1e-5)
-
-
-def test_the_doppler_shift_is_that_of_the_first_anchor(three_stations):
-    recording = read_deepmimo(three_stations)
-    away = recording.position_m - STATIONS[1]
-    rate = range_rate(list(away.T), list(recording.velocity_mps.T))
-    hz_per_mps = recording.scene.hz_per_mps
-    np.testing.assert_allclose(recording.measurement[:, -1], hz_per_mps * rate)
+    assert_fits(recording, recording.scene)
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])
@@ -128,29 +114,6 @@ def test_paths_with_two_reflections_are_left_out_whatever_their_values(tmp_path)
     recording = read_deepmimo(folder)
     np.testing.assert_array_equal(recording.measurement, expected.measurement)
     np.testing.assert_array_equal(recording.visible, expected.visible)
-
-
-def test_reflections_off_moving_objects_give_anchors_that_are_rarely_visible(tmp_path):
-    users = np.column_stack([np.linspace(5.0, 55.0, 3000), np.zeros((3000, 2)) + [-8.0, 1.5]])
-    write_hall(tmp_path, STATIONS[0], users, [WALL] * 4)
-    bounce, rng = load(tmp_path, "inter_pos"), np.random.default_rng(0)
-    bounce[:, 1:] = users[:, None, None] + rng.uniform(1.0, 30.0, bounce[:, 1:].shape)
-    away = bounce[:, :, 0] - users[:, None]
-    length = np.linalg.norm(away, axis=-1) + np.linalg.norm(bounce[:, :, 0] - STATIONS[0], axis=-1)
-    store(tmp_path, "inter_pos", bounce)
-    for name, aim in (("aoa", away), ("aod", bounce[:, :, 0] - STATIONS[0])):
-        unit = aim / np.linalg.norm(aim, axis=-1, keepdims=True)
-        edit(tmp_path, f"{name}_az", lambda a, u=unit: put(a, np.arctan2(u[..., 1], u[..., 0])))
-        edit(tmp_path, f"{name}_el", lambda a, u=unit: put(a, np.arccos(u[..., 2])))
-    edit(tmp_path, "delay", lambda a: np.column_stack([a[:, 0], length[:, 1:] / SPEED_OF_LIGHT]))
-    recording = read_deepmimo(tmp_path, dt_s=0.1)
-    assert recording.visible[:, 0].all()
-    assert recording.visible[:, 1:3].sum() < 100
-
-
-def put(degrees, radians):
-    """Replace the angles of all paths except the first."""
-    degrees[:, 1:] = np.degrees(radians[:, 1:])
 
 
 MISTAKES = {

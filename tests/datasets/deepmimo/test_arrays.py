@@ -80,7 +80,6 @@ def forged_size(content, size):
 BODY = bytes(4 * 12)
 FORGED = {
     "1e12 rows": (".npy", npy_header((10**12, 3)) + BODY),
-    "1e300 rows": (".npy", npy_header((10**300, 3)) + BODY),
     "a negative number of rows": (".npy", npy_header((-4, -3)) + BODY),
     "a row short": (".npy", npy_header((4, 3)) + BODY[1:]),
     "rows without columns": (".npy", npy_header((10**12, 0)) + BODY),
@@ -88,8 +87,6 @@ FORGED = {
     "another version": (".npy", b"\x93NUMPY\x07\x00\x76\x00" + BODY),
     "code": (".npy", npy_header((4, 3), "__import__('os')") + BODY),
     "pickles": (".npy", npy_header((4, 3), "|O") + BODY * 2),
-    "words": (".npy", npy_header((4, 3), "<U1") + BODY),
-    "booleans": (".npy", npy_header((4, 3), "|b1") + BODY),
     "records": (".npy", npy_header((4, 3), [("a", "<f4")]) + BODY),
     "1e12 rows, packed": (".npz", in_archive(npy_header((10**12, 3)) + BODY)),
     "4 GB claimed": (".npz", forged_size(npy_header((10**9 // 3, 3)) + BODY, 2**32 - 2)),
