@@ -1,6 +1,7 @@
 """Tests of logs that have only some quantities and state their noise, against a textbook EKF."""
 
 import csv
+import json
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from mmwave_env.models.layout import wrapped
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import scene_of_anchors
 from mmwave_env.numerics.linalg import unpack
+from tests.cli import succeed
 from tests.filters.tracks import process_noise
 from tests.paths import representative
 
@@ -118,3 +120,35 @@ def test_a_track_equals_that_of_a_textbook_ekf_and_is_consistent(tmp_path, recei
         )
     assert np.mean(ours) == pytest.approx(np.mean(expected), rel=0.05)
     assert np.mean([np.mean(walk) for walk in nees]) == pytest.approx(axes, rel=0.15)
+
+
+@pytest.mark.slow
+def test_places_are_found_from_range_and_azimuth_of_one_anchor_at_the_users_height(tmp_path):
+    """Localize 45 places 0.5 m apart, as a survey with a 60 GHz access point measures them."""
+    rng, anchor = np.random.default_rng(3), np.array([0.0, 0.0, 1.5])
+    line = 0.5 * np.arange(15)
+    places = np.concatenate(
+        [
+            np.column_stack([3.0 + line, np.full(15, 2.0)]),
+            np.column_stack([np.full(15, 10.5), 2.0 + line]),
+            np.column_stack([10.5 - line, np.full(15, 9.5)]),
+        ]
+    )
+    scene = {"anchors": [anchor.tolist()], "carrier_hz": 60e9, "bandwidth_hz": 2e9}
+    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    lines = ["time_s,anchor,range_m,aoa_azimuth_deg,range_sigma_m,aoa_azimuth_sigma_deg"]
+    for t, (x, y) in enumerate(places):
+        distance = np.hypot(x, y) + 0.15 * rng.standard_normal()
+        azimuth = np.degrees(np.arctan2(y, x)) + 2.5 * rng.standard_normal()
+        lines.append(f"{t},1,{distance},{azimuth},0.15,2.5")
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    poses = [f"{t} {x} {y} 1.5 0 0 0 1" for t, (x, y) in enumerate(places)]
+    (tmp_path / "truth.tum").write_text("\n".join(poses) + "\n")
+    words = ["--scene", tmp_path / "scene.json", "--truth", tmp_path / "truth.tum"]
+    succeed(
+        "localize", tmp_path / "log.csv", *words, "--height", 1.5, "--json", tmp_path / "r.json"
+    )
+    tracks = json.loads((tmp_path / "r.json").read_text())["truth"]["tracks"]
+    assert tracks["smoothed"]["ate_m"] < tracks["filtered"]["ate_m"] < 0.45
+    assert 1.0 < tracks["filtered"]["nees"] < 3.0  # its expectation for two free axes is 2
+    assert tracks["filtered"]["in_bounds"] > 0.85
