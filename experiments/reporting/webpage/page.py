@@ -41,8 +41,8 @@ def page_of(args: PageArgs) -> str:
         "Episodes": _player(verdicts, played),
         "How it was made": "".join(origins),
     }
-    shown = (episode for part in played for episode in part.shown if episode["contenders"])
-    return _html(verdicts, sections, {"episodes": [*shown]})
+    shown = [episode for part in played for episode in part.shown]
+    return _html(verdicts, sections, {"episodes": shown})
 
 
 def _folded(verdicts: Sequence[Verdict], parts: Sequence[str]) -> str:
@@ -64,7 +64,7 @@ def _player(verdicts: Sequence[Verdict], played: Sequence[Played]) -> str:
             f"{f'{name} was not' if name else 'no episode was'} played again: {why}"
             for name, why in source.missing.items()
         ]
-        if any(episode["cut"] for episode in source.shown):
+        if any(len(episode["time_s"]) == LONGEST for episode in source.shown):
             notes.append(f"the first {LONGEST} epochs are shown")
         parts += [element("p", f"{verdict.name}: {note}", "note") for note in notes]
     return "".join(parts)
