@@ -49,7 +49,7 @@ def main(args: Args) -> None:
 
     require_extra("filterpy", "filterpy", "speed")
     from experiments.console.doc_pages import page_to_renew, renewed
-    from experiments.console.progress import progress
+    from experiments.console.progress import tracked
     from experiments.console.provenance import provenance
     from experiments.console.tables import show
     from experiments.timing.measured import Measured
@@ -61,9 +61,8 @@ def main(args: Args) -> None:
         # fails early, before measuring, if the page names an unknown table
         renewed(page, dict.fromkeys(TITLES, ""))
     measured = Measured(args.sizes)
-    with progress("speed") as tell:
-        for share in measured.run(args.seconds, args.repeats):
-            tell(share)
+    for measure in tracked(measured.pieces(args.seconds, args.repeats), "speed"):
+        measure()
     results = tables(measured)
     show("\n".join(f"### {title}\n\n{table}\n" for title, table in results.items()))
     if args.json:
