@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -53,37 +54,26 @@ class Site:
     radio: str  # name or file of the radio
     source: Callable[[], EpisodeSource]  # function that returns the source of the site's episodes
 
-    @classmethod
-    def of(cls, name: str, kind: str, options: WorldArgs) -> "Site":
-        """Return the site that options of commands describe."""
-        return cls(name, kind, options.radio, partial(source_of, options))
-
 
 def sites() -> list[Site]:
     """Return all sites: training sites, unseen streets and radio, recordings, hard sites."""
-    unseen = {name: unseen_file(name) for name in UNSEEN}
-    at = WorldArgs
-    trained = [
-        Site.of(f"{s}:{r}", TRAINED, at(scene=s, radio=r))
-        for s in TRAINED_SCENES
-        for r in TUNED_RADIOS
-    ]
-    streets = [
-        Site.of(f"{s}:{r}", UNSEEN_KIND, at(scene=unseen[s], radio=r))
-        for s in UNSEEN_SCENES
-        for r in OTHER_RADIOS
-    ]
-    radios = [
-        Site.of(f"street:{r}", UNSEEN_KIND, at(scene="street", radio=unseen[r]))
-        for r in UNSEEN_RADIOS
-    ]
-    recorded = [
-        Site.of(f"{name}:{r}", RECORDED, at(data=name, radio=r))
-        for name in sample_names()
-        for r in OTHER_RADIOS
-    ]
-    hard = [Site(name, HARD, name.split(":")[1], make) for name, make in HARD_SOURCES.items()]
-    return [*trained, *streets, *radios, *recorded, *hard]
+    files = {name: unseen_file(name) for name in UNSEEN}
+    made = []
+    for kind, scenes, radios in (
+        (TRAINED, TRAINED_SCENES, TUNED_RADIOS),
+        (UNSEEN_KIND, UNSEEN_SCENES, OTHER_RADIOS),
+        (UNSEEN_KIND, ("street",), UNSEEN_RADIOS),
+    ):
+        for scene, radio in product(scenes, radios):
+            file = files.get(radio, radio)
+            options = WorldArgs(scene=files.get(scene, scene), radio=file)
+            made.append(Site(f"{scene}:{radio}", kind, file, partial(source_of, options)))
+    for name, radio in product(sample_names(), OTHER_RADIOS):
+        options = WorldArgs(data=name, radio=radio)
+        made.append(Site(f"{name}:{radio}", RECORDED, radio, partial(source_of, options)))
+    for name, source in HARD_SOURCES.items():
+        made.append(Site(name, HARD, name.split(":")[1], source))
+    return made
 
 
 @dataclass(frozen=True)
