@@ -151,7 +151,7 @@ def episodes_csv(scores: dict[str, Scores], selection: Selection, source: Episod
     return table.getvalue()
 
 
-def references(scores: dict[str, Scores]) -> list[str]:
+def references(scores: Mapping[str, Scores]) -> list[str]:
     """Return the names of the reference contenders: best fixed mode, paper's rule and IMMs."""
     fixed = [name for name in scores if name.startswith("fixed-")]
     best = max(fixed, key=lambda name: scores[name]["reward"].mean(), default=None)

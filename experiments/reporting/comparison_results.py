@@ -90,10 +90,11 @@ def results(
     )
     text, content = str(comparison) + comparison.terms * args.percentiles, comparison.json
     if runs:
-        trained = {run: [scores_of[file] for file in run.policies] for run in runs.values()}
-        seeds = over_training_seeds(trained, scores)
-        text += "".join(map(seeds_markdown, seeds))
-        content["training_seeds"] = {spread.run.name: spread.json for spread in seeds}
+        content["training_seeds"] = {}
+    for run in runs.values():
+        trained = [scores_of[file] for file in run.policies]
+        spread = content["training_seeds"][run.name] = over_training_seeds(run, trained, scores)
+        text += seeds_markdown(run, spread)
     if args.percentiles:
         figures = content["position_errors"] = positions.figures()
         rows = figures["policies"]
