@@ -63,13 +63,11 @@ class Particles(Estimator):
     and Le Gland 2001; West 1993), because process noise alone would hardly change their heights.
 
     Args:
-        count: number of particles.
+        count: number of particles, at least 2.
         dof: degrees of freedom of the measurement noise; a large number means Gaussian noise.
     """
 
     def __init__(self, count: int = PARTICLES, dof: float = DOF) -> None:
-        if count < 2:
-            raise ValueError(f"particles: found {count}, expected at least 2")
         self._count, self._dof = count, dof
 
     def track(
