@@ -111,15 +111,14 @@ class CorrectorTraining:
         if "state" in stand:
             with going_on_from(job.checkpoint):
                 self._restore(stand.pop("state"))
-        with record.log as log:
-            while stand["timesteps"] < job.timesteps:
-                figures = self._update()
-                if stand["update"] % EVALUATE == 0 or stand["timesteps"] >= job.timesteps:
-                    figures |= record.evaluate(self._tensors(), self._table, self._names)
-                log.write(figures | {"seconds": record.seconds}, {}, stand["timesteps"])
-                if stand["update"] % job.checkpoint_every == 0:
-                    record.save(state=self._state())
-                self._tell(News(stand["timesteps"]))
+        while stand["timesteps"] < job.timesteps:
+            figures = self._update()
+            if stand["update"] % EVALUATE == 0 or stand["timesteps"] >= job.timesteps:
+                figures |= record.evaluate(self._tensors(), self._table, self._names)
+            record.log.write(figures | {"seconds": record.seconds}, {}, stand["timesteps"])
+            if stand["update"] % job.checkpoint_every == 0:
+                record.save(state=self._state())
+            self._tell(News(stand["timesteps"]))
         return record.close()
 
     def _update(self) -> dict[str, float]:

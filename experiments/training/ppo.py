@@ -57,17 +57,16 @@ class PpoTraining(BaseCallback):
     def run(self) -> dict[str, Any]:
         """Train to the end; return figures of the training and of its best policy."""
         job, model, stand = self._job, self.model, self._record.stand
-        with self._record.log as log:
-            model.set_logger(Logger(None, [log]))
-            if "learner" in stand:
-                with going_on_from(job.checkpoint):
-                    self._restore(stand.pop("learner"), with_arrays(stand.pop("env")))
-            left, fresh = job.timesteps - model.num_timesteps, not model.num_timesteps
-            never: Any = None  # stops SB3's own logging, but its annotation forbids None
-            model.learn(left, self, log_interval=never, reset_num_timesteps=fresh)
-            stand["timesteps"] = model.num_timesteps
-            self._evaluate()
-            model.dump_logs()
+        model.set_logger(Logger(None, [self._record.log]))
+        if "learner" in stand:
+            with going_on_from(job.checkpoint):
+                self._restore(stand.pop("learner"), with_arrays(stand.pop("env")))
+        left, fresh = job.timesteps - model.num_timesteps, not model.num_timesteps
+        never: Any = None  # stops SB3's own logging, but its annotation forbids None
+        model.learn(left, self, log_interval=never, reset_num_timesteps=fresh)
+        stand["timesteps"] = model.num_timesteps
+        self._evaluate()
+        model.dump_logs()
         return self._record.close()
 
     @property
@@ -127,8 +126,7 @@ class PpoTraining(BaseCallback):
         return {
             "timesteps": model.num_timesteps,
             "updates": model._n_updates,
-            "policy": model.policy.state_dict(),
-            "optimizer": model.policy.optimizer.state_dict(),
+            "parameters": model.get_parameters(),
             "observations": model._last_obs,
             "begins": model._last_episode_starts,
             "torch": torch.get_rng_state(),
@@ -143,8 +141,7 @@ class PpoTraining(BaseCallback):
         model = self.model
         model._setup_learn(0)
         model.num_timesteps, model._n_updates = state["timesteps"], state["updates"]
-        model.policy.load_state_dict(state["policy"])
-        model.policy.optimizer.load_state_dict(state["optimizer"])
+        model.set_parameters(state["parameters"], device="cpu")
         model._last_obs = state["observations"].numpy()
         model._last_episode_starts = state["begins"].numpy()
         assert model.ep_info_buffer is not None  # _setup_learn made it

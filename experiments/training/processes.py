@@ -9,7 +9,6 @@ from multiprocessing.process import BaseProcess
 from typing import Any, cast
 
 from experiments.console.signals import answered, ended_by_signals
-from experiments.evaluation.runs import require_outcome
 from experiments.training.corrector import CorrectorTraining
 from experiments.training.hyperparameters import CorrectorHyperparameters, PpoHyperparameters
 from experiments.training.job import Job, News, Tell
@@ -101,7 +100,7 @@ def _train(job: Job[Any], line: Connection) -> None:
     try:
         with ended_by_signals():
             if job.outcome.is_file():
-                outcome = read_json(job.outcome, "the outcome of a training", require_outcome)
+                outcome = read_json(job.outcome, "the outcome of a training", dict)
             else:
                 outcome = train(job, lambda news: line.send(("news", *news)))
             line.send(("done", outcome))

@@ -172,20 +172,19 @@ class RolloutTraining:
                 self.env.restore(with_arrays(stand.pop("env")))
                 self.learner.restore(stand.pop("learner"))
                 torch.set_rng_state(stand.pop("torch"))
-        with record.log as log:
-            while stand["timesteps"] < job.timesteps:
-                figures = self._update()
-                if stand["update"] % EVALUATE == 0 or stand["timesteps"] >= job.timesteps:
-                    actor = actor_tensors(self.learner.network, self._normal)
-                    figures |= record.evaluate(actor, self.env.observation)
-                log.write(figures | {"seconds": record.seconds}, {}, stand["timesteps"])
-                if stand["update"] % job.checkpoint_every == 0:
-                    record.save(
-                        env=self.env.state(),
-                        learner=self.learner.state(),
-                        torch=torch.get_rng_state(),
-                    )
-                self._tell(News(stand["timesteps"]))
+        while stand["timesteps"] < job.timesteps:
+            figures = self._update()
+            if stand["update"] % EVALUATE == 0 or stand["timesteps"] >= job.timesteps:
+                actor = actor_tensors(self.learner.network, self._normal)
+                figures |= record.evaluate(actor, self.env.observation)
+            record.log.write(figures | {"seconds": record.seconds}, {}, stand["timesteps"])
+            if stand["update"] % job.checkpoint_every == 0:
+                record.save(
+                    env=self.env.state(),
+                    learner=self.learner.state(),
+                    torch=torch.get_rng_state(),
+                )
+            self._tell(News(stand["timesteps"]))
         return record.close()
 
     def _update(self) -> dict[str, float]:

@@ -12,8 +12,8 @@ from rich.progress import TimeElapsedColumn
 from experiments.console.options import TaskArgs
 from experiments.console.progress import bars, say
 from experiments.console.provenance import command_line
-from experiments.console.tables import grid, show
-from experiments.evaluation.intervals import Interval
+from experiments.console.tables import show
+from experiments.evaluation.runs import outcomes_markdown
 from experiments.training.hyperparameters import (
     Hyperparameters,
     PpoHyperparameters,
@@ -157,20 +157,6 @@ def shown(jobs: list[Any]) -> Iterator[Any]:
         yield tell
 
 
-def summary(outcomes: list[dict[str, Any]]) -> str:
-    """Return the outcomes of all training seeds as a Markdown table, in the given order."""
-    rows: list[list[Any]] = []
-    minus = [key for key in outcomes[0]["best"] if key.startswith("minus ")]
-    for outcome in outcomes:
-        best, beat = outcome["best"], outcome["beat_rule"]
-        gains = [Interval.of(best[name]) for name in minus]
-        beaten = f"{beat['seconds']:g} s, {beat['timesteps']} steps" if beat else "never"
-        cells = [outcome["seed"], f"{best['reward']:.4f}", best["timesteps"], *gains]
-        rows.append([*cells, beaten, f"{outcome['seconds']:g} s"])
-    header = ["seed", "reward", "best after", *minus, "beat the rule after", "time"]
-    return grid(header, rows)
-
-
 def train(args: "Args") -> None:
     """Run the command."""
     try:
@@ -204,5 +190,5 @@ def train(args: "Args") -> None:
     policy = jobs[median["seed"]].policy
     write_bytes(args.out / "policy.safetensors", policy.read_bytes())
     write_json(args.out / "summary.json", manifest | {"seeds": outcomes, "median": median["seed"]})
-    show(summary(outcomes))
+    show(outcomes_markdown(outcomes))
     say("", f"{args.out / 'policy.safetensors'} is from the median seed, {median['seed']}")
