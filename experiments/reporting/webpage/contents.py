@@ -5,8 +5,8 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from experiments.evaluation.comparison import Comparison
-from experiments.evaluation.intervals import Interval
 from experiments.evaluation.positions import positions_markdown
+from experiments.evaluation.runs import outcomes_markdown
 from experiments.figures.canvas import PHONE_MM
 from experiments.figures.curves import draw_consistency, draw_error_cdf, draw_learning_curves
 from experiments.reporting.track_report import track_markdown
@@ -87,17 +87,13 @@ def _compared(comparison: Comparison) -> Iterator[str]:
 
 def _trainings(source: Source) -> Iterator[str]:
     seeds, curves = source.content["seeds"], source.content["curves"].values()
-    rivals = list(dict.fromkeys(rival for curve in curves for rival in curve if ":" not in rival))
-    rows = []
-    for seed in seeds:
-        best = seed["best"]
-        gains = [Interval.of(best[f"minus {rival}"]) for rival in rivals]
-        rows.append([seed["seed"], f"{best['reward']:.4f}", f"{best['timesteps']:,}", *gains])
-    header = ["training seed", "reward", "after steps", *(f"minus {rival}" for rival in rivals)]
-    yield table("The best policy of each training, on tuning seeds", header, rows)
+    if seeds:
+        yield element("p", "The best policy of each training, on tuning seeds", "caption")
+        yield html_of(outcomes_markdown(seeds))
+    rivals = dict.fromkeys(rival for curve in curves for rival in curve)
     for rival in rivals:
-        lines = {source.path: [curve[rival] for curve in curves if rival in curve]}
-        draw = partial(draw_learning_curves, {f"reward minus {rival}'s": lines}, width_mm=PHONE_MM)
+        lines = [curve[rival] for curve in curves if rival in curve]
+        draw = partial(draw_learning_curves, f"reward minus {rival}'s", lines)
         yield drawn(f"Learning curves against {rival} on tuning seeds, a line per training", draw)
 
 

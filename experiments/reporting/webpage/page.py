@@ -92,12 +92,12 @@ def _html(verdicts: Sequence[Verdict], sections: Mapping[str, str], data: Any) -
 
 def _colors() -> str:
     """Return the colors that videos also have, as CSS variables."""
-    light, dark = THEMES["light"], THEMES["dark"]
-    pairs = {name: (getattr(light, name), getattr(dark, name)) for name in light._fields}
-    modes = enumerate(zip(*pairs.pop("modes"), strict=True))
-    pairs |= {f"mode-{number}": pair for number, pair in modes}
-    lines = (f"--{name}: light-dark({hex_of(a)}, {hex_of(b)});" for name, (a, b) in pairs.items())
-    return f":root {{ {' '.join(lines)} }}\n"
+    light, dark = THEMES["light"]._asdict(), THEMES["dark"]._asdict()
+    lines = (
+        f"--{name}: light-dark({hex_of(light[name])}, {hex_of(dark[name])});"
+        for name in light.keys() - {"modes"}
+    )
+    return f":root {{ {' '.join(sorted(lines))} }}\n"
 
 
 def _file(name: str) -> str:
