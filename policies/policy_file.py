@@ -28,7 +28,6 @@ from pathlib import Path
 from typing import Any, get_origin, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
@@ -37,6 +36,7 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.interface.observation import BELIEFS, OBSERVATIONS, Column, action_names
 from mmwave_env.io.files import first_line, naming, open_regular, parse_json
 from mmwave_env.io.lookup import choose, quoted
+from mmwave_env.numerics.numbers import Array32
 
 FORMAT = 2
 # outputs of a corrector, for each member of its ensemble: corrections along, across and up, and
@@ -48,7 +48,7 @@ _KEY = "policy"  # only one key, because the library would write several keys in
 _PER_MODE = ("beliefs", "banks")  # fields left out if the belief is shared, as in older files
 _LATER = (*_PER_MODE, "base")  # fields that older files do not have
 
-Tensors = dict[str, NDArray[np.float32]]
+Tensors = dict[str, Array32]
 
 
 @dataclass(frozen=True)
@@ -250,12 +250,12 @@ def _document(text: str | None) -> dict[str, Any]:
     return document
 
 
-def _tensor(file: Any, name: str) -> NDArray[np.float32]:
+def _tensor(file: Any, name: str) -> Array32:
     """Return a tensor of an open file; first check its type, which numpy may not support."""
     dtype = file.get_slice(name).get_dtype()
     if dtype != "F32":
         raise ValueError(f"tensor {name!r}: found type {dtype}, expected F32")
-    tensor: NDArray[np.float32] = file.get_tensor(name)
+    tensor: Array32 = file.get_tensor(name)
     return tensor
 
 

@@ -9,7 +9,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.evaluation.agents import Estimator
 from experiments.rivals.noise import DOF, log_density, stated
@@ -18,7 +17,7 @@ from mmwave_env.filters.pipeline import Pipeline, predict
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, Site, blank_site, groups_of
 from mmwave_env.numerics.linalg import cholesky, pack, unpack
-from mmwave_env.numerics.numbers import Array, Matrix, Number, Vector
+from mmwave_env.numerics.numbers import Array, Index, Matrix, Number, Vector
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.world.episode import blank_incoming
 
@@ -105,7 +104,7 @@ class Particles(Estimator):
                 x, weight = mean[:, None] + KEPT * away[:, resampled(share, rng)], np.zeros(n)
 
 
-def resampled(share: Array, rng: np.random.Generator) -> NDArray[np.intp]:
+def resampled(share: Array, rng: np.random.Generator) -> Index:
     """Draw the numbers of particles in proportion to their shares, by systematic resampling."""
     places = (np.arange(len(share)) + rng.random()) / len(share)
     return np.minimum(np.searchsorted(np.cumsum(share), places), len(share) - 1)

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from experiments.training.checkpoint import going_on_from
@@ -27,7 +26,7 @@ from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.signed import after_update
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.layout import Layout
-from mmwave_env.numerics.numbers import Array
+from mmwave_env.numerics.numbers import Array, Index
 from policies.policy_file import CORRECTIONS, Tensors
 
 EVALUATE = 32  # number of updates between two evaluations
@@ -197,7 +196,7 @@ def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]
         rng: generator of the order.
     """
     shortest = min(len(lot.features) for lot in lots)
-    parts: list[tuple[Lot, NDArray[np.int64]]] = []
+    parts: list[tuple[Lot, Index]] = []
     for length in sorted({len(lot.features) for lot in lots}):
         alike = [lot for lot in lots if len(lot.features) == length]
         together = Lot(*(np.concatenate(part, axis=1) for part in zip(*alike, strict=True)))

@@ -4,7 +4,6 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.evaluation.branches import Act, Branches
 from experiments.training.actor import Normalization
@@ -15,13 +14,11 @@ from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.track_engine import untuned
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.layout import Layout
-from mmwave_env.numerics.numbers import Array, Index
+from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.world.keys import Streams
 
 STATE = ("rows", "table", "length", "epoch")  # arrays of a batch that determine its future
 CONSTANT = 1e-4  # added to standard deviations, which are 0 for a feature that never changes
-
-Observations = NDArray[np.float32]
 
 
 class Tried(NamedTuple):
@@ -32,7 +29,7 @@ class Tried(NamedTuple):
         values: (k, actions) sum of discounted rewards of each action and the actions after it.
     """
 
-    observations: Observations
+    observations: Array32
     values: Array
 
 

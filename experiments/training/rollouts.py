@@ -20,8 +20,8 @@ from experiments.training.checkpoint import going_on_from, with_arrays
 from experiments.training.hyperparameters import RolloutHyperparameters, falling
 from experiments.training.job import Job, News, Tell
 from experiments.training.record import Record
-from experiments.training.rollout_env import Observations, RolloutEnv, Tried
-from mmwave_env.numerics.numbers import Index
+from experiments.training.rollout_env import RolloutEnv, Tried
+from mmwave_env.numerics.numbers import Array32, Index
 
 EVALUATE = 8  # number of updates between two evaluations
 
@@ -60,22 +60,22 @@ class RolloutLearner:
         self._gains = torch.empty((hyper.memory, actions))
         self._seen = 0
 
-    def _logits(self, observations: Observations) -> Tensor:
+    def _logits(self, observations: Array32) -> Tensor:
         logits: Tensor = self.network(self._normal(observations))
         return logits
 
-    def _normal(self, observations: Observations) -> Tensor:
+    def _normal(self, observations: Array32) -> Tensor:
         clipped = torch.clamp(torch.from_numpy(observations), self._low, self._high)
         return (clipped - self._mean) / self._sigma
 
     @torch.no_grad()
-    def greedy(self, observations: Observations) -> Index:
+    def greedy(self, observations: Array32) -> Index:
         """Return the most probable actions (n,) for observations (n, features)."""
         actions: Index = self._logits(observations).argmax(1).numpy()
         return actions
 
     @torch.no_grad()
-    def sampled(self, observations: Observations) -> Index:
+    def sampled(self, observations: Array32) -> Index:
         """Draw actions (n,) with the network's probabilities, for observations (n, features)."""
         probabilities = torch.softmax(self._logits(observations), 1)
         actions: Index = torch.multinomial(probabilities, 1)[:, 0].numpy()

@@ -11,6 +11,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from experiments.training.hyperparameters import PpoHyperparameters
 from experiments.training.training_task import TrainingTask, require_environments, shares
 from mmwave_env.interface.reward import PairedReward
+from mmwave_env.numerics.numbers import Array32, Mask
 from mmwave_env.sb3 import Indices, Infos, SB3VecEnv
 from mmwave_env.vector_env import MmWaveLocVectorEnv
 from mmwave_env.world.simulated import SimulatedSource
@@ -77,7 +78,7 @@ class PlacesVecEnv(VecEnv):
         for part, some in zip(self._parts, np.split(actions, self._firsts[1:-1]), strict=True):
             part.step_async(some)
 
-    def step_wait(self) -> tuple[NDArray[Any], NDArray[np.float32], NDArray[np.bool_], Infos]:
+    def step_wait(self) -> tuple[NDArray[Any], Array32, Mask, Infos]:
         """Return observations (n, features), rewards (n,), which episodes ended (n,) and infos."""
         *arrays, infos = zip(*(part.step_wait() for part in self._parts), strict=True)
         observations, rewards, over = map(np.concatenate, arrays)
