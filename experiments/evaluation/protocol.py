@@ -5,7 +5,7 @@ docs/benchmark.md explains the benchmark. An *entry* has a contender's figures a
 """
 
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
@@ -25,7 +25,7 @@ from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.runner import Scores, score_contenders
 from experiments.evaluation.seeds import Selection
 from mmwave_env.datasets.samples import sample_names
-from mmwave_env.io.files import read_json
+from mmwave_env.io.files import Json, read_json
 from mmwave_env.models.radio import TUNED_RADIOS
 from mmwave_env.models.scene import TRAINED_SCENES
 from mmwave_env.numerics.numbers import Array
@@ -88,7 +88,7 @@ class Judged:
         """Return the reward (episodes,) of a contender minus the reward of a rival."""
         return self.scores[name]["reward"] - self.scores[rival]["reward"]
 
-    def figures(self, name: str) -> dict[str, Any]:
+    def figures(self, name: str) -> Json:
         """Return a contender's figures at this site: means, and gains over rule and IMMs."""
         gains = {imm: self.gain(name, imm) for imm in self.imms if imm != name}
         own = [self.scores[name][metric] for metric in ("reward", "ate_m")]
@@ -105,7 +105,7 @@ class Judged:
         }
 
 
-def scored_over(figures: Mapping[str, Any]) -> int:
+def scored_over(figures: Json) -> int:
     """Return the number of a site's first episodes that a score uses."""
     recorded, episodes = figures["kind"] == RECORDED, int(figures["episodes"])
     return min(episodes, CEILING_DRAWS if recorded else CEILING_EPISODES)
@@ -137,7 +137,7 @@ def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
     return Judged(site, scores, tuple(imms))
 
 
-def entry(name: str, judged: Sequence[Judged]) -> dict[str, Any]:
+def entry(name: str, judged: Sequence[Judged]) -> Json:
     """Return the entry of a contender: figures at every site, and mean gain per kind of site.
 
     The gain is the reward minus that of imm-best, the best classical method.
@@ -153,14 +153,14 @@ def entry(name: str, judged: Sequence[Judged]) -> dict[str, Any]:
     }
 
 
-def read_entry(path: Path) -> dict[str, Any]:
+def read_entry(path: Path) -> Json:
     """Read an entry that :func:`entry` made.
 
     Raises:
         ValueError: the entry is invalid; the message names the file and what is wrong in it.
     """
 
-    def checked(content: dict[str, Any]) -> dict[str, Any]:
+    def checked(content: Json) -> Json:
         if missing := [site.name for site in sites() if site.name not in content["sites"]]:
             raise ValueError(f"sites: missing {', '.join(missing)}")
         add_scores([content], content)  # raises if tables can't show the entry
@@ -170,13 +170,13 @@ def read_entry(path: Path) -> dict[str, Any]:
     return read_json(path, "an entry", checked)
 
 
-def ceiling_in(*folders: Path) -> Mapping[str, Any] | None:
+def ceiling_in(*folders: Path) -> Json | None:
     """Return the clairvoyant's entry from the first folder that has it, or None."""
     paths = (folder / f"{CLAIRVOYANT}.json" for folder in folders)
     return next((read_entry(path) for path in paths if path.is_file()), None)
 
 
-def add_scores(entries: Iterable[dict[str, Any]], ceiling: Mapping[str, Any] | None) -> None:
+def add_scores(entries: Iterable[Json], ceiling: Json | None) -> None:
     """Set the scores of entries at their sites; ``ceiling`` is the entry of the clairvoyant.
 
     A score is None unless entry and ceiling were compared with the rule on the same episodes.
@@ -190,15 +190,13 @@ def add_scores(entries: Iterable[dict[str, Any]], ceiling: Mapping[str, Any] | N
                 at["score"] = score_of(at["over_rule"]["mean"], top["over_rule"]["mean"])
 
 
-def tables_of(
-    entries: Sequence[Mapping[str, Any]], ceiling: Mapping[str, Any] | None
-) -> dict[str, str]:
+def tables_of(entries: Sequence[Json], ceiling: Json | None) -> dict[str, str]:
     """Return all tables of entries with their scores, by title."""
     scores = by_score(entries, ceiling)
     return {"leaderboard": ranking(entries), "scores": scores, "sites": by_site(entries)}
 
 
-def standing(figures: dict[str, Any]) -> str:
+def standing(figures: Json) -> str:
     """Return "above" if an entry beats every IMM at a site, "below" if an IMM beats it, or "level".
 
     A difference counts only if its interval excludes 0.
@@ -209,7 +207,7 @@ def standing(figures: dict[str, Any]) -> str:
     return "below" if any(high < 0.0 for _, high in intervals) else "level"
 
 
-def ranking(entries: Sequence[Mapping[str, Any]]) -> str:
+def ranking(entries: Sequence[Json]) -> str:
     """Return a Markdown table of all entries, ranked by their mean gain at the training sites.
 
     An entry is marked and comes last if it has fewer episodes at a simulated site, or fewer draws
@@ -239,7 +237,7 @@ def ranking(entries: Sequence[Mapping[str, Any]]) -> str:
     return grid(header, [cells for *_, cells in sorted(rows, key=lambda row: row[:2])])
 
 
-def by_site(entries: Sequence[Mapping[str, Any]]) -> str:
+def by_site(entries: Sequence[Json]) -> str:
     """Return a Markdown table of every entry's reward minus that of the best IMM, by site.
 
     Policy files (such as the single trainings of a run) and IMMs are left out if there are other
@@ -259,7 +257,7 @@ def by_site(entries: Sequence[Mapping[str, Any]]) -> str:
     return grid(["site", *shown], rows)
 
 
-def by_score(entries: Sequence[Mapping[str, Any]], ceiling: Mapping[str, Any] | None) -> str:
+def by_score(entries: Sequence[Json], ceiling: Json | None) -> str:
     """Return a Markdown table by site: the clairvoyant's gain over the rule, then every score.
 
     Policy files and the clairvoyant are left out if there are other entries.

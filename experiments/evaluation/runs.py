@@ -10,7 +10,7 @@ from typing import Any
 
 from experiments.console.tables import grid
 from experiments.evaluation.intervals import Interval
-from mmwave_env.io.files import first_line, read_json, read_text
+from mmwave_env.io.files import Json, first_line, read_json, read_text
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Run:
         return read_json(path, "the summary of a run", partial(cls._of, name))
 
     @classmethod
-    def _of(cls, name: str, summary: dict[str, Any]) -> "Run":
+    def _of(cls, name: str, summary: Json) -> "Run":
         """Return the run that a summary describes."""
         seeds, median = tuple(outcome["seed"] for outcome in summary["seeds"]), summary["median"]
         numbers = {seed for seed in seeds if type(seed) is int}
@@ -87,7 +87,7 @@ def curves_of(log: Path) -> dict[str, tuple[list[float], list[float]]]:
     return curves
 
 
-def outcomes_markdown(outcomes: Sequence[Mapping[str, Any]]) -> str:
+def outcomes_markdown(outcomes: Sequence[Json]) -> str:
     """Return the outcomes of trainings, at least one, as a Markdown table in the given order."""
     rows: list[list[Any]] = []
     minus = [key for key in outcomes[0]["best"] if key.startswith("minus ")]

@@ -1,7 +1,6 @@
 """Spread of a learned policy's results over training seeds (Agarwal et al. 2021)."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -10,12 +9,11 @@ from experiments.evaluation.comparison import references
 from experiments.evaluation.intervals import Interval, bootstrap, crossed_bootstrap
 from experiments.evaluation.runner import Scores
 from experiments.evaluation.runs import Run
+from mmwave_env.io.files import Json
 from mmwave_env.numerics.numbers import Array
 
 
-def over_training_seeds(
-    run: Run, trained: Sequence[Scores], scores: Mapping[str, Scores]
-) -> dict[str, Any]:
+def over_training_seeds(run: Run, trained: Sequence[Scores], scores: Mapping[str, Scores]) -> Json:
     """Return the rewards of a run, and its gains over the reference contenders, as JSON.
 
     Args:
@@ -35,7 +33,7 @@ def over_training_seeds(
     }
 
 
-def _figures(run: Run, values: Array) -> dict[str, Any]:
+def _figures(run: Run, values: Array) -> Json:
     """Return the means of values (trainings, episodes), such as rewards: of each training, of all.
 
     "above_zero" is the number of trainings whose interval is above zero.
@@ -48,7 +46,7 @@ def _figures(run: Run, values: Array) -> dict[str, Any]:
     }
 
 
-def seeds_markdown(run: Run, content: Mapping[str, Any]) -> str:
+def seeds_markdown(run: Run, content: Json) -> str:
     """Return results of :func:`over_training_seeds` as a Markdown table.
 
     The table has every training, then all trainings together.

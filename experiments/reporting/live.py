@@ -10,7 +10,7 @@ from typing import Any, BinaryIO
 from experiments.console.options import AUTO, LogArgs
 from experiments.console.progress import note
 from experiments.reporting.log_choice import choice_of, require_one_choice
-from mmwave_env.io.files import parse_json
+from mmwave_env.io.files import Json, parse_json
 from mmwave_env.io.lookup import printable, quoted
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.radio_choice import nearest_radio
@@ -60,7 +60,7 @@ def run_live(args: LogArgs) -> None:
             print(json.dumps(content), flush=True)
 
 
-def _content(position: Position) -> dict[str, Any]:
+def _content(position: Position) -> Json:
     """Return the content of a line, without unknown values."""
     return {name: value for name, value in position._asdict().items() if value is not None}
 

@@ -21,6 +21,7 @@ from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters.bank import named_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
+from mmwave_env.io.files import Json
 from mmwave_env.world.travel import stride_of
 
 FRESH_RUNS = 3  # maximum number of runs in new processes, since each takes seconds
@@ -134,7 +135,7 @@ class Measured:
         """Return the minimum time of a workload's step on one core, s, per round."""
         return self.limits_s[name if name in workloads.FILTERS else STEP]
 
-    def json(self) -> dict[str, Any]:
+    def json(self) -> Json:
         """Return medians over the rounds and, under "spread", minima and maxima."""
         tables: dict[str, Rounds] = {
             "ratios": self.ratios(),
@@ -147,7 +148,7 @@ class Measured:
             "limit_s": self.limits_s,
         }
 
-        def each(figure: Callable[[list[float]], Any]) -> dict[str, Any]:
+        def each(figure: Callable[[list[float]], Any]) -> Json:
             return {
                 title: {name: figure(values) for name, values in table.items()}
                 for title, table in tables.items()

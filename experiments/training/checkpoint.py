@@ -12,18 +12,20 @@ import torch
 
 from mmwave_env.io.files import first_line, read_bounded, write_bytes
 
+State = dict[str, Any]  # numbers, strings, arrays and tensors in nested lists, tuples and dicts
+
 MOST_BYTES = 1 << 30  # size limit of a checkpoint; those of the algorithm `rollouts` are large
 
 
-def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
-    """Write a state of numbers, strings, arrays and tensors in nested lists, tuples and dicts."""
+def write_checkpoint(path: Path, state: State) -> None:
+    """Write a state to a file."""
     memory = io.BytesIO()
     torch.save(_with_tensors(state), memory)
     content = memory.getvalue()
     write_bytes(path, sha256(content).digest() + content)  # PyTorch would not notice a flipped bit
 
 
-def read_checkpoint(path: Path) -> dict[str, Any]:
+def read_checkpoint(path: Path) -> State:
     """Read what :func:`write_checkpoint` wrote; return arrays as tensors.
 
     Raises:
@@ -35,9 +37,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     with going_on_from(path):  # PyTorch can raise anything if it reads foreign bytes
         if sha256(content).digest() != checksum:
             raise ValueError("found a checksum that does not match the content")
-        state: dict[str, Any] = torch.load(
-            io.BytesIO(content), map_location="cpu", weights_only=True
-        )
+        state: State = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
     return state
 
 

@@ -12,12 +12,13 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 
 from experiments.training.actor import Normalization, actor_tensors, layers_of
-from experiments.training.checkpoint import going_on_from, with_arrays
+from experiments.training.checkpoint import State, going_on_from, with_arrays
 from experiments.training.hyperparameters import PpoHyperparameters, falling
 from experiments.training.job import Job, News, Tell
 from experiments.training.record import Record
 from experiments.training.vec_env import PlacesVecEnv
 from mmwave_env.interface.info import LAST_KEYS
+from mmwave_env.io.files import Json
 from policies.policy_file import Tensors
 
 # Number of updates between two rows of the log (LOG), and between two evaluations before (EARLY)
@@ -52,9 +53,9 @@ class PpoTraining(BaseCallback):
         clip = job.hyperparameters.clip_observation
         self.normal = VecNormalize(self.env, norm_reward=False, clip_obs=clip)
         self.model = learner(self.normal, job.hyperparameters, job.first_seed)
-        self._ended: list[dict[str, Any]] = []
+        self._ended: list[Json] = []
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Json:
         """Train to the end; return figures of the training and of its best policy."""
         job, model, stand = self._job, self.model, self._record.stand
         model.set_logger(Logger(None, [self._record.log]))
@@ -120,7 +121,7 @@ class PpoTraining(BaseCallback):
         for key, number in self._record.evaluate(self.actor, self.env.observation).items():
             self.logger.record(key, number)
 
-    def _learner_state(self) -> dict[str, Any]:
+    def _learner_state(self) -> State:
         model = self.model
         kind, keys, *rest = np.random.get_state()  # noqa: NPY002  this generator shuffles batches
         return {
@@ -136,7 +137,7 @@ class PpoTraining(BaseCallback):
             "counts": dict(model.logger.name_to_count),
         }
 
-    def _restore(self, state: dict[str, Any], env: dict[str, Any]) -> None:
+    def _restore(self, state: State, env: State) -> None:
         """Restore the state of a training, bit for bit, as if it had not been interrupted."""
         model = self.model
         model._setup_learn(0)

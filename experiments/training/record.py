@@ -10,11 +10,11 @@ from typing import Any
 from stable_baselines3.common.logger import KVWriter
 
 from experiments.console.provenance import versions_of
-from experiments.training.checkpoint import read_checkpoint, write_checkpoint
+from experiments.training.checkpoint import State, read_checkpoint, write_checkpoint
 from experiments.training.evaluator import Evaluator
 from experiments.training.job import Job, News, Tell
 from mmwave_env.interface.observation import Column, Observation
-from mmwave_env.io.files import write_bytes, write_json, write_text
+from mmwave_env.io.files import Json, write_bytes, write_json, write_text
 from policies.policy_file import Card, Tensors, to_bytes
 
 STEP = "timesteps"
@@ -74,7 +74,7 @@ class Record:
     def __init__(self, job: Job[Any], tell: Tell) -> None:
         self._begun_s = time.monotonic()
         self._job, self._tell = job, tell
-        self.stand: dict[str, Any] = {
+        self.stand: State = {
             "update": 0,
             "timesteps": 0,
             "best": None,
@@ -135,7 +135,7 @@ class Record:
         here = {"seconds": self.seconds, "rows": self.log.rows}
         write_checkpoint(self._job.checkpoint, self.stand | here | more)
 
-    def close(self) -> dict[str, Any]:
+    def close(self) -> Json:
         """Write the log; write and return the outcome: figures of the training and best policy."""
         self.log.save()
         outcome = {"seed": self._job.seed, "timesteps": self.stand["timesteps"]}
@@ -145,9 +145,7 @@ class Record:
         self._job.checkpoint.unlink(missing_ok=True)
         return outcome
 
-    def _card(
-        self, columns: tuple[Column, ...], observation: str, evaluation: dict[str, Any]
-    ) -> Card:
+    def _card(self, columns: tuple[Column, ...], observation: str, evaluation: Json) -> Card:
         job, task = self._job, self._job.task
         return Card(
             modes=task.bank.modes,

@@ -1,12 +1,13 @@
 """Environments at several places, with rollouts that measure the value of every action."""
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from experiments.evaluation.branches import Act, Branches
 from experiments.training.actor import Normalization
+from experiments.training.checkpoint import State
 from experiments.training.training_task import TrainingTask, require_environments
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import rows_of
@@ -131,14 +132,14 @@ class RolloutEnv:
         whole = state.epoch - 1 + self._horizon <= state.length
         return Tried(self.observations[whole], values[whole])
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> State:
         """Return a copy of all state that determines the future, for :meth:`restore`."""
         state = self._engine.batch.state
         arrays = {name: getattr(state, name).copy() for name in STATE}
         observations = self.observations.copy()
         return arrays | {"streams": self._streams.states(), "observations": observations}
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: State) -> None:
         """Continue exactly from a :meth:`state`, which may come from other environments."""
         for name in STATE:
             getattr(self._engine.batch.state, name)[:] = state[name]

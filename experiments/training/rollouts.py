@@ -9,18 +9,18 @@ policy iteration (Bertsekas, Rollout, Policy Iteration, and Distributed Reinforc
 
 from copy import deepcopy
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from experiments.training.actor import Normalization, actor_tensors
-from experiments.training.checkpoint import going_on_from, with_arrays
+from experiments.training.checkpoint import State, going_on_from, with_arrays
 from experiments.training.hyperparameters import RolloutHyperparameters, falling
 from experiments.training.job import Job, News, Tell
 from experiments.training.record import Record
 from experiments.training.rollout_env import RolloutEnv, Tried
+from mmwave_env.io.files import Json
 from mmwave_env.numerics.numbers import Array32, Index
 
 EVALUATE = 8  # number of updates between two evaluations
@@ -119,7 +119,7 @@ class RolloutLearner:
         names = ("gain/expected", "gain/possible", "entropy")
         return dict(zip(names, (sums / hyper.gradient_steps).tolist(), strict=True))
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> State:
         """Return all state that determines the future, for :meth:`restore`."""
         return {
             "network": self.network.state_dict(),
@@ -129,7 +129,7 @@ class RolloutLearner:
             "seen": self._seen,
         }
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: State) -> None:
         """Restore the exact :meth:`state` of another learner."""
         self.network.load_state_dict(state["network"])
         # Without a copy, the optimizer would share the tensors of ``state``.
@@ -164,7 +164,7 @@ class RolloutTraining:
         table = self.env.observation
         self.learner = RolloutLearner(len(table), len(table.actions), hyper, self._normal)
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Json:
         """Train to the end; return figures of the training and of its best policy."""
         job, record, stand = self._job, self._record, self._record.stand
         if "learner" in stand:

@@ -30,7 +30,7 @@ from experiments.training.training_task import (
 )
 from mmwave_env.filters.bank import Bank, bank_as_written
 from mmwave_env.interface.reward import REWARDS, PairedReward, Reward, TrackingReward
-from mmwave_env.io.files import read_json, write_bytes, write_json
+from mmwave_env.io.files import Json, read_json, write_bytes, write_json
 from mmwave_env.io.lookup import choose
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def hyperparameters(args: TaskArgs, places: int, path: Path | None = None) -> Hy
     return hyper  # rollouts compare rewards of actions, so the IMM's reward would cancel out
 
 
-def manifest_of(args: "Args", banks: Mapping[str, Bank], hyper: Hyperparameters) -> dict[str, Any]:
+def manifest_of(args: "Args", banks: Mapping[str, Bank], hyper: Hyperparameters) -> Json:
     """Return the choices, as JSON, that a run must repeat when it is continued."""
     written = {radio: bank_as_written(bank) for radio, bank in banks.items()}
     first, *_ = written.values()
@@ -102,7 +102,7 @@ def manifest_of(args: "Args", banks: Mapping[str, Bank], hyper: Hyperparameters)
     return {"command": command, "hyperparameters": hyperparameters, **choices}
 
 
-def begin(args: "Args", manifest: dict[str, Any]) -> None:
+def begin(args: "Args", manifest: Json) -> None:
     """Make the folder of a run, or check that the folder holds the run to resume.
 
     Raises:
@@ -126,10 +126,10 @@ def begin(args: "Args", manifest: dict[str, Any]) -> None:
     write_json(path, manifest)
 
 
-def _require_same(path: Path, manifest: dict[str, Any]) -> None:
+def _require_same(path: Path, manifest: Json) -> None:
     """Refuse to resume a run that was begun with a different manifest."""
 
-    def flat(run: dict[str, Any]) -> dict[str, Any]:
+    def flat(run: Json) -> Json:
         """Return the manifest with one entry per hyperparameter, for a precise message."""
         return {**run, **run["hyperparameters"], "hyperparameters": None}
 

@@ -1,8 +1,8 @@
 """Contents of the web page: verdicts, tables and pictures of results."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from experiments.evaluation.comparison import Comparison
 from experiments.evaluation.positions import positions_markdown
@@ -13,6 +13,7 @@ from experiments.reporting.track_report import track_markdown
 from experiments.reporting.webpage.markup import drawn, element, html_of, table
 from experiments.reporting.webpage.played import Played, ranking, watched_names
 from experiments.reporting.webpage.sources import Source
+from mmwave_env.io.files import Json
 from mmwave_env.metrics import METRICS
 
 
@@ -64,7 +65,7 @@ def _verdict(comparison: Comparison) -> Verdict:
     return Verdict(name, title, about)
 
 
-def _track_verdict(c: Mapping[str, Any]) -> Verdict:
+def _track_verdict(c: Json) -> Verdict:
     title = f"{c['epochs']} epochs of {c['log']}, {c['first_s']:.10g} to {c['last_s']:.10g} s"
     tracks = c["truth"]["tracks"] if "truth" in c else {}
     ates = [f"the {name} track has an ATE of {row['ate_m']:.3f} m" for name, row in tracks.items()]
@@ -119,7 +120,7 @@ def errors_of(source: Source, played: Played) -> Iterator[str]:
         yield drawn(f"NEES and its chi-square bounds, {played.which}", draw)
 
 
-def origin_of(title: str, command: str, versions: Mapping[str, Any]) -> str:
+def origin_of(title: str, command: str, versions: Json) -> str:
     """Return HTML of the command and the versions that made something."""
     made = ", ".join(f"{name} {version}" for name, version in versions.items())
     parts = element("h3", title), element("pre", command)

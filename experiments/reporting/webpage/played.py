@@ -1,8 +1,7 @@
 """Second runs of a comparison's episodes or of a log, for details that results do not store."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from experiments.reporting.log_results import beginning
 from experiments.reporting.webpage.sources import Source
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import VERTICAL
+from mmwave_env.io.files import Json
 from mmwave_env.io.lookup import printable
 from mmwave_env.localization.levels import PARTS, Levels
 from mmwave_env.metrics import nees_interval
@@ -39,7 +39,7 @@ class Played:
     # epochs, positions: errors, NEES and protection levels of the scored epochs
     epochs: EpochErrors = field(default_factory=lambda: EpochErrors({}))
     positions: Positions = field(default_factory=lambda: Positions({}))
-    shown: list[dict[str, Any]] = field(default_factory=list)  # episodes to watch, as JSON
+    shown: list[Json] = field(default_factory=list)  # episodes to watch, as JSON
     # names of missing contenders, with the reasons; the name "" stands for all contenders
     missing: dict[str, str] = field(default_factory=dict)
 
@@ -132,7 +132,7 @@ def _contenders(args: EpisodeArgs, names: list[str], missing: dict[str, str]) ->
     return available
 
 
-def ranking(policies: Mapping[str, Any]) -> list[str]:
+def ranking(policies: Json) -> list[str]:
     """Return the names of the contenders in results, best reward first."""
     return sorted(policies, key=lambda name: -policies[name]["reward"]["mean"])
 
@@ -143,7 +143,7 @@ def watched_names(ranked: Sequence[str]) -> list[str]:
     return [name for name in ranked if name in (*best, RULE)]
 
 
-def _episode(name: str, history: History, rows: slice, groups: Sequence[str]) -> dict[str, Any]:
+def _episode(name: str, history: History, rows: slice, groups: Sequence[str]) -> Json:
     """Return an episode's data for the player, still without contenders.
 
     ``history`` is that of any contender, and ``rows`` are its rows to show; ``groups`` are names of
@@ -165,7 +165,7 @@ def _episode(name: str, history: History, rows: slice, groups: Sequence[str]) ->
     }
 
 
-def _course(history: History, rows: slice, modes: Sequence[str], weighed: bool) -> dict[str, Any]:
+def _course(history: History, rows: slice, modes: Sequence[str], weighed: bool) -> Json:
     """Return the results of a contender in an episode, in the form that the player needs.
 
     ``weighed`` says that an IMM combined all modes by their probabilities; the mode of an epoch is

@@ -1,11 +1,10 @@
 """Sources of the web page: files and folders of results that commands wrote."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from experiments.evaluation.runs import curves_of
-from mmwave_env.io.files import read_json
+from mmwave_env.io.files import Json, read_json
 
 READ = "results (--json) of compare, demo or localize, or a folder that train wrote"
 
@@ -15,7 +14,7 @@ class Source(NamedTuple):
 
     path: str  # path as the user typed it; for a part of a file, the part's title is appended
     kind: str  # "comparison", "track" or "run"
-    content: Mapping[str, Any]  # content of the file; for a run, its summary with "curves"
+    content: Json  # content of the file; for a run, its summary with "curves"
 
 
 def read_source(path: Path) -> list[Source]:
@@ -42,5 +41,5 @@ def read_source(path: Path) -> list[Source]:
     return [_result(str(path), content)]
 
 
-def _result(name: str, content: Mapping[str, Any]) -> Source:
+def _result(name: str, content: Json) -> Source:
     return Source(name, "track" if "groups" in content else "comparison", content)
