@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.progress import TimeElapsedColumn
 
-from experiments.console.options import TaskArgs
+from experiments.console.options import TaskArgs, require_at_least
 from experiments.console.progress import bars, say
 from experiments.console.provenance import command_line
 from experiments.console.tables import show
@@ -168,10 +168,7 @@ def train(args: "Args") -> None:
         ) from error
     if args.resume and args.overwrite:
         raise ValueError("overwrite: cannot be combined with resume, which keeps the run")
-    for name in ("seeds", "total_timesteps", "jobs", "checkpoint_every"):
-        count = getattr(args, name)
-        if count is not None and count < 1:
-            raise ValueError(f"{name}: found {count}, expected 1 or more")
+    require_at_least(1, args, "seeds", "total_timesteps", "jobs", "checkpoint_every")
     if args.algo == "corrector":
         args = replace(args, beliefs="per-mode")
     task = training_task(args)
