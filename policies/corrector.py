@@ -7,7 +7,6 @@ outside the range that the network saw in training, corrections are scaled down;
 range, there are none.
 """
 
-import os
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +15,7 @@ from mmwave_env.filters.correction import MOST_LOG_FACTOR, MOST_SHIFT
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation, columns_of
 from mmwave_env.interface.signed import after_update
+from mmwave_env.io.files import AnyPath
 from mmwave_env.numerics.numbers import Array32, Index, Mask
 from policies.learned import LearnedPolicy, LearnedSwitch, taken
 from policies.policy import Policy
@@ -62,9 +62,7 @@ class Corrector(LearnedPolicy, Policy):
     Arguments, attributes and errors are those of :class:`~policies.learned.LearnedPolicy`.
     """
 
-    def __init__(
-        self, path: str | os.PathLike[str], observation: Observation | None = None
-    ) -> None:
+    def __init__(self, path: AnyPath, observation: Observation | None = None) -> None:
         super().__init__(path)
         base = self.card.base
         if not base:
@@ -174,6 +172,6 @@ def _mean_and_differences(weight: Array32, bias: Array32) -> tuple[Array32, Arra
     return rows[:-1], rows[-1]
 
 
-def learned_policy(path: str | os.PathLike[str]) -> LearnedSwitch | Corrector:
+def learned_policy(path: AnyPath) -> LearnedSwitch | Corrector:
     """Return the switcher or the corrector in a policy file, given by its path or shipped name."""
     return Corrector(path) if LearnedPolicy(path).card.base else LearnedSwitch(path)

@@ -1,6 +1,5 @@
 """Learned policies, which were trained with PyTorch and run with numpy."""
 
-import os
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -10,6 +9,7 @@ import numpy as np
 from mmwave_env.filters.bank import Bank
 from mmwave_env.interface.features import UNSEEN
 from mmwave_env.interface.observation import Column, Observation
+from mmwave_env.io.files import AnyPath
 from mmwave_env.io.lookup import unknown
 from mmwave_env.models.radio import radio_from
 from mmwave_env.numerics.numbers import Array32, Index
@@ -42,9 +42,7 @@ class LearnedPolicy:
         FileNotFoundError: the file does not exist.
     """
 
-    def __init__(
-        self, path: str | os.PathLike[str], observation: Observation | None = None
-    ) -> None:
+    def __init__(self, path: AnyPath, observation: Observation | None = None) -> None:
         self._path = _located(path)
         self._tensors, self.card = read_policy(self._path)
         self.modes, self.beliefs = self.card.modes, self.card.beliefs
@@ -183,9 +181,7 @@ class LearnedSwitch(LearnedPolicy, Policy):
     Arguments, attributes and errors are those of :class:`LearnedPolicy`.
     """
 
-    def __init__(
-        self, path: str | os.PathLike[str], observation: Observation | None = None
-    ) -> None:
+    def __init__(self, path: AnyPath, observation: Observation | None = None) -> None:
         super().__init__(path, observation)
         if self.card.base:
             raise ValueError(
@@ -228,7 +224,7 @@ def taken(observation: Array32, columns: Index | None, unseen: Array32 | None) -
     return observation
 
 
-def _located(path: str | os.PathLike[str]) -> Path:
+def _located(path: AnyPath) -> Path:
     """Return the path of a policy file, given as a path or as the name of a shipped policy."""
     if not isinstance(path, str) or path.endswith(".safetensors"):
         return Path(path)

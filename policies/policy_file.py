@@ -34,7 +34,7 @@ from safetensors.numpy import save
 from mmwave_env.filters.bank import Bank, as_written, bank_as_written, bank_in
 from mmwave_env.filters.modes import Mode
 from mmwave_env.interface.observation import BELIEFS, OBSERVATIONS, Column, action_names
-from mmwave_env.io.files import Json, first_line, naming, open_regular, parse_json
+from mmwave_env.io.files import AnyPath, Json, first_line, naming, open_regular, parse_json
 from mmwave_env.io.lookup import choose, quoted
 from mmwave_env.numerics.numbers import Array32
 
@@ -194,7 +194,7 @@ def to_bytes(tensors: Tensors, card: Card) -> bytes:
     return written
 
 
-def read_policy(path: str | os.PathLike[str]) -> tuple[Tensors, Card]:
+def read_policy(path: AnyPath) -> tuple[Tensors, Card]:
     """Read tensors and card of a policy file.
 
     Raises:

@@ -21,6 +21,7 @@ from mmwave_env.filters.bank import (
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation, action_names
+from mmwave_env.io.files import AnyPath
 from mmwave_env.io.lookup import unknown
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import radio_from
@@ -54,9 +55,7 @@ class Contender:
     beliefs: str = "shared"
 
     @classmethod
-    def learned(
-        cls, path: str | os.PathLike[str], name: str | None = None, radio: str = "handset"
-    ) -> "Contender":
+    def learned(cls, path: AnyPath, name: str | None = None, radio: str = "handset") -> "Contender":
         """Return a contender for the learned policy in a file, or for a shipped policy by name.
 
         A policy with several banks gets its bank for ``radio``. If ``name`` is None, the path is

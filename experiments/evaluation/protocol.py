@@ -118,8 +118,8 @@ def require_contenders(names: Sequence[str]) -> None:
         ValueError, FileNotFoundError: same as from
             :func:`~experiments.evaluation.contenders.contender_from`.
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # modes are untuned for an unseen radio on purpose
+    # modes are untuned for an unseen radio on purpose
+    with warnings.catch_warnings(action="ignore"):
         for radio in dict.fromkeys(site.radio for site in sites()):
             for name in names:
                 contender_from(name, radio)
@@ -128,8 +128,8 @@ def require_contenders(names: Sequence[str]) -> None:
 def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
     """Run contenders, the paper's rule and every IMM at a site, on the same episodes."""
     selection = Selection(range(seed, seed + episodes))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # modes are untuned for an unseen radio on purpose
+    # modes are untuned for an unseen radio on purpose
+    with warnings.catch_warnings(action="ignore"):
         imms = [name for name in contenders(site.radio) if name.startswith("imm")]
         everybody = dict.fromkeys([*names, RULE, *imms])
         chosen = [contender_from(name, site.radio) for name in everybody]

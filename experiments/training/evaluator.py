@@ -38,8 +38,8 @@ class Evaluator:
             seeds = range(TUNING_SEED + last - n, TUNING_SEED + last)
             self._at.append((place, draw_episodes(place.source(task.scenario), seeds)))
         rivals = PER_MODE_RIVALS if task.beliefs == "per-mode" else TRAINING_RIVALS
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the rule leaves its design window, as expected
+        # the rule leaves its design window, as expected
+        with warnings.catch_warnings(action="ignore"):
             self._rivals = {
                 name: self._scores(partial(contender_from, name))["reward"] for name in rivals
             }
