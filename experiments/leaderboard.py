@@ -4,6 +4,8 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from experiments.console.options import require_at_least
+
 
 @dataclass(kw_only=True)
 class Args:
@@ -45,9 +47,7 @@ def main(args: Args) -> None:
     from experiments.evaluation.branches import CLAIRVOYANT
     from mmwave_env.io.files import write_json, write_text
 
-    for name in ("episodes", "draws"):
-        if getattr(args, name) < 2:
-            raise ValueError(f"{name}: found {getattr(args, name)}, expected at least 2")
+    require_at_least(2, args, "episodes", "draws")
     page = page_to_renew(args.docs) if args.docs else ""
     protocol.require_contenders(args.policies)
     folders, groups = (args.out, protocol.PUBLISHED), [args.policies] if args.policies else []

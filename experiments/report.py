@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from experiments.console.options import PageArgs
+from experiments.console.options import PageArgs, require_at_least
 
 
 @dataclass(kw_only=True)
@@ -27,9 +27,7 @@ def main(args: Args) -> None:
 
     if not args.results:
         raise ValueError("results: found none, expected at least one file or folder")
-    for name in ("episodes", "watch"):
-        if getattr(args, name) < 0:
-            raise ValueError(f"{name}: found {getattr(args, name)}, expected 0 or more")
+    require_at_least(0, args, "episodes", "watch")
     if args.out.suffix != ".html":
         raise ValueError(f"out: found {args.out}, expected a name that ends with .html")
     require_writable(args.out)

@@ -10,7 +10,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from experiments.console.options import JsonArgs
+from experiments.console.options import JsonArgs, require_at_least
 
 
 @dataclass(kw_only=True)
@@ -40,8 +40,7 @@ def main(args: Args) -> None:
         raise ValueError(f"sizes: found {list(args.sizes)}, expected numbers of at least 1")
     if not 0.0 <= args.seconds < float("inf"):
         raise ValueError(f"seconds: found {args.seconds}, expected a time of at least 0")
-    if args.repeats < 1:
-        raise ValueError(f"repeats: found {args.repeats}, expected at least 1")
+    require_at_least(1, args, "repeats")
     for name in _ONE_THREAD:
         os.environ.setdefault(name, "1")
     from mmwave_env.io.files import write_json, write_text
@@ -49,7 +48,7 @@ def main(args: Args) -> None:
 
     require_extra("filterpy", "filterpy", "speed")
     from experiments.console.doc_pages import page_to_renew, renewed
-    from experiments.console.progress import progress
+    from experiments.console.progress import tracked
     from experiments.console.provenance import provenance
     from experiments.console.tables import show
     from experiments.timing.measured import Measured
@@ -61,9 +60,8 @@ def main(args: Args) -> None:
         # fails early, before measuring, if the page names an unknown table
         renewed(page, dict.fromkeys(TITLES, ""))
     measured = Measured(args.sizes)
-    with progress("speed") as tell:
-        for share in measured.run(args.seconds, args.repeats):
-            tell(share)
+    for measure in tracked(measured.pieces(args.seconds, args.repeats), "speed"):
+        measure()
     results = tables(measured)
     show("\n".join(f"### {title}\n\n{table}\n" for title, table in results.items()))
     if args.json:

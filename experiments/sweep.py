@@ -5,6 +5,8 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
+from experiments.console.options import require_at_least
+
 
 @dataclass(kw_only=True)
 class Args:
@@ -33,8 +35,7 @@ def main(args: Args) -> None:
     from experiments.sweeping.run import sweep
     from mmwave_env.io.lookup import as_name, require_extra
 
-    if args.workers is not None and args.workers < 1:
-        raise ValueError(f"workers: found {args.workers}, expected 1 or more")
+    require_at_least(1, args, "workers")
     for package in ("ray", "optuna", "pyarrow"):
         require_extra(package, "ray", "sweep")
     folder = args.out or Path("runs", f"sweep-{as_name(args.spec.stem)}")

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from experiments.console.options import JsonArgs
-
 if TYPE_CHECKING:
     from experiments.paper.bench import Bench, Section
 
 
 @dataclass(kw_only=True)
-class Args(JsonArgs):
+class Args:
     """Reproduce Tables I, II and III of the paper and test its claims.
 
     mmwave-loc tables --episodes 100
@@ -49,15 +47,12 @@ def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.doc_pages import page_to_renew, renewed
     from experiments.console.progress import say, tracked
-    from experiments.console.provenance import provenance
     from experiments.console.tables import show
     from experiments.figures.canvas import require_picture
     from experiments.paper.bench import Bench
     from experiments.paper.figure import draw
-    from mmwave_env.io.files import require_writable, write_json, write_text
+    from mmwave_env.io.files import require_writable, write_text
 
-    if args.episodes < 1:
-        raise ValueError(f"episodes: found {args.episodes}, expected at least 1")
     figures = [args.out / "tables.png"] + ([args.docs.with_suffix(".png")] if args.docs else [])
     for figure in figures:
         require_picture("out", figure)
@@ -71,10 +66,6 @@ def main(args: Args) -> None:
     csv.writer(table, lineterminator="\n").writerows([FIELDS, *records])
     write_text(args.out / "tables.md", text)
     write_text(args.out / "tables.csv", table.getvalue())
-    if args.json:
-        rows = [dict(zip(FIELDS, record, strict=True)) for record in records]
-        content = {"episodes": args.episodes, "seed": args.seed, "figures": rows}
-        write_json(args.json, provenance("tables", args) | content)
     if args.docs:
         bodies = {title: section.body() for title, section in results.items()}
         write_text(args.docs, renewed(page, bodies))

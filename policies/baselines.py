@@ -1,9 +1,9 @@
 """Policies that need no training: a fixed mode, and the most likely mode."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.interface.observation import Observation
+from mmwave_env.numerics.numbers import Array32, Index
 from policies.policy import Policy
 
 
@@ -13,7 +13,7 @@ class FixedMode(Policy):
     def __init__(self, action: int) -> None:
         self.action = action
 
-    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
+    def __call__(self, observation: Array32) -> Index:
         """Return actions (n,)."""
         return np.full(len(observation), self.action, np.int64)
 
@@ -32,9 +32,9 @@ class LikelihoodRule(Policy):
         self.observation = observation
         self._features = [f"preference fast {name}" for name in modes[:-1]]
 
-    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
+    def __call__(self, observation: Array32) -> Index:
         """Return actions (n,)."""
         against_last = [self.observation.read(observation, name) for name in self._features]
         scores = np.stack([*against_last, np.zeros(len(observation))], axis=-1)
-        best: NDArray[np.int64] = scores.argmax(axis=-1)
+        best: Index = scores.argmax(axis=-1)
         return best

@@ -7,21 +7,19 @@ outside the range that the network saw in training, corrections are scaled down;
 range, there are none.
 """
 
-import os
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.filters.correction import MOST_LOG_FACTOR, MOST_SHIFT
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation, columns_of
 from mmwave_env.interface.signed import after_update
+from mmwave_env.io.files import AnyPath
+from mmwave_env.numerics.numbers import Array32, Index, Mask
 from policies.learned import LearnedPolicy, LearnedSwitch, taken
 from policies.policy import Policy
 from policies.policy_file import CORRECTIONS
-
-Array = NDArray[np.float32]
 
 BASE_IMM = "imm-best"  # base without a switcher: the IMM of the policy's bank
 # "Trust" is the factor, 0 to 1, by which corrections are scaled
@@ -43,9 +41,9 @@ class Correction(NamedTuple):
         trusted: (n,) factor, 0 to 1, by which the network's answer was scaled.
     """
 
-    shift: Array
-    log_factor: Array
-    trusted: Array
+    shift: Array32
+    log_factor: Array32
+    trusted: Array32
 
 
 class Corrector(LearnedPolicy, Policy):
@@ -64,9 +62,7 @@ class Corrector(LearnedPolicy, Policy):
     Arguments, attributes and errors are those of :class:`~policies.learned.LearnedPolicy`.
     """
 
-    def __init__(
-        self, path: str | os.PathLike[str], observation: Observation | None = None
-    ) -> None:
+    def __init__(self, path: AnyPath, observation: Observation | None = None) -> None:
         super().__init__(path)
         base = self.card.base
         if not base:
@@ -99,7 +95,7 @@ class Corrector(LearnedPolicy, Policy):
         if self._base:
             self._base.read_from(observation)
 
-    def reset(self, mask: NDArray[np.bool_]) -> None:
+    def reset(self, mask: Mask) -> None:
         """Forget the past of environments in which an episode begins, where ``mask`` is True."""
         if len(mask) != len(self._hidden):
             self._hidden = np.zeros((len(mask), self._hidden.shape[1]), np.float32)
@@ -108,13 +104,13 @@ class Corrector(LearnedPolicy, Policy):
         if self._base:
             self._base.reset(mask)
 
-    def __call__(self, observation: Array) -> NDArray[np.int64]:
+    def __call__(self, observation: Array32) -> Index:
         """Return the base's actions (n,) for observations (n, features)."""
         if self._base is None:
             return np.zeros(len(observation), np.int64)
         return self._base(observation)
 
-    def correct(self, observation: Array) -> Correction:
+    def correct(self, observation: Array32) -> Correction:
         """Return corrections of the beliefs after the last epoch, and remember the epoch.
 
         Call it once after every step, with the observations (n, features) that the step returned.
@@ -126,11 +122,11 @@ class Corrector(LearnedPolicy, Policy):
         columns = columns_of(after_update(pipeline, per_mode=True))
         self._of_track = self._found_in(columns)
 
-    def correct_track(self, signed: NDArray[np.float64]) -> Correction:
+    def correct_track(self, signed: Array32) -> Correction:
         """Return corrections after an epoch of tracks, given their features (n, features)."""
         return self.correct_features(taken(signed.astype(np.float32), *self._of_track))
 
-    def correct_features(self, features: Array) -> Correction:
+    def correct_features(self, features: Array32) -> Correction:
         """Return corrections, given only the network's features (n, features) of the last epoch."""
         inside = np.fmin(np.fmax(features, self._low), self._high)  # NaN becomes the low limit
         beyond = np.abs(features - inside).max(axis=1)
@@ -152,7 +148,7 @@ class Corrector(LearnedPolicy, Policy):
         trusted = self._trust * agreed
         return Correction(shift * trusted[:, None], log_factor * trusted[:, None], trusted)
 
-    def _remembering(self, front: Array) -> Array:
+    def _remembering(self, front: Array32) -> Array32:
         """Compute the next state (n, units) of the gated recurrent unit (Cho et al. 2014)."""
         hidden, units = self._hidden, self._hidden.shape[1]
         (weight, bias), (past, past_bias) = self._gates
@@ -160,11 +156,11 @@ class Corrector(LearnedPolicy, Policy):
         reset, update = gates[:, :units], gates[:, units:]
         (weight, bias), (past, past_bias) = self._candidate
         candidate = np.tanh((hidden @ past + past_bias) * reset + front @ weight + bias)
-        state: Array = (hidden - candidate) * update + candidate
+        state: Array32 = (hidden - candidate) * update + candidate
         return state
 
 
-def _mean_and_differences(weight: Array, bias: Array) -> tuple[Array, Array]:
+def _mean_and_differences(weight: Array32, bias: Array32) -> tuple[Array32, Array32]:
     """Return the weight and bias of a layer that combines the outputs of an ensemble's members.
 
     The layer outputs the mean of the members, then each member's shift minus the mean shift.
@@ -176,6 +172,6 @@ def _mean_and_differences(weight: Array, bias: Array) -> tuple[Array, Array]:
     return rows[:-1], rows[-1]
 
 
-def learned_policy(path: str | os.PathLike[str]) -> LearnedSwitch | Corrector:
+def learned_policy(path: AnyPath) -> LearnedSwitch | Corrector:
     """Return the switcher or the corrector in a policy file, given by its path or shipped name."""
     return Corrector(path) if LearnedPolicy(path).card.base else LearnedSwitch(path)

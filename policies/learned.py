@@ -1,22 +1,20 @@
 """Learned policies, which were trained with PyTorch and run with numpy."""
 
-import os
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.filters.bank import Bank
 from mmwave_env.interface.features import UNSEEN
 from mmwave_env.interface.observation import Column, Observation
+from mmwave_env.io.files import AnyPath
 from mmwave_env.io.lookup import unknown
 from mmwave_env.models.radio import radio_from
+from mmwave_env.numerics.numbers import Array32, Index
 from policies.policy import Policy
 from policies.policy_file import read_policy
-
-Array = NDArray[np.float32]
 
 
 def shipped_policies() -> dict[str, Path]:
@@ -44,18 +42,16 @@ class LearnedPolicy:
         FileNotFoundError: the file does not exist.
     """
 
-    def __init__(
-        self, path: str | os.PathLike[str], observation: Observation | None = None
-    ) -> None:
+    def __init__(self, path: AnyPath, observation: Observation | None = None) -> None:
         self._path = _located(path)
         self._tensors, self.card = read_policy(self._path)
         self.modes, self.beliefs = self.card.modes, self.card.beliefs
         self._low, self._high = self._tensors["low"], self._tensors["high"]
         self._width = len(self._low)  # number of columns in the environment's observations
         # columns that the policy reads; None if it reads all of them in order
-        self._columns: NDArray[np.intp] | None = None
+        self._columns: Index | None = None
         # per feature: the value to use if its anchor is missing in the scene, or else NaN
-        self._unseen: Array | None = None
+        self._unseen: Array32 | None = None
         if observation is not None:
             self.read_from(observation)
 
@@ -104,9 +100,7 @@ class LearnedPolicy:
         self._width = len(observation.columns)
         self._columns, self._unseen = self._found_in(observation.columns)
 
-    def _found_in(
-        self, shown: Sequence[Column]
-    ) -> tuple[NDArray[np.intp] | None, NDArray[np.float32] | None]:
+    def _found_in(self, shown: Sequence[Column]) -> tuple[Index | None, Array32 | None]:
         """Find the policy's features, by name, in columns.
 
         Returns:
@@ -146,7 +140,7 @@ class LearnedPolicy:
             arguments = f'beliefs="per-mode", modes=policy.bank("{next(iter(self.card.banks))}")'
         return f'gym.make("MmWaveLoc-v0", {arguments}, observation={self.card.observation!r})'
 
-    def features_in(self, observation: Array) -> Array:
+    def features_in(self, observation: Array32) -> Array32:
         """Return the features (n, features) that the network reads in observations.
 
         Raises:
@@ -187,9 +181,7 @@ class LearnedSwitch(LearnedPolicy, Policy):
     Arguments, attributes and errors are those of :class:`LearnedPolicy`.
     """
 
-    def __init__(
-        self, path: str | os.PathLike[str], observation: Observation | None = None
-    ) -> None:
+    def __init__(self, path: AnyPath, observation: Observation | None = None) -> None:
         super().__init__(path, observation)
         if self.card.base:
             raise ValueError(
@@ -200,12 +192,12 @@ class LearnedSwitch(LearnedPolicy, Policy):
             (tensors[f"layer.{i}.weight"].T, tensors[f"layer.{i}.bias"]) for i in range(layers // 2)
         ]
 
-    def __call__(self, observation: Array) -> NDArray[np.int64]:
+    def __call__(self, observation: Array32) -> Index:
         """Return actions (n,) for observations (n, features); errors as in :meth:`logits`."""
-        actions: NDArray[np.int64] = self.logits(observation).argmax(axis=1)
+        actions: Index = self.logits(observation).argmax(axis=1)
         return actions
 
-    def logits(self, observation: Array) -> Array:
+    def logits(self, observation: Array32) -> Array32:
         """Compute logarithms of the actions' probabilities (n, actions), up to a constant per row.
 
         Args:
@@ -219,11 +211,11 @@ class LearnedSwitch(LearnedPolicy, Policy):
         *hidden, (weight, bias) = self._layers
         for w, b in hidden:
             x = np.tanh(x @ w + b)
-        logits: Array = x @ weight + bias
+        logits: Array32 = x @ weight + bias
         return logits
 
 
-def taken(observation: Array, columns: NDArray[np.intp] | None, unseen: Array | None) -> Array:
+def taken(observation: Array32, columns: Index | None, unseen: Array32 | None) -> Array32:
     """Return the columns of observations that a policy reads."""
     if columns is not None:
         observation = np.take(observation, columns, axis=1)
@@ -232,7 +224,7 @@ def taken(observation: Array, columns: NDArray[np.intp] | None, unseen: Array | 
     return observation
 
 
-def _located(path: str | os.PathLike[str]) -> Path:
+def _located(path: AnyPath) -> Path:
     """Return the path of a policy file, given as a path or as the name of a shipped policy."""
     if not isinstance(path, str) or path.endswith(".safetensors"):
         return Path(path)

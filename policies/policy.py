@@ -2,17 +2,16 @@
 
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
+from mmwave_env.numerics.numbers import Array32, Index, Mask
 
 
 class Policy(Protocol):
     """A map from a batch of observations to a batch of actions."""
 
-    def reset(self, mask: NDArray[np.bool_]) -> None:
+    def reset(self, mask: Mask) -> None:
         """Forget the past of environments in which an episode begins, where ``mask`` is True."""
         return  # a policy without a memory has no past to forget
 
-    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
+    def __call__(self, observation: Array32) -> Index:
         """Return actions (n,) for observations (n, features)."""
         ...

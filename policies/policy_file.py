@@ -28,15 +28,15 @@ from pathlib import Path
 from typing import Any, get_origin, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from mmwave_env.filters.bank import Bank, as_written, bank_as_written, bank_in
 from mmwave_env.filters.modes import Mode
 from mmwave_env.interface.observation import BELIEFS, OBSERVATIONS, Column, action_names
-from mmwave_env.io.files import first_line, naming, open_regular, parse_json
+from mmwave_env.io.files import AnyPath, Json, first_line, naming, open_regular, parse_json
 from mmwave_env.io.lookup import choose, quoted
+from mmwave_env.numerics.numbers import Array32
 
 FORMAT = 2
 # outputs of a corrector, for each member of its ensemble: corrections along, across and up, and
@@ -48,7 +48,7 @@ _KEY = "policy"  # only one key, because the library would write several keys in
 _PER_MODE = ("beliefs", "banks")  # fields left out if the belief is shared, as in older files
 _LATER = (*_PER_MODE, "base")  # fields that older files do not have
 
-Tensors = dict[str, NDArray[np.float32]]
+Tensors = dict[str, Array32]
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Card:
     seed: int  # seed of the training; -1 if it had none
     timesteps: int  # number of epochs of the training
     command: str  # command that made the file
-    evaluation: dict[str, Any]  # results, as JSON of any form
+    evaluation: Json  # results, as JSON of any form
     versions: dict[str, str]  # versions of packages used in training, including "mmwave-loc"
     beliefs: str = "shared"  # "shared" or "per-mode"
     # with a belief per mode, the bank for each radio profile of the training; all banks have modes
@@ -138,7 +138,7 @@ class Card:
         features = tuple(map(_column, content["features"]))
         return cls(**{**content, "modes": alone.modes, "banks": banks, "features": features})
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Json:
         """Return the card as the JSON of a policy file.
 
         Raises:
@@ -194,7 +194,7 @@ def to_bytes(tensors: Tensors, card: Card) -> bytes:
     return written
 
 
-def read_policy(path: str | os.PathLike[str]) -> tuple[Tensors, Card]:
+def read_policy(path: AnyPath) -> tuple[Tensors, Card]:
     """Read tensors and card of a policy file.
 
     Raises:
@@ -231,7 +231,7 @@ def _require_header(path: Path) -> None:
         raise ValueError(f"{path}: not a policy file: found {sizes}, expected {most}")
 
 
-def _document(text: str | None) -> dict[str, Any]:
+def _document(text: str | None) -> Json:
     """Return the JSON object of the metadata."""
     if text is None:
         raise ValueError(f"metadata: found nothing under {_KEY!r}, expected format, sha256, card")
@@ -250,12 +250,12 @@ def _document(text: str | None) -> dict[str, Any]:
     return document
 
 
-def _tensor(file: Any, name: str) -> NDArray[np.float32]:
+def _tensor(file: Any, name: str) -> Array32:
     """Return a tensor of an open file; first check its type, which numpy may not support."""
     dtype = file.get_slice(name).get_dtype()
     if dtype != "F32":
         raise ValueError(f"tensor {name!r}: found type {dtype}, expected F32")
-    tensor: NDArray[np.float32] = file.get_tensor(name)
+    tensor: Array32 = file.get_tensor(name)
     return tensor
 
 
@@ -328,7 +328,7 @@ def _require_names(group: str, names: Iterable[str], expected: Iterable[str]) ->
         )
 
 
-def _checksum(tensors: Tensors, card: dict[str, Any]) -> str:
+def _checksum(tensors: Tensors, card: Json) -> str:
     """Compute a checksum over everything that determines a policy."""
     whole = sha256(json.dumps(card, sort_keys=True).encode())
     for name in sorted(tensors):

@@ -6,13 +6,21 @@ library, and a test checks that the copies agree.
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from tyro.conf import Positional
 
 USUAL_EPISODES = 1000
 AUTO = "auto"  # choose the radio whose noise is nearest to that of a log
 TUNING_SEED = 5_000_000  # first of the seeds for tuning
+
+
+def require_at_least(least: int, args: Any, *names: str) -> None:
+    """Refuse options, by name, that are numbers below ``least``."""
+    for name in names:
+        number = getattr(args, name)
+        if number is not None and number < least:
+            raise ValueError(f"{name}: found {number}, expected at least {least}")
 
 
 @dataclass(kw_only=True)

@@ -6,21 +6,13 @@ from contextvars import ContextVar
 from typing import TypeVar
 
 from rich.console import Console
-from rich.progress import Progress, ProgressColumn, Task, TextColumn
-from rich.text import Text
+from rich.progress import Progress, ProgressColumn, TextColumn
 
 from mmwave_env.io.lookup import printable
 
 T = TypeVar("T")
 
 QUIET: ContextVar[bool] = ContextVar("quiet", default=False)  # True: show neither bars nor tables
-
-
-class _Description(TextColumn):
-    """Description of a bar as plain text: markup in names is not interpreted."""
-
-    def render(self, task: Task) -> Text:
-        return Text(printable(task.description), style="progress.description")
 
 
 def bars(*columns: ProgressColumn | str) -> Progress:
@@ -31,7 +23,8 @@ def bars(*columns: ProgressColumn | str) -> Progress:
     console = Console(stderr=True, quiet=QUIET.get())
     _, *others = Progress.get_default_columns()
     hidden = console.quiet or not console.is_terminal
-    all_columns = _Description(""), *others, *columns
+    description = TextColumn("{task.description}", style="progress.description", markup=False)
+    all_columns = description, *others, *columns
     return Progress(*all_columns, console=console, transient=True, disable=hidden)
 
 
@@ -49,11 +42,11 @@ def note(text: str) -> None:
 def progress(label: str) -> Iterator[Callable[[float], None]]:
     """Show a bar that pulses until the yielded function is called with the share that is done."""
     with bars() as shown:
-        task = shown.add_task(label, total=None)
+        task = shown.add_task(printable(label), total=None)
         yield lambda share: shown.update(task, completed=share, total=1.0)
 
 
 def tracked(values: Iterable[T], label: str, total: int | None = None) -> Iterator[T]:
     """Yield values, and count them in a bar; a sequence needs no ``total``, as it has a length."""
     with bars() as shown:
-        yield from shown.track(values, total=total, description=label)
+        yield from shown.track(values, total=total, description=printable(label))

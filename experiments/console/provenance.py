@@ -3,7 +3,6 @@
 import json
 import platform
 import shlex
-from collections.abc import Mapping
 from dataclasses import fields, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any, TypeVar, get_args, get_type_hints
 
 from experiments.console.parser import is_positional
 from mmwave_env import __version__
+from mmwave_env.io.files import Json
 from mmwave_env.io.records import require
 
 T = TypeVar("T")
@@ -39,20 +39,20 @@ def _words(value: Any) -> list[str]:
     return [*map(str, value if isinstance(value, tuple) else (value,))]
 
 
-def provenance(name: str, args: Any) -> dict[str, Any]:
+def provenance(name: str, args: Any) -> Json:
     """Return the command, its options and versions for results in JSON, without output files."""
     outputs = {f.name: f.default for f in fields(args) if f.name in OUTPUTS}
     command = command_line(name, replace(args, **outputs))
     return {"command": command, "options": options_of(args), "versions": versions()}
 
 
-def options_of(args: Any) -> dict[str, Any]:
+def options_of(args: Any) -> Json:
     """Return options in the form that results files store: no output files, paths as text."""
     options = {name: value for name, value in vars(args).items() if name not in OUTPUTS}
     return json.loads(json.dumps(options, default=str))  # type: ignore[no-any-return]
 
 
-def options_from(kind: type[T], content: Mapping[str, Any]) -> T:
+def options_from(kind: type[T], content: Json) -> T:
     """Return the options in a results file; options that ``kind`` does not have are ignored.
 
     Raises:

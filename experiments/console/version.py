@@ -6,7 +6,6 @@ installed. The self-test compares their results with the same equations on Pytho
 
 import os
 import platform
-from typing import Any
 
 import numba
 import numpy as np
@@ -19,6 +18,7 @@ from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.interface.reward import TrackingReward
+from mmwave_env.io.files import Json
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.numerics.pytree import flatten, unflatten
 from mmwave_env.task import Task, task_from
@@ -29,7 +29,7 @@ _KEYS = np.arange(3, dtype=np.uint64)  # three episodes, which do not fill a blo
 _EPOCHS = 25
 
 
-def about() -> dict[str, Any]:
+def about() -> Json:
     """Return the report for JSON; compiling kernels that are not cached takes about a minute."""
     with ended_by_the_system():  # Python handles no signals during the compiler's long calls
         tests = self_test()
@@ -44,7 +44,7 @@ def about() -> dict[str, Any]:
     }
 
 
-def self_test() -> list[dict[str, Any]]:
+def self_test() -> list[Json]:
     """Return every kernel's name, largest deviation from results on floats, and verdict."""
     shared, own = (task_from(episode_steps=_EPOCHS, beliefs=b) for b in ("shared", "per-mode"))
     episodes = EpisodeBatch.of(shared.simulated.episodes(_KEYS))

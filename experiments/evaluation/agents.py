@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
 from mmwave_env.models.measurement import Epoch, Site, blank_site
-from mmwave_env.numerics.numbers import Array, Vector
+from mmwave_env.numerics.numbers import Array, Array32, Index, Vector
 from mmwave_env.numerics.pytree import unflatten
 from mmwave_env.world.episode import EpisodeBatch, blank_incoming
 from policies import Policy
 
-Act = Callable[[NDArray[np.float32]], Any]  # observations (n, features) -> actions (n,)
+Act = Callable[[Array32], Any]  # observations (n, features) -> actions (n,)
 
 MODULE = re.compile(r"[\w.]+:[\w.]+")
 GUIDE = "docs/own-agent.md"
@@ -71,7 +71,7 @@ class Estimator(Policy):
         made = np.reshape(np.array(tracks, float), (n, T, -1))
         return made[..., :size], made[..., size:]
 
-    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
+    def __call__(self, observation: Array32) -> Index:
         """Refuse to choose a mode."""
         raise ValueError(f"policy: found {type(self).__name__}, {NO_FILTERS}")
 
@@ -82,7 +82,7 @@ class _Function(Policy):
     def __init__(self, act: Act) -> None:
         self._act = act
 
-    def __call__(self, observation: NDArray[np.float32]) -> Any:
+    def __call__(self, observation: Array32) -> Any:
         return self._act(observation)
 
 

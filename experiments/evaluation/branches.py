@@ -16,7 +16,7 @@ from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.numerics.numbers import Array, Index
+from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.world.episode import columns_of
 from policies import Policy
 
@@ -27,7 +27,7 @@ BLIND = (
     f"{CLAIRVOYANT} works only in comparisons on episodes with true positions"
 )
 
-Act = Callable[[NDArray[np.float32]], Index]
+Act = Callable[[Array32], Index]
 
 
 class Branches:
@@ -102,11 +102,11 @@ class Clairvoyant(Policy):
         horizon = min(math.ceil(HORIZON_S / step_s - 1e-6), state.table.shape[1])
         self._branches = Branches(engine, horizon)
 
-    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
+    def __call__(self, observation: Array32) -> Index:
         """Return actions (n,)."""
         if self._branches is None:
             raise ValueError(BLIND)
         weights = np.ones(self._branches.horizon)
         values = self._branches.values(lambda shown: np.zeros(len(shown), np.int64), weights)
-        best: NDArray[np.int64] = values.argmax(axis=1)
+        best: Index = values.argmax(axis=1)
         return best

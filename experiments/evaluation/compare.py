@@ -16,19 +16,19 @@ from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.seeds import Selection
 from mmwave_env.filters.bank import Modes
 from mmwave_env.interface.reward import reward_name
+from mmwave_env.io.files import AnyPath
 from mmwave_env.io.lookup import printable
 from mmwave_env.task import task_from
 from mmwave_env.world.episode import EpisodeSource
 
 USUAL_EPISODES = 200
-Agent = str | os.PathLike[str] | Act
+Agent = AnyPath | Act
 
 
 @contextmanager
 def _warnings_in_lines() -> Iterator[None]:
     """Print every warning once, on one line, without the line of our code that caused it."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("once")
+    with warnings.catch_warnings(action="once"):
         warnings.showwarning = lambda message, *_: print(
             f"warning: {printable(str(message))}", file=sys.stderr
         )
@@ -45,7 +45,7 @@ def compare(
     seed: int | None = None,
     modes: Modes = None,
     observation: str = "full",
-    data: str | os.PathLike[str] | EpisodeSource | None = None,
+    data: AnyPath | EpisodeSource | None = None,
     beliefs: str = "shared",
     **world: Any,
 ) -> Comparison:

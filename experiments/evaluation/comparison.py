@@ -15,6 +15,7 @@ from experiments.evaluation.contenders import BEST_IMM, RULE
 from experiments.evaluation.intervals import Interval, bootstrap, rounded
 from experiments.evaluation.runner import Scores
 from experiments.evaluation.seeds import Selection
+from mmwave_env.io.files import Json
 from mmwave_env.io.lookup import as_cell
 from mmwave_env.metrics import HEADERS, METRICS, TERMS
 from mmwave_env.numerics.numbers import Array
@@ -52,17 +53,17 @@ class Comparison:
     reward: str = "tracking"  # kind of reward in the column "reward"
 
     @property
-    def json(self) -> dict[str, Any]:
+    def json(self) -> Json:
         """Return the comparison in the form that results files store."""
 
-        def table(rows: dict[str, dict[str, Interval]]) -> dict[str, Any]:
+        def table(rows: dict[str, dict[str, Interval]]) -> Json:
             return {k: {m: i.json for m, i in row.items()} for k, row in rows.items()}
 
         tables = {"policies": table(self.policies), "paired": table(self.paired)}
         return {"scenario": self.scenario, "radio": self.radio, **self.selection.json, **tables}
 
     @classmethod
-    def from_json(cls, content: Mapping[str, Any]) -> "Comparison":
+    def from_json(cls, content: Json) -> "Comparison":
         """Return the comparison that a results file stores, best reward first.
 
         Raises:
@@ -151,7 +152,7 @@ def episodes_csv(scores: dict[str, Scores], selection: Selection, source: Episod
     return table.getvalue()
 
 
-def references(scores: dict[str, Scores]) -> list[str]:
+def references(scores: Mapping[str, Scores]) -> list[str]:
     """Return the names of the reference contenders: best fixed mode, paper's rule and IMMs."""
     fixed = [name for name in scores if name.startswith("fixed-")]
     best = max(fixed, key=lambda name: scores[name]["reward"].mean(), default=None)

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from mmwave_env.filters.bank import (
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation, action_names
+from mmwave_env.io.files import AnyPath
 from mmwave_env.io.lookup import unknown
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import radio_from
@@ -45,8 +46,6 @@ class Contender:
         policy: function from the observation table to a policy; None for the IMM of the bank.
         observation: observation of the policy, "full" or "prior".
         beliefs: beliefs of the modes, "shared" or "per-mode".
-        bank_of: function from a radio profile to the policy's bank for that radio; None for a
-            policy that has the same modes for every radio.
     """
 
     name: str
@@ -54,12 +53,9 @@ class Contender:
     policy: Callable[[Observation], Policy] | None
     observation: str = "full"
     beliefs: str = "shared"
-    bank_of: Callable[[str], Bank] | None = None
 
     @classmethod
-    def learned(
-        cls, path: str | os.PathLike[str], name: str | None = None, radio: str = "handset"
-    ) -> "Contender":
+    def learned(cls, path: AnyPath, name: str | None = None, radio: str = "handset") -> "Contender":
         """Return a contender for the learned policy in a file, or for a shipped policy by name.
 
         A policy with several banks gets its bank for ``radio``. If ``name`` is None, the path is
@@ -68,12 +64,11 @@ class Contender:
         policy = learned_policy(path)
         return cls(
             os.fspath(path) if name is None else name,
-            Bank(policy.modes),
+            policy.bank(radio) if policy.beliefs == "per-mode" else Bank(policy.modes),
             partial(type(policy), path),
             observation=policy.card.observation,
             beliefs=policy.beliefs,
-            bank_of=policy.bank if policy.beliefs == "per-mode" else None,
-        ).at(radio)
+        )
 
     @classmethod
     def own(
@@ -103,12 +98,7 @@ class Contender:
             partial(tried, name, agent),
             observation=getattr(agent, "observation", observation),
             beliefs=beliefs,
-            bank_of=bank_of,
         )
-
-    def at(self, radio: str) -> "Contender":
-        """Return the contender with its bank for a radio, if it has several banks."""
-        return replace(self, bank=self.bank_of(radio)) if self.bank_of else self
 
     @property
     def modes(self) -> tuple[Mode, ...]:
@@ -199,10 +189,8 @@ def contender_from(
     if name in known:
         return known[name]()
     if name == CLAIRVOYANT:
-        banks = partial(bank_from, modes)
-        return Contender(
-            name, banks(radio), lambda table: Clairvoyant(), beliefs="per-mode", bank_of=banks
-        )
+        bank = bank_from(modes, radio)
+        return Contender(name, bank, lambda table: Clairvoyant(), beliefs="per-mode")
     if name in shipped or name.endswith(".safetensors"):
         return Contender.learned(name, radio=radio)
     if Path(name).is_dir():

@@ -7,7 +7,7 @@ score comes from a separate training, and would count K policies on n episodes a
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
+from mmwave_env.io.files import Json
 from mmwave_env.numerics.numbers import Array, Index
 
 RESAMPLES = 4000
@@ -32,13 +33,13 @@ class Interval:
     high: float
 
     @classmethod
-    def of(cls, figures: Mapping[str, Any]) -> "Interval":
+    def of(cls, figures: Json) -> "Interval":
         """Return the interval that a results file stores."""
         low, high = figures["ci95"] or (float("nan"), float("nan"))
         return cls(figures["mean"], low, high)
 
     @property
-    def json(self) -> dict[str, Any]:
+    def json(self) -> Json:
         """Return the interval in the form that results files store."""
         return {"mean": self.mean, "ci95": [self.low, self.high] if self.known else None}
 

@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from experiments.console.tables import grid
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.runner import EpochResults
+from mmwave_env.io.files import Json
 from mmwave_env.localization.levels import PARTS, Levels
 from mmwave_env.localization.position_errors import DISTANCES_M, SHARES, PositionErrors
 from mmwave_env.metrics import scored
@@ -46,13 +46,13 @@ class Positions:
             factors = self.levels.factors(self.anchors, contender.mixes, time_s, *parts)
             errors.add(*(v[:, counts] for v in (results["error"], results["P"], factors)))
 
-    def figures(self) -> dict[str, Any]:
+    def figures(self) -> Json:
         """Return errors and levels in the form that results files store."""
         policies = {name: errors.figures() for name, errors in self.errors.items()}
         return {"risk": self.levels.risk, "levels": self.levels.kind, "policies": policies}
 
 
-def positions_markdown(title: str, rows: Mapping[str, Any], risk: float, kind: str) -> str:
+def positions_markdown(title: str, rows: Json, risk: float, kind: str) -> str:
     """Return a table of errors and protection levels, with a note on the columns.
 
     ``rows`` are figures of :class:`~mmwave_env.localization.position_errors.PositionErrors`, by the
@@ -72,7 +72,7 @@ def positions_markdown(title: str, rows: Mapping[str, Any], risk: float, kind: s
     )
 
 
-def row_of(figures: Mapping[str, Any]) -> list[str]:
+def row_of(figures: Json) -> list[str]:
     """Return the cells below :data:`HEADER` for errors of one kind."""
     return [
         *(meters(value) for value in figures["percentiles_m"].values()),
@@ -82,7 +82,7 @@ def row_of(figures: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def exceeded(figures: Mapping[str, Any]) -> str:
+def exceeded(figures: Json) -> str:
     """Return the share of epochs whose error exceeds its level, with a 95 % interval."""
     if figures["share"] is None:
         return "-"

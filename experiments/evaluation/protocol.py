@@ -5,9 +5,10 @@ docs/benchmark.md explains the benchmark. An *entry* has a contender's figures a
 """
 
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.runner import Scores, score_contenders
 from experiments.evaluation.seeds import Selection
 from mmwave_env.datasets.samples import sample_names
-from mmwave_env.io.files import read_json
+from mmwave_env.io.files import Json, read_json
 from mmwave_env.models.radio import TUNED_RADIOS
 from mmwave_env.models.scene import TRAINED_SCENES
 from mmwave_env.numerics.numbers import Array
@@ -53,37 +54,26 @@ class Site:
     radio: str  # name or file of the radio
     source: Callable[[], EpisodeSource]  # function that returns the source of the site's episodes
 
-    @classmethod
-    def of(cls, name: str, kind: str, options: WorldArgs) -> "Site":
-        """Return the site that options of commands describe."""
-        return cls(name, kind, options.radio, partial(source_of, options))
-
 
 def sites() -> list[Site]:
     """Return all sites: training sites, unseen streets and radio, recordings, hard sites."""
-    unseen = {name: unseen_file(name) for name in UNSEEN}
-    at = WorldArgs
-    trained = [
-        Site.of(f"{s}:{r}", TRAINED, at(scene=s, radio=r))
-        for s in TRAINED_SCENES
-        for r in TUNED_RADIOS
-    ]
-    streets = [
-        Site.of(f"{s}:{r}", UNSEEN_KIND, at(scene=unseen[s], radio=r))
-        for s in UNSEEN_SCENES
-        for r in OTHER_RADIOS
-    ]
-    radios = [
-        Site.of(f"street:{r}", UNSEEN_KIND, at(scene="street", radio=unseen[r]))
-        for r in UNSEEN_RADIOS
-    ]
-    recorded = [
-        Site.of(f"{name}:{r}", RECORDED, at(data=name, radio=r))
-        for name in sample_names()
-        for r in OTHER_RADIOS
-    ]
-    hard = [Site(name, HARD, name.split(":")[1], make) for name, make in HARD_SOURCES.items()]
-    return [*trained, *streets, *radios, *recorded, *hard]
+    files = {name: unseen_file(name) for name in UNSEEN}
+    made = []
+    for kind, scenes, radios in (
+        (TRAINED, TRAINED_SCENES, TUNED_RADIOS),
+        (UNSEEN_KIND, UNSEEN_SCENES, OTHER_RADIOS),
+        (UNSEEN_KIND, ("street",), UNSEEN_RADIOS),
+    ):
+        for scene, radio in product(scenes, radios):
+            file = files.get(radio, radio)
+            options = WorldArgs(scene=files.get(scene, scene), radio=file)
+            made.append(Site(f"{scene}:{radio}", kind, file, partial(source_of, options)))
+    for name, radio in product(sample_names(), OTHER_RADIOS):
+        options = WorldArgs(data=name, radio=radio)
+        made.append(Site(f"{name}:{radio}", RECORDED, radio, partial(source_of, options)))
+    for name, source in HARD_SOURCES.items():
+        made.append(Site(name, HARD, name.split(":")[1], source))
+    return made
 
 
 @dataclass(frozen=True)
@@ -98,7 +88,7 @@ class Judged:
         """Return the reward (episodes,) of a contender minus the reward of a rival."""
         return self.scores[name]["reward"] - self.scores[rival]["reward"]
 
-    def figures(self, name: str) -> dict[str, Any]:
+    def figures(self, name: str) -> Json:
         """Return a contender's figures at this site: means, and gains over rule and IMMs."""
         gains = {imm: self.gain(name, imm) for imm in self.imms if imm != name}
         own = [self.scores[name][metric] for metric in ("reward", "ate_m")]
@@ -115,7 +105,7 @@ class Judged:
         }
 
 
-def scored_over(figures: Mapping[str, Any]) -> int:
+def scored_over(figures: Json) -> int:
     """Return the number of a site's first episodes that a score uses."""
     recorded, episodes = figures["kind"] == RECORDED, int(figures["episodes"])
     return min(episodes, CEILING_DRAWS if recorded else CEILING_EPISODES)
@@ -128,8 +118,8 @@ def require_contenders(names: Sequence[str]) -> None:
         ValueError, FileNotFoundError: same as from
             :func:`~experiments.evaluation.contenders.contender_from`.
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # modes are untuned for an unseen radio on purpose
+    # modes are untuned for an unseen radio on purpose
+    with warnings.catch_warnings(action="ignore"):
         for radio in dict.fromkeys(site.radio for site in sites()):
             for name in names:
                 contender_from(name, radio)
@@ -138,8 +128,8 @@ def require_contenders(names: Sequence[str]) -> None:
 def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
     """Run contenders, the paper's rule and every IMM at a site, on the same episodes."""
     selection = Selection(range(seed, seed + episodes))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # modes are untuned for an unseen radio on purpose
+    # modes are untuned for an unseen radio on purpose
+    with warnings.catch_warnings(action="ignore"):
         imms = [name for name in contenders(site.radio) if name.startswith("imm")]
         everybody = dict.fromkeys([*names, RULE, *imms])
         chosen = [contender_from(name, site.radio) for name in everybody]
@@ -147,7 +137,7 @@ def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
     return Judged(site, scores, tuple(imms))
 
 
-def entry(name: str, judged: Sequence[Judged]) -> dict[str, Any]:
+def entry(name: str, judged: Sequence[Judged]) -> Json:
     """Return the entry of a contender: figures at every site, and mean gain per kind of site.
 
     The gain is the reward minus that of imm-best, the best classical method.
@@ -163,14 +153,14 @@ def entry(name: str, judged: Sequence[Judged]) -> dict[str, Any]:
     }
 
 
-def read_entry(path: Path) -> dict[str, Any]:
+def read_entry(path: Path) -> Json:
     """Read an entry that :func:`entry` made.
 
     Raises:
         ValueError: the entry is invalid; the message names the file and what is wrong in it.
     """
 
-    def checked(content: dict[str, Any]) -> dict[str, Any]:
+    def checked(content: Json) -> Json:
         if missing := [site.name for site in sites() if site.name not in content["sites"]]:
             raise ValueError(f"sites: missing {', '.join(missing)}")
         add_scores([content], content)  # raises if tables can't show the entry
@@ -180,13 +170,13 @@ def read_entry(path: Path) -> dict[str, Any]:
     return read_json(path, "an entry", checked)
 
 
-def ceiling_in(*folders: Path) -> Mapping[str, Any] | None:
+def ceiling_in(*folders: Path) -> Json | None:
     """Return the clairvoyant's entry from the first folder that has it, or None."""
     paths = (folder / f"{CLAIRVOYANT}.json" for folder in folders)
     return next((read_entry(path) for path in paths if path.is_file()), None)
 
 
-def add_scores(entries: Iterable[dict[str, Any]], ceiling: Mapping[str, Any] | None) -> None:
+def add_scores(entries: Iterable[Json], ceiling: Json | None) -> None:
     """Set the scores of entries at their sites; ``ceiling`` is the entry of the clairvoyant.
 
     A score is None unless entry and ceiling were compared with the rule on the same episodes.
@@ -200,15 +190,13 @@ def add_scores(entries: Iterable[dict[str, Any]], ceiling: Mapping[str, Any] | N
                 at["score"] = score_of(at["over_rule"]["mean"], top["over_rule"]["mean"])
 
 
-def tables_of(
-    entries: Sequence[Mapping[str, Any]], ceiling: Mapping[str, Any] | None
-) -> dict[str, str]:
+def tables_of(entries: Sequence[Json], ceiling: Json | None) -> dict[str, str]:
     """Return all tables of entries with their scores, by title."""
     scores = by_score(entries, ceiling)
     return {"leaderboard": ranking(entries), "scores": scores, "sites": by_site(entries)}
 
 
-def standing(figures: dict[str, Any]) -> str:
+def standing(figures: Json) -> str:
     """Return "above" if an entry beats every IMM at a site, "below" if an IMM beats it, or "level".
 
     A difference counts only if its interval excludes 0.
@@ -219,7 +207,7 @@ def standing(figures: dict[str, Any]) -> str:
     return "below" if any(high < 0.0 for _, high in intervals) else "level"
 
 
-def ranking(entries: Sequence[Mapping[str, Any]]) -> str:
+def ranking(entries: Sequence[Json]) -> str:
     """Return a Markdown table of all entries, ranked by their mean gain at the training sites.
 
     An entry is marked and comes last if it has fewer episodes at a simulated site, or fewer draws
@@ -249,7 +237,7 @@ def ranking(entries: Sequence[Mapping[str, Any]]) -> str:
     return grid(header, [cells for *_, cells in sorted(rows, key=lambda row: row[:2])])
 
 
-def by_site(entries: Sequence[Mapping[str, Any]]) -> str:
+def by_site(entries: Sequence[Json]) -> str:
     """Return a Markdown table of every entry's reward minus that of the best IMM, by site.
 
     Policy files (such as the single trainings of a run) and IMMs are left out if there are other
@@ -269,7 +257,7 @@ def by_site(entries: Sequence[Mapping[str, Any]]) -> str:
     return grid(["site", *shown], rows)
 
 
-def by_score(entries: Sequence[Mapping[str, Any]], ceiling: Mapping[str, Any] | None) -> str:
+def by_score(entries: Sequence[Json], ceiling: Json | None) -> str:
     """Return a Markdown table by site: the clairvoyant's gain over the rule, then every score.
 
     Policy files and the clairvoyant are left out if there are other entries.

@@ -19,6 +19,7 @@ from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.correction import corrected_all
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import Reward, TrackingReward, terms_of, total
+from mmwave_env.io.lookup import printable
 from mmwave_env.metrics import BURN_IN, METRICS, TERMS, scored, summary
 from mmwave_env.numerics.linalg import pack, unpack
 from mmwave_env.numerics.numbers import Array
@@ -244,7 +245,7 @@ def score_contenders(
         raise ValueError(f"policies: found {listed}, expected different names")
     policies = [contender.start(source.layout, scoring.planar) for contender in chosen]
     with bars() as progress:
-        task = progress.add_task(source.name, total=len(selection) * (1 + len(chosen)))
+        task = progress.add_task(printable(source.name), total=len(selection) * (1 + len(chosen)))
         for first in range(0, len(selection), CHUNK):
             batch, time_s = _drawn(selection.part(first, CHUNK), source)
             count = len(batch.names)

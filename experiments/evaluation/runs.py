@@ -1,36 +1,16 @@
 """Folders that ``mmwave-loc train`` writes, with one policy per training seed."""
 
 import csv
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from io import StringIO
 from pathlib import Path
 from typing import Any
 
+from experiments.console.tables import grid
 from experiments.evaluation.intervals import Interval
-from mmwave_env.io.files import first_line, read_json, read_text
-
-
-def require_outcome(outcome: dict[str, Any]) -> dict[str, Any]:
-    """Return the outcome of a training; refuse anything else.
-
-    Raises:
-        ValueError, KeyError, TypeError, AttributeError: an entry is missing or wrong.
-    """
-    best, beat = outcome["best"], outcome.get("beat_rule")
-    numbers = [outcome["seed"], outcome["seconds"], best["reward"], best["timesteps"]]
-    if beat:
-        numbers += [beat["timesteps"], beat["seconds"]]
-    for key, gain in best.items():
-        if key.startswith("minus "):
-            interval = Interval.of(gain)
-            numbers += [interval.mean, *((interval.low, interval.high) if gain["ci95"] else ())]
-    for value in numbers:
-        if not (isinstance(value, int | float) and math.isfinite(value)):
-            raise ValueError(f"found {value!r}, expected a number")
-    return outcome
+from mmwave_env.io.files import Json, first_line, read_json, read_text
 
 
 @dataclass(frozen=True)
@@ -40,8 +20,6 @@ class Run:
     name: str  # the folder, as on the command line and in results
     seeds: tuple[int, ...]  # training seeds, which identify the trainings
     median: int  # seed of the training that stands for the run: the one with the median reward
-    # outcome of each training, as the training wrote it
-    outcomes: tuple[Mapping[str, Any], ...] = field(default=(), repr=False, compare=False)
 
     @classmethod
     def read(cls, name: str) -> "Run":
@@ -60,16 +38,15 @@ class Run:
         return read_json(path, "the summary of a run", partial(cls._of, name))
 
     @classmethod
-    def _of(cls, name: str, summary: dict[str, Any]) -> "Run":
+    def _of(cls, name: str, summary: Json) -> "Run":
         """Return the run that a summary describes."""
-        outcomes, median = tuple(summary["seeds"]), summary["median"]
-        seeds = tuple(outcome["seed"] for outcome in outcomes)
+        seeds, median = tuple(outcome["seed"] for outcome in summary["seeds"]), summary["median"]
         numbers = {seed for seed in seeds if type(seed) is int}
         if not seeds or len(numbers) < len(seeds):
             raise ValueError(f"seeds: found {list(seeds)}, expected different numbers")
         if median not in seeds:
             raise ValueError(f"median: found {median!r}, expected one of {list(seeds)}")
-        return cls(name, seeds, median, outcomes)
+        return cls(name, seeds, median)
 
     @property
     def policies(self) -> list[str]:
@@ -108,3 +85,17 @@ def curves_of(log: Path) -> dict[str, tuple[list[float], list[float]]]:
     except (csv.Error, AttributeError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{log}: line {rows.line_num}: {first_line(error)[:300]}") from error
     return curves
+
+
+def outcomes_markdown(outcomes: Sequence[Json]) -> str:
+    """Return the outcomes of trainings, at least one, as a Markdown table in the given order."""
+    rows: list[list[Any]] = []
+    minus = [key for key in outcomes[0]["best"] if key.startswith("minus ")]
+    for outcome in outcomes:
+        best, beat = outcome["best"], outcome["beat_rule"]
+        gains = [Interval.of(best[name]) for name in minus]
+        beaten = f"{beat['seconds']:g} s, {beat['timesteps']} steps" if beat else "never"
+        cells = [outcome["seed"], f"{best['reward']:.4f}", best["timesteps"], *gains]
+        rows.append([*cells, beaten, f"{outcome['seconds']:g} s"])
+    header = ["seed", "reward", "best after", *minus, "beat the rule after", "time"]
+    return grid(header, rows)

@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from mmwave_env.io.files import Json
 from mmwave_env.world.episode import Episode, EpisodeSource
 from mmwave_env.world.keys import Keys, keys_of
 
@@ -48,7 +49,7 @@ class Selection:
         return f"{len(self)} episodes, seeds {self.seeds[0]} and up"
 
     @property
-    def json(self) -> dict[str, Any]:
+    def json(self) -> Json:
         """Return the selection in the form that results files store."""
         return {"episodes": len(self), "seed": self.seeds[0]}
 

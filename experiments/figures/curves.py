@@ -7,7 +7,15 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtr, chdtri
 
-from experiments.figures.canvas import COLORS, caption, contenders, legend_of, panels, plain_numbers
+from experiments.figures.canvas import (
+    COLORS,
+    PHONE_MM,
+    caption,
+    contenders,
+    legend_of,
+    panels,
+    plain_numbers,
+)
 from mmwave_env.localization.position_errors import SHARES, horizontal, vertical
 from mmwave_env.numerics.numbers import Array
 
@@ -73,26 +81,17 @@ def draw_consistency(
         legend_of(figure, whole, width_mm, [bounds, *whole.lines])
 
 
-def draw_learning_curves(
-    figures: Mapping[str, Mapping[str, Sequence[Line]]], path: Path, width_mm: float | None = None
-) -> None:
-    """Draw quantities over the steps of training, with one line per training and a line at zero.
+def draw_learning_curves(label: str, lines: Sequence[Line], path: Path) -> None:
+    """Draw a quantity over the steps of training, with one line per training and a line at zero.
 
-    ``figures[label][run]`` has one line for each training of the run; the label is for the y axis.
+    ``label`` is for the y axis.
     """
     from matplotlib.ticker import EngFormatter, NullFormatter
 
-    runs = list(dict.fromkeys(run for table in figures.values() for run in table))
-    labels = contenders(runs)
-    with panels(path, len(figures), len(runs), width_mm) as (figure, axes_of):
-        handles = {}
-        for axes, (label, table) in zip(axes_of, figures.items(), strict=True):
-            for run, lines in table.items():
-                look = {"color": f"C{runs.index(run)}", "lw": 1.0, "alpha": 0.8}
-                for steps, values in lines:
-                    (handles[run],) = axes.plot(steps, values, label=labels[run], **look)
-            axes.axhline(0.0, color="black", lw=0.8)
-            axes.set(xscale="log", xlabel="steps", ylabel=caption(label))
-            axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 500k, 2M
-            axes.xaxis.set_minor_formatter(NullFormatter())
-        legend_of(figure, axes_of[-1], width_mm, [*handles.values()])
+    with panels(path, 1, 0, PHONE_MM) as (_, (axes,)):
+        for steps, values in lines:
+            axes.plot(steps, values, color="C0", lw=1.0, alpha=0.8)
+        axes.axhline(0.0, color="black", lw=0.8)
+        axes.set(xscale="log", xlabel="steps", ylabel=caption(label))
+        axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 500k, 2M
+        axes.xaxis.set_minor_formatter(NullFormatter())

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from experiments.console.options import EpisodeArgs
 from experiments.evaluation.asked import (
@@ -22,7 +22,7 @@ from experiments.evaluation.training_seeds import over_training_seeds, seeds_mar
 from experiments.figures.canvas import require_picture
 from experiments.figures.curves import draw_consistency, draw_error_cdf
 from mmwave_env.interface.reward import reward_name
-from mmwave_env.io.files import write_text
+from mmwave_env.io.files import Json, write_text
 from mmwave_env.localization.levels import PARTS, Levels
 
 WIDTH_MM = (80.0, 500.0)  # widths of pictures in which everything can be read
@@ -33,7 +33,7 @@ class Results(NamedTuple):
 
     comparison: Comparison
     text: str  # all tables as Markdown
-    json: dict[str, Any]  # all results, in the form that results files store
+    json: Json  # all results, in the form that results files store
     pictures: Sequence[Callable[[], None]]  # functions that each write a picture
 
 
@@ -90,10 +90,11 @@ def results(
     )
     text, content = str(comparison) + comparison.terms * args.percentiles, comparison.json
     if runs:
-        trained = {run: [scores_of[file] for file in run.policies] for run in runs.values()}
-        seeds = over_training_seeds(trained, scores)
-        text += "".join(map(seeds_markdown, seeds))
-        content["training_seeds"] = {spread.run.name: spread.json for spread in seeds}
+        content["training_seeds"] = {}
+    for run in runs.values():
+        trained = [scores_of[file] for file in run.policies]
+        spread = content["training_seeds"][run.name] = over_training_seeds(run, trained, scores)
+        text += seeds_markdown(run, spread)
     if args.percentiles:
         figures = content["position_errors"] = positions.figures()
         rows = figures["policies"]

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from itertools import chain
 from typing import Any, BinaryIO
 
-from experiments.console.options import AUTO, LogArgs
+from experiments.console.options import AUTO, LogArgs, require_at_least
 from experiments.console.progress import note
 from experiments.reporting.log_choice import choice_of, require_one_choice
-from mmwave_env.io.files import parse_json
+from mmwave_env.io.files import Json, parse_json
 from mmwave_env.io.lookup import printable, quoted
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.radio_choice import nearest_radio
@@ -37,8 +37,7 @@ def run_live(args: LogArgs) -> None:
     for name in ("sample", "truth", "out", "plot", "json"):
         if getattr(args, name) not in (None, ()):
             raise ValueError(f"{name}: cannot be combined with --live; use the printed lines")
-    if args.lag < 0:
-        raise ValueError(f"lag: found {args.lag}, expected 0 or more epochs")
+    require_at_least(0, args, "lag")
     require_one_choice(args)
     clock, levels = clock_from(args.clock), Levels(args.risk, args.levels)
     scene = scene_from(args.scene)
@@ -60,7 +59,7 @@ def run_live(args: LogArgs) -> None:
             print(json.dumps(content), flush=True)
 
 
-def _content(position: Position) -> dict[str, Any]:
+def _content(position: Position) -> Json:
     """Return the content of a line, without unknown values."""
     return {name: value for name, value in position._asdict().items() if value is not None}
 

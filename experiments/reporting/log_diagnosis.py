@@ -4,7 +4,6 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from experiments.console.progress import progress
 from experiments.console.provenance import provenance
 from experiments.console.tables import grid, show
 from experiments.reporting.log_choice import modes_of
-from mmwave_env.io.files import write_json
+from mmwave_env.io.files import Json, write_json
 from mmwave_env.localization.diagnosis import AS_IT_IS, Finding, diagnose
 from mmwave_env.localization.radio_choice import nearest_radio
 from mmwave_env.logs.log import LogBlock, read_log
@@ -104,7 +103,7 @@ def diagnosed(args: LogArgs, log: Path, scene: Scene, truth_file: Path | None) -
 
 def log_facts(
     blocks: Iterable[LogBlock], scene: Scene, truth: Truth | None
-) -> tuple[dict[str, Any], LogError | None]:
+) -> tuple[Json, LogError | None]:
     """Read a log to its end or to its first error; return facts about it, and the error."""
     sums, damage = _Sums(len(scene.anchors_m)), None
     try:
@@ -130,7 +129,7 @@ def log_facts(
     }, damage
 
 
-def facts_markdown(facts: dict[str, Any]) -> str:
+def facts_markdown(facts: Json) -> str:
     """Return the facts about a log as Markdown."""
     f, step, speed = facts, facts["step_s"], facts["speed_mps"]
     rate = f", {1.0 / step:.4g} Hz" if step else ""

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from experiments.reporting.track_report import TrackSampler, track_markdown
 from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
 from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.filters.bank import modes_from
-from mmwave_env.io.files import require_writable, write_json
+from mmwave_env.io.files import Json, require_writable, write_json
 from mmwave_env.io.lookup import as_name
 from mmwave_env.localization.association import Association, associate
 from mmwave_env.localization.contradictions import contradictions
@@ -166,7 +166,7 @@ def beginning(args: LogArgs, epochs: int) -> tuple[TrackBlock, Work]:
     return next(_track(args, work, None)), work
 
 
-def _run(args: LogArgs, work: Work) -> tuple[dict[str, Any], TrackSampler, ValueError | None]:
+def _run(args: LogArgs, work: Work) -> tuple[Json, TrackSampler, ValueError | None]:
     """Localize a log, score its track and write it, block by block.
 
     Return results, the track to draw, and an error in the log or in the ground truth, if any. If

@@ -1,7 +1,6 @@
 """The report that ``localize`` prints about a track, and the epochs to draw in its picture."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -9,6 +8,7 @@ from experiments.console.tables import escaped, grid
 from experiments.evaluation.positions import KINDS, positions_markdown
 from experiments.figures.trajectory import DrawnTrack
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
+from mmwave_env.io.files import Json
 from mmwave_env.localization.localizer import TrackBlock
 from mmwave_env.metrics import HEADERS, INFO_KEYS
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
@@ -62,7 +62,7 @@ def _times(count: int) -> str:
     return "once" if count == 1 else f"{count} times"
 
 
-def _course(figures: dict[str, Any]) -> list[str]:
+def _course(figures: Json) -> list[str]:
     f, speed = figures, figures["speed_mps"]
     epochs = f["epochs"]
     lines = [
@@ -99,7 +99,7 @@ def _course(figures: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _groups(groups: dict[str, Any]) -> str:
+def _groups(groups: Json) -> str:
     header = ["measured", "seen", "rejected", "incomplete", "NIS / dof", "NIS in 95 % bounds"]
     rows = [
         [
@@ -115,7 +115,7 @@ def _groups(groups: dict[str, Any]) -> str:
     return grid(header, rows)
 
 
-def _clock(truth: dict[str, Any]) -> str:
+def _clock(truth: Json) -> str:
     """Return the end of the sentence on true positions, and a sentence on their clock."""
     between, clock = truth["interpolated"], truth["clock"]
     away = f"{1e3 * truth['nearest_pose_s']:.1f} ms from the nearest pose on average"
@@ -127,7 +127,7 @@ def _clock(truth: dict[str, Any]) -> str:
     return said
 
 
-def _association(counts: dict[str, Any]) -> list[str]:
+def _association(counts: Json) -> list[str]:
     between, starts = counts["without_track"], _times(counts["starts"])
     lines = [
         f"{counts['paths']} paths, {counts['false']} of them false; the track was found {starts}"
@@ -142,7 +142,7 @@ def _association(counts: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _accuracy(truth: dict[str, Any], epochs: int) -> str:
+def _accuracy(truth: Json, epochs: int) -> str:
     metrics = [name for name in INFO_KEYS if name != "divergence_rate"]
     header = ["track", *(HEADERS[m].replace("in 95", "NEES in 95") for m in metrics)]
     rows = [[name, *(_decimals(row[m]) for m in metrics)] for name, row in truth["tracks"].items()]
@@ -158,7 +158,7 @@ def _accuracy(truth: dict[str, Any], epochs: int) -> str:
     )
 
 
-def track_markdown(figures: dict[str, Any]) -> str:
+def track_markdown(figures: Json) -> str:
     """Return, as Markdown, the results that ``localize`` collects about a track."""
     counts = figures.get("association")
     lines = _course(figures) + (_association(counts) if counts else [])

@@ -118,21 +118,16 @@ class Variational(Estimator):
 
     at_once = True
 
-    def __init__(self, memory: float = MEMORY) -> None:
-        if not 0.0 < memory < 1.0:
-            raise ValueError(f"memory: found {memory}, expected above 0 and below 1")
-        self._memory = memory
-
     def track(
         self, pipeline: Pipeline, site: Site, epochs: Iterator[Epoch]
     ) -> Iterator[tuple[Vector, Vector]]:
         """Yield means and packed covariances."""
         layout, mode = pipeline.layout, pipeline.modes[-1]
         x, P = site.prior_x, site.prior_P
-        shape = rate = [0.5 * k / (1.0 - self._memory) for k in layout.widths]
+        shape = rate = [0.5 * k / (1.0 - MEMORY) for k in layout.widths]
         for epoch in epochs:
             moved, predicted = predict(pipeline, mode, x, P, 1.0, epoch, site.hz_per_mps)
-            shape, rate = ([self._memory * value for value in part] for part in (shape, rate))
+            shape, rate = ([MEMORY * value for value in part] for part in (shape, rate))
             spread = [list(row) for row in predicted]
             for axis in pipeline.known_axes:  # a variance of exactly 0 would cause a division by 0
                 spread[axis][axis] = spread[axis][axis] + LEAST_VARIANCE

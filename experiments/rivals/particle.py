@@ -9,7 +9,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.evaluation.agents import Estimator
 from experiments.rivals.noise import DOF, log_density, stated
@@ -18,7 +17,7 @@ from mmwave_env.filters.pipeline import Pipeline, predict
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, Site, blank_site, groups_of
 from mmwave_env.numerics.linalg import cholesky, pack, unpack
-from mmwave_env.numerics.numbers import Array, Matrix, Number, Vector
+from mmwave_env.numerics.numbers import Array, Index, Matrix, Number, Vector
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.world.episode import blank_incoming
 
@@ -63,13 +62,11 @@ class Particles(Estimator):
     and Le Gland 2001; West 1993), because process noise alone would hardly change their heights.
 
     Args:
-        count: number of particles.
+        count: number of particles, at least 2.
         dof: degrees of freedom of the measurement noise; a large number means Gaussian noise.
     """
 
     def __init__(self, count: int = PARTICLES, dof: float = DOF) -> None:
-        if count < 2:
-            raise ValueError(f"particles: found {count}, expected at least 2")
         self._count, self._dof = count, dof
 
     def track(
@@ -107,7 +104,7 @@ class Particles(Estimator):
                 x, weight = mean[:, None] + KEPT * away[:, resampled(share, rng)], np.zeros(n)
 
 
-def resampled(share: Array, rng: np.random.Generator) -> NDArray[np.intp]:
+def resampled(share: Array, rng: np.random.Generator) -> Index:
     """Draw the numbers of particles in proportion to their shares, by systematic resampling."""
     places = (np.arange(len(share)) + rng.random()) / len(share)
     return np.minimum(np.searchsorted(np.cumsum(share), places), len(share) - 1)

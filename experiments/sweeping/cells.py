@@ -26,8 +26,7 @@ def evaluated(values: Values) -> Row:
     """Evaluate a policy; return each metric's mean, 95 % interval and values per episode."""
     args = Evaluation(**values)
     selection = Selection(range(args.seed, args.seed + args.episodes))
-    with warnings.catch_warnings(record=True) as warned:
-        warnings.simplefilter("always", UserWarning)
+    with warnings.catch_warnings(record=True, action="always", category=UserWarning) as warned:
         task, contender = task_of(args), contender_of(args, args.policy)
         (scores,) = score_contenders(
             [contender], task.source, args.radio, selection, scoring=Scoring.of(task)

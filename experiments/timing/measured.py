@@ -2,8 +2,9 @@
 
 import gc
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from functools import partial
 from statistics import median
 from typing import Any
 
@@ -20,6 +21,7 @@ from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters.bank import named_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
+from mmwave_env.io.files import Json
 from mmwave_env.world.travel import stride_of
 
 FRESH_RUNS = 3  # maximum number of runs in new processes, since each takes seconds
@@ -30,24 +32,20 @@ BASES = ("filterpy", workloads.SYNC_NAME)  # workloads with which ours are compa
 Rounds = dict[str, list[float]]
 
 
-@dataclass
-class Rates:
-    """The rates of a workload, one per round."""
+def rate(laps: workloads.Laps, seconds: float) -> tuple[float, float]:
+    """Run complete episodes for at least ``seconds``, without garbage collection.
 
-    steps_per_s: list[float] = field(default_factory=list)
-    cores: list[float] = field(default_factory=list)  # processor time per elapsed time
-
-    def measure(self, laps: workloads.Laps, seconds: float) -> None:
-        """Run complete episodes for at least ``seconds``, without garbage collection; add rates."""
-        gc.collect()
-        gc.disable()
-        busy, begin = time.process_time(), time.perf_counter()
-        steps = next(laps)
-        while (spent := time.perf_counter() - begin) < seconds:
-            steps += next(laps)
-        self.cores.append((time.process_time() - busy) / spent)
-        gc.enable()
-        self.steps_per_s.append(steps / spent)
+    Return the steps per second, and the processor time per elapsed time (cores busy).
+    """
+    gc.collect()
+    gc.disable()
+    busy, begin = time.process_time(), time.perf_counter()
+    steps = next(laps)
+    while (spent := time.perf_counter() - begin) < seconds:
+        steps += next(laps)
+    cores = (time.process_time() - busy) / spent
+    gc.enable()
+    return steps / spent, cores
 
 
 class Measured:
@@ -58,57 +56,55 @@ class Measured:
 
     def __init__(self, sizes: Sequence[int]) -> None:
         self.sizes = sorted(set(sizes))
-        self.rates = {name: Rates() for name in workloads.environments(self.sizes)}
-        # rates of the filters without an environment, on one thread
-        self.filters = {name: Rates() for name in workloads.FILTERS}
-        self.operations = kernels()
-        # minimum time of a step of each kernel on one core
-        self.limits_s: Rounds = {name: [] for name in self.operations}
-        # microseconds per live epoch, by contender, interface and percentile
-        self.latency_us: Rounds = {
-            f"{' '.join(of)}, p{p:g}": [] for of in LATENCIES for p in PERCENTILES
-        }
         largest = {workloads.native_name(n): n for n in self.sizes[-FRESH_SIZES:]}
         self._processes = {"single": 0} | largest
+        self.operations = kernels()
+        # steps per second and cores busy, by workload: environments, and filters on one thread
+        self.steps_per_s: Rounds = defaultdict(list)
+        self.cores_busy: Rounds = defaultdict(list)
+        # minimum time of a step of each kernel on one core
+        self.limits_s: Rounds = defaultdict(list)
+        # microseconds per live epoch, by contender, interface and percentile
+        self.latency_us: Rounds = defaultdict(list)
         # seconds from the start of a process to the end of its first step; peak memory, MiB
-        self.cold_start_s: Rounds = {name: [] for name in self._processes}
-        self.peak_mb: Rounds = {name: [] for name in self._processes}
+        self.cold_start_s: Rounds = defaultdict(list)
+        self.peak_mb: Rounds = defaultdict(list)
 
-    def run(self, seconds: float, repeats: int) -> Iterator[float]:
-        """Run all measurements; yield the share that is done after each.
+    def pieces(self, seconds: float, repeats: int) -> list[Callable[[], None]]:
+        """Return functions that each make one measurement, to be called in this order.
 
         Every round runs each workload once, so a drift of the machine's speed affects all equally.
         """
-        starts, workloads = min(FRESH_RUNS, repeats), len(self.rates) + len(self.filters)
-        pieces = starts * len(self._processes) + workloads
-        pieces += repeats * (workloads + len(LATENCIES) + 1)
-        for done, _ in enumerate(self._pieces(seconds, repeats, starts), start=1):
-            yield done / pieces
+        running: dict[str, workloads.Laps] = {}
+        makes = workloads.environments(self.sizes) | workloads.filters()
 
-    def _pieces(self, seconds: float, repeats: int, starts: int) -> Iterator[None]:
-        for _ in range(starts):
-            for name, n in self._processes.items():
-                first_step_s, peak_mb = fresh(workloads.ENVIRONMENT, n)
-                self.cold_start_s[name].append(first_step_s)
-                self.peak_mb[name].append(peak_mb)
-                yield
-        running = {}
-        for name, make in (workloads.environments(self.sizes) | workloads.filters()).items():
-            running[name] = make()
-            Rates().measure(running[name], seconds)  # a warm-up, which compiles
-            yield
-        rates = self.rates | self.filters
-        for _ in range(repeats):
-            for name, laps in running.items():
-                rates[name].measure(laps, seconds)
-                yield
-            for of in LATENCIES:
-                for percentile, value in zip(PERCENTILES, latency_us(*of), strict=True):
-                    self.latency_us[f"{' '.join(of)}, p{percentile:g}"].append(value)
-                yield
-            for name, operations in self.operations.items():
-                self.limits_s[name].append(limit_s(operations) / WIDTH)
-            yield
+        def start(name: str) -> None:
+            first_step_s, peak_mb = fresh(workloads.ENVIRONMENT, self._processes[name])
+            self.cold_start_s[name].append(first_step_s)
+            self.peak_mb[name].append(peak_mb)
+
+        def warm_up(name: str) -> None:
+            running[name] = makes[name]()
+            rate(running[name], seconds)  # compiles
+
+        def run(name: str) -> None:
+            steps_per_s, cores = rate(running[name], seconds)
+            self.steps_per_s[name].append(steps_per_s)
+            self.cores_busy[name].append(cores)
+
+        def answer(name: str, way: str) -> None:
+            for percentile, value in zip(PERCENTILES, latency_us(name, way), strict=True):
+                self.latency_us[f"{name} {way}, p{percentile:g}"].append(value)
+
+        def limit(name: str) -> None:
+            self.limits_s[name].append(limit_s(self.operations[name]) / WIDTH)
+
+        pieces = [partial(start, name) for name in self._processes] * min(FRESH_RUNS, repeats)
+        pieces += [partial(warm_up, name) for name in makes]
+        measured = [partial(run, name) for name in makes]
+        measured += [partial(answer, *latency) for latency in LATENCIES]
+        measured += [partial(limit, name) for name in self.operations]
+        return [*pieces, *measured * repeats]
 
     def natives(self, threads: int = workloads.BOTH) -> list[str]:
         """Return names of our vector environments ("native") with ``threads`` threads."""
@@ -121,41 +117,38 @@ class Measured:
 
     def ratios(self) -> Rounds:
         """Return ratios of our steps per second to those of the workloads in :data:`BASES`."""
+        rates = self.steps_per_s
         return {
-            f"{name}_over_{base}": np.divide(
-                self.rates[name].steps_per_s, self.rates[base].steps_per_s
-            ).tolist()
+            f"{name}_over_{base}": np.divide(rates[name], rates[base]).tolist()
             for base in BASES
             for name in self.ours
         }
 
     def fractions(self) -> Rounds:
         """Return the minimum time of a step on a core, divided by the measured time of the step."""
-        workloads = self.filters | {name: self.rates[name] for name in self.natives(1)}
         return {
-            name: np.multiply(self.limits_of(name), rates.steps_per_s).tolist()
-            for name, rates in workloads.items()
+            name: np.multiply(self.limits_of(name), self.steps_per_s[name]).tolist()
+            for name in (*workloads.FILTERS, *self.natives(1))
         }
 
     def limits_of(self, name: str) -> list[float]:
         """Return the minimum time of a workload's step on one core, s, per round."""
-        return self.limits_s[name if name in self.filters else STEP]
+        return self.limits_s[name if name in workloads.FILTERS else STEP]
 
-    def json(self) -> dict[str, Any]:
+    def json(self) -> Json:
         """Return medians over the rounds and, under "spread", minima and maxima."""
-        rates = self.rates | self.filters
         tables: dict[str, Rounds] = {
             "ratios": self.ratios(),
             "limit_fraction": self.fractions(),
-            "steps_per_s": {name: rate.steps_per_s for name, rate in rates.items()},
+            "steps_per_s": self.steps_per_s,
             "latency_us": self.latency_us,
             "cold_start_s": self.cold_start_s,
             "peak_rss_mb": self.peak_mb,
-            "cores_busy": {name: rate.cores for name, rate in rates.items()},
+            "cores_busy": self.cores_busy,
             "limit_s": self.limits_s,
         }
 
-        def each(figure: Callable[[list[float]], Any]) -> dict[str, Any]:
+        def each(figure: Callable[[list[float]], Any]) -> Json:
             return {
                 title: {name: figure(values) for name, values in table.items()}
                 for title, table in tables.items()

@@ -13,7 +13,7 @@ import numpy as np
 
 from experiments.console.tables import grid
 from experiments.timing.latency import LATENCIES, PERCENTILES
-from experiments.timing.measured import BASES, Measured, Rates, Rounds
+from experiments.timing.measured import BASES, Measured, Rounds
 from experiments.timing.workloads import FILTERS, SYNC, SYNC_NAME
 
 LABELS = {
@@ -61,17 +61,22 @@ def _ratios(measured: Measured) -> str:
     return grid(["ratio of steps per second", *(f"to {label(base)}" for base in BASES)], rows)
 
 
-def _rate(name: str, rates: Rates) -> list[str]:
-    return [label(name), spread(rates.steps_per_s), short(1e9 / median(rates.steps_per_s))]
+def _rate(measured: Measured, name: str) -> list[str]:
+    rates = measured.steps_per_s[name]
+    return [label(name), spread(rates), short(1e9 / median(rates))]
 
 
 def _rates(measured: Measured) -> str:
-    rows = [[*_rate(*item), f"{median(item[1].cores):.2f}"] for item in measured.rates.items()]
+    rows = [
+        [*_rate(measured, name), f"{median(cores):.2f}"]
+        for name, cores in measured.cores_busy.items()
+        if name not in FILTERS
+    ]
     return grid(["", "steps per second", "ns per step", "cores busy"], rows)
 
 
 def _filters(measured: Measured) -> str:
-    rows = [_rate(*item) for item in measured.filters.items()]
+    rows = [_rate(measured, name) for name in FILTERS]
     return grid(["filter", "epochs per second", "ns per epoch"], rows)
 
 
@@ -98,7 +103,7 @@ def _processes(header: str, rounds: Rounds) -> str:
 
 
 def _machine(measured: Measured) -> str:
-    rounds = len(measured.rates["filterpy"].steps_per_s)
+    rounds = len(measured.steps_per_s["filterpy"])
     return (
         f"{_processor()}, {os.cpu_count()} processors; Python {platform.python_version()}, "
         f"numpy {np.__version__}, numba {numba.__version__}; {rounds} rounds."

@@ -9,14 +9,12 @@ the corrections, so it plays each episode only once, and every update has new ep
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from experiments.training.checkpoint import going_on_from
+from experiments.training.checkpoint import State, going_on_from
 from experiments.training.corrector_data import CorrectorData, Lot
 from experiments.training.hyperparameters import CorrectorHyperparameters, falling
 from experiments.training.job import Job, News, Tell
@@ -25,9 +23,10 @@ from experiments.training.training_task import places_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.signed import after_update
+from mmwave_env.io.files import Json
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.layout import Layout
-from mmwave_env.numerics.numbers import Array
+from mmwave_env.numerics.numbers import Array, Index
 from policies.policy_file import CORRECTIONS, Tensors
 
 EVALUATE = 32  # number of updates between two evaluations
@@ -105,21 +104,20 @@ class CorrectorTraining:
         self._optimizer = torch.optim.Adam(self.network.parameters(), lr=hyper.learning_rate)
         self._scales: dict[str, Array] = {}
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Json:
         """Train to the end; return figures of the training and of its best policy."""
         job, record, stand = self._job, self._record, self._record.stand
         if "state" in stand:
             with going_on_from(job.checkpoint):
                 self._restore(stand.pop("state"))
-        with record.log as log:
-            while stand["timesteps"] < job.timesteps:
-                figures = self._update()
-                if stand["update"] % EVALUATE == 0 or stand["timesteps"] >= job.timesteps:
-                    figures |= record.evaluate(self._tensors(), self._table, self._names)
-                log.write(figures | {"seconds": record.seconds}, {}, stand["timesteps"])
-                if stand["update"] % job.checkpoint_every == 0:
-                    record.save(state=self._state())
-                self._tell(News(stand["timesteps"]))
+        while stand["timesteps"] < job.timesteps:
+            figures = self._update()
+            if stand["update"] % EVALUATE == 0 or stand["timesteps"] >= job.timesteps:
+                figures |= record.evaluate(self._tensors(), self._table, self._names)
+            record.log.write(figures | {"seconds": record.seconds}, {}, stand["timesteps"])
+            if stand["update"] % job.checkpoint_every == 0:
+                record.save(state=self._state())
+            self._tell(News(stand["timesteps"]))
         return record.close()
 
     def _update(self) -> dict[str, float]:
@@ -171,7 +169,7 @@ class CorrectorTraining:
         tensors |= {name: self._scales[name] for name in ("low", "high")}
         return {name: value.astype(np.float32) for name, value in tensors.items()}
 
-    def _state(self) -> dict[str, Any]:
+    def _state(self) -> State:
         """Return all state on which the rest of the training depends."""
         return {
             "network": self.network.state_dict(),
@@ -181,7 +179,7 @@ class CorrectorTraining:
             "torch": torch.get_rng_state(),
         }
 
-    def _restore(self, state: dict[str, Any]) -> None:
+    def _restore(self, state: State) -> None:
         self.network.load_state_dict(state["network"])
         self._optimizer.load_state_dict(state["optimizer"])
         self._scales = {name: np.asarray(value) for name, value in state["scales"].items()}
@@ -198,7 +196,7 @@ def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]
         rng: generator of the order.
     """
     shortest = min(len(lot.features) for lot in lots)
-    parts: list[tuple[Lot, NDArray[np.int64]]] = []
+    parts: list[tuple[Lot, Index]] = []
     for length in sorted({len(lot.features) for lot in lots}):
         alike = [lot for lot in lots if len(lot.features) == length]
         together = Lot(*(np.concatenate(part, axis=1) for part in zip(*alike, strict=True)))

@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.training.hyperparameters import CorrectorHyperparameters
 from experiments.training.training_task import TrainingTask
@@ -26,7 +25,7 @@ from mmwave_env.interface.signed import after_update
 from mmwave_env.models.random_radio import RandomRadio
 from mmwave_env.models.random_scene import WIDE_SCENE
 from mmwave_env.numerics.linalg import unpack
-from mmwave_env.numerics.numbers import Array
+from mmwave_env.numerics.numbers import Array, Array32
 from mmwave_env.world.episode import EpisodeBatch, columns_of
 from mmwave_env.world.keys import keys_at, stream_of
 from mmwave_env.world.simulated import SimulatedSource
@@ -67,9 +66,9 @@ class Lot(NamedTuple):
         deviation: (T, n, 3) standard deviations of the belief in these directions, m.
     """
 
-    features: NDArray[np.float32]
-    error: NDArray[np.float32]
-    deviation: NDArray[np.float32]
+    features: Array32
+    error: Array32
+    deviation: Array32
 
 
 class CorrectorData:
@@ -197,7 +196,7 @@ def weaving(source: SimulatedSource, rng: np.random.Generator) -> SimulatedSourc
     return replace(source, scenario=Ways("weaving", ways))
 
 
-def _lot(features: NDArray[np.float32], x: Array, P: Array, error: Array) -> Lot:
+def _lot(features: Array32, x: Array, P: Array, error: Array) -> Lot:
     """Return a lot, given states, packed covariances and errors (T, n, ...) in the world's axes.
 
     Episodes in which the base's belief became NaN or infinite (docs/reliability.md) are left out.

@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import accumulate
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.runner import Scores, score
 from experiments.evaluation.seeds import draw_episodes
 from experiments.training.training_task import Place, TrainingTask, shares
+from mmwave_env.io.files import Json
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
 
@@ -38,13 +38,13 @@ class Evaluator:
             seeds = range(TUNING_SEED + last - n, TUNING_SEED + last)
             self._at.append((place, draw_episodes(place.source(task.scenario), seeds)))
         rivals = PER_MODE_RIVALS if task.beliefs == "per-mode" else TRAINING_RIVALS
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the rule leaves its design window, as expected
+        # the rule leaves its design window, as expected
+        with warnings.catch_warnings(action="ignore"):
             self._rivals = {
                 name: self._scores(partial(contender_from, name))["reward"] for name in rivals
             }
 
-    def examine(self, path: Path) -> dict[str, Any]:
+    def examine(self, path: Path) -> Json:
         """Return figures of a policy file, with 95 % intervals.
 
         Returns:

@@ -3,10 +3,10 @@
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.io.files import read_json
+from mmwave_env.io.files import Json, read_json
 from mmwave_env.io.records import (
     Bound,
     Name,
@@ -131,7 +131,7 @@ def read_hyperparameters(path: Path, algorithm: str) -> Hyperparameters:
     return read_json(path, "a hyperparameter file", partial(object_from, KINDS[algorithm]))
 
 
-def hyperparameters_as_written(hyper: Hyperparameters) -> dict[str, Any]:
+def hyperparameters_as_written(hyper: Hyperparameters) -> Json:
     """Return hyperparameters in the form that a file stores, without default values."""
     return {
         field.name: list(value) if isinstance(value, tuple) else value

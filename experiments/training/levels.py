@@ -21,6 +21,7 @@ from experiments.training.hyperparameters import read_hyperparameters, shipped_h
 from experiments.training.training_task import TrainingTask, banks_of, places_from
 from mmwave_env.compiler.program import rows_of
 from mmwave_env.interface.reward import TrackingReward
+from mmwave_env.io.files import Json
 from mmwave_env.localization.levels import GAUSSIAN, PARTS, Levels, Network
 from mmwave_env.localization.position_errors import gaussian_levels, horizontal, vertical
 from mmwave_env.models.radio import TUNED_RADIOS
@@ -138,7 +139,7 @@ def _least(parts: list[Array], infinite: int) -> Array:
 
 def tuned_levels(
     seed: int, rounds: int = ROUNDS, calibration: int = CALIBRATION, steps: int = STEPS
-) -> dict[str, Any]:
+) -> Json:
     """Return the content of a file of levels; ``seed`` draws only the episodes of the calibration.
 
     The network learns from ``rounds`` rounds of episodes in ``steps`` gradient steps, and is

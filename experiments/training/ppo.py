@@ -12,12 +12,13 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 
 from experiments.training.actor import Normalization, actor_tensors, layers_of
-from experiments.training.checkpoint import going_on_from, with_arrays
+from experiments.training.checkpoint import State, going_on_from, with_arrays
 from experiments.training.hyperparameters import PpoHyperparameters, falling
 from experiments.training.job import Job, News, Tell
 from experiments.training.record import Record
 from experiments.training.vec_env import PlacesVecEnv
 from mmwave_env.interface.info import LAST_KEYS
+from mmwave_env.io.files import Json
 from policies.policy_file import Tensors
 
 # Number of updates between two rows of the log (LOG), and between two evaluations before (EARLY)
@@ -52,22 +53,21 @@ class PpoTraining(BaseCallback):
         clip = job.hyperparameters.clip_observation
         self.normal = VecNormalize(self.env, norm_reward=False, clip_obs=clip)
         self.model = learner(self.normal, job.hyperparameters, job.first_seed)
-        self._ended: list[dict[str, Any]] = []
+        self._ended: list[Json] = []
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Json:
         """Train to the end; return figures of the training and of its best policy."""
         job, model, stand = self._job, self.model, self._record.stand
-        with self._record.log as log:
-            model.set_logger(Logger(None, [log]))
-            if "learner" in stand:
-                with going_on_from(job.checkpoint):
-                    self._restore(stand.pop("learner"), with_arrays(stand.pop("env")))
-            left, fresh = job.timesteps - model.num_timesteps, not model.num_timesteps
-            never: Any = None  # stops SB3's own logging, but its annotation forbids None
-            model.learn(left, self, log_interval=never, reset_num_timesteps=fresh)
-            stand["timesteps"] = model.num_timesteps
-            self._evaluate()
-            model.dump_logs()
+        model.set_logger(Logger(None, [self._record.log]))
+        if "learner" in stand:
+            with going_on_from(job.checkpoint):
+                self._restore(stand.pop("learner"), with_arrays(stand.pop("env")))
+        left, fresh = job.timesteps - model.num_timesteps, not model.num_timesteps
+        never: Any = None  # stops SB3's own logging, but its annotation forbids None
+        model.learn(left, self, log_interval=never, reset_num_timesteps=fresh)
+        stand["timesteps"] = model.num_timesteps
+        self._evaluate()
+        model.dump_logs()
         return self._record.close()
 
     @property
@@ -121,14 +121,13 @@ class PpoTraining(BaseCallback):
         for key, number in self._record.evaluate(self.actor, self.env.observation).items():
             self.logger.record(key, number)
 
-    def _learner_state(self) -> dict[str, Any]:
+    def _learner_state(self) -> State:
         model = self.model
         kind, keys, *rest = np.random.get_state()  # noqa: NPY002  this generator shuffles batches
         return {
             "timesteps": model.num_timesteps,
             "updates": model._n_updates,
-            "policy": model.policy.state_dict(),
-            "optimizer": model.policy.optimizer.state_dict(),
+            "parameters": model.get_parameters(),
             "observations": model._last_obs,
             "begins": model._last_episode_starts,
             "torch": torch.get_rng_state(),
@@ -138,13 +137,12 @@ class PpoTraining(BaseCallback):
             "counts": dict(model.logger.name_to_count),
         }
 
-    def _restore(self, state: dict[str, Any], env: dict[str, Any]) -> None:
+    def _restore(self, state: State, env: State) -> None:
         """Restore the state of a training, bit for bit, as if it had not been interrupted."""
         model = self.model
         model._setup_learn(0)
         model.num_timesteps, model._n_updates = state["timesteps"], state["updates"]
-        model.policy.load_state_dict(state["policy"])
-        model.policy.optimizer.load_state_dict(state["optimizer"])
+        model.set_parameters(state["parameters"], device="cpu")
         model._last_obs = state["observations"].numpy()
         model._last_episode_starts = state["begins"].numpy()
         assert model.ep_info_buffer is not None  # _setup_learn made it

@@ -9,18 +9,15 @@ from multiprocessing.process import BaseProcess
 from typing import Any, cast
 
 from experiments.console.signals import answered, ended_by_signals
-from experiments.evaluation.runs import require_outcome
 from experiments.training.corrector import CorrectorTraining
 from experiments.training.hyperparameters import CorrectorHyperparameters, PpoHyperparameters
 from experiments.training.job import Job, News, Tell
 from experiments.training.ppo import PpoTraining
 from experiments.training.rollouts import RolloutTraining
-from mmwave_env.io.files import read_json
-
-Outcome = dict[str, Any]
+from mmwave_env.io.files import Json, read_json
 
 
-def train(job: Job[Any], tell: Tell) -> Outcome:
+def train(job: Job[Any], tell: Tell) -> Json:
     """Run a training in this process; return figures about the training and its best policy.
 
     Raises:
@@ -35,7 +32,7 @@ def train(job: Job[Any], tell: Tell) -> Outcome:
 
 def side_by_side(
     jobs: Sequence[Job[Any]], at_once: int, tell: Callable[[Job[Any], News], None]
-) -> list[Outcome]:
+) -> list[Json]:
     """Run trainings in parallel; if one fails or is interrupted, end all others.
 
     Args:
@@ -50,7 +47,7 @@ def side_by_side(
         ValueError: the input of a training is not valid.
         ChildProcessError: a training failed in another way, or was ended from outside.
     """
-    waiting, outcomes = list(reversed(jobs)), dict[int, Outcome]()
+    waiting, outcomes = list(reversed(jobs)), dict[int, Json]()
     running: dict[Any, tuple[Job[Any], BaseProcess]] = {}
     try:
         while waiting or running:
@@ -101,7 +98,7 @@ def _train(job: Job[Any], line: Connection) -> None:
     try:
         with ended_by_signals():
             if job.outcome.is_file():
-                outcome = read_json(job.outcome, "the outcome of a training", require_outcome)
+                outcome = read_json(job.outcome, "the outcome of a training", dict)
             else:
                 outcome = train(job, lambda news: line.send(("news", *news)))
             line.send(("done", outcome))

@@ -4,19 +4,17 @@ import csv
 import io
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from stable_baselines3.common.logger import KVWriter
-from torch.utils.tensorboard import SummaryWriter
 
 from experiments.console.provenance import versions_of
-from experiments.training.checkpoint import read_stand, write_checkpoint
+from experiments.training.checkpoint import State, read_checkpoint, write_checkpoint
 from experiments.training.evaluator import Evaluator
 from experiments.training.job import Job, News, Tell
 from mmwave_env.interface.observation import Column, Observation
-from mmwave_env.io.files import write_bytes, write_json, write_text
+from mmwave_env.io.files import Json, write_bytes, write_json, write_text
 from policies.policy_file import Card, Tensors, to_bytes
 
 STEP = "timesteps"
@@ -26,15 +24,13 @@ class ProgressLog(KVWriter):
     """A log of a training; each row has figures of recent episodes and of the update after them.
 
     Args:
-        folder: folder of ``progress.csv`` and TensorBoard's events.
-        rows: earlier rows of a training that continues; events after the last row are dropped.
+        folder: folder of ``progress.csv``.
+        rows: earlier rows of a training that continues.
     """
 
     def __init__(self, folder: Path, rows: list[dict[str, float]]) -> None:
         self.rows = list(rows)
         self._path = folder / "progress.csv"
-        after = {"purge_step": int(rows[-1][STEP]) + 1} if rows else {}
-        self._events = SummaryWriter(str(folder), **after)
 
     def write(
         self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0
@@ -43,8 +39,6 @@ class ProgressLog(KVWriter):
         numbers = {
             key: float(value) for key, value in key_values.items() if not key.startswith("time/")
         }
-        for key, value in numbers.items():
-            self._events.add_scalar(key, value, step)
         self.rows.append({STEP: float(step), **numbers})
 
     def save(self) -> None:
@@ -57,18 +51,6 @@ class ProgressLog(KVWriter):
             cells = {name: f"{value:.6g}" for name, value in row.items()}
             table.writerow(cells | {STEP: str(int(row[STEP]))})
         write_text(self._path, text.getvalue())
-
-    def __enter__(self) -> "ProgressLog":
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Write the rest of the log; after an exception, only stop the thread of TensorBoard."""
-        if kind is None:
-            self.save()
-            self._events.close()
-        else:
-            with suppress(OSError):  # a full disk, for example, may be why the training failed
-                self._events.close()
 
 
 class Record:
@@ -92,7 +74,7 @@ class Record:
     def __init__(self, job: Job[Any], tell: Tell) -> None:
         self._begun_s = time.monotonic()
         self._job, self._tell = job, tell
-        self.stand: dict[str, Any] = {
+        self.stand: State = {
             "update": 0,
             "timesteps": 0,
             "best": None,
@@ -101,7 +83,7 @@ class Record:
             "rows": [],
         }
         if job.checkpoint.exists():
-            self.stand = read_stand(job.checkpoint, self.stand)
+            self.stand |= read_checkpoint(job.checkpoint)
         self._evaluator = Evaluator(job.task, job.episodes)
         self.log = ProgressLog(job.folder, self.stand["rows"])
 
@@ -153,8 +135,9 @@ class Record:
         here = {"seconds": self.seconds, "rows": self.log.rows}
         write_checkpoint(self._job.checkpoint, self.stand | here | more)
 
-    def close(self) -> dict[str, Any]:
-        """Write and return the outcome: figures about the training and about its best policy."""
+    def close(self) -> Json:
+        """Write the log; write and return the outcome: figures of the training and best policy."""
+        self.log.save()
         outcome = {"seed": self._job.seed, "timesteps": self.stand["timesteps"]}
         outcome |= {"seconds": round(self.seconds, 1)}
         outcome |= {key: self.stand[key] for key in ("beat_rule", "best")}
@@ -162,9 +145,7 @@ class Record:
         self._job.checkpoint.unlink(missing_ok=True)
         return outcome
 
-    def _card(
-        self, columns: tuple[Column, ...], observation: str, evaluation: dict[str, Any]
-    ) -> Card:
+    def _card(self, columns: tuple[Column, ...], observation: str, evaluation: Json) -> Card:
         job, task = self._job, self._job.task
         return Card(
             modes=task.bank.modes,

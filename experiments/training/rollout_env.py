@@ -1,13 +1,13 @@
 """Environments at several places, with rollouts that measure the value of every action."""
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.evaluation.branches import Act, Branches
 from experiments.training.actor import Normalization
+from experiments.training.checkpoint import State
 from experiments.training.training_task import TrainingTask, require_environments
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import rows_of
@@ -15,13 +15,11 @@ from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.track_engine import untuned
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.layout import Layout
-from mmwave_env.numerics.numbers import Array, Index
+from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.world.keys import Streams
 
 STATE = ("rows", "table", "length", "epoch")  # arrays of a batch that determine its future
 CONSTANT = 1e-4  # added to standard deviations, which are 0 for a feature that never changes
-
-Observations = NDArray[np.float32]
 
 
 class Tried(NamedTuple):
@@ -32,7 +30,7 @@ class Tried(NamedTuple):
         values: (k, actions) sum of discounted rewards of each action and the actions after it.
     """
 
-    observations: Observations
+    observations: Array32
     values: Array
 
 
@@ -134,14 +132,14 @@ class RolloutEnv:
         whole = state.epoch - 1 + self._horizon <= state.length
         return Tried(self.observations[whole], values[whole])
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> State:
         """Return a copy of all state that determines the future, for :meth:`restore`."""
         state = self._engine.batch.state
         arrays = {name: getattr(state, name).copy() for name in STATE}
         observations = self.observations.copy()
         return arrays | {"streams": self._streams.states(), "observations": observations}
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: State) -> None:
         """Continue exactly from a :meth:`state`, which may come from other environments."""
         for name in STATE:
             getattr(self._engine.batch.state, name)[:] = state[name]

@@ -9,19 +9,19 @@ policy iteration (Bertsekas, Rollout, Policy Iteration, and Distributed Reinforc
 
 from copy import deepcopy
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from experiments.training.actor import Normalization, actor_tensors
-from experiments.training.checkpoint import going_on_from, with_arrays
+from experiments.training.checkpoint import State, going_on_from, with_arrays
 from experiments.training.hyperparameters import RolloutHyperparameters, falling
 from experiments.training.job import Job, News, Tell
 from experiments.training.record import Record
-from experiments.training.rollout_env import Observations, RolloutEnv, Tried
-from mmwave_env.numerics.numbers import Index
+from experiments.training.rollout_env import RolloutEnv, Tried
+from mmwave_env.io.files import Json
+from mmwave_env.numerics.numbers import Array32, Index
 
 EVALUATE = 8  # number of updates between two evaluations
 
@@ -60,22 +60,22 @@ class RolloutLearner:
         self._gains = torch.empty((hyper.memory, actions))
         self._seen = 0
 
-    def _logits(self, observations: Observations) -> Tensor:
+    def _logits(self, observations: Array32) -> Tensor:
         logits: Tensor = self.network(self._normal(observations))
         return logits
 
-    def _normal(self, observations: Observations) -> Tensor:
+    def _normal(self, observations: Array32) -> Tensor:
         clipped = torch.clamp(torch.from_numpy(observations), self._low, self._high)
         return (clipped - self._mean) / self._sigma
 
     @torch.no_grad()
-    def greedy(self, observations: Observations) -> Index:
+    def greedy(self, observations: Array32) -> Index:
         """Return the most probable actions (n,) for observations (n, features)."""
         actions: Index = self._logits(observations).argmax(1).numpy()
         return actions
 
     @torch.no_grad()
-    def sampled(self, observations: Observations) -> Index:
+    def sampled(self, observations: Array32) -> Index:
         """Draw actions (n,) with the network's probabilities, for observations (n, features)."""
         probabilities = torch.softmax(self._logits(observations), 1)
         actions: Index = torch.multinomial(probabilities, 1)[:, 0].numpy()
@@ -119,7 +119,7 @@ class RolloutLearner:
         names = ("gain/expected", "gain/possible", "entropy")
         return dict(zip(names, (sums / hyper.gradient_steps).tolist(), strict=True))
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> State:
         """Return all state that determines the future, for :meth:`restore`."""
         return {
             "network": self.network.state_dict(),
@@ -129,7 +129,7 @@ class RolloutLearner:
             "seen": self._seen,
         }
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: State) -> None:
         """Restore the exact :meth:`state` of another learner."""
         self.network.load_state_dict(state["network"])
         # Without a copy, the optimizer would share the tensors of ``state``.
@@ -164,7 +164,7 @@ class RolloutTraining:
         table = self.env.observation
         self.learner = RolloutLearner(len(table), len(table.actions), hyper, self._normal)
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Json:
         """Train to the end; return figures of the training and of its best policy."""
         job, record, stand = self._job, self._record, self._record.stand
         if "learner" in stand:
@@ -172,20 +172,19 @@ class RolloutTraining:
                 self.env.restore(with_arrays(stand.pop("env")))
                 self.learner.restore(stand.pop("learner"))
                 torch.set_rng_state(stand.pop("torch"))
-        with record.log as log:
-            while stand["timesteps"] < job.timesteps:
-                figures = self._update()
-                if stand["update"] % EVALUATE == 0 or stand["timesteps"] >= job.timesteps:
-                    actor = actor_tensors(self.learner.network, self._normal)
-                    figures |= record.evaluate(actor, self.env.observation)
-                log.write(figures | {"seconds": record.seconds}, {}, stand["timesteps"])
-                if stand["update"] % job.checkpoint_every == 0:
-                    record.save(
-                        env=self.env.state(),
-                        learner=self.learner.state(),
-                        torch=torch.get_rng_state(),
-                    )
-                self._tell(News(stand["timesteps"]))
+        while stand["timesteps"] < job.timesteps:
+            figures = self._update()
+            if stand["update"] % EVALUATE == 0 or stand["timesteps"] >= job.timesteps:
+                actor = actor_tensors(self.learner.network, self._normal)
+                figures |= record.evaluate(actor, self.env.observation)
+            record.log.write(figures | {"seconds": record.seconds}, {}, stand["timesteps"])
+            if stand["update"] % job.checkpoint_every == 0:
+                record.save(
+                    env=self.env.state(),
+                    learner=self.learner.state(),
+                    torch=torch.get_rng_state(),
+                )
+            self._tell(News(stand["timesteps"]))
         return record.close()
 
     def _update(self) -> dict[str, float]:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 from rich.progress import TimeElapsedColumn
 
-from experiments.console.options import TaskArgs
+from experiments.console.options import TaskArgs, require_at_least
 from experiments.console.progress import bars, say
 from experiments.console.provenance import command_line
-from experiments.console.tables import grid, show
-from experiments.evaluation.intervals import Interval
+from experiments.console.tables import show
+from experiments.evaluation.runs import outcomes_markdown
 from experiments.training.hyperparameters import (
     Hyperparameters,
     PpoHyperparameters,
@@ -30,7 +30,7 @@ from experiments.training.training_task import (
 )
 from mmwave_env.filters.bank import Bank, bank_as_written
 from mmwave_env.interface.reward import REWARDS, PairedReward, Reward, TrackingReward
-from mmwave_env.io.files import read_json, write_bytes, write_json
+from mmwave_env.io.files import Json, read_json, write_bytes, write_json
 from mmwave_env.io.lookup import choose
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def hyperparameters(args: TaskArgs, places: int, path: Path | None = None) -> Hy
     return hyper  # rollouts compare rewards of actions, so the IMM's reward would cancel out
 
 
-def manifest_of(args: "Args", banks: Mapping[str, Bank], hyper: Hyperparameters) -> dict[str, Any]:
+def manifest_of(args: "Args", banks: Mapping[str, Bank], hyper: Hyperparameters) -> Json:
     """Return the choices, as JSON, that a run must repeat when it is continued."""
     written = {radio: bank_as_written(bank) for radio, bank in banks.items()}
     first, *_ = written.values()
@@ -102,7 +102,7 @@ def manifest_of(args: "Args", banks: Mapping[str, Bank], hyper: Hyperparameters)
     return {"command": command, "hyperparameters": hyperparameters, **choices}
 
 
-def begin(args: "Args", manifest: dict[str, Any]) -> None:
+def begin(args: "Args", manifest: Json) -> None:
     """Make the folder of a run, or check that the folder holds the run to resume.
 
     Raises:
@@ -126,10 +126,10 @@ def begin(args: "Args", manifest: dict[str, Any]) -> None:
     write_json(path, manifest)
 
 
-def _require_same(path: Path, manifest: dict[str, Any]) -> None:
+def _require_same(path: Path, manifest: Json) -> None:
     """Refuse to resume a run that was begun with a different manifest."""
 
-    def flat(run: dict[str, Any]) -> dict[str, Any]:
+    def flat(run: Json) -> Json:
         """Return the manifest with one entry per hyperparameter, for a precise message."""
         return {**run, **run["hyperparameters"], "hyperparameters": None}
 
@@ -157,20 +157,6 @@ def shown(jobs: list[Any]) -> Iterator[Any]:
         yield tell
 
 
-def summary(outcomes: list[dict[str, Any]]) -> str:
-    """Return the outcomes of all training seeds as a Markdown table, in the given order."""
-    rows: list[list[Any]] = []
-    minus = [key for key in outcomes[0]["best"] if key.startswith("minus ")]
-    for outcome in outcomes:
-        best, beat = outcome["best"], outcome["beat_rule"]
-        gains = [Interval.of(best[name]) for name in minus]
-        beaten = f"{beat['seconds']:g} s, {beat['timesteps']} steps" if beat else "never"
-        cells = [outcome["seed"], f"{best['reward']:.4f}", best["timesteps"], *gains]
-        rows.append([*cells, beaten, f"{outcome['seconds']:g} s"])
-    header = ["seed", "reward", "best after", *minus, "beat the rule after", "time"]
-    return grid(header, rows)
-
-
 def train(args: "Args") -> None:
     """Run the command."""
     try:
@@ -182,10 +168,7 @@ def train(args: "Args") -> None:
         ) from error
     if args.resume and args.overwrite:
         raise ValueError("overwrite: cannot be combined with resume, which keeps the run")
-    for name in ("seeds", "total_timesteps", "jobs", "checkpoint_every"):
-        count = getattr(args, name)
-        if count is not None and count < 1:
-            raise ValueError(f"{name}: found {count}, expected 1 or more")
+    require_at_least(1, args, "seeds", "total_timesteps", "jobs", "checkpoint_every")
     if args.algo == "corrector":
         args = replace(args, beliefs="per-mode")
     task = training_task(args)
@@ -204,5 +187,5 @@ def train(args: "Args") -> None:
     policy = jobs[median["seed"]].policy
     write_bytes(args.out / "policy.safetensors", policy.read_bytes())
     write_json(args.out / "summary.json", manifest | {"seeds": outcomes, "median": median["seed"]})
-    show(summary(outcomes))
+    show(outcomes_markdown(outcomes))
     say("", f"{args.out / 'policy.safetensors'} is from the median seed, {median['seed']}")

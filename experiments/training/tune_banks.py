@@ -23,6 +23,7 @@ from mmwave_env.filters.bank import Bank, bank_as_written, default_modes
 from mmwave_env.filters.imm import DEFAULT_STAY
 from mmwave_env.filters.modes import Mode
 from mmwave_env.interface.reward import TrackingReward
+from mmwave_env.io.files import Json
 from mmwave_env.io.lookup import require_extra
 from mmwave_env.metrics import DIVERGENCE_M, scored
 from mmwave_env.models.radio import radio_from
@@ -45,7 +46,7 @@ START = (
 )
 
 
-def tuned_bank(radio: str, episodes: int, seed: int, evaluations: int) -> dict[str, Any]:
+def tuned_bank(radio: str, episodes: int, seed: int, evaluations: int) -> Json:
     """Return the best bank for a radio that the search finds, in the form of a mode file.
 
     Args:

@@ -18,13 +18,13 @@ from safetensors.numpy import save_file
 
 from experiments.evaluation.agents import in_one_line
 from experiments.training.actor import Normalization, actor_tensors, layers_of, require_actor
-from mmwave_env.io.files import open_regular
+from mmwave_env.io.files import Json, open_regular
 
 DECISIONS = 1000  # number of random observations for which the model's actions are returned
 SHOWN, CHOSEN = "shown", "chosen"  # names of these observations and actions among the tensors
 
 
-def unzipped(model: Path, normalize: Path | None) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+def unzipped(model: Path, normalize: Path | None) -> tuple[dict[str, NDArray[Any]], Json]:
     """Extract the tensors of a model, and facts about its training.
 
     Args:
@@ -52,7 +52,7 @@ def unzipped(model: Path, normalize: Path | None) -> tuple[dict[str, NDArray[Any
             process.join()
         try:
             with safe_open(out, "np") as file:
-                facts: dict[str, Any] = json.loads((file.metadata() or {})["facts"])
+                facts: Json = json.loads((file.metadata() or {})["facts"])
                 tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         except (OSError, KeyError, ValueError, SafetensorError) as error:
             raise ValueError(

@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
+from experiments.training.checkpoint import State
 from experiments.training.hyperparameters import PpoHyperparameters
 from experiments.training.training_task import TrainingTask, require_environments, shares
 from mmwave_env.interface.reward import PairedReward
+from mmwave_env.numerics.numbers import Array32, Mask
 from mmwave_env.sb3 import Indices, Infos, SB3VecEnv
 from mmwave_env.vector_env import MmWaveLocVectorEnv
 from mmwave_env.world.simulated import SimulatedSource
@@ -77,20 +79,20 @@ class PlacesVecEnv(VecEnv):
         for part, some in zip(self._parts, np.split(actions, self._firsts[1:-1]), strict=True):
             part.step_async(some)
 
-    def step_wait(self) -> tuple[NDArray[Any], NDArray[np.float32], NDArray[np.bool_], Infos]:
+    def step_wait(self) -> tuple[NDArray[Any], Array32, Mask, Infos]:
         """Return observations (n, features), rewards (n,), which episodes ended (n,) and infos."""
         *arrays, infos = zip(*(part.step_wait() for part in self._parts), strict=True)
         observations, rewards, over = map(np.concatenate, arrays)
         return observations, rewards, over, [info for part in infos for info in part]
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> State:
         """Return all state that determines the future, for :meth:`restore`."""
         return {
             str(i): {"env": env.state(), "returns": part.state()}
             for i, (env, part) in enumerate(zip(self.envs, self._parts, strict=True))
         }
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: State) -> None:
         """Continue exactly like the environments that returned this :meth:`state`."""
         for i, (env, part) in enumerate(zip(self.envs, self._parts, strict=True)):
             env.restore(state[str(i)]["env"])

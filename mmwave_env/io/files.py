@@ -11,6 +11,8 @@ from secrets import token_hex
 from typing import Any, BinaryIO, TypeVar
 
 T = TypeVar("T")
+Json = dict[str, Any]  # an object of a JSON file
+AnyPath = str | os.PathLike[str]
 
 TEXT_BYTES = 16 << 20  # maximum size of a text file; longer logs and tracks are read in blocks
 JSON_BYTES = 8 << 20  # maximum size of a JSON file; our largest file is a hundredth of this

@@ -11,7 +11,6 @@ from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array, Index, Mask
 
 NO_MODE = -1  # for the prior, which no mode computed
-GATE = 0.99  # chi-square quantile for the NIS in pictures; most modes have gates at this quantile
 POSITION_NUMBERS = 6  # the first values of a packed covariance belong to the position
 
 

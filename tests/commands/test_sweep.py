@@ -59,7 +59,7 @@ def ray_processes():
     ("words", "message"),
     [
         (["there.toml"], "there.toml: found no such file, expected a sweep, TOML or JSON"),
-        (["there.toml", "--workers", "0"], "workers: found 0, expected 1 or more"),
+        (["there.toml", "--workers", "0"], "workers: found 0, expected at least 1"),
     ],
 )
 def test_mistakes_end_with_one_clear_line(tmp_path, words, message):

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from experiments.evaluation.intervals import bootstrap
+from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.runs import Run
 from experiments.evaluation.training_seeds import over_training_seeds, seeds_markdown
 
@@ -35,37 +35,40 @@ def trained():
 
 @pytest.fixture(scope="module")
 def compared(scores, trained):
-    return over_training_seeds(
-        {run: [{"reward": each} for each in rewards] for run, rewards in trained.items()}, scores
-    )
+    return {
+        run: over_training_seeds(run, [{"reward": each} for each in rewards], scores)
+        for run, rewards in trained.items()
+    }
 
 
 RIVALS = ["fixed-ukf", "speed-rule", "imm", "imm-best"]
 
 
 def test_differences_are_paired_by_episode(compared, scores, trained):
-    for seeds in compared:
-        for rival, figure in seeds.minus.items():
-            differences = trained[seeds.run] - scores[rival]["reward"]
-            assert list(figure.each) == bootstrap(differences.T)
-            assert figure.wins == sum(i.low > 0.0 for i in bootstrap(differences.T))
-            assert figure.mean.mean == pytest.approx(differences.mean())
-            assert figure.mean.low < figure.mean.mean < figure.mean.high
-    assert compared[0].minus["imm-best"].wins == 0 and compared[1].minus["imm-best"].wins == 4
+    for run, content in compared.items():
+        assert list(content["minus"]) == RIVALS
+        for rival, figures in content["minus"].items():
+            differences = trained[run] - scores[rival]["reward"]
+            each = bootstrap(differences.T)
+            assert list(map(Interval.of, figures["seeds"].values())) == each
+            assert figures["above_zero"] == sum(i.low > 0.0 for i in each)
+            mean = Interval.of(figures["mean"])
+            assert mean.mean == pytest.approx(differences.mean())
+            assert mean.low < mean.mean < mean.high
+    assert [content["minus"]["imm-best"]["above_zero"] for content in compared.values()] == [0, 4]
 
 
 def test_results_over_seeds_are_written_as_json(compared):
-    content = json.loads(json.dumps(compared[0].json, allow_nan=False))
+    content = json.loads(json.dumps(compared[RUN], allow_nan=False))
     assert content["median"] == 0 and content["best_imm"] == "imm-best"
-    assert list(content["minus"]) == RIVALS
     for row in (content["reward"], *content["minus"].values()):
         assert list(row["seeds"]) == ["2", "0", "1"]
         assert list(row) == ["seeds", "above_zero", "mean"]
 
 
 def test_a_run_without_rivals_still_has_its_reward(trained):
-    run = {RUN: [{"reward": reward} for reward in trained[RUN]]}
-    (alone,) = over_training_seeds(run, {"runs/a": {"reward": trained[RUN][1]}})
-    assert alone.minus == {} and alone.best_imm is None
-    assert alone.reward.mean.mean == pytest.approx(trained[RUN].mean())
-    assert "| mean over seeds | " in seeds_markdown(alone)
+    rewards = [{"reward": reward} for reward in trained[RUN]]
+    alone = over_training_seeds(RUN, rewards, {"runs/a": rewards[1]})
+    assert alone["minus"] == {} and alone["best_imm"] is None
+    assert alone["reward"]["mean"]["mean"] == pytest.approx(trained[RUN].mean())
+    assert "| mean over seeds | " in seeds_markdown(RUN, alone)

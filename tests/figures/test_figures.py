@@ -37,7 +37,7 @@ def drawn(name, path):
     draw_trajectory(track([name, "ukf"]), files[0], name)
     draw_error_cdf({name: errors, "imm": 2.0 * errors}, files[1])
     draw_consistency(np.arange(T) * 1.0, {name: (errors**2).sum(axis=-1)}, 3, files[2])
-    draw_learning_curves({f"reward minus {name}": {name: [([1e3, 1e6], [0.0, 1.0])]}}, files[3])
+    draw_learning_curves(f"reward minus {name}", [([1e3, 1e6], [0.0, 1.0])], files[3])
     draw_histories(episode_of(name), ["ekf", "ukf"], slice(None), files[4])
     return files
 

@@ -140,11 +140,7 @@ def test_a_rival_is_a_contender_by_its_name():
     Pipeline(StudentImm().bank("handset").modes, Layout())  # tries whether lanes can run the update
 
 
-def test_bad_settings_are_refused():
-    with refuses("particles"):
-        Particles(1)
-    with refuses("memory"):
-        Variational(1.0)
+def test_an_estimator_is_refused_as_a_switcher():
     with refuses("policy"):
         Variational()(np.zeros((1, 3), np.float32))
     contender = Contender.own("own", Variational(), "handset")

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from experiments.timing.measured import Measured, Rates
+from experiments.timing.measured import Measured, rate
 from experiments.timing.operations import Operations, count
 from experiments.timing.roofline import LENGTH, interleaved, limit_s
-from experiments.timing.workloads import EPISODE, filterpy_episode, pipeline, source
+from experiments.timing.workloads import EPISODE, FILTERS, filterpy_episode, pipeline, source
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 from mmwave_env.numerics.numbers import atan2, maximum, sqrt, where
 
@@ -54,9 +54,8 @@ def test_more_operations_have_a_longer_time_limit():
 
 
 def test_a_round_measures_complete_episodes_for_the_given_time():
-    laps, rates = iter([10] * 3), Rates()
-    rates.measure(laps, 0.0)
-    assert len(rates.steps_per_s) == len(rates.cores) == 1 and list(laps) == [10, 10]
+    laps = iter([10] * 3)
+    assert all(number > 0.0 for number in rate(laps, 0.0)) and list(laps) == [10, 10]
 
 
 def test_the_filterpy_loop_earns_the_reward_of_a_good_track():
@@ -69,17 +68,15 @@ def test_the_filterpy_loop_earns_the_reward_of_a_good_track():
 def measured():
     """Return three rounds of invented measurements."""
     rounds, rng = Measured((1024, 8, 64)), np.random.default_rng(0)
-    for rates in (rounds.rates | rounds.filters).values():
-        rates.steps_per_s[:] = rng.uniform(1e3, 1e6, 3).tolist()
-        rates.cores[:] = [1.0] * 3
-    for table in (rounds.limits_s, rounds.peak_mb, rounds.cold_start_s, rounds.latency_us):
-        for values in table.values():
-            values[:] = rng.uniform(1e-9, 1e-8, 3).tolist()
+    for name in ("filterpy", "sync_8", *FILTERS, *rounds.ours):
+        rounds.steps_per_s[name] = rng.uniform(1e3, 1e6, 3).tolist()
+    for name in rounds.operations:
+        rounds.limits_s[name] = rng.uniform(1e-9, 1e-8, 3).tolist()
     return rounds
 
 
 def test_ratios_are_computed_round_by_round(measured):
-    over, under = (measured.rates[name].steps_per_s for name in ("native_1024", "filterpy"))
+    over, under = (measured.steps_per_s[name] for name in ("native_1024", "filterpy"))
     ratio, result = np.divide(over, under), measured.json()
     assert measured.ratios()["native_1024_over_filterpy"] == pytest.approx(ratio)
     assert result["ratios"]["native_1024_over_filterpy"] == pytest.approx(np.median(ratio))
@@ -89,8 +86,7 @@ def test_ratios_are_computed_round_by_round(measured):
 
 @pytest.mark.parametrize(("name", "kernel"), [("ukf", "ukf"), ("native_64_1_thread", "step")])
 def test_fractions_refer_to_the_limit_of_the_kernel_that_runs(measured, name, kernel):
-    rates = (measured.filters | measured.rates)[name].steps_per_s
-    expected = np.multiply(measured.limits_s[kernel], rates)
+    expected = np.multiply(measured.limits_s[kernel], measured.steps_per_s[name])
     assert measured.fractions()[name] == pytest.approx(expected)
 
 

@@ -1,10 +1,7 @@
 """Tests of checkpoints (read back, damaged, forged) and of the progress log of trainings."""
 
-import io
 import os
-import threading
 from hashlib import sha256
-from zipfile import ZIP_DEFLATED, ZipFile
 
 import numpy as np
 import pytest
@@ -15,12 +12,7 @@ pytest.importorskip("stable_baselines3")
 
 import torch
 
-from experiments.training.checkpoint import (
-    read_checkpoint,
-    read_stand,
-    with_arrays,
-    write_checkpoint,
-)
+from experiments.training.checkpoint import read_checkpoint, with_arrays, write_checkpoint
 from experiments.training.ppo import PpoTraining
 from experiments.training.record import ProgressLog
 from tests.damage import damaged
@@ -95,38 +87,7 @@ def forge(path, content):
     path.write_bytes(sha256(content).digest() + content)
 
 
-def test_a_checkpoint_that_is_larger_when_unpacked_is_refused(tmp_path):
-    path = tmp_path / "checkpoint.pt"
-    write_checkpoint(path, STATE | {"zeros": np.zeros(1_000_000)})
-    packed = io.BytesIO()
-    with (
-        ZipFile(io.BytesIO(path.read_bytes()[32:])) as whole,
-        ZipFile(packed, "w", ZIP_DEFLATED) as small,
-    ):
-        for name in whole.namelist():
-            small.writestr(name, whole.read(name))
-    forge(path, packed.getvalue())
-    assert path.stat().st_size < 100_000
-    with refuses("checkpoint.pt"):
-        read_checkpoint(path)
-
-
 BEGIN = {"update": 0, "timesteps": 0, "best": None, "beat_rule": None, "seconds": 0.0, "rows": []}
-
-
-@pytest.mark.parametrize(
-    ("state", "named"),
-    [
-        (["a list"], []),
-        (BEGIN | {"update": "3"}, ["update"]),
-        (BEGIN | {"best": {"timesteps": 3}}, ["reward"]),
-    ],
-)
-def test_a_checkpoint_with_other_content_is_refused(tmp_path, state, named):
-    path = tmp_path / "checkpoint.pt"
-    write_checkpoint(path, state)
-    with refuses("checkpoint.pt", *named):
-        read_stand(path, BEGIN)
 
 
 def test_a_checkpoint_of_another_network_is_refused(tmp_path):
@@ -155,23 +116,9 @@ def test_the_progress_log_writes_one_row_per_call_and_can_be_continued(tmp_path)
     log.save()
     assert (tmp_path / "progress.csv").read_text() == "timesteps,a,b\n10,1,\n20,,0.123457\n"
     log.write({"lost": 1}, {}, 30)
-    log._events.close()
-    with ProgressLog(tmp_path, log.rows[:2]) as again:
-        again.write({"a": 2, "c": 3}, {}, 30)
+    again = ProgressLog(tmp_path, log.rows[:2])
+    again.write({"a": 2, "c": 3}, {}, 30)
+    again.save()
     assert (tmp_path / "progress.csv").read_text() == (
         "timesteps,a,b,c\n10,1,,\n20,,0.123457,\n30,2,,3\n"
     )
-
-
-def test_the_progress_log_ends_its_thread_if_the_training_fails(tmp_path):
-    before = threading.active_count()
-
-    def fail():
-        with ProgressLog(tmp_path, []) as log:
-            log.write({"a": 1}, {}, 10)
-            assert threading.active_count() > before
-            raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        fail()
-    assert threading.active_count() == before and not (tmp_path / "progress.csv").exists()

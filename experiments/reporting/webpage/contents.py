@@ -1,18 +1,19 @@
 """Contents of the web page: verdicts, tables and pictures of results."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from experiments.evaluation.comparison import Comparison
-from experiments.evaluation.intervals import Interval
 from experiments.evaluation.positions import positions_markdown
+from experiments.evaluation.runs import outcomes_markdown
 from experiments.figures.canvas import PHONE_MM
 from experiments.figures.curves import draw_consistency, draw_error_cdf, draw_learning_curves
 from experiments.reporting.track_report import track_markdown
 from experiments.reporting.webpage.markup import drawn, element, html_of, table
 from experiments.reporting.webpage.played import Played, ranking, watched_names
 from experiments.reporting.webpage.sources import Source
+from mmwave_env.io.files import Json
 from mmwave_env.metrics import METRICS
 
 
@@ -64,7 +65,7 @@ def _verdict(comparison: Comparison) -> Verdict:
     return Verdict(name, title, about)
 
 
-def _track_verdict(c: Mapping[str, Any]) -> Verdict:
+def _track_verdict(c: Json) -> Verdict:
     title = f"{c['epochs']} epochs of {c['log']}, {c['first_s']:.10g} to {c['last_s']:.10g} s"
     tracks = c["truth"]["tracks"] if "truth" in c else {}
     ates = [f"the {name} track has an ATE of {row['ate_m']:.3f} m" for name, row in tracks.items()]
@@ -87,17 +88,13 @@ def _compared(comparison: Comparison) -> Iterator[str]:
 
 def _trainings(source: Source) -> Iterator[str]:
     seeds, curves = source.content["seeds"], source.content["curves"].values()
-    rivals = list(dict.fromkeys(rival for curve in curves for rival in curve if ":" not in rival))
-    rows = []
-    for seed in seeds:
-        best = seed["best"]
-        gains = [Interval.of(best[f"minus {rival}"]) for rival in rivals]
-        rows.append([seed["seed"], f"{best['reward']:.4f}", f"{best['timesteps']:,}", *gains])
-    header = ["training seed", "reward", "after steps", *(f"minus {rival}" for rival in rivals)]
-    yield table("The best policy of each training, on tuning seeds", header, rows)
+    if seeds:
+        yield element("p", "The best policy of each training, on tuning seeds", "caption")
+        yield html_of(outcomes_markdown(seeds))
+    rivals = dict.fromkeys(rival for curve in curves for rival in curve)
     for rival in rivals:
-        lines = {source.path: [curve[rival] for curve in curves if rival in curve]}
-        draw = partial(draw_learning_curves, {f"reward minus {rival}'s": lines}, width_mm=PHONE_MM)
+        lines = [curve[rival] for curve in curves if rival in curve]
+        draw = partial(draw_learning_curves, f"reward minus {rival}'s", lines)
         yield drawn(f"Learning curves against {rival} on tuning seeds, a line per training", draw)
 
 
@@ -123,7 +120,7 @@ def errors_of(source: Source, played: Played) -> Iterator[str]:
         yield drawn(f"NEES and its chi-square bounds, {played.which}", draw)
 
 
-def origin_of(title: str, command: str, versions: Mapping[str, Any]) -> str:
+def origin_of(title: str, command: str, versions: Json) -> str:
     """Return HTML of the command and the versions that made something."""
     made = ", ".join(f"{name} {version}" for name, version in versions.items())
     parts = element("h3", title), element("pre", command)

@@ -1,7 +1,6 @@
 """HTML for names and other text, for tables, and for pictures from ``experiments.figures``."""
 
-import hashlib
-import re
+from base64 import b64encode
 from collections.abc import Callable, Sequence
 from html import escape
 from importlib.util import find_spec
@@ -10,21 +9,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from experiments.console.tables import CELL, unescaped
-from experiments.figures.canvas import COLORS, NO_MODE
 from mmwave_env.io.lookup import printable
 
 SHOWN = 5  # number of rows that are shown at first
-VARIABLES = {  # variables of the page's style, by color in pictures
-    "#000000": "var(--ink)",
-    "#ffffff": "var(--paper)",
-    "#b3b3b3": "var(--band)",
-    NO_MODE: "var(--none)",
-    **{color: f"var(--mode-{number})" for number, color in enumerate(COLORS)},
-}
-COLOR = re.compile("|".join(VARIABLES))
-TAG = re.compile(r"<[^>]*>")  # a tag in matplotlib's SVG, which escapes > in attributes
-OWN = re.compile(r"<style.*?</style>|<metadata>.*?</metadata>", re.DOTALL)  # parts to leave out
-NAMED = re.compile(r'( id="|="#|url\(#)')  # precedes the name of an element
 
 
 def text(value: Any) -> str:
@@ -70,7 +57,7 @@ def html_of(markdown: str) -> str:
 
 
 def drawn(caption: str, draw: Callable[[Path], None]) -> str:
-    """Return a picture whose colors adapt to light and dark mode; without matplotlib, a note.
+    """Return a picture, which the page's style inverts in dark mode; without matplotlib, a note.
 
     ``draw`` writes the picture to an .svg file.
     """
@@ -79,12 +66,6 @@ def drawn(caption: str, draw: Callable[[Path], None]) -> str:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "picture.svg"
         draw(path)
-        svg = path.read_text("utf-8")
-    prefix = f"p{hashlib.sha256(svg.encode()).hexdigest()[:8]}-"  # makes ids unique in the page
-
-    def adapted(tag: re.Match[str]) -> str:
-        return NAMED.sub(rf"\1{prefix}", COLOR.sub(lambda color: VARIABLES[color[0]], tag[0]))
-
-    svg = TAG.sub(adapted, OWN.sub("", svg[svg.index("<svg") :]))
-    words = element("figcaption", caption)
-    return f'<figure role="img" aria-label="{text(caption)}">{svg}{words}</figure>'
+        svg = b64encode(path.read_bytes()).decode("ascii")
+    image = f'<img src="data:image/svg+xml;base64,{svg}" alt="{text(caption)}">'
+    return f"<figure>{image}{element('figcaption', caption)}</figure>"

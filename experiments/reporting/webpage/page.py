@@ -41,8 +41,8 @@ def page_of(args: PageArgs) -> str:
         "Episodes": _player(verdicts, played),
         "How it was made": "".join(origins),
     }
-    shown = (episode for part in played for episode in part.shown if episode["contenders"])
-    return _html(verdicts, sections, {"episodes": [*shown]})
+    shown = [episode for part in played for episode in part.shown]
+    return _html(verdicts, sections, {"episodes": shown})
 
 
 def _folded(verdicts: Sequence[Verdict], parts: Sequence[str]) -> str:
@@ -64,7 +64,7 @@ def _player(verdicts: Sequence[Verdict], played: Sequence[Played]) -> str:
             f"{f'{name} was not' if name else 'no episode was'} played again: {why}"
             for name, why in source.missing.items()
         ]
-        if any(episode["cut"] for episode in source.shown):
+        if any(len(episode["time_s"]) == LONGEST for episode in source.shown):
             notes.append(f"the first {LONGEST} epochs are shown")
         parts += [element("p", f"{verdict.name}: {note}", "note") for note in notes]
     return "".join(parts)
@@ -92,12 +92,12 @@ def _html(verdicts: Sequence[Verdict], sections: Mapping[str, str], data: Any) -
 
 def _colors() -> str:
     """Return the colors that videos also have, as CSS variables."""
-    light, dark = THEMES["light"], THEMES["dark"]
-    pairs = {name: (getattr(light, name), getattr(dark, name)) for name in light._fields}
-    modes = enumerate(zip(*pairs.pop("modes"), strict=True))
-    pairs |= {f"mode-{number}": pair for number, pair in modes}
-    lines = (f"--{name}: light-dark({hex_of(a)}, {hex_of(b)});" for name, (a, b) in pairs.items())
-    return f":root {{ {' '.join(lines)} }}\n"
+    light, dark = THEMES["light"]._asdict(), THEMES["dark"]._asdict()
+    lines = (
+        f"--{name}: light-dark({hex_of(light[name])}, {hex_of(dark[name])});"
+        for name in light.keys() - {"modes"}
+    )
+    return f":root {{ {' '.join(sorted(lines))} }}\n"
 
 
 def _file(name: str) -> str:

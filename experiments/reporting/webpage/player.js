@@ -4,7 +4,6 @@ const FRAME_MS = 60;
 const RULE = "speed-rule";
 const FATES = { a: "accepted", r: "rejected", m: "missing" };
 const FILLS = { a: "var(--accepted)", r: "var(--rejected)", m: "var(--missing)" };
-const GROUPS = 9; // number of colors of modes; kinds of measurements have the same colors
 
 function player(place, episodes) {
   const state = { episode: 0, main: null, beside: null, at: 0, timer: null };
@@ -92,7 +91,7 @@ function legend(place, episode, chosen) {
     return element("div", { class: "key" }, title, ...course.modes.map((mode, k) => swatch(course.colors[k], mode)));
   });
   const fates = Object.entries(FATES).map(([fate, name]) => swatch(FILLS[fate], `measurement ${name}`));
-  const notes = `Measurements, links, NIS (dots; dashed lines: 99 % quantile of each kind) and the ellipse of 2 standard deviations belong to ${chosen[0]}. The true speed has the color of the text. The band contains 95 % of NEES. Triangles are the gNB and other anchors; arrows point to those outside the map.`;
+  const notes = `Measurements, links and the ellipse of 2 standard deviations belong to ${chosen[0]}. The true speed has the color of the text. The band contains 95 % of NEES. Triangles are the gNB and other anchors; arrows point to those outside the map.`;
   place.replaceChildren(...modes, element("div", { class: "key" }, ...fates, element("span", {}, notes)));
 }
 
@@ -122,8 +121,8 @@ function drawStrips(place, episode, chosen) {
   const width = Math.max(260, place.clientWidth);
   const [left, right] = [74, width - 10];
   const courses = chosen.map((name) => episode.contenders[name]);
-  const words = `Plots over time for ${chosen.join(" and ")}: modes, speed, position error, NEES with its 95 % bounds, gates and NIS of every measurement.`;
-  const svg = picture(width, 250 + 36 * courses.length + 15 * episode.groups.length + 144, words);
+  const words = `Plots over time for ${chosen.join(" and ")}: modes, speed, position error, NEES with its 95 % bounds, and gates of every measurement.`;
+  const svg = picture(width, 250 + 36 * courses.length + 15 * episode.groups.length + 44, words);
   const [first, last] = [episode.time_s[0], episode.time_s[episode.time_s.length - 1]];
   const time = scale(first, last, left, right);
   const ts = episode.time_s.map(time);
@@ -171,12 +170,10 @@ function drawStrips(place, episode, chosen) {
   courses.forEach((course, i) => line(course.nees, nees, i));
   episode.groups.forEach((group, g) => {
     shape(svg, "text", { x: 68, y: top + 10, "text-anchor": "end", class: "quiet" }, group);
-    shape(svg, "circle", { cx: 5, cy: top + 6, r: 3, fill: groupColor(g) }); // color of its NIS in the plot below
     cells([...courses[0].fate[g]], top + 2, 8, (fate) => FILLS[fate], (fate) => `${group} ${FATES[fate]}`);
     top += 15;
   });
   top += 8;
-  drawNis(svg, ts, episode, courses[0], strip(86, "NIS / dof", 0.01, 100, [0.1, 1, 10], true), left, right);
   for (const mark of ticks(first, last, width / 90)) {
     shape(svg, "text", { x: time(mark), y: top + 4, "text-anchor": "middle", class: "quiet" }, shown(mark));
   }
@@ -185,27 +182,6 @@ function drawStrips(place, episode, chosen) {
   place.replaceChildren(svg);
   return (at) => change(cursor, { x1: ts[at], x2: ts[at] });
 }
-
-// NIS divided by its degrees of freedom; a consistent filter has 1 on average.
-function drawNis(svg, ts, episode, course, y, left, right) {
-  course.nis.forEach((values, g) => {
-    const dof = episode.rows[g];
-    const gate = y(episode.limits[g] / dof);
-    shape(svg, "line", { x1: left, x2: right, y1: gate, y2: gate, stroke: groupColor(g), "stroke-dasharray": "4 4" });
-    values.forEach((nis, k) => {
-      const fate = course.fate[g][k];
-      if (fate === "m" || nis === null || nis <= 0) return;
-      const at = { x: ts[k], y: y(Math.min(100, nis / dof)) };
-      if (fate === "r") {
-        shape(svg, "path", { d: `M${at.x - 3} ${at.y - 3}l6 6m0-6l-6 6`, stroke: "var(--rejected)", "stroke-width": 1.8 });
-      } else {
-        shape(svg, "circle", { cx: at.x, cy: at.y, r: 1.6, fill: groupColor(g) });
-      }
-    });
-  });
-}
-
-const groupColor = (number) => `var(--mode-${number % GROUPS})`;
 
 // Calls the function `take` for every run of equal values, with its first epoch and the epoch where the next one begins.
 function runs(values, take) {
