@@ -5,7 +5,6 @@ import subprocess
 import sys
 from dataclasses import replace
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -86,21 +85,6 @@ def test_observations_of_another_shape_are_refused(make, shape):
     policy, _ = make("plain")
     with refuses("observation"):
         policy(np.zeros(shape, np.float32))
-
-
-def test_a_loaded_policy_plays_an_episode(make, tmp_path):
-    make("narrow")
-    policy = LearnedSwitch(str(tmp_path / "narrow.safetensors"))
-    env = gym.make("MmWaveLoc-v0", modes=policy.modes, episode_steps=20)
-    policy.read_from(env.unwrapped.observation)
-    observation, _ = env.reset(seed=0)
-    policy.reset(np.array([True]))
-    over, steps = False, 0
-    while not over:
-        (action,) = policy(observation[None])
-        observation, _, _, over, info = env.step(action)
-        steps += 1
-    assert math.isfinite(info["ate_m"]) and steps == 20
 
 
 RENAMED = tuple(replace(mode, name=f"my {mode.name}") for mode in MODES)
