@@ -6,14 +6,14 @@ import subprocess
 import sys
 import warnings
 from contextlib import redirect_stderr, redirect_stdout
-from io import StringIO
+from io import BytesIO, StringIO, TextIOWrapper
 from unittest.mock import patch
 
 from experiments.console.main import main
 from tests.paths import ROOT
 
 
-def command(*words, cwd=ROOT, columns=200):
+def command(*words, cwd=ROOT, columns=200, stdin=b""):
     """Run ``mmwave-loc <words>`` in this process as if typed; return its exit code and output.
 
     User warnings are shown as the program shows them; other warnings are errors, as in all tests.
@@ -24,6 +24,7 @@ def command(*words, cwd=ROOT, columns=200):
     # The program changes how warnings are displayed; catch_warnings restores that, too.
     with (
         patch.object(sys, "argv", typed),
+        patch.object(sys, "stdin", TextIOWrapper(BytesIO(stdin))),
         patch.dict(os.environ, COLUMNS=str(columns)),
         warnings.catch_warnings(),
         redirect_stdout(out),

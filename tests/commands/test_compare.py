@@ -2,40 +2,11 @@
 
 import json
 import re
-import subprocess
-import sys
 
 import pytest
 
-from tests.cli import assert_one_clear_line, command, environment, succeed
-from tests.paths import ROOT
+from tests.cli import assert_one_clear_line, command, succeed
 from tests.training.actors import actor, card_of, write
-
-WITHOUT_TORCH = """
-import sys
-
-class Refuse:
-    def find_spec(self, name, *_):
-        if name.split(".")[0] in ("torch", "stable_baselines3"):
-            raise ImportError(name)
-
-sys.meta_path.insert(0, Refuse())
-from experiments.console.main import main
-main()
-"""
-
-
-def evaluated_without_torch(*words):
-    """Return the output of ``mmwave-loc evaluate`` in a process that cannot import torch."""
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT_TORCH, "evaluate", *map(str, words)],
-        env=environment(),
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
 
 
 @pytest.fixture
@@ -83,7 +54,7 @@ def test_a_policy_is_evaluated_from_its_file_or_from_its_run(run, tmp_path):
     alone = run / "seed-0" / "policy.safetensors"
     shown = succeed("evaluate", "--policy", alone, "--episodes", 2, "--json", files[0])
     assert f"| {alone} |" in shown
-    shown = evaluated_without_torch("--policy", run, "--episodes", 2, "--json", files[1])
+    shown = succeed("evaluate", "--policy", run, "--episodes", 2, "--json", files[1])
     assert f"| {run} |" in shown
     by_file, by_run = (json.loads(file.read_text()) for file in files)
     assert [*by_file["policies"].values()] == [*by_run["policies"].values()]

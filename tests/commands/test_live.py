@@ -1,23 +1,20 @@
 """Tests of ``mmwave-loc localize - --live``, which reads rows and writes a JSON line per epoch."""
 
 import json
-import subprocess
-import sys
 
 import pytest
 
-from tests.cli import environment
+from tests.cli import command
 from tests.commands.localizing import WALK, figures, lines_of
 
-WORDS = ("localize", "-", "--live", "--scene", str(WALK / "scene.json"), "--radio", "standard")
+WORDS = ("localize", "-", "--live", "--scene", WALK / "scene.json", "--radio", "standard")
 
 
 def live(content, *more):
     """Run the command on bytes; return its JSON lines, lines of standard error and exit code."""
-    words = [sys.executable, "-m", "experiments.console", *WORDS, *more]
-    done = subprocess.run(words, input=content, env=environment(), capture_output=True, check=False)
+    done = command(*WORDS, *more, stdin=content)
     positions = [json.loads(line) for line in done.stdout.splitlines()]
-    return positions, done.stderr.decode().splitlines(), done.returncode
+    return positions, done.stderr.splitlines(), done.returncode
 
 
 def first_rows(count):

@@ -20,23 +20,17 @@ from tests.paths import ROOT
 SAMPLE = ("localize", "--sample", RIDE.name, "--speed", "9")
 
 
-def test_a_picture_is_drawn_with_and_without_a_truth(tmp_path):
-    cases = {"new/t.png": ("--truth", RIDE / "truth.tum"), "plain.png": ()}
-    for name, truth in cases.items():
-        path = tmp_path / name
-        succeed("localize", *options(RIDE / "log.csv", *truth, "--plot", path, folder=RIDE))
-        content = path.read_bytes()
-        assert content.startswith(b"\x89PNG") and len(content) > 20_000
-
-
-def test_special_characters_in_a_name_do_not_prevent_the_picture(tmp_path):
+def test_a_picture_is_drawn_with_and_without_a_truth_for_any_name(tmp_path):
     folder = tmp_path / "a$b_{^$ | \x1b[31m\n"
     shutil.copytree(RIDE, folder)
-    picture = folder / "track.svg"
-    done = command("localize", *options(folder / "log.csv", "--plot", picture, folder=folder))
-    assert done.returncode == 0, done.stderr
-    assert picture.read_text().startswith("<?xml")
-    assert all(line.isprintable() for line in (done.stdout + done.stderr).splitlines())
+    for name, truth in {"new/t.png": ("--truth", folder / "truth.tum"), "plain.png": ()}.items():
+        path = folder / name
+        words = options(folder / "log.csv", *truth, "--plot", path, folder=folder)
+        done = command("localize", *words)
+        assert done.returncode == 0, done.stderr
+        assert all(line.isprintable() for line in (done.stdout + done.stderr).splitlines())
+        content = path.read_bytes()
+        assert content.startswith(b"\x89PNG") and len(content) > 20_000
 
 
 def test_files_and_figures_are_written_even_if_the_picture_fails(tmp_path, monkeypatch):
@@ -122,7 +116,7 @@ def test_a_fifo_is_refused_before_it_is_read(tmp_path, option):
     assert_one_clear_line(done, "odd.*: found a FIFO, expected")
 
 
-@pytest.mark.parametrize("name", ["a\nb", "e\x1b]0;owned\x07", "\ud800", "x" * 81, "", 7])
+@pytest.mark.parametrize("name", ["e\x1b]0;owned\x07", "x" * 81, 7])
 @pytest.mark.parametrize("kind", ["modes", "scene"])
 def test_an_invalid_name_is_refused_with_its_file_and_key(tmp_path, kind, name):
     content = {

@@ -69,8 +69,7 @@ def test_folders_are_made_and_files_that_cannot_be_written_are_named(capsys, tmp
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("unbuffered", ["", "1"])
-@pytest.mark.parametrize(("damaged", "code"), [(False, 141), (True, 2)])
+@pytest.mark.parametrize(("unbuffered", "damaged", "code"), [("", False, 141), ("1", True, 2)])
 def test_results_and_errors_are_reported_if_standard_output_is_closed(
     monkeypatch, tmp_path, unbuffered, damaged, code
 ):
