@@ -5,7 +5,7 @@ import builtins
 import json
 import pickle
 import zipfile
-from types import SimpleNamespace
+from multiprocessing import get_context
 
 import gymnasium as gym
 import numpy as np
@@ -40,32 +40,10 @@ ALGORITHMS = {
 }
 
 
-@pytest.fixture(autouse=True)
-def one_thread():
-    """Use one thread, as in a training; threads would not survive the forks of other tests."""
-    torch.set_num_threads(1)
-
-
 @pytest.fixture
-def same_process(monkeypatch):
-    """Load models in this process, because starting another one is slow."""
-
-    class Process:
-        exitcode = 0
-
-        def __init__(self, target, args, daemon):
-            self.run = lambda: target(*args)
-
-        def start(self):
-            self.run()
-
-        def join(self):
-            pass
-
-        def kill(self):
-            pass
-
-    monkeypatch.setattr(unzip, "get_context", lambda how: SimpleNamespace(Process=Process))
+def forked(monkeypatch):
+    """Load models in a fork of this process, because starting a new process takes seconds."""
+    monkeypatch.setattr(unzip, "get_context", lambda how: get_context("fork"))
 
 
 @pytest.fixture
@@ -93,7 +71,7 @@ def trained(kind, env):
     return model
 
 
-@pytest.mark.usefixtures("same_process")
+@pytest.mark.usefixtures("forked")
 @pytest.mark.parametrize("normalized", [False, True], ids=["as they are", "normalized"])
 @pytest.mark.parametrize("kind", ALGORITHMS)
 def test_a_converted_model_chooses_the_actions_of_the_model(kind, normalized, tmp_path, modes):
@@ -132,7 +110,7 @@ def trusting(tmp_path):
     return tmp_path / "trusting.zip", bank
 
 
-@pytest.mark.usefixtures("same_process")
+@pytest.mark.usefixtures("forked")
 def test_a_model_for_beliefs_per_mode_is_converted_with_its_bank(trusting, tmp_path):
     (file, bank), out = trusting, tmp_path / "policy.safetensors"
     shown = succeed("convert", file, out, "--beliefs", "per-mode", "--modes", bank)
@@ -199,7 +177,7 @@ MISTAKES = {
 }
 
 
-@pytest.mark.usefixtures("same_process")
+@pytest.mark.usefixtures("forked")
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_model_that_cannot_become_a_policy_file_is_refused(mistake, tmp_path, modes):
     make, words, message = MISTAKES[mistake]
@@ -214,7 +192,7 @@ def test_a_model_that_cannot_become_a_policy_file_is_refused(mistake, tmp_path, 
     assert not out.exists()
 
 
-@pytest.mark.usefixtures("same_process")
+@pytest.mark.usefixtures("forked")
 def test_a_policy_that_computes_more_than_its_layers_is_refused(tmp_path, modes, monkeypatch):
     file = tmp_path / "model.zip"
     trained("ppo", environment()).save(file)

@@ -116,11 +116,6 @@ MEAN, SIGMA = np.array([5.0, -3.0, 0.0, 1.0]), np.array([2.0, 0.1, 1.0, 30.0])
 NORMAL = Normalization(MEAN - 6.0 * SIGMA, MEAN + 6.0 * SIGMA, MEAN, SIGMA)
 
 
-@pytest.fixture(autouse=True)
-def one_thread():
-    torch.set_num_threads(1)
-
-
 def learner(hyper=LEARNING, seed=0):
     torch.manual_seed(seed)
     return RolloutLearner(FEATURES, ACTIONS, hyper, NORMAL)

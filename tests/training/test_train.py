@@ -60,12 +60,6 @@ def content(hyper=HYPER):
     return asdict(hyper) | {"hidden": list(hyper.hidden)}
 
 
-@pytest.fixture(autouse=True)
-def one_thread():
-    """Use one thread, as in a training; threads would not survive the forks of other tests."""
-    torch.set_num_threads(1)
-
-
 # --- exported policies
 
 
@@ -187,8 +181,6 @@ def test_a_bad_hyperparameter_is_refused_in_one_line(change, tmp_path):
         (("--radio", "high", "--places", "o1:high"), "radio: cannot be combined with places"),
         (("--beliefs", "permode"), "permode.*--beliefs.*per-mode"),
         (("--beliefs", "per-mode", "--modes", "ukf"), "modes: found only 'ukf'"),
-        (("--observation", "half"), "observation: found 'half'"),
-        (("--reward", "money"), "'money'.*tracking"),
         (("--seeds", 0), "seeds: found 0"),
         (("--checkpoint-every", 0), "checkpoint_every: found 0"),
         (("--total-timesteps", -1), "total_timesteps: found -1"),

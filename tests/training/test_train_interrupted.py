@@ -20,7 +20,6 @@ from tests.refusals import refuses
 
 pytest.importorskip("stable_baselines3")
 
-import torch
 
 from experiments.training.evaluator import EPISODES
 from experiments.training.job import Job
@@ -93,15 +92,8 @@ def assert_same_training(actual, expected):
     assert not (actual / "checkpoint.pt").exists()
 
 
-@pytest.fixture
-def one_thread():
-    torch.set_num_threads(1)  # threads would not survive a fork
-
-
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_training_killed_at_random_moments_continues_to_the_same_result(
-    kind, tmp_path, one_thread
-):
+def test_a_training_killed_at_random_moments_continues_to_the_same_result(kind, tmp_path):
     job, whole = job_of(tmp_path / "killed", kind), job_of(tmp_path / "whole", kind)
     train(whole)  # also compiles
     checkpoint, rng, kills = job.folder / "checkpoint.pt", np.random.default_rng(5), 0
@@ -129,7 +121,7 @@ def stamp(path):
         return None
 
 
-def test_a_training_killed_before_the_first_checkpoint_starts_over(tmp_path, one_thread):
+def test_a_training_killed_before_the_first_checkpoint_starts_over(tmp_path):
     job, whole = job_of(tmp_path / "killed"), job_of(tmp_path / "whole")
     train(whole)
     job = replace(job, checkpoint_every=100)
@@ -143,7 +135,7 @@ def test_a_training_killed_before_the_first_checkpoint_starts_over(tmp_path, one
     assert_same_training(job.folder, whole.folder)
 
 
-def test_trainings_differ_if_and_only_if_their_seeds_differ(tmp_path, one_thread):
+def test_trainings_differ_if_and_only_if_their_seeds_differ(tmp_path):
     for name, seed in (("a", 0), ("b", 0), ("c", 1)):
         train(job_of(tmp_path / name, seed=seed))
     assert_same_training(tmp_path / "a", tmp_path / "b")
