@@ -48,6 +48,12 @@ def environment():
     return os.environ | {"PYTHONPATH": path, "COLUMNS": "200"}
 
 
+def python(code, *options, cwd=ROOT):
+    """Run Python code in another process, which imports this checkout; return the process."""
+    words = [sys.executable, *options, "-c", code]
+    return subprocess.run(words, cwd=cwd, env=environment(), capture_output=True, text=True)
+
+
 def succeed(*words, cwd=ROOT):
     """Run a command, check that it succeeds, and return what it prints."""
     done = command(*words, cwd=cwd)

@@ -1,11 +1,10 @@
 """Tests of examples that make data: ways (tracks) with SUMO, DeepMIMO folders by ray tracing."""
 
 import gzip
-import importlib.util
-import os
 import subprocess
 import sys
 from importlib.metadata import PackageNotFoundError, distribution
+from runpy import run_path
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,22 +15,17 @@ from mmwave_env.datasets.ways import read_ways
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.scene import SCENES
 from mmwave_env.task import task_from
+from tests.cli import environment
 from tests.paths import RECORDINGS, ROOT
 
 
 def loaded(name):
-    spec = importlib.util.spec_from_file_location(name, ROOT / "examples" / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return SimpleNamespace(**run_path(str(ROOT / "examples" / f"{name}.py")))
 
 
 def run(name, *options, cwd):
-    words = [sys.executable, ROOT / "examples" / f"{name}.py", *options]
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run(
-        list(map(str, words)), cwd=cwd, env=environment, capture_output=True, text=True
-    )
+    words = [sys.executable, ROOT / "examples" / f"{name}.py", *map(str, options)]
+    done = subprocess.run(words, cwd=cwd, env=environment(), capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -1,8 +1,9 @@
 """Tests of the documentation site, and of the description on package indexes."""
 
-import importlib.util
 import json
 import re
+from runpy import run_path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,11 +16,8 @@ NAVIGATION = set(re.findall(r"^ +- .*?([\w/-]+\.md)$", (ROOT / "mkdocs.yml").rea
 
 
 def loaded(path):
-    """Load a Python file that is not in a package, and return its module."""
-    spec = importlib.util.spec_from_file_location(path.replace("/", "_"), ROOT / path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    """Run a Python file that is not in a package, and return its names."""
+    return SimpleNamespace(**run_path(str(ROOT / path)))
 
 
 @pytest.fixture(scope="module")

@@ -90,15 +90,9 @@ def configuration(request):
 # --- Gymnasium's rules
 
 
+@pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("name", representative(CONFIGURATIONS, "recorded"))
-def test_the_vector_environment_passes_the_checker(name):
-    check_vector_env(lambda: native(9, **CONFIGURATIONS[name]))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", CONFIGURATIONS)
-@pytest.mark.parametrize("mode", ["SameStep", "Disabled"])
-def test_the_vector_environment_passes_the_checker_in_other_autoreset_modes(mode, name):
+def test_the_vector_environment_passes_the_checker(name, mode):
     check_vector_env(lambda: native(9, mode, **CONFIGURATIONS[name]))
 
 
@@ -139,23 +133,6 @@ def test_the_native_vector_environment_equals_the_synchronous_one(mode, configur
 def test_any_number_of_environments_equals_as_many_single_ones(n):
     arguments = CONFIGURATIONS["patchy"]
     assert same(*(rollout(make(n, **arguments), 7, 40) for make in (native, sync)))
-
-
-@pytest.mark.parametrize("mode", MODES)
-def test_the_order_of_the_environments_does_not_matter(mode):
-    n, arguments = 13, CONFIGURATIONS["ends early"]
-    order = np.random.default_rng(0).permutation(n)
-    straight, shuffled = native(n, mode, **arguments), native(n, mode, **arguments)
-    a = straight.reset(seed=3)
-    b = shuffled.reset(seed=(3 + order).tolist())
-    np.testing.assert_array_equal(a[0][order], b[0])
-    for _ in range(50):
-        a, b = (env.step(np.zeros(n, int)) for env in (straight, shuffled))
-        for x, y in zip(a[:4], b[:4], strict=True):
-            np.testing.assert_array_equal(x[order], y)
-        for env, step in ((straight, a), (shuffled, b)):
-            if mode == "Disabled" and (step[2] | step[3]).any():
-                env.reset(options={"reset_mask": step[2] | step[3]})
 
 
 @pytest.mark.parametrize("mode", MODES)

@@ -6,14 +6,15 @@ import pytest
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-STEPS = 40  # number of steps in the longest check; some episodes must end within it
+STEPS = 40  # number of steps in the longest check
 
 
 def check_vector_env(make):
-    """Check all rules, on new environments from ``make()`` with episodes of fewer than 40 steps."""
-    for check in (check_description, check_types, check_seeds, check_memory):
-        check(make)
-    for check in (check_autoreset, check_masked_resets, check_close):
+    """Check the rules that a comparison with Gymnasium's environments leaves out.
+
+    Such a comparison shows that types, infos and autoreset are right.
+    """
+    for check in (check_description, check_seeds, check_memory, check_masked_resets, check_close):
         check(make)
 
 
@@ -73,33 +74,6 @@ def check_description(make):
         assert batched == batch_space(single, env.num_envs)
 
 
-def check_infos(infos, n):
-    """Check that every key has a mask ``_key``, and values are blank where the mask is False."""
-    for key, mask in infos.items():
-        if not key.startswith("_"):
-            assert f"_{key}" in infos
-            continue
-        values = infos[key[1:]]
-        assert mask.dtype == np.bool_ and mask.shape == (n,) and mask.any()
-        if isinstance(values, dict):
-            check_infos(values, n)
-            assert not any(values[k][~mask].any() for k in values if k.startswith("_"))
-        else:
-            assert len(values) == n
-            blank = None if values.dtype == object else 0
-            assert all(np.all(value == blank) for value in values[~mask])
-
-
-def check_types(make):
-    env = make()
-    for observations, *scores, infos in rollout(env, seed=0):
-        assert observations in env.observation_space and type(infos) is dict
-        assert observations.dtype == env.single_observation_space.dtype
-        check_infos(infos, env.num_envs)
-        for score, dtype in zip(scores, (np.float64, np.bool_, np.bool_), strict=bool(scores)):
-            assert score.dtype == dtype and score.shape == (env.num_envs,)
-
-
 def check_seeds(make):
     n, first = make().num_envs, rollout(make(), seed=5)
     assert same(first, rollout(make(), seed=5))
@@ -131,39 +105,6 @@ def check_memory(make):
     assert not actions.any()
 
 
-def check_autoreset(make):
-    env = make()
-    mode, n = env.metadata["autoreset_mode"], env.num_envs
-    _, infos_at_reset = env.reset(seed=0)
-    at_reset = {key for key in infos_at_reset if not key.startswith("_")}
-    over, ends = np.zeros(n, bool), 0
-    for _ in range(STEPS):
-        observations, rewards, terminated, truncated, infos = env.step(np.zeros(n, np.int64))
-        new = over if mode == AutoresetMode.NEXT_STEP else np.zeros(n, bool)
-        if mode == AutoresetMode.NEXT_STEP:
-            assert not (rewards[over].any() or terminated[over].any() or truncated[over].any())
-        over = terminated | truncated
-        assert not (terminated & truncated).any()
-        if mode == AutoresetMode.SAME_STEP:
-            new = over
-            assert ("final_obs" in infos) == ("final_info" in infos) == over.any()
-        if mode == AutoresetMode.SAME_STEP and over.any():
-            for key in ("_final_obs", "_final_info"):
-                np.testing.assert_array_equal(infos[key], over)
-            for i in np.flatnonzero(over):
-                assert infos["final_obs"][i] in env.single_observation_space
-                assert not np.array_equal(infos["final_obs"][i], observations[i])
-        for key in at_reset:
-            mask = infos.get(f"_{key}", np.zeros(n, bool))
-            np.testing.assert_array_equal(mask[new], True)
-        ends += over.any()
-        if mode == AutoresetMode.DISABLED and over.any():
-            with pytest.raises((AssertionError, gym.error.ResetNeeded)):
-                env.step(np.zeros(n, np.int64))
-            env.reset(options={"reset_mask": over})
-    assert ends >= 2, "episodes do not end within the check"
-
-
 def check_masked_resets(make):
     env, twin, alone = make(), make(), make()
     n = env.num_envs
@@ -179,7 +120,6 @@ def check_masked_resets(make):
     np.testing.assert_array_equal(observations[~mask], before[~mask])
     np.testing.assert_array_equal(observations[mask], expected[mask])
     assert infos.keys() == infos_at_reset.keys()
-    check_infos(infos, n)
     for key in infos:
         np.testing.assert_array_equal(infos[key][mask], infos_at_reset[key][mask])
     for each in (env, twin, alone):

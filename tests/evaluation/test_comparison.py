@@ -111,12 +111,3 @@ def test_a_table_of_errors_has_a_row_for_each_kind_even_without_errors():
     assert header == f"| policy | {' | '.join(HEADER)} |" and not set(HEADER) & {*HEADERS.values()}
     cells = " | -" * len(HEADER)
     assert rows == [rf"| a\|b, horizontal{cells} |", rf"| a\|b, vertical{cells} |"]
-
-
-def test_results_are_written_as_json():
-    result = compare_scores(scores(speed_rule=[1.0, 2.0, 3.0], imm=[2.0, 2.0, 2.0]), **WHAT).json
-    said = {"scenario": "mixed", "radio": "handset", "episodes": 3, "seed": 0}
-    assert {key: result[key] for key in said} == said
-    assert list(result) == [*said, "policies", "paired"]
-    assert result["policies"]["imm"]["reward"] == {"mean": 2.0, "ci95": [2.0, 2.0]}
-    assert list(result["paired"]["imm - speed-rule"]) == [*METRICS, *TERMS]

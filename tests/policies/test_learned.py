@@ -1,8 +1,6 @@
 """Tests of learned policies: their network, their banks, and features found by name."""
 
 import math
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -12,9 +10,9 @@ from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
 from mmwave_env.models.layout import Layout
-from policies import LearnedSwitch, learned, learned_policy, shipped_policies
+from policies import LearnedSwitch, learned_policy, shipped_policies
+from tests.cli import python
 from tests.filters.tracks import replay, simulated
-from tests.paths import ROOT
 from tests.refusals import refuses
 from tests.training.actors import (
     FEATURES,
@@ -186,24 +184,14 @@ def test_a_feature_that_is_missing_or_has_another_scale_is_refused_by_name(tmp_p
             LearnedSwitch(path, TABLE)
 
 
-def test_shipped_policies_are_loaded_by_name(tmp_path, monkeypatch):
-    monkeypatch.setattr(learned, "files", lambda package: tmp_path / package)
-    folder = tmp_path / "policies" / "data"
-    folder.mkdir(parents=True)
-    for seed, name in enumerate(["ppo-handset", "ppo-standard"]):
-        card = card_of(command=name, seed=seed)
-        write(folder / f"{name}.safetensors", actor(seed=seed), card)
-    assert list(shipped_policies()) == ["ppo-handset", "ppo-standard"]
-    assert LearnedSwitch("ppo-standard").card.command == "ppo-standard"
-    with refuses("policy"):
-        LearnedSwitch("ppo")
-
-
 def test_every_shipped_policy_works_with_this_version():
     for path in shipped_policies().values():
         policy = learned_policy(path)
         pipeline = Pipeline(policy.modes, Layout())
         policy.read_from(Observation(pipeline, policy.card.observation, policy.beliefs))
+        assert learned_policy(path.stem).card == policy.card
+    with refuses("policy"):
+        learned_policy("ppo")  # which radio?
 
 
 def test_a_policy_runs_without_torch_and_pickle(make, tmp_path):
@@ -217,6 +205,6 @@ def test_a_policy_runs_without_torch_and_pickle(make, tmp_path):
         f"print(policy(np.zeros((2, {FEATURES}), np.float32)).shape)\n"
         "assert not {'torch', 'stable_baselines3'} & set(sys.modules)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    done = python(code)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "(2,)"
