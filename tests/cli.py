@@ -7,10 +7,12 @@ import sys
 import warnings
 from contextlib import redirect_stderr, redirect_stdout
 from io import BytesIO, StringIO, TextIOWrapper
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from unittest.mock import patch
 
 from experiments.console.main import main
-from tests.paths import ROOT
+from tests.paths import ROOT, json_in
 
 
 def command(*words, cwd=ROOT, columns=200, stdin=b""):
@@ -59,6 +61,13 @@ def succeed(*words, cwd=ROOT):
     done = command(*words, cwd=cwd)
     assert done.returncode == 0, done.stderr
     return done.stdout
+
+
+def with_json(*words):
+    """Run a command with the option --json; return what it prints, and the file's content."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "results.json"
+        return succeed(*words, "--json", file), json_in(file)
 
 
 def assert_one_clear_line(done, message):

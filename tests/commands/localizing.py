@@ -1,12 +1,11 @@
 """Helpers that run ``mmwave-loc localize`` on shipped logs (a walk, a ride) or changed copies."""
 
-import json
 import tempfile
 from pathlib import Path
 
 from experiments.console.main import run
 from tests.cli import command
-from tests.paths import LOGS, ROOT
+from tests.paths import LOGS, ROOT, json_in
 
 WALK, RIDE = LOGS / "canyon28_pedestrian", LOGS / "canyon28_vehicle"
 EPOCHS = {WALK: 400, RIDE: 120}
@@ -23,7 +22,7 @@ def figures(folder, *more, log=None, truth=True):
         scored = ("--truth", folder / "truth.tum") if truth else ()
         words = (*scored, "--json", file, *more)
         run("localize", options(log or folder / "log.csv", *words, folder=folder))
-        return json.loads(file.read_text())
+        return json_in(file)
 
 
 def refused(arguments, cwd=ROOT):

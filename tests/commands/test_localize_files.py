@@ -16,16 +16,9 @@ import pytest
 
 from mmwave_env.logs.tum import COLUMNS, tum_lines
 from tests.cli import assert_one_clear_line, command, environment, succeed
-from tests.commands.localizing import (
-    RIDE,
-    WALK,
-    figures,
-    lines_of,
-    options,
-    refused,
-)
+from tests.commands.localizing import RIDE, WALK, figures, lines_of, options, refused
 from tests.logs.writing import read_tum
-from tests.paths import ROOT
+from tests.paths import ROOT, json_in
 
 SAMPLE = ("localize", "--sample", RIDE.name, "--speed", "9")
 
@@ -51,7 +44,7 @@ def test_files_and_figures_are_written_even_if_the_picture_fails(tmp_path, monke
     files = ("--json", tmp_path / "t.json", "--out", tmp_path / "t.tum")
     done = command(*SAMPLE, "--plot", tmp_path / "t.png", *files)
     assert done.returncode == 2 and done.stderr == "mmwave-loc localize: no such font\n"
-    assert json.loads((tmp_path / "t.json").read_text())["epochs"] == 120
+    assert json_in(tmp_path / "t.json")["epochs"] == 120
     assert "120 epochs" in done.stdout
     assert sorted(p.name for p in tmp_path.iterdir()) == ["t.csv", "t.json", "t.tum"]
 
@@ -65,14 +58,14 @@ def test_results_of_a_comparison_are_written_even_if_the_picture_fails(tmp_path,
     files = ("--errors", tmp_path / "e.png", "--json", tmp_path / "e.json")
     done = command("compare", *short, *files)
     assert done.returncode == 2 and done.stderr.endswith(f"device: '{tmp_path / 'e.png'}'\n")
-    assert list(json.loads((tmp_path / "e.json").read_text())["policies"]) == ["fixed-ekf"]
+    assert list(json_in(tmp_path / "e.json")["policies"]) == ["fixed-ekf"]
     assert "| fixed-ekf |" in done.stdout
 
 
 @pytest.fixture
 def mapped(tmp_path):
     """Return a folder with the ride's log (my_ride.csv.gz) and a scene with a known latitude."""
-    scene = json.loads((RIDE / "scene.json").read_text())
+    scene = json_in(RIDE / "scene.json")
     scene["origin"] = {"latitude_deg": 48.0, "longitude_deg": 11.0}
     (tmp_path / "scene.json").write_text(json.dumps(scene))
     (tmp_path / "my_ride.csv.gz").write_bytes(gzip.compress((RIDE / "log.csv").read_bytes()))
@@ -85,7 +78,7 @@ MAPPED = ("localize", "my_ride.csv.gz", "--scene", "scene.json", "--speed", "9",
 def test_one_run_writes_several_files_and_the_track_in_maps_has_the_name_of_the_log(mapped):
     shown = succeed(*MAPPED, "t.gpx", "t.geojson", "new/t.tum", cwd=mapped)
     (track,) = gpxpy.parse((mapped / "t.gpx").read_text()).tracks
-    line = json.loads((mapped / "t.geojson").read_text())["features"][0]
+    line = json_in(mapped / "t.geojson")["features"][0]
     assert track.name == line["properties"]["name"] == "my_ride"
     tables = [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")]
     assert "t.geojson (smoothed track), new/t.tum (smoothed track), new/t.csv (its" in shown
@@ -192,7 +185,7 @@ def test_results_and_errors_are_reported_if_standard_output_is_closed(
     err = done.communicate(timeout=100)[1]
     assert done.returncode == code and len(err.splitlines()) == damaged
     assert ("line 602" in err) == damaged
-    assert json.loads(file.read_text())["epochs"] == (200 if damaged else 400)
+    assert json_in(file)["epochs"] == (200 if damaged else 400)
 
 
 # --- damage
@@ -219,7 +212,7 @@ def test_a_damaged_log_gives_the_track_up_to_the_damage(tmp_path, name, zipped):
     figures(WALK, "--speed", "1", "--no-smoothing", *radio, "--out", whole)
     assert out.read_text() == "".join(whole.read_text().splitlines(keepends=True)[: epochs + 1])
     assert len((tmp_path / "track.csv").read_text().splitlines()) == epochs + 1
-    results = json.loads((tmp_path / "found.json").read_text())
+    results = json_in(tmp_path / "found.json")
     assert results["epochs"] == epochs and message in results["error"]
     assert f"{epochs} of {epochs} epochs have a true position" in shown
 

@@ -1,7 +1,6 @@
 """Tests of the program mmwave-loc: results, help, mistakes and output."""
 
 import importlib
-import json
 import os
 import pty
 import re
@@ -14,8 +13,8 @@ import pytest
 import mmwave_env
 from experiments.console.main import COMMANDS, SAME, page_of, read_arguments
 from experiments.console.options import IntegrityArgs, TaskArgs
-from tests.cli import assert_one_clear_line, command, environment, succeed
-from tests.paths import ROOT
+from tests.cli import assert_one_clear_line, command, environment, python, succeed
+from tests.paths import ROOT, json_in
 
 HEAVY = {"numba", "gymnasium", "numpy", "scipy", "matplotlib", "torch", "rich", "pyarrow"}
 
@@ -69,7 +68,7 @@ def test_help_loads_no_heavy_packages():
         "        pass\n"
         f"print('loaded:', *{HEAVY} & {{m.split('.')[0] for m in sys.modules}})"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    done = python(code)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1] == "loaded:"
 
@@ -133,7 +132,7 @@ def test_an_interrupt_while_the_program_starts_ends_with_one_line(module):
         "sys.argv = ['mmwave-loc', 'evaluate', '--episodes', '100000']\n"
         "main()\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    done = python(code)
     assert (done.returncode, done.stdout) == (130, "")
     assert re.fullmatch("mmwave-loc( evaluate)?: interrupted\n", done.stderr)
 
@@ -177,9 +176,7 @@ def test_a_deleted_working_folder_is_named(tmp_path):
         "from experiments.console.main import main\n"
         "main()"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=environment(), capture_output=True, text=True
-    )
+    done = python(code)
     assert_one_clear_line(done, "the working folder|log.csv: found no such file")
 
 
@@ -187,7 +184,7 @@ def test_quiet_shows_nothing_and_still_writes_the_results(tmp_path):
     options = ("--policies", "fixed-ukf", "imm", "--episodes", 2)
     done = command("compare", *options, "--quiet", "--json", tmp_path / "all.json")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-    assert list(json.loads((tmp_path / "all.json").read_text())["policies"]) == ["fixed-ukf", "imm"]
+    assert list(json_in(tmp_path / "all.json")["policies"]) == ["fixed-ukf", "imm"]
     assert "fixed-ukf" in command("compare", *options).stdout  # --quiet affects only one command
     assert_one_clear_line(command("evaluate", "--quiet", "--radio", "lab"), "'lab'.*handset")
 
