@@ -49,9 +49,6 @@ def wrong():
 def beyond():
     return lambda observations: np.full(len(observations), 2)
 
-def many():
-    return lambda observations: np.full(len(observations), 4)
-
 def stumbling():
     def act(observations):
         raise RuntimeError(f"no idea\\nwhat {observations.shape} is")
@@ -154,17 +151,10 @@ def test_compare_accepts_objects_modules_files_and_loaded_policies(tmp_path):
         assert (nothing.mean, nothing.low, nothing.high) == (0.0, 0.0, 0.0)
 
 
-@pytest.fixture
-def bank_file(tmp_path):
-    """Return a mode file that also defines how its modes interact."""
-    path = tmp_path / "bank.json"
-    path.write_text(json.dumps(bank_as_written(HANDSET)))
-    return path
-
-
 @pytest.mark.slow
-def test_the_command_line_supports_beliefs_per_mode(folder, bank_file):
-    words = ("--beliefs", "per-mode", "--modes", bank_file, "--episodes", 2)
+def test_the_command_line_supports_beliefs_per_mode(folder):
+    (folder / "bank.json").write_text(json.dumps(bank_as_written(HANDSET)))
+    words = ("--beliefs", "per-mode", "--modes", "bank.json", "--episodes", 2)
     done = command("compare", "--policies", "my_agents:second", "imm", *words, cwd=folder)
     assert done.returncode == 0, done.stderr
     assert "| my_agents:second | -" in done.stdout and "minus imm" in done.stdout

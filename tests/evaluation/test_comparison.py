@@ -5,7 +5,7 @@ import pytest
 
 from experiments.evaluation.comparison import compare_scores, references
 from experiments.evaluation.intervals import bootstrap
-from experiments.evaluation.positions import HEADER, exceeded, meters, percent, positions_markdown
+from experiments.evaluation.positions import HEADER, percent, positions_markdown
 from experiments.evaluation.seeds import Selection
 from mmwave_env.localization.position_errors import PositionErrors
 from mmwave_env.metrics import HEADERS, METRICS, TERMS
@@ -97,12 +97,6 @@ def test_scores_run_from_the_paper_s_rule_at_0_to_the_clairvoyant_at_100():
 )
 def test_rare_shares_keep_two_digits(share, shown):
     assert percent(share) == shown
-
-
-def test_distances_have_three_digits_and_a_share_is_followed_by_its_interval():
-    for value, shown in {None: "-", 0.0: "0.00", 0.01234: "0.0123", 99.96: "100"}.items():
-        assert meters(value) == shown
-    assert exceeded({"share": 0.0027, "ci95": [0.0021, 0.0035]}) == "0.27 % [0.21, 0.35]"
 
 
 def test_a_table_of_errors_has_a_row_for_each_kind_even_without_errors():
