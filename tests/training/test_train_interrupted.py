@@ -242,14 +242,14 @@ def test_an_interrupted_command_ends_at_once_and_continues_when_resumed(tmp_path
         "interrupted": (130, lambda pid: os.killpg(pid, signal.SIGINT)),  # as Ctrl-C does
         "ended by SIGTERM": (143, lambda pid: os.kill(pid, signal.SIGTERM)),
     }
-    for told, (code, send) in ways.items():
+    for message, (code, send) in ways.items():
         command = started(*words, *["--resume"] * out.exists())
         until_replaced(checkpoint, command)
         send(command.pid)
         output, errors = command.communicate(timeout=600)
         assert command.returncode == code and output == "" and "Traceback" not in errors
-        if told:
-            assert re.fullmatch(f"mmwave-loc train: {told}", errors.splitlines()[-1])
+        if message:
+            assert re.fullmatch(f"mmwave-loc train: {message}", errors.splitlines()[-1])
             assert not list(out.rglob(".*"))
         assert gone(command.pid)  # the training ends, too
 
