@@ -6,14 +6,16 @@ import subprocess
 import sys
 import warnings
 from contextlib import redirect_stderr, redirect_stdout
-from io import StringIO
+from io import BytesIO, StringIO, TextIOWrapper
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from unittest.mock import patch
 
 from experiments.console.main import main
-from tests.paths import ROOT
+from tests.paths import ROOT, json_in
 
 
-def command(*words, cwd=ROOT, columns=200):
+def command(*words, cwd=ROOT, columns=200, stdin=b""):
     """Run ``mmwave-loc <words>`` in this process as if typed; return its exit code and output.
 
     User warnings are shown as the program shows them; other warnings are errors, as in all tests.
@@ -24,6 +26,7 @@ def command(*words, cwd=ROOT, columns=200):
     # The program changes how warnings are displayed; catch_warnings restores that, too.
     with (
         patch.object(sys, "argv", typed),
+        patch.object(sys, "stdin", TextIOWrapper(BytesIO(stdin))),
         patch.dict(os.environ, COLUMNS=str(columns)),
         warnings.catch_warnings(),
         redirect_stdout(out),
@@ -47,11 +50,24 @@ def environment():
     return os.environ | {"PYTHONPATH": path, "COLUMNS": "200"}
 
 
+def python(code, *options, cwd=ROOT):
+    """Run Python code in another process, which imports this checkout; return the process."""
+    words = [sys.executable, *options, "-c", code]
+    return subprocess.run(words, cwd=cwd, env=environment(), capture_output=True, text=True)
+
+
 def succeed(*words, cwd=ROOT):
     """Run a command, check that it succeeds, and return what it prints."""
     done = command(*words, cwd=cwd)
     assert done.returncode == 0, done.stderr
     return done.stdout
+
+
+def with_json(*words):
+    """Run a command with the option --json; return what it prints, and the file's content."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "results.json"
+        return succeed(*words, "--json", file), json_in(file)
 
 
 def assert_one_clear_line(done, message):

@@ -8,9 +8,9 @@ from importlib.util import find_spec
 # Tests of pictures need the extra ``render``; without it they are not collected.
 collect_ignore_glob = [] if find_spec("pygame") else ["rendering/test_*.py"]
 
-# Tests run in parallel, one per core, so more threads of torch and BLAS would only wait.
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Tests run in parallel, one per core, so more threads of torch and BLAS would only wait; they would
+# not survive a fork either.
+os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 # The loops that draw, step and repeat episodes take half a minute to compile if they are not in
 # the disk cache yet; until they are compiled, they run as plain Python.

@@ -53,3 +53,14 @@ def changed(draw, content):
         else:
             del inner[last]
     return content
+
+
+class Malicious:
+    """Object that leaves traces in the process and makes a folder when it is unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        code = f"import builtins, os; builtins.touched = True; os.mkdir({str(self.path)!r})"
+        return exec, (code,)

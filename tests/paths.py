@@ -1,5 +1,6 @@
-"""Helpers for tests: paths of the checkout, numbers in tables, and marking cases as slow."""
+"""Helpers for tests: paths of the checkout, contents of files, and marking cases as slow."""
 
+import json
 import re
 from pathlib import Path
 
@@ -8,6 +9,11 @@ import pytest
 ROOT = Path(__file__).parents[1]
 LOGS = ROOT / "mmwave_env" / "data" / "logs"
 RECORDINGS = ROOT / "mmwave_env" / "data" / "deepmimo_canyon28"
+
+
+def json_in(path: Path):
+    """Return the content of a JSON file."""
+    return json.loads(path.read_text("utf-8"))
 
 
 def numbers(text: str) -> list[float]:

@@ -12,14 +12,13 @@ from gymnasium.error import InvalidAction
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
-from experiments.evaluation.contenders import Contender, contender_from
+from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import run_contender
 from mmwave_env.engines.tally import exceeds
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.localization.position_errors import horizontal_level
 from mmwave_env.metrics import RISK
 from policies import Corrector, LearnedSwitch
-from policies.corrector import Correction
 from tests.refusals import refuses
 from tests.vector_checker import forward, same
 
@@ -61,8 +60,14 @@ def rewards(results):
     return np.array([result[1] for result in results[1:]])
 
 
-@pytest.mark.parametrize("name", KINDS)
-@pytest.mark.parametrize("more", [{}, {"planar": True}, {"backend": "filterpy"}])
+@pytest.mark.parametrize(
+    ("name", "more"),
+    [
+        ("weights", {"backend": "filterpy"}),
+        ("correction", {"planar": True}),
+        ("of a base", {"backend": "filterpy"}),
+    ],
+)
 def test_the_environment_passes_gymnasium_s_checker(name, more):
     env = gym.make(ID, episode_steps=5, disable_env_checker=True, **KINDS[name], **more)
     with warnings.catch_warnings():
@@ -71,12 +76,19 @@ def test_the_environment_passes_gymnasium_s_checker(name, more):
         check_env(env.unwrapped, skip_render_check=True)
 
 
-@pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
+PAIRED = {"reward": "paired", "terminate_on_divergence": True, "scenario": "vehicle"}
+
+
 @pytest.mark.parametrize(
-    "more", [{}, {"reward": "paired", "terminate_on_divergence": True, "scenario": "vehicle"}]
+    ("name", "mode", "more"),
+    [
+        ("weights", "NextStep", PAIRED),
+        ("correction", "SameStep", {}),
+        ("of a base", "Disabled", PAIRED),
+    ],
 )
-def test_the_native_vector_environment_equals_the_synchronous_one(kind, mode, more):
-    options, n = {"num_envs": 9, "episode_steps": 9} | kind | more, (9,)
+def test_the_native_vector_environment_equals_the_synchronous_one(name, mode, more):
+    options, n = {"num_envs": 9, "episode_steps": 9} | KINDS[name] | more, (9,)
     native = gym.make_vec(ID, autoreset_mode=mode, **options)
     kwargs = {"autoreset_mode": AutoresetMode(mode)}
     sync = gym.make_vec(ID, vectorization_mode="sync", vector_kwargs=kwargs, **options)
@@ -150,36 +162,6 @@ def test_the_shipped_corrector_earns_in_the_environment_what_its_evaluation_says
     np.testing.assert_allclose(np.transpose(earned), expected, atol=1e-5)
 
 
-class Shifting:
-    """An agent of `compare` that trusts no mode, and always corrects in the same way."""
-
-    observation, beliefs, modes = "signed", "per-mode", PER_MODE["modes"]
-    numbers = np.array([0.5, -0.3, 0.2, 0.1, 0.3, -0.4])
-
-    def reset(self, begins):
-        """Forget nothing."""
-
-    def __call__(self, observations):
-        return np.zeros(len(observations), int)
-
-    def correct(self, observations):
-        shift, log_factor = (
-            np.tile(self.numbers, (len(observations), 1)).reshape(-1, 2, 3).swapaxes(0, 1)
-        )
-        return Correction(shift, log_factor, np.ones(len(observations)))
-
-
-@pytest.mark.slow  # compiles large programs
-def test_the_evaluation_of_an_own_agent_corrects_as_the_environment_does():
-    env = gym.make_vec(ID, num_envs=4, episode_steps=30, **KINDS["correction"]).unwrapped
-    _, infos = env.reset(seed=0)
-    earned = [env.step(np.tile(Shifting.numbers, (4, 1)))[1] for _ in range(30)]
-    contender = Contender.own("shifting", Shifting(), "handset")
-    start = contender.start(env.source.layout)
-    expected = run_contender(contender, start, env.source.episodes(infos["episode_key"]))["reward"]
-    np.testing.assert_allclose(np.transpose(earned), expected, atol=1e-9)
-
-
 def test_a_paired_reward_subtracts_that_of_the_same_belief_without_correction():
     options = KINDS["of a base"] | {"num_envs": 3, "episode_steps": 20}
     envs = [gym.make_vec(ID, reward=reward, **options) for reward in ("tracking", "paired")]
@@ -190,9 +172,10 @@ def test_a_paired_reward_subtracts_that_of_the_same_belief_without_correction():
 
 
 @pytest.mark.torch
-def test_stable_baselines3_trains_on_numbers(kind):
+def test_stable_baselines3_trains_on_numbers():
     sb3, adapter = pytest.importorskip("stable_baselines3"), pytest.importorskip("mmwave_env.sb3")
-    envs = gym.make_vec(ID, num_envs=4, autoreset_mode="SameStep", episode_steps=6, **kind)
+    options = {"autoreset_mode": "SameStep", "episode_steps": 6} | KINDS["of a base"]
+    envs = gym.make_vec(ID, num_envs=4, **options)
     envs = adapter.SB3VecEnv(envs)
     model = sb3.PPO("MlpPolicy", envs, n_steps=16, batch_size=32, n_epochs=1, device="cpu")
     assert len(model.learn(64).ep_info_buffer) == 4 * (16 // 6)
@@ -257,15 +240,7 @@ def test_a_base_must_return_actions(answer):
 # --- costs
 
 
-def test_environments_and_reports_agree_whether_an_error_exceeds_its_level():
-    rng = np.random.default_rng(0)
-    factor = rng.normal(size=(2000, 2, 2)) * rng.uniform(0.01, 3.0, (2000, 1, 2))
-    P = factor @ factor.transpose(0, 2, 1)
-    packed, turn = P[:, [0, 1, 1], [0, 0, 1]], rng.uniform(0.0, 2.0 * np.pi, 2000)
-    level = horizontal_level(packed, RISK)
-    for share, expected in ((0.999, 0.0), (1.001, 1.0)):
-        x, y = share * level * np.cos(turn), share * level * np.sin(turn)
-        assert {exceeds(*row) for row in np.column_stack([x, y, packed]).tolist()} == {expected}
+def test_errors_exceed_the_level_of_a_belief_that_is_nan_or_exact():
     assert exceeds(math.nan, 0.0, 1.0, 0.0, 1.0) == exceeds(1.0, 0.0, *[math.nan] * 3) == 1.0
     assert exceeds(1.0, 0.0, 0.0, 0.0, 0.0) == 1.0 and exceeds(0.0, 0.0, 0.0, 0.0, 0.0) == 0.0
 

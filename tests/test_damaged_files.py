@@ -29,18 +29,18 @@ from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.radio import read_radio
 from mmwave_env.models.scene import SCENES, read_scene, scene_json
 from mmwave_env.world.mobility import read_mobility
-from policies.policy_file import _checksum, read_policy, save
+from policies.policy_file import read_policy, to_bytes
 from tests.damage import changed, damaged
 from tests.datasets.deepmimo.scenarios import SAVE, shortened
-from tests.paths import LOGS, ROOT
+from tests.paths import LOGS, ROOT, json_in
 from tests.training.actors import TABLE, actor, card_of
 
 RIDE = LOGS / "canyon28_vehicle"
 SCENE = read_scene(RIDE / "scene.json")
-BANK = json.loads((ROOT / "mmwave_env" / "data" / "banks" / "handset.json").read_text())
+BANK = json_in(ROOT / "mmwave_env" / "data" / "banks" / "handset.json")
 RUN = ROOT / "docs" / "learning" / "ppo-standard"
-SUMMARY = json.loads((RUN / "summary.json").read_text())
-TENSORS, CARD = actor(3), card_of(features=TABLE.columns[:3]).as_json()
+SUMMARY = json_in(RUN / "summary.json")
+CARD = card_of(features=TABLE.columns[:3])
 CASES = 50  # number of random cases for each file and kind of damage
 SLOWEST_S = 20  # longest time that reading may take
 
@@ -50,17 +50,10 @@ class Reader(NamedTuple):
 
     files: Callable[[], dict[str, Any]]  # returns file name -> bytes, or content for JSON
     read: Callable[[Path], Any]  # its argument is the folder of the files
-    write: Callable[[Any], bytes] = lambda content: json.dumps(content).encode()
 
 
 def head(path, lines):
     return b"".join(path.read_bytes().splitlines(keepends=True)[:lines])
-
-
-def signed(card):
-    """Return a policy file with this card, valid or not, and the checksum that matches it."""
-    document = {"format": 2, "sha256": _checksum(TENSORS, card), "card": card}
-    return save(TENSORS, {"policy": json.dumps(document)})
 
 
 def parquet():
@@ -82,8 +75,8 @@ def deepmimo(suffix):
     return files | {"params.json": json.loads(files["params.json"])}
 
 
-def alone(name, content, read, **more):
-    return Reader(lambda: {name: content}, lambda folder: read(folder / name), **more)
+def alone(name, content, read):
+    return Reader(lambda: {name: content}, lambda folder: read(folder / name))
 
 
 def log(name, content=b""):
@@ -98,15 +91,15 @@ PROGRESS = b"timesteps,train/loss,tuning/minus imm\n" + b"".join(
     b"%d,%.2f,%s\n" % (1000 * i, 1.0 / (1 + i), b"" if i % 2 else b"0.0%d" % i) for i in range(9)
 )
 LOG = head(RIDE / "log.csv", 40)
-HYPERPARAMETERS = json.loads(shipped_hyperparameters("ppo").read_text())
-RESULTS = json.loads((ROOT / "docs" / "results.json").read_text())
+HYPERPARAMETERS = json_in(shipped_hyperparameters("ppo"))
+RESULTS = json_in(ROOT / "docs" / "results.json")
 READERS = {
     "log": log("log.csv", LOG),
     "gzipped log": log("log.csv.gz", gzip.compress(LOG, mtime=0)),
     "Parquet log": log("log.parquet")._replace(files=parquet),
     "log of paths": alone("log.csv", LOG, lambda path: list(read_paths(path, SCENE))),
     "truth": alone("truth.tum", head(RIDE / "truth.tum", 30), read_tum),
-    "scene": alone("scene.json", json.loads((RIDE / "scene.json").read_text()), read_scene),
+    "scene": alone("scene.json", json_in(RIDE / "scene.json"), read_scene),
     "scene of walls": alone("scene.json", scene_json(SCENES["street"]), read_scene),
     "radio": alone(
         "r.json", {"base": "standard", "gnb_elements": 16, "aoa_floor_deg": 2.0}, read_radio
@@ -116,8 +109,7 @@ READERS = {
     "mobility": alone("walk.json", WALK, read_mobility),
     "way": alone("way.csv", WAY, read_ways),
     **{f"DeepMIMO{end}": Reader(partial(deepmimo, end), read_deepmimo) for end in SAVE},
-    "policy": alone("p.safetensors", signed(CARD), read_policy),
-    "policy, signed anew": alone("p.safetensors", CARD, read_policy, write=signed),
+    "policy": alone("p.safetensors", to_bytes(actor(3), CARD), read_policy),
     "hyperparameters": alone(
         "h.json", HYPERPARAMETERS, partial(read_hyperparameters, algorithm="ppo")
     ),
@@ -147,15 +139,7 @@ def numbers_in(content):
 
 
 # Files that may contain NaN: most are only shown; in logs of paths, NaN means missing.
-MAY_BE_NAN = (
-    "results",
-    "run",
-    "summary",
-    "progress log",
-    "policy",
-    "policy, signed anew",
-    "log of paths",
-)
+MAY_BE_NAN = ("results", "run", "summary", "progress log", "policy", "log of paths")
 
 
 def read(kind, folder):
@@ -177,7 +161,7 @@ def test_an_undamaged_file_is_read(tmp_path, kind):
     needs(kind)
     for name, content in READERS[kind].files().items():
         raw = isinstance(content, bytes)
-        (tmp_path / name).write_bytes(content if raw else READERS[kind].write(content))
+        (tmp_path / name).write_bytes(content if raw else json.dumps(content).encode())
     read(kind, tmp_path)
 
 
@@ -200,9 +184,9 @@ def test_a_damaged_file_is_read_or_refused_with_its_name(tmp_path, kind, data):
         if isinstance(content, bytes):
             content = data.draw(damaged(content)) if name == hit else content
         elif data.draw(st.booleans()):
-            content = reader.write(data.draw(changed(content)))
+            content = json.dumps(data.draw(changed(content))).encode()
         else:
-            content = data.draw(damaged(reader.write(content)))
+            content = data.draw(damaged(json.dumps(content).encode()))
         (folder / name).write_bytes(content)
     try:
         read(kind, folder)

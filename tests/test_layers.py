@@ -2,10 +2,9 @@
 
 import ast
 import re
-import subprocess
-import sys
 from graphlib import TopologicalSorter
 
+from tests.cli import python
 from tests.paths import ROOT
 
 EVERYBODY = {"mmwave_env", "io", "metrics"}  # all may import these (of mmwave_env: __init__.py)
@@ -163,5 +162,5 @@ def test_importing_the_package_loads_no_heavy_package():
         "import sys, mmwave_env\n"
         "print(*{'numba', 'scipy', 'matplotlib', 'torch'} & {m.split('.')[0] for m in sys.modules})"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    done = python(code)
     assert done.returncode == 0 and done.stdout.strip() == "", done.stderr

@@ -1,4 +1,4 @@
-"""Tests of the argument ``measurements=``, for receivers that measure only some quantities."""
+"""Tests of ``measurements=``, for receivers that measure only some quantities, and of clocks."""
 
 import gymnasium as gym
 import numpy as np
@@ -13,6 +13,7 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.task import task_from
 from mmwave_env.world.simulated import SimulatedSource
 from tests.filters.tracks import around_a_block, replay
+from tests.paths import representative
 from tests.refusals import refuses
 
 SUBSETS = [("range", "azimuth"), ("azimuth", "elevation", "departure"), ("departure", "doppler")]
@@ -54,39 +55,50 @@ def test_the_remaining_rows_equal_those_of_the_complete_episode(arguments, subse
 
 
 def test_naming_all_measurements_gives_the_same_rewards_as_naming_none():
-    for beliefs in ("shared", "per-mode"):
+    for arguments in ({"modes": ["ekf"]}, {"beliefs": "per-mode"}):
         plain, named = (
-            played(beliefs=beliefs, episode_steps=60, measurements=asked)
+            played(**arguments, episode_steps=60, measurements=asked)[0]
             for asked in (None, MEASUREMENTS)
         )
         np.testing.assert_allclose(named, plain, rtol=1e-9, atol=1e-9)
 
 
 def played(seed=3, **arguments):
-    """Return the rewards of an episode in which every action is 0."""
+    """Return the rewards of an episode in which every action is 0, and its last info."""
     env = gym.make("mmwave_env:MmWaveLoc-v0", **arguments)
     env.reset(seed=seed)
     over, rewards = False, []
     while not over:
-        _, reward, _, over, _ = env.step(0)
+        _, reward, _, over, info = env.step(0)
         rewards.append(reward)
-    return np.array(rewards)
+    return np.array(rewards), info
 
 
-SLOW = pytest.mark.slow  # each source compiles programs of its own
+SOME = {"measurements": ["range", "azimuth"], "beliefs": "per-mode"}
+CLOCK = {"clock": "offset", "episode_steps": 30, "smoothed": True}
+RECEIVERS = {
+    "simulated": SOURCES["simulated"] | SOME,
+    "clock": CLOCK | {"modes": ["ekf"]},
+    "odometry": SOURCES["odometry"] | SOME,
+    "recorded": SOURCES["recorded"] | SOME,
+    "measured": SOURCES["measured"] | SOME,
+    "clock per mode": CLOCK | {"beliefs": "per-mode"},
+}
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["simulated", *(pytest.param(n, marks=SLOW) for n in ("odometry", "recorded", "measured"))],
-)
+@pytest.mark.parametrize("name", representative(RECEIVERS, "simulated", "clock"))
 def test_vector_and_single_environments_agree(name):
-    arguments = SOURCES[name] | {"measurements": ["range", "azimuth"], "beliefs": "per-mode"}
+    arguments = RECEIVERS[name]
     envs = gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=3, **arguments)
     envs.reset(seed=7)
-    together = np.array([envs.step(np.zeros(3, np.int64))[1] for _ in range(40)])
-    alone = [played(7 + i, **arguments) for i in range(3)]
-    np.testing.assert_array_equal(together.T, alone)
+    actions = np.zeros(3, np.int64)
+    steps = [envs.step(actions) for _ in range(arguments["episode_steps"])]
+    infos = steps[-1][4]
+    for i in range(3):
+        rewards, info = played(7 + i, **arguments)
+        np.testing.assert_array_equal([step[1][i] for step in steps], rewards)
+        np.testing.assert_array_equal(infos["estimate"][i], info["estimate"])
+        assert "smoothed" not in arguments or infos["smoothed_ate_m"][i] == info["smoothed_ate_m"]
 
 
 def test_all_subsets_share_one_compiled_world():
@@ -96,16 +108,24 @@ def test_all_subsets_share_one_compiled_world():
     assert not np.array_equal(*[source.episode(5).visible for source in sources[1:]])
 
 
-def test_own_algorithms_filterpy_and_paired_rewards_support_subsets():
+TASKS = {
+    "some rows": {"measurements": ["azimuth", "departure"]},
+    "clock": {"clock": "offset"},
+    "clock and odometry": {"clock": "offset", "odometry": True},
+}
+
+
+@pytest.mark.parametrize("name", representative(TASKS, "some rows"))
+def test_own_algorithms_filterpy_and_paired_rewards_support_receivers(name):
     def mine(x, P, measurement, gate):
         return ekf(x, P, measurement, gate)
 
-    asked = {"measurements": ["azimuth", "departure"], "episode_steps": 20}
-    lanes, twin = (played(**asked, modes=["ekf"], backend=b) for b in ("lanes", "filterpy"))
+    asked = {"episode_steps": 20} | TASKS[name]
+    lanes, twin = (played(**asked, modes=["ekf"], backend=b)[0] for b in ("lanes", "filterpy"))
     np.testing.assert_allclose(twin, lanes, rtol=1e-6, atol=1e-6)
-    own, ours = (played(**asked, modes=[Mode("mine", algorithm)]) for algorithm in (mine, "ekf"))
+    own, ours = (played(**asked, modes=[Mode("mine", a)])[0] for a in (mine, "ekf"))
     np.testing.assert_array_equal(own, ours)
-    assert np.isfinite(played(**asked, reward="paired")).all()
+    assert np.isfinite(played(**asked, reward="paired")[0]).all()
 
 
 @pytest.mark.parametrize(

@@ -28,18 +28,11 @@ def evo():
 
 
 @pytest.fixture(scope="module")
-def through_evo(evo, tracks, tmp_path_factory):
-    """Return the tracks as evo reads them from TUM files (time, position, identity quaternion)."""
-    from evo.tools import file_interface
-
-    folder = tmp_path_factory.mktemp("tum")
-    read = []
-    for name, position in zip(("truth", "estimate"), tracks, strict=True):
-        still = np.tile([0.0, 0.0, 0.0, 1.0], (EPOCHS, 1))
-        rows = np.column_stack([np.arange(EPOCHS, dtype=float), position, still])
-        np.savetxt(folder / f"{name}.tum", rows, fmt="%.17g")
-        read.append(file_interface.read_tum_trajectory_file(folder / f"{name}.tum"))
-    return tuple(read)
+def through_evo(tracks):
+    """Return the tracks as trajectories of evo, with identity quaternions."""
+    trajectory = pytest.importorskip("evo.core.trajectory").PosePath3D
+    still = np.tile([1.0, 0.0, 0.0, 0.0], (EPOCHS, 1))
+    return tuple(trajectory(position, still) for position in tracks)
 
 
 def test_ate_and_rmse_equal_the_absolute_pose_error_of_evo(evo, tracks, through_evo):

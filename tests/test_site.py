@@ -1,25 +1,22 @@
 """Tests of the documentation site, and of the description on package indexes."""
 
-import importlib.util
-import json
 import re
+from runpy import run_path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from experiments.console.main import COMMANDS
-from tests.paths import ROOT
+from tests.paths import ROOT, json_in
 
 FIRST = "notebooks/first_switcher"
 NAVIGATION = set(re.findall(r"^ +- .*?([\w/-]+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.M))
 
 
 def loaded(path):
-    """Load a Python file that is not in a package, and return its module."""
-    spec = importlib.util.spec_from_file_location(path.replace("/", "_"), ROOT / path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    """Run a Python file that is not in a package, and return its names."""
+    return SimpleNamespace(**run_path(str(ROOT / path)))
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +66,7 @@ def test_pages_made_from_code_are_up_to_date():
 
 def test_the_page_of_a_notebook_shows_its_cells_and_their_outputs(hooks):
     for uri, name in hooks.NOTEBOOKS.items():
-        page, cells = hooks.made()[uri](), json.loads((ROOT / name).read_text("utf-8"))["cells"]
+        page, cells = hooks.made()[uri](), json_in(ROOT / name)["cells"]
         cells = [cell for cell in cells if cell["cell_type"] == "code"]
         code = ["".join(cell["source"]) for cell in cells]
         assert re.findall(r"^```python\n(.*?)\n```$", page, re.DOTALL | re.MULTILINE) == code

@@ -1,8 +1,5 @@
 """Tests that a vector environment restored from a saved state continues with identical results."""
 
-import subprocess
-import sys
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -12,7 +9,7 @@ import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
-from tests.paths import ROOT, representative
+from tests.paths import representative
 from tests.refusals import refuses
 from tests.test_vector_env import LOSING
 from tests.training.actors import MODES
@@ -68,26 +65,6 @@ def test_a_reset_after_a_restore_draws_the_same_episodes(mode):
     other.restore(env.state())
     assert same(env.reset(), other.reset())
     assert other.np_random_seed == (-1,) * 9  # as in Gymnasium, if seeds are unknown
-
-
-@pytest.mark.slow
-def test_a_saved_state_continues_in_another_process(tmp_path):
-    env = make()
-    env.reset(seed=4)
-    go_on(env, 7, actions=0)
-    np.savez(tmp_path / "state.npz", **env.state())
-    code = (
-        "import numpy as np\n"
-        "from tests.test_vector_env_state import go_on, make\n"
-        "env = make()\n"
-        f"env.restore(dict(np.load({str(tmp_path / 'state.npz')!r})))\n"
-        "steps = go_on(env, 12, actions=1)\n"
-        f"np.save({str(tmp_path / 'then.npy')!r}, [result[0][0] for result in steps])\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
-    assert done.returncode == 0, done.stderr
-    expected = [result[0][0] for result in go_on(env, 12, actions=1)]
-    np.testing.assert_array_equal(np.load(tmp_path / "then.npy"), expected)
 
 
 def test_later_steps_do_not_change_a_saved_state():

@@ -1,20 +1,15 @@
 """A checker of vector environments, because Gymnasium has one for single environments only."""
 
-import gymnasium as gym
 import numpy as np
-import pytest
 from gymnasium.vector import AutoresetMode
-from gymnasium.vector.utils import batch_space
 
-STEPS = 40  # number of steps in the longest check; some episodes must end within it
+STEPS = 40  # number of steps in the longest check
 
 
 def check_vector_env(make):
-    """Check all rules, on new environments from ``make()`` with episodes of fewer than 40 steps."""
-    for check in (check_description, check_types, check_seeds, check_memory):
-        check(make)
-    for check in (check_autoreset, check_masked_resets, check_close):
-        check(make)
+    """Check seeds and shared memory; comparisons with Gymnasium's environments show the rest."""
+    check_seeds(make)
+    check_memory(make)
 
 
 def same(a, b):
@@ -61,45 +56,6 @@ def rollout(env, seed, steps=STEPS, actions=0):
     return results
 
 
-def check_description(make):
-    env = make()
-    assert isinstance(env, gym.vector.VectorEnv) and not env.closed
-    assert isinstance(env.metadata["autoreset_mode"], AutoresetMode)
-    assert env.render_mode is None
-    for single, batched in (
-        (env.single_observation_space, env.observation_space),
-        (env.single_action_space, env.action_space),
-    ):
-        assert batched == batch_space(single, env.num_envs)
-
-
-def check_infos(infos, n):
-    """Check that every key has a mask ``_key``, and values are blank where the mask is False."""
-    for key, mask in infos.items():
-        if not key.startswith("_"):
-            assert f"_{key}" in infos
-            continue
-        values = infos[key[1:]]
-        assert mask.dtype == np.bool_ and mask.shape == (n,) and mask.any()
-        if isinstance(values, dict):
-            check_infos(values, n)
-            assert not any(values[k][~mask].any() for k in values if k.startswith("_"))
-        else:
-            assert len(values) == n
-            blank = None if values.dtype == object else 0
-            assert all(np.all(value == blank) for value in values[~mask])
-
-
-def check_types(make):
-    env = make()
-    for observations, *scores, infos in rollout(env, seed=0):
-        assert observations in env.observation_space and type(infos) is dict
-        assert observations.dtype == env.single_observation_space.dtype
-        check_infos(infos, env.num_envs)
-        for score, dtype in zip(scores, (np.float64, np.bool_, np.bool_), strict=bool(scores)):
-            assert score.dtype == dtype and score.shape == (env.num_envs,)
-
-
 def check_seeds(make):
     n, first = make().num_envs, rollout(make(), seed=5)
     assert same(first, rollout(make(), seed=5))
@@ -129,73 +85,3 @@ def check_memory(make):
         "changing a returned array changes the environment"
     )
     assert not actions.any()
-
-
-def check_autoreset(make):
-    env = make()
-    mode, n = env.metadata["autoreset_mode"], env.num_envs
-    _, infos_at_reset = env.reset(seed=0)
-    at_reset = {key for key in infos_at_reset if not key.startswith("_")}
-    over, ends = np.zeros(n, bool), 0
-    for _ in range(STEPS):
-        observations, rewards, terminated, truncated, infos = env.step(np.zeros(n, np.int64))
-        new = over if mode == AutoresetMode.NEXT_STEP else np.zeros(n, bool)
-        if mode == AutoresetMode.NEXT_STEP:
-            assert not (rewards[over].any() or terminated[over].any() or truncated[over].any())
-        over = terminated | truncated
-        assert not (terminated & truncated).any()
-        if mode == AutoresetMode.SAME_STEP:
-            new = over
-            assert ("final_obs" in infos) == ("final_info" in infos) == over.any()
-        if mode == AutoresetMode.SAME_STEP and over.any():
-            for key in ("_final_obs", "_final_info"):
-                np.testing.assert_array_equal(infos[key], over)
-            for i in np.flatnonzero(over):
-                assert infos["final_obs"][i] in env.single_observation_space
-                assert not np.array_equal(infos["final_obs"][i], observations[i])
-        for key in at_reset:
-            mask = infos.get(f"_{key}", np.zeros(n, bool))
-            np.testing.assert_array_equal(mask[new], True)
-        ends += over.any()
-        if mode == AutoresetMode.DISABLED and over.any():
-            with pytest.raises((AssertionError, gym.error.ResetNeeded)):
-                env.step(np.zeros(n, np.int64))
-            env.reset(options={"reset_mask": over})
-    assert ends >= 2, "episodes do not end within the check"
-
-
-def check_masked_resets(make):
-    env, twin, alone = make(), make(), make()
-    n = env.num_envs
-    mask = np.arange(n) % 3 == 0
-    for each in (env, twin):
-        each.reset(seed=0)
-        for _ in range(2):
-            before = forward(each, np.zeros(n, np.int64))[-1][0]
-    seeds = [100 + i for i in range(n)]
-    options = {"reset_mask": mask.copy()}
-    observations, infos = env.reset(seed=seeds, options=dict(options))
-    expected, infos_at_reset = alone.reset(seed=seeds)
-    np.testing.assert_array_equal(observations[~mask], before[~mask])
-    np.testing.assert_array_equal(observations[mask], expected[mask])
-    assert infos.keys() == infos_at_reset.keys()
-    check_infos(infos, n)
-    for key in infos:
-        np.testing.assert_array_equal(infos[key][mask], infos_at_reset[key][mask])
-    for each in (env, twin, alone):
-        each.after = each.step(np.zeros(n, np.int64))
-    for part in range(4):
-        np.testing.assert_array_equal(env.after[part][~mask], twin.after[part][~mask])
-        np.testing.assert_array_equal(env.after[part][mask], alone.after[part][mask])
-    for wrong in (np.zeros(n, bool), np.ones(n + 1, bool), np.ones(n), [True] * n):
-        with pytest.raises((AssertionError, TypeError, ValueError)):
-            env.reset(options={"reset_mask": wrong})
-
-
-def check_close(make):
-    env = make()
-    env.reset(seed=0)
-    env.close()
-    assert env.closed
-    env.close()
-    make().close()

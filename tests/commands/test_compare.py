@@ -1,41 +1,17 @@
-"""Tests of ``mmwave-loc compare`` and ``evaluate`` with learned policies and training runs."""
+"""Tests of ``mmwave-loc compare`` and ``evaluate``: policies, runs, options, and written files."""
 
+import csv
 import json
 import re
-import subprocess
-import sys
 
+import gymnasium
+import numpy as np
 import pytest
 
-from tests.cli import assert_one_clear_line, command, environment, succeed
-from tests.paths import ROOT
+from mmwave_env.metrics import BURN_IN, INFO_KEYS, METRICS, TERMS
+from tests.cli import assert_one_clear_line, command, succeed, with_json
+from tests.paths import ROOT, json_in
 from tests.training.actors import actor, card_of, write
-
-WITHOUT_TORCH = """
-import sys
-
-class Refuse:
-    def find_spec(self, name, *_):
-        if name.split(".")[0] in ("torch", "stable_baselines3"):
-            raise ImportError(name)
-
-sys.meta_path.insert(0, Refuse())
-from experiments.console.main import main
-main()
-"""
-
-
-def evaluated_without_torch(*words):
-    """Return the output of ``mmwave-loc evaluate`` in a process that cannot import torch."""
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT_TORCH, "evaluate", *map(str, words)],
-        env=environment(),
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
 
 
 @pytest.fixture
@@ -51,12 +27,10 @@ def run(tmp_path):
 
 
 @pytest.mark.slow
-def test_comparing_a_run_gives_results_for_each_training_seed(run, tmp_path):
+def test_comparing_a_run_gives_results_for_each_training_seed(run):
     policies = (run, run / "seed-1" / ".." / "seed-1" / "policy.safetensors", "fixed-ukf", "imm")
     median, single, *_ = names = [str(policy) for policy in policies]
-    file = tmp_path / "all.json"
-    shown = succeed("compare", "--policies", *policies, "--episodes", 12, "--json", file)
-    result = json.loads(file.read_text())
+    shown, result = with_json("compare", "--policies", *policies, "--episodes", 12)
     assert list(result["policies"]) == names
     references = ("fixed-ukf", "imm")
     pairs = [f"{n} - {r}" for r in references for n in names if n != r]
@@ -69,23 +43,20 @@ def test_comparing_a_run_gives_results_for_each_training_seed(run, tmp_path):
         assert seeds["reward"]["seeds"][seed]["mean"] == pytest.approx(alone["mean"])
     for rival in references:
         row = seeds["minus"][rival]
+        assert list(row) == ["seeds", "above_zero", "mean"]
         assert list(row["seeds"]) == ["2", "0", "1"]
         paired = result["paired"][f"{median} - {rival}"]["reward"]
         assert row["seeds"]["0"]["ci95"] == pytest.approx(paired["ci95"])
-        means = [seed["mean"] for seed in row["seeds"].values()]
-        assert row["mean"]["mean"] == pytest.approx(sum(means) / 3)
     assert "| 0 (median) |" in shown and "minus imm (best IMM)" in shown
 
 
 @pytest.mark.slow
-def test_a_policy_is_evaluated_from_its_file_or_from_its_run(run, tmp_path):
-    files = [tmp_path / "file.json", tmp_path / "run.json"]
-    alone = run / "seed-0" / "policy.safetensors"
-    shown = succeed("evaluate", "--policy", alone, "--episodes", 2, "--json", files[0])
+def test_a_policy_is_evaluated_from_its_file_or_from_its_run(run):
+    alone, few = run / "seed-0" / "policy.safetensors", ("--episodes", 2)
+    shown, by_file = with_json("evaluate", "--policy", alone, *few)
     assert f"| {alone} |" in shown
-    shown = evaluated_without_torch("--policy", run, "--episodes", 2, "--json", files[1])
+    shown, by_run = with_json("evaluate", "--policy", run, *few)
     assert f"| {run} |" in shown
-    by_file, by_run = (json.loads(file.read_text()) for file in files)
     assert [*by_file["policies"].values()] == [*by_run["policies"].values()]
     assert "training_seeds" not in by_file and by_run["training_seeds"][str(run)]["minus"] == {}
 
@@ -143,3 +114,110 @@ def test_one_comparison_can_draw_both_errors_and_consistency(tmp_path):
     lines = table.read_text().splitlines()
     assert lines[0].startswith(r"\begin{tabular}") and lines[-1] == r"\end{tabular}"
     assert {len(re.split(r"(?<!\\)&", line)) for line in lines if line.endswith(r"\\")} == {8}
+
+
+# --- results and options
+
+SCHEMA = json_in(ROOT / "mmwave_env/data/schemas/results.schema.json")
+POLICIES = ("fixed-ekf", "fixed-ukf")
+TWO = ("--policies", *POLICIES, "--episodes", 2, "--episode-steps", 15, "--seed", 4)
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """Return the JSON content and the CSV rows of a comparison."""
+    table = tmp_path_factory.mktemp("results") / "r.csv"
+    _, content = with_json("compare", *TWO, "--episodes-csv", table)
+    with table.open() as file:
+        return content, list(csv.DictReader(file))
+
+
+@pytest.mark.slow  # evaluates two policies
+def test_results_match_their_schema(results):
+    validate = pytest.importorskip("jsonschema").validate
+    validate(results[0], SCHEMA)
+    _, alone = with_json("evaluate", "--episodes", 1, "--episode-steps", 15)
+    assert alone["policies"]["speed-rule"]["reward"]["ci95"] is None
+    validate(alone, SCHEMA)
+
+
+def test_the_option_percentiles_adds_percentiles_to_the_tables_and_the_file(results):
+    assert "position_errors" not in results[0]
+    shown, content = with_json("compare", *TWO, "--percentiles")
+    pytest.importorskip("jsonschema").validate(content, SCHEMA)
+    errors = content.pop("position_errors")
+    assert "--percentiles" in content["command"]
+    other = {"command": "", "options": {}}
+    assert content | other == results[0] | other
+    assert errors["risk"] == 1e-3 and tuple(errors["policies"]) == POLICIES
+    lines = shown.splitlines()
+    terms = content["policies"]["fixed-ekf"]
+    total = terms["reward"]["mean"] + sum(terms[term]["mean"] for term in TERMS)
+    assert total == pytest.approx(0.0, abs=1e-9)
+    assert "| policy | error term | NEES term |" in lines
+    for name, kinds in errors["policies"].items():
+        for kind, figures in kinds.items():
+            (row,) = [line for line in lines if line.startswith(f"| {name}, {kind} |")]
+            assert f" {figures['percentiles_m']['95']:#.3g} |" in row
+            assert figures["epochs"] == 2 * (15 - BURN_IN)
+    assert "at a risk of 0.001" in shown
+
+
+def test_the_table_of_episodes_has_a_row_for_every_policy_and_seed(results):
+    content, rows = results
+    assert list(rows[0]) == ["policy", "seed", "key", *METRICS, *TERMS]
+    assert [(row["policy"], row["seed"]) for row in rows] == [
+        (name, seed) for name in POLICIES for seed in ("4", "5")
+    ]
+    for name in POLICIES:
+        for metric, interval in content["policies"][name].items():
+            values = [float(row[metric]) for row in rows if row["policy"] == name]
+            assert np.mean(values) == pytest.approx(interval["mean"])
+
+
+def test_a_seed_has_the_same_key_as_in_the_environment(results):
+    env = gymnasium.make("MmWaveLoc-v0", episode_steps=15)
+    assert {row["key"] for row in results[1] if row["seed"] == "5"} == {
+        str(env.reset(seed=5)[1]["episode_key"])
+    }
+
+
+def test_recorded_episodes_have_seeds_but_no_keys(tmp_path):
+    where = ("--data", "canyon28_vehicle", "--episode-steps", 15, "--episodes", 2)
+    words = ("evaluate", "--policy", "fixed-ukf", *where, "--episodes-csv", tmp_path / "r.csv")
+    _, content = with_json(*words)
+    with (tmp_path / "r.csv").open() as file:
+        assert [(row["seed"], row["key"]) for row in csv.DictReader(file)] == [("0", ""), ("1", "")]
+    assert content["scenario"] == "canyon28_vehicle" and list(content["policies"]) == ["fixed-ukf"]
+
+
+def test_a_table_that_cannot_be_written_is_refused_before_episodes_are_played(tmp_path):
+    (tmp_path / "a.csv").mkdir()
+    done = command("evaluate", "--episodes", 10**9, "--episodes-csv", tmp_path / "a.csv")
+    assert_one_clear_line(done, "a.csv: found a folder")
+
+
+OPTIONS = {
+    "planar": (("--planar",), {"planar": True}),
+    "odometry": (("--odometry",), {"odometry": True}),
+    "time step": (("--dt", "0.5"), {"dt": 0.5}),
+    "reward": (("--reward", "log-score"), {"reward": "log-score"}),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("option", OPTIONS)
+def test_an_option_means_the_same_as_the_argument_of_the_environment(option):
+    words, arguments = OPTIONS[option]
+    steps = ("--policy", "fixed-ukf", "--episodes", 1, "--seed", 3, "--episode-steps", 30)
+    _, content = with_json("evaluate", *steps, *words)
+    env = gymnasium.make("MmWaveLoc-v0", episode_steps=30, **arguments)
+    env.reset(seed=3)
+    rewards, info = [], {}
+    while len(rewards) < 30:
+        _, reward, *_, info = env.step(1)
+        rewards.append(reward)
+    row = content["policies"]["fixed-ukf"]
+    assert row["reward"]["mean"] == pytest.approx(np.mean(rewards[BURN_IN:]))
+    for metric in ("ate_m", "rmse_m", "rpe_m", "nees", "in_bounds"):
+        assert row[metric]["mean"] == pytest.approx(info[INFO_KEYS[metric]]), metric

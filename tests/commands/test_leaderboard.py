@@ -9,7 +9,7 @@ from experiments.evaluation import protocol
 from experiments.evaluation.protocol import entry, judge, sites
 from experiments.leaderboard import Args, main
 from tests.cli import assert_one_clear_line, command, succeed
-from tests.paths import ROOT
+from tests.paths import ROOT, json_in
 
 GOOD, POOR = "guided", "imm-best"  # entries in docs/leaderboard
 
@@ -57,7 +57,7 @@ def test_entries_that_are_kept_are_not_judged_again(entries, tmp_path, monkeypat
 
 @pytest.mark.slow
 def test_a_file_that_is_not_an_entry_is_refused(entries, tmp_path):
-    good = json.loads((entries / "imm-best.json").read_text())
+    good = json_in(entries / "imm-best.json")
     for damage, message in (
         ({"sites": {}}, "sites: missing street:handset, "),
         ({"mean_gain": {}}, "not an entry: "),
@@ -83,7 +83,7 @@ def test_a_mistake_is_refused_before_episodes_are_played(options, message, tmp_p
 @pytest.mark.parametrize(("episodes", "draws"), [(20, 5), (1999, 200), (2000, 199)])
 def test_an_entry_of_too_few_episodes_comes_last_and_is_marked(episodes, draws, tmp_path):
     folder = ROOT / "docs" / "leaderboard"
-    good, poor = (json.loads((folder / f"{name}.json").read_text()) for name in (GOOD, POOR))
+    good, poor = (json_in(folder / f"{name}.json") for name in (GOOD, POOR))
     (tmp_path / "full.json").write_text(json.dumps(poor))
     for site in good["sites"].values():
         site["episodes"] = draws if site["kind"] == "recorded" else episodes

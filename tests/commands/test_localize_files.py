@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc localize`` with FIFOs, full disks, pictures that fail and odd names."""
+"""Tests of ``mmwave-loc localize``: its files, special names, and damaged or long logs."""
 
 import errno
 import gzip
@@ -11,32 +11,28 @@ from itertools import chain
 from pathlib import Path
 
 import gpxpy
+import numpy as np
 import pytest
 
+from mmwave_env.logs.tum import COLUMNS, read_tum, tum_lines
 from tests.cli import assert_one_clear_line, command, environment, succeed
-from tests.commands.localizing import RIDE, options
-from tests.paths import ROOT
+from tests.commands.localizing import RIDE, WALK, figures, lines_of, options, refused
+from tests.paths import ROOT, json_in
 
 SAMPLE = ("localize", "--sample", RIDE.name, "--speed", "9")
 
 
-def test_a_picture_is_drawn_with_and_without_a_truth(tmp_path):
-    cases = {"new/t.png": ("--truth", RIDE / "truth.tum"), "plain.png": ()}
-    for name, truth in cases.items():
-        path = tmp_path / name
-        succeed("localize", *options(RIDE / "log.csv", *truth, "--plot", path, folder=RIDE))
-        content = path.read_bytes()
-        assert content.startswith(b"\x89PNG") and len(content) > 20_000
-
-
-def test_special_characters_in_a_name_do_not_prevent_the_picture(tmp_path):
+def test_a_picture_is_drawn_with_and_without_a_truth_for_any_name(tmp_path):
     folder = tmp_path / "a$b_{^$ | \x1b[31m\n"
     shutil.copytree(RIDE, folder)
-    picture = folder / "track.svg"
-    done = command("localize", *options(folder / "log.csv", "--plot", picture, folder=folder))
-    assert done.returncode == 0, done.stderr
-    assert picture.read_text().startswith("<?xml")
-    assert all(line.isprintable() for line in (done.stdout + done.stderr).splitlines())
+    for name, truth in {"new/t.png": ("--truth", folder / "truth.tum"), "plain.png": ()}.items():
+        path = folder / name
+        words = options(folder / "log.csv", *truth, "--speed", "9", "--plot", path, folder=folder)
+        done = command("localize", *words)
+        assert done.returncode == 0, done.stderr
+        assert all(line.isprintable() for line in (done.stdout + done.stderr).splitlines())
+        content = path.read_bytes()
+        assert content.startswith(b"\x89PNG") and len(content) > 20_000
 
 
 def test_files_and_figures_are_written_even_if_the_picture_fails(tmp_path, monkeypatch):
@@ -47,7 +43,7 @@ def test_files_and_figures_are_written_even_if_the_picture_fails(tmp_path, monke
     files = ("--json", tmp_path / "t.json", "--out", tmp_path / "t.tum")
     done = command(*SAMPLE, "--plot", tmp_path / "t.png", *files)
     assert done.returncode == 2 and done.stderr == "mmwave-loc localize: no such font\n"
-    assert json.loads((tmp_path / "t.json").read_text())["epochs"] == 120
+    assert json_in(tmp_path / "t.json")["epochs"] == 120
     assert "120 epochs" in done.stdout
     assert sorted(p.name for p in tmp_path.iterdir()) == ["t.csv", "t.json", "t.tum"]
 
@@ -61,14 +57,14 @@ def test_results_of_a_comparison_are_written_even_if_the_picture_fails(tmp_path,
     files = ("--errors", tmp_path / "e.png", "--json", tmp_path / "e.json")
     done = command("compare", *short, *files)
     assert done.returncode == 2 and done.stderr.endswith(f"device: '{tmp_path / 'e.png'}'\n")
-    assert list(json.loads((tmp_path / "e.json").read_text())["policies"]) == ["fixed-ekf"]
+    assert list(json_in(tmp_path / "e.json")["policies"]) == ["fixed-ekf"]
     assert "| fixed-ekf |" in done.stdout
 
 
 @pytest.fixture
 def mapped(tmp_path):
     """Return a folder with the ride's log (my_ride.csv.gz) and a scene with a known latitude."""
-    scene = json.loads((RIDE / "scene.json").read_text())
+    scene = json_in(RIDE / "scene.json")
     scene["origin"] = {"latitude_deg": 48.0, "longitude_deg": 11.0}
     (tmp_path / "scene.json").write_text(json.dumps(scene))
     (tmp_path / "my_ride.csv.gz").write_bytes(gzip.compress((RIDE / "log.csv").read_bytes()))
@@ -81,7 +77,7 @@ MAPPED = ("localize", "my_ride.csv.gz", "--scene", "scene.json", "--speed", "9",
 def test_one_run_writes_several_files_and_the_track_in_maps_has_the_name_of_the_log(mapped):
     shown = succeed(*MAPPED, "t.gpx", "t.geojson", "new/t.tum", cwd=mapped)
     (track,) = gpxpy.parse((mapped / "t.gpx").read_text()).tracks
-    line = json.loads((mapped / "t.geojson").read_text())["features"][0]
+    line = json_in(mapped / "t.geojson")["features"][0]
     assert track.name == line["properties"]["name"] == "my_ride"
     tables = [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")]
     assert "t.geojson (smoothed track), new/t.tum (smoothed track), new/t.csv (its" in shown
@@ -122,7 +118,7 @@ def test_a_fifo_is_refused_before_it_is_read(tmp_path, option):
     assert_one_clear_line(done, "odd.*: found a FIFO, a socket or a device, expected")
 
 
-@pytest.mark.parametrize("name", ["a\nb", "e\x1b]0;owned\x07", "\ud800", "x" * 81, "", 7])
+@pytest.mark.parametrize("name", ["e\x1b]0;owned\x07", "x" * 81, 7])
 @pytest.mark.parametrize("kind", ["modes", "scene"])
 def test_an_invalid_name_is_refused_with_its_file_and_key(tmp_path, kind, name):
     content = {
@@ -138,3 +134,175 @@ def test_an_invalid_name_is_refused_with_its_file_and_key(tmp_path, kind, name):
         done, f"{kind}.json: .*name.*: found .*expected 1 to 80 printable characters"
     )
     assert len(done.stderr) < 1000
+
+
+def with_line(number, change):
+    """Return the log of the walk with one line changed; lines are counted from 1."""
+    lines = lines_of()
+    lines[number - 1] = change(lines[number - 1])
+    return "\n".join(lines) + "\n"
+
+
+def cell(line, place, word):
+    cells = line.split(",")
+    cells[place] = word
+    return ",".join(cells)
+
+
+# A file that begins with this line is a track written by localize, so localize may replace it.
+OLD = f"# {' '.join(COLUMNS)}; mmwave-loc localize\n"
+
+
+def test_folders_are_made_and_files_that_cannot_be_written_are_named(tmp_path):
+    figures(RIDE, "--speed", "9", "--out", tmp_path / "a" / "b" / "track.tum")
+    assert sorted(p.name for p in (tmp_path / "a" / "b").iterdir()) == ["track.csv", "track.tum"]
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    for option, name in (("--out", "t.tum"), ("--plot", "t.png"), ("--json", "t.json")):
+        more = ("--speed", "9", option, blocked / name)
+        out, line = refused(options(RIDE / "log.csv", *more, folder=RIDE))
+        assert str(blocked) in line and out == ""
+    (tmp_path / "a.tum").mkdir()
+    _, line = refused(options(RIDE / "log.csv", "--speed", "9", "--out", tmp_path / "a.tum"))
+    assert "found a folder, expected a file" in line
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("unbuffered", "damaged", "code"), [("", False, 141), ("1", True, 2)])
+def test_results_and_errors_are_reported_if_standard_output_is_closed(
+    monkeypatch, tmp_path, unbuffered, damaged, code
+):
+    monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
+    log, file, (ours, theirs) = tmp_path / "log.csv", tmp_path / "figures.json", os.pipe()
+    os.close(ours)
+    log.write_text(with_line(602, lambda l: cell(l, 2, "far") if damaged else l))
+    words = options(log, "--speed", "1", "--json", file)
+    words = [sys.executable, "-m", "experiments.console", "localize", *words]
+    pipes = {"stdout": theirs, "stderr": subprocess.PIPE, "text": True}
+    done = subprocess.Popen(words, env=environment(), **pipes)
+    os.close(theirs)
+    err = done.communicate(timeout=100)[1]
+    assert done.returncode == code and len(err.splitlines()) == damaged
+    assert ("line 602" in err) == damaged
+    assert json_in(file)["epochs"] == (200 if damaged else 400)
+
+
+# --- damage
+
+HALF_WAY = {  # line 602 is the first of epoch 201; the 200 epochs before it are complete
+    "no number": (with_line(602, lambda l: cell(l, 2, "far")), "line 602, column 'toa_s'", 200),
+    "at the end": (with_line(1199, lambda l: l[:20]), "line 1199: found", 399),
+    "early": (with_line(6, lambda l: cell(l, 2, "far")), "line 6, column 'toa_s'", 1),
+}
+
+
+@pytest.mark.parametrize("zipped", [False, True], ids=["plain", "gz"])
+@pytest.mark.parametrize("name", HALF_WAY)
+def test_a_damaged_log_gives_the_track_up_to_the_damage(tmp_path, name, zipped):
+    content, message, epochs = HALF_WAY[name]
+    log, out = tmp_path / ("log.csv.gz" if zipped else "log.csv"), tmp_path / "track.tum"
+    log.write_bytes(gzip.compress(content.encode()) if zipped else content.encode())
+    out.write_text(OLD)
+    radio = ("--radio", "handset")
+    more = ("--speed", "1", "--no-smoothing", *radio, "--truth", WALK / "truth.tum", "--out", out)
+    shown, line = refused(options(log, *more, "--json", tmp_path / "found.json"))
+    assert message in line and str(log) in line and f"; {epochs} epochs are written" in line
+    whole = tmp_path / "whole.tum"
+    figures(WALK, "--speed", "1", "--no-smoothing", *radio, "--out", whole)
+    assert out.read_text() == "".join(whole.read_text().splitlines(keepends=True)[: epochs + 1])
+    assert len((tmp_path / "track.csv").read_text().splitlines()) == epochs + 1
+    results = json_in(tmp_path / "found.json")
+    assert results["epochs"] == epochs and message in results["error"]
+    assert f"{epochs} of {epochs} epochs have a true position" in shown
+
+
+NOTHING = {
+    "unknown column": (f"{lines_of()[0]},mood\n", "column 'mood'"),
+    "first row": (with_line(2, lambda l: cell(l, 2, "x")), "line 2, column"),
+    "no line of sight": (
+        "\n".join(l for l in lines_of() if ",1," not in l[:7]),
+        "log: found 400 epochs",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", NOTHING)
+def test_a_log_that_gives_no_track_leaves_existing_files_unchanged(tmp_path, name):
+    content, message = NOTHING[name]
+    log, out = tmp_path / "log.csv", tmp_path / "track.tum"
+    log.write_text(content)
+    out.write_text(OLD)
+    more = ("--speed", "1", "--out", out, "--plot", tmp_path / "a.png")
+    _, line = refused(options(log, *more))
+    assert message in line and "written" not in line and out.read_text() == OLD
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["log.csv", "track.tum"]
+
+
+@pytest.mark.parametrize(
+    ("header", "parts"),
+    [
+        (
+            "time_s,anchor,range_yd,azimuth_deg_compass,mood,speed_knots",
+            [
+                "column 'range_yd': found no known unit, expected toa_s, ",
+                ", range_m or range_ft; column 'azimuth_deg_compass'",
+                "(did you mean aoa_azimuth_rad or aoa_azimuth_deg, the azimuth from",
+                "column 'speed_knots': found no known unit, expected speed_mps or speed_kmh; a",
+            ],
+        ),
+        ("t_ms,bs,delay_ns,dist_m", ["mean time_ms", "mean anchor", "mean toa_ns", "mean range_m"]),
+        ("A,B,C,D,E,F,G,H,I,J,K,L", ["column 'J': found an unknown quantity; allowed are only "]),
+    ],
+)
+def test_all_unknown_columns_are_named_with_the_nearest_known_ones(tmp_path, header, parts):
+    (tmp_path / "log.csv").write_text(f"{header}\n")
+    _, line = refused(options(tmp_path / "log.csv"))
+    assert not [part for part in parts if part not in line], line
+
+
+def test_a_truth_without_common_times_is_refused_with_both_time_spans(tmp_path):
+    truth, out = tmp_path / "truth.tum", tmp_path / "track.tum"
+    truth.write_text(tum_lines(np.array([1000.0, 1002.5]), np.zeros((2, 3))))
+    more = ("--speed", "1", "--truth", truth, "--out", out)
+    shown, line = refused(options(WALK / "log.csv", *more))
+    assert "found times from 1000.0 to 1002.5 s, expected some within 0.01 s" in line
+    assert "(0.0 to 39.9 s)" in line and "; 400 epochs are written" in line
+    assert len(read_tum(out).time_s) == 400 and "ATE" not in shown
+
+
+# --- long logs
+
+
+def long_log(path, rows):
+    """Write a log that repeats the walk until it has this many rows."""
+    lines = lines_of()
+    rest = [line.split(",", 1)[1] for line in lines[1:]]
+    with path.open("w") as file:
+        file.write(f"{lines[0]}\n")
+        for lap in range(rows // len(rest)):
+            times = (400 * lap + np.arange(400).repeat(3)) / 10.0
+            file.write("".join(f"{t},{r}\n" for t, r in zip(times.tolist(), rest, strict=True)))
+
+
+# VmHWM is used because ru_maxrss of a child includes the memory of its parent.
+PEAK = """
+import sys
+from experiments.console.main import run
+run("localize", sys.argv[1:])
+print(next(line for line in open("/proc/self/status") if line.startswith("VmHWM")).split()[1])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs procfs")
+def test_memory_does_not_grow_with_the_log(tmp_path):
+    log, peaks = tmp_path / "log.csv", []
+    files = ("--out", tmp_path / "track.tum", "--plot", tmp_path / "track.png")
+    more = ("--speed", "auto", *files)
+    for rows in (300_000, 1_200_000):
+        long_log(log, rows)
+        words = [sys.executable, "-c", PEAK, *options(log, *more)]
+        done = subprocess.run(words, env=environment(), capture_output=True, text=True, check=True)
+        assert f"{rows // 1200 * 400} epochs" in done.stdout
+        peaks.append(int(done.stdout.split()[-1]) / 1024)
+    assert peaks[1] < 500 and peaks[1] < peaks[0] + 18, peaks

@@ -1,145 +1,207 @@
-"""Tests that options of ``mmwave-loc localize`` change the track and that conflicts are refused."""
+"""Tests of the options --live, --associate and --diagnose of ``mmwave-loc localize``."""
 
-import csv
 import json
 import re
 
 import numpy as np
 import pytest
 
-from experiments.console.main import run
-from experiments.evaluation.contenders import imm_banks
-from mmwave_env.filters.bank import best_bank, default_modes
-from mmwave_env.localization.localizer import Switching, localize
-from mmwave_env.logs.log import read_log
+from mmwave_env.datasets.samples import source_from
 from mmwave_env.logs.tum import read_tum
-from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import read_scene
-from tests.commands.localizing import EPOCHS, RIDE, WALK, figures, options, refused
+from tests.cli import assert_one_clear_line, command, with_json
+from tests.commands.localizing import RIDE, WALK, figures, lines_of, options
+from tests.localization.mistakes import MISTAKES, read_columns, write_columns
+from tests.logs.by_hand import hide_anchors
+from tests.paths import json_in
+
+# --- live rows
+
+WORDS = ("localize", "-", "--live", "--scene", WALK / "scene.json", "--radio", "standard")
 
 
-def test_the_track_equals_that_of_the_python_function(tmp_path):
-    out = tmp_path / "track.tum"
-    more = ("--window", "50", "--radio", "high")
-    figures(RIDE, "--speed", "10", "--out", out, *more)
-    scene = read_scene(RIDE / "scene.json")
-    mode = default_modes("high")[1]
-    log = read_log(RIDE / "log.csv", scene, partial=True)
-    blocks = localize(log, scene, RADIOS["high"], Switching((mode,)), window=50)
-    x = np.concatenate([block.smooth_x for block in blocks])
-    np.testing.assert_array_equal(read_tum(out).position_m, x[:, :3])
+def live(content, *more):
+    """Run the command on bytes; return its JSON lines, lines of standard error and exit code."""
+    done = command(*WORDS, *more, stdin=content)
+    positions = [json.loads(line) for line in done.stdout.splitlines()]
+    return positions, done.stderr.splitlines(), done.returncode
 
 
-@pytest.mark.slow
-def test_every_option_changes_the_track():
-    tracks = {}
-    flags = ([], ["--no-smoothing"], ["--robust"])
-    for switch in (*flags, ["--window", "20"], ["--height", "1.5"], ["--radio", "handset"]):
-        radio = () if "--radio" in switch else ("--radio", "standard")
-        results = figures(WALK, "--speed", "1.4", *radio, *switch)
-        tracks[" ".join(switch)] = json.dumps(results["truth"]["tracks"])
-        if switch == ["--robust"]:
-            assert list(results["modes"]) == ["ekf-robust"]
-        if switch == ["--height", "1.5"]:
-            assert results["truth"]["nees_expected"] == 2
-    assert len(set(tracks.values())) == len(tracks)
+def first_rows(count):
+    """Return the header and the first rows of the walk, as bytes of CSV."""
+    return "\n".join(lines_of()[: count + 1]).encode() + b"\n"
 
 
-def test_modes_can_be_read_from_a_file(capsys, tmp_path):
-    file = tmp_path / "modes.json"
-    modes = [{"name": "calm"}, {"name": "wild", "algorithm": "ckf", "sigma_v": 2.0}]
-    file.write_text(json.dumps({"modes": modes}))
-    assert figures(RIDE, "--speed", "10", "--modes", file)["modes"] == {"wild": 120}
-    file.write_text(json.dumps({"modes": modes[:1]}))
-    _, line = refused(capsys, options(RIDE / "log.csv", "--speed", "1", "--modes", file))
-    assert "found 1 modes, expected 2, for low and for high mobility" in line
-    _, line = refused(capsys, options(RIDE / "log.csv", "--speed", "1", "--modes", "ekf-robust"))
-    assert "modes: found 'ekf-robust', expected a mode file (.json)" in line
+def as_json(lines, whole):
+    """Return CSV lines as JSON lines, each with one row or, if ``whole``, all rows of an epoch."""
+    names, *rows = (line.split(",") for line in lines)
+    objects = [
+        {n: float(v) if v else None for n, v in zip(names, row, strict=True)} for row in rows
+    ]
+    if whole:
+        times = dict.fromkeys(row["time_s"] for row in objects)
+        objects = [{"rows": [r for r in objects if r["time_s"] == t]} for t in times]
+    return "\n".join(map(json.dumps, objects)).encode()
 
 
-@pytest.mark.parametrize("folder", [WALK, RIDE], ids=["walk", "ride"])
-@pytest.mark.slow
-def test_smoothing_reduces_the_error_of_an_imm(tmp_path, folder):
-    out = tmp_path / "track.tum"
-    results = figures(folder, "--imm", "imm-best", "--radio", "standard", "--out", out)
-    bank, scene = best_bank("standard"), read_scene(folder / "scene.json")
-    assert list(results["modes"]) == [mode.name for mode in bank.modes]
-    assert sum(results["modes"].values()) == EPOCHS[folder]
-    filtered, smoothed = (results["truth"]["tracks"][t] for t in ("filtered", "smoothed"))
-    for metric in ("ate_m", "rmse_m", "rpe_m"):
-        assert smoothed[metric] < filtered[metric]
-    assert 0.8 < results["groups"]["all"]["nis_per_dof"] < 1.2 and smoothed["in_bounds"] > 0.85
-    log = read_log(folder / "log.csv", scene, partial=True)
-    blocks = list(localize(log, scene, RADIOS["standard"], Switching(bank)))
-    x, mode = (np.concatenate([getattr(b, name) for b in blocks]) for name in ("smooth_x", "mode"))
-    np.testing.assert_array_equal(read_tum(out).position_m, x[:, :3])
-    with (tmp_path / "track.csv").open(newline="") as file:
-        said = [row["mode"] for row in csv.DictReader(file)]
-    assert said == [bank.modes[m].name for m in mode]
+def test_every_epoch_has_a_line_and_the_last_position_is_that_of_the_track_file(tmp_path):
+    content = (WALK / "log.csv").read_bytes()
+    positions, errors, code = live(content, "--speed", "1")
+    # The only line of standard error is the note on what chooses the modes.
+    assert code == 0 and len(positions) == 400 and len(errors) == 1
+    figures(
+        WALK, "--speed", "1", "--radio", "standard", "--no-smoothing", "--out", tmp_path / "t.tum"
+    )
+    last = [float(word) for word in (tmp_path / "t.tum").read_text().splitlines()[-1].split()]
+    assert positions[-1]["position_m"] == pytest.approx(last[1:4], abs=1e-9)
+    assert positions[0]["begins"] and not any(p["begins"] for p in positions[1:])
 
 
-@pytest.mark.slow
-def test_an_imm_can_be_given_by_a_bank_file_or_by_its_name(tmp_path):
-    file = tmp_path / "bank.json"
-    modes = [{"name": "calm"}, {"name": "wild", "algorithm": "ckf", "sigma_v": 2.0}]
-    bank = {"modes": modes, "transition": [[0.9, 0.1], [0.2, 0.8]], "nis_quantile": 0.99}
-    file.write_text(json.dumps(bank))
-    assert list(figures(RIDE, "--radio", "standard", "--imm", file)["modes"]) == ["calm", "wild"]
-    robust = figures(RIDE, "--radio", "standard", "--imm", file, "--robust")
-    assert list(robust["modes"]) == ["calm-robust", "wild-robust"]
-    assert robust["groups"]["all"]["rejected"] == 0
-    for name in imm_banks("standard"):
-        results = figures(RIDE, "--radio", "standard", "--imm", name)["truth"]["tracks"]
-        assert results["smoothed"]["ate_m"] < results["filtered"]["ate_m"] < 0.5
+@pytest.mark.parametrize("whole", [False, True], ids=["rows", "epochs"])
+def test_json_lines_give_the_same_positions_as_csv(whole):
+    csv_lines, _, _ = live(first_rows(60), "--speed", "1")
+    json_lines, _, code = live(as_json(lines_of()[:61], whole), "--speed", "1", "--lag", "3")
+    late = [position.pop("smoothed", None) for position in json_lines]
+    assert code == 0 and json_lines == csv_lines
+    assert late[:3] == [None] * 3 and late[3]["time_s"] == csv_lines[0]["time_s"]
+
+
+def test_damaged_and_late_rows_are_named_and_left_out():
+    content = first_rows(30) + b"\x00\xff noise\n" + b"0.0,1,1e-7,0,0,0,0,20,0\n" + b"x" * 70_000
+    tail = "\n".join(lines_of()[31:61]).encode()
+    positions, errors, code = live(content + b"\n" + tail, "--speed", "1")
+    expected, _, _ = live(first_rows(60), "--speed", "1")
+    assert code == 0 and positions == expected
+    assert [line.split(":")[1].strip() for line in errors[1:]] == [
+        "standard input, line 32", "standard input, line 33, column 'time_s'",
+        "standard input, line 34",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("content", [b"", b"\n", b"time,mood\n1,2\n", b'{"rows": 5}\n', b"[1]\n"])
+def test_input_that_is_not_a_log_ends_with_one_line(content):
+    positions, errors, code = live(content)
+    assert not positions and code == 2 and len(errors) == 1
+
+
+@pytest.mark.parametrize(
+    "more",
+    [("--truth", "t.tum"), ("--out", "t.tum"), ("--sample", "canyon28_vehicle"), ("--lag", "-1")],
+)
+def test_options_that_do_not_fit_live_are_refused(more):
+    _, errors, code = live(first_rows(3), *more)
+    assert code == 2 and more[0].strip("-") in errors[0].split(":")[1]
+
+
+# --- paths without anchor numbers
 
 
 @pytest.fixture(scope="module")
-def driven(tmp_path_factory):
-    """Return the folder of a log with odometry."""
-    folder = tmp_path_factory.mktemp("driven")
-    run("simulate", ["--scenario", "walk-ride", "--odometry", "--seed", "2", "--out", str(folder)])
+def hidden(tmp_path_factory):
+    """Return a folder with a log of paths, some of them false, without anchor numbers."""
+    folder = tmp_path_factory.mktemp("hidden")
+    for name in ("scene.json", "truth.tum"):
+        (folder / name).write_bytes((RIDE / name).read_bytes())
+    source = source_from(RIDE, "standard")
+    hide_anchors(folder / "log.csv", source.sample(np.random.default_rng(0)), false_paths=5)
     return folder
 
 
-@pytest.mark.slow
-def test_odometry_is_used_if_the_log_has_it(capsys, driven):
-    used = figures(driven, "--speed", "auto")
-    ignored = figures(driven, "--speed", "auto", "--no-odometry")
-    followed = figures(driven, "--speed", "auto", "--follow", "odometry")
-    assert "odometry" in used["groups"] and "odometry" not in ignored["groups"]
-    assert used["truth"]["tracks"]["filtered"]["ate_m"] != pytest.approx(
-        ignored["truth"]["tracks"]["filtered"]["ate_m"]
+def associating(folder, *more):
+    truth = ("--truth", folder / "truth.tum", "--radio", "standard", "--speed", "auto")
+    return ("localize", *options(folder / "log.csv", *truth, *more, folder=folder))
+
+
+def test_the_command_reports_how_many_paths_were_associated(hidden):
+    shown, figures = with_json(*associating(hidden, "--associate"))
+    association = figures["association"]
+    assert association["paths"] == 900 and association["without_track"] == {"epochs": 0, "paths": 0}
+    assert association["false"] == 900 - sum(association["associated"].values())
+    assert f"- 900 paths, {association['false']} of them false; the track was found once\n" in shown
+    for name, paths in association["associated"].items():
+        assert f"| {name} | {paths} | {association['missed'][name]} |\n" in shown
+        assert paths + association["missed"][name] == 120
+    with_labels, labelled = with_json(*associating(RIDE))
+    assert "paths" not in with_labels and "association" not in labelled
+    ates = [f["truth"]["tracks"]["filtered"]["ate_m"] for f in (figures, labelled)]
+    assert ates[0] < 1.1 * ates[1]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ((), "columns: found no anchor in time_s"),
+        (("--associate", "--diagnose"), "diagnose: cannot be combined with --associate"),
+    ],
+)
+def test_association_is_refused_where_it_does_not_fit_the_log(hidden, words, message):
+    assert_one_clear_line(command(*associating(hidden, *words)), message)
+
+
+# --- logs that contradict their scene
+
+
+@pytest.fixture(scope="module")
+def downlink(tmp_path_factory):
+    """Return a copy of the ride's log with angles of arrival at the user, as in a downlink."""
+    log = tmp_path_factory.mktemp("downlink") / "log.csv"
+    mistake = MISTAKES["arrival is at the user, as in a downlink"]
+    write_columns(log, mistake(read_columns(RIDE / "log.csv")))
+    return log
+
+
+def test_each_contradiction_is_shown_as_a_warning_and_written_to_json(tmp_path, downlink):
+    words = options(downlink, "--speed", "auto", "--radio", "standard", folder=RIDE)
+    done = command("localize", *words, "--json", tmp_path / "found.json")
+    assert done.returncode == 0 and "NIS / dof" in done.stdout
+    lines = done.stderr.splitlines()
+    assert re.fullmatch(
+        r"warning: anchor 1: found .*, expected .*; --diagnose tries likely mistakes", lines[0]
     )
-    assert followed["modes"] != used["modes"] and followed["modes"]["ukf"] > 20
-    capsys.readouterr()
-    for log, more in ((driven, ["--no-odometry"]), (RIDE, [])):
-        words = ["--speed", "auto", "--follow", "odometry", *more]
-        _, line = refused(capsys, options(log / "log.csv", *words, folder=log))
-        assert "follow: odometry needs speeds" in line
+    said = json_in(tmp_path / "found.json")["contradictions"]
+    assert len(said) == len(lines)
+    for line, contradiction in zip(lines, said, strict=True):
+        assert "{group}: found {found}, expected {expected};".format(**contradiction) in line
 
 
-CONTRADICTIONS = {
-    "auto and abort": (["--speed", "auto", "--outside", "abort"], "outside: abort needs"),
-    "odometry and a speed": (["--speed", "1", "--follow", "odometry"], "follow: odometry needs"),
-    "an imm and a speed": (["--imm", "imm", "--speed", "1"], "speed: cannot be combined"),
-    "an imm and modes": (["--imm", "imm", "--modes", "m.json"], "modes: cannot be combined"),
-    "an imm and abort": (["--imm", "imm", "--outside", "abort"], "outside: abort needs"),
-    "a track of a diagnosis": (["--diagnose", "--out", "t.tum"], "diagnose: cannot be combined"),
-    "imm": (["--imm", "imm-bets"], "imm: found 'imm-bets', did you mean imm-best"),
-    "no imm": (["--imm", "guided"], "imm: found 'guided', expected one of imm, imm-best"),
-    "bank": (["--imm", "missing.json"], "missing.json"),
-    "window": (["--speed", "1", "--window", "1"], "window: found 1, expected 2 to 20000 epochs"),
-    "long window": (["--speed", "1", "--window", "20001"], "window: found 20001"),
-    "height": (["--speed", "1", "--height", "nan"], "height: found nan"),
-    "plot": (["--speed", "1", "--plot", "track.gif"], "plot: found track.gif, expected.*png"),
-    "table": (["--speed", "1", "--out", "track.xls"], "out: found track.xls, expected a name"),
-    "twice": (["--speed", "1", "--out", "a.tum", "--plot", "a.tum"], "plot: found a.tum"),
-}
+def test_a_diagnosis_names_the_mistake_and_writes_no_track(tmp_path, downlink):
+    before, file = downlink.read_bytes(), tmp_path / "found.json"
+    words = options(downlink, "--radio", "standard", "--diagnose", "--json", file, folder=RIDE)
+    done = command("localize", *words)
+    assert done.returncode == 0 and done.stderr == "" and downlink.read_bytes() == before
+    name = "arrival is at the user, as in a downlink"
+    assert f"\nThe log is consistent if {name}." in done.stdout
+    cure = "exchange the columns of aoa_azimuth and aod_azimuth, negate aoa_elevation"
+    assert f"To correct it, {cure} (docs/data.md)." in done.stdout
+    diagnosis = json_in(file)
+    assert "--diagnose" in diagnosis["command"] and "numba" in diagnosis["versions"]
+    first, *others = diagnosis["hypotheses"]
+    assert first["hypothesis"] == name and first["contradictions"] == []
+    assert all(other["contradictions"] for other in others)
 
 
-@pytest.mark.parametrize("name", CONTRADICTIONS)
-def test_conflicting_options_and_invalid_values_are_refused(capsys, monkeypatch, tmp_path, name):
-    monkeypatch.chdir(tmp_path)
-    more, message = CONTRADICTIONS[name]
-    _, line = refused(capsys, options(WALK / "log.csv", *more))
-    assert re.search(message, line), line
+def test_a_log_that_is_refused_can_be_diagnosed(tmp_path):
+    log = tmp_path / "log.csv"
+    write_columns(log, MISTAKES["angles are in degrees"](read_columns(RIDE / "log.csv")))
+    words = options(log, "--radio", "standard", folder=RIDE)
+    refusal = command("localize", *words, "--speed", "auto")
+    assert refusal.returncode == 2
+    assert "if the value is in degrees, name the column aoa_azimuth_deg; mmwave" in refusal.stderr
+    done = command("localize", *words, "--diagnose")
+    assert "\nThe log is consistent if angles are in degrees." in done.stdout
+
+
+def test_a_diagnosis_reports_facts_about_the_log():
+    more = ("--radio", "standard", "--truth", RIDE / "truth.tum", "--diagnose")
+    shown, results = with_json("localize", *options(RIDE / "log.csv", *more, folder=RIDE))
+    columns = read_columns(RIDE / "log.csv")
+    times, facts = np.unique(columns["time_s"]), results["facts"]
+    assert facts["epochs"] == len(times) and facts["problems"] == []
+    assert (facts["first_s"], facts["last_s"]) == (times[0], times[-1])
+    assert facts["step_s"] == pytest.approx(np.median(np.diff(times)))
+    for anchor, fact in enumerate(facts["anchors"], start=1):
+        of = columns["anchor"] == anchor  # links that were not measured have empty cells
+        assert fact["seen"] == np.isfinite(columns["snr_db"][of]).sum()
+    poses = read_tum(RIDE / "truth.tum")
+    moved = np.linalg.norm(np.diff(poses.position_m, axis=0), axis=1) / np.diff(poses.time_s)
+    assert facts["speed_mps"]["max"] == pytest.approx(moved.max(), rel=0.05)
+    assert "no problems found" in shown and "m/s on average" in shown

@@ -1,33 +1,34 @@
 """Tests of ``mmwave-loc speed``, and of renewing tables in pages."""
 
-import json
 import re
 
 import pytest
 
-from experiments.console.doc_pages import MARK, page_to_renew, renewed
+from experiments.console.doc_pages import MARK, renewed
+from experiments.timing import latency
 from experiments.timing.report import TITLES
 from tests.cli import assert_one_clear_line, command, succeed
-from tests.paths import ROOT
-from tests.refusals import refuses
+from tests.paths import ROOT, json_in
 
 PAGE = ROOT / "docs" / "performance.md"
 
 
 @pytest.mark.slow
-def test_a_short_run_prints_and_writes_all_results(tmp_path):
+def test_a_short_run_prints_and_writes_all_results(tmp_path, monkeypatch):
+    monkeypatch.setattr(latency, "EPOCHS", 60)
+    monkeypatch.setattr(latency, "WARM_UP", 10)
     page, file = tmp_path / "page.md", tmp_path / "new" / "all.json"
     page.write_text(PAGE.read_text())
-    options = ("--sizes", 8, 64, "--seconds", 0, "--repeats", 1)
+    options = ("--sizes", 8, "--seconds", 0, "--repeats", 1)
     shown = succeed("speed", *options, "--json", file, "--docs", page)
     assert re.findall("^### (.*)", shown, re.MULTILINE) == list(TITLES)
-    result = json.loads(file.read_text())
-    assert result["command"] == "mmwave-loc speed --sizes 8 64 --seconds 0.0 --repeats 1"
+    result = json_in(file)
+    assert result["command"] == "mmwave-loc speed --sizes 8 --seconds 0.0 --repeats 1"
     rates = result["steps_per_s"]
     for pair, ratio in result["ratios"].items():
         over, under = pair.split("_over_")
         assert ratio == pytest.approx(rates[over] / rates[under])
-    assert {"ekf", "ukf", "ckf", "native_64_1_thread"} <= set(result["limit_fraction"])
+    assert {"ekf", "ukf", "ckf", "native_8_1_thread"} <= set(result["limit_fraction"])
     assert set(result["cold_start_s"]) == set(result["peak_rss_mb"])
     assert 20.0 < result["peak_rss_mb"]["single"] < 2000.0
     shown_now = {match[1]: match[0] for match in MARK.finditer(page.read_text())}
@@ -60,15 +61,3 @@ def test_a_page_is_renewed_only_between_its_marks():
     # Examples, not commands, print tables whose titles begin with "printed".
     printed = "<!-- table: printed | a -->\nby an example\n<!-- end -->\n"
     assert renewed(page + printed, tables) == expected + printed
-
-
-def test_a_mark_without_a_table_is_named():
-    with refuses("table"):
-        renewed("<!-- table: U -->\n<!-- end -->", {"T": ""})
-
-
-def test_a_page_without_marks_is_refused(tmp_path):
-    page = tmp_path / "page.md"
-    page.write_text("no table\n")
-    with refuses("page.md"):
-        page_to_renew(page)

@@ -91,7 +91,6 @@ def test_closing_the_window_ends_the_command(monkeypatch, window):
 MISTAKES = {
     "unknown policy": (("--policies", "oracle"), "policy: found 'oracle', expected one of"),
     "too many": (("--policies", *["imm"] * 4), "policies: found 4, expected 1 to 3$"),
-    "no policies": (("--policies",), "policies: found 0, expected 1 to 3$"),
     "a key of a recording": (("--key", 1, "--data", "canyon28_vehicle"), "key: recorded"),
     "key and seed": (("--key", 1, "--seed", 2), "key: cannot be combined with seed 2"),
     "unknown ending": (("--out", "video.avi"), "out: found video.avi, expected.*.gif or .mp4$"),

@@ -13,7 +13,7 @@ from mmwave_env.models.layout import Layout
 from policies import LearnedSwitch
 from tests.cli import assert_one_clear_line, command
 from tests.refusals import refuses
-from tests.training.actors import HANDSET, actor, card_of, write, write_per_mode
+from tests.training.actors import HANDSET, actor, card_of, write
 
 OWN = '''
 import numpy as np
@@ -48,9 +48,6 @@ def wrong():
 
 def beyond():
     return lambda observations: np.full(len(observations), 2)
-
-def many():
-    return lambda observations: np.full(len(observations), 4)
 
 def stumbling():
     def act(observations):
@@ -124,50 +121,40 @@ def test_attributes_of_an_agent_determine_its_modes_observation_and_beliefs():
 def test_compare_accepts_objects_modules_files_and_loaded_policies(tmp_path):
     file = write(tmp_path / "policy.safetensors", actor(), card_of())
 
-    class Begins:
-        """An agent that records which episodes begin."""
+    class Recording:
+        """An agent that records its observations and which episodes begin."""
 
         def __init__(self):
-            self.told = []
+            self.begins, self.observed = [], []
 
         def reset(self, begins):
-            self.told.append(begins)
+            self.begins.append(begins)
 
         def __call__(self, observations):
+            self.observed.append(observations)
             return np.ones(len(observations), np.uint8)
 
-    mine = Begins()
-    comparison = compare(
-        {"object": mine, "module": "my_agents:second", "file": file, "loaded": LearnedSwitch(file)},
-        beside=("fixed-ukf",),
-        episodes=2,
-    )
+    mine = Recording()
+    agents = {"object": mine, "module": "my_agents:second", "file": file}
+    agents["loaded"] = LearnedSwitch(file)
+    comparison = compare(agents, beside=("fixed-ukf",), episodes=3, seed=4)
+    assert (comparison.scenario, *comparison.selection.seeds) == ("mixed", 4, 5, 6)
     rows = comparison.policies
     assert list(rows) == ["object", "module", "file", "loaded", "fixed-ukf"]
     assert rows["object"] == rows["module"] == rows["fixed-ukf"]
     assert rows["file"] == rows["loaded"] != rows["fixed-ukf"]
-    assert all(begins.all() for begins in mine.told) and len(mine.told[-1]) == 2
-
-
-def test_a_policy_for_beliefs_per_mode_plays_the_same_as_a_file_and_as_an_object(tmp_path):
-    file = write_per_mode(tmp_path / "trust.safetensors")
-    for radio in ("handset", "standard"):  # each has its own bank
-        agents = {"file": file, "loaded": LearnedSwitch(file)}
-        rows = compare(agents, (), radio=radio, episodes=2).policies
-        assert rows["file"] == rows["loaded"]
-
-
-@pytest.fixture
-def bank_file(tmp_path):
-    """Return a mode file that also defines how its modes interact."""
-    path = tmp_path / "bank.json"
-    path.write_text(json.dumps(bank_as_written(HANDSET)))
-    return path
+    assert all(begins.all() for begins in mine.begins) and len(mine.begins[-1]) == 3
+    first = mine.observed[0]
+    assert all(o.shape == first.shape and o.dtype == np.float32 for o in mine.observed)
+    assert len(mine.observed) == 201 and len(first) == 3  # 200 steps and a trial call
+    for nothing in comparison.paired["object - fixed-ukf"].values():
+        assert (nothing.mean, nothing.low, nothing.high) == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.slow
-def test_the_command_line_supports_beliefs_per_mode(folder, bank_file):
-    words = ("--beliefs", "per-mode", "--modes", bank_file, "--episodes", 2)
+def test_the_command_line_supports_beliefs_per_mode(folder):
+    (folder / "bank.json").write_text(json.dumps(bank_as_written(HANDSET)))
+    words = ("--beliefs", "per-mode", "--modes", "bank.json", "--episodes", 2)
     done = command("compare", "--policies", "my_agents:second", "imm", *words, cwd=folder)
     assert done.returncode == 0, done.stderr
     assert "| my_agents:second | -" in done.stdout and "minus imm" in done.stdout

@@ -5,7 +5,7 @@ import pytest
 
 from experiments.evaluation.comparison import compare_scores, references
 from experiments.evaluation.intervals import bootstrap
-from experiments.evaluation.positions import HEADER, exceeded, meters, percent, positions_markdown
+from experiments.evaluation.positions import HEADER, percent, positions_markdown
 from experiments.evaluation.seeds import Selection
 from mmwave_env.localization.position_errors import PositionErrors
 from mmwave_env.metrics import HEADERS, METRICS, TERMS
@@ -99,24 +99,9 @@ def test_rare_shares_keep_two_digits(share, shown):
     assert percent(share) == shown
 
 
-def test_distances_have_three_digits_and_a_share_is_followed_by_its_interval():
-    for value, shown in {None: "-", 0.0: "0.00", 0.01234: "0.0123", 99.96: "100"}.items():
-        assert meters(value) == shown
-    assert exceeded({"share": 0.0027, "ci95": [0.0021, 0.0035]}) == "0.27 % [0.21, 0.35]"
-
-
 def test_a_table_of_errors_has_a_row_for_each_kind_even_without_errors():
     table = positions_markdown("policy", {"a|b": PositionErrors().figures()}, 1e-3, "gaussian")
     header, _, *rows = table.splitlines()[:4]
     assert header == f"| policy | {' | '.join(HEADER)} |" and not set(HEADER) & {*HEADERS.values()}
     cells = " | -" * len(HEADER)
     assert rows == [rf"| a\|b, horizontal{cells} |", rf"| a\|b, vertical{cells} |"]
-
-
-def test_results_are_written_as_json():
-    result = compare_scores(scores(speed_rule=[1.0, 2.0, 3.0], imm=[2.0, 2.0, 2.0]), **WHAT).json
-    said = {"scenario": "mixed", "radio": "handset", "episodes": 3, "seed": 0}
-    assert {key: result[key] for key in said} == said
-    assert list(result) == [*said, "policies", "paired"]
-    assert result["policies"]["imm"]["reward"] == {"mean": 2.0, "ci95": [2.0, 2.0]}
-    assert list(result["paired"]["imm - speed-rule"]) == [*METRICS, *TERMS]

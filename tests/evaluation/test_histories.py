@@ -6,11 +6,10 @@ import pytest
 
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.histories import history_of
-from experiments.evaluation.runner import Scoring, score_contenders
-from experiments.evaluation.seeds import Selection, draw_episodes
+from experiments.evaluation.runner import Scoring
+from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.datasets.samples import source_from
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.metrics import BURN_IN
 from mmwave_env.rendering.history import NO_MODE
 from mmwave_env.task import task_from
 from mmwave_env.world.keys import keys_of
@@ -50,15 +49,6 @@ def test_a_history_equals_what_an_environment_records(name, arguments):
         np.testing.assert_allclose(
             getattr(history, field), getattr(recorded, field), err_msg=field, **SCORES
         )
-
-
-@pytest.mark.parametrize("name", ["fixed-ekf", "speed-rule", "ppo", "imm"])
-def test_errors_of_a_history_equal_those_that_comparisons_score(name):
-    scores = score_contenders([name], TASK.source, "handset", Selection([SEED]))[name]
-    history = history_of(contender_from(name, "handset"), EPISODE)
-    counted = slice(1 + BURN_IN, None)
-    assert history.error_m[counted].mean() == pytest.approx(scores["ate_m"][0], rel=1e-9)
-    assert history.nees[counted].mean() == pytest.approx(scores["nees"][0], rel=1e-9)
 
 
 def test_the_history_of_an_imm_shows_the_most_probable_modes():

@@ -44,13 +44,6 @@ def test_intervals_agree_with_scipy_s_bootstrap(n):
         assert abs(interval.high - other.high) <= margin
 
 
-def test_columns_share_their_resamples():
-    column = np.random.default_rng(0).normal(size=40)
-    plain, shifted, doubled = bootstrap(np.column_stack([column, column + 3.0, 2.0 * column]))
-    assert shifted.low == pytest.approx(plain.low + 3.0)
-    assert doubled.high == pytest.approx(2.0 * plain.high)
-
-
 def test_intervals_of_many_episodes_are_the_same_if_computed_in_parts(monkeypatch):
     values = np.random.default_rng(0).normal(size=(60, 2))
     expected = bootstrap(values)

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import gymnasium as gym
@@ -13,7 +12,7 @@ import mmwave_env  # noqa: F401  registers the environment
 from experiments.evaluation import contenders as contenders_module
 from experiments.evaluation import runner as evaluation
 from experiments.evaluation.contenders import Contender, contender_from, contenders
-from experiments.evaluation.runner import score, score_contenders
+from experiments.evaluation.runner import run_contender, score, score_contenders
 from experiments.evaluation.seeds import Selection, draw_episodes
 from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.filters.bank import Bank, bank_as_written, best_bank, modes_from
@@ -24,6 +23,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
 from policies import learned
+from tests.policies.test_corrector import card, network
 from tests.refusals import refuses
 from tests.training.actors import HANDSET, MODES, STANDARD, actor, card_of, write, write_per_mode
 
@@ -40,44 +40,45 @@ def assert_equal(scores, expected):
             np.testing.assert_array_equal(rows[metric], expected[name][metric])
 
 
-def test_scores_equal_those_of_stepping_a_single_environment():
-    seeds = range(3)
-    contender = contender_from("speed-rule", "handset")
-    scores = score(contender, contender.start(SOURCE.layout), draw_episodes(SOURCE, seeds))
-    env = gym.make("MmWaveLoc-v0")
-    policy = contender.policy(env.unwrapped.observation)
-    for e, seed in enumerate(seeds):
-        observation, _ = env.reset(seed=seed)
-        rewards, truncated = [], False
-        while not truncated:
-            action = policy(observation[None])[0]
-            observation, reward, _, truncated, info = env.step(action)
+@pytest.mark.parametrize("beliefs", BELIEFS)
+def test_scores_equal_those_of_stepping_a_single_environment(beliefs, trust):
+    contender = Contender.learned(trust)
+    if beliefs == "shared":
+        contender = contender_from("speed-rule", "handset")
+    taken = []
+    watch = [lambda _, episodes, results: taken.extend(results["mode"].tolist())]
+    selection = Selection(range(2))
+    (scores,) = score_contenders([contender], SOURCE, "handset", selection, watch=watch).values()
+    assert set(scores) == {*METRICS, "error_term", "nees_term"}
+    modes = contender.bank if contender.mixes else contender.modes
+    env = gym.make("MmWaveLoc-v0", beliefs=beliefs, modes=modes)
+    for e in range(2):
+        policy = contender.policy(env.unwrapped.observation)
+        observation, _ = env.reset(seed=e)
+        rewards, actions, over = [], [], False
+        while not over:
+            (action,) = policy(observation[None])
+            observation, reward, _, over, info = env.step(action)
             rewards.append(reward)
+            actions.append(info["mode"])
         expected = {metric: info[key] for metric, key in INFO_KEYS.items()}
-        expected["reward"] = np.mean(rewards[10:])
-        assert set(scores) == {*METRICS, "error_term", "nees_term"}
+        expected["reward"] = np.mean(rewards[BURN_IN:])
         assert {m: scores[m][e] for m in expected} == pytest.approx(expected, rel=1e-12)
         terms = scores["error_term"][e] + scores["nees_term"][e]
         assert -terms == pytest.approx(expected["reward"], rel=1e-9)
+        assert taken[e] == actions
+    assert np.max(taken) == len(contender.actions) - 1  # the last mode is used, too
 
 
-def test_running_episodes_in_chunks_does_not_change_scores(monkeypatch):
-    whole = score_contenders(["speed-rule"], SOURCE, "handset", Selection(range(5)))
+def test_scores_do_not_depend_on_chunks_other_seeds_or_other_contenders(monkeypatch):
+    names = ["fixed-ekf", "fixed-ukf"]
+    whole = score_contenders(names, SOURCE, "handset", Selection(range(5)))
     monkeypatch.setattr(evaluation, "CHUNK", 2)
-    assert_equal(score_contenders(["speed-rule"], SOURCE, "handset", Selection(range(5))), whole)
-
-
-def test_scores_are_in_the_order_of_the_seeds():
-    both = score_contenders(["fixed-ukf"], SOURCE, "handset", Selection(range(7, 9)))["fixed-ukf"]
-    second = score_contenders(["fixed-ukf"], SOURCE, "handset", Selection(range(8, 9)))["fixed-ukf"]
-    assert all(len(both[m]) == 2 and both[m][1] == second[m][0] for m in METRICS)
-
-
-def test_all_contenders_play_the_same_episodes():
-    together = score_contenders(["fixed-ekf", "fixed-ukf"], SOURCE, "handset", Selection(range(2)))
-    alone = score_contenders(["fixed-ukf"], SOURCE, "handset", Selection(range(2)))
-    assert_equal({"fixed-ukf": together["fixed-ukf"]}, alone)
-    assert (together["fixed-ekf"]["ate_m"] != together["fixed-ukf"]["ate_m"]).all()
+    assert_equal(score_contenders(names, SOURCE, "handset", Selection(range(5))), whole)
+    alone = score_contenders(["fixed-ukf"], SOURCE, "handset", Selection(range(3, 5)))
+    last = {metric: values[3:] for metric, values in whole["fixed-ukf"].items()}
+    assert_equal(alone, {"fixed-ukf": last})
+    assert (whole["fixed-ekf"]["ate_m"] != whole["fixed-ukf"]["ate_m"]).all()
 
 
 @pytest.mark.parametrize("radio", RADIOS)
@@ -97,15 +98,10 @@ def test_episodes_without_truth_are_refused():
         score(contender, contender.start(SOURCE.layout), [blind])
 
 
-def test_the_best_imm_runs_with_its_tuned_transition_and_quantile():
-    contender, episodes = contender_from("imm-best", "handset"), draw_episodes(SOURCE, range(3))
-    tuned = best_bank("handset")
-    assert contender.modes == tuned.modes
-    imm = partial(run_imm, tuned, TrackingReward())
-    expected = imm(episodes, "reward")["reward"][:, 10:].mean(axis=1)
-    np.testing.assert_array_equal(score(contender, None, episodes)["reward"], expected)
-    plain = score(contender_from("imm", "handset"), None, episodes)["reward"]
-    assert (np.abs(plain - expected) > 1e-3).all()
+def test_the_best_imm_has_its_tuned_transition_and_quantile():
+    assert contender_from("imm-best", "handset") == Contender(
+        "imm-best", best_bank("handset"), None
+    )
 
 
 @pytest.mark.slow
@@ -179,19 +175,6 @@ def test_a_policy_plays_the_same_by_name_and_by_file(file):
         np.testing.assert_array_equal(watched["ppo"]["mode"], watched[name]["mode"])
 
 
-def test_watchers_get_the_results_that_are_scored():
-    watched = {}
-
-    def watch(contender, episodes, results):
-        watched[contender.name] = results
-
-    names, selection = ["speed-rule", "imm"], Selection(range(3))
-    scores = score_contenders(names, SOURCE, "handset", selection, watch=[watch])
-    for name in names:
-        distance = np.linalg.norm(watched[name]["error"], axis=-1)
-        np.testing.assert_allclose(distance[:, BURN_IN:].mean(axis=1), scores[name]["ate_m"])
-
-
 # --- beliefs per mode
 
 
@@ -213,6 +196,8 @@ def test_trusting_no_mode_equals_the_imm_of_the_bank():
     scores, expected = score_contenders([own, imm], SOURCE, "handset", Selection(range(3))).values()
     for metric, values in expected.items():
         np.testing.assert_allclose(scores[metric], values, rtol=1e-9)
+    rewards = run_imm(HANDSET, TrackingReward(), draw_episodes(SOURCE, range(3)), "reward")
+    np.testing.assert_array_equal(expected["reward"], rewards["reward"][:, 10:].mean(axis=1))
     elsewhere = replace(imm, bank=Bank(HANDSET.modes))
     other = score(elsewhere, None, draw_episodes(SOURCE, range(3)))
     assert (other["reward"] != expected["reward"]).all()
@@ -228,22 +213,44 @@ def test_the_imm_uses_the_transition_of_a_bank_or_bank_file_with_any_beliefs(tmp
     assert contender_from("fixed-walk", "handset", path).modes == HANDSET.modes
 
 
-def test_a_policy_with_a_bank_scores_the_rewards_of_the_environment(trust):
-    contender, watched = Contender.learned(trust), {}
-    watch = [lambda _, episodes, results: watched.update(results)]
-    selection = Selection(range(2))
-    (scores,) = score_contenders([contender], SOURCE, "handset", selection, watch=watch).values()
-    env = gym.make("MmWaveLoc-v0", beliefs="per-mode", modes=HANDSET)
-    for e in range(2):
-        policy = contender.policy(env.unwrapped.observation)
-        observation, _ = env.reset(seed=e)
-        rewards, taken, over = [], [], False
-        while not over:
-            (action,) = policy(observation[None])
-            observation, reward, _, over, info = env.step(action)
-            rewards.append(reward)
-            taken.append(info["mode"])
-        assert scores["reward"][e] == pytest.approx(np.mean(rewards[BURN_IN:]), rel=1e-12)
-        assert scores["ate_m"][e] == pytest.approx(info["ate_m"], rel=1e-12)
-        assert watched["mode"][e].tolist() == taken
-    assert watched["mode"].max() == len(MODES)  # the last mode is trusted, too
+# --- correctors
+
+IMM = Contender("imm", HANDSET, None)
+
+
+@pytest.fixture(scope="module")
+def short():
+    """Return four episodes of 60 epochs."""
+    return replace(SOURCE, epochs=60).episodes(np.arange(4, dtype=np.uint64))
+
+
+def corrector(folder, tensors):
+    return Contender.learned(write(folder / "mine.safetensors", tensors, card()), "mine", "handset")
+
+
+def test_a_corrector_that_corrects_nothing_scores_as_its_base(tmp_path, short):
+    tensors = network()
+    tensors["out.weight"][:], tensors["out.bias"][:] = 0.0, 0.0
+    mine = corrector(tmp_path, tensors)
+    ours, theirs = (score(each, each.start(SOURCE.layout), short) for each in (mine, IMM))
+    for metric, values in theirs.items():
+        np.testing.assert_allclose(ours[metric], values, rtol=1e-9, atol=1e-9)
+
+
+def test_errors_and_nees_are_those_of_the_corrected_beliefs(tmp_path, short):
+    results, plain = (
+        run_contender(each, each.start(SOURCE.layout), short, after=("x", "P"))
+        for each in (corrector(tmp_path, network(limit=50.0)), IMM)
+    )
+    truth = np.stack([episode.truth_position_m for episode in short])
+    error = results["x"][..., :3] - truth
+    np.testing.assert_allclose(results["error"], error, atol=1e-9)
+    P = np.zeros((*error.shape, 3))
+    i, j = np.tril_indices(3)
+    P[..., i, j] = P[..., j, i] = results["P"][..., :6]
+    nees = np.einsum("nti,ntij,ntj->nt", error, np.linalg.inv(P), error)
+    np.testing.assert_allclose(results["nees"], nees, rtol=1e-6)
+    length = np.minimum(np.linalg.norm(error, axis=-1), 10.0)
+    odd = np.minimum(np.abs(np.log(np.maximum(nees, 1e-12) / 3.0)), 3.0)
+    np.testing.assert_allclose(results["reward"], -length - 0.2 * odd, atol=1e-6)
+    assert (results["error"] != plain["error"]).any(axis=-1).mean() > 0.9

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.evaluation.runs import Run, trainings
+from experiments.evaluation.runs import Run
 from policies import LearnedSwitch, shipped_policies
 from tests.paths import ROOT
 from tests.refusals import refuses
@@ -24,11 +24,6 @@ def test_a_run_lists_its_seeds_best_first_and_has_a_median(folder):
     assert (run.name, run.seeds, run.median) == (str(folder), (2, 0, 1), 0)
     assert run.policies == [str(folder / f"seed-{i}" / "policy.safetensors") for i in (2, 0, 1)]
     assert run.policy == run.policies[1]
-
-
-def test_a_run_stands_for_its_trainings_in_a_list_of_contenders(folder):
-    run = Run.read(str(folder))
-    assert trainings(["imm", run.name, "ppo"], {run.name: run}) == ["imm", *run.policies, "ppo"]
 
 
 DAMAGE = {

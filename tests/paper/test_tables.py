@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from experiments.evaluation.contenders import contender_from
-from experiments.evaluation.intervals import Interval
 from experiments.evaluation.runner import score
-from experiments.paper.bench import Bench, Section, Setting, track
+from experiments.paper.bench import Bench, Setting, track
 from experiments.paper.claims import contradictions, resolution
 from experiments.tables import FIELDS
 from mmwave_env.engines.replay import smooth
@@ -78,11 +77,6 @@ def test_sections_without_tracks_have_the_expected_rows(bench):
     # The bound at 0 dB is c / (2 pi (B / sqrt(12)) sqrt(2)).
     assert bounds[0] == pytest.approx(299792458.0 / (2e8 * np.pi / 12**0.5 * 2**0.5))
     assert "c / B is 3.00 m" in section.note
-
-
-def test_records_contain_every_number_of_a_section():
-    section = Section("T", "note", "who | a | b | c", rows=[["x", 1.5, Interval(2, 1, 3), ""]])
-    assert section.records() == [["T", "x", "a", 1.5, "", ""], ["T", "x", "b", 2, 1, 3]]
 
 
 PAGE = ROOT / "docs" / "paper.md"

@@ -10,7 +10,7 @@ from experiments.evaluation.intervals import Interval, rounded
 from experiments.reporting.webpage.played import play
 from experiments.reporting.webpage.sources import read_source
 from mmwave_env.io.lookup import printable
-from tests.cli import assert_one_clear_line, command, succeed
+from tests.cli import assert_one_clear_line, command, succeed, with_json
 from tests.paths import ROOT
 from tests.reporting import results
 from tests.reporting.results import HOSTILE, Read, write
@@ -19,11 +19,9 @@ NONE = ("--episodes", 0)  # options with which no episode is played again
 
 
 @pytest.fixture(scope="module")
-def track(tmp_path_factory):
+def track():
     """Return results of `localize`."""
-    file = tmp_path_factory.mktemp("track") / "t.json"
-    succeed("localize", "--sample", "canyon28_vehicle", "--imm", "imm", "--json", file)
-    return json.loads(file.read_text())
+    return with_json("localize", "--sample", "canyon28_vehicle", "--imm", "imm")[1]
 
 
 def report(tmp_path, *words):

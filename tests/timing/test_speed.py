@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from experiments.timing.measured import Measured, rate
+from experiments.timing.measured import Measured
 from experiments.timing.operations import Operations, count
-from experiments.timing.roofline import LENGTH, interleaved, limit_s
 from experiments.timing.workloads import EPISODE, FILTERS, filterpy_episode, pipeline, source
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 from mmwave_env.numerics.numbers import atan2, maximum, sqrt, where
@@ -40,22 +39,6 @@ def test_operations_whose_result_is_not_used_are_not_counted():
         return [w[0], w[1], w[2] + 1.0]
 
     assert count(function, [0.0] * 3) == Operations(add=1, load=1, store=1)
-
-
-def test_a_timed_mix_has_the_proportions_of_the_operations():
-    order = interleaved(Operations(fused=20, add=10, select=20))
-    shares = [order.count(kind) / LENGTH for kind in ("fused", "add", "select")]
-    assert shares == [0.5, 0.25, 0.25] and len(order) == LENGTH  # a timed select is two operations
-
-
-def test_more_operations_have_a_longer_time_limit():
-    few, many = Operations(fused=10, load=2, store=1), Operations(fused=1000, load=2, store=1)
-    assert 0.0 < limit_s(few) < limit_s(many)
-
-
-def test_a_round_measures_complete_episodes_for_the_given_time():
-    laps = iter([10] * 3)
-    assert all(number > 0.0 for number in rate(laps, 0.0)) and list(laps) == [10, 10]
 
 
 def test_the_filterpy_loop_earns_the_reward_of_a_good_track():

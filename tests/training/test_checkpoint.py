@@ -1,6 +1,5 @@
 """Tests of checkpoints (read back, damaged, forged) and of the progress log of trainings."""
 
-import os
 from hashlib import sha256
 
 import numpy as np
@@ -15,7 +14,7 @@ import torch
 from experiments.training.checkpoint import read_checkpoint, with_arrays, write_checkpoint
 from experiments.training.ppo import PpoTraining
 from experiments.training.record import ProgressLog
-from tests.damage import damaged
+from tests.damage import Malicious, damaged
 from tests.refusals import refuses
 from tests.training.test_train import job_of
 
@@ -30,9 +29,15 @@ STATE = {
 }  # fmt: skip
 
 
-def test_a_checkpoint_is_read_back_as_it_was_written(tmp_path):
+@pytest.fixture
+def path(tmp_path):
+    """Return the path of a checkpoint that was written."""
     path = tmp_path / "checkpoint.pt"
     write_checkpoint(path, STATE)
+    return path
+
+
+def test_a_checkpoint_is_read_back_as_it_was_written(path):
     state = read_checkpoint(path)
     for key in ("words", "none", "flag", "list", "number", "tensor"):
         assert state[key] == STATE[key]
@@ -41,9 +46,7 @@ def test_a_checkpoint_is_read_back_as_it_was_written(tmp_path):
         assert array.dtype == STATE["arrays"][key].dtype
 
 
-def test_a_checkpoint_is_refused_wherever_it_is_damaged(tmp_path):
-    path = tmp_path / "checkpoint.pt"
-    write_checkpoint(path, STATE)
+def test_a_checkpoint_is_refused_wherever_it_is_damaged(path):
     whole, rng = path.read_bytes(), np.random.default_rng(0)
     damaged = [b"", whole[:10], whole[:-1], whole + b"x", b"text\n"]
     for place in rng.integers(len(whole), size=60):
@@ -55,23 +58,12 @@ def test_a_checkpoint_is_refused_wherever_it_is_damaged(tmp_path):
             read_checkpoint(path)
 
 
-class Malicious:
-    """Object that makes a folder when it is unpickled."""
-
-    def __init__(self, path):
-        self.path = path
-
-    def __reduce__(self):
-        return os.mkdir, (str(self.path),)
-
-
 SCOPED = [HealthCheck.function_scoped_fixture]
 
 
 @settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=SCOPED)
 @given(data=st.data())
-def test_a_forged_checkpoint_with_a_correct_checksum_is_read_or_refused(tmp_path, data):
-    path = tmp_path / "checkpoint.pt"
+def test_a_forged_checkpoint_with_a_correct_checksum_is_read_or_refused(path, data):
     write_checkpoint(path, STATE)
     forge(path, data.draw(damaged(path.read_bytes()[32:])))
     try:
@@ -90,16 +82,15 @@ def forge(path, content):
 BEGIN = {"update": 0, "timesteps": 0, "best": None, "beat_rule": None, "seconds": 0.0, "rows": []}
 
 
-def test_a_checkpoint_of_another_network_is_refused(tmp_path):
+def test_a_checkpoint_of_another_network_is_refused(path, tmp_path):
     """Use a checkpoint whose form and checksum are correct, but which fits another training."""
-    path = tmp_path / "checkpoint.pt"
     write_checkpoint(path, BEGIN | {"learner": {"timesteps": 3}, "env": {}})
     with refuses("checkpoint.pt", "updates"):
         PpoTraining(job_of(tmp_path), lambda *_: None).run()
 
 
-def test_a_malicious_checkpoint_is_refused_and_not_executed(tmp_path):
-    path, trap = tmp_path / "checkpoint.pt", tmp_path / "trap"
+def test_a_malicious_checkpoint_is_refused_and_not_executed(path, tmp_path):
+    trap = tmp_path / "trap"
     write_checkpoint(path, {"update": 1, "learner": Malicious(trap)})
     with refuses("checkpoint.pt"):
         read_checkpoint(path)

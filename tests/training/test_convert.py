@@ -5,7 +5,7 @@ import builtins
 import json
 import pickle
 import zipfile
-from types import SimpleNamespace
+from multiprocessing import get_context
 
 import gymnasium as gym
 import numpy as np
@@ -13,6 +13,7 @@ import pytest
 
 import mmwave_env  # noqa: F401  registers the environment
 from tests.cli import assert_one_clear_line, command, succeed
+from tests.damage import Malicious
 from tests.refusals import refuses
 from tests.training.actors import HANDSET, MODES
 
@@ -40,32 +41,10 @@ ALGORITHMS = {
 }
 
 
-@pytest.fixture(autouse=True)
-def one_thread():
-    """Use one thread, as in a training; threads would not survive the forks of other tests."""
-    torch.set_num_threads(1)
-
-
 @pytest.fixture
-def same_process(monkeypatch):
-    """Load models in this process, because starting another one is slow."""
-
-    class Process:
-        exitcode = 0
-
-        def __init__(self, target, args, daemon):
-            self.run = lambda: target(*args)
-
-        def start(self):
-            self.run()
-
-        def join(self):
-            pass
-
-        def kill(self):
-            pass
-
-    monkeypatch.setattr(unzip, "get_context", lambda how: SimpleNamespace(Process=Process))
+def forked(monkeypatch):
+    """Load models in a fork of this process, because starting a new process takes seconds."""
+    monkeypatch.setattr(unzip, "get_context", lambda how: get_context("fork"))
 
 
 @pytest.fixture
@@ -93,7 +72,7 @@ def trained(kind, env):
     return model
 
 
-@pytest.mark.usefixtures("same_process")
+@pytest.mark.usefixtures("forked")
 @pytest.mark.parametrize("normalized", [False, True], ids=["as they are", "normalized"])
 @pytest.mark.parametrize("kind", ALGORITHMS)
 def test_a_converted_model_chooses_the_actions_of_the_model(kind, normalized, tmp_path, modes):
@@ -122,34 +101,16 @@ def test_a_converted_model_chooses_the_actions_of_the_model(kind, normalized, tm
     assert len(taken) > 1
 
 
-@pytest.fixture
-def trusting(tmp_path):
-    """Return a model for one belief per mode, and the mode file of its bank."""
-    bank = tmp_path / "bank.json"
+@pytest.mark.usefixtures("forked")
+def test_a_model_for_beliefs_per_mode_is_converted_with_its_bank(tmp_path):
+    bank, model = tmp_path / "bank.json", tmp_path / "trusting.zip"
     bank.write_text(json.dumps(bank_as_written(HANDSET)))
-    env = environment(beliefs="per-mode", modes=HANDSET)
-    trained("ppo", env).save(tmp_path / "trusting.zip")
-    return tmp_path / "trusting.zip", bank
-
-
-@pytest.mark.usefixtures("same_process")
-def test_a_model_for_beliefs_per_mode_is_converted_with_its_bank(trusting, tmp_path):
-    (file, bank), out = trusting, tmp_path / "policy.safetensors"
-    shown = succeed("convert", file, out, "--beliefs", "per-mode", "--modes", bank)
+    trained("ppo", environment(beliefs="per-mode", modes=HANDSET)).save(model)
+    out = tmp_path / "policy.safetensors"
+    shown = succeed("convert", model, out, "--beliefs", "per-mode", "--modes", bank)
     assert "on 1000 of 1000 observations" in shown
     card = LearnedSwitch(out).card
     assert card.beliefs == "per-mode" and card.banks == {"handset": HANDSET}
-
-
-class Malicious:
-    """Object that leaves traces in the process and on the disk when it is unpickled."""
-
-    def __init__(self, path):
-        self.path = path
-
-    def __reduce__(self):
-        code = f"import builtins, os; builtins.touched = True; os.mkdir({str(self.path)!r})"
-        return exec, (code,)
 
 
 def with_a_trap(file, trap):
@@ -174,6 +135,7 @@ def test_code_in_a_model_never_runs_in_the_converting_process(tmp_path, modes):
     LearnedSwitch(tmp_path / "policy.safetensors")
 
 
+@pytest.mark.usefixtures("forked")
 def test_a_process_that_ends_without_a_result_is_reported(tmp_path, monkeypatch):
     monkeypatch.setattr(unzip, "_unzip", print)  # instead of writing tensors
     with refuses("model.zip"):
@@ -199,7 +161,7 @@ MISTAKES = {
 }
 
 
-@pytest.mark.usefixtures("same_process")
+@pytest.mark.usefixtures("forked")
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_model_that_cannot_become_a_policy_file_is_refused(mistake, tmp_path, modes):
     make, words, message = MISTAKES[mistake]
@@ -214,7 +176,7 @@ def test_a_model_that_cannot_become_a_policy_file_is_refused(mistake, tmp_path, 
     assert not out.exists()
 
 
-@pytest.mark.usefixtures("same_process")
+@pytest.mark.usefixtures("forked")
 def test_a_policy_that_computes_more_than_its_layers_is_refused(tmp_path, modes, monkeypatch):
     file = tmp_path / "model.zip"
     trained("ppo", environment()).save(file)

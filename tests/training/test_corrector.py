@@ -11,20 +11,15 @@ import torch
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.protocol import judge, sites
 from experiments.training.corrector import CorrectorTraining, loss_of, mixed
-from experiments.training.corrector_data import (
-    EPOCHS,
-    WEAVING_BEHIND_M,
-    CorrectorData,
-    weaving,
-)
+from experiments.training.corrector_data import EPOCHS, WEAVING_BEHIND_M, CorrectorData, weaving
 from experiments.training.hyperparameters import CorrectorHyperparameters
 from experiments.training.job import Job
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.random_scene import WIDE_SCENE
 from policies import Corrector
 from tests.training.test_rollout_env import task
-from tests.training.test_rollouts import Interrupted, interrupt_after, silent
-from tests.training.test_train_interrupted import assert_same_training
+from tests.training.test_rollouts import Interrupted, interrupt_after
+from tests.training.test_train_interrupted import assert_same_training, silent
 
 pytestmark = pytest.mark.torch
 

@@ -115,14 +115,6 @@ def test_states_near_the_end_of_an_episode_are_left_out():
     assert len(env.try_all(chaotic(4)).values) == 16
 
 
-def test_environments_of_a_place_are_at_different_epochs_of_their_episodes():
-    env = environment(n=64)
-    walked(env, 30)
-    state = env.state()
-    left = (state["length"] - state["epoch"]).reshape(8, 8)
-    assert (left == left[:, :1]).all() and len(set(left[:, 0])) == 8
-
-
 @pytest.mark.parametrize("n", [8, 12, 0])
 def test_a_number_of_environments_that_does_not_suit_the_places_is_refused(n):
     with refuses("num_envs"):

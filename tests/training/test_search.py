@@ -5,8 +5,8 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from experiments.training.tune_banks import START, best_bank_of, rows_as_softmax, search_space
-from mmwave_env.filters.bank import bank_as_written, bank_in, best_bank
+from experiments.training.tune_banks import START, best_bank_of, search_space
+from mmwave_env.filters.bank import best_bank
 from mmwave_env.filters.imm import stay_matrix
 from mmwave_env.models.radio import RADIOS
 
@@ -47,15 +47,6 @@ def test_generations_are_numbered_and_the_number_of_evaluations_is_limited():
     assert 40 - size < len(asked) <= 40
 
 
-def test_softmax_rows_are_probabilities_with_given_log_odds_relative_to_staying():
-    for odds in np.random.default_rng(0).uniform(-14.0, 8.0, (20, 12)):
-        transition = rows_as_softmax(odds)
-        assert transition.shape == (4, 4) and (transition > 0.0).all()
-        np.testing.assert_allclose(transition.sum(axis=1), 1.0)
-        ratio = transition / np.diag(transition)[:, None]
-        np.testing.assert_allclose(np.log(ratio[~np.eye(4, dtype=bool)]), odds, atol=1e-9)
-
-
 def test_the_search_starts_from_the_modes_and_varies_their_noise_and_maneuvers():
     space, n = search_space(START), len(START)
     start = space.bank_at(space.start)
@@ -67,16 +58,6 @@ def test_the_search_starts_from_the_modes_and_varies_their_noise_and_maneuvers()
         moved = space.start.copy()
         moved[i] += deviation
         assert space.bank_at(moved) != start
-
-
-def test_the_bank_of_every_point_can_be_written_and_read():
-    space = search_space(START)
-    for point in np.random.default_rng(0).uniform(*space.bounds.T, (20, len(space.start))):
-        bank = space.bank_at(point)
-        assert bank_in(bank_as_written(bank)) == bank
-        for before, after in zip(START, bank.modes, strict=True):
-            assert (before.name, before.update) == (after.name, after.update)
-            assert np.sign(before.acceleration_mps2) == np.sign(after.acceleration_mps2)
 
 
 @pytest.mark.parametrize("radio", RADIOS)

@@ -15,12 +15,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.paths import ROOT
+from tests.paths import ROOT, json_in
 from tests.refusals import refuses
 
 pytest.importorskip("stable_baselines3")
 
-import torch
 
 from experiments.training.evaluator import EPISODES
 from experiments.training.job import Job
@@ -88,20 +87,13 @@ def assert_same_training(actual, expected):
     for name in ("policy.safetensors", "latest.safetensors"):
         assert (actual / name).read_bytes() == (expected / name).read_bytes()
     assert progress(actual) == progress(expected)
-    outcomes = [json.loads((folder / "outcome.json").read_text()) for folder in (actual, expected)]
+    outcomes = [json_in(folder / "outcome.json") for folder in (actual, expected)]
     assert untimed(outcomes[0]) == untimed(outcomes[1])
     assert not (actual / "checkpoint.pt").exists()
 
 
-@pytest.fixture
-def one_thread():
-    torch.set_num_threads(1)  # threads would not survive a fork
-
-
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_training_killed_at_random_moments_continues_to_the_same_result(
-    kind, tmp_path, one_thread
-):
+def test_a_training_killed_at_random_moments_continues_to_the_same_result(kind, tmp_path):
     job, whole = job_of(tmp_path / "killed", kind), job_of(tmp_path / "whole", kind)
     train(whole)  # also compiles
     checkpoint, rng, kills = job.folder / "checkpoint.pt", np.random.default_rng(5), 0
@@ -129,7 +121,7 @@ def stamp(path):
         return None
 
 
-def test_a_training_killed_before_the_first_checkpoint_starts_over(tmp_path, one_thread):
+def test_a_training_killed_before_the_first_checkpoint_starts_over(tmp_path):
     job, whole = job_of(tmp_path / "killed"), job_of(tmp_path / "whole")
     train(whole)
     job = replace(job, checkpoint_every=100)
@@ -143,12 +135,11 @@ def test_a_training_killed_before_the_first_checkpoint_starts_over(tmp_path, one
     assert_same_training(job.folder, whole.folder)
 
 
-def test_trainings_differ_if_and_only_if_their_seeds_differ(tmp_path, one_thread):
-    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
-        train(job_of(tmp_path / name, seed=seed))
-    assert_same_training(tmp_path / "a", tmp_path / "b")
-    a, c = ((tmp_path / name / "latest.safetensors").read_bytes() for name in "ac")
-    assert a != c
+def test_trainings_of_different_seeds_differ(tmp_path):
+    for seed in range(2):
+        train(job_of(tmp_path / str(seed), seed=seed))
+    a, b = ((tmp_path / str(seed) / "latest.safetensors").read_bytes() for seed in range(2))
+    assert a != b
 
 
 # --- processes
@@ -227,7 +218,7 @@ def until_replaced(path, process):
 
 
 def test_an_interrupted_command_ends_at_once_and_continues_when_resumed(tmp_path, started):
-    """Kill the command, kill one of its trainings, or send Ctrl-C or other signals."""
+    """Kill the command, kill one of its trainings, or send Ctrl-C or another signal."""
     task = replace(TASK, banks={"handset": Bank(default_modes("handset"))})
     job = job_of(tmp_path / "whole", task=task)
     # The training must take seconds, so that it can be interrupted.
@@ -239,41 +230,28 @@ def test_an_interrupted_command_ends_at_once_and_continues_when_resumed(tmp_path
     words = (*made_with, "--out", out, "--checkpoint-every", 1, "--jobs", 1)
     checkpoint = out / "seed-0" / "checkpoint.pt"
 
-    command = started(*words)
-    until_replaced(checkpoint, command)
-    command.kill()
-    command.communicate(timeout=600)
-    assert gone(command.pid)  # a training ends after its command was killed
+    def kill_the_training(group):
+        os.killpg(group, signal.SIGSTOP)
+        (training,) = (pid for pid, args in members(group).items() if "spawn_main" in args)
+        os.kill(training, signal.SIGKILL)
+        os.killpg(group, signal.SIGCONT)
 
-    command = started(*words, "--resume")
-    until_replaced(checkpoint, command)
-    os.killpg(command.pid, signal.SIGSTOP)
-    (training,) = (pid for pid, args in members(command.pid).items() if "spawn_main" in args)
-    os.kill(training, signal.SIGKILL)
-    os.killpg(command.pid, signal.SIGCONT)
-    output = command.communicate(timeout=600)
-    assert command.returncode == 2 and output[0] == "" and "Traceback" not in output[1]
-    last = output[1].splitlines()[-1]
-    assert re.fullmatch(r"mmwave-loc train: seed 0: its process ended with code -9; .*", last)
-    assert gone(command.pid)
-
-    command = started(*words, "--resume")
-    until_replaced(checkpoint, command)
-    os.killpg(command.pid, signal.SIGINT)  # as Ctrl-C in a terminal does
-    output = command.communicate(timeout=600)
-    assert command.returncode == 130 and output[0] == ""
-    assert output[1].splitlines()[-1] == "mmwave-loc train: interrupted"
-    assert "Traceback" not in output[1] and gone(command.pid)
-
-    for sent, send in ((signal.SIGTERM, os.kill), (signal.SIGHUP, os.killpg)):
-        command = started(*words, "--resume")
+    ways = {  # last line of errors -> exit code, function that interrupts a process or its group
+        "": (-signal.SIGKILL, lambda pid: os.kill(pid, signal.SIGKILL)),
+        "seed 0: its process ended with code -9; .*": (2, kill_the_training),
+        "interrupted": (130, lambda pid: os.killpg(pid, signal.SIGINT)),  # as Ctrl-C does
+        "ended by SIGTERM": (143, lambda pid: os.kill(pid, signal.SIGTERM)),
+    }
+    for message, (code, send) in ways.items():
+        command = started(*words, *["--resume"] * out.exists())
         until_replaced(checkpoint, command)
-        send(command.pid, sent)  # SIGTERM to the command alone, SIGHUP to its whole group
-        output = command.communicate(timeout=600)
-        assert command.returncode == 128 + sent and output[0] == ""
-        assert output[1].splitlines()[-1] == f"mmwave-loc train: ended by {sent.name}"
-        assert "Traceback" not in output[1] and gone(command.pid)
-        assert not list(out.rglob(".*"))
+        send(command.pid)
+        output, errors = command.communicate(timeout=600)
+        assert command.returncode == code and output == "" and "Traceback" not in errors
+        if message:
+            assert re.fullmatch(f"mmwave-loc train: {message}", errors.splitlines()[-1])
+            assert not list(out.rglob(".*"))
+        assert gone(command.pid)  # the training ends, too
 
     command = started(*words, "--resume")
     summary, _ = command.communicate(timeout=1800)
@@ -282,4 +260,4 @@ def test_an_interrupted_command_ends_at_once_and_continues_when_resumed(tmp_path
     assert_same_training(out / "seed-0", job.folder)
     policy = (out / "policy.safetensors").read_bytes()
     assert policy == (job.folder / "policy.safetensors").read_bytes()
-    assert json.loads((out / "summary.json").read_text())["median"] == 0
+    assert json_in(out / "summary.json")["median"] == 0
