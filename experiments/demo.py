@@ -54,7 +54,7 @@ def main(args: Args) -> None:
         write_json(args.json, everything)
     files = tuple(args.out / f"{scenario}.json" for scenario in everything)
     report = PageArgs(results=files, out=args.out / "report.html")
-    note("web page: some episodes run again, to show them epoch by epoch")
+    note("web page: rerunning some episodes to show them epoch by epoch")
     write_text(report.out, page_of(report))
     say(
         f"All paired differences are in {args.out / 'tables.md'}, and all results in",

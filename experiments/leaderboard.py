@@ -34,7 +34,7 @@ class Args:
     """do not judge again the policies that have an entry in the folder; judge the others one by
     one, and write each entry when it is ready, so that the same command can go on after a stop"""
     docs: Path | None = None
-    """Markdown page in which to replace the tables after `<!-- table: ... -->` by the new ones"""
+    """Markdown page to update: each table after a comment `<!-- table: ... -->` is replaced"""
 
 
 def main(args: Args) -> None:

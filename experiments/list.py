@@ -113,7 +113,7 @@ def copied(out: Path, name: str) -> int:
     files = {out / file.name: file for file in sorted(folder.iterdir())}
     for new in files:
         if new.exists():
-            raise FileExistsError(f"{new}: found a file, expected a folder without it")
+            raise FileExistsError(f"{new}: found a file of this name, expected none in the folder")
         require_writable(new)
     for new, file in files.items():
         write_bytes(new, file.read_bytes())

@@ -27,7 +27,7 @@ class Args(JsonArgs):
     repeats: int = 5
     """number of rounds; each measures everything once, and the tables show medians and ranges"""
     docs: Path | None = None
-    """Markdown page in which to replace the tables after `<!-- table: ... -->` by the new ones"""
+    """Markdown page to update: each table after a comment `<!-- table: ... -->` is replaced"""
 
 
 # No import above may load numpy: its linear algebra reads these variables when it is loaded.

@@ -25,8 +25,8 @@ class Args:
     out: Path = Path("results/paper")
     """folder for tables.md, tables.csv and tables.png"""
     docs: Path | None = None
-    """Markdown page in which to replace the tables after `<!-- table: ... -->` by the new ones; the
-    picture that has the page's name is replaced, too"""
+    """Markdown page to update: each table after a comment `<!-- table: ... -->` is replaced, and
+    so is the picture that has the page's name"""
 
 
 SECTIONS = 19  # number of sections, for the progress bar

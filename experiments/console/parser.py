@@ -25,7 +25,7 @@ RULE = re.compile(r"^ +-+ *$", re.MULTILINE)  # line between the parts of tyro's
 
 @dataclass(kw_only=True)
 class Everywhere:
-    """Options of every command, which the command line itself handles."""
+    """Options of every command, handled by the main program and not by the command."""
 
     quiet: bool = False
     """show neither tables nor progress, only warnings and errors"""
@@ -77,7 +77,7 @@ def described(arguments: type[Any]) -> type[Any]:
             hint = "(required)" if default is MISSING else "" if nothing else None
             shown = name.upper() + ("..." if "tuple" in str(kind) else "")
             shown = shown if default is MISSING else f"[{shown}]"
-            metavar = shown if is_positional(kind) else None  # None, here and above: tyro's default
+            metavar = shown if is_positional(kind) else None  # like a hint of None: tyro's own
             kind = Annotated[kind, arg(help=text, help_behavior_hint=hint, metavar=metavar)]
             if default is False:  # this marker suppresses --no-NAME
                 kind = Annotated[kind, FlagCreatePairsOff]

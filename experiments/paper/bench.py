@@ -1,4 +1,4 @@
-"""Cached runs of modes on the episodes of a setting, and sections that show the results."""
+"""Cached runs of modes on the episodes of a setting, and the tables that show their results."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,4 +1,4 @@
-"""Kalman updates with noise that differs from what the receiver states: Student-t, and adaptive.
+"""Kalman updates for noise unlike what receivers report: a Student-t and an adaptive update.
 
 The stated variances of every group of measured values (such as a link) are multiplied by an unknown
 factor with an inverse gamma distribution. Variational Bayes alternates between the belief and the
@@ -86,7 +86,7 @@ def student_t(
     base: Algorithm = ekf,
     dof: float = DOF,
 ) -> Posterior:
-    """Update a belief with Student-t noise. A mode can use this algorithm, which ignores its gate.
+    """Update a belief with Student-t noise; as the algorithm of a mode, it ignores the mode's gate.
 
     With many degrees of freedom the result is that of the ``base`` without gates.
     """
@@ -104,10 +104,10 @@ class StudentImm(FixedMode):
     beliefs = "per-mode"
 
     def __init__(self) -> None:
-        super().__init__(0)  # trusts no mode
+        super().__init__(0)  # action 0 changes no mode probability
 
     def bank(self, radio: str) -> Bank:
-        """Return a radio's bank; each second, a mode continues with a probability of 0.95."""
+        """Return a radio's bank; the probability that a mode lasts another second is 0.95."""
         plain = [replace(mode, gate=None, adaptive=False) for mode in default_modes(radio)]
         heavy = (replace(m, algorithm=partial(student_t, base=m.update)) for m in plain)
         return Bank(tuple(heavy))

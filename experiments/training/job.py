@@ -38,8 +38,8 @@ class Job(Generic[H]):
     task: TrainingTask
     hyperparameters: H
     seed: int  # number of the training, from 0
-    # length of the training: number of epochs of all environments together; for rollouts, number
-    # of states in which all actions are tried
+    # length of the training: number of epochs of all environments together; if the algorithm is
+    # "rollouts", number of states in which all actions are tried
     timesteps: int
     folder: Path  # folder for all files of the training
     command: str  # command that the policy file records as its origin

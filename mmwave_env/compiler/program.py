@@ -93,7 +93,7 @@ class Feed(NamedTuple):
 
 
 class BatchState(NamedTuple):
-    """N tracks and the epochs that they run next."""
+    """The workspaces of N tracks, their epochs, and the epoch that is next in each track."""
 
     rows: Array  # (blocks, size, 8) workspace, changed in place
     feed: Feed  # computes the epochs if there is no table
@@ -142,8 +142,8 @@ def tree_kernel(
     """Return a numba function that applies a function of numbers to a workspace, in place.
 
     The function maps a tree to a tree; both have the shape of the ``template``. The leaves of a
-    tree, in order, are the rows. :func:`~mmwave_env.compiler.lanes.kernel` describes ``ends``
-    (None for one part) and the returned function.
+    tree, in order, are the rows. For ``ends`` (None: compile all rows as one part) and the
+    returned function see :func:`~mmwave_env.compiler.lanes.kernel`.
     """
     size = len(flatten(template))
 

@@ -38,7 +38,7 @@ class Batch(Generic[Workspace]):
 
     Args:
         program: the program to run.
-        layout: rows of the measurements.
+        layout: which values a measurement has, in order.
         n: number of environments.
         input_rows: leaves of ``program.index`` that receive an input in every epoch.
         on_floats: whether to run in plain Python instead of on SIMD lanes.
@@ -73,7 +73,7 @@ class Batch(Generic[Workspace]):
 
     @property
     def completed(self) -> Index:
-        """Return the number of epochs (n,) that actions have completed so far."""
+        """Return the number of epochs (n,) of each environment that have had their action."""
         return self.state.epoch - 1 - self.ahead
 
     def load(

@@ -9,8 +9,8 @@ mode keeps its own belief, the modes interact as in an IMM (:mod:`mmwave_env.fil
 action is the mode to trust in the epoch that was just filtered: the probability of that mode is
 raised before the beliefs are combined, scored and mixed again. Action 0 trusts no mode, as in the
 IMM. With ``action="weights"``, the action raises or lowers the probability of every mode. With
-``action="correction"``, the filters run an epoch ahead: a step corrects and scores the belief of
-the last epoch, and the filters go on from the uncorrected beliefs.
+``action="correction"``, the filters are one epoch ahead of the actions: a step corrects and scores
+the belief of the epoch before, and the filters continue from their uncorrected beliefs.
 """
 
 from functools import lru_cache, partial
@@ -58,7 +58,7 @@ SPREAD_MEMORIES = (0.6, 0.9, 0.97)  # weights of the past in averages of the Dop
 class EnvState(NamedTuple):
     """The state of an environment between two epochs."""
 
-    incoming: Incoming  # the epoch under consideration
+    incoming: Incoming  # the epoch that this step filters
     site: Site  # anchors, carrier and prior
     is_first: Number  # 1 to start over from the prior instead of taking the action
     action: Number  # number of the mode whose candidate becomes the belief
@@ -124,11 +124,11 @@ class Reported(NamedTuple):
 class PerModeState(NamedTuple):
     """The state between two epochs of an environment in which every mode keeps its own belief."""
 
-    incoming: Incoming  # the epoch under consideration
+    incoming: Incoming  # the epoch that this step filters
     site: Site  # anchors, carrier and prior
     is_first: Number  # 1 to start over from the prior instead of taking the action
     action: Number  # number of the mode to trust, from 1; 0 for none
-    numbers: list[Number]  # (k,) an action of weights or a correction; else empty
+    numbers: list[Number]  # (k,) the action if it is weights or a correction; else empty
     settings: ImmSettings  # parameters of the bank
     pending: PendingEpoch  # the epoch whose mixture waits for an action
     mixture: Mixture  # belief after that epoch

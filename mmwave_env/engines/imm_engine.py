@@ -158,7 +158,7 @@ class ImmTracker(EpisodeFilter[ImmState]):
 
     Args:
         bank: the modes and the parameters of their interaction.
-        layout: rows of the measurements.
+        layout: which values a measurement has, in order.
         n: number of tracks.
         planar: same as in :class:`~mmwave_env.filters.pipeline.Pipeline`.
         acted: whether :meth:`run` receives actions, the modes to trust.

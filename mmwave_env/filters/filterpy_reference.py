@@ -2,8 +2,8 @@
 
 Prediction, sigma points, innovation, gain and covariance come from filterpy; the measurement
 function and its Jacobian come from :class:`~mmwave_env.filters.textbook.Sensor`, row by row,
-without this package's shortcuts, such as latent variables. Tests, the benchmark and users in doubt
-compare the two implementations. To run such modes, use
+without this package's shortcuts, such as latent variables. The tests compare the two
+implementations, and so can you if you doubt a result. To run such modes, use
 ``Engine(filterpy_pipeline(...), on_floats=True)``.
 
 An update works in coordinates relative to the prior mean m: dx = x - m and dz = z - h(m). Small
@@ -133,7 +133,7 @@ class _Ukf(_PointFilter):
 
 
 class _Ckf(_PointFilter):
-    """The CKF of filterpy, which needs column vectors; this class sets the points and arrays."""
+    """The CKF of filterpy, which needs column vectors. Its sigma points are set here."""
 
     def __init__(self, size: int) -> None:
         self._filter = CubatureKalmanFilter(size, 1, 1.0, None, None)
@@ -156,8 +156,8 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
     """Return the pipeline with filterpy's filters instead of this package's.
 
     Raises:
-        ValueError: filterpy's filters cannot run the pipeline: it has flat terrain (the filters
-            need a covariance of full rank), or a user's algorithms.
+        ValueError: filterpy cannot run the pipeline, because it is planar (filterpy needs a
+            covariance of full rank) or a mode has an algorithm of its own.
     """
     if pipeline.planar:
         raise ValueError(

@@ -32,7 +32,7 @@ class ImmSettings(NamedTuple):
     transition: list[list[Number]]  # (modes, modes) probabilities (from, to) over a second
     tunings: list[Tuning]  # motion model of every mode
     # (groups,) limits for :func:`~mmwave_env.filters.update.limited_likelihood`, infinite in the
-    # textbook's IMM. In a partial layout, (4,) limits for groups with 1, 2, 3 and 4 measured rows
+    # textbook's IMM; in a partial layout four limits, for groups with 1 to 4 measured rows
     limits: list[Number]
 
 
@@ -42,7 +42,7 @@ class ModeTrack(NamedTuple):
     # x, P: (7,), (28,) belief of the mode
     x: list[Number]
     P: list[Number]
-    memory: Memory  # memory for the mode's gates and scaling
+    memory: Memory  # past values that the mode's gates and its scaling of noise depend on
 
 
 class Mixture(NamedTuple):
@@ -218,8 +218,9 @@ def prediction(now: ImmEpoch, dt: Number, hz_per_mps: Number) -> tuple[list[Numb
     """Return the mixture's mean (7,) and packed covariance (28,) before an epoch's update.
 
     The Rauch-Tung-Striebel smoother assumes x_predicted = F x + noise, with noise independent of x.
-    So the shifts that the modes' known accelerations cause count as noise: their covariance is
-    added. Their correlation with x is left out; it could make smoothed variances negative.
+    Modes with a known acceleration shift x_predicted further. Such shifts count as noise: their
+    covariance is added, but not their correlation with x, which could make smoothed variances
+    negative.
     """
     moved = [move(x, dt, hz_per_mps) for x in now.mixed]
     shifts = [

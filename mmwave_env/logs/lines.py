@@ -61,7 +61,7 @@ def line_blocks(path: Path) -> Iterator[tuple[list[str], float]]:
 
 
 def _read(file: Any) -> tuple[bytes, bool, str]:
-    """Return the next bytes, whether the file ends after them, and words for damage, if any."""
+    """Return the next bytes, whether the file ends after them, and what is damaged, if anything."""
     pieces: list[bytes] = []
     size = 0
     while size < _BLOCK_BYTES:

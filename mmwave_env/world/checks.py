@@ -1,4 +1,4 @@
-"""Checks of records of epochs (episodes and tracks); errors name the record and the field."""
+"""Checks of arrays over epochs, in episodes and tracks; errors name the record and the field."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -32,7 +32,7 @@ def require_epochs(record: str, epochs: Any, shapes: Mapping[str, tuple[int, ...
 
 
 def require_increasing(record: str, time_s: Array) -> None:
-    """Refuse times (T,) of epochs that do not increase."""
+    """Refuse the times (T,) of epochs unless they increase."""
     if len(time_s) < 1 or not (np.diff(time_s) > 0.0).all():
         refuse(record, "time_s", "times that do not increase", "one or more increasing times")
 

@@ -1,4 +1,4 @@
-"""Motion of users along their ways, written so that SIMD lanes can move eight travelers at once.
+"""Motion of users along streets, written so that SIMD lanes can move eight users at once.
 
 A traveler speeds up and brakes within limits of acceleration, braking and jerk, to reach its
 target speed and to slow down for corners and red lights. The equations describe a substep
@@ -130,7 +130,8 @@ def move(t: Traveler, net: Net, step: Number) -> Traveler:
     most = t.jerk * step
     waiting = (t.v < 0.3) & (t.stretch - t.traveled < 3.0)
     a = t.a + clip(wanted_acceleration(t, net) - t.a, -most, most)
-    v = t.v + maximum(a * step, -t.v)  # >= 0; not a fused multiply-add, which rounds differently
+    # v is at least 0. A fused multiply-add would round differently; maximum() prevents it.
+    v = t.v + maximum(a * step, -t.v)
     a = where(v > 0.0, a, maximum(a, 0.0))
     time, traveled = t.time + step, t.traveled + 0.5 * (t.v + v) * step
     gait_left = t.gait_left - step

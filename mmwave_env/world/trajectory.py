@@ -18,6 +18,7 @@ from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.world.mobility import FASTEST_MPS, Mobility, mobilities_of
 
 REACH_M = (1.0, 5000.0)  # distances for which the path loss is valid (3GPP TR 38.901, UMi)
+STANDING_M, STANDING_S = 0.1, 60.0  # positions that change less in a minute may be in degrees
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,17 +64,31 @@ class Trajectory:
         object.__setattr__(self, "velocity_mps", np.gradient(p, t, axis=0) if v is None else v)
 
     def _require_motion(self, t: Array, p: Array, v: Array | None) -> None:
-        """Refuse motion that is impossible for a user in streets."""
+        """Refuse motion that is impossible for a user in streets; warn of a user who stands."""
         step = np.diff(t, prepend=t[0] - 1.0)
+        moved = np.diff(p, axis=0, prepend=p[:1])
         self._require(step > 0.0, t, "t", "more than in the row before")
         near = f"at most {GAP_S:g} s after the row before; if t is in s, split the trajectory there"
         self._require(step <= GAP_S, t, "t", near)
-        speed = np.linalg.norm(np.diff(p, axis=0, prepend=p[:1]), axis=1) / step
+        speed = np.linalg.norm(moved, axis=1) / step
         most = f"at most {FASTEST_MPS:g} m/s"
         unit = f"{most}: is t in seconds, and are x, y in meters, not in degrees?"
         self._require(speed <= FASTEST_MPS, speed, "speed since the row before", unit)
         if v is not None:
-            self._require(np.linalg.norm(v, axis=1) <= FASTEST_MPS, v, "vx, vy, vz", most)
+            fast = np.linalg.norm(v, axis=1)
+            self._require(fast <= FASTEST_MPS, v, "vx, vy, vz", most)
+            way, integral = np.linalg.norm(moved, axis=1).sum(), fast[1:] @ step[1:]
+            if integral > 2.0 * way + STANDING_M:
+                raise ValueError(
+                    f"{self.name}: vx, vy, vz: found speeds that give a path of {integral:.6g} m, "
+                    f"expected about {way:.6g} m, as x, y, z give: are the speeds in m/s?"
+                )
+        if t[-1] - t[0] >= STANDING_S and np.ptp(p, axis=0).max() < STANDING_M:
+            warnings.warn(
+                f"{self.name}: found all positions of {t[-1] - t[0]:g} s within {STANDING_M:g} m; "
+                "x, y are read as meters: are they in degrees?",
+                stacklevel=4,
+            )
 
     def _require(self, holds: Mask, values: Array, part: str, expected: str) -> None:
         """Refuse the first row of values (N, ...) for which a condition is false."""

@@ -54,7 +54,7 @@ def test_copying_a_sample_replaces_no_file(tmp_path):
     succeed("list", "samples", "--copy", "canyon28_pedestrian", "--out", tmp_path / "walk")
     (tmp_path / "walk" / "log.csv").unlink()  # a second copy must not add it again
     done = command("list", "samples", "--copy", "canyon28_pedestrian", "--out", tmp_path / "walk")
-    assert_one_clear_line(done, "scene.json: found a file, expected a folder without it")
+    assert_one_clear_line(done, "scene.json: found a file of this name, expected none")
     assert not (tmp_path / "walk" / "log.csv").exists()
 
 

@@ -88,7 +88,10 @@ MISTAKES = {
     "unknown policy": (("evaluate", "--policy", "oracle"), "'oracle'.*fixed-ekf.*imm"),
     "missing scene": (("evaluate", "--scene", "plaza.json"), "plaza.json"),
     "no episodes": (("evaluate", "--episodes", "-5"), "episodes: found -5, expected at least 1"),
-    "figures as LaTeX": (("compare", "--json", "t.tex"), "json: found t.tex, .* ends with .json"),
+    "JSON into a .tex file": (
+        ("compare", "--json", "t.tex"),
+        "json: found t.tex, .* ends with .json",
+    ),
     "a table as text": (("compare", "--episodes-csv", "t.txt"), "episodes-csv: .* ends with .csv"),
     "negative seed": (("compare", "--policies", "imm", "--seed", "-1"), "seed: found -1"),
     "recorded scenario": ((*NEVER, *RECORDED, "--scenario", "jam"), "scenario: found 'jam', but"),
@@ -100,7 +103,7 @@ MISTAKES = {
     "an option without its value": (("evaluate", "--json"), "--json"),
     "a required option missing": (("simulate",), "--out PATH"),
     "a required argument missing": (("report",), "results"),
-    "a risk without levels": (("compare", "--risk", "0.05"), "risk: found 0.05, expected 0.01 or"),
+    "an uncalibrated risk": (("compare", "--risk", "0.05"), "risk: found 0.05, expected 0.01 or"),
     "a risk of zero": (("evaluate", "--risk", "0"), "risk: found"),
     "mistyped name": (("evaluate", "--radio", "hand-set"), "'hand-set', did you mean handset[?]"),
 }
@@ -113,7 +116,7 @@ def test_a_mistake_ends_with_one_clear_line(mistake):
     assert not (ROOT / "never").exists()
 
 
-def test_an_unknown_command_is_refused_with_the_most_similar_and_all_valid_names():
+def test_the_error_about_an_unknown_command_has_a_similar_name_and_all_valid_names():
     assert_one_clear_line(command("fly"), "'fly', expected one of demo, .*compare, evaluate")
     assert_one_clear_line(command("localise"), "'localise', did you mean localize[?] Expected")
 
@@ -138,7 +141,7 @@ def test_an_interrupt_while_the_program_starts_ends_with_one_line(module):
 
 
 def test_defaults_of_options_equal_the_constants_of_the_library():
-    """Compare constants with their copies in options; help must not import slow modules."""
+    """Compare constants with their copies in options, which spare the help slow imports."""
     from experiments.evaluation import protocol
     from mmwave_env.filters.smoother import SMOOTHING_WINDOW
     from mmwave_env.interface.reward import TrackingReward

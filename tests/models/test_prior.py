@@ -17,7 +17,7 @@ SIGMA = np.array([0.3, 0.02, 0.015, 0.01])
 
 
 def link_from(position):
-    """Return the rows (4,) of the base station's link to a user at rest, without noise."""
+    """Return the four noiseless values (4,) of the base station's link to a user at rest."""
     track = np.array([position], float)
     alone = Scene("alone", SCENE.base_station_m)
     return geometry(track, np.zeros((1, 3)), alone, Layout(1))[0, :4]

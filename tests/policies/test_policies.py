@@ -61,7 +61,7 @@ def test_the_threshold_of_the_paper_is_the_default(table):
     np.testing.assert_array_equal(actions, [0, 1])
 
 
-def test_above_the_design_window_the_rule_warns_once_and_keeps_its_mode(table):
+def test_above_its_range_of_speeds_the_rule_warns_once_and_still_chooses_the_fast_mode(table):
     rule = SpeedRule(table)
     fast = observe(table, predicted_speed=[1.0, 20.5, 35.0])
     rule(observe(table, predicted_speed=[19.99]))  # a warning would be an error
@@ -88,7 +88,7 @@ def test_the_likelihood_rule_needs_features_of_the_coming_epoch():
 
 
 @pytest.mark.parametrize(("speed", "mode"), [(0.0, 0), (2.0, 0), (2.001, 1), (20.0, 1), (99.0, 1)])
-def test_speed_rules_of_tracks_switch_at_the_threshold_of_the_paper(speed, mode):
+def test_the_speed_rules_for_single_tracks_switch_at_the_threshold_of_the_paper(speed, mode):
     x = [0.0, 0.0, 0.0, 0.6 * speed, -0.8 * speed, 0.0, 7.0]
     slow = [0.0] * 7
     assert mode_at(speed) == mode

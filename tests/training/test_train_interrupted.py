@@ -1,4 +1,4 @@
-"""Tests that trainings killed at any moment continue and write the same files in the end."""
+"""Tests that a training can be killed at any moment, resumes, and writes the same files."""
 
 import csv
 import io

@@ -103,6 +103,9 @@ def test_impossible_velocities_are_refused(tmp_path):
     rows[3][4] = 720.0
     with refuses("line 5: vx, vy, vz"):
         read_trajectory(write(tmp_path, rows, "t,x,y,z,vx,vy,vz"))
+    rows = [[*row, 3.6 * 2.0, 0.0, 0.0] for row in straight()]  # velocity in km/h
+    with refuses("way.csv: vx, vy, vz"):
+        read_trajectory(write(tmp_path, rows, "t,x,y,z,vx,vy,vz"))
 
 
 def test_wrong_arrays_are_refused_with_the_row():
@@ -112,6 +115,13 @@ def test_wrong_arrays_are_refused_with_the_row():
         Trajectory("mine", time_s, position)
     with refuses("position_m of mine"):
         Trajectory("mine", time_s, position[:4])
+
+
+def test_a_trajectory_of_a_user_who_never_moves_causes_a_warning():
+    time_s = np.arange(100.0)
+    degrees = np.column_stack([-122.4 + 1e-6 * time_s, np.full(100, 37.8), np.full(100, 1.5)])
+    with pytest.warns(UserWarning, match="gps: found all positions of 99 s"):
+        Trajectory("gps", time_s, degrees)
 
 
 @pytest.mark.parametrize(

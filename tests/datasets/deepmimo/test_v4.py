@@ -159,7 +159,7 @@ def array_in(number, key, change):
 
 DAMAGE = {  # name -> damage, files and keys that the refusal names
     "two receivers": (array_in(5, "rx_pos", lambda a: np.tile(a, (2, 1))), ["0005", "rx_pos"]),
-    "a path short": (array_in(5, "delay", lambda a: a[:, 1:]), ["scene_0005", "delay"]),
+    "a path too few": (array_in(5, "delay", lambda a: a[:, 1:]), ["scene_0005", "delay"]),
     "a key missing": (
         lambda f: (f / "scene_0006" / f"delay_{LINK}.npz").unlink(),
         ["scene_0006", "delay"],
@@ -191,7 +191,7 @@ def test_a_pipe_instead_of_a_file_is_refused(static, name):
         read_deepmimo(static)
 
 
-def test_the_paths_equal_the_arrays_in_the_files(static):
+def test_propagation_paths_are_read_exactly_as_the_files_hold_them(static):
     scenario = open_scenario(static)
     (station,) = scenario.paths(scenario.epochs(None))
     inter = load(static, "inter")
