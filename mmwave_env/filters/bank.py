@@ -1,8 +1,8 @@
 """Modes and banks of modes: named ones, shipped ones, and those in a user's files.
 
 A mode is a filter with its tuning. A bank is a set of modes with the parameters of an IMM
-(interacting multiple models) over them. A mode file contains a bank; if the modes share a belief
-(mean and covariance), only the bank's modes are used.
+(interacting multiple models) over them. A mode file contains a bank. Where modes share one belief
+(mean and covariance), only the bank's modes are used, not its parameters.
 """
 
 import os
@@ -47,8 +47,9 @@ class Bank:
             mode's likelihood; 1 for no cap, as in the textbook.
 
     Raises:
-        ValueError: there are no modes, names are equal, the quantile is outside (0, 1], the
-            transition has a wrong shape, rows are not probabilities, or a mode is unreachable.
+        ValueError: there are no modes or too many, two modes have the same name, the quantile is
+            outside (0, 1], the transition has a wrong shape, its rows are not probabilities, or a
+            mode is unreachable.
     """
 
     modes: Annotated[tuple[Mode, ...], Size(1, MOST_MODES)]
@@ -136,7 +137,7 @@ def bank_as_written(bank: Bank) -> dict[str, Any]:
 
 @cache  # so that it warns only once for each radio
 def _tuned_profile(radio: Radio) -> str:
-    """Return the radio's base, the shipped profile whose modes and banks are used for it."""
+    """Return the radio's base: the shipped profile whose modes and banks the radio uses."""
     if radio.name not in TUNED_RADIOS:
         warnings.warn(
             f"radio {radio.name!r}: found no modes tuned for it, using those of {radio.base!r}; "
@@ -190,7 +191,7 @@ def bank_over(modes: Modes, radio: str | Radio = "handset") -> Bank:
         radio: profile that named modes are tuned for.
 
     Raises:
-        ValueError: same as for :class:`Bank`, or an entry is not a mode.
+        ValueError: same as for :class:`Bank`, or an entry of the list is not a mode.
     """
     if isinstance(modes, Bank):
         return modes

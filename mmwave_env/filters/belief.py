@@ -30,7 +30,7 @@ class Belief(NamedTuple):
         return sqrt(dot(e, e))
 
     def nees(self, truth: Vector) -> Number:
-        """Return the position's normalized estimation error squared; its mean is ``len(axes)``."""
+        """Return the position's normalized estimation error squared; ideal mean: ``len(axes)``."""
         return self._whiten(truth)[0]
 
     def log_density(self, truth: Vector) -> Number:

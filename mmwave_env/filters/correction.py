@@ -1,8 +1,8 @@
 """Corrections of a belief's position in the frame of motion.
 
 The *frame of motion* has axes along the estimated horizontal velocity, across it (to the left) and
-up. A correction has two numbers for each axis: the shift of the estimated position, in standard
-deviations of the belief, and the logarithm of the factor by which this deviation is scaled.
+up. A correction has two numbers for each axis: the shift of the estimated position, in units of its
+standard deviation along the axis, and the logarithm of a factor that scales this deviation.
 """
 
 from typing import NamedTuple
@@ -18,7 +18,7 @@ SLOWEST_MPS = 1e-3  # below this speed, the x axis counts as the direction of mo
 
 
 class Frame(NamedTuple):
-    """The frame of motion, in which features are written and corrections are applied."""
+    """The frame of motion, in which features are expressed and corrections are applied."""
 
     cosine: Number  # cosine of the angle from the x axis to the direction of motion
     sine: Number  # sine of this angle
@@ -36,11 +36,11 @@ class Frame(NamedTuple):
         return self.cosine * x + self.sine * y, self.cosine * y - self.sine * x
 
     def out(self, along: Number, across: Number) -> tuple[Number, Number]:
-        """Return the horizontal vector with components along and across."""
+        """Return the horizontal vector (x, y) with these components along and across."""
         return self.cosine * along - self.sine * across, self.sine * along + self.cosine * across
 
     def covariance(self, P: Matrix, first: int = 0) -> tuple[Number, Number, Number]:
-        """Return the variance along, the variance across, and the covariance of the two.
+        """Return the variances along and across, and the covariance of these two components.
 
         Args:
             P: (n, n) covariance.
@@ -101,12 +101,12 @@ def corrected(belief: Belief, shift: Vector, log_factor: Vector) -> Belief:
 def corrected_all(
     x: Array, P: Array, shift: Array, log_factor: Array, pipeline: Pipeline
 ) -> Belief:
-    """Return corrected beliefs as one belief of arrays (...), or of floats for a single belief.
+    """Return corrected beliefs as one belief of arrays (...), or of floats if x is a single mean.
 
     Args:
         x, P: (..., 7), (..., 28) means and packed covariances.
         shift, log_factor: (..., 3) as for :func:`corrected`.
-        pipeline: pipeline of the filters, which says whether the height is known.
+        pipeline: the filters' pipeline, which says whether the height is known.
     """
     mean, packed, *correction = (
         part.tolist() if part.ndim == 1 else list(np.moveaxis(part, -1, 0))

@@ -1,8 +1,9 @@
 """Trial runs of a user's function (a filter's algorithm or a reward) before it is compiled.
 
-The compiler calls a function once, with numbers called lanes that stand for eight environments. A
-trial run uses numbers that refuse the same operations, so it takes milliseconds and can name the
-line that asked for a value. It finds functions that cannot run, but not wrong results.
+The compiler calls a function once, with *lanes*: numbers that each stand for eight environments,
+and so have no single value. A trial run uses other numbers, which refuse the same operations. It
+compiles nothing, so it takes milliseconds, and it can name the line that asked for a value. It
+finds functions that cannot run, but not wrong results.
 """
 
 import os
@@ -75,7 +76,7 @@ def complaint(
     error: BaseException | None = None,
     advice: str = "",
 ) -> str:
-    """Return the message that a user's function is refused, with the line that is to blame.
+    """Return the message that refuses a user's function and shows the line that is to blame.
 
     The message begins with ``subject``. The line is where the ``error`` was raised, or else where
     the function begins.
@@ -83,7 +84,7 @@ def complaint(
     begin = _begin_of(function)
     line = _line_of(error, begin) if error else begin
     shown = [*format_list([line] if line else []), f"{advice}\n" if advice else ""]
-    # Gymnasium appends the environment's arguments to a message, which ends with a new line.
+    # The message ends with a line break because Gymnasium appends the environment's arguments.
     return f"{subject} {problem}\n" + "".join(shown)
 
 
@@ -113,8 +114,8 @@ def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> 
     """Try the algorithm of a mode, unless it is built in.
 
     Raises:
-        AlgorithmError: the algorithm cannot run on lanes, has the wrong arguments, modifies them,
-            or does not return a posterior.
+        AlgorithmError: the algorithm cannot run on lanes, takes the wrong arguments, modifies
+            its arguments, or does not return a posterior.
     """
     algorithm = mode.update
     if algorithm in ALGORITHMS.values():

@@ -47,7 +47,7 @@ def full_noise(noise: ProcessNoise) -> Array:
 
 
 class _Relative:
-    """A measurement relative to the prior mean m."""
+    """A measurement and its function h, both relative to h(m) at the prior mean m."""
 
     def __init__(self, mean: Array, measurement: Measurement) -> None:
         layout, anchors = measurement.layout, np.array(measurement.anchors, float)
@@ -187,7 +187,7 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
 def _update(
     filter_: _Filter, mean: Vector, covariance: Matrix, measurement: Measurement, gate: Gate
 ) -> Posterior:
-    """Update with all visible groups; then again if gates reject groups or inflate their noise."""
+    """Update with all visible groups, and again if gates reject groups or inflate their noise."""
     x, P = np.array(mean, float), np.array(covariance, float)
     layout, relative = measurement.layout, _Relative(x, measurement)
     R = np.diag(np.array(measurement.variance, float))

@@ -11,7 +11,7 @@ from mmwave_env.models.measurement import Group, Measurement
 from mmwave_env.numerics.linalg import cholesky, dot, forward, symmetric
 from mmwave_env.numerics.numbers import Matrix, Number, log, maximum, where
 
-_GROUPS_PER_LOG = 8  # number of determinants whose product fits into a double
+_GROUPS_PER_LOG = 8  # determinants to multiply before a logarithm; their product fits into a double
 ROBUST_ONSET = 1.5  # a link is doubtful if the ratio of its NIS to its dimension exceeds this
 
 

@@ -1,6 +1,6 @@
 """Interacting multiple models (IMM): all modes run, weighted by how well they explain the data.
 
-The modes are the pipelines that an agent switches between, each with its own gates and scaling.
+The modes are pipelines that agents switch between, each with its own gates and scaling of noise.
 Sources: Blom and Bar-Shalom 1988; Bar-Shalom, Li and Kirubarajan 2001, Sec. 11.6.6. The functions
 ``mix``, ``reweigh`` and ``combine`` of :mod:`~mmwave_env.filters.textbook` follow the book's form.
 """
@@ -60,7 +60,7 @@ def begin(pipeline: Pipeline, x: Vector, P: Vector) -> Mixture:
 
 
 def stay_matrix(modes: int) -> list[list[float]]:
-    """Return probabilities (from, to): DEFAULT_STAY on the diagonal, and equal values elsewhere."""
+    """Return transition probabilities (from, to): DEFAULT_STAY on the diagonal, equal elsewhere."""
     if modes == 1:
         return [[1.0]]
     move = (1.0 - DEFAULT_STAY) / (modes - 1)
@@ -218,9 +218,9 @@ def prediction(now: ImmEpoch, dt: Number, hz_per_mps: Number) -> tuple[list[Numb
     """Return the mixture's mean (7,) and packed covariance (28,) before an epoch's update.
 
     The Rauch-Tung-Striebel smoother assumes x_predicted = F x + noise, with noise independent of x.
-    Modes with a known acceleration shift x_predicted further. Such shifts count as noise: their
-    covariance is added, but not their correlation with x, which could make smoothed variances
-    negative.
+    Modes with a known acceleration or turn rate shift x_predicted further. Such shifts count as
+    noise: their covariance is added, but not their correlation with x, which could make smoothed
+    variances negative.
     """
     moved = [move(x, dt, hz_per_mps) for x in now.mixed]
     shifts = [

@@ -1,7 +1,8 @@
 """Two linearizations of a measurement at a Gaussian prior: tangent and sigma points.
 
 The prior is x = m + L xi with xi ~ N(0, I), where L is the lower Cholesky factor of the covariance.
-Both linearizations express a group of measurements as a linear function of *latents* eta:
+Both linearizations express a group of measurements as a linear function of *latents* (latent
+variables) eta:
 
     h(x) = h(m) + mean shift + V eta + noise,   eta = (xi, kappa)
 
@@ -9,11 +10,11 @@ The tangent (EKF) has V = dh/dx L, and no curvature latents kappa. For sigma poi
 up and down be the changes of h at the two points. Then V_j = (up - down) / 2s, and each column j
 along which h is curved has a curvature latent with V_kappa_j = up + down. With cov(kappa) =
 (w / 2) I + bend w^2 1 1' (:class:`Latents` defines w and bend), V cov(eta) V' is exactly the
-covariance of the 2n + 1 points.
+covariance of h over the 2n + 1 points.
 
 Only columns 0 to 2 of L move the position. So the order of the latents is [xi_0..2, kappa,
-xi_3..6], and links depend only on the first 3 + len(kappa) latents. The range bias of a clock also
-affects links; column 3 moves it (:func:`factor_of`), and the order is [xi_0..3, kappa, xi_4..7].
+xi_3..6], and links depend only on the first 3 + len(kappa) latents. With a clock, links also depend
+on its range bias, which column 3 moves (:func:`factor_of`): the order is [xi_0..3, kappa, xi_4..7].
 
 Source: Julier and Uhlmann 2004, Sec. IV (scaled sigma points as in van der Merwe 2004).
 The cubature filter (Arasaratnam and Haykin 2009) uses sigma points with the parameters alpha = 1,
@@ -108,7 +109,7 @@ class Latents:
 
     @property
     def linear(self) -> int:
-        """Return the number of columns of L that the links depend on: the first 3, or 4."""
+        """Return the number of columns of L that links depend on: the first 3; 4 with a clock."""
         return self.size - 4
 
     @property

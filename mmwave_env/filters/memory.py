@@ -17,11 +17,11 @@ from mmwave_env.numerics.numbers import Number, Vector, clip, sqrt, where
 WINDOW = 10  # number of epochs in the window for adaptive scaling
 GAMMA_LIMITS = (0.5, 2.0)  # paper, Sec. III-E
 NIS_MEMORY = (0.6, 0.9)  # weights of the past in the fast and the slow NIS average
-CORRECTION_MEMORY = 0.8
+CORRECTION_MEMORY = 0.8  # weight of the past in the average correction
 PREFERENCE_MEMORY = (0.6, 0.85)  # weights of the past in averages of log-likelihood differences
-PREFERENCE_LIMIT = 30.0
-SNR_MEMORY = 0.95
-SPREAD_MEMORY = 0.8
+PREFERENCE_LIMIT = 30.0  # largest absolute difference that counts in these averages
+SNR_MEMORY = 0.95  # weight of the past in a link's mean SNR
+SPREAD_MEMORY = 0.8  # weight of the past in the average Doppler spread
 SNR_UNSEEN_DB = -100.0  # slow mean SNR of a link that has never been measured
 
 
@@ -42,8 +42,8 @@ class Memory(NamedTuple):
     unfixed_s: Number  # seconds since a link was last accepted
     snr_mean_db: list[Number]  # (L,) slow mean SNR per link
     spread_average_hz: Number  # slow average of the Doppler spread
-    # (2, modes) fast and slow average of each mode's
-    # :func:`~mmwave_env.filters.update.capped_log_likelihood` minus that of the last mode in order
+    # (2, modes) fast and slow average of each mode's log-likelihood minus that of the pipeline's
+    # last mode, both from :func:`~mmwave_env.filters.update.capped_log_likelihood`
     preference: list[list[Number]]
 
 
@@ -103,7 +103,7 @@ def memory_after(
     """Return the memory after a candidate, the result of a mode, has become the belief.
 
     Args:
-        layout: rows of the measurement vector.
+        layout: which values a measurement has, in order.
         mode, chosen: the number of the candidate's mode, and the candidate.
         before: (7,) mean from which the epoch was predicted.
         memory: the memory that :func:`memory_before` returned.

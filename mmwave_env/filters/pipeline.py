@@ -52,7 +52,7 @@ class Pipeline:
 
     Attributes:
         modes: the modes that are available.
-        layout: rows of the measurement vector.
+        layout: which values a measurement has, in order.
         planar: whether the terrain is flat, so that z and vz keep their prior values (paper, Sec.
             II-A). Sigma points are spaced as if all seven components of the state were uncertain.
         predict, update: the filter's two steps, which the filterpy reference replaces.
@@ -90,7 +90,7 @@ class Pipeline:
 def process_noise(
     tuning: Tuning, epoch: Epoch, hz_per_mps: Number, gamma: Number, planar: bool
 ) -> ProcessNoise:
-    """Return an epoch's Q: the tuning, adapted to the Doppler spread and scaled by gamma."""
+    """Return an epoch's Q: the tuning's noise, adapted to Doppler spread and scaled by gamma."""
     t = tuning
     velocity = t.sigma_v * t.sigma_v + t.spread_gain * epoch.doppler_spread_hz
     position = t.sigma_p * t.sigma_p

@@ -139,7 +139,7 @@ def reweigh(predicted: Array, log_likelihood: Array) -> Array:
 
 
 def combine(probability: Array, x: Array, P: Array) -> tuple[Array, Array]:
-    """Return mean and covariance of a Gaussian mixture, an IMM's estimate."""
+    """Return the mean and the covariance of a Gaussian mixture: for an IMM, its estimate."""
     mean = probability @ x
     away = x - mean
     spread = P + away[:, :, None] * away[:, None, :]
@@ -255,7 +255,7 @@ class Sensor:
         return np.where(self.silent(x), 0.0, self.difference(a, b))
 
     def silent(self, x: Array) -> Mask:
-        """Return a mask (rows,) of the rows that say nothing about a state."""
+        """Return a mask (rows,) of the rows that are undefined in a state, and so are ignored."""
         d = x[:3] - self.anchors
         on_vertical = np.hypot(d[:, 0], d[:, 1]) <= NEAREST_M
         at_anchor = np.sqrt((d * d).sum(axis=1)) <= NEAREST_M

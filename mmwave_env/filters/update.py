@@ -1,7 +1,7 @@
 """The measurement update shared by EKF, UKF and CKF (paper, Sec. III-C).
 
-This reduced form of the update is exact. :mod:`~mmwave_env.filters.textbook` has the
-usual form, K = P H' S^-1 with all rows at once; ``tests/filters/test_update.py`` compares the two.
+The update is in a reduced form, which is exact. :mod:`~mmwave_env.filters.textbook` has the usual
+form, K = P H' S^-1 with all rows at once; ``tests/filters/test_update.py`` compares the two.
 :mod:`~mmwave_env.filters.linearization` explains *latents*.
 """
 
@@ -104,8 +104,8 @@ def update(
     (four with a clock) and their curvatures. So all links add up to a small information matrix B
     of these latents, whose posterior covariance is B^-1. Rows that depend on the velocity are added
     one by one; c is the covariance of such a row with the state. The new covariance is L B^-1 L' +
-    sum over free columns L_j L_j' - sum over such rows gain c c', a sum of squares except for the
-    last term.
+    sum over the other (*free*) columns L_j L_j' - sum over such rows gain c c', a sum of squares
+    except for the last term.
 
     The result equals the textbook update with all rows at once, K = P H' S^-1, x + K y,
     P - K S K' (:func:`mmwave_env.filters.textbook.update`).
