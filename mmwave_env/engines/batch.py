@@ -30,7 +30,7 @@ from mmwave_env.numerics.pytree import flatten
 from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
 from mmwave_env.world.simulated import Begun, SimulatedSource
 
-BLOCKS_PER_THREAD = 64  # minimum; waking a thread takes as long as 32 blocks of 8 environments
+BLOCKS_PER_THREAD = 64  # minimum; waking a thread takes as long as running 32 blocks
 
 
 class Batch(Generic[Workspace]):
@@ -43,11 +43,11 @@ class Batch(Generic[Workspace]):
         input_rows: leaves of ``program.index`` that receive an input in every epoch.
         on_floats: whether to run in plain Python instead of on SIMD lanes.
         threads: number of threads that may work at once; results do not depend on it.
-        ahead: number of epochs to run before the first action: 1 if actions are corrections, as
+        ahead: number of epochs to finish before the first action: 1 if actions are corrections, as
             there must be a belief to correct, else 0.
 
     Attributes:
-        at: tree like the workspace, with row numbers in place of values; selects the rows to read.
+        at: tree like the workspace, with row numbers in place of values, to select rows to read.
         state: the environments' workspaces, episodes and next epochs.
         parts: (first, end) numbers of the blocks that each thread runs in an epoch.
     """

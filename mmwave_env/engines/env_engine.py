@@ -79,7 +79,7 @@ class Engine:
             self.tune(bank)
 
     def tune(self, bank: Bank, places: Index | None = None) -> None:
-        """Load another bank with the same modes, in some environments (n,) or in all."""
+        """Load a bank whose modes differ only in tuning, in some environments (n,) or in all."""
         numbers = flatten(settings_of(bank, self.pipeline.layout))
         self.batch.write(self.at.settings, np.array(numbers), places)
 
@@ -124,7 +124,7 @@ class Engine:
             self.batch.make_room(task.simulated.epochs)
 
     def go_on(self, task: Task, tracks: BatchState) -> None:
-        """Continue from the state of a batch with the same task, even from another process."""
+        """Continue from the state of a batch with the same task, even one from another process."""
         if len(tracks.feed.kept):  # the address of compiled code differs between processes
             feed = tracks.feed._replace(run=task.simulated.world.on_lanes())
             tracks = tracks._replace(feed=feed)
@@ -147,7 +147,7 @@ class Engine:
     def start(
         self, places: Index, output_rows: Index = NO_ROWS
     ) -> tuple[NDArray[np.float32], Array]:
-        """Consider the first epoch in environments just loaded; leave the others unchanged.
+        """Consider the next epoch in environments just loaded; leave the others unchanged.
 
         Returns:
             Same as for :meth:`step`, but valid only for these environments.
@@ -160,9 +160,9 @@ class Engine:
         return io.observations[:, 0], io.outputs[:, 0]
 
     def lead(self, places: Index) -> None:
-        """Finish the first epoch of episodes just loaded, if actions are corrections.
+        """Run one more epoch at the beginning of episodes, if actions are corrections.
 
-        The first action then corrects the belief after this epoch.
+        The first action then corrects the belief after the first epoch.
         """
         if self.batch.ahead:
             self.start(places)

@@ -79,7 +79,7 @@ class Baseline:
         """Subtract from rewards (N,) the IMM's rewards in the epoch that was just processed.
 
         The result is rounded to single precision, in which agents receive rewards, so that
-        recorded trainings can be repeated exactly.
+        recorded training runs can be repeated exactly.
 
         Args:
             rewards: (N,) rewards of all environments, changed in place.

@@ -10,7 +10,7 @@ action is the mode to trust in the epoch that was just filtered: the probability
 raised before the beliefs are combined, scored and mixed again. Action 0 trusts no mode, as in the
 IMM. With ``action="weights"``, the action raises or lowers the probability of every mode. With
 ``action="correction"``, the filters are one epoch ahead of the actions: a step corrects and scores
-the belief of the epoch before, and the filters continue from their uncorrected beliefs.
+the belief of one epoch earlier, and the filters continue from their uncorrected beliefs.
 """
 
 from functools import lru_cache, partial

@@ -68,7 +68,7 @@ def pending_of(incoming: Incoming, epoch: Epoch, observation: Observation) -> Pe
 
 
 def last_of(w: Any, layout: Layout, probabilities: Vector = ()) -> LastEpoch | None:
-    """Return the last epoch of an environment, if there are signed features."""
+    """Return the last epoch of an environment with signed features; None without such features."""
     if not w.pending.incoming:
         return None
     return LastEpoch(w.pending.incoming.epoch(layout), w.is_first, w.x[3:6], probabilities)
@@ -87,7 +87,7 @@ def begun(
 
 
 def scores(belief: Belief, truth: Vector, reward: Reward, cost: Number) -> dict[str, Any]:
-    """Return the errors of a belief after an epoch, and the reward for it, less ``cost``."""
+    """Return the errors of a belief after an epoch, and its reward minus ``cost``."""
     terms = terms_of(reward, belief, truth)
     return {
         "reward": total(terms) - cost,

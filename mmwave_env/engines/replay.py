@@ -1,7 +1,7 @@
 """Replays of finished episodes, and the smoothing of tracks.
 
-An environment does not store its track. To smooth it, a finished episode is run again with the
-modes that were chosen, and then smoothed backwards (paper, Sec. III-F).
+An environment does not store its track. To smooth the track, the finished episode is run again with
+the modes that were chosen; then the track is smoothed backwards (paper, Sec. III-F).
 """
 
 from functools import lru_cache

@@ -41,10 +41,10 @@ class Tally:
         n: number of environments.
         axes: number of position axes that NEES covers.
         replayed: whether to record the modes of episodes, for replays.
-        actions: number of actions that a mode may be.
+        actions: number of different actions, which are recorded as modes.
 
     Attributes:
-        counts: the records; the ring buffer covers a second, or an episode that is shorter.
+        counts: the records; the ring buffer covers a second, or a whole episode if that is shorter.
     """
 
     def __init__(self, n: int, axes: int, replayed: bool = False, actions: int = 1) -> None:
@@ -75,7 +75,7 @@ class Tally:
         return Counts(rows[0], rows[1], second.tolist(), interval.tolist(), modes)  # type: ignore[arg-type]
 
     def nonfinite(self, places: Index) -> Index:
-        """Return how many epochs (k,) had no finite belief in some environments (k,)."""
+        """Return the number of epochs (k,) without a finite error and NEES in environments (k,)."""
         return self.counts.sums[places, NONFINITE].astype(np.int64)  # type: ignore[no-any-return]
 
     def metrics(self, places: Index, epochs: Index) -> dict[str, Array]:

@@ -113,7 +113,7 @@ class EpisodeFilter(Generic[Workspace]):
 
     Attributes:
         program: the program of an epoch.
-        epochs: number of epochs that were loaded last.
+        epochs: number of epochs that :meth:`run` filters: those of the longest episode.
     """
 
     def __init__(self, batch: Batch[Workspace]) -> None:

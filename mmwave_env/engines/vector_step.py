@@ -84,7 +84,7 @@ class Stepper:
 
         Returns:
             New results; the number of environments without epochs left; and new infos about all
-            environments, with their masks, if every step returns infos.
+            environments, with their masks (empty unless every step returns infos).
         """
         batch, io = self._engine.batch, self._io
         n, features, chosen = len(actions), len(io.obs_rows), actions
@@ -96,7 +96,7 @@ class Stepper:
         result = StepResult(
             observations[:, 0], np.empty(n), ends[0], ends[1], flags[0], flags[1], costs
         )
-        # earlier infos still use the previous outputs
+        # infos need new outputs, as earlier infos still refer to the previous ones
         outputs = np.empty_like(io.outputs) if self._told else io.outputs
         io = StepIO(io.input_rows, io.inputs, self._rows, outputs, io.obs_rows, observations)
         self._io, program = io, (batch.program.on_lanes(), batch.program.blank)
@@ -125,7 +125,7 @@ class Stepper:
         return np.sqrt((error * error).sum(axis=1))  # type: ignore[no-any-return]
 
     def start(self, places: Index) -> tuple[NDArray[np.float32], Infos]:
-        """Consider the first epoch in environments just loaded; leave the others unchanged.
+        """Consider the next epoch in environments just loaded; leave the others unchanged.
 
         Returns:
             Observations (n, features) and the infos of :data:`STATE_KEYS` (n, ...), valid only for
