@@ -1,7 +1,8 @@
 """The loop that runs a compiled program for many tracks, epoch by epoch, eight tracks at a time.
 
-In each epoch, the incoming rows of a block of eight tracks are loaded from a table, or computed by
-a *feed* (a compiled function). Results are written to arrays. The loop also runs as plain Python.
+In each epoch, the *incoming* rows (the epoch's data) of a block of eight tracks are loaded from a
+table, or computed by a *feed* (a compiled function). Results are written to arrays. The loop also
+runs as plain Python.
 """
 
 import ctypes
@@ -187,8 +188,8 @@ def advance(begin, end, run, blank, state, io):  # type: ignore[no-untyped-def]
 
     A program reads its rows in an order that hardware prefetchers cannot guess. If the blocks of
     all environments do not fit into the core's own caches, reading the rows once in order, before
-    the program runs, saves a fifth of the run time or more. The core's first cache can't hold the
-    code of both feed and program, so the feed runs some blocks, then the program. All loops are
+    the program runs, saves a fifth of the run time or more. The core's first-level cache can't hold
+    the code of both feed and program, so the feed runs some blocks, then the program. All loops are
     plain because numba takes long to compile slices of arrays.
 
     Args:

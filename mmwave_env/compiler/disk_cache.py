@@ -179,7 +179,7 @@ def _descriptor(path: str | Path, kind: int, folder: int | None = None) -> int:
 
 
 def _is_ours(status: os.stat_result, kind: int) -> bool:
-    """Return whether a file has this kind, this user owns it and nobody else may write to it."""
+    """Return whether a file is of this kind, this user owns it and nobody else may write to it."""
     if stat.S_IFMT(status.st_mode) != kind:
         return False
     if not hasattr(os, "geteuid"):  # Windows itself protects a user's folders from others

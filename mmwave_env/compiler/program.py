@@ -95,7 +95,7 @@ class Feed(NamedTuple):
 class BatchState(NamedTuple):
     """The workspaces of N tracks, their epochs, and the epoch that is next in each track."""
 
-    rows: Array  # (blocks, size, 8) workspace, changed in place
+    rows: Array  # (blocks, size, 8) the workspaces, changed in place
     feed: Feed  # computes the epochs if there is no table
     table: Array  # (n, epochs, incoming) the epochs to load
     length: Index  # (n,) number of epochs of each track; after the last, a blank epoch is loaded
@@ -203,7 +203,7 @@ class Program(Generic[Workspace]):
 
     def run_on_floats(self, state: BatchState, io: StepIO) -> None:
         """Run all environments one after the other in plain Python: slow, for reference."""
-        for e in np.flatnonzero(state.running):  # feeds run on lanes only
+        for e in np.flatnonzero(state.running):  # with a table, as feeds run on lanes only
             lanes = state.rows[e // WIDTH, :, e % WIDTH]
             for step in range(io.outputs.shape[1]):
                 t = state.epoch[e] + step

@@ -138,7 +138,7 @@ def _turn_in(_, block, sources, first):  # type: ignore[no-untyped-def]
 def _turn_out(kind: ir.Type) -> Any:
     @intrinsic  # type: ignore[untyped-decorator]
     def turn_out(_, block, rows, targets, first):  # type: ignore[no-untyped-def]
-        """Store rows ``rows[first:first + 8]`` of the block in every target, from ``first`` on."""
+        """Store each lane of rows ``rows[first:first + 8]`` in its target, from ``first`` on."""
 
         def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
             block, rows, targets, first = arguments

@@ -5,7 +5,7 @@ these functions are the reference for tests; with arrays, they check recorded si
 complete tracks; with :class:`~mmwave_env.compiler.lanes.Lanes`, they become a SIMD kernel. Python's
 operators work on all three kinds of numbers; this module defines the other elementary functions.
 
-The description of an array argument or attribute begins with its shape. Functions of numbers follow
+In this package, the description of an array begins with its shape. Functions of numbers follow
 three rules: they do not branch on a value (use :func:`where`), they use lists instead of arrays,
 and they call ``math`` or ``numpy`` only through this module.
 """
@@ -45,7 +45,7 @@ def _function(name: str, of: Any = math) -> Callable[[Number], Number]:
 
 
 sqrt, floor = _function("sqrt"), _function("floor")
-exp = _function("exp", np)  # so that noise computed on floats has the same bits as on arrays
+exp = _function("exp", np)  # numpy for floats, too: noise has the same bits as on arrays
 log = _function("log")  # for positive numbers only
 
 

@@ -3,9 +3,9 @@
 Such numbers hide their value, as lanes do, so a function that runs on them can be compiled.
 
 The name of a function is its *fingerprint*, a hash of its tape. Two functions share a name only if
-they use the same operations on the same rows and constants; then each can run the compiled code of
-the other. So users need not name the functions of their modes and rewards, and a change in such a
-function is never missed. Writing a tape takes a hundredth of the time of compiling.
+they use the same operations on the same inputs and constants; then each can run the compiled code
+of the other. So users need not name the functions of their modes and rewards, and a change in such
+a function is never missed. Writing a tape takes a hundredth of the time of compiling.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,7 +33,7 @@ def fingerprint(function: Callable[[Tree], Tree], template: Tree) -> str:
 
 
 class _Recorded:
-    """The result of operation ``number`` on the tape; a negative ``number`` stands for a row."""
+    """The result of operation ``number`` on the tape; a negative ``number`` stands for an input."""
 
     __slots__ = ("number", "tape")
 

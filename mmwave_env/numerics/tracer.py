@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 
 
 class NoValueError(TypeError):
-    """An error in a function that asks for a hidden value; the message says what to write."""
+    """An error: a function asked for a hidden value; the message says what to write instead."""
 
 
 _NUMBERS = "mmwave_env.numerics.numbers"
