@@ -58,17 +58,17 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
 
     {modes}
 
-    The noise, per epoch of 1 s, was tuned by `mmwave-loc tune` for the three radios. Both modes
-    gate each anchor and the Doppler shift at the 99 % chi-square quantile, accept all links again
-    after two epochs in which the gates rejected every one, and scale Q and R by the mean NIS.
+    The noise per epoch of 1 s was tuned by `mmwave-loc tune` for the three radios. Both modes gate
+    each anchor and the Doppler shift at the 99 % chi-square quantile, accept all links after two
+    successive epochs in which the gates rejected every link, and scale Q and R by the mean NIS.
 
     ## Observation Space
 
     `Box(float32)` of the features below: what the estimator knows, never the truth. They include
     how well each mode would explain the coming epoch ("coming ...", "preference ...");
     `observation="prior"` leaves these out. A feature is (value - mean) / deviation, limited to
-    `low` and `high`, at most ten deviations from the mean. Mean and deviation are constants,
-    medians over many streets and radios. `env.unwrapped.observation.read(observation, name)`
+    `low` and `high`, at most ten deviations from the mean. Mean and deviation are constants
+    (medians over many streets and radios). `env.unwrapped.observation.read(observation, name)`
     returns a feature in its own unit. The default features are:
 
     {table}
@@ -115,7 +115,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
     `reward="tracking"` (default): -(1.0 min(error, 10 m) + 0.2 min(|ln(NEES / 3)|, 3)), with
     the position error and the position's NEES after the epoch. `reward="log-score"`: log
     density of the true position, at least -30. Any function of (belief, truth) works too; see
-    `mmwave_env.interface.reward`. A mode's `cost` is subtracted in every epoch that runs it. The
+    `mmwave_env.interface.reward`. A mode's `cost` is subtracted whenever the mode is chosen. The
     array `info["reward_terms"]` holds the terms of the epoch's reward, in the order of the names
     `env.unwrapped.reward_terms`, for users who want other weights; the last term is the cost.
 
@@ -126,7 +126,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
     ## Starting State
 
     An episode consists of a trajectory, the channel, measurements, and a prior belief around the
-    true state (deviation in each horizontal axis: 4 m for the handset radio, 3 m for standard, 2 m
+    true state (standard deviation of x and of y: 4 m for the handset radio, 3 m for standard, 2 m
     for high), all drawn from the scenario. `reset(seed=s)` draws the same episode everywhere.
 
     ## Episode End
@@ -141,9 +141,9 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
 
     * Every step: `position_error_m`, `nees`, `nis`, `accepted`, `rejected` (per anchor, then
       Doppler), `mode`, `gamma`, `truth` (position, velocity), `estimate` (position, velocity,
-      bias; with `clock="offset"` also the range bias, m), `reward_terms`, `cost` (1.0 if the
-      horizontal error exceeds the level that a Gaussian error exceeds with a probability of 0.001,
-      else 0.0: a cost for constrained learning); with beliefs per mode also `mode_probabilities`.
+      bias; with `clock="offset"` also the range bias, m), `reward_terms`, `cost` (for constrained
+      learning: 1.0 if a Gaussian error with the belief's covariance exceeds the horizontal error
+      with a probability below 0.001, else 0.0); with beliefs per mode also `mode_probabilities`.
     * `reset`: `episode_name`, `episode_key` (of simulated episodes), `truth`, `estimate`, and
       `nonfinite`: the number of links, Doppler shifts and odometry readings that contain NaN or
       infinity and count as missing.
@@ -208,7 +208,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
     * `render_theme`: "light" (default) or "dark".
     * `backend`: "lanes", or "filterpy" for the same modes on filterpy's filters (slow; needs the
       extra `filterpy`).
-    * `env_config`: all of these arguments in one mapping, passed by position, as RLlib does.
+    * `env_config`: all of these arguments in one mapping, passed by position (RLlib does this).
 
     ```python
     >>> import gymnasium as gym
@@ -350,7 +350,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         return {"episode_name": name, "episode_key": np.uint64(key), "nonfinite": 0}
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Process the epoch with a mode, or trust a mode more; see Gymnasium's `Env.step`."""
+        """Take an action: run a mode, trust a mode, or use numbers; see Gymnasium's `Env.step`."""
         if self._over:
             raise ResetNeeded("Call reset before step: there is no episode under way.")
         mode = self._take(action)

@@ -15,8 +15,8 @@ import numpy as np
 
 from mmwave_env.numerics.numbers import Array
 
-BURN_IN = 10  # epochs dropped from averages, because the prior still has an effect
-RISK = 1e-3  # default risk of a protection level
+BURN_IN = 10  # first epochs, dropped from averages because the prior still affects them
+RISK = 1e-3  # default probability that an error exceeds its protection level
 DIVERGENCE_M = 50.0  # an episode in which the error exceeds this has diverged
 
 
@@ -56,7 +56,7 @@ def nees_interval(axes: int = 3) -> tuple[float, float]:
 
 
 def scored(epochs: int) -> slice:
-    """Return the slice of epochs that averages use: all after the burn-in, at least the last."""
+    """Return the slice of epochs that averages use: all after the burn-in, or else the last one."""
     return slice(min(BURN_IN, epochs - 1), None)
 
 
@@ -71,7 +71,7 @@ class Epochs(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """Sums over the epochs of tracks (n,) after the burn-in, for tracks that are not stored."""
+    """Sums (n,) over the epochs after the burn-in, for n tracks whose epochs are not stored."""
 
     epochs: Array  # number of epochs
     changes: Array  # number of pairs of epochs that are a second apart
@@ -79,7 +79,7 @@ class Sums(NamedTuple):
     squared: Array  # squared length of the position error, m^2
     change: Array  # length of the change of the error over a second, m
     nees: Array
-    inside: Array  # number of epochs with the NEES inside the interval
+    inside: Array  # number of epochs with the NEES inside its 95 % interval
     largest: Array  # not a sum: the largest squared error, m^2
 
 
@@ -143,7 +143,7 @@ METRICS = {
     )
 }  # fmt: skip
 INFO_KEYS = {m.name: m.info or m.name for m in METRICS.values() if m.running}
-TERMS = {  # costs whose negative sum is the tracking reward; each with its header and meaning
+TERMS = {  # costs, with headers and meanings; the tracking reward is minus their sum
     "error_term": ("error term", "what position errors cost in the tracking reward, per epoch"),
     "nees_term": ("NEES term", "what the NEES costs in the tracking reward, per epoch"),
 }
@@ -174,5 +174,5 @@ def summary(
 
 
 def running_summary(sums: Sums) -> dict[str, Array]:
-    """Compute the metrics that running sums allow, for each track (n,)."""
+    """Compute, for each track (n,), the metrics that need only running sums."""
     return {name: METRICS[name].running(sums) for name in INFO_KEYS}  # type: ignore[misc]

@@ -26,12 +26,12 @@ class SB3VecEnv(VecEnv):
 
     When an episode ends, the environment's info is that of the last step, including the metrics of
     the episode. The info also has the keys that Stable-Baselines3 reads: the last observation
-    as ``terminal_observation``; ``TimeLimit.truncated``, True if the episode was cut short, so that
-    the value of its last state is not 0; and ``episode`` with return "r", length "l" and time "t".
+    as ``terminal_observation``; ``TimeLimit.truncated``, True if the episode was cut short (then
+    the value of its last state is not 0); ``episode`` with return "r", length "l" and time "t".
 
     Raises:
-        ValueError: the autoreset mode is not "SameStep"; other modes return the last observation
-            of an episode one step later, or not at all.
+        ValueError: the autoreset mode is not "SameStep"; other modes begin the next episode one
+            step later, or not by themselves.
     """
 
     def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any]) -> None:
@@ -67,7 +67,7 @@ class SB3VecEnv(VecEnv):
         return observations
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Store actions (n,) for the step that :meth:`step_wait` makes."""
+        """Store actions (n, ...) for the step that :meth:`step_wait` makes."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], Infos]:
@@ -120,7 +120,7 @@ class SB3VecEnv(VecEnv):
         return [method(*method_args, **method_kwargs)] * self.num_envs
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Indices = None) -> list[bool]:
-        """Return for each index whether a wrapper is in use; this class itself acts as Monitor."""
+        """Return for each index whether a wrapper is in use; this class counts as a Monitor."""
         return [wrapper_class is Monitor] * len(list(self._get_indices(indices)))
 
     def _require_all(self, indices: Indices, call: str) -> None:
@@ -129,7 +129,7 @@ class SB3VecEnv(VecEnv):
 
 
 def _of(batched: dict[str, Any], i: int) -> dict[str, Any]:
-    """Return the info of one environment from batched infos, without keys masked out for it."""
+    """Return one environment's info from batched infos, without keys whose mask excludes it."""
     info: dict[str, Any] = {}
     for key, value in batched.items():
         mask = batched.get(f"_{key}")

@@ -1,4 +1,4 @@
-"""The task that the arguments of ``MmWaveLoc-v0`` define, single or vectorized."""
+"""The task that the arguments of a single or vectorized ``MmWaveLoc-v0`` define."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -46,10 +46,10 @@ class Task:
     bank: Bank | None  # the bank of the modes if each keeps its own belief, else None
     reward: Reward  # function of (belief, truth)
     baseline: Bank | None  # bank of the IMM whose reward a paired reward subtracts, or None
-    # reward of each epoch that remains after a divergence; None if a divergence ends no episode
+    # reward of each epoch that remains after a divergence; None if divergence does not end episodes
     worst: float | None
     action: str = MODE  # kind of actions
-    # function that makes the agent whose beliefs the actions correct; None for the bank's IMM
+    # function that makes the agent that chooses modes, if actions correct beliefs; None for an IMM
     base: Base | None = None
 
     def draw(self, rng: np.random.Generator) -> Episode:
@@ -61,7 +61,7 @@ class Task:
         return episode
 
     def tables(self, keys: Keys, threads: int = 1) -> EpisodeBatch:
-        """Draw the simulated episodes of keys (n,) together, on several threads."""
+        """Draw the simulated episodes of keys (n,) together, on at most ``threads`` threads."""
         episodes = self.simulated.sample_batch(keys, threads=threads)
         return episodes.on_flat_ground() if self.pipeline.planar else episodes
 
@@ -166,7 +166,7 @@ def task_from(**arguments: Any) -> Task:
 
 
 def _require_action(asked: TaskArguments) -> None:
-    """Refuse an unknown kind of actions, and arguments that do not go with it."""
+    """Refuse an unknown ``action``, and arguments that do not go with the given one."""
     choose(ACTIONS, asked.action, "action")
     if asked.action != MODE and asked.beliefs != "per-mode":
         raise ValueError(f'action: found {asked.action!r}, which needs beliefs="per-mode"')
@@ -199,7 +199,7 @@ def bank_and_modes(
 
 
 def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
-    """Return the source of episodes, and the radio with which they were received."""
+    """Return the source of episodes, and the radio that receives their signals."""
     measurements = measurements_from(asked.measurements)
     clock = clock_from(asked.clock, measurements)
     if asked.episodes is None:

@@ -58,7 +58,7 @@ class MmWaveLocVectorEnv(
         max_episode_steps: None or the length of the episodes; Gymnasium may pass this argument,
             which must agree with ``episode_steps``.
         infos: "all" (for every step), "episode" (for the first and last step of an episode) or
-            "none"; with "SameStep", the last info of an episode is returned in any case.
+            "none"; "SameStep" always adds ``final_info``, which is empty with "none".
         smoothed: whether the last info of an episode also contains ``smoothed_ate_m``.
         render_mode: None or "rgb_array".
         render_size, render_theme: same as for the single environment.
@@ -247,7 +247,7 @@ class MmWaveLocVectorEnv(
     def step(self, actions: Index) -> Step:
         """Process an epoch in every environment, with modes (N,) or numbers (N, k) as actions."""
         actions, numbers = self._checked(actions)
-        fresh, resets = self._over, self._ended  # none unless autoreset is NextStep
+        fresh, resets = self._over, self._ended  # to reset now: only with NextStep
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
         result, self._ended, infos = self._stepper.step(actions, numbers)
         observations, rewards, terminated, truncated, *_ = result
@@ -292,7 +292,7 @@ class MmWaveLocVectorEnv(
         return infos
 
     def _checked(self, actions: Any) -> tuple[Index, Array | None]:
-        """Return copies of actions: modes (N,), and numbers (N, k) or, if actions are modes, None.
+        """Return copies of actions as modes (N,), 0 if unused, and numbers (N, k), None if unused.
 
         Invalid actions are refused, except in environments that ignore their action.
         """

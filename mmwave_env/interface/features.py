@@ -133,7 +133,7 @@ def _log_trace(view: View, first: int) -> Number:
 
 
 def last_epoch(layout: Layout) -> list[Feature]:
-    """Return the features of the last epoch's gates, and of the belief after it."""
+    """Return the features of the last epoch's gates, and of the belief after that epoch."""
     groups = _named_groups(layout)
     return [
         *(Feature(f"NIS {name}", "ln(1 + NIS) of the last epoch", "", 0, 10,
@@ -230,8 +230,8 @@ def _mixture(pipeline: Pipeline) -> list[Feature]:
 def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
     """Return features of each mode's result for the coming epoch: innovations, likelihoods.
 
-    They are in the order of the modes; all modes but the last are also compared with the last. An
-    observation of the kind "prior" does not contain them.
+    Modes come in their order; each but the last is also compared with the last. An observation of
+    the kind "prior" does not contain these features.
 
     Args:
         pipeline, per_mode: arguments of :func:`context`.

@@ -33,12 +33,12 @@ INFOS = {
 
 
 def reported(at: Any) -> Any:
-    """Return the part of a workspace with the epoch that infos describe, or the whole workspace."""
+    """Return the part of a workspace that infos describe: the corrected epoch, if any, else all."""
     return getattr(at, "reported", ()) or at
 
 
 def info_rows(at: Any) -> dict[str, Any]:
-    """Return where in an environment's workspace the values of infos are, by key, except ``mode``.
+    """Return, by key, the rows of a workspace that hold the values of infos, except ``mode``.
 
     Args:
         at: workspace of :mod:`~mmwave_env.engines.environment_epoch` with row numbers as leaves.
@@ -138,7 +138,7 @@ def mask_keys(keys: Iterable[str]) -> list[str]:
 
 
 def warn_of_nonfinite() -> None:
-    """Warn that an episode ended with beliefs that were not finite; Python shows this once."""
+    """Warn that an episode had beliefs that were not finite; Python shows the warning once."""
     warnings.warn(
         "the belief was NaN or infinite in an episode, so the metrics of the episode are NaN; "
         f"info[{NONFINITE_KEY!r}] is the number of epochs with such a belief "

@@ -160,7 +160,7 @@ def _trial() -> tuple[Belief, Vector]:
 
 
 def _check(reward: Reward) -> None:
-    """Try a reward on numbers that hide their values; refuse it if that fails."""
+    """Try a reward on numbers that hide their values; refuse the reward if the trial fails."""
     subject = f"reward {name_of(reward)}"
 
     def refused(problem: str) -> ValueError:

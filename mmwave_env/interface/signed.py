@@ -1,4 +1,4 @@
-"""Signed features: the residuals and the belief after an epoch's update, seen from the user.
+"""Signed features: residuals and belief after an epoch's update, relative to the user's motion.
 
 Directions are those of the *frame of motion*: along the estimated horizontal velocity, across it
 (to the left) and up. No feature depends on an absolute position or direction: if the world is
@@ -101,7 +101,7 @@ def _ray(view: View, anchor: int) -> tuple[list[Number], Number, tuple[Number, N
 
 
 def _residual(view: View, layout: Layout, anchor: int, name: str) -> tuple[Number, Number]:
-    """Return a row's squashed residual as a vector: its components along and across."""
+    """Return a row's squashed residual as a vector: components along and across the velocity."""
     row = _ROWS[name]
     step, flat, (distance, azimuth, _) = _ray(view, anchor)
     scale = 1.0 / maximum(flat, 1.0)

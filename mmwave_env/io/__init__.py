@@ -1,1 +1,1 @@
-"""Reading and writing of files, names that users choose, and dataclasses stored as JSON."""
+"""Tools for files, for names that users choose, and for dataclasses stored as JSON."""

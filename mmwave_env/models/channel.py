@@ -20,7 +20,7 @@ class SpellParams(NamedTuple):
     """Parameters of a link's spells (periods of blockage or multipath) and of their biases."""
 
     end: Number  # probability that a spell ends within a step
-    # constant_m, mean_m: the range bias is the constant plus an exponential number with this mean
+    # constant_m, mean_m: the range bias is constant_m plus an exponential variate of mean mean_m
     constant_m: Number
     mean_m: Number
     angle_rad: Number  # standard deviation of the angle biases

@@ -185,7 +185,7 @@ def wrapped(angles: Number) -> Number:
 def whole_groups(
     measurement: NDArray[np.float64], heard: NDArray[np.bool_], layout: Layout
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return which groups (T, groups) are measured, and which are lost because a row is missing.
+    """Return which groups (T, groups) are measured, and which are lost for lack of a row or SNR.
 
     In a partial layout one measured row is enough, and no group is lost.
 

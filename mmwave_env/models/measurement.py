@@ -38,7 +38,8 @@ from mmwave_env.numerics.numbers import (
 )
 
 SPEED_OF_LIGHT = 299_792_458.0  # m/s
-# Antennas' positions are less exact than this; rounding at 1000 km is far smaller (1e-10 m).
+# Longest length that counts as 0. Antennas' positions are not known as exactly as this; rounding
+# errors of coordinates of 1000 km are far smaller (1e-10 m).
 NEAREST_M = 1e-3
 _SLOWEST_ODOMETRY = 1e-3  # m/s; lower limit that keeps heading and speed differentiable at rest
 

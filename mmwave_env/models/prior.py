@@ -29,7 +29,8 @@ def prior_from_fix(
 ) -> tuple[Array, Array]:
     """Return a mean (7,) at rest and its covariance (7, 7), from one link (4,) to an anchor (3,).
 
-    The position is a + r (cos el cos az, cos el sin az, sin el); its covariance is linearized.
+    The position is anchor + range (cos el cos az, cos el sin az, sin el); its covariance is
+    linearized. ``sigma`` (4,) contains the standard deviations of the link.
     """
     distance, azimuth, elevation, departure = link
     arrival_variance, departure_variance = sigma[1] ** 2, sigma[3] ** 2

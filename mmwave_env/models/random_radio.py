@@ -8,7 +8,7 @@ import numpy as np
 from mmwave_env.io.records import between, require_fields
 from mmwave_env.models.radio import Radio
 
-# Fields that are multiplied by a random factor, which is never so large that angles are invalid.
+# Fields that are multiplied by a random factor; the angles of shipped profiles stay valid with it.
 _SCALED = (
     "aoa_floor_rad", "aod_floor_rad", "elevation_floor_rad", "doppler_floor_mps",
     "prior_position_m", "prior_height_m", "prior_velocity_mps", "prior_bias_mps",
@@ -38,7 +38,7 @@ class RandomRadio:
         require_fields(self)
 
     def draw(self, rng: np.random.Generator) -> Radio:
-        """Return the next radio."""
+        """Draw the next radio."""
 
         def factor() -> float:
             return float(self.factor ** rng.uniform(-1.0, 1.0))

@@ -65,7 +65,7 @@ class RandomScene:
         return self.scene_of(self.draw_numbers(Dice(seeded(0.0, 0))))
 
     def draw_numbers(self, dice: Dice) -> SceneNumbers:
-        """Draw the numbers of a scene; keep the order of draws, so that keys keep their scenes."""
+        """Draw the numbers of a scene; another order of draws would give keys another scene."""
         block, each = dice.uniform(*self.block_m), float(self.blocks + 1)
         counts = floor(1.0 + (each * each - 1.0) * dice.uniform())  # excludes 0 x 0 blocks
         east = floor((counts + 0.5) * (1.0 / each))

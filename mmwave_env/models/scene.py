@@ -38,7 +38,7 @@ Bandwidth = Annotated[float, Bound("hertz, 1e5 to 1e12", least=1e5, most=1e12)]
 
 @dataclass(frozen=True)
 class Wall:
-    """A vertical plane ``normal . (x, y) = offset_m``.
+    """A vertical plane ``n . (x, y) = offset_m``; n is the normal, scaled to length 1.
 
     Attributes:
         normal: horizontal direction (2,), of any length except zero.
@@ -237,7 +237,8 @@ SCENES: dict[str, Scene] = {
         Streets((-215.0, 215.0), (0.0, 0.0), block_m=107.5),
     ),
 }
-TRAINED_SCENES = ("street", "o1", "dynamic-doppler")  # the shipped banks and policies learned here
+# Scenes in which the shipped banks and policies were trained.
+TRAINED_SCENES = ("street", "o1", "dynamic-doppler")
 
 
 def scene_of_anchors(name: str, anchors_m: Array, carrier_hz: float, bandwidth_hz: float) -> Scene:

@@ -58,7 +58,7 @@ class Gallery:
             self.recorders[index].add(workspace(index), int(actions[index]))
 
     def draw(self) -> tuple[NDArray[np.uint8], ...]:
-        """Draw N pictures, one per environment; those without a recorder share a black one."""
+        """Draw N pictures, one per environment; all without a recorder get the same black one."""
         if self._picture is None:
             from mmwave_env.rendering.picture import Picture
 

@@ -11,7 +11,7 @@ from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array, Index, Mask
 
 NO_MODE = -1  # for the prior, which no mode computed
-POSITION_NUMBERS = 6  # the first values of a packed covariance belong to the position
+POSITION_NUMBERS = 6  # number of values for the position; they come first in a packed covariance
 
 
 class Scenery(NamedTuple):

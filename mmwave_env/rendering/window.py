@@ -22,7 +22,7 @@ _UNSEEN = {"offscreen", "dummy"}  # video drivers without a visible window
 def require_display(
     purpose: str = 'render_mode="human"', instead: str = 'use render_mode="rgb_array"'
 ) -> None:
-    """Refuse to open a window for a purpose if nobody would see it; suggest what to do instead.
+    """Refuse a window that nobody would see; messages say its ``purpose`` and what to do instead.
 
     Raises:
         OSError: there is no display; the message names the variables that select one.

@@ -22,7 +22,7 @@ def refuse_in(file: Path, part: str, value: object, expected: str) -> NoReturn:
 def require_epochs(record: str, epochs: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:
     """Refuse arrays of wrong shapes, and times that do not increase; messages name the record.
 
-    ``epochs`` has ``time_s`` and the arrays as attributes; an array may be None.
+    Attributes of ``epochs`` are ``time_s`` and the arrays in ``shapes``; an array may be None.
     """
     for field, shape in shapes.items():
         value = getattr(epochs, field)

@@ -97,7 +97,7 @@ class Episode:
                 refuse(self._record, field, f"{values[wrong].flat[0]:g}", bound.expected)
 
     def _bounded(self) -> Iterator[tuple[str, Array, Bound]]:
-        """Yield the name, the values and the bound of everything that has a bound."""
+        """Yield the name, the values and the bound of each quantity that has a bound."""
         mean, deviation = self.prior_mean, np.sqrt(np.diag(self.prior_covariance))
         sigma = np.where(self._used, self.sigma, np.nan)
         yield "hz_per_mps", np.array([self.hz_per_mps]), envelope.HZ_PER_MPS
@@ -135,7 +135,7 @@ class Episode:
         position_m: Array | None = None,
         velocity_mps: Array | None = None,
     ) -> "Episode":
-        """Return an episode of measured arrays; noise that is not stated follows from the radio.
+        """Return an episode of measured arrays; noise not in ``sigma`` follows from the radio.
 
         Arguments that are not listed here are attributes of the episode.
 
@@ -168,7 +168,7 @@ class Episode:
 
     @cached_property
     def usable(self) -> Mask:
-        """Return which groups (T, groups) are visible and have only finite rows.
+        """Return which groups (T, groups) are visible, with finite rows and (links) a finite SNR.
 
         In a partial layout, one finite row is enough.
         """

@@ -130,7 +130,7 @@ def move(t: Traveler, net: Net, step: Number) -> Traveler:
     most = t.jerk * step
     waiting = (t.v < 0.3) & (t.stretch - t.traveled < 3.0)
     a = t.a + clip(wanted_acceleration(t, net) - t.a, -most, most)
-    # v is at least 0. A fused multiply-add would round differently; maximum() prevents it.
+    # maximum() keeps v >= 0, and prevents a fused multiply-add, which would round differently.
     v = t.v + maximum(a * step, -t.v)
     a = where(v > 0.0, a, maximum(a, 0.0))
     time, traveled = t.time + step, t.traveled + 0.5 * (t.v + v) * step

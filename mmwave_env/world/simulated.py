@@ -301,7 +301,7 @@ class SimulatedSource:
 
     @property
     def _room(self) -> tuple[int, int]:
-        """Return for how many phases, and for how many gaits per phase, a plan has room."""
+        """Return the numbers of phases and of gaits (target speeds) per phase in each plan."""
         phases = [plan.phases for plan in self._plans]
         return (len(phases[0]), len(phases[0][0].phase.gaits)) if phases else (1, 1)
 
