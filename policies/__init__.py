@@ -1,4 +1,4 @@
-"""Policies that choose a mode (a filter) in every epoch: the paper's, learned and other ones."""
+"""Policies that choose a mode (a filter) in every epoch: the paper's rule, learned ones, others."""
 
 from policies.baselines import FixedMode, LikelihoodRule
 from policies.corrector import Corrector, learned_policy

@@ -2,7 +2,7 @@
 
 After every update, the network reads residuals and beliefs, and returns a correction of the
 position and factors for its standard deviations. Only the output is corrected: the filters continue
-from their own beliefs. These are the filters of the *base*, a switcher or an IMM. If features are
+from their own beliefs. The filters belong to the *base*, a switcher or an IMM. If features are
 outside the range that the network saw in training, corrections are scaled down; far outside the
 range, there are none.
 """
@@ -24,7 +24,7 @@ from policies.policy_file import CORRECTIONS
 BASE_IMM = "imm-best"  # base without a switcher: the IMM of the policy's bank
 # "Trust" is the factor, 0 to 1, by which corrections are scaled
 RANGE_FADE = 2.0  # trust is exp(-2 d) if a feature is d standard deviations outside its range
-RECOVERY = 0.1  # largest growth of trust per epoch; small, as memory still holds strange epochs
+RECOVERY = 0.1  # largest growth of trust per epoch; small, as the network remembers strange epochs
 # The members of the network's ensemble compute different shifts. If the spread of these shifts, in
 # corrected standard deviations, is at most the first number, trust is not reduced; from the second
 # number on, trust is 0.
@@ -96,7 +96,7 @@ class Corrector(LearnedPolicy, Policy):
             self._base.read_from(observation)
 
     def reset(self, mask: Mask) -> None:
-        """Forget the past of environments in which an episode begins, where ``mask`` is True."""
+        """Forget the past of environments where an episode begins: those whose ``mask`` is True."""
         if len(mask) != len(self._hidden):
             self._hidden = np.zeros((len(mask), self._hidden.shape[1]), np.float32)
             self._trust = np.ones(len(mask), np.float32)
@@ -123,7 +123,7 @@ class Corrector(LearnedPolicy, Policy):
         self._of_track = self._found_in(columns)
 
     def correct_track(self, signed: Array32) -> Correction:
-        """Return corrections after an epoch of tracks, given their features (n, features)."""
+        """Return corrections of n tracks after an epoch, given their features (n, features)."""
         return self.correct_features(taken(signed.astype(np.float32), *self._of_track))
 
     def correct_features(self, features: Array32) -> Correction:

@@ -85,8 +85,8 @@ class LearnedPolicy:
         never visible (:data:`~mmwave_env.interface.features.UNSEEN`).
 
         Raises:
-            ValueError: beliefs or modes differ, or a feature is missing or has another unit or
-                scale; the message says which, and what to do.
+            ValueError: beliefs or modes are not those of the training, or a feature is missing or
+                has another unit or scale; the message says which, and what to do.
         """
         card = self.card
         banks = [card.modes, *(bank.modes for bank in card.banks.values())]
@@ -216,7 +216,7 @@ class LearnedSwitch(LearnedPolicy, Policy):
 
 
 def taken(observation: Array32, columns: Index | None, unseen: Array32 | None) -> Array32:
-    """Return the columns of observations that a policy reads."""
+    """Return the columns of observations that a policy reads; ``unseen`` replaces missing ones."""
     if columns is not None:
         observation = np.take(observation, columns, axis=1)
         if unseen is not None:

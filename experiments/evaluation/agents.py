@@ -28,11 +28,11 @@ TRIED = 3  # number of random observations to try an agent on
 
 
 class Estimator(Policy):
-    """An agent that tracks users by itself instead of choosing filters, for comparisons.
+    """An agent for comparisons that tracks users by itself instead of choosing filters.
 
     Attributes:
-        at_once: whether one call of :meth:`track` handles all n episodes, with arrays (n,) as
-            numbers; otherwise each call handles one episode, with floats.
+        at_once: whether one call of :meth:`track` handles all n episodes, with arrays (n,) in
+            place of floats; otherwise each call handles one episode.
     """
 
     at_once = False

@@ -80,7 +80,7 @@ class Branches:
 
 
 class Clairvoyant(Policy):
-    """A policy that knows the truth, the ceiling of switching.
+    """A policy that knows the truth, and so marks the ceiling of switching.
 
     In every epoch it tries each action (trust one mode, or none) on the same measurements, trusts
     no mode in the epochs after it, and takes the action with the largest sum of rewards within

@@ -44,7 +44,7 @@ class Contender:
         bank: filter modes to choose from or to mix; their interaction matters only for an IMM and
             with beliefs "per-mode".
         policy: function from the observation table to a policy; None for the IMM of the bank.
-        observation: observation of the policy, "full" or "prior".
+        observation: kind of observation that the policy reads: "full", "prior" or "signed".
         beliefs: beliefs of the modes, "shared" or "per-mode".
     """
 
@@ -116,7 +116,7 @@ class Contender:
         return action_names(self.modes, self.beliefs)
 
     def start(self, layout: Layout, planar: bool = False) -> Policy | None:
-        """Return a new policy for measurement vectors with a layout; None for the IMM."""
+        """Return a new policy for measurements with this layout; None for the IMM."""
         pipeline = Pipeline(self.modes, layout, planar)
         table = Observation(pipeline, self.observation, self.beliefs)
         return self.policy and self.policy(table)

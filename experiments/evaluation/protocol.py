@@ -1,7 +1,8 @@
 """The benchmark's protocol: the sites at which contenders are judged. Some are unseen in training.
 
 docs/benchmark.md explains the benchmark. An *entry* has a contender's figures at every site. The
-*clairvoyant* is a switcher that knows the truth; a score is the share of its gain over the rule.
+*clairvoyant* is a switcher that knows the truth; a contender's score is its gain in reward over
+the paper's rule, in percent of the clairvoyant's gain.
 """
 
 import warnings
@@ -35,8 +36,8 @@ TRAINED, UNSEEN_KIND, RECORDED, HARD = KINDS = ("to train in", "unseen", "record
 UNSEEN_SCENES, UNSEEN_RADIOS = ("avenue", "plaza", "alley"), ("tablet",)
 UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
 OTHER_RADIOS = ("handset", "standard")  # radios for unseen streets and for recordings
-EPISODES, DRAWS = 2000, 200  # episodes at each simulated site, and draws on each recording
-CEILING_EPISODES, CEILING_DRAWS = 400, 20  # a score uses only this many, the first ones
+EPISODES, DRAWS = 2000, 200  # episodes at each simulated site, and drawn from each recording
+CEILING_EPISODES, CEILING_DRAWS = 400, 20  # the first of them, the only ones that scores use
 PUBLISHED = Path(__file__).parents[2] / "docs" / "leaderboard"  # folder of the published entries
 
 
@@ -118,7 +119,7 @@ def require_contenders(names: Sequence[str]) -> None:
         ValueError, FileNotFoundError: same as from
             :func:`~experiments.evaluation.contenders.contender_from`.
     """
-    # modes are untuned for an unseen radio on purpose
+    # No warning that modes are untuned for an unseen radio: they are so on purpose.
     with warnings.catch_warnings(action="ignore"):
         for radio in dict.fromkeys(site.radio for site in sites()):
             for name in names:
@@ -128,7 +129,7 @@ def require_contenders(names: Sequence[str]) -> None:
 def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
     """Run contenders, the paper's rule and every IMM at a site, on the same episodes."""
     selection = Selection(range(seed, seed + episodes))
-    # modes are untuned for an unseen radio on purpose
+    # No warning that modes are untuned for an unseen radio: they are so on purpose.
     with warnings.catch_warnings(action="ignore"):
         imms = [name for name in contenders(site.radio) if name.startswith("imm")]
         everybody = dict.fromkeys([*names, RULE, *imms])
@@ -197,7 +198,7 @@ def tables_of(entries: Sequence[Json], ceiling: Json | None) -> dict[str, str]:
 
 
 def standing(figures: Json) -> str:
-    """Return "above" if an entry beats every IMM at a site, "below" if an IMM beats it, or "level".
+    """Return "above" if an entry beats every IMM at a site, "below" if one beats it, else "level".
 
     A difference counts only if its interval excludes 0.
     """

@@ -34,7 +34,7 @@ class Scoring(NamedTuple):
     """Reward and terrain that apply to all contenders."""
 
     reward: Reward = TrackingReward()  # function of (belief, truth)
-    planar: bool = False  # whether height and climb are known; NEES then covers two axes
+    planar: bool = False  # whether height and vertical speed are known; NEES then covers two axes
 
     @classmethod
     def of(cls, task: Task) -> "Scoring":
@@ -61,7 +61,7 @@ Watch = Callable[[Contender, Array, EpochResults], None]
 
 
 def score(contender: Contender, policy: Policy | None, episodes: Sequence[Episode]) -> Scores:
-    """Return metrics per episode of a contender and its policy, on equally long episodes."""
+    """Return the metrics of a contender and its policy for each of equally long episodes."""
     results = run_contender(contender, policy, _scorable(episodes))
     return _summary(results, episodes[0].time_s, PLAIN)
 
@@ -226,8 +226,8 @@ def score_contenders(
     """Compute the scores of contenders on the same episodes.
 
     Args:
-        names: contenders, or names as in :func:`contender_from`, with these ``modes``.
-        source, selection: episodes to run, by seeds or keys.
+        names: contenders, or names that :func:`contender_from` reads, given ``modes``.
+        source, selection: source of the episodes, and the seeds of those to run.
         radio: radio profile.
         watch: functions called with a contender, the times (T,) and the contender's epoch results.
         after: parts of the state for ``watch``, as in :func:`run_contender`.

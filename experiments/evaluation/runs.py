@@ -26,7 +26,7 @@ class Run:
         """Read the run in a folder.
 
         Raises:
-            ValueError: names the file and says what is wrong in it.
+            ValueError: the summary is invalid; the message names the file and what is wrong in it.
             FileNotFoundError: the folder holds no run, or an unfinished one.
         """
         path = Path(name) / "summary.json"
@@ -68,7 +68,7 @@ def trainings(names: Sequence[str], runs: Mapping[str, Run]) -> list[str]:
 
 
 def curves_of(log: Path) -> dict[str, tuple[list[float], list[float]]]:
-    """Read learning curves from a log: for each rival, steps and the reward minus the rival's.
+    """Read learning curves from a log: for each rival, steps and gains in reward over the rival.
 
     Raises:
         ValueError: the log is not CSV, or a value is not a number; the message names the line.

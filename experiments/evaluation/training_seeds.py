@@ -34,7 +34,7 @@ def over_training_seeds(run: Run, trained: Sequence[Scores], scores: Mapping[str
 
 
 def _figures(run: Run, values: Array) -> Json:
-    """Return the means of values (trainings, episodes), such as rewards: of each training, of all.
+    """Return means of values (trainings, episodes), such as rewards, by training and over all.
 
     "above_zero" is the number of trainings whose interval is above zero.
     """

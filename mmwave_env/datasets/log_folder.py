@@ -28,7 +28,7 @@ def read_log_folder(folder: Path, clock: bool = False) -> MeasuredTrack:
 
     :class:`~mmwave_env.logs.truth.Truth` interpolates the true positions at the times of the
     epochs; differences of these positions give true velocities. The layout is partial if a link
-    lacks some of its measurements or has its own standard deviations, or if the Doppler shift was
+    lacks some of its values, if the log states standard deviations, or if the Doppler shift was
     measured at an anchor other than the base station. Differing clocks of log and track cause a
     warning.
 

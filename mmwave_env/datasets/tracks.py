@@ -53,7 +53,7 @@ class Track(ABC):
     Attributes:
         name: name for results and messages.
         scene: scene whose L anchors were measured; often only its anchors are known.
-        layout: rows and groups of the measurements.
+        layout: which values a measurement has, in order, and their groups.
         time_s: (T,) times, increasing.
         measurement: (T, rows) in the order of ``layout``: m, rad, Hz, m/s.
         visible: (T, groups) whether each group was measured; if not, its values are meaningless.

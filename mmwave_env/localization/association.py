@@ -72,7 +72,7 @@ def associate(
 ) -> Iterator[LogBlock]:
     """Yield the log with its paths associated with anchors, in blocks of epochs.
 
-    If the log is damaged, the epochs before the damage are delivered first.
+    If the log is damaged, the epochs before the damage are yielded before the error is raised.
 
     Args:
         epochs: epochs of the log of paths.

@@ -118,7 +118,7 @@ def _range_per_doppler(block: LogBlock, scene: Scene, radio: Radio) -> tuple[flo
     """Regress the range of anchor 1 on the distance that follows from the Doppler shift.
 
     In each window, ranges are regressed on three terms: the integrated shift, a constant, and time.
-    The coefficient of time is the oscillator's offset, whose prior is the radio's. Return the
+    The coefficient of time is the oscillator's offset; its prior comes from ``radio``. Return the
     coefficient of the shift, which is 1 if sign and unit are right, and its standard error; return
     (1, inf) if there are too few epochs or nothing moves.
     """
@@ -154,7 +154,8 @@ def _windows(time_s: Array) -> Iterator[slice]:
 def _regression(time_s: Array, range_m: Array, rate: Array, sigma: float, radio: Radio) -> Array:
     """Return a window's residual degrees of freedom, and three sums divided by sigma^2.
 
-    The sums are of moved^2, moved * range and range^2, after a regression on a constant and time.
+    The sums are of moved^2, moved * range and range^2, after a regression on a constant and time;
+    ``moved`` is the integrated Doppler shift.
     """
     time = time_s - time_s.mean()
     moved = np.cumsum(np.diff(time, prepend=time[0]) * 0.5 * (rate + np.roll(rate, 1)))

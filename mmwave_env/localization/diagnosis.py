@@ -31,7 +31,7 @@ from mmwave_env.numerics.numbers import PI, Array, Mask
 DIAGNOSED_EPOCHS = 200
 AS_IT_IS = "as it is"
 
-_RANGE, _AZIMUTH, _ELEVATION, _DEPARTURE = range(4)  # rows of a link
+_RANGE, _AZIMUTH, _ELEVATION, _DEPARTURE = range(4)  # indices of a link's values
 _AZIMUTHS = (_AZIMUTH, _DEPARTURE)
 _ANGLES = (*_AZIMUTHS, _ELEVATION)
 _COLUMNS = {
@@ -86,9 +86,9 @@ class Finding(NamedTuple):
 
 
 def _scaled(parts: Sequence[int], factor: float, offset: float = 0.0) -> Hypothesis:
-    """Return a hypothesis that scales parts of links and adds an offset.
+    """Return a hypothesis that scales some values of every link and adds an offset.
 
-    Without parts, the hypothesis scales the Doppler shift instead.
+    ``parts`` are the indices of these values; without any, the Doppler shift is scaled instead.
     """
 
     def change(reading: Reading) -> Reading:
@@ -111,7 +111,7 @@ def _timed(factor: float, reading: Reading) -> Reading:
 
 
 def _exchanged(part: int, other: int, reading: Reading) -> Reading:
-    """Exchange two parts of every link."""
+    """Exchange two values of every link, given their indices."""
     block, links = reading.block, reading.block.layout.doppler
     z = block.measurement.copy()
     z[:, part:links:4] = block.measurement[:, other:links:4]
@@ -191,7 +191,7 @@ def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Fi
 
     Returns:
         A finding for the log as it is and for every hypothesis. Hypotheses that make the log
-        consistent come first, beginning with the most likely one; the others follow by their fit.
+        consistent come first, the most likely one at the top; the others follow, best fit first.
         If only pairs of hypotheses make the log consistent, the most likely pair comes first.
 
     Raises:

@@ -188,7 +188,7 @@ def _sizes(P: Array) -> list[Array]:
 
 
 def _relative(moved: Array, sizes: Sequence[Array]) -> list[Array]:
-    """Return how large vectors (..., 3) are, against the logarithms of the Gaussian levels."""
+    """Return log(1 + 10 length / level) of vectors (..., 3), given both levels as logarithms."""
     lengths = horizontal(moved), np.abs(moved[..., 2])
     return [np.log1p(10.0 * a * np.exp(-b)) for a, b in zip(lengths, sizes, strict=True)]
 

@@ -78,7 +78,7 @@ class Switching:
             :class:`~mmwave_env.engines.track_engine.Tracker` takes it.
         policy: function that makes a policy, given the table of features that it will observe. The
             policy chooses the mode to run or, with a bank, the mode to trust.
-        observation: observation of the policy, "full" or "prior".
+        observation: kind of observation that the policy reads: "full", "prior" or "signed".
 
     Raises:
         ValueError: a rule is combined with a bank or a policy.
@@ -152,7 +152,7 @@ def localize(
 ) -> Iterator[TrackBlock]:
     """Yield the track of a log.
 
-    If the log is damaged, the epochs before the damage are delivered first.
+    If the log is damaged, the epochs before the damage are yielded before the error is raised.
 
     Args:
         blocks: blocks of the log; each is filtered in one call, so large blocks are faster.
@@ -220,7 +220,7 @@ def episode_from(block: LogBlock, scene: Scene, radio: Radio, begins: bool = Tru
     """Return epochs of a log as an episode without true positions.
 
     If a track ``begins`` here, its prior comes from links of the first epoch. These links are then
-    not visible, so that they are not used twice. Otherwise the prior is meaningless.
+    not visible, so that they are not used twice. If no track begins, the prior is meaningless.
     """
     n = block.layout.state_size
     prior, visible = (np.zeros(n), np.eye(n)), block.visible

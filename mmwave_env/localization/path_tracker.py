@@ -1,4 +1,4 @@
-"""Tracker that follows a user by propagation paths with unknown anchors; it tests hypotheses.
+"""Tracker that follows a user by propagation paths with unknown anchors, by testing hypotheses.
 
 A track begins with the hypothesis that a certain path is the line of sight. This path gives a
 position, and the paths of the next epochs confirm or contradict it. Tracks are immutable values,
@@ -37,8 +37,8 @@ NO_PATH = -1
 def path_nis(x: Vector, P: Matrix, anchors: Matrix, paths: Array, sigma: Array) -> Array:
     """Compute the NIS (L, n) of every path as a link of every anchor, given x (7,), P (7, 7).
 
-    ``paths`` (L, n, 4) contains each path as each anchor would have measured it: the rows of a
-    link, m and rad. ``sigma`` contains their standard deviations.
+    ``paths`` (L, n, 4) contains each path as each anchor would have measured it: the four values
+    of a link, m and rad. ``sigma`` contains the standard deviations of these values.
     """
     tangent, L = Tangent(), cholesky(P)
     latents, nis = tangent.latents(0), np.empty(paths.shape[:2])
@@ -86,7 +86,7 @@ class PathTrack(NamedTuple):
     time_s: float
     seen_s: float  # last time at which the track used a path or odometry
     labels: Index  # (L,) the path of every anchor in this epoch
-    epoch: Epoch  # the measurements of this epoch, each path in the rows of its anchor
+    epoch: Epoch  # the measurements of this epoch, each path as the link of its anchor
 
     @property
     def fitted(self) -> int:
@@ -95,9 +95,9 @@ class PathTrack(NamedTuple):
 
 
 class _Links(NamedTuple):
-    """The n paths of an epoch, each read as a link of every one of the L anchors."""
+    """The n paths of an epoch, each read as a link of each of the L anchors in turn."""
 
-    # z, sigma: (L, n, 4) rows of the links and their standard deviations, m and rad
+    # z, sigma: (L, n, 4) values of the links and their standard deviations, m and rad
     z: Array
     sigma: Array
     # (n,) standard deviation, Hz, of each path's Doppler shift, assuming that the path comes
@@ -118,7 +118,7 @@ class PathTracker:
         self._memory = initial_memory(layout, 1)
         self._gate = float(chdtri(4, 1.0 - GATE_QUANTILE))
         self._disagreement = float(chdtri(1, 1.0 - GATE_QUANTILE))
-        unheard = np.zeros((1, layout.anchors))  # any SNR will do for odometry's sigma
+        unheard = np.zeros((1, layout.anchors))  # odometry's sigma does not depend on SNR
         self._odometry_sigma = radio.sigma(unheard, scene, layout)[0, layout.doppler + 1 :].tolist()
 
     def follow(self, track: PathTrack, paths: PathEpoch) -> PathTrack:
@@ -222,7 +222,7 @@ class PathTracker:
         return Epoch(dt, z, sigma, visible, snr, paths.doppler_spread_hz)
 
     def _with_labels(self, epoch: Epoch, paths: PathEpoch, links: _Links, labels: Index) -> Epoch:
-        """Return the epoch with the values of each anchor's path in the rows of that anchor."""
+        """Return the epoch with the values of each anchor's path as the link of that anchor."""
         layout = self._layout
         z, sigma, visible, snr = (list(part) for part in epoch[1:5])
         for anchor in np.flatnonzero(labels != NO_PATH).tolist():

@@ -38,7 +38,7 @@ _LARGEST_RISK = 0.5
 
 
 def require_risk(risk: float) -> None:
-    """Refuse a risk that is not above 0, or is above a half."""
+    """Refuse a risk unless it is above 0 and at most a half."""
     if not 0.0 < risk <= _LARGEST_RISK:
         raise ValueError(f"risk: found {risk:g}, expected more than 0 and at most {_LARGEST_RISK}")
 

@@ -33,7 +33,7 @@ def nearest_radio(block: LogBlock, scene: Scene) -> str:
 
 
 def _deviation(block: LogBlock, row: int) -> float:
-    """Return the standard deviation (m or rad) of a row of links; NaN if too few were measured."""
+    """Return the standard deviation (m or rad) of a value of links; NaN if measured too rarely."""
     columns = slice(row, block.layout.doppler, len(LINK))
     own = block.sigma[:, columns]
     if np.isfinite(own).any():

@@ -146,7 +146,7 @@ def _starts(anchors: Array, center: Array) -> Iterator[Array]:
 def _descend(
     normal: Callable[[Array], tuple[float, Array, Array]], position: Array
 ) -> tuple[float, Array, Array]:
-    """Find the minimum near a start (Gauss-Newton): squared error, position and information."""
+    """Return squared error, position and information of the minimum near a start (Gauss-Newton)."""
     cost, gradient, information = normal(position)
     for _ in range(_ROUNDS):
         step = np.linalg.solve(information, gradient)
@@ -171,7 +171,7 @@ def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator
     log says that a track must begin anew. The next segment begins with the next first fix.
 
     Raises:
-        LogError: from ``blocks``, after the epochs before the damage.
+        LogError: from ``blocks``, once the epochs before the damage have been yielded.
         ValueError: no epoch determines a position with which a track could begin.
     """
     held: LogBlock | None = None  # block to yield once its number of dropped epochs is known

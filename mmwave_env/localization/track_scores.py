@@ -104,7 +104,7 @@ def _pairs(time_s: Array, segment: Array, first_s: Array) -> tuple[Index, float 
 
     Return the indices (pairs, 2) of the earlier and the later epoch, and the time between them:
     the multiple of the time step nearest to a second, None without pairs. Epochs of different
-    segments are not paired. The time step is estimated from the ``first_s`` times of the log.
+    segments are not paired. The time step is estimated from the log's first times, ``first_s``.
     """
     if len(first_s) < 2 or not len(time_s):
         return np.empty((0, 2), np.int64), None

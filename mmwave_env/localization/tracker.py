@@ -66,7 +66,7 @@ class Position(NamedTuple):
 
 
 class Tracker:
-    """A track that grows by one epoch at a time; bit for bit, it equals the complete log's track.
+    """A track that grows epoch by epoch; it equals the complete log's track bit for bit.
 
     ```python
     >>> tracker = Tracker("street", policy="corrector")
@@ -246,7 +246,7 @@ class Tracker:
     def _position(
         self, time_s: float, x: Array, P: Array, mode: str, factors: Array | None
     ) -> Position:
-        """Return a belief, without what only the filter of its epoch knows."""
+        """Return a belief as a :class:`Position`, without NIS, rejections, ``begins`` and trust."""
         xx, yx, yy, zx, zy, zz = P[:6].tolist()
         covariance = [[xx, yx, zx], [yx, yy, zy], [zx, zy, zz]]
         origin, place = self._scene.origin, None

@@ -6,8 +6,8 @@ by
 
     e = c + (dh/dp) (tau v + s) + noise
 
-for every row of a link: a range or an angle h(p) at position p. The velocity is v, the constant c
-is a bias of the row, and s is a shift of the frame by some meters. Only changes of the velocity
+for every value of a link: a range or an angle h(p) at position p. The velocity is v, the constant
+c is a bias of the value, and s is a shift of the frame by some meters. Only changes of the velocity
 distinguish tau from s and c: on a straight line at constant speed, tau is unobservable. tau is
 estimated by least squares. Errors are correlated over seconds, so the standard error comes from
 the jackknife: the spread of estimates that each leave out one stretch of time (B. Efron, C. Stein,
@@ -15,7 +15,7 @@ the jackknife: the spread of estimates that each leave out one stretch of time (
 
 The formula is only correct to first order: in tenths of a second a user moves by meters, over
 which h is not linear. So the log is compared again with the track at times shifted by the
-estimate, until the remaining offset is within its error (Gauss-Newton).
+estimate, until the remaining offset is far smaller than its standard error (Gauss-Newton).
 """
 
 import math
@@ -35,7 +35,7 @@ _STRETCHES, _SHORTEST_S = 32, 2.0  # maximum number and minimum length of stretc
 _FEWEST = 5  # minimum number of stretches for a standard error
 _CHANCE = 0.005  # probability of finding an offset if there is none
 _PART = 0.01  # share of the squared error (with noise) that an offset must explain to matter
-_STEP_M = 1e-3  # step of the numerical derivative of the rows of a link
+_STEP_M = 1e-3  # step of the numerical derivatives dh/dp
 _ENOUGH = 20  # minimum number of epochs for a standard deviation
 _OUTLIER = 6.0  # standard deviations; larger errors are ignored
 _COMPARED = 4096  # maximum number of epochs, from the beginning of the log, that are compared
@@ -101,7 +101,7 @@ def clock_offset(
 
 
 def _linear(log: LogBlock, scene: Scene, truth: TrueEpochs) -> tuple[ClockOffset, Array] | None:
-    """Estimate the offset to first order; also return standard deviations (4 L,) of the rows."""
+    """Estimate the offset to first order; also return standard deviations (4 L,) of the errors."""
     from scipy.special import stdtrit
 
     anchors, layout = scene.anchors_m.tolist(), Layout(len(scene.anchors_m))

@@ -45,7 +45,7 @@ class LogBlock(Block):
     :func:`~mmwave_env.localization.segments.segments` sets the fields that describe segments.
     """
 
-    layout: Layout  # rows and groups of the measurements
+    layout: Layout  # which values a measurement has, in order, and their groups
     time_s: Array  # (T,) increasing, also across blocks
     measurement: Array  # (T, rows) m, rad, Hz, m/s; angles in [-pi, pi)
     sigma: Array  # (T, rows) the receiver's own standard deviations; NaN where it states none
@@ -125,9 +125,9 @@ def read_log(
     Angles are in the frame of the map. Arrival is the direction from the anchor to the
     user; departure is the azimuth from the user to the anchor. docs/data.md has a figure.
 
-    If the log is damaged, every complete epoch before the damage is delivered first. An epoch
-    whose end is unknown because of the damage (no later time can be read, and not all anchors are
-    present) does not count as complete.
+    If the log is damaged, every complete epoch before the damage is yielded before the error. An
+    epoch whose end is unknown because of the damage (no later time can be read, and not all anchors
+    are present) does not count as complete.
 
     Args:
         path: CSV (``.csv``, ``.csv.gz``) or Parquet (``.parquet``, needs the extra `data`).
@@ -166,7 +166,7 @@ def read_log(
 
 
 def with_clock(log: LogFile) -> LogFile:
-    """Return a log whose ranges contain the clock's offset; refuse a log without ranges.
+    """Return a log marked as having ranges with the clock's offset; refuse a log without ranges.
 
     Ranges from round-trip times don't count, because they do not contain the offset.
     """
@@ -208,9 +208,9 @@ def _require_measurements(path: Path, blocks: Iterable[LogBlock]) -> Iterator[Lo
 def places(layout: Layout) -> dict[str, tuple[int, int]]:
     """Return where the values of every quantity are in the array of an epoch.
 
-    The array contains the rows of the layout, their standard deviations, the SNRs (L,) and the
-    Doppler spread. For each quantity, return the index of the first anchor's value and the step to
-    the next anchor's; the step is 0 if the quantity belongs to the epoch.
+    The array contains the values that the layout lists, their standard deviations, the SNRs (L,)
+    and the Doppler spread. For each quantity, return the index of the first anchor's value and the
+    step to the next anchor's; the step is 0 if the quantity belongs to the epoch.
     """
     rows = {quantity: (row, 4) for row, quantity in enumerate(LINK_QUANTITIES)}
     rows["doppler"] = layout.doppler, 0
@@ -281,7 +281,7 @@ class PathEpoch(NamedTuple):
 
     layout: Layout  # layout of the scene's anchors, with or without odometry
     time_s: float
-    measurement: Array  # (n, 5) rows of a link, m and rad, and its Doppler shift, Hz, or NaN
+    measurement: Array  # (n, 5) range (m), three angles (rad), Doppler shift (Hz, or NaN)
     # whether the angles of arrival are those at the base station, even if a wall reflected the path
     at_station: bool
     snr_db: Array  # (n,)

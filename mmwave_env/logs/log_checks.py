@@ -1,6 +1,6 @@
 """Checks of the rows of a measurement log.
 
-An error names the damaged row; the complete epochs before that row are delivered first.
+An error names the damaged row; the complete epochs before that row are yielded before the error.
 """
 
 from collections.abc import Callable, Iterator

@@ -12,7 +12,7 @@ from mmwave_env.logs.tum import read_tum
 from mmwave_env.numerics.numbers import Array
 
 BRIDGED_S = 1.5  # longest gap that is interpolated: GPS gives a pose per second, sometimes late
-TOLERANCE_S = 0.01  # maximum time to a pose that is used without interpolation; evo's default
+TOLERANCE_S = 0.01  # maximum time to a pose that is used without interpolation, as in the tool evo
 
 
 class TrueEpochs(NamedTuple):
@@ -97,7 +97,7 @@ def stretches(time_s: Array, position_m: Array, gap_s: float) -> list[slice]:
 
 
 def velocity_of(time_s: Array, position_m: Array, gap_s: float) -> Array:
-    """Compute velocities (T, 3) from parabolas through neighbors; NaN outside of stretches."""
+    """Compute velocities (T, 3) from parabolas through adjacent epochs; NaN outside stretches."""
     velocity = np.full_like(position_m, np.nan)
     for run in stretches(time_s, position_m, gap_s):
         velocity[run] = np.gradient(position_m[run], time_s[run], axis=0)

@@ -76,7 +76,7 @@ def propagation(angles: Array, sight: Array, direct: Mask) -> Array:
 
 
 _FLAT = 0.7  # a mirror is the ground, not a wall, if its normal is steeper than 45 degrees
-_ROW_KEYS = ("delay", "aoa_az", "aoa_el", "aod_az")  # arrays that give the rows of a link
+_ROW_KEYS = ("delay", "aoa_az", "aoa_el", "aod_az")  # arrays with the values of a link, in order
 _TOLERANCES = (2.0 * TOLERANCE_M, 0.02, 0.02, 0.02)  # m, rad; wrong conventions cause larger errors
 
 
@@ -87,7 +87,7 @@ class StationLinks:
     paths: StationPaths  # paths of the station, for E receivers, P paths each
     anchors_m: Array  # (K, 3) position of the station, then of its images, in the order found
     member: Index  # (E, P) index of the anchor that a path leads to; -1 for none
-    rows: Array  # (E, P, 4) rows of a link, as in ``LINK``: m, rad; NaN if there is no anchor
+    rows: Array  # (E, P, 4) values of a link in the order of ``LINK``, m, rad; NaN without anchor
 
     @cached_property
     def is_ground(self) -> Mask:
@@ -158,7 +158,7 @@ def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, Index]:
 
 
 def _measure(paths: StationPaths, position_m: Array, anchors: Array, member: Index) -> Array:
-    """Compute the rows (E, P, 4), m and rad, of each path as a link to its anchor."""
+    """Compute the values (E, P, 4), m and rad, that each path has as the link of its anchor."""
     sight = (position_m - paths.position_m)[:, None]
     direct = member == 0
     arrival = propagation(paths.arrival, sight, direct)
@@ -175,7 +175,7 @@ def _measure(paths: StationPaths, position_m: Array, anchors: Array, member: Ind
 def _require_geometry(
     paths: StationPaths, position_m: Array, anchors: Array, member: Index, rows: Array
 ) -> None:
-    """Refuse links whose rows (E, P, 4) contradict the positions of receiver and anchor."""
+    """Refuse links whose values (E, P, 4) contradict the positions of receiver and anchor."""
     offset = position_m[:, None] - anchors[member]
     distance, azimuth, elevation = direction(list(np.moveaxis(offset, -1, 0)))
     exact = np.stack([distance, azimuth, elevation, wrap(azimuth + PI)], axis=-1)
