@@ -15,7 +15,7 @@ class Args(EpisodeArgs):
 
     All metrics, including the reward, leave out the first 10 epochs of an episode. Every policy is
     paired with the references: the best fixed mode, speed-rule, imm and imm-best. Your own agents
-    and policy files (or all policies, if there is no reference) are paired with every other policy.
+    and policy files (or all policies, if none is a reference) are paired with every other policy.
 
     mmwave-loc compare --policies fixed-ukf speed-rule imm ppo --episodes 200
     """

@@ -1,4 +1,4 @@
-"""mmwave-loc convert: a model of Stable-Baselines3 made into a policy file without code."""
+"""mmwave-loc convert: a Stable-Baselines3 model, converted to a policy file that holds no code."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,7 +34,7 @@ class Args(LearnedArgs):
     """radio profile that the model was trained with: handset, standard, high or a JSON file"""
 
 
-TIES = 0.001  # largest share of observations for which rounding may change the action
+TIES = 0.001  # largest share of observations whose action may differ because of rounding
 
 
 def main(args: Args) -> None:

@@ -11,11 +11,12 @@ from experiments.console.options import require_at_least
 class Args:
     """Judge contenders by the benchmark's protocol, and rank all entries.
 
-    A site is a street or a recording, with a radio. Contenders are not trained here, but run at
-    four kinds of sites, together with the paper's rule and every IMM: the nine sites where policies
-    may be trained, unseen sites, recordings and hard sites. A contender's entry is written to a
-    JSON file in the folder --out; the tables show all entries in that folder. Scores need the entry
-    of the clairvoyant (a policy that knows the truth), in that folder or in docs/leaderboard.
+    A site is a street or a recording, with a radio. Contenders are not trained here. They run,
+    together with the paper's rule and every IMM, at four kinds of sites: the nine sites where
+    policies may be trained, unseen sites, recordings and hard sites. A contender's entry (its
+    figures at all sites) is written to a JSON file in the folder --out; the tables show all entries
+    there. Scores need the entry of the clairvoyant (a policy that knows the truth), in that folder
+    or in docs/leaderboard.
 
     mmwave-loc leaderboard --policies imm-best --episodes 400 --draws 20
     """
@@ -31,8 +32,8 @@ class Args:
     out: Path = Path("results/leaderboard")
     """folder of entries, one JSON file each"""
     keep: bool = False
-    """do not judge again the policies that have an entry in the folder; judge the others one by
-    one, and write each entry when it is ready, so that the same command can go on after a stop"""
+    """skip the policies that already have an entry in the folder; judge the others one by one, and
+    write each entry when it is ready, so that the same command continues after a stop"""
     docs: Path | None = None
     """Markdown page to update: each table after a comment `<!-- table: ... -->` is replaced"""
 

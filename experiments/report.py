@@ -7,13 +7,13 @@ from experiments.console.options import PageArgs, require_at_least
 
 @dataclass(kw_only=True)
 class Args(PageArgs):
-    """Make one web page of results; the page needs neither a network nor anything installed.
+    """Make one web page of results, which a browser shows offline, with nothing else installed.
 
     It says who won by how much, and has tables, distributions of errors (CDF) and episodes to
     play. Results are JSON files (--json) from mmwave-loc compare, demo and localize, and folders of
-    runs from mmwave-loc train. Epochs that the files do not contain are computed again with the
-    stored options. Agents in your own code (module:function) are not run again: errors and episodes
-    do not show them.
+    runs from mmwave-loc train. Results of single epochs are not in these files, and are computed
+    again with the stored options. Agents in your own code (module:function) are not run again; the
+    page has no episodes and, unless stored, no errors of theirs.
 
     mmwave-loc report results.json runs/train --out report.html
     """

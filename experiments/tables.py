@@ -1,4 +1,4 @@
-"""mmwave-loc tables: the paper's tables and claims, compared with what this model measures."""
+"""mmwave-loc tables: the paper's tables and claims, compared with measurements in simulations."""
 
 import csv
 import io

@@ -12,8 +12,8 @@ from experiments.console.options import TUNING_SEED, JsonArgs, WorldArgs
 class Args(JsonArgs):
     """Tune the process noise of modes by the likelihood of the measurements, without the truth.
 
-    With --bank, tune the five modes of imm-best and the transition between them instead, by the
-    reward of their IMM in all scenes at 1 Hz and 10 Hz (needs the extra "tune").
+    With --bank, instead tune the five modes of imm-best and the probabilities of changes between
+    them, by the reward of their IMM in all scenes at 1 Hz and 10 Hz (needs the extra "tune").
     With --levels, train and calibrate the protection levels anew (needs the extra "train").
 
     mmwave-loc tune --radio handset --out modes.json
@@ -43,11 +43,12 @@ class Args(JsonArgs):
     """train the network of the protection levels on training seeds, and calibrate it on tuning
     seeds, with the shipped policies; no option but --seed, --out and --json applies"""
     out: Path | None = None
-    """mode file to write, for --modes or modes=; with --levels, file to write the levels to"""
+    """mode file to write, for --modes or the environment's argument modes; with --levels, file to
+    write the levels to"""
 
 
-OF_BANK = ("bank", "radio", "episodes", "evaluations", "seed", "out", "json")  # options for --bank
-OF_LEVELS = ("levels", "seed", "out", "json")  # options for --levels
+OF_BANK = ("bank", "radio", "episodes", "evaluations", "seed", "out", "json")  # allowed with --bank
+OF_LEVELS = ("levels", "seed", "out", "json")  # allowed with --levels
 Content = dict[str, Any]  # content of a JSON file
 
 
@@ -79,7 +80,7 @@ def _tuned_levels(args: Args) -> Content:
 
 
 def _tuned_modes(args: Args) -> tuple[Content, Content]:
-    """Tune modes one by one, and print them; return the mode file's content and figures."""
+    """Tune and print modes one by one; return the mode file's content, and figures for --json."""
     from experiments.console.progress import say
     from experiments.evaluation.asked import source_of
     from experiments.evaluation.intervals import bootstrap

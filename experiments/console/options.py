@@ -11,12 +11,12 @@ from typing import Any, Literal
 from tyro.conf import Positional
 
 USUAL_EPISODES = 1000
-AUTO = "auto"  # choose the radio whose noise is nearest to that of a log
+AUTO = "auto"  # --radio auto: the radio whose noise is nearest to that of a log
 TUNING_SEED = 5_000_000  # first of the seeds for tuning
 
 
 def require_at_least(least: int, args: Any, *names: str) -> None:
-    """Refuse options, by name, that are numbers below ``least``."""
+    """Refuse the options with these names if they are numbers below ``least``."""
     for name in names:
         number = getattr(args, name)
         if number is not None and number < least:
@@ -145,7 +145,7 @@ class TaskArgs(LearnedArgs):
     """places to train at, instead of --radio. Each is SCENE:RADIO (names or JSON files), such as
     street:handset, followed if needed by the seconds between epochs (:0.1, default: 1), the
     measured quantities (:range+azimuth, default: all), and :offset for a clock with an offset.
-    Environments, and episodes that judge policies, are spread evenly over the places"""
+    Environments, and the episodes to judge policies on, are spread evenly over the places"""
     reward: str = "tracking"
     """tracking; log-score; or paired: the tracking reward minus that of an IMM (with --beliefs
     per-mode, the bank's IMM). "paired": true in a hyperparameter file subtracts the IMM's reward
@@ -165,7 +165,7 @@ class TrackOutputArgs(JsonArgs):
     """draw the track to this .png, .svg or .pdf file"""
     diagnose: bool = False
     """compute no track, but show the number of epochs, the rate, how often each anchor is measured,
-    and anything odd; then try likely mistakes on the first epochs (units, signs, arrival and
+    and anything odd; then test the first epochs for likely mistakes (units, signs, arrival and
     departure, frames, order of anchors), and say which correction makes the log consistent"""
 
 

@@ -64,7 +64,7 @@ def parse(arguments: type[T], words: Sequence[str], program: str) -> T:
 
 
 def described(arguments: type[Any]) -> type[Any]:
-    """Return a dataclass for tyro, with the class's own options first, each with its help."""
+    """Return a dataclass for tyro: options with their help, a class's own before inherited ones."""
     from tyro.conf import FlagCreatePairsOff, arg
 
     kinds = get_type_hints(Everywhere) | get_type_hints(arguments, include_extras=True)
@@ -77,7 +77,7 @@ def described(arguments: type[Any]) -> type[Any]:
             hint = "(required)" if default is MISSING else "" if nothing else None
             shown = name.upper() + ("..." if "tuple" in str(kind) else "")
             shown = shown if default is MISSING else f"[{shown}]"
-            metavar = shown if is_positional(kind) else None  # like a hint of None: tyro's own
+            metavar = shown if is_positional(kind) else None  # None, also as hint, keeps tyro's own
             kind = Annotated[kind, arg(help=text, help_behavior_hint=hint, metavar=metavar)]
             if default is False:  # this marker suppresses --no-NAME
                 kind = Annotated[kind, FlagCreatePairsOff]

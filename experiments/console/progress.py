@@ -1,4 +1,4 @@
-"""Progress bars on a terminal, unless the command is quiet."""
+"""Progress bars, shown on a terminal unless the command is quiet, and printed lines."""
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager

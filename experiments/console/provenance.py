@@ -53,7 +53,7 @@ def options_of(args: Any) -> Json:
 
 
 def options_from(kind: type[T], content: Json) -> T:
-    """Return the options in a results file; options that ``kind`` does not have are ignored.
+    """Return options from a results file as a ``kind``, without those that ``kind`` does not have.
 
     Raises:
         ValueError: the file has no options, or a value is not of its option's type.

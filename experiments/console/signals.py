@@ -82,7 +82,7 @@ def ended_by_the_system() -> Iterator[None]:
 
 
 def _in_callback(frame: FrameType | None) -> bool:
-    """Return whether C code called the running Python code; C code would drop an exception."""
+    """Return whether C code, which would drop an exception, called the running Python code."""
     while frame is not None:
         if frame.f_code.co_name.startswith("_raw_object_cache"):  # a callback of llvmlite
             return True

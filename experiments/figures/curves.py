@@ -59,7 +59,7 @@ def draw_consistency(
 
     Args:
         time_s: (T,) times since the first epoch of an episode.
-        nees: (n, T) NEES of n episodes, by contender; it covers ``dof`` coordinates.
+        nees: (n, T) NEES, over ``dof`` coordinates, of n episodes, by contender.
         path, width_mm: arguments of :func:`~experiments.figures.canvas.panels`.
     """
     episodes = len(next(iter(nees.values())))

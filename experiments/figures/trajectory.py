@@ -100,7 +100,7 @@ def _draw_ellipses(axes: Any, track: DrawnTrack) -> None:
 
 
 def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
-    """Draw the anchors near a track: not farther than its extent, or than 30 m if that is more."""
+    """Draw the anchors no farther from a track than its extent, or than 30 m if that is more."""
     low, high = position.min(axis=0), position.max(axis=0)
     reach = max(float((high - low).max()), 30.0)
     middle = 0.5 * (low + high)

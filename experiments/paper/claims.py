@@ -186,7 +186,7 @@ def units(bench: Bench) -> Iterator[Row]:
 
 
 def _drifting_in_hz(mode: Mode, episode: Episode) -> Mode:
-    """Return the mode with its oscillator noise in Hz, for episodes with 1 Hz per m/s."""
+    """Return the mode with oscillator noise in Hz, for episodes in which 1 m/s counts as 1 Hz."""
     return replace(mode, sigma_b_mps=mode.sigma_b_mps * episode.hz_per_mps)
 
 

@@ -25,7 +25,7 @@ from mmwave_env.interface.reward import reward_name
 from mmwave_env.io.files import Json, write_text
 from mmwave_env.localization.levels import PARTS, Levels
 
-WIDTH_MM = (80.0, 500.0)  # widths of pictures in which everything can be read
+WIDTH_MM = (80.0, 500.0)  # least and largest width of a readable picture
 
 
 class Results(NamedTuple):

@@ -69,7 +69,7 @@ def _epochs(
 ) -> Iterator[LiveEpoch]:
     """Read rows (CSV below a header, or JSON objects); yield the epochs that they form.
 
-    An object is a row, or all rows of an epoch: {"rows": [...]}. The first must have all columns.
+    An object is a row, or all rows of an epoch: {"rows": [...]}. Line 1 must have all columns.
     """
     lines = _lines(stream)
     number, first = next(lines, (0, ""))

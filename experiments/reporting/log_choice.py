@@ -37,7 +37,7 @@ class Choice(NamedTuple):
 
 
 def is_algorithm_1(args: LogArgs) -> bool:
-    """Return whether any option is set that only the paper's Algorithm 1 has."""
+    """Return whether any option is set that asks for the paper's Algorithm 1."""
     chosen = args.speed is not None or args.modes is not None
     return chosen or args.robust or args.follow != "prediction"
 

@@ -1,4 +1,4 @@
-"""Report that ``mmwave-loc localize --diagnose`` prints: facts about a log, likely mistakes."""
+"""Report of ``mmwave-loc localize --diagnose``: facts about a log, and its likely mistakes."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence

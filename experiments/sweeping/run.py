@@ -68,7 +68,7 @@ def _failures(spec: Spec, folder: Path, done: Collection[str]) -> Iterator[str]:
 
 
 def _table(spec: Spec, rows: Mapping[str, Values]) -> str:
-    """Return a table of computed cells: values on the axes that have several, then metrics.
+    """Return a table of computed cells: values of the axes that have several values, then metrics.
 
     The rows are in the order of the file; those of a search are sorted by reward, best first.
     """

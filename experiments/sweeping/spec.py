@@ -97,7 +97,7 @@ def plain(value: Any) -> Any:
 
 
 def read_spec(path: Path) -> Spec:
-    """Read a sweep: one table; its keys are those of :data:`KINDS`, hyperparameters and trials.
+    """Read a sweep, one table: fields of its class in :data:`KINDS`, "hyperparameters", "trials".
 
     Raises:
         ValueError: the file is not a sweep; the message names the file and the key.

@@ -25,7 +25,7 @@ from mmwave_env.io.files import Json
 from mmwave_env.world.travel import stride_of
 
 FRESH_RUNS = 3  # maximum number of runs in new processes, since each takes seconds
-FRESH_SIZES = 3  # number of vector environments, the largest, that also run in new processes
+FRESH_SIZES = 3  # number of vector environments that also run in new processes: the largest ones
 STEP = "step"  # name of the kernel that makes a complete step of the environment
 BASES = ("filterpy", workloads.SYNC_NAME)  # workloads with which ours are compared
 

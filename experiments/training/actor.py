@@ -51,7 +51,8 @@ def require_actor(file: str, policy: Any) -> None:
     """Refuse a network that a policy file can't hold.
 
     Raises:
-        ValueError: names the file, and says what was found in the network and what was expected.
+        ValueError: the network is of another kind; the message names the file, what was found in
+            it, and what was expected.
     """
     if not hasattr(policy, "action_net"):
         raise ValueError(

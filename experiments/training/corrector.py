@@ -4,7 +4,7 @@ A corrector corrects the beliefs of another policy, its base. In a simulation th
 the network learns the errors of the base from examples. The loss is the length of the remaining
 error, in standard deviations of the belief, plus a small share of the error's negative
 log-likelihood, from which the network learns to scale the deviations. The base does not depend on
-the corrections, so it plays each episode only once, and every update has new episodes.
+the corrections, so it plays each episode only once. Every update has new episodes.
 """
 
 from collections.abc import Iterator
@@ -37,7 +37,7 @@ CONSTANT = 1e-3  # added to standard deviations, which are 0 for a feature that 
 
 
 class CorrectorNetwork(nn.Module):
-    """The network: a layer, a gated recurrent unit, and a head with the members of an ensemble."""
+    """A layer, a gated recurrent unit, and a head with outputs for each member of an ensemble."""
 
     def __init__(self, features: int, hyper: CorrectorHyperparameters) -> None:
         super().__init__()
@@ -50,7 +50,7 @@ class CorrectorNetwork(nn.Module):
             self.out.bias.zero_()
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """Return shifts and logarithms of factors (T, n, members, 3), given (T, n, features)."""
+        """Return shifts and log factors, each (T, n, members, 3), for features (T, n, features)."""
         front = torch.tanh(self.front(features))
         memory, _ = self.gru(front)
         head = torch.tanh(self.head(torch.cat([memory, front], -1)))
@@ -61,7 +61,7 @@ class CorrectorNetwork(nn.Module):
 def loss_of(
     answer: tuple[Tensor, Tensor], error: Tensor, deviation: Tensor, weight: float
 ) -> Tensor:
-    """Return the loss (n, members) of every episode.
+    """Return the loss (n, members) of every episode and ensemble member.
 
     Args:
         answer: shifts and logarithms of factors (T, n, members, 3).
@@ -84,7 +84,7 @@ class CorrectorTraining:
 
     Args:
         job: training to run; if its folder has a checkpoint, the training continues from it.
-        tell: function that is called with news, in which timesteps count epochs of episodes.
+        tell: function that is called with news, whose timesteps count epochs of episodes.
 
     Raises:
         ValueError: the checkpoint is damaged.
@@ -138,7 +138,7 @@ class CorrectorTraining:
         return {"loss": float(np.mean(losses))}
 
     def _learn(self, lot: Lot) -> float:
-        """Take a gradient step on a lot (batch); each ensemble member learns from a random half."""
+        """Take a gradient step on a lot; each ensemble member learns from a random half of it."""
         hyper = self._job.hyperparameters
         error, deviation = torch.from_numpy(lot.error), torch.from_numpy(lot.deviation)
         losses = loss_of(self.answer(lot), error, deviation, hyper.likelihood_weight)
@@ -151,7 +151,7 @@ class CorrectorTraining:
         return float(loss.item())
 
     def answer(self, lot: Lot) -> tuple[Tensor, Tensor]:
-        """Return the answer of the network to a lot, as :class:`CorrectorNetwork` does."""
+        """Return the answer of the network (:meth:`CorrectorNetwork.forward`) to a lot."""
         low, high, mean, sigma = (self._scales[name] for name in ("low", "high", "mean", "sigma"))
         normal = (np.clip(lot.features, low, high) - mean) / sigma
         answer: tuple[Tensor, Tensor] = self.network(torch.from_numpy(normal.astype(np.float32)))

@@ -53,7 +53,7 @@ ORIENTATION_RAD = 0.1  # standard deviation of an orientation that is not known 
 WEAVING = 0.5
 WAYS = 64  # number of weaving users from which the episodes of one Lot are drawn
 WEAVE_S = (8.0, 40.0)  # periods of weaving at an episode's highest speed
-WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # limits of (change of velocity) / speed and of change of position
+WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # largest change by weaving: of velocity / speed, and of position
 WEAVING_BEHIND_M = (20.0, 60.0)  # distances from the last street to a wall, with room to weave
 
 
@@ -62,7 +62,7 @@ class Lot(NamedTuple):
 
     Attributes:
         features: (T, n, features) what a corrector reads after every epoch.
-        error: (T, n, 3) truth minus estimate along, across and up, m.
+        error: (T, n, 3) truth minus estimate along and across the motion, and up, m.
         deviation: (T, n, 3) standard deviations of the belief in these directions, m.
     """
 

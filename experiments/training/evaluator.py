@@ -38,7 +38,7 @@ class Evaluator:
             seeds = range(TUNING_SEED + last - n, TUNING_SEED + last)
             self._at.append((place, draw_episodes(place.source(task.scenario), seeds)))
         rivals = PER_MODE_RIVALS if task.beliefs == "per-mode" else TRAINING_RIVALS
-        # the rule leaves its design window, as expected
+        # the rule is expected to leave its design window, so warnings of this are ignored
         with warnings.catch_warnings(action="ignore"):
             self._rivals = {
                 name: self._scores(partial(contender_from, name))["reward"] for name in rivals
@@ -48,8 +48,8 @@ class Evaluator:
         """Return figures of a policy file, with 95 % intervals.
 
         Returns:
-            The mean of every metric over all places, and the gain "minus NAME" over every rival;
-            with several places also each place's gain, "PLACE minus NAME".
+            The mean of every metric over all places, and the gain in reward over every rival,
+            "minus NAME"; with several places also each place's gain, "PLACE minus NAME".
         """
         scores = self._scores(lambda radio: Contender.learned(path, radio=radio))
         differences = {name: scores["reward"] - reward for name, reward in self._rivals.items()}

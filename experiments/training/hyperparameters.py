@@ -28,7 +28,7 @@ class _Hyperparameters:
     """Hyperparameters of every algorithm."""
 
     num_envs: Count  # number of environments stepped, or of episodes played, at once
-    batch_size: Count  # number of epochs, states or long episodes in a gradient step
+    batch_size: Count  # number of epochs, states or short episodes in a gradient step
     learning_rate: Positive  # initial learning rate; it falls linearly
     final_fraction: Probability  # share of learning_rate and ent_coef that is left at the end
 
@@ -125,7 +125,7 @@ def read_hyperparameters(path: Path, algorithm: str) -> Hyperparameters:
         algorithm: name from :data:`KINDS`.
 
     Raises:
-        ValueError: names the file and says what is wrong in it.
+        ValueError: the file is not valid; the message names the file and the mistake.
         FileNotFoundError: there is no such file.
     """
     return read_json(path, "a hyperparameter file", partial(object_from, KINDS[algorithm]))

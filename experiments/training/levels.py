@@ -122,10 +122,10 @@ def _constants(network: Network, seed: int, rounds: int) -> Array:
 
 
 def _least(parts: list[Array], infinite: int) -> Array:
-    """Return the least constants (risks, 2) that logs (n, T, risks, 2) exceed within the risks.
+    """Return the least constants (risks, 2) that logs (n, T, risks, 2) exceed rarely enough.
 
-    The share of the epochs above them, plus its standard error over episodes, is at most the risk;
-    ``infinite`` further episodes have infinite logs. Constants above the limit are infinite.
+    The share of epochs in which they do, plus its standard error over episodes, is at most the
+    risk; ``infinite`` further episodes have infinite logs. Constants above the limit are infinite.
     """
     low, high = np.array([[[-LIMIT] * 2], [[LIMIT] * 2]]).repeat(len(RISKS), axis=1)
     for _ in range(HALVINGS):
@@ -140,7 +140,7 @@ def _least(parts: list[Array], infinite: int) -> Array:
 def tuned_levels(
     seed: int, rounds: int = ROUNDS, calibration: int = CALIBRATION, steps: int = STEPS
 ) -> Json:
-    """Return the content of a file of levels; ``seed`` draws only the episodes of the calibration.
+    """Return the content of a file of levels; ``seed`` determines only the calibration's episodes.
 
     The network learns from ``rounds`` rounds of episodes in ``steps`` gradient steps, and is
     calibrated on ``calibration`` rounds.

@@ -28,7 +28,7 @@ MOMENTS = ("mean", "var", "count")  # attributes of SB3's statistics of all obse
 
 
 class PpoTraining(BaseCallback):
-    """A training in progress, called by Stable-Baselines3 before and after it collects epochs.
+    """A training in progress; Stable-Baselines3 calls it before, while and after collecting epochs.
 
     Args:
         job: training to run; if its folder has a checkpoint, the training continues from it.

@@ -121,7 +121,7 @@ class RolloutEnv:
         return Normalization.clipped(mean, sigma, clip)
 
     def try_all(self, act: Act) -> Tried:
-        """Try every action in all states whose episode goes on for at least the horizon.
+        """Try every action in each environment whose episode goes on for at least the horizon.
 
         Args:
             act: function that chooses all actions after the tried one, for observations

@@ -29,9 +29,9 @@ EVALUATE = 8  # number of updates between two evaluations
 class RolloutLearner:
     """The network, its optimizer and the states that it learns from.
 
-    In every state in the memory, all actions were tried, each followed by the policy at that time.
-    The network maximizes the mean of sum_a pi(a | s) (Q(s, a) - Q(s, 0)), plus a small entropy
-    bonus.
+    In every state in the memory, all actions were tried, each followed by actions of the policy at
+    that time. The network maximizes the mean of sum_a pi(a | s) (Q(s, a) - Q(s, 0)), plus a small
+    entropy bonus.
 
     Args:
         features, actions: numbers of features and of actions.
@@ -143,7 +143,7 @@ class RolloutTraining:
 
     Args:
         job: training to run; if its folder has a checkpoint, the training continues from it.
-        tell: function called with news; its timesteps count states in which actions were tried.
+        tell: function called with news, whose timesteps count states in which actions were tried.
 
     Attributes:
         env: environments in which actions are tried.

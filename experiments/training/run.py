@@ -45,7 +45,7 @@ ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")
 
 
 def rewards(args: TaskArgs) -> Reward:
-    """Return the agent's reward; if it is paired, without the subtraction of the IMM's."""
+    """Return the agent's reward; if it is paired, the reward from which the IMM's is subtracted."""
     reward = choose(REWARDS, args.reward, "reward")
     if isinstance(reward, PairedReward):
         reward = reward.reward
@@ -69,7 +69,7 @@ def training_task(args: TaskArgs) -> TrainingTask:
 
 
 def hyperparameters(args: TaskArgs, places: int, path: Path | None = None) -> Hyperparameters:
-    """Read the hyperparameters.
+    """Read the hyperparameters of a training.
 
     Args:
         args: options of the task.

@@ -169,7 +169,7 @@ class SearchSpace(NamedTuple):
 
 
 def search_space(modes: Sequence[Mode]) -> SearchSpace:
-    """Return the search space of a bank's transition, noise, maneuvers and NIS quantile."""
+    """Return a bank's search space: transition probabilities, noise, maneuvers, NIS quantile."""
     n = len(modes)
     change = np.log((1.0 - DEFAULT_STAY) / (n - 1) / DEFAULT_STAY)
     chances, limits = [change] * (n * (n - 1)), [ODDS] * (n * (n - 1))

@@ -96,7 +96,7 @@ function drawAnchors(svg, episode, toX, toY, width, height) {
   });
 }
 
-// The track of an estimate up to now; the first contender's has the colors of its modes.
+// The track of an estimate up to now; that of the first contender has the colors of its modes.
 function trail(svg, course, xs, ys, number) {
   if (number) {
     const line = shape(svg, "path", lineOf(number));

@@ -25,7 +25,7 @@ def element(tag: str, words: Any, kind: str = "") -> str:
 
 
 def table(caption: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """Return a table of plain text that scrolls sideways; the first cell names its row.
+    """Return a table of plain text that scrolls sideways; the first cell of each row names the row.
 
     Rows after the first :data:`SHOWN` are hidden until a box is checked, which needs no script.
     """
