@@ -45,7 +45,7 @@ def started(package, script=SCRIPT, **variables):
     """Start a process that imports the package; its home is the folder that contains ``site``."""
     home = package.parent.parent
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "XDG"))}
-    # After edits that keep time and size, Python would use old bytecode; let it write none.
+    # After edits that keep time and size, Python would use old bytecode, so it must write none.
     own = {"PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1", "HOME": str(home)}
     every = {name: value for name, value in (clean | own | variables).items() if value is not None}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -59,7 +59,7 @@ def finished(process):
 
 
 def run(package, **variables):
-    """Return the function's result in a new process, and how often its code was read from disk."""
+    """Call the function in a new process; return its result and the number of loads from disk."""
     value, hits = finished(started(package, **variables))
     return int(value), int(hits)
 
@@ -77,7 +77,7 @@ def kept(package):
 
 
 def edit(path, old, new):
-    """Change a source file but not its time and size, as unpacking an archive may do."""
+    """Change a source file but keep its time and size, as unpacking an archive over it may do."""
     stat, source = path.stat(), path.read_text()
     assert source.count(old) == 1
     path.write_text(source.replace(old, new))
@@ -261,7 +261,7 @@ def planted(package, tmp_path):
 
 
 def given_away(path):
-    """Make another user own a path or, without the right to do so, return code that fakes this."""
+    """Give a path to another user or, without root's rights, return code that makes it look so."""
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         os.chown(path, 65534, 65534)
         return ""

@@ -1,4 +1,4 @@
-"""Tests that SIMD lanes compute the same as floats: functions, comparisons, filters, the world."""
+"""Tests that SIMD lanes compute what floats do: functions, comparisons, filters, simulation."""
 
 import math
 import platform
@@ -40,7 +40,7 @@ from tests.paths import representative
 
 
 class Many(NamedTuple):
-    """A workspace of more values than a processor has registers."""
+    """Workspace with more values than a processor has registers."""
 
     incoming: list
     x: list
@@ -51,7 +51,7 @@ NAN, INF = math.nan, math.inf
 
 @cache
 def compiled(function, arity):
-    """Compile a function of ``arity`` numbers to run on lanes; the result takes blocks of lanes."""
+    """Compile a function of ``arity`` numbers for lanes; return one that takes blocks of lanes."""
 
     def build(rows):
         rows[arity] = function(*(rows[i] for i in range(arity)))
@@ -194,7 +194,7 @@ def outside(a):
 
 
 def test_lanes_and_numbers_on_a_tape_have_the_same_operations():
-    """Check this because functions are tried on a tape before they are compiled for lanes."""
+    """Compare the two because functions are tried on a tape before they are compiled for lanes."""
     inner = {"builder", "value", "_call", "_negated", "_with", "number", "tape", "_record"}
     number = taped(0.0, [])
     for ours, theirs in ((Lanes, number), (Mask, number < 1.0)):
@@ -246,7 +246,7 @@ def test_filters_on_lanes_equal_filters_on_floats(name):
 @pytest.mark.parametrize("planar", [False, True])
 @pytest.mark.slow
 def test_odometry_on_lanes_equals_odometry_on_floats(planar):
-    """Let the users start at rest, where the heading is not defined."""
+    """Start the filters from a user at rest, whose heading is not defined."""
     episodes = [
         replace(episode, prior_mean=episode.prior_mean * [1, 1, 1, 0, 0, 0, 1])
         for episode in simulated(3, epochs=60, odometry=True)

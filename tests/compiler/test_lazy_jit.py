@@ -1,4 +1,4 @@
-"""Tests of the choice whether a function runs compiled or as plain Python."""
+"""Tests of functions that choose for each call whether they run compiled or as plain Python."""
 
 import gymnasium as gym
 import numpy as np
@@ -15,13 +15,13 @@ def function(x):
 
 @pytest.fixture
 def fresh(tmp_path, monkeypatch):
-    """Return a function that makes a LazyJit as a new process would; all of them share a cache."""
+    """Return a function that makes LazyJits as new processes would, with one disk cache for all."""
     monkeypatch.setattr(disk_cache, "_folder", lambda: tmp_path)
     return lambda: LazyJit(function, 5)  # runs as plain Python for 5 units of work
 
 
 def kinds(sparing, *works):
-    """Return whether the function runs plain or compiled for each amount of work."""
+    """Return the form chosen for each amount of work in turn: "plain" or "compiled"."""
     named = {sparing.plain: "plain", sparing.compiled: "compiled"}
     return [named[sparing.choice(work, 20)] for work in works]
 

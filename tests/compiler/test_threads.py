@@ -100,7 +100,7 @@ if __name__ == "__main__":
 
 
 def process(code, tmp_path):
-    """Run a program that steps with two threads, runs this code and ends; return its output."""
+    """Run a program that steps with two threads, then runs ``code``; return the words it prints."""
     program = tmp_path / "program.py"  # a file, which spawned processes can read
     program.write_text(STEPPED + textwrap.indent(textwrap.dedent(code), "    "))
     path = os.pathsep.join([str(Path(mmwave_env.__file__).parents[1]), *sys.path])

@@ -1,4 +1,4 @@
-"""Tests of measured tracks: a user's arrays become episodes, and wrong arrays are named."""
+"""Tests of measured tracks: arrays become episodes, and messages name the array that is wrong."""
 
 import gymnasium as gym
 import numpy as np
@@ -31,13 +31,13 @@ def simulated(seed=3, epochs=60, radio=RADIO, scenario="vehicle"):
 
 
 def links(record, visible):
-    """Return the rows of links as a user's arrays (T, L) by name, with NaN where not visible."""
+    """Return the rows of links as arrays (T, L) by name, with NaN where a link is not visible."""
     rows = record.measurement[:, : record.layout.doppler].reshape(len(record), -1, 4)
     return {name: np.where(visible, rows[:, :, i], np.nan) for i, name in enumerate(LINK)}
 
 
 def arrays(episode):
-    """Return an episode as a user's arrays by name."""
+    """Return the arrays by name from which ``MeasuredTrack.from_arrays`` makes this episode."""
     visible, doppler = episode.usable[:, :3], episode.layout.doppler
     return {
         "time_s": episode.time_s,

@@ -1,4 +1,4 @@
-"""Tests of batches of environments: starting some of them, their past actions, and metrics."""
+"""Tests of batches of environments: starting some of them, ends of episodes, and metrics."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Tests that inputs within the envelope (bounds) give sound beliefs; other inputs are refused."""
+"""Tests that inputs within the envelope's bounds give sound beliefs and that others are refused."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -32,7 +32,7 @@ NOISES = ("sigma_p", "sigma_v", "sigma_pz", "sigma_vz", "sigma_b_mps")
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity that the envelope bounds, and a function that puts a value into an episode."""
+    """Quantity that the envelope bounds, with a function that sets its value in an episode."""
 
     name: str
     bound: Bound
@@ -82,7 +82,7 @@ def steps(episode, value):
 
 
 def place(episode, value):
-    """Shift the coordinates of anchors and user, as the origin of a national grid would."""
+    """Shift the coordinates of anchors and user, as if they were those of a national grid."""
     prior = episode.prior_mean.copy()
     prior[:3] += value
     return replace(episode, scene_anchors_m=episode.scene_anchors_m + value, prior_mean=prior)
@@ -128,7 +128,7 @@ def episode():
 
 
 def sound(x, P):
-    """Return a mask (n,) of finite tracks x (n, T, 7) with positive definite P (n, T, 28)."""
+    """Return a mask (n,) of tracks with finite x (n, T, 7) and positive definite P (n, T, 28)."""
     finite = np.isfinite(np.concatenate([x, P], axis=2)).all(axis=(1, 2))
     full, (i, j) = np.zeros((*P.shape[:2], 7, 7)), np.tril_indices(7)
     full[..., i, j] = full[..., j, i] = np.where(finite[:, None, None], P, np.eye(7)[i, j])

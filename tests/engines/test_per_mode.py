@@ -33,7 +33,7 @@ def in_steps_of(dt, episodes):
 
 
 def played(bank, episodes, actions, *names, planar=False, on_floats=False):
-    """Return parts of an engine's workspace (n, T, ...) after every one of the actions (n, T)."""
+    """Return parts (n, T, ...) of an engine's workspace after every one of the actions (n, T)."""
     pipeline = Pipeline(bank.modes, episodes[0].layout, planar)
     parts = track(pipeline, episodes, actions.T, actions.shape[1], names, on_floats, bank)
     return {name: values.swapaxes(0, 1) for name, values in parts.items()}

@@ -23,10 +23,10 @@ from mmwave_env.world.simulated import SimulatedSource
 
 pytestmark = pytest.mark.slow
 
-N = 128  # environments, which make 384,000 steps with all users and radios
+N = 128  # environments; with all kinds of users and all radios, they make 384,000 steps
 PARTS = ("x", "P", "memory", "candidates", "observation", "reward", "nees", "distance")
 STAY = (0.0, 0.95, 1.0)  # probabilities of keeping the mode; each environment uses one
-EXTREME = (  # their covariances become much smaller or larger than those of the named modes
+EXTREME = (  # modes whose covariances become much smaller or larger than those of the named ones
     Mode("tight", "ekf", sigma_p=0.01, sigma_v=0.05),
     Mode("wide", "ukf", sigma_v=5.0, spread_gain=0.01, coupling=False),
     Mode("re-acquire", "ckf", sigma_v=1.8, gate=None),
@@ -35,7 +35,7 @@ MODES = (*named_modes().values(), *EXTREME)
 
 
 def damaged(episode, rng):
-    """Return a copy that lacks links for some time, and has NaN, infinite and far-off values."""
+    """Return the episode without links for some time, and with NaN, infinite and far-off values."""
     layout, T = episode.layout, len(episode)
     missing = rng.random((T, len(layout.groups))) < 0.03
     for group in np.flatnonzero(rng.random(len(layout.groups)) < 0.4):
@@ -54,7 +54,7 @@ def damaged(episode, rng):
 
 
 def unsound(engine):
-    """Return names of parts that are not finite, and "definite P" if a P is not definite."""
+    """Return names of parts that are not finite; add "definite P" unless P is positive definite."""
     kinds = []
     for name in PARTS:
         part = getattr(engine.at, name)

@@ -1,4 +1,4 @@
-"""Textbook updates with this package's gates, and sensors that show part of a state or of z."""
+"""Textbook updates with this package's gates, and sensors of part of the state or of the rows."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -71,7 +71,7 @@ class Update(NamedTuple):
 
 
 def statistics(moments, sensor, groups, x, P, z, R):
-    """Return the innovation covariance (rows, rows), and NIS and log det S of every group."""
+    """Return the innovation covariance S (rows, rows), and NIS and log det S of every group."""
     mean, S, _ = moments(sensor, x, P)
     S = S + np.diag(R)
     y = sensor.residual(z, mean, x)

@@ -18,7 +18,7 @@ RTOL = 1e-9
 
 
 class Problem(NamedTuple):
-    """One update: prior, sensor, values, noise variances and which groups of rows are visible."""
+    """Update problem: prior, sensor, measured values, noise variances, mask of visible groups."""
 
     x: np.ndarray
     P: np.ndarray
@@ -57,14 +57,14 @@ class Problem(NamedTuple):
     def order(self):
         """Return the states in the order in which our filters factor P.
 
-        With odometry, which is nonlinear in the velocity, results of sigma points depend on it.
+        With odometry, which is nonlinear in the velocity, sigma points depend on this order.
         """
         return [0, 1, 2, 7, 3, 4, 5, 6] if self.sensor.clock else [*range(7)]
 
     def textbook(self, moments, gate, force=None, free=None):
         """Return the textbook's update of the ``free`` states; the others are known exactly.
 
-        None stands for all states in ``free``, and for the gate's own value in ``force``.
+        If ``free`` is None, all states are free; if ``force`` is None, the gate's own value holds.
         """
         free = self.order if free is None else free
         groups, links, x, P, *measured = self.update

@@ -4,7 +4,7 @@ Users move as the modes assume (white-noise acceleration, oscillator drift), sta
 prior and are measured with Gaussian noise, far enough from the anchors for measurements to be
 nearly linear across the prior. Then NEES and NIS are chi-square for every algorithm, and
 errors exceed protection levels as often as the levels state.
-A test would fail by chance with 1 % of all seeds (Bonferroni over its checks); the seed is 0.
+Each test would fail by chance with 1 % of all seeds (Bonferroni over its checks); the seed is 0.
 """
 
 import numpy as np

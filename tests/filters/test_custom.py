@@ -1,4 +1,4 @@
-"""Tests that algorithms that cannot run on SIMD lanes are refused early, with good advice."""
+"""Tests that algorithms unable to run on SIMD lanes are refused early, with good advice."""
 
 import importlib.util
 import linecache

@@ -193,7 +193,7 @@ def run_imm(modes, episode, transition, limits=(np.inf,) * 4, rates=None):
 
 @pytest.mark.parametrize(("nis_quantile", "off_m"), [(1.0, 0.0), (0.9, 0.0), (1.0, 90.0)])
 def test_a_mixture_equals_the_textbook(nis_quantile, off_m):
-    """Also use a range that is off by 90 m: without logarithms, all likelihoods would underflow."""
+    """Include a range that is off by 90 m: without logarithms, all likelihoods would underflow."""
     (episode,) = simulated(1, epochs=8)
     episode.measurement[:, 4] += off_m
     plain = {"gate": None, "adaptive": False, "coupling": False}

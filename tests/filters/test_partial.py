@@ -76,7 +76,7 @@ def with_its_doppler(episode, model):
 
 
 def assert_mean(values, dof):
-    """Assert that the sum of values is in the 99 % interval of chi-square with ``dof`` degrees."""
+    """Assert that the sum is in the 99 % interval of chi-square with ``dof`` degrees of freedom."""
     low, high = chi2.ppf([LEVEL / 2, 1 - LEVEL / 2], dof)
     assert low < values.sum() < high, (low, values.sum(), high)
 

@@ -1,4 +1,4 @@
-"""Tests of the update against the textbook, which uses all rows at once and fuses no azimuths."""
+"""Tests of the update, which fuses azimuths, against the textbook, which uses all rows at once."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ algorithms = pytest.mark.parametrize("algorithm", OURS)
 @given(data=st.data())
 @settings(max_examples=40, deadline=None)
 def test_an_update_equals_the_textbook(algorithm, kind, data):
-    """Include missing rows, on whose number gates depend, and Doppler shifts of any anchor."""
+    """Include missing rows, which change the limits of gates, and Doppler shifts of any anchor."""
     problem, gate = data.draw(problems(**KINDS[kind])), data.draw(st.sampled_from(GATES))
     expected = problem.textbook(textbook.METHODS[algorithm], gate)
     if gate.quantile is not None:
@@ -98,7 +98,7 @@ def test_a_planar_update_equals_that_of_the_five_free_states(algorithm, moments,
 
 
 def link_to_the_east(azimuth_of_arrival, azimuth_of_departure):
-    """Return an update with an anchor 100 m to the east; its azimuth of arrival is near +-pi."""
+    """Return an update with an anchor 100 m east of the user; exact azimuths would be pi and 0."""
     sensor = textbook.Sensor(np.array([[100.0, 0.0, 10.0]]), HZ_PER_MPS)
     x = np.array([0.0, 0.0, 1.5, 3.0, -2.0, 0.1, 20.0])
     P = np.diag([4.0, 2.0, 0.5, 1.0, 1.0, 0.1, 900.0])

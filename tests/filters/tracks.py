@@ -34,7 +34,7 @@ def geometry(position, velocity, scene, layout):
 
 
 def simulated(n, epochs=200, odometry=False, seed=0, scene=SCENES["street"]):
-    """Return episodes of the noisiest radio that lack more rows than usual and have outliers."""
+    """Return n episodes of the noisiest radio, with outliers and more missing rows than usual."""
     source = SimulatedSource(scene, RADIOS["handset"], epochs=epochs, odometry=odometry)
     return [spoiled(source.sample(np.random.default_rng([seed, i])), i) for i in range(n)]
 

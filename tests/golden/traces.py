@@ -174,7 +174,7 @@ def _told(observation: Any, info: Row) -> Row:
 
 
 def operations() -> Iterator[Row]:
-    """Count the SIMD instructions of every kernel for eight environments."""
+    """Count every kernel's SIMD instructions, which work on eight environments at a time."""
     source = SimulatedSource(scene_from("street"), radio_from("handset"))
     modes, reward, bank = named_modes("handset"), TrackingReward(), best_bank()
     both, five = (Pipeline(some, source.layout) for some in (default_modes(), bank.modes))

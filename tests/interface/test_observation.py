@@ -72,7 +72,7 @@ def test_values_are_finite_and_within_their_bounds_even_in_absurd_episodes():
 
 
 class Rollout(NamedTuple):
-    """Rollout of an episode with random actions, in the default environment.
+    """Rollout of an episode of 200 epochs with random actions.
 
     Observations and infos have 201 entries: one from ``reset`` and one from every step.
     """
@@ -86,7 +86,7 @@ class Rollout(NamedTuple):
         return self.table.read(self.observations, name)
 
     def limited(self, name, values):
-        """Return values of a feature, clipped to its limits and to ten deviations."""
+        """Return values of a feature, clipped to its limits and to ten deviations from its mean."""
         i = names(self.table).index(name)
         feature, (mean, deviation) = self.table.features[i], self.table.scales[i]
         reach = 10.0 * deviation

@@ -54,7 +54,7 @@ def test_shipped_rewards_have_names_and_others_are_named_after_their_class_or_fu
     assert reward_name(belief) == "belief"
 
 
-# First case: an error of 3 m with 1 m^2 per axis gives NEES 9 and |ln(9 / 3)| = 1.0986.
+# First case: an error of 3 m with variances of 1 m^2 gives NEES 9 and |ln(9 / 3)| = 1.0986.
 @pytest.mark.parametrize(
     ("error_m", "variance_m2", "expected"),
     [

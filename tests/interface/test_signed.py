@@ -1,4 +1,4 @@
-"""Tests that signed features (residuals seen from the user) equal formulas wherever users are."""
+"""Tests of signed features (residuals seen from the user): formulas, and what they depend on."""
 
 from dataclasses import replace
 
@@ -36,7 +36,7 @@ def played(episodes, actions):
     """Play episodes with actions (n, T) in an environment.
 
     Returns:
-        What a corrector reads (n, T, features), and x (n, T, 7) after every epoch.
+        Features that a corrector reads (n, T, features), and x (n, T, 7), after every epoch.
     """
     pipeline = Pipeline(BANK.modes, episodes[0].layout)
     engine = Engine(pipeline, len(episodes), TrackingReward(), "signed", BANK)
@@ -64,7 +64,7 @@ def test_tracks_and_environments_compute_the_same_bits(episodes):
 
 
 def turned(episode, angle, offset):
-    """Return an episode in a world that is turned by an angle (rad) and shifted by (3,) m."""
+    """Return an episode in a world turned by an angle (rad), then moved by an offset (3,) in m."""
     c, s = np.cos(angle), np.sin(angle)
     R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     whole = np.eye(7)

@@ -1,4 +1,4 @@
-"""Tests that only regular files of limited size are read, and that results are never partial."""
+"""Tests that only regular files of limited size are read, and that no file is half written."""
 
 import errno
 import json
@@ -78,7 +78,7 @@ def test_a_path_that_is_not_a_regular_file_is_not_written(tmp_path):
             require_writable(path)
 
 
-# --- permissions of results, and links
+# --- permissions of written files, and links
 
 
 @pytest.fixture

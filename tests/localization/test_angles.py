@@ -23,7 +23,7 @@ def between(p, q):
 
 
 def reported(anchor, user):
-    """Return the angles that the receiver of each row of the table reports, row by row."""
+    """Return, for each row of the table, the angles (degrees) that its kind of receiver reports."""
     (out, elevation), (back, at_user) = between(anchor, user), between(user, anchor)
     return [
         {"arrival": back, "elevation": at_user, "departure": out},

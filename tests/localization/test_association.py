@@ -70,7 +70,7 @@ def seen_in(block):
 
 @lru_cache
 def shipped(name):
-    """Return a shipped track, and an episode of it with anchor numbers."""
+    """Return a shipped track, and an episode of it that assigns measurements to anchors."""
     track = read_log_folder(LOGS / name)
     return track, track.episode("standard", np.random.default_rng(0))
 
@@ -118,7 +118,7 @@ def test_angles_of_arrival_may_be_measured_at_the_base_station():
     def seen_at_station():
         for epoch in walk([ALL] * 20):
             mirrored = [as_the_station_sees(epoch, anchor) for anchor in SCENE.anchors_m]
-            # In this scene, anchors are in the order of their ranges.
+            # In this scene, anchors are numbered in the order of their ranges.
             order = np.argsort(np.argsort(epoch.measurement[:, 0]))
             z = np.stack([mirrored[rank][path] for path, rank in enumerate(order)])
             yield epoch._replace(measurement=z, at_station=True)

@@ -34,7 +34,7 @@ both = pytest.mark.parametrize("folder", FOLDERS, ids=IDS)
 
 
 def doubts(blocks, scene, radio=RADIO):
-    """Return the warnings of localize."""
+    """Localize a log; return the warnings about contradictions in it."""
     blocks, groups = list(blocks), Groups()
     modes = default_modes(radio.name)
     for block in localize(blocks, scene, radio, Switching(modes, by_predicted_speed), window=None):

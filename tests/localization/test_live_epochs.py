@@ -28,7 +28,7 @@ SCENE, RADIO, EKF = read_scene(WALK / "scene.json"), RADIOS["standard"], named_m
 def walk(count=60, **changed):
     """Return the walk's first epochs with changed columns.
 
-    Each keyword names a column; its value makes a cell from a row, or None drops the column.
+    Each keyword is a column with a function that makes its cell from a row, or None to drop it.
     """
     with (WALK / "log.csv").open() as file:
         rows = [

@@ -94,7 +94,7 @@ def by_textbook(log, scene, x, P, flat):
     return np.array(means)
 
 
-# Other numbers of anchors compile programs of their own.
+# The quick cases have three anchors: for each other number, programs must be compiled.
 @pytest.mark.parametrize(
     "receiver", representative(RECEIVERS, "all, 1 s", "no Doppler shift", "angles")
 )

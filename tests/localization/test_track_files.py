@@ -21,7 +21,7 @@ KINDS = ("horizontal", "vertical")
 
 
 def some_track(epochs, seed=0):
-    """Return a track of random numbers whose arrays have the shapes of a real track."""
+    """Return a track of random numbers, in arrays with the shapes of a real track."""
     rng = np.random.default_rng(seed)
     x = 100.0 * rng.standard_normal((epochs, 7))
     root = rng.standard_normal((epochs, 7, 7))

@@ -22,7 +22,7 @@ SUFFIXES = (".csv", ".csv.gz", ".parquet")
 
 
 def rows(epochs=4):
-    """Return lines of cells, one per epoch and anchor, in which all numbers differ."""
+    """Return lines of cells, one per epoch and anchor; numbers differ between anchors."""
     lines = (
         f"{t},{a},{t + a}e-7,0.{a}{t},-0.{a},{a - 2}.{t},{t + 0.5 if a == 1 else ''},{20 + a}"
         for t in range(epochs)
@@ -49,7 +49,7 @@ def delivered(path, *fields, reader=read_log, **options):
     """Return the blocks before the error, which must name the damaged file and the fields."""
     blocks = []
     with refuses(path, *fields, error=LogError):
-        blocks.extend(reader(path, SCENE, **options))  # keeps what came before the error
+        blocks.extend(reader(path, SCENE, **options))  # keeps the blocks before the error
     return blocks
 
 

@@ -91,7 +91,7 @@ def assert_variance(values, variance):
 
 
 def changes(on):
-    """Return where True in ``on`` is followed by False, and where False is followed by True."""
+    """Return which True in ``on`` become False in the next epoch, and which False become True."""
     before, after = on[:-1], on[1:]
     return ~after[before], after[~before]
 

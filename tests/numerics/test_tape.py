@@ -78,7 +78,7 @@ def test_the_name_depends_on_rows_that_are_only_passed_through():
 
 @pytest.fixture
 def started(tmp_path):
-    """Return a function that runs code in a new process that keeps kernels in the test's folder."""
+    """Return a function that runs code in a new process, with kernels kept in the test's folder."""
 
     def run(code):
         variables = {"NUMBA_CACHE_DIR": str(tmp_path / "kept")}

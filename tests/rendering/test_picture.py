@@ -257,7 +257,7 @@ def views(seed, action, **arguments):
 
 @pytest.mark.parametrize(("seed", "scenario"), [(0, "mixed"), (3, "mixed"), (0, "vehicle")])
 def test_user_and_estimate_are_always_in_the_frame(seed, scenario):
-    """Use a filter that loses the vehicle; even then the frame must show user and estimate."""
+    """Include a vehicle that the filter loses; even then, the frame must show user and estimate."""
     worst = 0.0
     for so_far, _, pixels in views(seed, 0, scenario=scenario):
         worst = max(worst, so_far.error_m[-1])

@@ -21,7 +21,7 @@ def square(number):
 
 
 def gif(path):
-    """Return the pictures (n, height, width, 3) of a GIF, and the duration of each, ms."""
+    """Return the pictures (n, height, width, 3) of a GIF, and the duration of each in ms."""
     image = pytest.importorskip("PIL.Image")
     pictures, lasts = [], []
     with image.open(path) as file:
@@ -95,7 +95,7 @@ def test_pictures_side_by_side_equal_the_single_pictures():
         for number, title in enumerate(titles):
             part = whole[:, number * 480 : (number + 1) * 480]
             alone = Picture(["ekf"], 480, "dark", title).draw(known[number], known)
-            np.testing.assert_array_equal(part[:, 4:], alone[:, 4:])  # except for a gap
+            np.testing.assert_array_equal(part[:, 4:], alone[:, 4:])  # without the gap at the left
 
 
 def test_errors_side_by_side_have_the_same_scale():

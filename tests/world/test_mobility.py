@@ -48,7 +48,7 @@ BOUNDS = {
     "jam": DRIVING._replace(speed=7.0),
     "cyclist": Bounds(6.5, 1.2, 2.5, 2.0, 4.0),
 }
-MIXED = ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")  # published figures depend on it
+MIXED = ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")  # published figures use this order
 LATERAL_MPS2 = 5.0  # drivers aim at no more than 3.5, but take corners a little faster
 
 every_mobility = pytest.mark.parametrize("name", BOUNDS)
@@ -94,7 +94,7 @@ def run_one(name, seed, dt, epochs):
 
 @every_mobility
 def test_acceleration_and_braking_are_bounded(tracks, name):
-    """Check the bounds of jerk and speed, too; the speed also comes near its bound."""
+    """Check jerk and speed, too; the highest speed must also come near its bound."""
     speed, bounds = tracks(name).speed, BOUNDS[name]
     assert 0.8 * bounds.speed < speed.max() <= bounds.speed + 1e-9
     change = np.diff(speed) / STEP_S
@@ -164,7 +164,7 @@ def test_most_users_stop_for_a_while(tracks, name):
     assert (standing.mean(axis=1) < 0.95).all()  # and all of them move again
 
 
-def test_users_of_walk_ride_walk_first_walk_then_ride_then_walk(tracks):
+def test_users_of_walk_ride_first_walk_then_ride_then_walk(tracks):
     speed = tracks("walk-ride").speed
     on_foot = BOUNDS["pedestrian"].speed
     first, last = round(45.0 / STEP_S), round(35.0 / STEP_S)  # braking to a walk takes up to 10 s

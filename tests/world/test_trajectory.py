@@ -52,7 +52,7 @@ def test_velocities_in_a_file_are_used(tmp_path):
     np.testing.assert_array_equal(read.velocity_mps, np.tile([2.5, 0.1, 0.0], (5, 1)))
 
 
-@settings(deadline=None)  # the first draw imports SciPy
+@settings(deadline=None)  # the first example imports SciPy
 @given(
     dt=st.floats(0.05, 3.0),
     steps=st.lists(st.floats(0.1, 4.0), min_size=4, max_size=30),

@@ -53,7 +53,7 @@ def set_counts(folder, receivers, scenes=1):
 
 
 def edit_line(folder, number, line):
-    """Replace the line of this number (from 1) in trajectory.csv; drop it if ``line`` is None."""
+    """Replace a line of trajectory.csv (line 1 is the header), or drop it if ``line`` is None."""
     file = folder / TRUTH
     lines = file.read_text().splitlines()
     lines[number - 1 : number] = [] if line is None else [line]
@@ -77,7 +77,7 @@ def dynamic_twin(static, folder, others=0):
     """Write a dynamic scenario with a scene for every receiver of a static one.
 
     The arrays of a scene have room only for the paths that occur in it. The last receiver of a
-    scene is the user; the ``others`` before it stand still at the position of the first epoch.
+    scene is the user; ``others`` receivers before it stand still at the user's first position.
     """
     folder.mkdir()
     shutil.copy(static / TRUTH, folder)

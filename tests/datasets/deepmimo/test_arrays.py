@@ -81,7 +81,7 @@ BODY = bytes(4 * 12)
 FORGED = {
     "1e12 rows": (".npy", npy_header((10**12, 3)) + BODY),
     "a negative number of rows": (".npy", npy_header((-4, -3)) + BODY),
-    "a row short": (".npy", npy_header((4, 3)) + BODY[1:]),
+    "a byte short": (".npy", npy_header((4, 3)) + BODY[1:]),
     "rows without columns": (".npy", npy_header((10**12, 0)) + BODY),
     "a long header": (".npy", npy_header((4, 3), claimed=65535) + BODY),
     "another version": (".npy", b"\x93NUMPY\x07\x00\x76\x00" + BODY),
@@ -100,7 +100,7 @@ def test_a_forged_header_is_refused_without_allocating_memory(tmp_path, name):
     suffix, content = FORGED[name]
     file = tmp_path / f"delay{suffix}"
     SAVE[suffix](file, "delay", np.zeros((4, 3)))
-    read_array(file, "delay", (4, "P"))  # imports modules before memory is measured
+    read_array(file, "delay", (4, "P"))  # so that imports do not count as memory
     file.write_bytes(content)
     tracemalloc.start()
     with refuses(file, "delay"):

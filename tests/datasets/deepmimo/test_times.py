@@ -47,7 +47,7 @@ def test_missing_velocities_are_computed_from_positions(folder):
 
 
 def changed(folder, change):
-    """Change the sidecar's table (epochs, 7) in place."""
+    """Write the sidecar again after ``change`` has changed its table (epochs, 7) in place."""
     rows = np.loadtxt(folder / TRUTH, delimiter=",", skiprows=1)
     change(rows)
     lines = [",".join(f"{value:.6f}" for value in row) for row in rows]
