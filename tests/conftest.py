@@ -12,8 +12,8 @@ collect_ignore_glob = [] if find_spec("pygame") else ["rendering/test_*.py"]
 # not survive a fork either.
 os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
-# The loops that draw, step and repeat episodes take half a minute to compile if they are not in
-# the disk cache yet; until they are compiled, they run as plain Python.
+# The loops that draw episodes, and step and reset environments, take half a minute to compile if
+# they are not in the disk cache yet; until they are compiled, they run as plain Python.
 LOOPS = """
 import gymnasium as gym
 env = gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=8192, episode_steps=3)
@@ -27,7 +27,7 @@ compiling = []
 
 def pytest_sessionstart(session):
     """Compile the loops once for all test processes, while the processes collect their tests."""
-    # Only the process that starts the others has a value for this option.
+    # Only the process that starts the test processes has a value for this option.
     if getattr(session.config.option, "numprocesses", None):
         compiling.append(subprocess.Popen([sys.executable, "-c", LOOPS]))
 

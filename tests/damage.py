@@ -1,4 +1,4 @@
-"""Strategies that damage files as bad disks, editors or attackers might, for tests of readers."""
+"""Hypothesis strategies that damage files as disks, editors or attackers might, to test readers."""
 
 import json
 from copy import deepcopy

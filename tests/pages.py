@@ -1,4 +1,4 @@
-"""Helpers that run code blocks of the docs. ``python -m tests.pages docs/PAGE.md`` renews tables.
+"""Helpers that run code blocks of the docs; ``python -m tests.pages PAGE`` renews a page's tables.
 
 A comment above a block says what is done with the block:
 
@@ -49,7 +49,7 @@ class Block:
 
     language: str
     text: str
-    line: int  # number, from 1, of the page's line that opens the block
+    line: int  # number of the page's line that opens the block, counted from 1
     mark: str  # text of the comment above the block; "" if there is none
     tables: list[re.Match[str]]
 

@@ -1,4 +1,4 @@
-"""A check that bad input raises an error of the right type that names the right field.
+"""A check that bad input raises an error of the right type whose message names the right field.
 
 It ignores the other words of a message, so that sentences can be improved without changing tests.
 """

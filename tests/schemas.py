@@ -76,7 +76,7 @@ def size(least, most):
 def object_schema(kind, optional=(), replaced=None):
     """Return the schema of a dataclass.
 
-    Files may omit the ``optional`` fields; ``replaced`` has other schemas for some fields.
+    Files may omit the ``optional`` fields; ``replaced`` maps names of fields to other schemas.
     """
     texts, properties, required = described(kind), {}, []
     for field in fields(kind):

@@ -1,4 +1,4 @@
-"""Tests of actions that are numbers: weights of the modes, and corrections of the belief."""
+"""Tests of continuous actions: weights of the modes, and corrections of the belief."""
 
 import copy
 import math
@@ -172,7 +172,7 @@ def test_a_paired_reward_subtracts_that_of_the_same_belief_without_correction():
 
 
 @pytest.mark.torch
-def test_stable_baselines3_trains_on_numbers():
+def test_stable_baselines3_trains_with_continuous_actions():
     sb3, adapter = pytest.importorskip("stable_baselines3"), pytest.importorskip("mmwave_env.sb3")
     options = {"autoreset_mode": "SameStep", "episode_steps": 6} | KINDS["of a base"]
     envs = gym.make_vec(ID, num_envs=4, **options)

@@ -127,7 +127,7 @@ def test_the_offset_is_found_and_the_filter_knows_how_well():
     error, sigma = (run["x"][..., 7] - bias)[late], np.sqrt(run["P"][..., 35])[late]
     assert np.sqrt(np.median(error**2)) < 0.5
     assert 0.93 < (abs(error) < 1.96 * sigma).mean() < 0.97
-    assert np.median(run["nees"][:, 20:]) == pytest.approx(2.37, rel=0.2)  # chi-square, 3 axes
+    assert np.median(run["nees"][:, 20:]) == pytest.approx(2.37, rel=0.2)  # chi2 median, 3 axes
 
 
 @pytest.mark.parametrize("planar", [False, True], ids=["height", "planar"])

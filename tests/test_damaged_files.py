@@ -48,7 +48,7 @@ SLOWEST_S = 20  # longest time that reading may take
 class Reader(NamedTuple):
     """A reader of files from outside the project, and intact files to damage."""
 
-    files: Callable[[], dict[str, Any]]  # returns file name -> bytes, or content for JSON
+    files: Callable[[], dict[str, Any]]  # returns file name -> bytes or (JSON) parsed content
     read: Callable[[Path], Any]  # its argument is the folder of the files
 
 
@@ -121,7 +121,7 @@ READERS = {
 
 
 def numbers_in(content):
-    """Yield the arrays that computations use; measurements that are not visible are left out."""
+    """Yield the arrays that computations use, except values in groups that are not visible."""
     if isinstance(content, (LogBlock, Recording)):
         rows = np.repeat(content.visible, content.layout.widths, axis=1)
         yield from (content.time_s, content.measurement[rows])
@@ -138,7 +138,7 @@ def numbers_in(content):
         yield from numbers_in(vars(content))
 
 
-# Files that may contain NaN: most are only shown; in logs of paths, NaN means missing.
+# Files that may contain NaN: most of them are only shown; in logs of paths, NaN means missing.
 MAY_BE_NAN = ("results", "run", "summary", "progress log", "policy", "log of paths")
 
 

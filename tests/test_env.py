@@ -291,7 +291,7 @@ def test_ending_on_divergence_never_returns_more_than_continuing(cost, drift_mps
         sum(reward for _, reward, *_ in roll(gym.make(ID, episodes=source, modes=modes, **end)))
         for end in ({"terminate_on_divergence": True}, {})
     ]
-    assert returns[0] <= returns[1] + 1e-9  # rounding errors of a sum of 200
+    assert returns[0] <= returns[1] + 1e-9  # rounding errors of a sum of 200 rewards
 
 
 def test_divergence_in_the_last_epoch_does_not_change_the_reward():

@@ -1,4 +1,4 @@
-"""Tests that examples beat the best fixed mode or `guided`, make data, and that notebooks run.
+"""Tests that examples beat the best fixed mode or `guided` or make data, and that notebooks run.
 
 Examples whose libraries are not installed are skipped; `make examples` installs them all.
 """
@@ -98,7 +98,7 @@ def test_a_front_trades_error_for_consistency():
 
 @pytest.fixture
 def localizer(tmp_path, monkeypatch):
-    """Return the names of an example in a folder with the file of an untrained network."""
+    """Run recurrent_localizer.py, save an untrained network for it, and return its names."""
     monkeypatch.chdir(tmp_path)
     names = SimpleNamespace(**run_path(str(FOLDER / "recurrent_localizer.py")))
     names.save_file(names.Network().state_dict(), names.FILE)
@@ -106,7 +106,7 @@ def localizer(tmp_path, monkeypatch):
 
 
 def on_a_street(**receiver):
-    """Return four short episodes."""
+    """Return four short episodes of a source with these fields changed."""
     source = replace(sites()[0].source(), epochs=30, **receiver)
     return source.sample_batch(keys_of(range(5_000_000, 5_000_004)))
 
@@ -282,7 +282,7 @@ def sionna_paths(users_m, hidden=()):
     """Return the parts of Sionna RT's paths that the example reads, for a street with one wall.
 
     Axes are [receiver, transmitter, path]; arrays of interactions have a depth axis before these.
-    The line of sight is the second path, and hidden receivers have none.
+    The line of sight is the second path; hidden receivers lack it.
     """
     image = STATION * [1, -1, 1] + [0, 2 * WALL_Y, 0]
     share = (WALL_Y - users_m[:, 1]) / (image[1] - users_m[:, 1])

@@ -21,7 +21,7 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork"),
 ]
-HITS, TRIES = 3, 15  # a command must be interrupted this often, in at most so many tries
+HITS, TRIES = 3, 15  # required number of interruptions of a command, maximum number of tries
 TOLD = "told.txt"  # file with a command's output, next to the command's folder
 LOG, SCENE = (str(LOGS / "canyon28_vehicle" / name) for name in ("log.csv", "scene.json"))
 FEW = ("--episodes", "4", "--episode-steps", "30")
@@ -84,7 +84,7 @@ def begun(words, folder, most):
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
-    """Return a function that finds the inputs, outputs and duration of a command by its name."""
+    """Return a function that runs a named command and returns its inputs, outputs and duration."""
     known = {}
 
     def find(name):

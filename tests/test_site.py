@@ -1,4 +1,4 @@
-"""Tests of the documentation site, and of the description on package indexes."""
+"""Tests of the documentation site, and of the project's description on package indexes."""
 
 import re
 from runpy import run_path

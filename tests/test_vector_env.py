@@ -153,7 +153,7 @@ def test_the_number_of_threads_does_not_matter(mode, monkeypatch):
 def test_a_masked_reset_equals_that_of_synchronous_environments():
     mask, actions = np.arange(9) % 3 == 0, np.zeros(9, np.int64)
     ours, theirs = (make(9, "Disabled", episode_steps=5, **EKF) for make in (native, sync))
-    for seed in (None, list(range(100, 109))):  # the next episodes of the generators, or new seeds
+    for seed in (None, list(range(100, 109))):  # the generators' next episodes, or new seeds
         results = []
         for env in (ours, theirs):
             env.reset(seed=0)
@@ -259,7 +259,7 @@ def test_wrong_seeds_are_refused(seed):
 
 
 def peak_bytes(n):
-    """Return numpy's peak memory while environments are stepped over the end of all episodes.
+    """Return numpy's peak memory while environments are stepped past the end of every episode.
 
     This is not resident memory, which varies by megabytes because the operating system hands out
     huge pages. One thread runs; with several, the maximum would depend on which jobs run together.

@@ -7,13 +7,13 @@ STEPS = 40  # number of steps in the longest check
 
 
 def check_vector_env(make):
-    """Check seeds and shared memory; comparisons with Gymnasium's environments show the rest."""
+    """Check seeds and shared memory; comparisons with Gymnasium's environments test the rest."""
     check_seeds(make)
     check_memory(make)
 
 
 def same(a, b):
-    """Return whether two results have the same keys, types and bits."""
+    """Return whether two results have the same keys, types and values; NaN equals NaN."""
     if isinstance(a, dict):
         return isinstance(b, dict) and a.keys() == b.keys() and all(same(a[k], b[k]) for k in a)
     if isinstance(a, (tuple, list)):

@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc localize``: how a speed chooses modes, its figures, and its options."""
+"""Tests of ``mmwave-loc localize``: modes that a speed chooses, reported figures, and options."""
 
 import csv
 import json
@@ -190,7 +190,7 @@ def test_epochs_before_the_first_line_of_sight_are_counted(capsys, tmp_path):
     assert results["skipped"] == 20 and results["epochs"] == 380 == results["truth"]["scored"]
 
 
-@pytest.mark.filterwarnings("ignore:Doppler")  # slowed times contradict the shifts
+@pytest.mark.filterwarnings("ignore:Doppler")  # stretched times contradict the Doppler shifts
 def test_a_restart_or_an_end_at_a_long_gap_is_reported(capsys, tmp_path):
     """Use the walk at a tenth of its rate, without the epochs from 100 to 129 s.
 

@@ -141,7 +141,7 @@ def test_an_interrupt_while_the_program_starts_ends_with_one_line(module):
 
 
 def test_defaults_of_options_equal_the_constants_of_the_library():
-    """Compare constants with their copies in options, which spare the help slow imports."""
+    """Compare constants with their copies in options; the copies keep slow imports out of help."""
     from experiments.evaluation import protocol
     from mmwave_env.filters.smoother import SMOOTHING_WINDOW
     from mmwave_env.interface.reward import TrackingReward

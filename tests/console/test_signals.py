@@ -18,7 +18,7 @@ pty = pytest.importorskip("pty")
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 
-# A command that stops in the middle of writing its result, and prints that it is writing.
+# A command that pauses in the middle of writing its result, after it printed "writing".
 WRITING = """
 import sys, time
 from pathlib import Path

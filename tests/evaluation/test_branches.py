@@ -26,7 +26,7 @@ LAYOUT = EPISODES[0].layout
 
 
 def begun(walked):
-    """Return an engine with a bank after some epochs in which no mode is trusted (action 0)."""
+    """Return an engine with a bank after ``walked`` epochs of action 0, which trusts no mode."""
     engine = Engine(Pipeline(HANDSET.modes, LAYOUT), N, TrackingReward(), "full", HANDSET)
     engine.reset(EPISODES)
     for _ in range(walked):

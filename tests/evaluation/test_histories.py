@@ -1,4 +1,4 @@
-"""Tests that histories for pictures equal what environments record and comparisons score."""
+"""Tests that the histories of contenders, for pictures, equal those that environments record."""
 
 import gymnasium as gym
 import numpy as np

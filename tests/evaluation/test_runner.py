@@ -128,7 +128,7 @@ def file(tmp_path):
 
 @pytest.fixture
 def shipped(monkeypatch, file):
-    """Replace the shipped policies by a single one, for the handset and two modes."""
+    """Replace the shipped policies by a single one, for the handset and three modes."""
     for module in (contenders_module, learned):
         monkeypatch.setattr(module, "shipped_policies", lambda: {"ppo-handset": Path(file)})
 

@@ -180,7 +180,7 @@ def test_every_shipped_policy_works_with_this_version():
         policy.read_from(Observation(pipeline, policy.card.observation, policy.beliefs))
         assert learned_policy(path.stem).card == policy.card
     with refuses("policy"):
-        learned_policy("ppo")  # which radio?
+        learned_policy("ppo")  # the name lacks a radio
 
 
 def test_a_policy_runs_without_torch_and_pickle(make, tmp_path):

@@ -158,7 +158,7 @@ ANYTHING = st.recursive(
 )
 
 
-LEFT_OUT = {"beliefs": "shared", "banks": {}, "base": ""}  # values of fields that a file lacks
+LEFT_OUT = {"beliefs": "shared", "banks": {}, "base": ""}  # values of fields that files may omit
 PLACES = {  # path of a part of the card -> keys in this part; "?" is unknown
     (): sorted(asdict(PER_MODE_CARD)),
     ("modes", 1): ["name", "algorithm", "sigma_p", "gate", "?"],

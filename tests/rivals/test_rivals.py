@@ -47,7 +47,7 @@ class Seen(Estimator):
 
 
 def priors_and_measurements():
-    """Yield priors and measurements, as floats, of every fifth epoch of three episodes."""
+    """Yield three episodes' priors, as floats, each with every fifth measurement of its episode."""
     for episode in episodes(3):
         agent = Seen()
         played(agent, [episode])
@@ -137,7 +137,7 @@ def test_a_rival_is_a_contender_by_its_name():
     contender = contender_from("experiments.rivals:variational", "handset")
     results = run_contender(contender, contender.start(SOURCE.layout), episodes(2))
     assert results["reward"].shape == (2, SOURCE.epochs)
-    Pipeline(StudentImm().bank("handset").modes, Layout())  # tries whether lanes can run the update
+    Pipeline(StudentImm().bank("handset").modes, Layout())  # tests whether lanes can run the update
 
 
 def test_an_estimator_is_refused_as_a_switcher():

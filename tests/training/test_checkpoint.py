@@ -31,7 +31,7 @@ STATE = {
 
 @pytest.fixture
 def path(tmp_path):
-    """Return the path of a checkpoint that was written."""
+    """Write a checkpoint and return its path."""
     path = tmp_path / "checkpoint.pt"
     write_checkpoint(path, STATE)
     return path

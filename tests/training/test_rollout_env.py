@@ -60,7 +60,7 @@ def by_hand(place, seed, first_episode, actions, first, act, beliefs):
     env.reset(seed=seed)
     for action in actions[:first_episode]:
         env.step(action)
-    if first_episode < len(actions):
+    if first_episode < len(actions):  # the other actions belong to the next episode
         env.reset()
         for action in actions[first_episode:]:
             env.step(action)
@@ -105,7 +105,7 @@ def test_trying_actions_does_not_change_the_environment():
 
 
 def test_states_near_the_end_of_an_episode_are_left_out():
-    """Use 16 environments, of which the first eight begin an episode of 200 epochs immediately."""
+    """Use 16 environments; after one epoch, the first eight begin an episode of 200 epochs."""
     env = environment()
     walked(env, 200 - HORIZON + 1)
     assert len(env.try_all(chaotic(4)).values) == 16

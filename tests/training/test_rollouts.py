@@ -45,7 +45,7 @@ class Interrupted(Exception):
 
 
 def interrupt_after(news):
-    """Return a callback that interrupts a training after this many pieces of news."""
+    """Return a callback that interrupts a training when it is called more than ``news`` times."""
     left = iter(range(news))
 
     def tell(*_):
