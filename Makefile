@@ -10,7 +10,7 @@ CLIENTS ?= clients rllib torchrl minari
 # Makes the environment of a target anew, and keeps git from seeing it.
 MAKE_VENV = @echo "Setting up $(@D)" && $(PYTHON) -m venv --clear $(@D) && echo '*' > $(@D)/.gitignore
 
-.PHONY: help demo test test-slow coverage golden generated lint format types supply-chain docs lock locked gymnasium-oldest dist examples deepmimo clean
+.PHONY: help demo test test-slow test-release coverage golden generated lint format types supply-chain docs lock locked gymnasium-oldest dist examples deepmimo clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' Makefile

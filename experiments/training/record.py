@@ -136,7 +136,7 @@ class Record:
         write_checkpoint(self._job.checkpoint, self.stand | here | more)
 
     def close(self) -> Json:
-        """Write the log; write and return the outcome: figures of the training and best policy."""
+        """Write the log and the outcome, delete the checkpoint, and return the outcome."""
         self.log.save()
         outcome = {"seed": self._job.seed, "timesteps": self.stand["timesteps"]}
         outcome |= {"seconds": round(self.seconds, 1)}

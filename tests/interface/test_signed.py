@@ -1,4 +1,4 @@
-"""Tests of signed features (residuals seen from the user): formulas, and what they depend on."""
+"""Tests of signed features (residuals along and across the motion): formulas, and what changes them."""
 
 from dataclasses import replace
 
