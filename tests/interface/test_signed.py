@@ -1,4 +1,4 @@
-"""Tests of signed features (residuals along and across the motion): formulas, and what changes them."""
+"""Tests of signed features (residuals along and across the motion): formulas, invariances."""
 
 from dataclasses import replace
 
