@@ -43,8 +43,8 @@ class Args(JsonArgs):
     """train the network of the protection levels on training seeds, and calibrate it on tuning
     seeds, with the shipped policies; no option but --seed, --out and --json applies"""
     out: Path | None = None
-    """mode file to write, for --modes or the environment's argument modes; with --levels, file to
-    write the levels to"""
+    """mode file to write, which `--modes` and the environment's `modes` accept; with --levels,
+    file to write the levels to"""
 
 
 OF_BANK = ("bank", "radio", "episodes", "evaluations", "seed", "out", "json")  # allowed with --bank
@@ -91,7 +91,7 @@ def _tuned_modes(args: Args) -> tuple[Content, Content]:
     from mmwave_env.models.radio import radio_from
 
     radio = radio_from(args.radio)
-    modes = modes_from(args.modes, radio.base)  # an untuned radio starts from the modes of its base
+    modes = modes_from(args.modes, radio.base)  # own radios: start from a shipped radio's modes
     if len(args.scenarios) != len(modes):
         raise ValueError(
             f"scenarios: found {len(args.scenarios)}, expected {len(modes)}, one for each of the "

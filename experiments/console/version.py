@@ -45,7 +45,7 @@ def about() -> Json:
 
 
 def self_test() -> list[Json]:
-    """Return every kernel's name, largest deviation from results on floats, and verdict."""
+    """Return each kernel's name, largest deviation from Python floats, and whether it passed."""
     shared, own = (task_from(episode_steps=_EPOCHS, beliefs=b) for b in ("shared", "per-mode"))
     episodes = EpisodeBatch.of(shared.simulated.episodes(_KEYS))
     on_floats = _stepped(own, episodes, on_floats=True)
@@ -71,7 +71,7 @@ def _deviation(computed: Array, expected: Array) -> float:
 
 
 def _episodes(task: Task, episodes: EpisodeBatch) -> float:
-    """Return the deviation of epochs drawn by compiled code from epochs drawn on floats."""
+    """Return how far epochs drawn by compiled code and epochs drawn with Python floats differ."""
     source = task.simulated
     begun, world = source.begin(_KEYS), source.world
     settings, blank = source.feed(begun.worlds).settings[:, 0], np.zeros(world.ends[0])

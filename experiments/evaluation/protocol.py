@@ -37,7 +37,7 @@ UNSEEN_SCENES, UNSEEN_RADIOS = ("avenue", "plaza", "alley"), ("tablet",)
 UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
 OTHER_RADIOS = ("handset", "standard")  # radios for unseen streets and for recordings
 EPISODES, DRAWS = 2000, 200  # episodes at each simulated site, and drawn from each recording
-CEILING_EPISODES, CEILING_DRAWS = 400, 20  # the first of them, the only ones that scores use
+CEILING_EPISODES, CEILING_DRAWS = 400, 20  # scores use only the first episodes and draws
 PUBLISHED = Path(__file__).parents[2] / "docs" / "leaderboard"  # folder of the published entries
 
 
@@ -119,7 +119,7 @@ def require_contenders(names: Sequence[str]) -> None:
         ValueError, FileNotFoundError: same as from
             :func:`~experiments.evaluation.contenders.contender_from`.
     """
-    # No warning that modes are untuned for an unseen radio: they are so on purpose.
+    # Suppress the warning about untuned modes of an unseen radio: they are intended.
     with warnings.catch_warnings(action="ignore"):
         for radio in dict.fromkeys(site.radio for site in sites()):
             for name in names:
@@ -129,7 +129,7 @@ def require_contenders(names: Sequence[str]) -> None:
 def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
     """Run contenders, the paper's rule and every IMM at a site, on the same episodes."""
     selection = Selection(range(seed, seed + episodes))
-    # No warning that modes are untuned for an unseen radio: they are so on purpose.
+    # Suppress the warning about untuned modes of an unseen radio: they are intended.
     with warnings.catch_warnings(action="ignore"):
         imms = [name for name in contenders(site.radio) if name.startswith("imm")]
         everybody = dict.fromkeys([*names, RULE, *imms])
@@ -241,7 +241,7 @@ def ranking(entries: Sequence[Json]) -> str:
 def by_site(entries: Sequence[Json]) -> str:
     """Return a Markdown table of every entry's reward minus that of the best IMM, by site.
 
-    Policy files (such as the single trainings of a run) and IMMs are left out if there are other
+    Policy files (such as one of each training seed) and IMMs are left out if there are other
     entries; the ranking includes them.
     """
     named = {content["entry"]: content["sites"] for content in entries}

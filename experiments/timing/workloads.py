@@ -44,7 +44,7 @@ FILTERS = ("ekf", "ukf", "ckf")
 ENVIRONMENT = "mmwave_env:MmWaveLoc-v0"
 
 
-Laps = Iterator[int]  # yields, after each episode, the total number of steps in all environments
+Laps = Iterator[int]  # yields, after each episode, its number of steps, summed over environments
 
 
 def native_name(n: int, threads: int = BOTH) -> str:

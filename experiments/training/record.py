@@ -63,7 +63,7 @@ class Record:
     Attributes:
         stand: state of the training: numbers of updates and timesteps; "best", the figures of the
             best policy, if any; "beat_rule", the time at which a policy first beat the paper's
-            rule, if any. If the training continues, also what the trainer itself saved in the
+            rule, if any. If a training resumes, also what the trainer itself saved in the
             checkpoint; the trainer removes these entries when it restores them.
         log: log of the training's progress.
 

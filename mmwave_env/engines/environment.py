@@ -40,7 +40,7 @@ class Baseline:
     """The baseline of a paired reward: the rewards of an IMM on the episodes of a batch.
 
     No action changes an episode, so these rewards are known once the episode is loaded. If actions
-    are corrections, the baseline is the reward of the uncorrected belief, which a step computes.
+    are corrections, the baseline is the uncorrected belief's reward; a step computes it, too.
 
     Args:
         task: the task, whose baseline is the IMM.
@@ -57,8 +57,8 @@ class Baseline:
         """Run the IMM on the episodes that begin in some environments (n,).
 
         Args:
-            places: numbers of these environments.
-            episodes: function that returns the episodes of environments, given their numbers.
+            places: indices of these environments.
+            episodes: function that returns the episodes of environments, given their indices.
         """
         if self._batch.ahead:
             return
@@ -138,7 +138,7 @@ class Environment:
 
     @property
     def _drawn(self) -> tuple[dict[str, Any], int, list[str]]:
-        """Return the rows that pictures read, the number of NEES axes and the actions' names."""
+        """Return the rows to draw, the number of axes in the NEES, and the names of the actions."""
         rows = drawn_rows(self._engine.at, self._engine.span)
         return rows, len(self._task.pipeline.position_axes), self.observation.actions
 

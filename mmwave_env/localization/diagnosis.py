@@ -150,11 +150,11 @@ def hypotheses(scene: Scene, radio: Radio) -> dict[str, tuple[Hypothesis, str]]:
         "arrival and departure are exchanged": (ends, f"{swap} aod_azimuth"),
         "azimuth and elevation of arrival are exchanged": (vertical, f"{swap} aoa_elevation"),
         "elevation has the other sign": (turned, "negate aoa_elevation"),
-        "arrival is at the user, as in a downlink": (lambda r: turned(ends(r)), flipped),
+        "arrival is measured at the user (downlink)": (lambda r: turned(ends(r)), flipped),
         "elevation is a zenith angle": (zenith, "write 90 degrees - aoa_elevation"),
         "elevation is a nadir angle": (nadir, "write aoa_elevation - 90 degrees"),
         "azimuths are clockwise from north": (north, clockwise),
-        "time of flight is there and back": (_scaled([_RANGE], 0.5), "halve the time of flight"),
+        "times are those of round trips": (_scaled([_RANGE], 0.5), "halve the time of flight"),
         "Doppler shift has the other sign": (_scaled((), -1.0), "negate doppler"),
     }
     for name, (column, row) in _COLUMNS.items():

@@ -61,7 +61,7 @@ class Recorder:
 
     Args:
         rows: slices of the workspace that contain ``anchors``, ``truth``, ``estimate``, ``P``
-            (packed), ``accepted`` and ``rejected``, and rows of ``nees`` and of the next epoch's
+            (packed), ``accepted`` and ``rejected``, and indices of ``nees`` and the next epoch's
             ``dt``.
         axes: number of position axes that NEES covers.
     """

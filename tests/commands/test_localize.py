@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc localize``: modes that a speed chooses, reported figures, and options."""
+"""Tests of ``mmwave-loc localize``: modes chosen by --speed, reported figures, and options."""
 
 import csv
 import json
@@ -42,7 +42,7 @@ def test_a_speed_chooses_the_mode(folder, speed, mode):
     assert smoothed["rmse_m"] < 0.1 and filtered["in_bounds"] > 0.85
 
 
-def test_a_speed_above_the_design_window_is_refused_if_outside_is_abort(tmp_path):
+def test_with_outside_abort_a_speed_above_the_design_window_is_refused(tmp_path):
     out = tmp_path / "track.tum"
     words = ("--speed", "25", "--outside", "abort", "--out", out)
     _, line = refused(options(RIDE / "log.csv", *words, folder=RIDE))
@@ -299,7 +299,7 @@ CONTRADICTIONS = {
     "odometry and a speed": (["--speed", "1", "--follow", "odometry"], "follow: odometry needs"),
     "an imm and a speed": (["--imm", "imm", "--speed", "1"], "speed: cannot be combined"),
     "an imm and modes": (["--imm", "imm", "--modes", "m.json"], "modes: cannot be combined"),
-    "a track of a diagnosis": (["--diagnose", "--out", "t.tum"], "diagnose: cannot be combined"),
+    "a diagnosis with --out": (["--diagnose", "--out", "t.tum"], "diagnose: cannot be combined"),
     "imm": (["--imm", "imm-bets"], "imm: found 'imm-bets', did you mean imm-best"),
     "bank": (["--imm", "missing.json"], "missing.json"),
     "window": (["--speed", "1", "--window", "1"], "window: found 1, expected 2 to 20000 epochs"),

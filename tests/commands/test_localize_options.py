@@ -144,7 +144,7 @@ def test_association_is_refused_where_it_does_not_fit_the_log(hidden, words, mes
 def downlink(tmp_path_factory):
     """Return a copy of the ride's log with angles of arrival at the user, as in a downlink."""
     log = tmp_path_factory.mktemp("downlink") / "log.csv"
-    mistake = MISTAKES["arrival is at the user, as in a downlink"]
+    mistake = MISTAKES["arrival is measured at the user (downlink)"]
     write_columns(log, mistake(read_columns(RIDE / "log.csv")))
     return log
 
@@ -168,7 +168,7 @@ def test_a_diagnosis_names_the_mistake_and_writes_no_track(tmp_path, downlink):
     words = options(downlink, "--radio", "standard", "--diagnose", "--json", file, folder=RIDE)
     done = command("localize", *words)
     assert done.returncode == 0 and done.stderr == "" and downlink.read_bytes() == before
-    name = "arrival is at the user, as in a downlink"
+    name = "arrival is measured at the user (downlink)"
     assert f"\nThe log is consistent if {name}." in done.stdout
     cure = "exchange the columns of aoa_azimuth and aod_azimuth, negate aoa_elevation"
     assert f"To correct it, {cure} (docs/data.md)." in done.stdout

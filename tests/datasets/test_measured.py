@@ -130,7 +130,7 @@ def test_a_receiver_that_states_its_noise_needs_no_snr():
     ],
     ids=str,
 )
-def test_noise_that_is_unknown_or_not_positive_and_too_few_measurements_are_refused(changes, field):
+def test_missing_or_nonpositive_noise_is_refused_and_so_are_too_few_measurements(changes, field):
     with refuses(field):
         track(**changes)
 

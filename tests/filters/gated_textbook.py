@@ -1,4 +1,4 @@
-"""Textbook updates with this package's gates, and sensors of part of the state or of the rows."""
+"""Textbook updates with this package's gates, and sensor models with fewer states or rows."""
 
 from dataclasses import dataclass
 from itertools import pairwise

@@ -49,7 +49,7 @@ MISTAKES = {  # hypothesis that explains a mistake -> the mistake
     "arrival and departure are exchanged": exchanged,
     "azimuth and elevation of arrival are exchanged": exchange(AZIMUTHS[0], "aoa_elevation_rad"),
     "elevation has the other sign": upside_down,
-    "arrival is at the user, as in a downlink": lambda c: upside_down(exchanged(c)),
+    "arrival is measured at the user (downlink)": lambda c: upside_down(exchanged(c)),
     "elevation is a zenith angle": linear(-1.0, "aoa_elevation_rad", offset=np.pi / 2),
     "elevation is a nadir angle": linear(1.0, "aoa_elevation_rad", offset=np.pi / 2),
     "azimuths are clockwise from north": linear(-1.0, *AZIMUTHS, offset=np.pi / 2),
@@ -58,7 +58,7 @@ MISTAKES = {  # hypothesis that explains a mistake -> the mistake
     "azimuth of arrival is in degrees": linear(180.0 / np.pi, AZIMUTHS[0]),
     "azimuth of departure is in degrees": linear(180.0 / np.pi, AZIMUTHS[1]),
     "elevation is in degrees": linear(180.0 / np.pi, "aoa_elevation_rad"),
-    "time of flight is there and back": linear(2.0, "toa_s"),
+    "times are those of round trips": linear(2.0, "toa_s"),
     **{
         f"{quantity} is {mistake}": linear(factor, column)
         for quantity, column in (("time of flight", "toa_s"), ("time", "time_s"))

@@ -124,7 +124,7 @@ def test_a_track_equals_that_of_a_textbook_ekf_and_is_consistent(tmp_path, recei
 
 @pytest.mark.slow
 def test_places_are_found_from_range_and_azimuth_of_one_anchor_at_the_users_height(tmp_path):
-    """Localize 45 places 0.5 m apart, as a survey with a 60 GHz access point measures them."""
+    """Localize 45 places 0.5 m apart from measurements like a 60 GHz access point's."""
     rng, anchor = np.random.default_rng(3), np.array([0.0, 0.0, 1.5])
     line = 0.5 * np.arange(15)
     places = np.concatenate(

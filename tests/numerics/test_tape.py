@@ -110,7 +110,7 @@ PROGRAMS = """
 
 @pytest.mark.slow
 def test_kernels_of_several_processes_are_not_mixed_up(started):
-    """First compile each kernel in its own process, so that kernels may have equal symbols."""
+    """First compile each kernel in its own process: symbols may then collide in one process."""
     changes = ["lambda x: x + 4.0", "lambda x: x * 3.0", "lambda x: x - 7.0"]
     for change, value in zip(changes, ["5.0", "3.0", "-6.0"], strict=True):
         assert started(PROGRAMS + f"    shown({change})") == [value, "0"]

@@ -68,7 +68,7 @@ def test_a_clean_channel_has_no_biases():
     assert max(worst(replace(PEDESTRIAN, clean=True))) < 6.0 < max(worst(PEDESTRIAN))
 
 
-def test_sections_without_tracks_have_the_expected_rows(bench):
+def test_sections_that_need_no_tracks_have_the_expected_rows(bench):
     rows = {row[0]: row for row in contradictions(bench).rows}
     assert len(rows) == 6 and rows["Table II, UKF"][-1] == "RPE > 2 ATE"
     section = resolution(bench)

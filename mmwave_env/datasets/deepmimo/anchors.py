@@ -158,7 +158,7 @@ def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, Index]:
 
 
 def _measure(paths: StationPaths, position_m: Array, anchors: Array, member: Index) -> Array:
-    """Compute the values (E, P, 4), m and rad, that each path has as the link of its anchor."""
+    """Compute each path's rows (E, P, 4) of a link, m and rad, as if it came from its anchor."""
     sight = (position_m - paths.position_m)[:, None]
     direct = member == 0
     arrival = propagation(paths.arrival, sight, direct)
