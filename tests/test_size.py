@@ -16,11 +16,11 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 33_330,
-    "tokens of source": 226_300,
+    "lines of source": 33_350,
+    "tokens of source": 226_470,
     "files of source": 239,
-    "lines of tests": 25_020,
-    "tokens of tests": 224_270,
+    "lines of tests": 25_040,
+    "tokens of tests": 224_460,
     "words of docs": 48_700,
     "pages of docs": 24,
     "tracked files": 660,
@@ -35,7 +35,7 @@ ROOMS = {  # maximum lines of source in a folder
     "experiments/training": 2_865,
     "experiments/reporting/webpage": 1_060,
     "mmwave_env/datasets": 1_645,
-    "mmwave_env/engines": 2_160,
+    "mmwave_env/engines": 2_175,
     "mmwave_env/filters": 2_385,
     "mmwave_env/localization": 2_700,
     "mmwave_env/world": 2_135,

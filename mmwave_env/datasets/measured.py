@@ -82,7 +82,7 @@ class MeasuredTrack(Track):
             range_sigma_m, aoa_azimuth_sigma_rad, aoa_elevation_sigma_rad, aod_azimuth_sigma_rad:
                 (T, L) the receiver's own standard deviations, which replace the profile's.
             doppler_sigma_hz: (T,) the receiver's own standard deviation of the Doppler shift.
-            doppler_spread_hz: (T,) Doppler spread; None and NaN stand for 0.
+            doppler_spread_hz: (T,) Doppler spread; None, NaN and 0: it was not measured.
             velocity_mps: (T, 3) true velocities, m/s; None to compute them from the positions.
             carrier_hz, bandwidth_hz: frequencies of the signal.
             name: name for results and messages.

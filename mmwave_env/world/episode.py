@@ -42,7 +42,7 @@ class Episode:
         sigma: (T, rows) standard deviations in the same units, positive.
         visible: (T, groups) whether the group was measured.
         snr_db: (T, L) SNR of each link.
-        doppler_spread_hz: (T,) measured Doppler spread.
+        doppler_spread_hz: (T,) measured Doppler spread; 0 where none was measured.
         prior_mean: (7,) state at the first epoch; (8,) with a clock.
         prior_covariance: (7, 7) positive definite covariance of the mean; (8, 8) with a clock.
         truth_position_m: (T, 3) true positions; None if unknown.

@@ -72,6 +72,21 @@ def test_the_corrector_is_the_default():
     assert default == learned != auto
 
 
+@pytest.mark.slow  # compiles large programs
+@pytest.mark.parametrize("missing", [["doppler_spread_hz"], ["doppler_spread_hz", "doppler_hz"]])
+def test_corrections_do_no_harm_if_the_log_has_no_doppler_spread(tmp_path, missing):
+    with (RIDE / "log.csv").open() as file:
+        header, *rows = csv.reader(file)
+    kept = [i for i, name in enumerate(header) if name not in missing]
+    with (tmp_path / "log.csv").open("w") as file:
+        csv.writer(file).writerows([row[i] for i in kept] for row in [header, *rows])
+    corrected, plain = (
+        figures(RIDE, "--policy", policy, log=tmp_path / "log.csv")["truth"]["tracks"]["filtered"]
+        for policy in ("corrector", "guided")
+    )
+    assert corrected["ate_m"] < 1.05 * plain["ate_m"]
+
+
 # --- the figures
 
 
