@@ -16,12 +16,12 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 33_350,
-    "tokens of source": 226_470,
+    "lines of source": 33_355,
+    "tokens of source": 226_480,
     "files of source": 239,
     "lines of tests": 25_040,
     "tokens of tests": 224_460,
-    "words of docs": 48_700,
+    "words of docs": 48_780,
     "pages of docs": 24,
     "tracked files": 660,
     "tracked MB": 9,

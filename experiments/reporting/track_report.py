@@ -84,7 +84,8 @@ def _course(figures: Json) -> list[str]:
     expected = " and ".join(f"{size:.2f} m {axis}" for axis, size in f["expected_rmse_m"].items())
     lines.append(f"expected error (RMS, by the track's covariances): {expected}")
     if "trusted" in f:
-        lines.append(f"trust in the policy's corrections, on average: {_percent(f['trusted'])}")
+        trusted = _percent(f["trusted"])
+        lines.append(f"trust in the corrections of the filtered track, on average: {trusted}")
     if "clock" in f:
         keys = "range_bias_m", "deviation_m"
         ahead, deviation = (f["clock"][key] / SPEED_OF_LIGHT * 1e9 for key in keys)
