@@ -1,7 +1,6 @@
 """Tests of video files, which are read back, and of pictures of several policies side by side."""
 
 import sys
-from contextlib import closing
 
 import numpy as np
 import pytest
@@ -36,10 +35,10 @@ def gif(path):
 def mp4(path):
     """Return the pictures (n, height, width, 3) of an MP4 file, and their rate per second."""
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    with closing(ffmpeg.read_frames(str(path))) as reader:
-        about = next(reader)
-        width, height = about["size"]
-        pictures = np.frombuffer(b"".join(reader), np.uint8).reshape(-1, height, width, 3)
+    reader = ffmpeg.read_frames(str(path))
+    about = next(reader)
+    width, height = about["size"]
+    pictures = np.frombuffer(b"".join(reader), np.uint8).reshape(-1, height, width, 3)
     return pictures, about["fps"]
 
 
