@@ -54,6 +54,7 @@ def test_the_remaining_rows_equal_those_of_the_complete_episode(arguments, subse
     assert some.nonfinite == 0
 
 
+@pytest.mark.slow
 def test_naming_all_measurements_gives_the_same_rewards_as_naming_none():
     for arguments in ({"modes": ["ekf"]}, {"beliefs": "per-mode"}):
         plain, named = (

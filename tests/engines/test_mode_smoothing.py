@@ -14,7 +14,6 @@ from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.metrics import BURN_IN, nees_interval
 from mmwave_env.task import task_from
 from mmwave_env.world.episode import columns_of
-from tests.paths import representative
 
 PARTS = ("x", "P", "x_predicted", "P_predicted", "mixture")
 TUNING = 5_000_000
@@ -55,7 +54,8 @@ def test_smoothing_a_single_mode_equals_the_rts_smoother(planar, dt):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("radio", representative(("handset", "standard"), "standard"))
+@pytest.mark.slow
+@pytest.mark.parametrize("radio", ["handset", "standard"])
 def test_smoothing_the_modes_is_more_consistent_than_smoothing_their_mixture(radio):
     task = task_from(beliefs="per-mode", radio=radio)
     batch, track, dt, ours = smoothed(task, task.bank, 40)

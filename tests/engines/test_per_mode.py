@@ -39,8 +39,9 @@ def played(bank, episodes, actions, *names, planar=False, on_floats=False):
     return {name: values.swapaxes(0, 1) for name, values in parts.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dt", [1.0, 0.1])
-@pytest.mark.parametrize("radio", representative(RADIOS, "standard"))
+@pytest.mark.parametrize("radio", RADIOS)
 def test_trusting_no_mode_equals_the_imm(radio, dt):
     bank, episodes = best_bank(radio), in_steps_of(dt, simulated(9, epochs=200))
     ours = played(bank, episodes, np.zeros((9, 200), int), "x", "P", "reward", "nees")

@@ -228,6 +228,7 @@ def corrector(folder, tensors):
     return Contender.learned(write(folder / "mine.safetensors", tensors, card()), "mine", "handset")
 
 
+@pytest.mark.slow
 def test_a_corrector_that_corrects_nothing_scores_as_its_base(tmp_path, short):
     tensors = network()
     tensors["out.weight"][:], tensors["out.bias"][:] = 0.0, 0.0

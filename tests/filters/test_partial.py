@@ -30,6 +30,7 @@ RUNS, EPOCHS, LEVEL = 600, 25, 0.01
 QUIET = {"gate": None, "adaptive": False, "sigma_v": 0.3}
 
 
+@pytest.mark.slow
 def test_an_imm_in_a_partial_layout_without_missing_rows_equals_the_plain_imm():
     plain, bank = simulated(2, 100), best_bank("handset")
     ours, expected = (

@@ -115,6 +115,7 @@ def test_quick_and_careful_reading_accept_and_refuse_the_same_rows(name, first):
         assert len(outcomes) == 1, (value, outcomes)
 
 
+@pytest.mark.slow
 def test_an_epoch_takes_little_work_and_no_lasting_memory():
     tracker, epochs = Tracker(SCENE, "guided", RADIO), walk(300)
     for epoch in epochs[:100]:

@@ -41,6 +41,7 @@ def lots():
     return list(CorrectorData(task(), HYPER, SEED).lots())
 
 
+@pytest.mark.slow
 def test_half_of_the_lots_of_episodes_are_random_and_all_can_be_repeated(lots):
     assert len(lots) == 2 * len(task().places)
     assert all(len(lot.features) in (EPOCHS, HYPER.long_epochs) for lot in lots)
@@ -90,6 +91,7 @@ def test_an_interrupted_training_continues_to_the_same_result(tmp_path):
     assert_same_training(job.folder, whole.folder)
 
 
+@pytest.mark.slow
 def test_the_policy_file_answers_as_the_network(tmp_path, lots):
     training = CorrectorTraining(job_of(tmp_path), silent)
     training.run()
