@@ -37,15 +37,22 @@ run("list", [])
 """
 
 
+def heed():
+    """Let signals end this process, even if its parent, such as nohup, ignores them."""
+    for number in (signal.SIGINT, *ENDING):
+        signal.signal(number, signal.SIG_DFL)
+
+
 @pytest.fixture
 def writing(tmp_path):
     """Return a function that starts WRITING for result.json and waits until it prints "writing"."""
     started = []
 
-    def start(**options):
+    def start(before=heed):
         words = [sys.executable, "-c", WRITING, str(tmp_path / "result.json")]
-        options |= {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-        started.append(subprocess.Popen(words, env=environment(), cwd=ROOT, **options))
+        options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        options |= {"env": environment(), "cwd": ROOT, "preexec_fn": before}
+        started.append(subprocess.Popen(words, **options))
         assert started[-1].stdout.readline() == "writing\n"
         return started[-1]
 
@@ -58,8 +65,7 @@ def writing(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("sent", [signal.SIGINT, *ENDING])
 def test_a_signal_removes_half_written_files(writing, tmp_path, sent):
-    heeds = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # background jobs ignore it
-    command = writing(preexec_fn=heeds)
+    command = writing()
     assert len(list(tmp_path.iterdir())) == 1
     command.send_signal(sent)
     # A signal of ENDING may be sent twice: to the process and to its process group.
@@ -83,7 +89,7 @@ def test_a_command_cleans_up_even_if_its_terminal_is_gone(writing, tmp_path):
 
 @pytest.mark.slow
 def test_under_nohup_a_command_continues_after_its_terminal_is_closed(writing, tmp_path):
-    command = writing(preexec_fn=partial(signal.signal, signal.SIGHUP, signal.SIG_IGN))
+    command = writing(partial(signal.signal, signal.SIGHUP, signal.SIG_IGN))
     command.send_signal(signal.SIGHUP)
     time.sleep(0.2)
     assert command.poll() is None and len(list(tmp_path.iterdir())) == 1
@@ -117,6 +123,7 @@ def test_a_signal_repeated_at_once_is_ignored_but_a_later_one_is_not():
 def test_closing_the_terminal_ends_a_command_with_the_code_of_sighup():
     child, terminal = pty.fork()
     if not child:
+        heed()
         words = ["-m", "experiments.console", "compare", "--episodes", "100000"]
         os.execve(sys.executable, [sys.executable, *words], environment())
     output = b""
