@@ -17,10 +17,10 @@ from tests.paths import ROOT
 
 BUDGET = {
     "lines of source": 33_355,
-    "tokens of source": 226_480,
+    "tokens of source": 226_510,
     "files of source": 239,
-    "lines of tests": 25_055,
-    "tokens of tests": 224_520,
+    "lines of tests": 25_065,
+    "tokens of tests": 224_700,
     "words of docs": 48_780,
     "pages of docs": 24,
     "tracked files": 660,

@@ -24,7 +24,7 @@ from mmwave_env.engines.epoch_state import (
     last_of,
     pending_of,
     scores,
-    with_spread,
+    with_expected_spread,
 )
 from mmwave_env.engines.track_engine import untuned
 from mmwave_env.filters.bank import Bank, settings_of
@@ -94,7 +94,7 @@ def shared_epoch(
     x, P, memory = begun(w, chosen.x, chosen.P, memory, pipeline)
     coming = w.incoming.epoch(layout)
     candidates = [predict_update(pipeline, m, x, P, memory, coming, w.site) for m in modes]
-    coming = with_spread(coming, x[3:6], w.site)
+    coming = with_expected_spread(coming, x[3:6], w.site)
     memory = memory_before(memory, candidates, coming, layout)
     last = last_of(w, layout)
     covariance = unpack(P, zero=pipeline.known_axes)
@@ -182,7 +182,7 @@ def per_mode_epoch(
     mixture = select(is_first, prior, mixture)
     coming = w.incoming.epoch(layout)
     mixture, predicted, _, results = imm_epoch(pipeline, w.settings, mixture, coming, w.site)
-    coming = with_spread(coming, x[3:6], w.site)
+    coming = with_expected_spread(coming, x[3:6], w.site)
     memory = memory_before(memory, results, coming, layout)
     spread = coming.doppler_spread_hz
     averages = [

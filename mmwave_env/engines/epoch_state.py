@@ -1,5 +1,6 @@
 """The parts that the states of environments, tracks and IMMs have in common."""
 
+import math
 from functools import reduce
 from typing import Any, NamedTuple
 
@@ -11,12 +12,11 @@ from mmwave_env.interface.reward import Reward, term_names, terms_of, total
 from mmwave_env.interface.signed import LastEpoch
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, Site, blank_site
+from mmwave_env.models.radio import Radio
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Number, Vector, maximum, sqrt, where
 from mmwave_env.numerics.pytree import select
 from mmwave_env.world.episode import Incoming, blank_incoming
-
-SPREAD_GAIN, SPREAD_FLOOR_MPS = 0.3, 0.24  # mean Doppler spread of the shipped radios
 
 
 class PendingEpoch(NamedTuple):
@@ -71,14 +71,17 @@ def pending_of(incoming: Incoming, epoch: Epoch, observation: Observation) -> Pe
     return PendingEpoch(epoch.dt, epoch.visible, incoming.truth, epoch.measured, last)
 
 
-def with_spread(epoch: Epoch, velocity: Vector, site: Site) -> Epoch:
-    """Return an epoch for features: if no Doppler spread was measured, with the expected one.
+def with_expected_spread(epoch: Epoch, velocity: Vector, site: Site) -> Epoch:
+    """Return the epoch; a Doppler spread of 0 (not measured) is replaced with the expected one.
 
-    A log without spreads has zeros, which would tell policies that the user stands. The expected
-    spread is about the mean in simulations at the estimated ``velocity`` (3,), m/s. Epochs without
-    any measurement, such as the blank one after the last, keep their zero.
+    Features need this, because 0 would tell policies that the user stands. The expected spread is
+    about the mean of :func:`~mmwave_env.models.radio.doppler_spread` at the estimated ``velocity``
+    (3,), m/s, and a radio's default parameters. Epochs without any measurement, such as the blank
+    one after the last, keep their 0.
     """
-    expected = site.hz_per_mps * (SPREAD_GAIN * sqrt(dot(velocity, velocity)) + SPREAD_FLOOR_MPS)
+    floor_mps = Radio.spread_floor_mps * math.sqrt(2.0 / math.pi)  # mean of |N(0, floor)|
+    speed_mps = sqrt(dot(velocity, velocity))
+    expected = site.hz_per_mps * (Radio.spread_gain * speed_mps + floor_mps)
     spread, measured = epoch.doppler_spread_hz, reduce(maximum, epoch.visible)
     return epoch._replace(doppler_spread_hz=where(spread > 0.0, spread, measured * expected))
 
@@ -87,7 +90,7 @@ def last_of(w: Any, layout: Layout, probabilities: Vector = ()) -> LastEpoch | N
     """Return the last epoch of an environment with signed features; None without such features."""
     if not w.pending.incoming:
         return None
-    epoch = with_spread(w.pending.incoming.epoch(layout), w.x[3:6], w.site)
+    epoch = with_expected_spread(w.pending.incoming.epoch(layout), w.x[3:6], w.site)
     return LastEpoch(epoch, w.is_first, w.x[3:6], probabilities)
 
 

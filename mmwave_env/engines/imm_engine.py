@@ -13,7 +13,7 @@ import numpy as np
 
 from mmwave_env.compiler.program import BatchState, Program, StepIO, blocks_of, fill, rows_of
 from mmwave_env.engines.batch import Batch
-from mmwave_env.engines.epoch_state import blank_track, with_spread
+from mmwave_env.engines.epoch_state import blank_track, with_expected_spread
 from mmwave_env.engines.track_engine import EpisodeFilter, untuned
 from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.belief import Belief
@@ -93,7 +93,8 @@ def _program(pipeline: Pipeline, reward: Reward, acted: bool, signed: bool) -> P
         belief = Belief(x, P, pipeline.position_axes)
         truth, memory = w.incoming.truth, most_probable_memory(mixture)
         before = select(w.is_first > 0.5, w.site.prior_x, w.x)[3:6]
-        last = LastEpoch(with_spread(coming, before, w.site), 0.0, before, mixture.probability)
+        complete = with_expected_spread(coming, before, w.site)
+        last = LastEpoch(complete, 0.0, before, mixture.probability)
         view = View(x, P, memory, [], coming, w.site, None, last)
         return w._replace(
             is_first=0.0,

@@ -11,13 +11,15 @@ from scipy.stats import chi2
 
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.epoch_state import with_expected_spread
 from mmwave_env.filters.bank import modes_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation, feature_scales
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.envelope import DOPPLER_SPREAD_HZ
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.measurement import Epoch, blank_site
+from mmwave_env.models.radio import RADIOS, doppler_spread
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
 from tests.filters.tracks import replay
@@ -148,6 +150,17 @@ def test_snr_is_that_of_the_coming_epoch(rollout):
 def test_doppler_spread_is_that_of_the_coming_epoch(rollout):
     spread = rollout.episode.doppler_spread_hz / rollout.episode.hz_per_mps
     close(rollout.read("Doppler spread"), [*np.minimum(spread, 50.0), 0.0])
+
+
+@pytest.mark.parametrize("speed_mps", [0.0, 2.0, 15.0])
+def test_a_missing_doppler_spread_is_about_the_mean_of_those_drawn_at_the_speed(speed_mps):
+    site = blank_site(Layout())._replace(hz_per_mps=93.4)
+    velocity, speeds = [0.6 * speed_mps, 0.8 * speed_mps, 0.0], np.full(100_000, speed_mps)
+    drawn = doppler_spread(RADIOS["handset"], 93.4, speeds, np.random.default_rng(0))
+    for visible, measured_hz, expected in ((1.0, 0.0, drawn.mean()), (1.0, 7.0, 7.0), (0.0, 0, 0)):
+        epoch = Epoch(1.0, [], [], [0.0, visible], [], measured_hz)
+        spread_hz = with_expected_spread(epoch, velocity, site).doppler_spread_hz
+        assert spread_hz == pytest.approx(expected, rel=0.03)
 
 
 def averages(values, keep):
