@@ -64,7 +64,7 @@ def rewards(results):
     ("name", "more"),
     [
         ("weights", {"backend": "filterpy"}),
-        ("correction", {"planar": True}),
+        pytest.param("correction", {"planar": True}, marks=pytest.mark.slow),
         ("of a base", {"backend": "filterpy"}),
     ],
 )

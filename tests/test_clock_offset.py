@@ -27,6 +27,7 @@ from mmwave_env.world.keys import keys_of
 from mmwave_env.world.simulated import SimulatedSource
 from tests.cli import command, succeed
 from tests.filters.tracks import around_a_block, replay
+from tests.paths import representative
 from tests.refusals import refuses
 
 STREET = SCENES["street"]
@@ -130,7 +131,7 @@ def test_the_offset_is_found_and_the_filter_knows_how_well():
     assert np.median(run["nees"][:, 20:]) == pytest.approx(2.37, rel=0.2)  # chi2 median, 3 axes
 
 
-@pytest.mark.parametrize("planar", [False, True], ids=["height", "planar"])
+@pytest.mark.parametrize("planar", representative([False, True], False))
 def test_tracks_are_smoothed_as_by_the_textbook(planar):
     source = SimulatedSource(STREET, RADIOS["standard"], epochs=50, clock=True)
     bank = Bank(modes_from(["ukf"], "standard"))

@@ -41,7 +41,7 @@ BANK = json_in(ROOT / "mmwave_env" / "data" / "banks" / "handset.json")
 RUN = ROOT / "docs" / "learning" / "ppo-standard"
 SUMMARY = json_in(RUN / "summary.json")
 CARD = card_of(features=TABLE.columns[:3])
-CASES = 50  # number of random cases for each file and kind of damage
+CASES = 30  # number of random cases for each file and kind of damage
 SLOWEST_S = 20  # longest time that reading may take
 
 

@@ -5,7 +5,7 @@ import pytest
 from tests.golden.traces import TRACES
 from tests.golden.write import FOLDER, differences, text_of
 
-SLOW = ["rollout-per-mode"]  # many modes take long to compile
+SLOW = ["rollout-per-mode", "memory"]  # many modes take long to compile
 
 
 def written(name):

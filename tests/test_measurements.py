@@ -75,7 +75,7 @@ def played(seed=3, **arguments):
     return np.array(rewards), info
 
 
-SOME = {"measurements": ["range", "azimuth"], "beliefs": "per-mode"}
+SOME = {"measurements": ["range", "azimuth"], "beliefs": "per-mode", "modes": ["ekf", "ukf"]}
 CLOCK = {"clock": "offset", "episode_steps": 30, "smoothed": True}
 RECEIVERS = {
     "simulated": SOURCES["simulated"] | SOME,

@@ -82,11 +82,10 @@ def test_trust_raises_the_odds_of_a_mode_as_in_the_textbook(dt):
 
 
 def test_floats_and_lanes_agree():
-    bank, episodes = best_bank(), simulated(2, epochs=12)
-    actions = np.random.default_rng(2).integers(0, 6, (2, 12))
+    episodes, actions = simulated(2, epochs=12), np.random.default_rng(2).integers(0, 3, (2, 12))
     names = ("x", "P", "mode_probabilities", "observation", "reward")
     lanes, floats = (
-        played(bank, episodes, actions, *names, on_floats=on_floats) for on_floats in (False, True)
+        played(BANK, episodes, actions, *names, on_floats=on_floats) for on_floats in (False, True)
     )
     for name in names:
         np.testing.assert_allclose(floats[name], lanes[name], rtol=1e-9, atol=1e-9, err_msg=name)
@@ -126,7 +125,8 @@ def test_two_equal_modes_are_smoothed_as_a_single_filter():
 
 
 def test_environments_of_one_engine_can_have_different_banks():
-    bank, other = best_bank("handset"), best_bank("high")
+    quick = replace(BANK.modes[1], sigma_v=2.5)
+    bank, other = BANK, Bank((BANK.modes[0], quick), ((0.7, 0.3), (0.2, 0.8)), 0.95)
     episodes, actions = simulated(10, epochs=15), np.zeros((10, 15), int)
     engine = Engine(Pipeline(bank.modes, STREET), 10, TrackingReward(), bank=bank)
     engine.tune(other, np.arange(5, 10))

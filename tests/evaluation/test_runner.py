@@ -238,6 +238,7 @@ def test_a_corrector_that_corrects_nothing_scores_as_its_base(tmp_path, short):
         np.testing.assert_allclose(ours[metric], values, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_errors_and_nees_are_those_of_the_corrected_beliefs(tmp_path, short):
     results, plain = (
         run_contender(each, each.start(SOURCE.layout), short, after=("x", "P"))

@@ -1,6 +1,7 @@
 """Tests of the interacting multiple model (IMM) against single filters and a textbook's IMM."""
 
 import numpy as np
+import pytest
 from scipy.stats import chi2
 
 from mmwave_env.filters import textbook
@@ -13,6 +14,7 @@ from tests.filters.tracks import assert_same_beliefs, imm_track, simulated, trac
 EPOCHS = 60
 
 
+@pytest.mark.slow
 def test_an_imm_of_identical_modes_equals_one_of_them_and_keeps_equal_probabilities():
     episodes = simulated(9, EPOCHS)
     twins = Pipeline((Mode("a", "ukf"), Mode("b", "ukf")), Layout(3))

@@ -13,6 +13,7 @@ from mmwave_env.localization.position_errors import PositionErrors, gaussian_lev
 from mmwave_env.localization.tracker import Tracker
 from mmwave_env.task import task_from
 from tests.localization.test_policy_tracks import RADIO, ROWS, SCENE, blocks, corrector  # noqa: F401
+from tests.paths import representative
 from tests.refusals import refuses
 
 N, T, ANCHORS = 3, 40, 3
@@ -83,7 +84,7 @@ def test_epochs_in_pieces_have_the_factors_of_the_whole_track():
     np.testing.assert_allclose(levels.factors(ANCHORS, True, time_s, *read), whole, rtol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["corrector", "ekf"])
+@pytest.mark.parametrize("name", representative(["corrector", "ekf"], "ekf"))
 def test_live_levels_are_those_of_the_complete_log(corrector, name):  # noqa: F811
     modes = learned("ppo-standard", "standard").modes[:1]
     switching = Switching(modes) if name == "ekf" else learned(corrector, "standard")

@@ -255,7 +255,10 @@ UNGATED = replace(UKF, gate=None)
 
 @pytest.mark.parametrize(  # finite: 1 if the damaged epoch still has a finite state, else 0
     ("modes", "finite"),
-    [((UNGATED,), 1), (Bank((UNGATED, replace(UNGATED, name="twin"))), 0)],
+    [
+        ((UNGATED,), 1),
+        pytest.param(Bank((UNGATED, replace(UNGATED, name="twin"))), 0, marks=pytest.mark.slow),
+    ],
     ids=["one", "imm"],
 )
 @pytest.mark.parametrize(("first", "window"), [(1, None), (100, 30)])

@@ -29,13 +29,18 @@ EPOCHS = 60
 ROWS = walk(EPOCHS)  # for each epoch, its rows of the log as dicts by column
 
 
+POLICIES = pytest.mark.parametrize(
+    "name", representative(("guided", "ppo-standard"), "ppo-standard")
+)
+
+
 def blocks(size):
     """Return the first epochs of the walk in blocks of this size."""
     whole = next(read_log(WALK / "log.csv", SCENE, partial=True)).part(slice(EPOCHS))
     return [whole.part(slice(first, first + size)) for first in range(0, EPOCHS, size)]
 
 
-@pytest.mark.parametrize("name", representative(("guided", "ppo-standard"), "ppo-standard"))
+@POLICIES
 @pytest.mark.parametrize("size", [7, EPOCHS])
 def test_the_track_equals_that_of_the_environment_to_the_last_bit(name, size):
     switching = learned(name, "standard")
@@ -52,8 +57,9 @@ def test_the_track_equals_that_of_the_environment_to_the_last_bit(name, size):
     np.testing.assert_array_equal(track.x, expected)
 
 
-def test_a_live_track_equals_that_of_the_complete_log_to_the_last_bit():
-    switching = learned("guided", "standard")
+@POLICIES
+def test_a_live_track_equals_that_of_the_complete_log_to_the_last_bit(name):
+    switching = learned(name, "standard")
     track = TrackBlock.joined(list(localize(blocks(50), SCENE, RADIO, switching, window=None)))
     tracker = Tracker(SCENE, switching, "standard", lag=5)
     positions, late = [], []
@@ -102,6 +108,7 @@ def test_a_corrected_track_has_the_corrected_beliefs_of_the_environment(correcto
     assert (track.trusted > 0.1).mean() > 0.5
 
 
+@pytest.mark.slow  # compiles large programs
 def test_a_live_corrected_track_equals_that_of_the_complete_log(corrector):
     switching = learned(corrector, "standard")
     track = TrackBlock.joined(list(localize(blocks(50), SCENE, RADIO, switching, window=None)))
@@ -111,6 +118,7 @@ def test_a_live_corrected_track_equals_that_of_the_complete_log(corrector):
     np.testing.assert_array_equal([p.trusted for p in positions], track.trusted)
 
 
+@pytest.mark.slow  # compiles large programs
 def test_a_track_is_smoothed_from_beliefs_without_corrections(corrector):
     switching = learned(corrector, "standard")
     bank = Switching(switching.bank)

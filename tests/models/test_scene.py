@@ -162,33 +162,37 @@ def test_users_of_the_shipped_scenes_stay_in_front_of_the_walls(name):
 # --- scenes drawn at random
 
 SOURCE = SimulatedSource(RandomScene(), RADIOS["handset"])
-DRAWN = [SOURCE.scene_of(int(key)) for key in keys_of(range(2000))]
 
 
-def test_users_and_base_station_of_random_scenes_are_in_front_of_both_walls():
-    for scene in DRAWN:
+@pytest.fixture(scope="module")
+def drawn():
+    return [SOURCE.scene_of(int(key)) for key in keys_of(range(2000))]
+
+
+def test_users_and_base_station_of_random_scenes_are_in_front_of_both_walls(drawn):
+    for scene in drawn:
         scene.require_streets_in_front()
         assert len(scene.anchors_m) == 3
 
 
-def test_random_scenes_fill_their_ranges():
+def test_random_scenes_fill_their_ranges(drawn):
     ranges = RandomScene()
-    block = np.array([scene.streets.block_m for scene in DRAWN])
-    height = np.array([scene.base_station_m[2] for scene in DRAWN])
+    block = np.array([scene.streets.block_m for scene in drawn])
+    height = np.array([scene.base_station_m[2] for scene in drawn])
     for values, (low, high) in ((block, ranges.block_m), (height, ranges.height_m)):
         assert low <= values.min() and values.max() <= high
         margin = 0.02 * (high - low)
         assert values.min() < low + margin and values.max() > high - margin
-    extents = [(np.ptp(scene.streets.x_m), np.ptp(scene.streets.y_m)) for scene in DRAWN]
+    extents = [(np.ptp(scene.streets.x_m), np.ptp(scene.streets.y_m)) for scene in drawn]
     blocks = set(map(tuple, np.round(np.array(extents) / block[:, None]).astype(int).tolist()))
     assert blocks == {(x, y) for x in range(4) for y in range(4)} - {(0, 0)}
-    sides = {tuple(wall.offset_m > 0.0 for wall in scene.walls) for scene in DRAWN}
+    sides = {tuple(wall.offset_m > 0.0 for wall in scene.walls) for scene in drawn}
     assert len(sides) == 4
 
 
-def test_a_random_base_station_is_near_a_crossing_and_walls_are_behind_everything_else():
+def test_a_random_base_station_is_near_a_crossing_and_walls_are_behind_everything_else(drawn):
     ranges = RandomScene()
-    for scene in DRAWN:
+    for scene in drawn:
         block, base = scene.streets.block_m, np.array(scene.base_station_m[:2])
         ends = np.array([scene.streets.x_m[1], scene.streets.y_m[1]])
         crossing = np.clip(np.round(base / block) * block, 0.0, ends)

@@ -50,6 +50,7 @@ def test_half_of_the_lots_of_episodes_are_random_and_all_can_be_repeated(lots):
     np.testing.assert_array_equal(lots[-1].features, again[-1].features)
 
 
+@pytest.mark.slow
 def test_mixed_lots_hold_every_episode_once_and_several_places(lots):
     shuffled = list(mixed(lots, 4, np.random.default_rng(0)))
     assert all(lot.error.shape[1] * len(lot.error) <= 5 * HYPER.long_epochs for lot in shuffled)
@@ -73,6 +74,7 @@ def test_weaving_users_move_along_both_street_axes_with_the_velocity_that_is_sta
     assert (np.abs(moving).min(axis=1) > 0.01).mean() > 0.8
 
 
+@pytest.mark.slow
 def test_no_episode_is_played_twice():
     data = CorrectorData(task(), HYPER, SEED)
     first, second = (next(iter(data.lots())) for _ in range(2))
