@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from functools import partial
 from itertools import chain
 from pathlib import Path
 
@@ -77,12 +78,13 @@ def diagnosed(args: LogArgs, log: Path, scene: Scene, truth_file: Path | None) -
 
     Raises:
         LogError: the log is damaged.
-        ValueError: the log lacks columns.
+        ValueError: no epoch determines a position with which a track could begin.
     """
+    read = partial(read_log, odometry=False, limits=False)
     try:
-        blocks = read_log(log, scene, odometry=False, limits=False)
-    except LogError as error:
-        raise ValueError(f"diagnose: needs ranges, all angles and SNRs: {error}") from error
+        blocks = read(log, scene)
+    except LogError:  # columns are missing
+        blocks = read(log, scene, partial=True, snr_db=args.snr)
     first = next(blocks)
     radio = nearest_radio(first, scene) if args.radio == AUTO else args.radio
     with progress("trying likely mistakes"):

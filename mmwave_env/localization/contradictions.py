@@ -71,7 +71,7 @@ def _misfits(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Contradiction]
 
 
 def impossible(block: LogBlock) -> Iterator[Contradiction]:
-    """Yield the time steps, ranges and elevations that no receiver can have measured."""
+    """Yield the time steps, ranges and angles that no receiver can have measured."""
     step = float(np.median(np.diff(block.time_s))) if len(block) > 1 else 0.0
     if step > GAP_S:
         yield Contradiction(
@@ -85,6 +85,10 @@ def impossible(block: LogBlock) -> Iterator[Contradiction]:
     least, most = RANGE_LIMITS_M
     if len(ranges) and not least <= np.median(ranges) <= most:
         yield Contradiction("range", f"{np.median(ranges):.3g} m", f"{least:g} to {most:g} m")
+    for name, row in (("azimuth of arrival", 1), ("azimuth of departure", 3)):
+        azimuths = abs(block.measurement[:, row : block.layout.doppler : 4][visible])
+        if 2 * (azimuths > 2.0 * np.pi).sum() > np.isfinite(azimuths).sum():
+            yield Contradiction(name, f"{np.nanmax(azimuths):.3g} rad", "up to 2 pi")
     elevations = np.degrees(abs(block.measurement[:, 2 : block.layout.doppler : 4][visible]))
     if 2 * (elevations > WIDEST_ELEVATION_DEG).sum() > np.isfinite(elevations).sum():
         expected = f"up to {WIDEST_ELEVATION_DEG:g}"
@@ -123,6 +127,7 @@ def _range_per_doppler(block: LogBlock, scene: Scene, radio: Radio) -> tuple[flo
     (1, inf) if there are too few epochs or nothing moves.
     """
     direct = block.visible[:, 0] & block.visible[:, block.layout.anchors]
+    direct &= block.doppler_anchor == 0
     time, z = block.time_s[direct], block.measurement[direct]
     rate = z[:, block.layout.doppler] / scene.hz_per_mps
     sigma = radio.sigma(block.snr_db[direct], scene, block.layout)[:, 0]

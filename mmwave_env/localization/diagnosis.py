@@ -27,9 +27,11 @@ from mmwave_env.models.layout import wrap_angles
 from mmwave_env.models.radio import RADIOS, Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI, Array, Mask
+from mmwave_env.world.episode import Episode
 
 DIAGNOSED_EPOCHS = 200
 AS_IT_IS = "as it is"
+_OTHER_RADIO = "radio is "
 
 _RANGE, _AZIMUTH, _ELEVATION, _DEPARTURE = range(4)  # indices of a link's values
 _AZIMUTHS = (_AZIMUTH, _DEPARTURE)
@@ -47,6 +49,8 @@ _FACTORS = {  # mistake -> the factor that undoes it, and the unit that the colu
     "1e6 times too small (s?)": (1e6, "s"),
     "1e9 times too small (s?)": (1e9, "s"),
 }
+_SEARCHED_EPOCHS = 50  # number of epochs among which the best one to begin at is searched
+_ADVANTAGE = 0.01  # log-likelihood per epoch by which a mistake must be likelier than none
 _OUTLIER_QUANTILE = 1e-6  # NIS is clipped at this upper quantile of chi-square
 
 
@@ -85,6 +89,12 @@ class Finding(NamedTuple):
         return max(filter(None, anchors), key=lambda nis: abs(np.log(nis)), default=None)
 
 
+def _values(block: LogBlock) -> Mask:
+    """Tell which values (T, rows) of a log were measured and are visible."""
+    visible = np.repeat(block.visible, block.layout.widths, axis=1)
+    return visible & np.isfinite(block.measurement)
+
+
 def _scaled(parts: Sequence[int], factor: float, offset: float = 0.0) -> Hypothesis:
     """Return a hypothesis that scales some values of every link and adds an offset.
 
@@ -94,11 +104,12 @@ def _scaled(parts: Sequence[int], factor: float, offset: float = 0.0) -> Hypothe
     def change(reading: Reading) -> Reading:
         block, layout = reading.block, reading.block.layout
         rows = [4 * a + p for a in range(layout.anchors) for p in parts] or [layout.doppler]
-        z = block.measurement.copy()
+        z, sigma = block.measurement.copy(), block.sigma.copy()
         z[:, rows] = offset + factor * z[:, rows]
-        count = np.repeat(block.visible, layout.widths, axis=1)[:, rows].sum()
+        sigma[:, rows] *= abs(factor)
+        count = _values(block)[:, rows].sum()
         return reading._replace(
-            block=replace(block, measurement=z),
+            block=replace(block, measurement=z, sigma=sigma),
             log_scale=reading.log_scale + float(count * np.log(abs(factor))),
         )
 
@@ -113,10 +124,10 @@ def _timed(factor: float, reading: Reading) -> Reading:
 def _exchanged(part: int, other: int, reading: Reading) -> Reading:
     """Exchange two values of every link, given their indices."""
     block, links = reading.block, reading.block.layout.doppler
-    z = block.measurement.copy()
-    z[:, part:links:4] = block.measurement[:, other:links:4]
-    z[:, other:links:4] = block.measurement[:, part:links:4]
-    return reading._replace(block=replace(block, measurement=z))
+    rows = np.arange(block.layout.size)
+    rows[part:links:4], rows[other:links:4] = rows[other:links:4], rows[part:links:4].copy()
+    new = replace(block, measurement=block.measurement[:, rows], sigma=block.sigma[:, rows])
+    return reading._replace(block=new)
 
 
 def _anchors(order: Sequence[int], reading: Reading) -> Reading:
@@ -178,8 +189,38 @@ def hypotheses(scene: Scene, radio: Radio) -> dict[str, tuple[Hypothesis, str]]:
         mistakes[f"anchors are the scene's {numbers}"] = partial(_anchors, order), cure
     for name in sorted(RADIOS.keys() - {radio.name}):
         cure = f"use --radio {name}, or radio={name!r}"
-        mistakes[f"radio is {name}"] = partial(Reading._replace, radio=RADIOS[name]), cure
+        mistakes[f"{_OTHER_RADIO}{name}"] = partial(Reading._replace, radio=RADIOS[name]), cure
     return mistakes
+
+
+def _has_effect(reading: Reading, original: Reading) -> bool:
+    """Tell whether a hypothesis changes any number that the filters read."""
+    new, old = reading.block, original.block
+    if reading.radio is not original.radio:
+        return bool((_values(old) & np.isnan(old.sigma)).any())
+    pairs = (new.measurement, old.measurement), (new.time_s, old.time_s)
+    same = all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
+    return reading.scene is not original.scene or not same
+
+
+def _start(block: LogBlock) -> int:
+    """Return the epoch at which the tracks begin.
+
+    It is the first one with a link of the base station. In a partial layout, a unique position may
+    need several links, so it is the one with the most values among the first epochs.
+
+    Raises:
+        ValueError: there is no such epoch.
+    """
+    if block.layout.partial:
+        count = _values(block)[:, : block.layout.doppler].sum(axis=1)
+        first = int(np.argmax(count > 0))
+        begins = count == count[first : first + _SEARCHED_EPOCHS].max()
+    else:
+        begins = block.visible[:, 0] & (block.measurement[:, 0] > 0.0)
+    if not begins.any():
+        raise ValueError(f"log: found no link of anchor 1 in {len(block)} epochs, expected one")
+    return int(np.argmax(begins))
 
 
 def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
@@ -190,23 +231,28 @@ def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Fi
     ``limits=False`` and ``odometry=False``.
 
     Returns:
-        A finding for the log as it is and for every hypothesis. Hypotheses that make the log
-        consistent come first, the most likely one at the top; the others follow, best fit first.
-        If only pairs of hypotheses make the log consistent, the most likely pair comes first.
+        A finding for the log as it is and for every hypothesis that changes a number. Hypotheses
+        that make the log consistent come first, the most likely one at the top; the others follow,
+        best fit first. If only pairs of hypotheses make the log consistent, the most likely pair
+        comes first. In a partial layout, only pairs with another radio are tried.
 
     Raises:
-        ValueError: there is no line of sight with which a track could begin.
+        ValueError: there is no link with which a track could begin.
     """
-    fixes = np.flatnonzero(block.visible[:, 0] & (block.measurement[:, 0] > 0.0))
-    if not len(fixes):
-        raise ValueError(f"log: found no link of anchor 1 in {len(block)} epochs, expected one")
-    first = block.part(slice(fixes[0], fixes[0] + DIAGNOSED_EPOCHS))
-    as_it_is = Reading(first, scene, radio)
+    start = _start(block)
+    as_it_is = Reading(block.part(slice(start, start + DIAGNOSED_EPOCHS)), scene, radio)
     single = hypotheses(scene, radio)
-    readings = {AS_IT_IS: as_it_is} | {name: undo(as_it_is) for name, (undo, _) in single.items()}
+    undone = {name: undo(as_it_is) for name, (undo, _) in single.items()}
+    effective = {name: r for name, r in undone.items() if _has_effect(r, as_it_is)}
+    readings = {AS_IT_IS: as_it_is} | effective
     findings = _findings(readings, mode)
     if findings[0].contradictions:
-        double = {f"{a}; {b}": single[b][0](readings[a]) for a, b in permutations(single, 2)}
+        double = {
+            f"{a}; {b}": single[b][0](undone[a])
+            for a, b in permutations(effective, 2)
+            # a first position from partial links takes too long to compute for all pairs
+            if not block.layout.partial or a.startswith(_OTHER_RADIO)
+        }
         best = [f for f in _findings(double, mode) if not f.contradictions]
         findings = best[:1] + findings
     for i, finding in enumerate(findings):
@@ -231,37 +277,45 @@ def _findings(readings: dict[str, Reading], mode: Mode) -> list[Finding]:
 def _rank(finding: Finding) -> tuple[bool, float]:
     """Return a sort key: consistent findings by likelihood first, then the others by their fit."""
     if not finding.contradictions and finding.log_likelihood is not None:
-        return False, -finding.log_likelihood
+        advantage = _ADVANTAGE if finding.hypothesis == AS_IT_IS else 0.0
+        return False, -finding.log_likelihood - advantage
     worst = finding.worst_anchor
     return True, np.inf if worst is None else abs(np.log(worst))
 
 
 def _track(readings: dict[str, Reading], mode: Mode) -> Iterable[Finding]:
-    blocks, episodes = [], []
-    for reading in readings.values():
+    episodes: dict[str, Episode] = {}
+    for name, reading in readings.items():
         z = reading.block.measurement.copy()
         wrap_angles(z, reading.block.layout)
-        blocks.append(replace(reading.block, measurement=z))
-        episodes.append(episode_from(blocks[-1], reading.scene, reading.radio))
-    tracker = Tracker(Pipeline((mode,), blocks[0].layout), len(episodes))
-    tracker.load(episodes)
+        readings[name] = reading._replace(block=replace(reading.block, measurement=z))
+        try:
+            episodes[name] = episode_from(readings[name].block, reading.scene, reading.radio)
+        except ValueError:
+            nowhere = Contradiction("track", "no unique first position", "one")
+            yield Finding(name, {}, None, [nowhere])
+    if not episodes:
+        return
+    layout = next(iter(readings.values())).block.layout
+    tracker = Tracker(Pipeline((mode,), layout), len(episodes))
+    tracker.load(list(episodes.values()))
     nis, likelihood = tracker.run("memory.nis", "log_likelihood").values()
-    for i, (name, reading) in enumerate(readings.items()):
-        yield _finding(name, reading, blocks[i], episodes[i].visible, nis[i], likelihood[i])
+    for i, (name, episode) in enumerate(episodes.items()):
+        yield _finding(name, readings[name], episode.visible, nis[i], likelihood[i])
 
 
-def _finding(
-    name: str, reading: Reading, block: LogBlock, visible: Mask, nis: Array, likelihood: Array
-) -> Finding:
-    layout = block.layout
-    dof = np.array(layout.widths)
+def _finding(name: str, reading: Reading, visible: Mask, nis: Array, likelihood: Array) -> Finding:
+    block, layout = reading.block, reading.block.layout
+    starts = [group.start for group in layout.groups]
+    dof = np.add.reduceat(_values(block), starts, axis=1, dtype=np.int64)
     fits: dict[str, float | None] = {}
     for g, group in enumerate(layout.group_names):
-        used = nis[visible[:, g], g]
-        fits[group] = float(np.median(used) / chdtri(dof[g], 0.5)) if len(used) else None
+        used = visible[:, g]
+        ratios = nis[used, g] / chdtri(dof[used, g], 0.5)
+        fits[group] = float(np.median(ratios)) if used.any() else None
     if not np.isfinite(likelihood).all():
         return Finding(name, fits, None, [Contradiction("track", "NaN or infinity", "numbers")])
-    spared = np.maximum(nis - chdtri(dof, _OUTLIER_QUANTILE), 0.0).sum()
+    spared = np.maximum(nis - chdtri(np.maximum(dof, 1), _OUTLIER_QUANTILE), 0.0).sum()
     mean = (float(likelihood.sum() + 0.5 * spared) + reading.log_scale) / len(block)
     groups = {
         group: {"seen": int(count), "rejected_share": 0.0, "nis_per_dof": fits[group]}

@@ -221,12 +221,16 @@ def episode_from(block: LogBlock, scene: Scene, radio: Radio, begins: bool = Tru
 
     If a track ``begins`` here, its prior comes from links of the first epoch. These links are then
     not visible, so that they are not used twice. If no track begins, the prior is meaningless.
+
+    Raises:
+        ValueError: a track begins here, but the first epoch determines no position.
     """
     n = block.layout.state_size
     prior, visible = (np.zeros(n), np.eye(n)), block.visible
     if begins:
         fix = first_fix(block, 0, scene, radio)
-        assert fix is not None  # every segment begins with a first fix
+        if fix is None:  # segments() lets every segment begin with a first fix
+            raise ValueError("log: found a first epoch that determines no position, expected one")
         prior, visible = fix.prior, visible.copy()
         visible[0] &= ~fix.used
     return Episode.measured(

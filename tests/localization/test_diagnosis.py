@@ -25,6 +25,7 @@ from tests.localization.mistakes import (
     write_columns,
 )
 from tests.logs.by_hand import assert_same
+from tests.paths import representative
 from tests.refusals import refuses
 
 RADIO = RADIOS["standard"]
@@ -42,8 +43,8 @@ def doubts(blocks, scene, radio=RADIO):
     return [str(doubt) for doubt in contradictions(blocks[0], scene, radio, groups.figures())]
 
 
-def findings(path, scene, radio=RADIO):
-    block = next(read_log(path, scene, odometry=False, limits=False))
+def findings(path, scene, radio=RADIO, partial=False):
+    block = next(read_log(path, scene, odometry=False, limits=False, partial=partial))
     return diagnose(block, scene, radio, MODES[1])
 
 
@@ -104,6 +105,25 @@ def test_two_mistakes_at_once_are_both_diagnosed(tmp_path, folder):
     assert not best.contradictions
     mistakes = {"arrival and departure are exchanged", "elevation is a zenith angle"}
     assert set(best.hypothesis.split("; ")) == mistakes
+
+
+LACKING = {  # mistake -> columns that the log lacks
+    AS_IT_IS: ("aoa_elevation_rad", "aod_azimuth_rad"),
+    "elevation has the other sign": ("aod_azimuth_rad", "doppler_hz"),
+    "azimuth of arrival is in degrees": ("aoa_elevation_rad", "aod_azimuth_rad"),
+    "Doppler shift has the other sign": ("aoa_elevation_rad", "aod_azimuth_rad"),
+}
+
+
+@pytest.mark.parametrize("name", representative(LACKING, "elevation has the other sign"))
+def test_a_mistake_in_a_log_that_lacks_columns_is_diagnosed(tmp_path, name):
+    scene, mistake = read_scene(FOLDERS[0] / "scene.json"), MISTAKES.get(name, dict)
+    columns, path = mistake(read_columns(FOLDERS[0] / "log.csv")), tmp_path / "log.csv"
+    write_columns(path, {k: v for k, v in columns.items() if k not in LACKING[name]})
+    best, *others = findings(path, scene, partial=True)
+    assert best.hypothesis == name and not best.contradictions
+    if "doppler_hz" in LACKING[name]:
+        assert not any("Doppler" in f.hypothesis for f in others)
 
 
 def test_a_rotated_frame_causes_a_warning_and_no_hypothesis_explains_it(tmp_path):
