@@ -205,16 +205,17 @@ class Tracker:
         if not epoch.placed or not self._sound:
             return None
         (numbers, doppler_anchor), layout, at = epoch.placed, self._layout, self._at
-        size, row, visible = layout.size, self._blank.copy(), [False] * len(self._groups)
+        size, doppler, row = layout.size, layout.doppler, self._blank.copy()
+        visible = [False] * len(self._groups)
         snr = numbers[2 * size : -1]
         sigma = deviations(*self._variances, snr, layout)
         if doppler_anchor:
             shifted = deviations(*self._variances, [snr[doppler_anchor]] * layout.anchors, layout)
-            sigma[layout.doppler] = shifted[layout.doppler]
+            sigma[doppler] = shifted[doppler]
         for i, group in enumerate(self._group_of):
             if not isnan(numbers[i]):
-                own, link = numbers[size + i], doppler_anchor if i == layout.doppler else group
-                if isnan(own) and i <= layout.doppler and isnan(snr[link]):
+                own, link = numbers[size + i], doppler_anchor if i == doppler else group
+                if isnan(own) and i <= doppler and isnan(snr[link]):
                     return None
                 row[at.z[i]] = numbers[i]
                 row[at.signed_sigma[i]] = sigma[i] if isnan(own) else own

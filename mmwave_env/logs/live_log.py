@@ -13,6 +13,7 @@ from mmwave_env.logs.log_columns import BODY, QUANTITIES, STATION, Unit, columns
 from mmwave_env.logs.log_tables import LogError, LogFile, Table, parse_carefully
 from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.scene import Scene
+from mmwave_env.numerics.numbers import PI
 
 _NUMBERS = {float, int, np.float64}  # types whose text form is parsed to the same number
 _MARGIN = 1e-9  # share of a limit; values nearer than this to the limit need the full checks
@@ -121,15 +122,16 @@ class LiveLog:
 
     def _placed(self, rows: list[list[float]]) -> tuple[list[float], int]:
         """Return ``placed`` of a :class:`LiveEpoch`, from the cells of its rows."""
-        placed, doppler_anchor = self._blank.copy(), 0
+        placed, doppler_anchor, doppler = self._blank.copy(), 0, self.layout.doppler
         for cells in rows:
             anchor = int(cells[self._anchor]) - 1
             for i, first, step, convert, is_angle in self._slots:
                 cell, place = cells[i], first + step * anchor
                 if not isnan(cell) and (step or isnan(placed[place])):
                     number = convert(cell)
-                    placed[place] = wrapped(number) if is_angle else number
-                    if first == self.layout.doppler:
+                    turned = is_angle and not -PI <= number < PI
+                    placed[place] = wrapped(number) if turned else number
+                    if first == doppler:
                         doppler_anchor = anchor
         return placed, doppler_anchor
 
@@ -153,22 +155,37 @@ class LiveLog:
                         f"{self._log.path}, row {number}, column {name!r}: "
                         f"found an unknown column, expected one of {', '.join(self._limits)}"
                     )
-            values = [nan if (of := row.get(name)) is None else of for name in self._limits]
-            if all(type(value) in _NUMBERS for value in values) and self._plain(values):
-                return list(map(float, values))
-            row = ",".join(map(str, values))
+            if sound := self._sound_numbers(row):
+                return sound
+            row = ",".join(str(nan if row.get(of) is None else row[of]) for of in self._limits)
         table = parse_carefully(self._log, [row], number, 0.0)
         cells: list[float] = table.cells[0].tolist() if len(table) else []
         if table.damage or not self._plain(cells):
             self._require_sound(table)
         return cells
 
+    def _sound_numbers(self, row: Mapping[str, Any]) -> list[float] | None:
+        """Return the cells of a row of plainly sound numbers; None if it needs the full checks."""
+        cells = []
+        for name, (low, high) in self._limits.items():
+            value = row.get(name)
+            if value is None:
+                value = nan
+            elif type(value) not in _NUMBERS or value < low or value > high:
+                return None
+            cells.append(float(value))
+        return cells if self._is_of_epoch(cells) else None
+
     def _plain(self, cells: list[float]) -> bool:
         """Tell whether the cells of a row are plainly sound; if not, they need the full checks."""
         for cell, (low, high) in zip(cells, self._limits.values(), strict=False):
             if cell < low or cell > high:  # NaN is an empty cell
                 return False
-        return not cells or (cells[self._anchor] in self._anchors and not isnan(cells[self._time]))
+        return not cells or self._is_of_epoch(cells)
+
+    def _is_of_epoch(self, cells: list[float]) -> bool:
+        """Tell whether a row has a time, and the number of an anchor of the scene."""
+        return cells[self._anchor] in self._anchors and not isnan(cells[self._time])
 
     def _require_sound(self, table: Table) -> None:
         _, damage = first_damage(self._log, table, self.layout.anchors, limits=True)
