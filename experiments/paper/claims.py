@@ -186,7 +186,7 @@ def units(bench: Bench) -> Iterator[Row]:
 
 
 def _drifting_in_hz(mode: Mode, episode: Episode) -> Mode:
-    """Return the mode with noise of b in Hz: a filter whose hz_per_mps is 1 does not convert it."""
+    """Return the mode with oscillator noise in Hz, for a filter whose hz_per_mps was set to 1."""
     return replace(mode, sigma_b_mps=mode.sigma_b_mps * episode.hz_per_mps)
 
 

@@ -95,7 +95,7 @@ class Spec:
 
 
 def plain(value: Any) -> Any:
-    """Return a number or text as it is, and anything else as JSON, for columns and Optuna."""
+    """Return a number or text as it is, and anything else as JSON, for Parquet and Optuna."""
     return json.dumps(value) if isinstance(value, (bool, tuple)) else value
 
 

@@ -94,7 +94,7 @@ class CorrectorData:
         return self._switch.bank(radio) if self._switch else self._task.banks[radio]
 
     def lots(self) -> Iterator[Lot]:
-        """Play and yield a lot at every place, and random lots, a share ``random_share`` of all."""
+        """Play and yield a lot at every place, then random lots (``random_share`` of all lots)."""
         for radio, batch in self.batches():
             yield self._play(batch, self.bank(radio))
 
