@@ -45,7 +45,7 @@ def trace(geometry, carrier_hz, base_station_m, receivers_m):
 
 
 def arrays_of(paths):
-    """Convert Sionna's paths to DeepMIMO's arrays (receivers, paths, ...), the strongest first."""
+    """Convert Sionna's paths to DeepMIMO's arrays (receivers, paths, ...), strongest path first."""
     real, imaginary = (np.array(part, float)[:, 0, 0, 0] for part in paths.a)
     delay = np.array(paths.tau, float)[:, 0]
     gain = np.hypot(real, imaginary)

@@ -3,13 +3,13 @@
 python examples/recurrent_localizer.py 10000000 120
 mmwave-loc compare --policies examples.recurrent_localizer:Localizer fixed-ukf imm imm-best
 
-The first command trains on 120 lots of episodes, whose seeds begin at 10 000 000, and writes
-localizer.safetensors, which the second command reads. The network is told how a measurement depends
-on the user's state, but nothing about motion, and of noise what the receiver states. In every epoch
-it moves its last position by its last velocity and compares the measurements with those expected
-there. A recurrent layer then chooses by which share of each difference position, velocity and the
-oscillator's bias change, and a weight for each direction of measurement. The weights add up to the
-inverse of the covariance.
+The first command trains on 120 lots (batches) of episodes, whose seeds begin at 10 000 000, and
+writes localizer.safetensors, which the second command reads. The network is told how a measurement
+depends on the user's state, and which noise the receiver states, but nothing about how users move.
+In every epoch it moves its last position by its last velocity and compares the measurements with
+those expected there. Then a recurrent layer chooses the shares of these differences that it adds to
+position, velocity and oscillator bias. It also chooses a weight for every measured direction d; the
+sum of weight * d d' is the inverse of the position's covariance.
 """
 
 import sys
@@ -32,15 +32,15 @@ from mmwave_env.world.keys import keys_of
 FILE = "localizer.safetensors"
 EPISODES = 8  # number of episodes from each place in a lot
 STEPS_S = (1.0, 1.0, 1.0, 0.5, 0.25, 0.1)  # seconds between epochs in training, equally probable
-EPOCHS = 20  # number of epochs between two steps of the optimizer, through which gradients flow
+EPOCHS = 20  # number of epochs between two optimizer steps; gradients flow through these epochs
 FRONT, MEMORY = 32, 48  # widths of layers
 
 
 def rows_of(x, site, epoch, layout):
-    """Return the rows (n, 3 L + 1, 10) of an epoch, expanded at states x (n, 7).
+    """Return the rows (n, 3 L + 1, 10) of an epoch with L links, linearized at states x (n, 7).
 
-    The rows are range, azimuth and elevation of every link, and the Doppler shift. Each consists of
-    innovation, variance, visibility and the gradient (7,) of the measurement.
+    The rows are range, azimuth and elevation of every link, then the Doppler shift. The columns are
+    innovation, variance, visibility and, from the fourth on, the gradient (7,) of the measurement.
     """
     state = [*x.detach().double().numpy().T]
     groups = groups_of(state, stated(epoch, site, layout))[: layout.anchors + 1]
@@ -86,7 +86,7 @@ class Network(nn.Module):
         gap, sigma = innovation[:, :-1] / slope, variance[:, :-1] ** 0.5 / slope
         information = known / sigma**2
         total = ((basis @ basis.mT) ** 2 @ information[..., None])[..., 0].clamp(min=1e-9)
-        share, count = information / total, known.sum(1, keepdim=True)  # of all in its direction
+        share, count = information / total, known.sum(1, keepdim=True)
         scale = ((known / total).sum(1, keepdim=True) / count.clamp(min=1.0)) ** 0.5
         scale = torch.where(count > 0.0, scale, kept[:, -1:])
         speeds = torch.asinh((basis @ x[:, 3:6, None])[..., 0])
@@ -123,7 +123,7 @@ def beliefs(network, layout, site, epochs):
 
 
 class Localizer(Estimator):
-    """A trained network, read from a file. It states no covariance of velocity or bias."""
+    """A trained network, read from a file. Its variances of velocity and bias are placeholders."""
 
     at_once = True
 
@@ -142,7 +142,7 @@ class Localizer(Estimator):
 
 
 def loss_of(error, inverse):
-    """Return the loss of errors (..., 3): the terms of the reward, and the log density."""
+    """Return the loss of errors (..., 3): the reward's costs, and the negative log density."""
     squared = (error[..., None, :] @ inverse @ error[..., None])[..., 0, 0].clamp(min=1e-6)
     length = (error.square().sum(-1) + 1e-6) ** 0.5
     density = 0.5 * squared.clamp(max=50.0) - 0.5 * torch.logdet(inverse)

@@ -85,7 +85,7 @@ def in_motion(played: Played, vectors: Array) -> Array:
 
 
 def events(played: Played) -> dict[str, NDArray[np.bool_]]:
-    """Return in which epochs (n, T) each kind of event begins; moving means above 0.5 m/s."""
+    """Return in which epochs (n, T) events of each kind begin; users move if above 0.5 m/s."""
     speed = np.linalg.norm(played.truth[..., 3:5], axis=-1)
     moving = speed > 0.5
     visible = np.stack([e.visible[:, : e.layout.anchors].all(axis=1) for e in played.episodes])

@@ -186,12 +186,12 @@ def units(bench: Bench) -> Iterator[Row]:
 
 
 def _drifting_in_hz(mode: Mode, episode: Episode) -> Mode:
-    """Return the mode with oscillator noise in Hz, for episodes in which 1 m/s counts as 1 Hz."""
+    """Return the mode with oscillator noise in Hz, for a filter whose hz_per_mps was set to 1."""
     return replace(mode, sigma_b_mps=mode.sigma_b_mps * episode.hz_per_mps)
 
 
 def _read_as_mps(episode: Episode) -> Episode:
-    """Return the episode with Doppler shifts in Hz taken as m/s, and noise converted to m/s."""
+    """Return an episode in which a filter takes shifts in Hz for m/s; their noise is in m/s."""
     sigma = episode.sigma.copy()
     sigma[:, episode.layout.doppler] /= episode.hz_per_mps
     return replace(episode, hz_per_mps=1.0, sigma=sigma)

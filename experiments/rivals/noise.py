@@ -1,4 +1,4 @@
-"""Kalman updates for noise unlike what receivers report: a Student-t and an adaptive update.
+"""Kalman updates for noise that receivers misstate: a Student-t and an adaptive update.
 
 The stated variances of every group of measured values (such as a link) are multiplied by an unknown
 factor with an inverse gamma distribution. Variational Bayes alternates between the belief and the
@@ -71,8 +71,8 @@ def adapted(
 
 
 def misfit(group: Group, P: Matrix) -> Number:
-    """Return the expected r' R^-1 r of a group's residual r at a belief with covariance P."""
-    total = group.spare_nis
+    """Return the expectation of r' R^-1 r for a group's residual r, given the covariance P."""
+    total = group.spare_nis  # NIS of the row that link_group drops
     for residual, h, variance in zip(group.innovation, group.jacobian, group.variance, strict=True):
         total = total + (residual * residual + dot(h, [dot(row, h) for row in P])) / variance
     return total
@@ -86,9 +86,10 @@ def student_t(
     base: Algorithm = ekf,
     dof: float = DOF,
 ) -> Posterior:
-    """Update a belief with Student-t noise; as the algorithm of a mode, it ignores the mode's gate.
+    """Update a belief, assuming Student-t noise.
 
-    With many degrees of freedom the result is that of the ``base`` without gates.
+    ``gate`` is ignored; it is an argument only so that this function can be a mode's algorithm.
+    With many degrees of freedom, the result is that of ``base`` without gates.
     """
     same = [0.5 * dof] * len(measurement.visible)
     (first, *_, last), _, _ = adapted(x, P, measurement, same, same, base)

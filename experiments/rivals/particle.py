@@ -22,13 +22,13 @@ from mmwave_env.numerics.pytree import flatten
 from mmwave_env.world.episode import blank_incoming
 
 PARTICLES = 10_000
-LEAST_M = 0.001  # its square is added to P, because P is 0 if an outlier leaves one particle
+LEAST_M = 0.001  # its square is added to variances, which are 0 if only one particle has weight
 SPREAD = 0.35  # width of the kernel that spreads resampled particles, in deviations of the cloud
-KEPT = (1.0 - SPREAD**2) ** 0.5  # the cloud first shrinks by this, so that its covariance is kept
+KEPT = (1.0 - SPREAD**2) ** 0.5  # factor that first shrinks the cloud, so that its P is kept
 
 
 class Weighed(NamedTuple):
-    """A particle, and the epoch whose measurement weighs the particle."""
+    """A particle, and the epoch whose measurement determines the weight of the particle."""
 
     incoming: Epoch
     site: Site
@@ -105,6 +105,6 @@ class Particles(Estimator):
 
 
 def resampled(share: Array, rng: np.random.Generator) -> Index:
-    """Draw the numbers of particles in proportion to their shares, by systematic resampling."""
+    """Draw indices of particles in proportion to their shares, by systematic resampling."""
     places = (np.arange(len(share)) + rng.random()) / len(share)
     return np.minimum(np.searchsorted(np.cumsum(share), places), len(share) - 1)

@@ -15,7 +15,7 @@ from mmwave_env.io.files import first_line
 from mmwave_env.metrics import METRICS
 
 RETRIES = 2  # repeats of a cell whose process ran out of memory, ended, or raised OSError
-AHEAD = 1000  # number of cells that Ray holds at once; enough to keep this many workers busy
+AHEAD = 1000  # number of cells submitted to Ray at once, so the maximum number of busy workers
 ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_task_oom_retries": str(RETRIES),  # unlimited by default
@@ -93,7 +93,8 @@ def searched(
     Return the errors of failed trials.
 
     Args:
-        train: function that trains with given values, and passes rows to its second argument.
+        train: function that trains with given values, and calls its second argument with a row
+            for every evaluation.
         before: rows of finished trials, from which the sampler learns.
         keep: function called with the name of a finished trial, its values and its last row.
     """

@@ -1,4 +1,7 @@
-"""Specification of a sweep: a TOML or JSON file, whose lists are combined into cells."""
+"""Specification of a sweep: a TOML or JSON file, whose keys are axes with one or more values.
+
+A *cell* is a combination of values, one of each axis. A search has trials instead of cells.
+"""
 
 import hashlib
 import itertools
@@ -92,12 +95,15 @@ class Spec:
 
 
 def plain(value: Any) -> Any:
-    """Return a number or text as it is, and anything else as JSON, for columns and Optuna."""
+    """Return a number or text as it is, and anything else as JSON, for Parquet and Optuna."""
     return json.dumps(value) if isinstance(value, (bool, tuple)) else value
 
 
 def read_spec(path: Path) -> Spec:
-    """Read a sweep, one table: fields of its class in :data:`KINDS`, "hyperparameters", "trials".
+    """Read the file of a sweep: one table, whose name is one of :data:`KINDS`.
+
+    Its keys are fields of the class in KINDS; in [train] and [search] also "hyperparameters"; and
+    in [search] also "trials".
 
     Raises:
         ValueError: the file is not a sweep; the message names the file and the key.

@@ -24,6 +24,7 @@ from mmwave_env.world.simulated import SimulatedSource
 SCENE, EPOCHS, WARM_UP = "street", 4000, 1000  # epochs of a track; the first 1000 are not timed
 PERCENTILES = (50.0, 99.0, 99.9)
 PIPE, PYTHON = "through a pipe", "in Python"
+# name -> options of `mmwave-loc localize`, and a function that makes the same choice of filters
 CONTENDERS: dict[str, tuple[tuple[str, str], Callable[[], Switching]]] = {
     "EKF": (("--speed", "1"), lambda: Switching((named_modes(RADIO)["ekf"],))),
     "imm-best": (("--imm", "imm-best"), lambda: Switching(imm_banks(RADIO)["imm-best"]())),
@@ -34,7 +35,7 @@ LATENCIES = [(name, way) for name in CONTENDERS for way in (PYTHON, PIPE)]
 
 
 def latency_us(name: str, way: str) -> list[float]:
-    """Return percentiles of a contender's microseconds per epoch, in Python or through a pipe."""
+    """Return percentiles of a contender's microseconds per epoch; ``way`` is PYTHON or PIPE."""
     source = SimulatedSource(scene_from(SCENE), radio_from(RADIO), epochs=EPOCHS)
     columns = log_columns(source.sample(np.random.default_rng(0)))
     cells = np.stack(list(columns.values()), axis=1).reshape(EPOCHS, -1, len(columns)).tolist()
@@ -52,7 +53,7 @@ def latency_us(name: str, way: str) -> list[float]:
 
 def _through_a_pipe(options: tuple[str, str], epochs: list[Any]) -> Any:
     words = [sys.executable, "-m", "experiments.console", "localize", "-", "--live", "--scene"]
-    # the child finds the same packages as this process
+    # The new process finds the same packages as this one.
     packages = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     with subprocess.Popen(
         [*words, SCENE, "--radio", RADIO, *options], env=packages,

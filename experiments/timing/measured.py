@@ -26,7 +26,7 @@ from mmwave_env.world.travel import stride_of
 
 FRESH_RUNS = 3  # maximum number of runs in new processes, since each takes seconds
 FRESH_SIZES = 3  # number of vector environments that also run in new processes: the largest ones
-STEP = "step"  # name of the kernel that makes a complete step of the environment
+STEP = "step"  # name of the kernel (compiled function) that makes an environment's whole step
 BASES = ("filterpy", workloads.SYNC_NAME)  # workloads with which ours are compared
 
 Rounds = dict[str, list[float]]
@@ -64,7 +64,7 @@ class Measured:
         self.cores_busy: Rounds = defaultdict(list)
         # minimum time of a step of each kernel on one core
         self.limits_s: Rounds = defaultdict(list)
-        # microseconds per live epoch, by contender, interface and percentile
+        # microseconds per epoch of a live track, by contender, interface and percentile
         self.latency_us: Rounds = defaultdict(list)
         # seconds from the start of a process to the end of its first step; peak memory, MiB
         self.cold_start_s: Rounds = defaultdict(list)

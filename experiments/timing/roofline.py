@@ -1,4 +1,4 @@
-"""Lower bound on the time that a core needs for the operations of a kernel (roofline).
+"""Lower bound on a core's time for the operations of a kernel, a compiled function (roofline).
 
 This model assumes that all arithmetic shares the vector pipes. So a mix of operations in the
 kernel's proportions is timed, in several chains that do not wait for each other. Loads and

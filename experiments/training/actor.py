@@ -12,7 +12,7 @@ from policies.policy_file import Tensors
 class Normalization(NamedTuple):
     """Normalization of an observation o in training: (clip(o, low, high) - mean) / sigma."""
 
-    low: Array  # (features,), as are the other three
+    low: Array  # (features,), and so are the next three
     high: Array
     mean: Array
     sigma: Array
@@ -31,11 +31,13 @@ def layers_of(policy: Any) -> list[Any]:
 def actor_tensors(layers: Iterable[Any], normal: Normalization) -> Tensors:
     """Return the tensors of an actor in the form that a policy file stores.
 
-    The normalization is folded into the first weights: W / sigma, b - (W / sigma) mean.
+    The normalization is folded into the first linear layer: its weights W become W / sigma, and its
+    biases b become b - (W / sigma) mean.
 
     Args:
-        layers: layers of a network that takes normalized observations; only linear ones are used.
-        normal: normalization of an observation; its bounds are among the tensors.
+        layers: layers of a network that expects normalized observations; only its linear layers
+            have tensors.
+        normal: normalization of an observation; ``low`` and ``high`` are among the tensors.
     """
     tensors = {"low": normal.low, "high": normal.high}
     for i, layer in enumerate(layer for layer in layers if type(layer).__name__ == "Linear"):
@@ -51,8 +53,8 @@ def require_actor(file: str, policy: Any) -> None:
     """Refuse a network that a policy file can't hold.
 
     Raises:
-        ValueError: the network is of another kind; the message names the file, what was found in
-            it, and what was expected.
+        ValueError: the network is not a tanh network with discrete actions. The message names the
+            file, what was found in it, and what was expected.
     """
     if not hasattr(policy, "action_net"):
         raise ValueError(

@@ -1,10 +1,11 @@
 """Training of a corrector by supervision on simulated episodes.
 
 A corrector corrects the beliefs of another policy, its base. In a simulation the truth is known, so
-the network learns the errors of the base from examples. The loss is the length of the remaining
-error, in standard deviations of the belief, plus a small share of the error's negative
-log-likelihood, from which the network learns to scale the deviations. The base does not depend on
-the corrections, so it plays each episode only once. Every update has new episodes.
+the network learns the errors of the base from examples. The loss is the length of the error that
+remains, relative to the belief's mean deviation, plus the error's negative log-likelihood with a
+small weight, from which the network learns to scale the deviations. The base does not depend on
+the corrections, so it plays each episode only once. Every update has new episodes, which come in
+*lots*: batches of episodes of equal length.
 """
 
 from collections.abc import Iterator
@@ -30,7 +31,7 @@ from mmwave_env.numerics.numbers import Array, Index
 from policies.policy_file import CORRECTIONS, Tensors
 
 EVALUATE = 32  # number of updates between two evaluations
-FIRST = 3  # number of additional rounds of episodes in the first update, to scale features
+FIRST = 3  # number of additional rounds of lots in the first update, to measure the scales
 OUTSIDE = 1e-4  # share of a feature's values below its range; the same share is above its range
 MOST_LENGTH, MOST_SQUARE = 20.0, 50.0  # limits in the loss, so that lost tracks do not dominate it
 CONSTANT = 1e-3  # added to standard deviations, which are 0 for a feature that never changes
@@ -50,7 +51,7 @@ class CorrectorNetwork(nn.Module):
             self.out.bias.zero_()
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """Return shifts and log factors, each (T, n, members, 3), for features (T, n, features)."""
+        """Map features (T, n, F) to shifts and log factors of deviations (T, n, members, 3)."""
         front = torch.tanh(self.front(features))
         memory, _ = self.gru(front)
         head = torch.tanh(self.head(torch.cat([memory, front], -1)))
@@ -61,10 +62,10 @@ class CorrectorNetwork(nn.Module):
 def loss_of(
     answer: tuple[Tensor, Tensor], error: Tensor, deviation: Tensor, weight: float
 ) -> Tensor:
-    """Return the loss (n, members) of every episode and ensemble member.
+    """Return the loss (n, members) of every ensemble member in every episode.
 
     Args:
-        answer: shifts and logarithms of factors (T, n, members, 3).
+        answer: output of :meth:`CorrectorNetwork.forward`.
         error, deviation: (T, n, 3) as in :class:`Lot`.
         weight: weight of the log-likelihood.
     """
@@ -138,7 +139,7 @@ class CorrectorTraining:
         return {"loss": float(np.mean(losses))}
 
     def _learn(self, lot: Lot) -> float:
-        """Take a gradient step on a lot; each ensemble member learns from a random half of it."""
+        """Take a gradient step; each member of an ensemble learns from about half of the lot."""
         hyper = self._job.hyperparameters
         error, deviation = torch.from_numpy(lot.error), torch.from_numpy(lot.deviation)
         losses = loss_of(self.answer(lot), error, deviation, hyper.likelihood_weight)
@@ -188,12 +189,13 @@ class CorrectorTraining:
 
 
 def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]:
-    """Yield all episodes in random order, in lots (batches) that mix episodes of different places.
+    """Yield all episodes in random order, in new lots that mix episodes of different places.
 
     Args:
         lots: lots to mix.
-        size: number of episodes in a lot of the shortest episodes; lots of longer ones have fewer.
-        rng: generator of the order.
+        size: number of episodes in a new lot of the shortest episodes; a lot of longer episodes
+            has fewer, but about as many epochs.
+        rng: random generator of the order.
     """
     shortest = min(len(lot.features) for lot in lots)
     parts: list[tuple[Lot, Index]] = []
@@ -209,7 +211,7 @@ def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]
 
 
 def _scales(lots: list[Lot]) -> dict[str, Array]:
-    """Return range, mean and deviation (features,) of every feature."""
+    """Return, as arrays (features,), the limits, the mean and the deviation of every feature."""
     rows = np.concatenate([lot.features.reshape(-1, lot.features.shape[2]) for lot in lots])
     low, high = np.quantile(rows, (OUTSIDE, 1.0 - OUTSIDE), axis=0)
     mean, sigma = rows.mean(0, np.float64), rows.std(0, np.float64) + CONSTANT

@@ -1,9 +1,9 @@
 """Episodes for a corrector to learn from: features, and the errors and beliefs of its base.
 
-The *base* is the policy or IMM whose beliefs are corrected. Half of the episodes are at the places
-of the training (scenes with a radio). In the others, streets, carrier, radio, rate of epochs and
-clock are random, and so are the measured quantities, the measured anchors, and the factor by which
-the receiver misjudges its noise. Without random episodes, a network memorizes the places.
+The *base* is the policy or IMM whose beliefs are corrected. Some episodes are at the places of the
+training (scenes with a radio). In the others, streets, carrier, radio, rate of epochs and clock are
+random, and so are the measured quantities, the measured anchors, and the errors of the receiver's
+stated noise and orientation. Without random episodes, a network memorizes the places.
 """
 
 from collections.abc import Iterator
@@ -33,9 +33,9 @@ from mmwave_env.world.trajectory import Trajectory, Ways
 from policies import LearnedSwitch
 from policies.corrector import BASE_IMM
 
-STEPS_S = (1.0, 1.0, 0.5, 0.25, 0.1, 0.1, 0.1, 2.0)  # steps between epochs to draw from
+STEPS_S = (1.0, 1.0, 0.5, 0.25, 0.1, 0.1, 0.1, 2.0)  # times between epochs to draw from, s
 EPOCHS = 200
-SUBSETS = (  # what a receiver that lacks some quantities may measure
+SUBSETS = (  # a receiver that lacks some quantities measures those in one of these rows
     ("range", "azimuth", "elevation", "departure"),
     ("range", "azimuth", "elevation"),
     ("range", "azimuth", "elevation", "doppler"),
@@ -51,19 +51,19 @@ ORIENTATION_RAD = 0.1  # standard deviation of an orientation that is not known 
 # Share of the random episodes whose users weave and vary their speed, as real users do. All other
 # users keep to the middle of the street; from them alone, the network would learn to rely on that.
 WEAVING = 0.5
-WAYS = 64  # number of weaving users from which the episodes of one Lot are drawn
-WEAVE_S = (8.0, 40.0)  # periods of weaving at an episode's highest speed
-WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # largest change by weaving: of velocity / speed, and of position
-WEAVING_BEHIND_M = (20.0, 60.0)  # distances from the last street to a wall, with room to weave
+WAYS = 64  # maximum number of weaving users from which the episodes of one Lot are drawn
+WEAVE_S = (8.0, 40.0)  # shortest and longest period of weaving at an episode's highest speed
+WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # weaving changes velocity / speed and position by at most this
+WEAVING_BEHIND_M = (20.0, 60.0)  # range of distances from a wall to the last street: room to weave
 
 
 class Lot(NamedTuple):
-    """Episodes of equal length, in arrays whose first axis is the epochs.
+    """A lot, or batch: n episodes of T epochs each.
 
     Attributes:
         features: (T, n, features) what a corrector reads after every epoch.
-        error: (T, n, 3) truth minus estimate along and across the motion, and up, m.
-        deviation: (T, n, 3) standard deviations of the belief in these directions, m.
+        error: (T, n, 3) truth minus estimate, m: along the motion, across it, and up.
+        deviation: (T, n, 3) standard deviations of the belief in the same directions, m.
     """
 
     features: Array32
@@ -75,8 +75,7 @@ class CorrectorData:
     """A source of lots (:class:`Lot`), in which no episode occurs twice.
 
     Args:
-        task: task of the training.
-        hyper: hyperparameters.
+        task, hyper: task and hyperparameters of the training.
         seed: seed from which all episodes and all random choices follow.
 
     Attributes:
@@ -95,12 +94,12 @@ class CorrectorData:
         return self._switch.bank(radio) if self._switch else self._task.banks[radio]
 
     def lots(self) -> Iterator[Lot]:
-        """Play and yield one lot at every place, then random lots up to ``random_share`` of all."""
+        """Play and yield a lot at every place, then random lots (``random_share`` of all lots)."""
         for radio, batch in self.batches():
             yield self._play(batch, self.bank(radio))
 
     def batches(self) -> Iterator[tuple[str, EpisodeBatch]]:
-        """Yield, for each lot of :meth:`lots`, the radio whose bank it needs and its episodes."""
+        """Yield the name of the radio profile and the episodes of each lot of :meth:`lots`."""
         places, share = self._task.places, self._hyper.random_share
         for place in places:
             rng = self._rng()
@@ -116,9 +115,9 @@ class CorrectorData:
         return np.random.default_rng((self._seed, self.played))
 
     def _at_some_rate(self, source: SimulatedSource, rng: np.random.Generator) -> SimulatedSource:
-        """Return a source with a random step between epochs.
+        """Return a source with a random time between epochs.
 
-        If the step is short, half of the lots have long episodes.
+        If this time is at most 0.2 s, half of the lots have long episodes.
         """
         dt, long = float(rng.choice(STEPS_S)), rng.random() < 0.5
         return replace(
@@ -176,7 +175,7 @@ class CorrectorData:
 
 
 def weaving(source: SimulatedSource, rng: np.random.Generator) -> SimulatedSource:
-    """Return a source whose users weave, in one scene drawn from a source with random scenes.
+    """Draw a scene from a source with random scenes; return a source of users who weave in it.
 
     A weaving user's position is that of a simulated user plus, along each street axis, a sine of
     the distance traveled. So weaving users stand still when the simulated users do.
@@ -197,9 +196,10 @@ def weaving(source: SimulatedSource, rng: np.random.Generator) -> SimulatedSourc
 
 
 def _lot(features: Array32, x: Array, P: Array, error: Array) -> Lot:
-    """Return a lot, given states, packed covariances and errors (T, n, ...) in the world's axes.
+    """Return a lot, given features and, in the axes of the scene, the base's beliefs and errors.
 
-    Episodes in which the base's belief became NaN or infinite (docs/reliability.md) are left out.
+    All arrays are (T, n, ...); P is packed, and errors are estimates minus truth. Episodes in which
+    the base's belief became NaN or infinite (docs/reliability.md) are left out.
     """
     belief = Belief(list(np.moveaxis(x, -1, 0)), unpack(list(np.moveaxis(P, -1, 0))))
     frame, deviations = deviations_of(belief)

@@ -38,18 +38,19 @@ class Evaluator:
             seeds = range(TUNING_SEED + last - n, TUNING_SEED + last)
             self._at.append((place, draw_episodes(place.source(task.scenario), seeds)))
         rivals = PER_MODE_RIVALS if task.beliefs == "per-mode" else TRAINING_RIVALS
-        # the rule is expected to leave its design window, so warnings of this are ignored
+        # The rule warns at speeds outside its design window, which occur here on purpose.
         with warnings.catch_warnings(action="ignore"):
             self._rivals = {
                 name: self._scores(partial(contender_from, name))["reward"] for name in rivals
             }
 
     def examine(self, path: Path) -> Json:
-        """Return figures of a policy file, with 95 % intervals.
+        """Return figures of a policy file, by name.
 
         Returns:
-            The mean of every metric over all places, and the gain in reward over every rival,
-            "minus NAME"; with several places also each place's gain, "PLACE minus NAME".
+            The mean of every metric over all episodes; under "minus NAME", the gain in reward over
+            a rival, with its 95 % interval; if there are several places, also under "PLACE minus
+            NAME" the gain at one place; the first seed and the number of episodes.
         """
         scores = self._scores(lambda radio: Contender.learned(path, radio=radio))
         differences = {name: scores["reward"] - reward for name, reward in self._rivals.items()}
@@ -68,7 +69,7 @@ class Evaluator:
         }
 
     def _scores(self, contender_at: Callable[[str], Contender]) -> Scores:
-        """Score a contender on all episodes; ``contender_at`` makes the contender for a radio."""
+        """Score a policy or IMM on all episodes; ``contender_at`` makes it for a radio."""
         parts = []
         for place, episodes in self._at:
             contender = contender_at(place.radio)

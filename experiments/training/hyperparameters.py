@@ -28,7 +28,7 @@ class _Hyperparameters:
     """Hyperparameters of every algorithm."""
 
     num_envs: Count  # number of environments stepped, or of episodes played, at once
-    batch_size: Count  # number of epochs, states or short episodes in a gradient step
+    batch_size: Count  # epochs (PPO), states (rollouts) or episodes (corrector) per gradient step
     learning_rate: Positive  # initial learning rate; it falls linearly
     final_fraction: Probability  # share of learning_rate and ent_coef that is left at the end
 
@@ -46,8 +46,8 @@ class _SwitcherHyperparameters(_Hyperparameters):
     ent_coef: Positive  # initial weight of the entropy; it falls linearly
     hidden: Neurons  # sizes of the tanh layers; PPO's critic has layers of the same sizes
     clip_observation: Positive  # normalized observations are clipped to plus or minus this
-    # logit of action 0 at the start; the others are about 0. If every mode keeps its own belief,
-    # action 0 trusts the IMM's mixture, so that learning starts level with the IMM
+    # Logit of action 0 at the start; those of the other actions are about 0. If every mode keeps
+    # its own belief, action 0 trusts the IMM's mixture: a bias lets learning start level with it.
     first_action_bias: Positive = 0.0
 
 
@@ -61,7 +61,7 @@ class PpoHyperparameters(_SwitcherHyperparameters):
     gae_lambda: Probability  # lambda of generalized advantage estimation
     clip_range: Positive  # clipping range of the probability ratio
     max_grad_norm: Positive  # length to which longer gradients are shortened
-    target_kl: Positive  # an update stops at this KL divergence from the policy before it
+    target_kl: Positive  # an update stops at 1.5 times this KL divergence from the old policy
     # whether to train on the reward minus the IMM's reward in the same episode: actions do not
     # change the IMM's reward, so the best policy stays the same and the variance falls
     paired: bool
@@ -75,7 +75,7 @@ class RolloutHyperparameters(_SwitcherHyperparameters):
 
     horizon: Count  # length of a rollout, epochs
     stride: Count  # epochs of an environment between two states in which all actions are tried
-    states: Count  # minimum number of such states between two updates of the network
+    states: Count  # minimum number of states with tried actions between two network updates
     memory: Count  # number of latest states that an update learns from
     gradient_steps: Count  # number of gradient steps of an update
 
@@ -116,13 +116,9 @@ KINDS: dict[str, type[Hyperparameters]] = {
 
 
 def read_hyperparameters(path: Path, algorithm: str) -> Hyperparameters:
-    """Read a JSON file that contains the hyperparameters of an algorithm, by name.
+    """Read a JSON file with the hyperparameters, by name, of an algorithm from :data:`KINDS`.
 
     Hyperparameters that have a default may be left out.
-
-    Args:
-        path: file to read.
-        algorithm: name from :data:`KINDS`.
 
     Raises:
         ValueError: the file is not valid; the message names the file and the mistake.

@@ -1,7 +1,9 @@
 """Training and calibration of protection levels (:mod:`mmwave_env.localization.levels`).
 
-With the pinball loss, a network learns quantiles of log(error / Gaussian level), from the kinds of
-episodes that correctors learn from. Other episodes calibrate the network.
+A protection level is a bound that a position error exceeds with a given probability, the risk. The
+Gaussian level is right for Gaussian errors with the belief's covariance. With the pinball loss, a
+network learns quantiles of log(error / Gaussian level), from the kinds of episodes that correctors
+learn from. Other episodes calibrate the network.
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,7 +33,8 @@ from mmwave_env.world.episode import columns_of
 
 RISKS = (1e-2, 1e-3)
 SINGLE = ("speed-rule", "fixed-ekf", "fixed-ukf")
-# Groups of policies for training and calibration; one policy of every group plays an episode.
+# Groups of policies in training and in calibration. A batch of episodes is played once for each
+# group, by a random policy of the group.
 LEARNED_FROM = (("guided",), ("corrector",), ("imm-best", "imm", *SINGLE))
 KINDS = (SINGLE, ("guided", "imm-best"), ("corrector",))
 PLACES = [f"{scene}:{radio}" for scene in TRAINED_SCENES for radio in TUNED_RADIOS]
@@ -41,14 +44,14 @@ ENVS, ROUNDS, CALIBRATION = 64, 24, 30
 HIDDEN, STEPS, BATCH, RATE = 64, 2500, 8192, 3e-3  # the learning rate falls linearly
 EVERY = 4  # neighboring epochs are alike, so the network learns from one in four
 OUTSIDE = 1e-4  # share of a feature's values below its range; the same share is above its range
-LEAST_M = 1e-4  # smaller errors count as this
-LIMIT, HALVINGS = 8.0, 24  # largest constant; steps of the search for constants
+LEAST_M = 1e-4  # smaller errors count as 0.1 mm
+LIMIT, HALVINGS = 8.0, 24  # largest constant of the calibration; steps of the bisection for it
 
 
 def _played(
     seed: int, rounds: int, policies: Sequence[tuple[str, ...]], **changes: float
 ) -> Iterator[tuple[Array, Array]]:
-    """Play batches of episodes, each by one policy of every group; yield features and logs.
+    """Play batches of episodes; for each batch and each group of policies yield features and logs.
 
     The features are (n, T, features). The logs (n, T, risks, 2) are logarithms of the horizontal
     and the vertical error, each divided by its Gaussian level. ``changes`` replace hyperparameters
@@ -76,7 +79,7 @@ def _played(
 
 
 def _trained(features: Array, logs: Array, steps: int) -> Network:
-    """Return a network, not yet calibrated, for the quantiles of logs (n, risks, 2)."""
+    """Train a network to predict quantiles of logs (n, risks, 2); it is not yet calibrated."""
     torch.set_num_threads(1)
     torch.manual_seed(0)
     some = features[::16].astype(float)
@@ -93,7 +96,7 @@ def _trained(features: Array, logs: Array, steps: int) -> Network:
         rows = torch.randint(len(x), (BATCH,))
         above = y[rows] - network(x[rows]).unflatten(-1, (-1, 2))
         pinball = torch.maximum((1.0 - risk) * above, -risk * above)
-        loss = (pinball / risk.sqrt()).mean()  # the divisor gives all risks a similar weight
+        loss = (pinball / risk.sqrt()).mean()  # the divisor gives both risks a similar weight
         optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
@@ -108,7 +111,7 @@ def _constants(network: Network, seed: int, rounds: int) -> Array:
     """Return the constants (kinds, risks, 2) of the calibration.
 
     They come from split conformal prediction over all places, with one more episode of infinite
-    errors (Lee et al. 2023). If a single place needs larger constants, those are returned.
+    errors (Lee et al. 2023). If one of the places alone needs a larger constant, it is returned.
     """
     over: list[list[Array]] = [[] for _ in range(len(PLACES) * len(KINDS))]
     for i, (features, logs) in enumerate(_played(seed, rounds, KINDS, random_share=0.0)):
@@ -122,10 +125,11 @@ def _constants(network: Network, seed: int, rounds: int) -> Array:
 
 
 def _least(parts: list[Array], infinite: int) -> Array:
-    """Return the least constants (risks, 2) that logs (n, T, risks, 2) exceed rarely enough.
+    """Return the least constants (risks, 2) that the logs of all parts exceed rarely enough.
 
-    The share of epochs in which they do, plus its standard error over episodes, is at most the
-    risk; ``infinite`` further episodes have infinite logs. Constants above the limit are infinite.
+    A part has logs (n, T, risks, 2). The share of epochs whose logs exceed a constant, plus the
+    standard error of this share over episodes, is at most the risk. The episodes include
+    ``infinite`` more, whose logs are infinite. Constants above LIMIT become infinite.
     """
     low, high = np.array([[[-LIMIT] * 2], [[LIMIT] * 2]]).repeat(len(RISKS), axis=1)
     for _ in range(HALVINGS):

@@ -21,14 +21,14 @@ from mmwave_env.interface.info import LAST_KEYS
 from mmwave_env.io.files import Json
 from policies.policy_file import Tensors
 
-# Number of updates between two rows of the log (LOG), and between two evaluations before (EARLY)
-# and after (LATER) the policy first beats the paper's rule.
+# Updates per row of the log (LOG); updates per evaluation until the policy first beats the paper's
+# rule (EARLY), and from then on (LATER).
 LOG, EARLY, LATER = 4, 2, 16
 MOMENTS = ("mean", "var", "count")  # attributes of SB3's statistics of all observations so far
 
 
 class PpoTraining(BaseCallback):
-    """A training in progress; Stable-Baselines3 calls it before, while and after collecting epochs.
+    """A training in progress; Stable-Baselines3 calls it before, during and after each rollout.
 
     Args:
         job: training to run; if its folder has a checkpoint, the training continues from it.
@@ -63,7 +63,7 @@ class PpoTraining(BaseCallback):
             with going_on_from(job.checkpoint):
                 self._restore(stand.pop("learner"), with_arrays(stand.pop("env")))
         left, fresh = job.timesteps - model.num_timesteps, not model.num_timesteps
-        never: Any = None  # stops SB3's own logging, but its annotation forbids None
+        never: Any = None  # stops SB3's own logging; the annotation of log_interval forbids None
         model.learn(left, self, log_interval=never, reset_num_timesteps=fresh)
         stand["timesteps"] = model.num_timesteps
         self._evaluate()
@@ -161,8 +161,7 @@ def learner(venv: VecNormalize, hyper: PpoHyperparameters, seed: int) -> PPO:
     """Return the PPO algorithm, ready to learn; also seed the environments.
 
     Args:
-        venv: environments to learn in.
-        hyper: hyperparameters.
+        venv, hyper: environments to learn in, and hyperparameters.
         seed: seed of all random numbers.
     """
     layers, accepted = list(hyper.hidden), signature(PPO).parameters

@@ -33,15 +33,12 @@ def train(job: Job[Any], tell: Tell) -> Json:
 def side_by_side(
     jobs: Sequence[Job[Any]], at_once: int, tell: Callable[[Job[Any], News], None]
 ) -> list[Json]:
-    """Run trainings in parallel; if one fails or is interrupted, end all others.
+    """Run trainings in parallel and return their outcomes; end all if one fails or is interrupted.
 
     Args:
         jobs: trainings to run.
         at_once: number of processes that run at once.
         tell: function that is called with a job and its news.
-
-    Returns:
-        An outcome for every job.
 
     Raises:
         ValueError: the input of a training is not valid.

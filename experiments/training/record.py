@@ -21,7 +21,7 @@ STEP = "timesteps"
 
 
 class ProgressLog(KVWriter):
-    """A log of a training; each row has figures of recent episodes and of the update after them.
+    """A log of a training; each row has figures of recent episodes and of the latest update.
 
     Args:
         folder: folder of ``progress.csv``.
@@ -61,10 +61,10 @@ class Record:
         tell: function that is called with news of the training.
 
     Attributes:
-        stand: state of the training: numbers of updates and timesteps; "best", the figures of the
-            best policy, if any; "beat_rule", the time at which a policy first beat the paper's
-            rule, if any. If a training resumes, also what the trainer itself saved in the
-            checkpoint; the trainer removes these entries when it restores them.
+        stand: state of the training, by name: "update" and "timesteps", how many so far; "best",
+            the figures of the best policy, if any; "beat_rule", the timesteps and seconds until a
+            policy first beat the paper's rule, if any; "seconds" and "rows" of the log at the last
+            checkpoint; and entries that the trainer saved there, until it has restored them.
         log: log of the training's progress.
 
     Raises:
@@ -130,7 +130,7 @@ class Record:
         return {f"tuning/{key}": mean for key, mean in means.items()}
 
     def save(self, **more: Any) -> None:
-        """Write the log, and a checkpoint that also has the entries ``more``."""
+        """Write the log and a checkpoint, which also contains the entries ``more``."""
         self.log.save()
         here = {"seconds": self.seconds, "rows": self.log.rows}
         write_checkpoint(self._job.checkpoint, self.stand | here | more)

@@ -27,7 +27,7 @@ class Tried(NamedTuple):
 
     Attributes:
         observations: (k, features) observations in the states.
-        values: (k, actions) sum of discounted rewards of each action and the actions after it.
+        values: (k, actions) sums of the discounted rewards of an action and the actions after it.
     """
 
     observations: Array32
@@ -35,10 +35,10 @@ class Tried(NamedTuple):
 
 
 class RolloutEnv:
-    """N environments, spread over a task's places (scene and radio) and over an episode's epochs.
+    """N environments at the places of a task (scene and radio), in different epochs of an episode.
 
     Eight adjacent environments share a place and an epoch. The first episodes of these groups of
-    eight are cut to different lengths, so that the groups are in different epochs.
+    eight are cut to different lengths, so that the groups are in different epochs afterwards.
 
     Args:
         task: task of the training.
@@ -162,6 +162,6 @@ def _one_pipeline(task: TrainingTask, layouts: set[Layout]) -> Pipeline:
             raise ValueError(
                 f"bank of {radio}: found other algorithms or safeguards than in the bank of "
                 f"{task.places[0].profile}, expected modes that differ only in process noise and "
-                "known accelerations"
+                "in the size of acceleration_mps2 and turn_rate_radps"
             )
     return pipeline

@@ -4,7 +4,7 @@ In states that the current policy visits, every action is tried on the same meas
 greedy policy acts for some epochs after the action (:class:`RolloutEnv`). Then the network learns
 to prefer the better actions (:class:`RolloutLearner`), and both steps repeat. This is rollout
 policy iteration (Bertsekas, Rollout, Policy Iteration, and Distributed Reinforcement Learning,
-2020). The values of actions are exact up to the horizon, as the world does not depend on actions.
+2020). Values of actions are exact up to the horizon, because actions do not change the world.
 """
 
 from copy import deepcopy
@@ -29,14 +29,13 @@ EVALUATE = 8  # number of updates between two evaluations
 class RolloutLearner:
     """The network, its optimizer and the states that it learns from.
 
-    In every state in the memory, all actions were tried, each followed by actions of the policy at
-    that time. The network maximizes the mean of sum_a pi(a | s) (Q(s, a) - Q(s, 0)), plus a small
-    entropy bonus.
+    In every state s in the memory, all actions were tried, each followed by actions of the policy
+    at that time; Q(s, a) is the value of action a. The network, which chooses a with probability
+    pi(a | s), maximizes the mean of sum_a pi(a | s) (Q(s, a) - Q(s, 0)) and a small entropy bonus.
 
     Args:
         features, actions: numbers of features and of actions.
-        hyper: hyperparameters.
-        normal: normalization of an observation.
+        hyper, normal: hyperparameters, and normalization of an observation.
     """
 
     def __init__(
@@ -143,7 +142,7 @@ class RolloutTraining:
 
     Args:
         job: training to run; if its folder has a checkpoint, the training continues from it.
-        tell: function called with news, whose timesteps count states in which actions were tried.
+        tell: function called with news; their timesteps count states in which actions were tried.
 
     Attributes:
         env: environments in which actions are tried.

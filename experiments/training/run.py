@@ -45,7 +45,7 @@ ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")
 
 
 def rewards(args: TaskArgs) -> Reward:
-    """Return the agent's reward; if it is paired, the reward from which the IMM's is subtracted."""
+    """Return the agent's own reward; if the reward is paired, the IMM's is not yet subtracted."""
     reward = choose(REWARDS, args.reward, "reward")
     if isinstance(reward, PairedReward):
         reward = reward.reward
@@ -92,7 +92,7 @@ def hyperparameters(args: TaskArgs, places: int, path: Path | None = None) -> Hy
 
 
 def manifest_of(args: "Args", banks: Mapping[str, Bank], hyper: Hyperparameters) -> Json:
-    """Return the choices, as JSON, that a run must repeat when it is continued."""
+    """Return, as JSON, the choices of a run, which may not change when the run is resumed."""
     written = {radio: bank_as_written(bank) for radio, bank in banks.items()}
     first, *_ = written.values()
     choices = {"banks": written} if args.beliefs == "per-mode" else {"modes": first["modes"]}

@@ -69,7 +69,7 @@ class Place:
     def source(self, scenario: str) -> SimulatedSource:
         """Return the source of episodes at this place, for a kind of user (``scenario``)."""
         world = WorldArgs(scenario=scenario, **asdict(self))
-        return cast(SimulatedSource, source_of(world))  # since no recorded data was asked for
+        return cast(SimulatedSource, source_of(world))  # no recorded data were asked for
 
 
 def place_from(text: str) -> Place:
@@ -127,7 +127,7 @@ def require_environments(count: int, places: int, together: int = 1) -> None:
         together: number of adjacent environments that must share a place.
 
     Raises:
-        ValueError: this is impossible; the message says which numbers are possible.
+        ValueError: they can't be; the message says which numbers are possible.
     """
     if count % together or count < together * places:
         multiple = f"a multiple of {together}, " if together > 1 else ""
@@ -154,7 +154,7 @@ class TrainingTask:
         reward: function of (belief, truth).
 
     Raises:
-        ValueError: an argument is invalid, and the message says what is valid; or features or
+        ValueError: an argument is invalid (the message says what is valid), or the features or the
             actions differ between places.
     """
 

@@ -1,7 +1,7 @@
 """Tuning of the bank of the policy `imm-best`.
 
 The modes of this bank are for users who stand, cruise, turn, accelerate or brake. All parameters of
-the bank are tuned together, for the mean reward in all shipped scenes at two rates of epochs.
+the bank are tuned together, for the mean reward in all scenes to train in, at two rates of epochs.
 """
 
 from collections.abc import Callable, Sequence
@@ -47,7 +47,7 @@ START = (
 
 
 def tuned_bank(radio: str, episodes: int, seed: int, evaluations: int) -> Json:
-    """Return the best bank for a radio that the search finds, in the form of a mode file.
+    """Search for a radio's best bank; return it, in the form of a mode file, with its figures.
 
     Args:
         radio: radio profile, a name or a JSON file.
@@ -139,7 +139,7 @@ FREE = {
     "acceleration_mps2": (0.3, 6.0),
     "turn_rate_radps": (0.02, 1.0),
 }
-NINES = (1.0, 9.0)  # number of nines of the quantile at which NIS is capped: 3 nines are 0.999
+NINES = (1.0, 9.0)  # number of nines of the quantile that caps the NIS: 3 nines are 0.999
 DECIMALS = 6  # decimals of probabilities
 
 # standard deviations of the search's first points: in log odds, in logs of noise, and in nines
@@ -169,7 +169,7 @@ class SearchSpace(NamedTuple):
 
 
 def search_space(modes: Sequence[Mode]) -> SearchSpace:
-    """Return a bank's search space: transition probabilities, noise, maneuvers, NIS quantile."""
+    """Return the search space of transition probabilities, noise, maneuvers and NIS quantile."""
     n = len(modes)
     change = np.log((1.0 - DEFAULT_STAY) / (n - 1) / DEFAULT_STAY)
     chances, limits = [change] * (n * (n - 1)), [ODDS] * (n * (n - 1))
@@ -201,7 +201,7 @@ def _written(transition: Array) -> tuple[tuple[float, ...], ...]:
 
 
 def best_bank_of(space: SearchSpace, value: Value, evaluations: int) -> Bank:
-    """Return the best bank: the mean of the search's centers over the second half of the search.
+    """Return the bank at the mean of the search's centers in the second half of the search.
 
     Points are compared only within a generation, so each generation may have its own episodes. The
     center of the search then wanders around the optimum for all episodes, and the mean of the

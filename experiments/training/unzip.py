@@ -32,9 +32,9 @@ def unzipped(model: Path, normalize: Path | None) -> tuple[dict[str, NDArray[Any
         normalize: file that ``VecNormalize.save`` wrote, if the model was trained with it.
 
     Returns:
-        The tensors of a policy file; also "shown" (n, features), random observations, and "chosen"
-        (n,), the model's actions for them. The facts are the model's seed, timesteps and the
-        name of its network.
+        First, the tensors of a policy file and two more: "shown" (n, features), random
+        observations, and "chosen" (n,), the model's actions for them. Second, facts: the model's
+        seed, its timesteps and the name of its network.
 
     Raises:
         ValueError: the model can't be loaded, or can't be written as a policy file.

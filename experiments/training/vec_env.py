@@ -80,7 +80,7 @@ class PlacesVecEnv(VecEnv):
             part.step_async(some)
 
     def step_wait(self) -> tuple[NDArray[Any], Array32, Mask, Infos]:
-        """Return observations (n, features), rewards (n,), which episodes ended (n,) and infos."""
+        """Return observations (n, features), rewards (n,), whether episodes ended (n,), infos."""
         *arrays, infos = zip(*(part.step_wait() for part in self._parts), strict=True)
         observations, rewards, over = map(np.concatenate, arrays)
         return observations, rewards, over, [info for part in infos for info in part]

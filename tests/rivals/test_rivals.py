@@ -1,4 +1,4 @@
-"""Tests of rival trackers: particles, Student-t or adaptive noise, and estimators as contenders."""
+"""Tests of the rivals (particles, Student-t noise, adaptive noise) and of other estimators."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def played(agent, some, planar=False):
 
 
 class Seen(Estimator):
-    """An estimator that keeps its inputs, and returns the first ``size`` numbers of the prior."""
+    """An estimator that keeps its inputs, and yields ``size`` numbers of the prior mean."""
 
     def __init__(self, size=7, epochs=None):
         self.size, self.epochs = size, epochs
@@ -47,7 +47,7 @@ class Seen(Estimator):
 
 
 def priors_and_measurements():
-    """Yield three episodes' priors, as floats, each with every fifth measurement of its episode."""
+    """Yield x and P of the prior and a measurement, for every fifth epoch of three episodes."""
     for episode in episodes(3):
         agent = Seen()
         played(agent, [episode])
@@ -64,7 +64,7 @@ def test_particles_agree_with_the_ekf_where_all_is_nearly_linear():
         played(agent, some)
         for agent in (Particles(dof=MANY), lambda rows: np.zeros(len(rows), int))
     )
-    # only position and velocity: the nonlinear Doppler shift distorts the EKF's oscillator bias
+    # Leave out the EKF's oscillator bias, which the nonlinear Doppler shift distorts.
     diagonal = [i * (i + 1) // 2 + i for i in range(6)]
     deviation = np.sqrt(kalman["P"][..., diagonal])
     away = np.abs(cloud["x"] - kalman["x"])[..., :6] / deviation
@@ -99,7 +99,7 @@ def test_an_outlier_hardly_moves_a_belief_with_student_t_noise():
 
 
 def test_adaptive_noise_converges_to_the_true_noise():
-    """State only half of the true deviations, so that the factor on variances should be 4."""
+    """Let the receiver state half of the true deviations; the factor on variances should be 4."""
     x, _, measurement = next(priors_and_measurements())
     layout, rng, P = measurement.layout, np.random.default_rng(0), (1e-6 * np.eye(7)).tolist()
     exact = exact_rows(x[:3], x[3:6], measurement.anchors, measurement.hz_per_mps, layout)

@@ -178,6 +178,7 @@ def test_a_model_that_cannot_become_a_policy_file_is_refused(mistake, tmp_path, 
 
 @pytest.mark.usefixtures("forked")
 def test_a_model_that_does_more_than_its_layers_is_refused(tmp_path, modes, monkeypatch):
+    """Change the last of the extracted layers, so that the layers and the model act differently."""
     file = tmp_path / "model.zip"
     trained("ppo", environment()).save(file)
 

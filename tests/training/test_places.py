@@ -133,7 +133,7 @@ def test_every_place_has_the_bank_of_its_radio():
 
 
 def test_modes_that_share_a_belief_are_the_same_at_all_places():
-    """Check that all places, like the policy file, have the modes of the first place's radio."""
+    """Check that all places have the modes that were tuned for the first place's radio."""
     shared = task(beliefs="shared")
     assert {bank.modes for bank in shared.banks.values()} == {default_modes("handset")}
     at = task_from(**shared.arguments(PLACES[1]))

@@ -1,4 +1,4 @@
-"""Tests of the environments of trainings, which try all actions and combine several places."""
+"""Tests of RolloutEnv, which tries all actions, and PlacesVecEnv, which combines several places."""
 
 from dataclasses import replace
 
@@ -52,7 +52,10 @@ def walked(env, epochs=WALKED, seed=0):
 
 
 def by_hand(place, seed, first_episode, actions, first, act, beliefs):
-    """Replay ``actions``, then try ``first``; return the discounted sum of rewards from there."""
+    """Replay ``actions``, then take ``first``; return the discounted sum of rewards from there on.
+
+    The first episode lasts ``first_episode`` epochs. After ``first``, ``act`` chooses the actions.
+    """
     bank = BANKS[place.radio]
     modes = bank if beliefs == "per-mode" else bank.modes
     at = {"scene": place.scene, "radio": place.radio, "dt": place.dt}

@@ -22,6 +22,7 @@ def distance(bank, planted):
 
 @pytest.mark.slow
 def test_the_search_finds_a_planted_bank():
+    """Let a bank be better the closer it is to a random one, which is planted near the start."""
     space = search_space(START[:3])
     point = space.start + 0.7 * space.deviation * np.random.default_rng(0).standard_normal(
         len(space.start)

@@ -69,7 +69,7 @@ def test_the_exported_actor_chooses_the_actions_of_the_trained_one(tmp_path):
     training = PpoTraining(job_of(tmp_path), lambda *_: None)
     env, model = training.normal, training.model
     now, rng = env.reset(), np.random.default_rng(0)
-    for _ in range(20):  # for the normalization
+    for _ in range(20):  # the normalization is measured on these observations
         now, *_ = env.step(rng.integers(3, size=8))
     env.training = False
     with torch.no_grad():
@@ -90,7 +90,7 @@ def test_the_exported_actor_chooses_the_actions_of_the_trained_one(tmp_path):
 
 
 def test_a_training_reports_its_periodic_evaluations(tmp_path):
-    """Check the best evaluation, too. (A search uses all evaluations to stop trials early.)"""
+    """Check also which one is the best. (Searches use all evaluations to stop trials early.)"""
     heard = []
     outcome = train(job_of(tmp_path), heard.append)
     rewards = {news.timesteps: news.evaluation["reward"] for news in heard if news.evaluation}

@@ -236,7 +236,7 @@ def test_an_interrupted_command_ends_at_once_and_continues_when_resumed(tmp_path
         os.kill(training, signal.SIGKILL)
         os.killpg(group, signal.SIGCONT)
 
-    ways = {  # last line of errors -> exit code, function that interrupts a process or its group
+    ways = {  # last line of errors -> exit code, and function that interrupts the command
         "": (-signal.SIGKILL, lambda pid: os.kill(pid, signal.SIGKILL)),
         "seed 0: its process ended with code -9; .*": (2, kill_the_training),
         "interrupted": (130, lambda pid: os.killpg(pid, signal.SIGINT)),  # as Ctrl-C does
