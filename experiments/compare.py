@@ -13,9 +13,10 @@ from experiments.console.options import EpisodeArgs
 class Args(EpisodeArgs):
     """Compare policies on the same seeded episodes, with paired differences.
 
-    All metrics, including the reward, leave out the first 10 epochs of an episode. Every policy is
-    paired with the references: the best fixed mode, speed-rule, imm and imm-best. Your own agents
-    and policy files (or all policies, if none is a reference) are paired with every other policy.
+    All metrics, including the reward, leave out the first 10 epochs of an episode. A difference is
+    paired if it is taken episode by episode. Every policy is paired with the references: the best
+    fixed mode, speed-rule, imm and imm-best. Your own agents and policy files are paired with every
+    other policy; if no policy is a reference, all are paired with each other.
 
     mmwave-loc compare --policies fixed-ukf speed-rule imm ppo --episodes 200
     """
@@ -24,7 +25,8 @@ class Args(EpisodeArgs):
     """names that `mmwave-loc list policies` shows; policy files (.safetensors); folders of runs
     from `mmwave-loc train`; and module:function, a function without arguments that returns an
     agent. The default is all policies that have a name, except `clairvoyant`, which knows the
-    truth. With `speed-rule` (score 0) and `clairvoyant` (score 100), each policy gets a score"""
+    truth. If `speed-rule` and `clairvoyant` are both named, all policies get scores: speed-rule 0,
+    clairvoyant 100, and the others in proportion to their rewards"""
     errors: Path | None = None
     """draw the distribution (CDF) of horizontal and of vertical errors to this .png, .svg or .pdf
     file"""
@@ -55,7 +57,7 @@ def main(args: Args) -> None:
     made = results(args, names, pictures, args.width_mm)
     if args.table:
         write_text(args.table, booktabs(*made.comparison.table(METRICS)))
-    if args.json:  # before the tables, whose reader may close the pipe
+    if args.json:  # before show(), which fails if the reader of the tables closes the pipe
         write_json(args.json, provenance("compare", args) | made.json)
     try:
         for draw in made.pictures:

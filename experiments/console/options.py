@@ -147,9 +147,9 @@ class TaskArgs(LearnedArgs):
     measured quantities (:range+azimuth, default: all), and :offset for a clock with an offset.
     Environments, and the episodes to judge policies on, are spread evenly over the places"""
     reward: str = "tracking"
-    """tracking; log-score; or paired: the tracking reward minus that of an IMM (with --beliefs
-    per-mode, the bank's IMM). "paired": true in a hyperparameter file subtracts the IMM's reward
-    from the log-score or the tracking reward"""
+    """tracking; log-score; or paired, which is the tracking reward minus the tracking reward of an
+    IMM (with --beliefs per-mode, the IMM of the bank). If a hyperparameter file sets "paired":
+    true, the reward of the IMM is subtracted from the log-score or the tracking reward"""
     nees_weight: float = 0.2
     """weight of the NEES in the tracking reward"""
 
