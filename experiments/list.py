@@ -24,7 +24,7 @@ class Args:
     what: Positional[Kind] = "all"
     """what to list: policies, scenarios, radios, scenes, modes, samples, rewards or all"""
     radio: str = "handset"
-    """profile whose policies and modes are listed"""
+    """radio profile whose policies and modes are listed"""
     out: Path | None = None
     """folder for the files of the sample that --copy names; only with samples"""
     copy: str | None = None

@@ -83,15 +83,15 @@ class ModeArgs(WorldArgs):
     observation: str = "full"
     """observation that your own agents were trained with: full or prior; policy files record it"""
     beliefs: str = "shared"
-    """beliefs that your own agents were trained with: shared, or per-mode (modes default to those
-    of the radio's best IMM); policy files record it"""
+    """beliefs that your own agents were trained with: shared, or per-mode (the default modes are
+    then those of the radio's best IMM); policy files record it"""
     planar: bool = False
     """flat terrain: height and vertical velocity are known"""
 
 
 @dataclass(kw_only=True)
 class IntegrityArgs:
-    """Options for the integrity of positions."""
+    """Options for protection levels, bounds that position errors rarely exceed."""
 
     risk: float = 0.001
     """probability that an error exceeds its protection level"""

@@ -141,7 +141,7 @@ def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
 def entry(name: str, judged: Sequence[Judged]) -> Json:
     """Return the entry of a contender: figures at every site, and mean gain per kind of site.
 
-    The gain is the reward minus that of imm-best, the best classical method.
+    A gain is the reward minus the reward of imm-best, the best classical method.
     """
     gains: dict[str, list[Array]] = {}
     for at in judged:
@@ -239,7 +239,7 @@ def ranking(entries: Sequence[Json]) -> str:
 
 
 def by_site(entries: Sequence[Json]) -> str:
-    """Return a Markdown table of every entry's reward minus that of the best IMM, by site.
+    """Return a Markdown table by site: every entry's reward minus the reward of the best IMM.
 
     Policy files (such as one of each training seed) and IMMs are left out if there are other
     entries; the ranking includes them.

@@ -61,7 +61,7 @@ Watch = Callable[[Contender, Array, EpochResults], None]
 
 
 def score(contender: Contender, policy: Policy | None, episodes: Sequence[Episode]) -> Scores:
-    """Return the metrics of a contender and its policy for each of equally long episodes."""
+    """Return metrics of a contender, with its policy, in every one of equally long episodes."""
     results = run_contender(contender, policy, _scorable(episodes))
     return _summary(results, episodes[0].time_s, PLAIN)
 
