@@ -11,12 +11,11 @@ from experiments.console.options import EpisodeArgs
 
 @dataclass(kw_only=True)
 class Args(EpisodeArgs):
-    """Compare policies on the same seeded episodes, with paired differences.
+    """Compare policies on the same seeded episodes; differences are paired, episode by episode.
 
-    All metrics, including the reward, leave out the first 10 epochs of an episode. A difference is
-    paired if it is taken episode by episode. Every policy is paired with the references: the best
-    fixed mode, speed-rule, imm and imm-best. Your own agents and policy files are paired with every
-    other policy; if no policy is a reference, all are paired with each other.
+    All metrics, including the reward, leave out the first 10 epochs of an episode. Every policy is
+    paired with the references: the best fixed mode, speed-rule, imm and imm-best. Your own agents
+    and policy files are paired with every other policy; if none is a reference, all policies are.
 
     mmwave-loc compare --policies fixed-ukf speed-rule imm ppo --episodes 200
     """
@@ -25,8 +24,7 @@ class Args(EpisodeArgs):
     """names that `mmwave-loc list policies` shows; policy files (.safetensors); folders of runs
     from `mmwave-loc train`; and module:function, a function without arguments that returns an
     agent. The default is all policies that have a name, except `clairvoyant`, which knows the
-    truth. If `speed-rule` and `clairvoyant` are both named, all policies get scores: speed-rule 0,
-    clairvoyant 100, and the others in proportion to their rewards"""
+    truth. If `speed-rule` (score 0) and `clairvoyant` (score 100) both run, all get a score"""
     errors: Path | None = None
     """draw the distribution (CDF) of horizontal and of vertical errors to this .png, .svg or .pdf
     file"""

@@ -13,8 +13,7 @@ class Args(JsonArgs):
     """Tune the process noise of modes by the likelihood of the measurements, without the truth.
 
     With --bank, instead tune the five modes of imm-best and the probabilities of changes between
-    them, by the reward that the IMM of these modes earns in all scenes at 1 Hz and 10 Hz (needs the
-    extra "tune").
+    them, by the reward of the modes' IMM in all scenes at 1 Hz and 10 Hz (needs the extra "tune").
     With --levels, train and calibrate the protection levels anew (needs the extra "train").
 
     mmwave-loc tune --radio handset --out modes.json

@@ -59,8 +59,7 @@ def draw_consistency(
 
     Args:
         time_s: (T,) times since the first epoch of an episode.
-        nees: contender -> NEES (n, T) in n episodes.
-        dof: number of coordinates that the NEES covers, and so its expected value.
+        nees: contender -> NEES (n, T), over ``dof`` coordinates, in n episodes.
         path, width_mm: arguments of :func:`~experiments.figures.canvas.panels`.
     """
     episodes = len(next(iter(nees.values())))

@@ -192,7 +192,6 @@ def diagnosis_markdown(findings: Sequence[Finding]) -> str:
         f"{_verdict(findings)}\n\n{grid(header, rows)}\n\n"
         'The column "anchors" has the median NIS / dof of the worst anchor: the median farthest '
         'from 1. The column "Doppler" has the median NIS / dof of the Doppler shift. In a '
-        "consistent log, the user is also mostly below the base station, and the SNR and the "
-        "Doppler shift are plausible. Of several rows with yes, the first is "
-        f"the most likely.{impossible}\n"
+        "consistent log, the user is also mostly below the base station, and SNR and Doppler shift "
+        f"are plausible. Of several rows with yes, the first is the most likely.{impossible}\n"
     )
