@@ -15,7 +15,7 @@ class Args(EpisodeArgs):
 
     All metrics, including the reward, leave out the first 10 epochs of an episode. Every policy is
     paired with the references: the best fixed mode, speed-rule, imm and imm-best. Your own agents
-    and policy files are paired with every other policy; if none is a reference, all policies are.
+    and policy files are paired with every other policy; if no policy is a reference, all are.
 
     mmwave-loc compare --policies fixed-ukf speed-rule imm ppo --episodes 200
     """

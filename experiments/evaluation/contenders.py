@@ -174,8 +174,8 @@ def contender_from(
 
     Args:
         name: name of a contender or shipped policy, "clairvoyant" (which knows the truth, as
-            a ceiling for the others), a policy file (``.safetensors``), the folder of a run
-            (its median training is used), or module:function, as in
+            a ceiling for policies that choose modes), a policy file (``.safetensors``), the folder
+            of a run (its median training is used), or module:function, as in
             :func:`~experiments.evaluation.agents.agent_from`.
         radio, modes: same as in :func:`contenders`.
         observation, beliefs: settings of a user's agent, as in :meth:`Contender.own`.
