@@ -41,7 +41,7 @@ POLICIES = {
     "guided": "learned policy that says which mode of `imm-best` to trust, if any",
     "corrector": "the policy `guided`, with a recurrent network that corrects the positions",
     "guided-ppo": "same as `guided`, but trained only with PPO",
-    "clairvoyant": "knows the truth, as a ceiling for policies that choose modes; runs only if named",
+    "clairvoyant": "knows the truth, as a ceiling for policies that switch; runs only if named",
 }
 
 
