@@ -11,11 +11,11 @@ from experiments.console.options import EpisodeArgs
 
 @dataclass(kw_only=True)
 class Args(EpisodeArgs):
-    """Compare policies on the same seeded episodes, with paired differences.
+    """Compare policies on the same seeded episodes; differences are paired, episode by episode.
 
     All metrics, including the reward, leave out the first 10 epochs of an episode. Every policy is
     paired with the references: the best fixed mode, speed-rule, imm and imm-best. Your own agents
-    and policy files (or all policies, if none is a reference) are paired with every other policy.
+    and policy files are paired with every other policy; if no policy is a reference, all are.
 
     mmwave-loc compare --policies fixed-ukf speed-rule imm ppo --episodes 200
     """
@@ -24,7 +24,7 @@ class Args(EpisodeArgs):
     """names that `mmwave-loc list policies` shows; policy files (.safetensors); folders of runs
     from `mmwave-loc train`; and module:function, a function without arguments that returns an
     agent. The default is all policies that have a name, except `clairvoyant`, which knows the
-    truth. With `speed-rule` (score 0) and `clairvoyant` (score 100), each policy gets a score"""
+    truth. If `speed-rule` (score 0) and `clairvoyant` (score 100) both run, all get a score"""
     errors: Path | None = None
     """draw the distribution (CDF) of horizontal and of vertical errors to this .png, .svg or .pdf
     file"""
@@ -55,7 +55,7 @@ def main(args: Args) -> None:
     made = results(args, names, pictures, args.width_mm)
     if args.table:
         write_text(args.table, booktabs(*made.comparison.table(METRICS)))
-    if args.json:  # before the tables, whose reader may close the pipe
+    if args.json:  # before show(), which fails if the reader of the tables closes the pipe
         write_json(args.json, provenance("compare", args) | made.json)
     try:
         for draw in made.pictures:

@@ -29,7 +29,7 @@ class Args(LearnedArgs):
     policy: Positional[Path]
     """file to write (.safetensors)"""
     normalize: Path | None = None
-    """file that VecNormalize.save wrote, if the model was trained with it; loading runs its code"""
+    """file of VecNormalize.save, if the training used VecNormalize; loading this file runs code"""
     radio: str = "handset"
     """radio profile that the model was trained with: handset, standard, high or a JSON file"""
 

@@ -9,7 +9,7 @@ from experiments.console.options import require_at_least
 
 @dataclass(kw_only=True)
 class Args:
-    """Judge contenders by the benchmark's protocol, and rank all entries.
+    """Judge contenders (policies and IMMs) by the benchmark's protocol, and rank all entries.
 
     A site is a street or a recording, with a radio. Contenders are not trained here. They run,
     together with the paper's rule and every IMM, at four kinds of sites: the nine sites where

@@ -28,8 +28,8 @@ class Args(TaskArgs):
     checkpoint_every: int = 32
     """number of updates between two checkpoints of a training; --resume continues from the last"""
     out: Path = Path("runs/train")
-    """folder of the run: one folder per seed, policy.safetensors (of the median seed) and
-    summary.json"""
+    """folder to write: one folder per seed, policy.safetensors (from the training with the median
+    reward) and summary.json"""
     resume: bool = False
     """continue the run in the folder --out; the options must be the same as at its start"""
     overwrite: bool = False

@@ -13,7 +13,7 @@ class Args(JsonArgs):
     """Tune the process noise of modes by the likelihood of the measurements, without the truth.
 
     With --bank, instead tune the five modes of imm-best and the probabilities of changes between
-    them, by the reward of their IMM in all scenes at 1 Hz and 10 Hz (needs the extra "tune").
+    them, by the reward of the modes' IMM in all scenes at 1 Hz and 10 Hz (needs the extra "tune").
     With --levels, train and calibrate the protection levels anew (needs the extra "train").
 
     mmwave-loc tune --radio handset --out modes.json
@@ -62,7 +62,7 @@ def _tuned_bank(args: Args) -> Content:
     name = radio_from(args.radio).name
     bank = tuned_bank(args.radio, args.episodes, args.seed, args.evaluations)
     reward, gain = (Interval.of(bank["held_out"][column]) for column in ("reward", "minus imm"))
-    say(f"{name}, on as many held-out episodes: reward {reward}, gain over imm {gain}")
+    say(f"{name}, on other episodes, as many as for tuning: reward {reward}, gain over imm {gain}")
     return bank
 
 
@@ -91,7 +91,7 @@ def _tuned_modes(args: Args) -> tuple[Content, Content]:
     from mmwave_env.models.radio import radio_from
 
     radio = radio_from(args.radio)
-    modes = modes_from(args.modes, radio.base)  # own radios: start from a shipped radio's modes
+    modes = modes_from(args.modes, radio.base)  # names are those of a shipped radio
     if len(args.scenarios) != len(modes):
         raise ValueError(
             f"scenarios: found {len(args.scenarios)}, expected {len(modes)}, one for each of the "

@@ -29,7 +29,7 @@ class Args(ModeArgs):
     out: Path | None = None
     """write a video to this .gif or .mp4 file instead of opening a window"""
     fps: int = 10
-    """epochs per second; in a window, keys change this speed (the title names the keys)"""
+    """epochs per second; in a window, you can change this speed (the title names the keys)"""
     render_size: int = 480
     """height and width of each policy's picture, px, 480 to 1080"""
     render_theme: str = "light"
@@ -37,8 +37,8 @@ class Args(ModeArgs):
     seed: int | None = None
     """seed of the episode (default: 0); mmwave-loc compare runs the same episode for this seed"""
     key: int | None = None
-    """key of a simulated episode, instead of a seed; mmwave-loc compare --episodes-csv writes the
-    keys of its episodes"""
+    """number that determines a simulated episode, instead of a seed; mmwave-loc compare
+    --episodes-csv writes the keys of its episodes"""
     begin: float | None = None
     """time to begin at, s from the start of the episode (default: its start)"""
     end: float | None = None

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mmwave_env.io.files import require_writable
 
-# It skips tables titled "printed ...", which tests/pages.py renews from the output of examples.
+# MARK skips tables titled "printed ...": tests/pages.py renews them from the output of examples.
 MARK = re.compile(r"<!-- table: (?!printed)(.*?) -->\n.*?<!-- end -->", re.DOTALL)
 
 

@@ -83,15 +83,15 @@ class ModeArgs(WorldArgs):
     observation: str = "full"
     """observation that your own agents were trained with: full or prior; policy files record it"""
     beliefs: str = "shared"
-    """beliefs that your own agents were trained with: shared, or per-mode (modes default to those
-    of the radio's best IMM); policy files record it"""
+    """beliefs that your own agents were trained with: shared, or per-mode (the default modes are
+    then those of the radio's best IMM); policy files record it"""
     planar: bool = False
     """flat terrain: height and vertical velocity are known"""
 
 
 @dataclass(kw_only=True)
 class IntegrityArgs:
-    """Options for the integrity of positions."""
+    """Options for protection levels, bounds that position errors rarely exceed."""
 
     risk: float = 0.001
     """probability that an error exceeds its protection level"""
@@ -147,9 +147,9 @@ class TaskArgs(LearnedArgs):
     measured quantities (:range+azimuth, default: all), and :offset for a clock with an offset.
     Environments, and the episodes to judge policies on, are spread evenly over the places"""
     reward: str = "tracking"
-    """tracking; log-score; or paired: the tracking reward minus that of an IMM (with --beliefs
-    per-mode, the bank's IMM). "paired": true in a hyperparameter file subtracts the IMM's reward
-    from the log-score or the tracking reward"""
+    """tracking; log-score; or paired, which is the tracking reward minus the tracking reward of an
+    IMM (with --beliefs per-mode, the IMM of the bank). If a hyperparameter file sets "paired":
+    true, the reward of the IMM is subtracted from the log-score or the tracking reward"""
     nees_weight: float = 0.2
     """weight of the NEES in the tracking reward"""
 

@@ -64,7 +64,7 @@ def parse(arguments: type[T], words: Sequence[str], program: str) -> T:
 
 
 def described(arguments: type[Any]) -> type[Any]:
-    """Return a dataclass for tyro: options with their help, a class's own before inherited ones."""
+    """Return the options and their help as a dataclass for tyro, with inherited options last."""
     from tyro.conf import FlagCreatePairsOff, arg
 
     kinds = get_type_hints(Everywhere) | get_type_hints(arguments, include_extras=True)
@@ -77,7 +77,8 @@ def described(arguments: type[Any]) -> type[Any]:
             hint = "(required)" if default is MISSING else "" if nothing else None
             shown = name.upper() + ("..." if "tuple" in str(kind) else "")
             shown = shown if default is MISSING else f"[{shown}]"
-            metavar = shown if is_positional(kind) else None  # None, also as hint, keeps tyro's own
+            # If hint or metavar is None, tyro writes its own text.
+            metavar = shown if is_positional(kind) else None
             kind = Annotated[kind, arg(help=text, help_behavior_hint=hint, metavar=metavar)]
             if default is False:  # this marker suppresses --no-NAME
                 kind = Annotated[kind, FlagCreatePairsOff]

@@ -1,4 +1,4 @@
-"""Progress bars, shown on a terminal unless the command is quiet, and printed lines."""
+"""Printed lines, and progress bars, which are shown on a terminal unless the command is quiet."""
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager

@@ -40,7 +40,7 @@ def _words(value: Any) -> list[str]:
 
 
 def provenance(name: str, args: Any) -> Json:
-    """Return the command, its options and versions for results in JSON, without output files."""
+    """Return the command, its options (except output files) and versions, to store with results."""
     outputs = {f.name: f.default for f in fields(args) if f.name in OUTPUTS}
     command = command_line(name, replace(args, **outputs))
     return {"command": command, "options": options_of(args), "versions": versions()}
@@ -53,7 +53,7 @@ def options_of(args: Any) -> Json:
 
 
 def options_from(kind: type[T], content: Json) -> T:
-    """Return options from a results file as a ``kind``, without those that ``kind`` does not have.
+    """Return the options in a results file as an instance of the class ``kind``; ignore others.
 
     Raises:
         ValueError: the file has no options, or a value is not of its option's type.

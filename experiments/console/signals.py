@@ -12,8 +12,8 @@ from typing import Any, NoReturn
 # Signals that end the program, if the system has them; Windows has no SIGHUP.
 ENDING = tuple(getattr(signal, n) for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n))
 SOON_S = 0.01  # delay after which a signal that could not be handled is sent again
-# A scheduler may send one signal twice, to the process and to its group. So a second signal within
-# this time, s, is ignored.
+# A scheduler may send one signal twice: to the process and to its group. So a second signal is
+# ignored if it arrives within SAME_S seconds.
 SAME_S = 1.0
 
 

@@ -1,7 +1,7 @@
 """Versions, threads, cached kernels and a self-test: ``mmwave-loc --version --json``.
 
 Kernels (compiled functions) are made on the machine that runs them, by the compiler that is
-installed. The self-test compares their results with the same equations on Python's floats.
+installed. The self-test compares their results with the same equations, computed in Python floats.
 """
 
 import os
@@ -65,7 +65,7 @@ def self_test() -> list[Json]:
 
 
 def _deviation(computed: Array, expected: Array) -> float:
-    """Return the largest difference, relative to its column's largest magnitude (at least 1)."""
+    """Return the largest difference; each column is scaled by its largest magnitude, at least 1."""
     size = np.maximum(np.abs(expected).max(axis=tuple(range(expected.ndim - 1))), 1.0)
     return float((np.abs(computed - expected) / size).max())
 

@@ -42,8 +42,9 @@ class Estimator(Policy):
     ) -> Iterable[tuple[Vector, Vector]]:
         """Yield a mean (7,) and a packed covariance (28,) after every epoch.
 
-        Units are m, m/s and Hz. If the clock's offset is unknown, shapes are (8,) and (36,). The
-        pipeline has the radio's default modes, the layout and the terrain.
+        A mean is [px, py, pz, vx, vy, vz, Doppler bias], in m, m/s and Hz; a packed covariance is
+        its lower triangle, row by row. If the clock's offset is unknown, shapes are (8,) and (36,).
+        The pipeline has the radio's default modes, the layout and the terrain.
         """
         raise NotImplementedError
 
@@ -63,8 +64,8 @@ class Estimator(Policy):
             shape = len(beliefs), len(min(beliefs, key=len, default=()))
             if shape != (T, size + layout.triangle):
                 raise ValueError(
-                    f"beliefs of {type(self).__name__}: found {shape[0]} with {shape[1]} numbers, "
-                    f"expected {T} with {size} of a mean and {layout.triangle} of a covariance"
+                    f"beliefs of {type(self).__name__}: found {shape[0]} of {shape[1]} numbers "
+                    f"each, expected {T} of {size} (mean) + {layout.triangle} (covariance) numbers"
                 )
             full = np.array([np.broadcast_arrays(site.hz_per_mps, *row)[1:] for row in beliefs])
             tracks.append(np.moveaxis(full, -1, 0) if self.at_once else full)

@@ -1,4 +1,4 @@
-"""Tasks, contenders and episodes that the options of a command ask for."""
+"""Tasks, contenders (policies and IMMs) and episodes that the options of a command ask for."""
 
 import warnings
 from collections.abc import Sequence

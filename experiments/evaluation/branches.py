@@ -41,7 +41,8 @@ class Branches:
     def __init__(self, engine: Engine, horizon: int) -> None:
         self._batch, self.horizon = engine.batch, horizon
         self._actions, at = len(engine.observation.actions), engine.at
-        n = self._actions * len(engine.batch.state.rows) * WIDTH  # whole blocks of lanes are copied
+        # State is kept in blocks of WIDTH environments; the last block is copied even if not full.
+        n = self._actions * len(engine.batch.state.rows) * WIDTH
         program, layout = engine.batch.program, engine.batch.layout
         self._copies = Batch(program, layout, n, rows_of(at.action))
         self._copies.make_room(horizon)
@@ -52,8 +53,8 @@ class Branches:
         """Try every action in the current state of every environment.
 
         Args:
-            act: function from observations (copies, features) to the actions after the first one;
-                the copies that began with action 0 come first, then those with action 1, ...
+            act: function from observations (copies, features) to the actions of all epochs but the
+                first; copies whose first action is 0 come first, then those with action 1, ...
             weights: (n, horizon) weights of the rewards.
 
         Returns:
@@ -80,11 +81,11 @@ class Branches:
 
 
 class Clairvoyant(Policy):
-    """A policy that knows the truth, and so marks the ceiling of switching.
+    """A policy that knows the truth; its reward is the ceiling for policies that choose modes.
 
-    In every epoch it tries each action (trust one mode, or none) on the same measurements, trusts
-    no mode in the epochs after it, and takes the action with the largest sum of rewards within
-    :data:`HORIZON_S`. It even knows the noise, so a switcher without the truth earns far less.
+    In every epoch it tries each action (trust one mode, or none) on the same measurements, followed
+    by epochs in which no mode is trusted, and takes the action with the largest sum of rewards
+    within :data:`HORIZON_S`. It even knows the noise, so policies without the truth earn far less.
     """
 
     _branches: Branches | None = None

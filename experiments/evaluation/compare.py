@@ -67,7 +67,7 @@ def compare(
         seed: seed of the first episode, 0 by default; training uses seeds from 10 million on.
         modes, observation, beliefs: settings that agents were trained with, as in the environment;
             policy files state their own. An agent "imm" is the IMM of these modes; if ``modes`` is
-            a bank or one mode file, it also sets the IMM's transition and NIS quantile.
+            a bank or one mode file, ``modes`` also sets the IMM's transition and NIS quantile.
         data: recorded episodes or episodes of your own, as in the environment's ``episodes``.
         world: further arguments of the environment: ``scene``, ``dt``, ``episode_steps``,
             ``planar``, ``odometry``, ``reward``.

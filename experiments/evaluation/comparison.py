@@ -64,7 +64,7 @@ class Comparison:
 
     @classmethod
     def from_json(cls, content: Json) -> "Comparison":
-        """Return the comparison that a results file stores, best reward first.
+        """Return the comparison that a results file stores; contenders are ordered by reward.
 
         Raises:
             KeyError, TypeError, ValueError, AttributeError: the content is not a comparison.
@@ -162,8 +162,8 @@ def references(scores: Mapping[str, Scores]) -> list[str]:
 def compare_scores(scores: dict[str, Scores], own: Sequence[str] = (), **more: Any) -> Comparison:
     """Compute intervals of every contender, and paired differences against the references.
 
-    If none of the contenders is a reference, all of them are paired with each other. ``own`` are a
-    user's contenders, which are paired with all others, references or not; ``more`` are the
+    If none of the contenders is a reference, all of them are paired with each other. ``own`` names
+    a user's contenders, which are paired with all others, references or not; ``more`` are the
     remaining attributes of :class:`Comparison`.
     """
     metrics = [*METRICS, *TERMS]

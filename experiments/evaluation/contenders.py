@@ -43,7 +43,7 @@ class Contender:
         name: name on the command line and in results.
         bank: filter modes to choose from or to mix; their interaction matters only for an IMM and
             with beliefs "per-mode".
-        policy: function from the observation table to a policy; None for the IMM of the bank.
+        policy: function from an :class:`Observation` to a policy; None for the IMM of the bank.
         observation: kind of observation that the policy reads: "full", "prior" or "signed".
         beliefs: beliefs of the modes, "shared" or "per-mode".
     """
@@ -173,9 +173,9 @@ def contender_from(
     """Return a contender by name; see :func:`contenders`.
 
     Args:
-        name: name of a contender or shipped policy, "clairvoyant" (which knows the truth, and
-            so marks the ceiling of switching), a policy file (``.safetensors``), the folder of a
-            run (its median training is used), or module:function, as in
+        name: name of a contender or shipped policy, "clairvoyant" (which knows the truth, as
+            a ceiling for policies that choose modes), a policy file (``.safetensors``), the folder
+            of a run (its median training is used), or module:function, as in
             :func:`~experiments.evaluation.agents.agent_from`.
         radio, modes: same as in :func:`contenders`.
         observation, beliefs: settings of a user's agent, as in :meth:`Contender.own`.

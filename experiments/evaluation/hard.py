@@ -24,7 +24,7 @@ class Misstated(SimulatedSource):
     stated: float = 1.0  # ratio of stated to true standard deviations
 
     def episodes(self, keys: Keys) -> list[Episode]:
-        """Return the episodes of keys (n,)."""
+        """Return episodes by their keys (n,), numbers that determine them."""
         episodes = super().episodes(keys)
         return [replace(episode, sigma=self.stated * episode.sigma) for episode in episodes]
 

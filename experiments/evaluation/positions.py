@@ -27,11 +27,11 @@ HEADER = (
 class Positions:
     """Position errors of all scored epochs, with protection levels."""
 
-    names: Mapping[str, str]  # contender's name -> its name in figures; others are skipped
+    names: Mapping[str, str]  # contender's name -> name to show; other contenders are skipped
     levels: Levels = field(default_factory=Levels)
     anchors: int = 3  # number of anchors in the episodes
     planar: bool = False  # whether the height is known
-    errors: dict[str, PositionErrors] = field(default_factory=dict)  # name in figures -> errors
+    errors: dict[str, PositionErrors] = field(default_factory=dict)  # name to show -> errors
 
     def add(self, contender: Contender, time_s: Array, results: EpochResults) -> None:
         """Add a contender's epoch results on some episodes.
@@ -55,9 +55,9 @@ class Positions:
 def positions_markdown(title: str, rows: Json, risk: float, kind: str) -> str:
     """Return a table of errors and protection levels, with a note on the columns.
 
-    ``rows`` are figures of :class:`~mmwave_env.localization.position_errors.PositionErrors`, by the
-    names in the column ``title``; ``risk`` is the probability that an error exceeds its level, and
-    ``kind`` the kind of all levels: "calibrated" or "gaussian".
+    ``rows`` maps the names in the first column, which is headed ``title``, to figures of
+    :class:`~mmwave_env.localization.position_errors.PositionErrors`. ``risk`` is the probability
+    that an error exceeds its level, and ``kind`` is "calibrated" or "gaussian", as in Levels.
     """
     cells = [
         [f"{name}, {kind}", *row_of(errors)]

@@ -1,8 +1,8 @@
-"""The benchmark's protocol: the sites at which contenders are judged. Some are unseen in training.
+"""The benchmark's protocol: the sites (streets or recordings) at which contenders are judged.
 
-docs/benchmark.md explains the benchmark. An *entry* has a contender's figures at every site. The
-*clairvoyant* is a switcher that knows the truth; a contender's score is its gain in reward over
-the paper's rule, in percent of the clairvoyant's gain.
+Some sites are unseen in training. docs/benchmark.md explains the benchmark. An *entry* has a
+contender's figures at every site. The *clairvoyant* is a policy that knows the truth; a contender's
+score is its gain in reward over the paper's rule, in percent of the clairvoyant's gain.
 """
 
 import warnings
@@ -90,7 +90,7 @@ class Judged:
         return self.scores[name]["reward"] - self.scores[rival]["reward"]
 
     def figures(self, name: str) -> Json:
-        """Return a contender's figures at this site: means, and gains over rule and IMMs."""
+        """Return a contender's figures at this site: means, and gains over the rule and IMMs."""
         gains = {imm: self.gain(name, imm) for imm in self.imms if imm != name}
         own = [self.scores[name][metric] for metric in ("reward", "ate_m")]
         columns = np.stack([*own, *gains.values()], axis=1)
@@ -119,7 +119,7 @@ def require_contenders(names: Sequence[str]) -> None:
         ValueError, FileNotFoundError: same as from
             :func:`~experiments.evaluation.contenders.contender_from`.
     """
-    # Suppress the warning about untuned modes of an unseen radio: they are intended.
+    # Suppress the warning that the modes of an unseen radio are untuned, which is intended.
     with warnings.catch_warnings(action="ignore"):
         for radio in dict.fromkeys(site.radio for site in sites()):
             for name in names:
@@ -129,7 +129,7 @@ def require_contenders(names: Sequence[str]) -> None:
 def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
     """Run contenders, the paper's rule and every IMM at a site, on the same episodes."""
     selection = Selection(range(seed, seed + episodes))
-    # Suppress the warning about untuned modes of an unseen radio: they are intended.
+    # Suppress the warning that the modes of an unseen radio are untuned, which is intended.
     with warnings.catch_warnings(action="ignore"):
         imms = [name for name in contenders(site.radio) if name.startswith("imm")]
         everybody = dict.fromkeys([*names, RULE, *imms])
@@ -141,7 +141,7 @@ def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
 def entry(name: str, judged: Sequence[Judged]) -> Json:
     """Return the entry of a contender: figures at every site, and mean gain per kind of site.
 
-    The gain is the reward minus that of imm-best, the best classical method.
+    A gain is the reward minus the reward of imm-best, the best classical method.
     """
     gains: dict[str, list[Array]] = {}
     for at in judged:
@@ -198,9 +198,9 @@ def tables_of(entries: Sequence[Json], ceiling: Json | None) -> dict[str, str]:
 
 
 def standing(figures: Json) -> str:
-    """Return "above" if an entry beats every IMM at a site, "below" if one beats it, else "level".
+    """Return "above" if an entry beats every IMM at a site, "below" if an IMM beats the entry.
 
-    A difference counts only if its interval excludes 0.
+    Otherwise return "level". A difference counts only if its interval excludes 0.
     """
     intervals = [gain["ci95"] for gain in figures["minus"].values()]
     if all(low > 0.0 for low, _ in intervals):
@@ -239,7 +239,7 @@ def ranking(entries: Sequence[Json]) -> str:
 
 
 def by_site(entries: Sequence[Json]) -> str:
-    """Return a Markdown table of every entry's reward minus that of the best IMM, by site.
+    """Return a Markdown table by site: every entry's reward minus the reward of the best IMM.
 
     Policy files (such as one of each training seed) and IMMs are left out if there are other
     entries; the ranking includes them.

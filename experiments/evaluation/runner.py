@@ -61,7 +61,7 @@ Watch = Callable[[Contender, Array, EpochResults], None]
 
 
 def score(contender: Contender, policy: Policy | None, episodes: Sequence[Episode]) -> Scores:
-    """Return the metrics of a contender and its policy for each of equally long episodes."""
+    """Return metrics of a contender, with its policy, in every one of equally long episodes."""
     results = run_contender(contender, policy, _scorable(episodes))
     return _summary(results, episodes[0].time_s, PLAIN)
 
@@ -155,7 +155,7 @@ def _corrected(
 
 
 def _scored(belief: Belief, true_states: Array, reward: Reward) -> EpochResults:
-    """Return the scores of a belief whose numbers are arrays (n, T); true states are (n, T, 6)."""
+    """Score a belief whose components are arrays (n, T), against true states (n, T, 6)."""
     truth = list(np.moveaxis(true_states, -1, 0))
     return {
         "error": np.stack(belief.error(truth), axis=-1),
@@ -227,7 +227,7 @@ def score_contenders(
 
     Args:
         names: contenders, or names that :func:`contender_from` reads, given ``modes``.
-        source, selection: source of the episodes, and the seeds of those to run.
+        source, selection: source of the episodes, and the seeds of the episodes to run.
         radio: radio profile.
         watch: functions called with a contender, the times (T,) and the contender's epoch results.
         after: parts of the state for ``watch``, as in :func:`run_contender`.

@@ -19,7 +19,7 @@ class Run:
 
     name: str  # the folder, as on the command line and in results
     seeds: tuple[int, ...]  # training seeds, which identify the trainings
-    median: int  # seed of the training that stands for the run: the one with the median reward
+    median: int  # seed of the training with the median reward, which stands for the run
 
     @classmethod
     def read(cls, name: str) -> "Run":

@@ -19,7 +19,7 @@ def over_training_seeds(run: Run, trained: Sequence[Scores], scores: Mapping[str
     Args:
         run: trainings to compare.
         trained: scores of the trainings, in the order of the run's seeds.
-        scores: scores of all contenders; all scores are for the same episodes.
+        scores: scores of all contenders, for the same episodes as those of the trainings.
     """
     reward = np.stack([of["reward"] for of in trained])
     baselines = {rival: scores[rival]["reward"] for rival in references(scores)}
@@ -34,7 +34,7 @@ def over_training_seeds(run: Run, trained: Sequence[Scores], scores: Mapping[str
 
 
 def _figures(run: Run, values: Array) -> Json:
-    """Return means of values (trainings, episodes), such as rewards, by training and over all.
+    """Return means of values (trainings, episodes): of each training, and over all trainings.
 
     "above_zero" is the number of trainings whose interval is above zero.
     """

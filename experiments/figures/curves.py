@@ -59,7 +59,7 @@ def draw_consistency(
 
     Args:
         time_s: (T,) times since the first epoch of an episode.
-        nees: (n, T) NEES, over ``dof`` coordinates, of n episodes, by contender.
+        nees: contender -> NEES (n, T), over ``dof`` coordinates, in n episodes.
         path, width_mm: arguments of :func:`~experiments.figures.canvas.panels`.
     """
     episodes = len(next(iter(nees.values())))
@@ -76,7 +76,7 @@ def draw_consistency(
         label = f"mean NEES / {dof}, of {episodes:,} episodes"
         over_time.set(xlabel="time since the start (s)", yscale="log", ylabel=label)
         plain_numbers(over_time.yaxis)
-        whole.set(xlabel="chi-square probability p", ylabel="share of NEES below its p-quantile")
+        whole.set(xlabel="probability p", ylabel="share of NEES below\nthe chi-square p-quantile")
         whole.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
         legend_of(figure, whole, width_mm, [bounds, *whole.lines])
 

@@ -27,7 +27,7 @@ class DrawnTrack:
     position_m: Array  # (T, 3) estimated positions
     covariance_m2: Array  # (T, 3, 3) covariances of the position
     truth_m: Array  # (T, 3) true positions; NaN if unknown
-    mode: Index  # (T,) number of the mode that ran
+    mode: Index  # (T,) index, in ``modes``, of the mode that ran
     segment: Index  # (T,) number of the segment; a new segment begins where the track starts again
     modes: Sequence[str]  # names of the modes
     anchors_m: Array  # (L, 3) positions of anchors, the physical gNB first
@@ -100,7 +100,7 @@ def _draw_ellipses(axes: Any, track: DrawnTrack) -> None:
 
 
 def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
-    """Draw the anchors no farther from a track than its extent, or than 30 m if that is more."""
+    """Draw the anchors in the bounding box of a track, enlarged by its extent (at least 30 m)."""
     low, high = position.min(axis=0), position.max(axis=0)
     reach = max(float((high - low).max()), 30.0)
     middle = 0.5 * (low + high)

@@ -23,7 +23,7 @@ DEFAULT_POLICY = "corrector"
 WITHOUT_ELEVATIONS = "imm-best"
 # Correctors read the standard deviation of the height, which does not exist for a known height.
 WITH_HEIGHT = "guided"
-RULES: dict[str, tuple[Rule, str]] = {  # rules, each with the words for its speed in messages
+RULES: dict[str, tuple[Rule, str]] = {  # --follow -> rule, words before "speed" in messages
     "prediction": (by_predicted_speed, "the predicted"),
     "odometry": (by_odometry_speed, "odometry's"),
 }
@@ -67,9 +67,9 @@ def require_one_choice(args: LogArgs) -> None:
 
 
 def choice_of(args: LogArgs, radio: str, block: LogBlock) -> Choice:
-    """Return the choice that options ask for; by default a policy or, without elevations, an IMM.
+    """Return the choice that options ask for.
 
-    ``block`` is the beginning of the log.
+    The default is a policy, or an IMM if ``block``, the beginning of the log, has no elevations.
 
     Raises:
         ValueError: a policy, a bank or a mode is unknown or does not fit.

@@ -29,7 +29,7 @@ _UNEVEN = 0.1  # tolerated deviation of a step, as a share of the median step
 
 
 class _Sums:
-    """Running sums over the epochs of a log, which may not fit in memory."""
+    """Running sums over the epochs of a log, because all epochs may not fit in memory."""
 
     def __init__(self, anchors: int) -> None:
         self.epochs, self.links = 0, np.zeros(anchors, np.int64)
@@ -189,9 +189,9 @@ def diagnosis_markdown(findings: Sequence[Finding]) -> str:
     others = sum(not f.nis_per_dof for f in findings)
     impossible = f" {others} other hypotheses give no track; --json lists them." if others else ""
     return (
-        f"{_verdict(findings)}\n\n{grid(header, rows)}\n\nThe column anchors has the median NIS / "
-        "dof of the worst anchor, whose value is farthest from 1; the column Doppler has that of "
-        "the Doppler shift. In a consistent log, the user is also mostly below the base station, "
-        "and the SNR and the Doppler shift are plausible. Of several rows with yes, the first is "
-        f"the most likely.{impossible}\n"
+        f"{_verdict(findings)}\n\n{grid(header, rows)}\n\n"
+        'The column "anchors" has the median NIS / dof of the worst anchor: the median farthest '
+        'from 1. The column "Doppler" has the median NIS / dof of the Doppler shift. In a '
+        "consistent log, the user is also mostly below the base station, and SNR and Doppler shift "
+        f"are plausible. Of several rows with yes, the first is the most likely.{impossible}\n"
     )

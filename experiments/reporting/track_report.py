@@ -16,7 +16,7 @@ from mmwave_env.models.prior import GAP_S
 from mmwave_env.numerics.numbers import Array
 
 _POINTS = 6000  # maximum number of points in a picture; a long track gets at least half of them
-_POSITION = [0, 1, 3, 1, 2, 4, 3, 4, 5]  # packed entries of the position's 3 x 3 covariance
+_POSITION = [0, 1, 3, 1, 2, 4, 3, 4, 5]  # 3 x 3 entries, for the position, of a packed covariance
 
 
 class TrackSampler:

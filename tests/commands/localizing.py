@@ -1,4 +1,4 @@
-"""Helpers that run ``mmwave-loc localize`` on shipped logs (a walk, a ride) or changed copies."""
+"""Helpers that run ``mmwave-loc localize`` on shipped logs (a walk, a ride) or changed logs."""
 
 import tempfile
 from pathlib import Path
@@ -16,7 +16,7 @@ def options(log, *more, folder=WALK):
 
 
 def figures(folder, *more, log=None, truth=True):
-    """Run the command on a sample, and return the content of the JSON file that it wrote."""
+    """Run the command on a sample (or ``log``); return the content of the JSON file it writes."""
     with tempfile.TemporaryDirectory() as scratch:
         file = Path(scratch) / "figures.json"
         scored = ("--truth", folder / "truth.tum") if truth else ()

@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc leaderboard``, which ranks entries: JSON files with a policy's scores."""
+"""Tests of ``mmwave-loc leaderboard``, which ranks entries (JSON files of one policy's results)."""
 
 import json
 import shutil

@@ -63,7 +63,7 @@ def test_results_of_a_comparison_are_written_even_if_the_picture_fails(tmp_path,
 
 @pytest.fixture
 def mapped(tmp_path):
-    """Return a folder with the ride's log (my_ride.csv.gz) and a scene with a known latitude."""
+    """Return a folder with the ride's log (my_ride.csv.gz) and a scene with a known origin."""
     scene = json_in(RIDE / "scene.json")
     scene["origin"] = {"latitude_deg": 48.0, "longitude_deg": 11.0}
     (tmp_path / "scene.json").write_text(json.dumps(scene))
@@ -109,7 +109,7 @@ def test_an_error_while_printing_is_reported():
 @pytest.mark.skipif(os.name != "posix", reason="needs FIFOs")
 @pytest.mark.parametrize("option", ["log", "--scene", "--truth", "--modes", "--radio"])
 def test_a_fifo_is_refused_before_it_is_read(tmp_path, option):
-    """Use FIFOs, as reading one never ends; tests/io/test_files.py uses other special files."""
+    """Use FIFOs, because reading one never ends; tests/io/test_files.py has other special files."""
     odd = tmp_path / ("odd.csv" if option == "log" else "odd.json")
     os.mkfifo(odd)
     files = {"log": RIDE / "log.csv", "--scene": RIDE / "scene.json", option: odd}
@@ -189,7 +189,7 @@ def test_results_and_errors_are_reported_if_standard_output_is_closed(
 
 # --- damage
 
-HALF_WAY = {  # line 602 is the first of epoch 201; the 200 epochs before it are complete
+HALF_WAY = {  # log, message, and number of complete epochs; line 602 is the first of epoch 201
     "no number": (with_line(602, lambda l: cell(l, 2, "far")), "line 602, column 'toa_s'", 200),
     "at the end": (with_line(1199, lambda l: l[:20]), "line 1199: found", 399),
     "early": (with_line(6, lambda l: cell(l, 2, "far")), "line 6, column 'toa_s'", 1),

@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc simulate``, which writes episodes as files and made the sample logs."""
+"""Tests of ``mmwave-loc simulate``, which writes an episode as files; it wrote the sample logs."""
 
 import re
 import shlex

@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc speed``, and of renewing tables in pages."""
+"""Tests of ``mmwave-loc speed``, and of replacing the tables in a page of docs/ by new ones."""
 
 import re
 

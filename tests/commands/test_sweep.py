@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc sweep``, which stores a result for each combination of values (cell)."""
+"""Tests of ``mmwave-loc sweep``, which stores a result for each cell (combination of values)."""
 
 import os
 import re
@@ -75,7 +75,7 @@ def exits(values):
 
 
 def second_time(values):
-    """Return a row; only the first call with number 1 raises the error of a full disk."""
+    """Return a row; but raise the error of a full disk in the first call for number 1."""
     if values["number"] == 1 and not os.path.exists(values["mark"]):
         open(values["mark"], "x").close()
         raise OSError(28, "No space left on device")

@@ -1,4 +1,4 @@
-"""Tests that tuning finds the noise that data were simulated with, and the shipped modes."""
+"""Tests that tuning recovers the noise of simulated data, and that it gives the shipped modes."""
 
 import shlex
 from dataclasses import replace
@@ -95,7 +95,7 @@ def marked(file):
 @pytest.mark.slow
 @pytest.mark.parametrize("file", [*map(marked, SHIPPED)], ids=lambda file: file.stem)
 def test_tuning_on_the_original_episodes_finds_the_shipped_modes(file):
-    """Use the episodes of the shipped tunings; their keys were drawn by numpy's generators."""
+    """Use the episodes on which the shipped modes were tuned; their keys were drawn by numpy."""
     seeds = range(5_000_000, 5_000_300)
     keys = np.array([draw_key(np.random.default_rng(seed)) for seed in seeds], np.uint64)
     radio = file.stem.removesuffix("-diagonal")

@@ -1,4 +1,4 @@
-"""Tests that users' text is escaped wherever it is shown, and that tables fit on terminals."""
+"""Tests that text from users is escaped where it is shown, and that tables fit on terminals."""
 
 import io
 import re
@@ -75,7 +75,7 @@ SPELLED = r"$x$|a\nb\x1b[31m[red]\u202e<script>"
 
 @pytest.fixture
 def screen(monkeypatch):
-    """Return a buffer to which bars are drawn as to a terminal of 100 columns."""
+    """Return a buffer to which bars are drawn as if it were a terminal of 100 columns."""
     shown = io.StringIO()
 
     def console(**_):

@@ -1,4 +1,4 @@
-"""Tests of users' own agents, from modules, files and objects, and of refusing invalid ones."""
+"""Tests that agents from modules, files and objects are compared, and invalid ones are refused."""
 
 import json
 import sys

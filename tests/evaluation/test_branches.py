@@ -1,4 +1,4 @@
-"""Tests of the clairvoyant, which tries every action with the truth at hand."""
+"""Tests of the clairvoyant, a policy that knows the truth and tries every action in advance."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ from mmwave_env.world.simulated import SimulatedSource
 from tests.refusals import refuses
 from tests.training.actors import HANDSET
 
-N, EPOCHS = 5, 30  # five environments do not fill the eight lanes of a block
+N, EPOCHS = 5, 30  # engines compute blocks of 8 environments; these 5 do not fill one
 EPISODES = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=EPOCHS).episodes(
     np.arange(N, dtype=np.uint64)
 )
@@ -35,7 +35,7 @@ def begun(walked):
 
 
 def rest(walked, action):
-    """Return sums (N,) of rewards after ``walked`` epochs if ``action`` is taken, then action 0."""
+    """Return sums (N,) of rewards: of ``action`` after ``walked`` epochs, and of action 0 later."""
     engine, total = begun(walked), 0.0
     for taken in [action, *[np.int64(0)] * (EPOCHS - walked - 1)]:
         total += engine.step(taken, rows_of(engine.at.reward))[1][:, 0]

@@ -1,4 +1,4 @@
-"""Tests of comparisons: which contenders are paired, their differences, and tables of errors."""
+"""Tests of which contenders are compared in pairs, of their differences, and of error tables."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Tests that the histories of contenders, for pictures, equal those that environments record."""
+"""Tests that contenders' histories (for pictures) equal the histories that environments record."""
 
 import gymnasium as gym
 import numpy as np

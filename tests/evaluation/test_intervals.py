@@ -32,8 +32,8 @@ def test_one_episode_gives_a_mean_and_no_interval():
 def test_intervals_agree_with_scipy_s_bootstrap(n):
     values = np.random.default_rng(0).exponential(2.0, (n, 2))
     ours = bootstrap(values)
-    # The standard error of a 2.5 % quantile from R resamples is the mean's times this factor. Two
-    # such quantiles differ by more than 4.5 sqrt(2) of these errors in one of 10^5 tests.
+    # The standard error of a 2.5 % quantile is this factor times the standard error of the mean. In
+    # only one of 10^5 tests, two such quantiles differ by more than 4.5 sqrt(2) standard errors.
     quantile_error = np.sqrt(0.025 * 0.975 / RESAMPLES) / norm.pdf(norm.ppf(0.025))
     for column, interval in zip(values.T, ours, strict=True):
         same = {"n_resamples": RESAMPLES, "method": "percentile", "rng": np.random.default_rng(0)}
@@ -75,7 +75,7 @@ def test_each_column_has_a_ratio_which_is_nan_if_the_denominator_is_zero():
 
 
 def plain_work(scores, rng, resamples):
-    """Return the means of resamples, drawn one by one, minus the mean of the scores."""
+    """Return means of resamples, which are drawn one by one, minus the mean of the scores."""
     K, n = scores.shape
     apart = scores.mean(axis=1) - scores.mean()
     moved = scores + ((few_seeds_factor(K) - 1.0) * apart)[:, None]
@@ -113,7 +113,7 @@ def test_if_only_seeds_differ_the_interval_is_that_of_student_s_t(K):
     seeds = np.random.default_rng(1).normal(size=K)
     interval = crossed_bootstrap(np.tile(seeds[:, None], (1, 10)))
     half = t.ppf(0.975, K - 1) * seeds.std(ddof=1) / np.sqrt(K)
-    # The bootstrap distribution of few seeds is as skewed as the seeds, and not quite normal.
+    # With few seeds, the distribution of resampled means is as skewed as the seeds.
     assert interval.mean == pytest.approx(seeds.mean())
     assert interval.high - interval.low == pytest.approx(2.0 * half, rel=0.06)
 

@@ -1,4 +1,4 @@
-"""Tests of the leaderboard's protocol: sites (sources of episodes), and verdicts on entries."""
+"""Tests of the benchmark's protocol: its sites (sources of episodes), and verdicts on entries."""
 
 import numpy as np
 import pytest

@@ -184,7 +184,7 @@ def none(observations):
 
 @pytest.fixture
 def trust(tmp_path):
-    """Return the file of a policy for modes that each keep their own belief."""
+    """Return the file of a policy with beliefs "per-mode": every mode keeps its own belief."""
     return write_per_mode(tmp_path / "trust.safetensors")
 
 

@@ -1,4 +1,4 @@
-"""Tests of reading the folders of training runs, and of refusing damaged ones."""
+"""Tests that folders of training runs can be read, and that damaged folders are refused."""
 
 import json
 from pathlib import Path

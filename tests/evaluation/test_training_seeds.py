@@ -1,4 +1,4 @@
-"""Tests of results over the training seeds of a run: paired differences and their intervals."""
+"""Tests of a run's results over its training seeds: differences by episode, and intervals."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Tests that pictures can be drawn with any names in them, and that they are reproducible."""
+"""Tests that pictures can be drawn with any names in them, and that drawing is reproducible."""
 
 from xml.etree import ElementTree
 

@@ -1,4 +1,4 @@
-"""Fixtures for a real browser, if playwright and Chromium are installed."""
+"""Fixtures that open pages in a real browser, if playwright and Chromium are installed."""
 
 from shutil import which
 

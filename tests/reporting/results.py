@@ -23,7 +23,7 @@ def metrics(mean):
 
 
 def comparison(names=("imm", "speed-rule"), **more):
-    """Return a comparison with rewards -1, -2, ... and differences from the first policy."""
+    """Return a comparison with rewards -1, -2, ... and differences from the first of ``names``."""
     first, *others = names
     content = {"scenario": "mixed", "radio": "handset", "episodes": 2, "seed": 0}
     content |= {
@@ -37,7 +37,7 @@ def comparison(names=("imm", "speed-rule"), **more):
 
 
 def run(folder: Path, over=2):
-    """Make the folder of a run of two trainings, of which ``over`` have ended."""
+    """Make the folder of a run of two trainings; the first ``over`` of them are finished."""
     log = "timesteps,tuning/reward,tuning/minus imm\n1000,,\n2000,-1.5,0.25\n4000,-1.4,0.3\n"
     for seed in range(2):
         training = folder / f"seed-{seed}"

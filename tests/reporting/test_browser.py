@@ -1,4 +1,4 @@
-"""Tests of a report in a real browser, if playwright and Chromium are installed."""
+"""Tests, in a real browser, of the page that ``mmwave-loc report`` writes."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Tests of `mmwave-loc report`: what is on the page, and what is refused."""
+"""Tests of what the page of ``mmwave-loc report`` shows, and of what the command refuses."""
 
 import json
 import re

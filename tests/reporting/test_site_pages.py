@@ -1,4 +1,4 @@
-"""Tests of the documentation site, built as by `make docs`, in a real browser."""
+"""Tests, in a real browser, of the documentation site that `make docs` builds."""
 
 import subprocess
 import sys

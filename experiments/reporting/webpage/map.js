@@ -6,7 +6,7 @@ function drawMap(place, episode, chosen) {
   const svg = picture(width, height, `Map of ${episode.name}: the true track, and the estimates of ${chosen.join(" and ")}. North is up.`);
   const courses = chosen.map((name) => episode.contenders[name]);
   const [toX, toY, perMeter] = mapScale(episode, courses, width, height);
-  const placed = (one) => [pixels(one.x, toX), pixels(one.y, toY)]; // null if a log has no ground truth
+  const placed = (one) => [pixels(one.x, toX), pixels(one.y, toY)]; // coordinates are null where a log has no ground truth
   shape(svg, "rect", { width, height, fill: "var(--ground)" });
   drawStreets(svg, episode, toX, toY, perMeter);
   const links = episode.anchors.map(() => shape(svg, "line", { "stroke-width": 1.4 }));
@@ -63,7 +63,7 @@ function drawStreets(svg, episode, toX, toY, perMeter) {
     }
   }
   const [[gx, gy, gz], ...images] = episode.anchors;
-  for (const [x, y, z] of images) { // a wall stands halfway between the gNB and its image, across the line between them
+  for (const [x, y, z] of images) { // an image is the gNB's mirror image in a wall, so the wall halves the line between them at a right angle
     const far = Math.hypot(x - gx, y - gy);
     if (far === 0 || Math.abs(z - gz) > 0.1) continue;
     const [dx, dy] = [(-5000 * (y - gy)) / far, (5000 * (x - gx)) / far];
@@ -96,7 +96,7 @@ function drawAnchors(svg, episode, toX, toY, width, height) {
   });
 }
 
-// The track of an estimate up to now; that of the first contender has the colors of its modes.
+// Draws the track of an estimate, and returns a function that shows it up to an epoch. The track of contender number 0 has the colors of its modes.
 function trail(svg, course, xs, ys, number) {
   if (number) {
     const line = shape(svg, "path", lineOf(number));

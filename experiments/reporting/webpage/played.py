@@ -146,8 +146,8 @@ def watched_names(ranked: Sequence[str]) -> list[str]:
 def _episode(name: str, history: History, rows: slice, groups: Sequence[str]) -> Json:
     """Return an episode's data for the player, still without contenders.
 
-    ``history`` is that of any contender, and ``rows`` are its rows to show; ``groups`` are names of
-    groups of measurements.
+    ``history`` is the history of any contender, since the truth is the same in all; ``rows`` are
+    its rows to show, and ``groups`` are names of groups of measurements.
     """
     scenery, truth = history.scenery, history.truth[rows]
     streets = scenery.streets
@@ -172,7 +172,7 @@ def _course(history: History, rows: slice, modes: Sequence[str], weighed: bool) 
     then the most probable mode.
     """
     accepted, rejected = history.accepted[rows], history.rejected[rows]
-    letters = np.where(accepted, "a", np.where(rejected, "r", "m"))
+    letters = np.where(accepted, "a", np.where(rejected, "r", "m"))  # m: missing
     estimate = history.estimate[rows]
     xx, xy, yy = history.P[rows, :3].T
     mean, spread = (xx + yy) / 2.0, np.hypot((xx - yy) / 2.0, xy)

@@ -91,7 +91,7 @@ function legend(place, episode, chosen) {
     return element("div", { class: "key" }, title, ...course.modes.map((mode, k) => swatch(course.colors[k], mode)));
   });
   const fates = Object.entries(FATES).map(([fate, name]) => swatch(FILLS[fate], `measurement ${name}`));
-  const notes = `Measurements, links and the ellipse of 2 standard deviations belong to ${chosen[0]}. The true speed has the color of the text. The band contains 95 % of NEES. Triangles are the gNB and other anchors; arrows point to those outside the map.`;
+  const notes = `Measurements, links and the ellipse of 2 standard deviations belong to ${chosen[0]}. The true speed has the color of the text. If the covariances are right, 95 % of the NEES are in the band. Triangles are the gNB and other anchors; arrows point to anchors outside the map.`;
   place.replaceChildren(...modes, element("div", { class: "key" }, ...fates, element("span", {}, notes)));
 }
 
