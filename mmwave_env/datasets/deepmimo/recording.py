@@ -1,4 +1,4 @@
-"""DeepMIMO scenarios as recordings whose epochs are the receivers of one track.
+"""DeepMIMO scenarios, read as recordings of one user.
 
 A scenario lists paths (:mod:`~mmwave_env.datasets.deepmimo.v4`); a recording has links to
 anchors (:mod:`~mmwave_env.datasets.deepmimo.anchors`).
@@ -41,9 +41,9 @@ def read_deepmimo(
 ) -> Recording:
     """Read a scenario folder as a recording.
 
-    The epochs of a static scenario are its receivers; the epochs of a dynamic scenario are its
-    scenes. Times and velocities come from ``trajectory.csv`` in the folder, which has one row for
-    each receiver or, if the scenario is dynamic, for each scene.
+    In a static scenario, the epochs are successive receivers along the user's way; in a dynamic
+    scenario, they are successive scenes. Times and velocities come from ``trajectory.csv`` in the
+    folder, which has one row for each receiver or, if the scenario is dynamic, for each scene.
 
     If there is one station, or ``base_station`` selects one, the anchors are this station and
     its mirror images. Otherwise the anchors are all stations that are in sight in some epoch, the
@@ -142,7 +142,7 @@ def _way_of(scenario: Scenario, epochs: Index, dt_s: float | None) -> Trajectory
 def _links(
     stations: list[StationPaths], position_m: Array, virtual_anchors: int
 ) -> list[tuple[StationLinks, int]]:
-    """Return, for each anchor, its station's links and the anchor's row in ``links.anchors_m``."""
+    """Return, for each anchor, the links of its station and its own row in their ``anchors_m``."""
     if len(stations) == 1:
         links = find_links(stations[0], position_m)
         images = np.flatnonzero(~links.is_ground)[1:].tolist()
