@@ -1,6 +1,6 @@
 """Picture of an episode from above, with the state of the filter; needs pygame.
 
-Strips below the map show speed, error, NEES and modes over time.
+Strips (diagrams over time) below the map show speed, error and NEES; a ribbon shows the modes.
 """
 
 import math
