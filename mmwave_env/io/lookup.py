@@ -1,6 +1,6 @@
 """Names: which ones are valid, how they are shown, and lookup by name.
 
-Errors list the valid names, or say how to install what is missing.
+Errors list the valid names, or say how to install a missing package.
 """
 
 import importlib.util
