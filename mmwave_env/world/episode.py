@@ -21,7 +21,7 @@ from mmwave_env.numerics.numbers import Array, Index, Mask, Number, Vector, wher
 from mmwave_env.numerics.pytree import flatten, indices
 from mmwave_env.world.checks import refuse, require_epochs, require_finite
 
-NEUTRAL_SNR_DB = 20.0  # used for an SNR that was not measured; about the mean SNR in streets
+NEUTRAL_SNR_DB = 20.0  # replaces an SNR that was not measured; about the mean SNR in streets
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,10 +29,10 @@ class Episode:
     """The data of T epochs of one user.
 
     Missing groups (a link, the Doppler shift or odometry) are marked in ``visible``; where it is
-    False the values are meaningless. Measurements that are NaN or infinite count as missing.
-    In a partial layout, single rows of a group may be missing: these rows are NaN, and the group is
-    visible if at least one row was measured.
-    Values that the filters cannot handle are refused (:mod:`~mmwave_env.models.envelope`).
+    False the values are meaningless. Measurements that are NaN or infinite count as missing. In a
+    partial layout, single rows of a group may be missing: these rows are NaN, and the group is
+    visible if at least one row was measured. Values that the filters cannot handle are refused
+    (:mod:`~mmwave_env.models.envelope`).
 
     Attributes:
         name: name of the episode, for results and messages.
@@ -48,9 +48,9 @@ class Episode:
         prior_covariance: (7, 7) positive definite covariance of the state; (8, 8) with a clock.
         truth_position_m: (T, 3) true positions; None if unknown.
         truth_velocity_mps: (T, 3) true velocities; None if unknown.
-        layout: rows and groups.
-        doppler_anchor: (T,) anchor of the Doppler shift, counted from 0, in a partial layout; None
-            for the first anchor in every epoch.
+        layout: which quantity is in which row, and which rows form a group.
+        doppler_anchor: (T,) index, from 0, of the anchor whose Doppler shift was measured (only in
+            a partial layout); None if it is the first anchor in every epoch.
     """
 
     name: str

@@ -41,7 +41,7 @@ from mmwave_env.world.travel import Phase, TravelPlan, attend, blank_plan, draw_
 class WorldSettings(NamedTuple):
     """The settings that are the same in all episodes of a source."""
 
-    hz_per_mps: Number  # carrier frequency over the speed of light
+    hz_per_mps: Number  # carrier frequency divided by the speed of light
     channel: Channel  # constants of the channel, from radio and scene
     drift_hz: Number  # standard deviation of the oscillator's change from epoch to epoch
     step_s: Number  # length of a substep

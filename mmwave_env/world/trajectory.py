@@ -182,8 +182,8 @@ class PlacedWays:
     def draw(self, choice: Array) -> tuple[Index, Array]:
         """Draw a way for each of n episodes; return its index (n,) and the truth (n, epochs, 6).
 
-        All ways are equally likely, and so are all windows of one way; ``choice`` (n,) is uniform
-        in [0, 1).
+        The numbers ``choice`` (n,), uniform in [0, 1), select way and window: all ways are equally
+        likely, and so are all windows of one way.
         """
         scaled = choice * len(self.tables)
         numbers = scaled.astype(np.int64)

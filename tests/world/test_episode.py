@@ -1,4 +1,4 @@
-"""Tests of episodes: geometry, noise (99.9 % confidence), layout, validation and packing."""
+"""Tests of episodes: geometry, layout, noise (99.9 % confidence), validation, engines' tables."""
 
 from dataclasses import replace
 
@@ -118,7 +118,7 @@ def test_the_layout_depends_on_scene_and_odometry(scene):
     assert draw(scene=SCENES[scene], odometry=True).measurement.shape == (200, 15)
 
 
-# --- missing numbers, and refused ones
+# --- values that are missing, and values that are refused
 
 
 @pytest.mark.parametrize(

@@ -36,8 +36,8 @@ SOURCES = {
     ),
 }
 KEYS = np.random.default_rng(0).integers(0, 2**64, 20, np.uint64)
-# For two in a thousand keys (none of these), the two simulations give different trajectories: they
-# round sums differently, so that an event, such as a new target speed, is a substep later in one.
+# For two in a thousand keys (none of these), the two simulations give different trajectories. They
+# round sums differently, so an event, such as a new speed, is a substep later in one of them.
 
 
 class PlainDice:
