@@ -45,7 +45,7 @@ class StationPaths:
     position_m: Array  # (3,) position of the station
     interactions: Array  # (E, P) 0 for a line of sight, 1 for one reflection, ...; NaN for no path
     bounce_m: Array  # (E, P, 3) first point of interaction
-    gain_db: Array  # (E, P) 20 log10 |a|
+    gain_db: Array  # (E, P) 20 log10 of the amplitude
     delay_s: Array  # (E, P) absolute delay
     # arrival (at the receiver), departure (at the station): (E, P, 2) azimuth and zenith angle,
     # rad, of the direction of propagation or of its opposite (see :func:`propagation`)
@@ -103,7 +103,7 @@ class StationLinks:
         return np.bincount(pairs[:, 1], minlength=len(self.anchors_m))
 
     def strongest(self, anchor: int) -> tuple[Mask, Index]:
-        """Return in which epochs (E,) an anchor is seen, and indices (E,) of its strongest path."""
+        """Return (E,) whether an anchor is seen, and (E,) the index of the strongest path to it."""
         leads = self.member == anchor
         return leads.any(axis=1), np.argmax(np.where(leads, self.paths.gain_db, -np.inf), axis=1)
 

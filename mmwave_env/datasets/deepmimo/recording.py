@@ -42,8 +42,8 @@ def read_deepmimo(
     """Read a scenario folder as a recording.
 
     In a static scenario, the epochs are successive receivers along the user's way; in a dynamic
-    scenario, they are successive scenes. Times and velocities come from ``trajectory.csv`` in the
-    folder, which has one row for each receiver or, if the scenario is dynamic, for each scene.
+    scenario, they are successive scenes (moments in time). Times and velocities come from the file
+    ``trajectory.csv`` in the folder, with a row for each receiver or, if dynamic, for each scene.
 
     If there is one station, or ``base_station`` selects one, the anchors are this station and
     its mirror images. Otherwise the anchors are all stations that are in sight in some epoch, the
@@ -58,7 +58,7 @@ def read_deepmimo(
             positions.
         users: indices of receivers, from 0. For a static scenario, one index per epoch; for a
             dynamic scenario, one index for all scenes, or one index per scene.
-        base_station: number of the only station to use, from 1 in the order of the files' names.
+        base_station: number of the only station to use, from 1 in the order of file names.
         receiver_set: number of the set of receivers, if there are several sets.
 
     Raises:
@@ -142,7 +142,7 @@ def _way_of(scenario: Scenario, epochs: Index, dt_s: float | None) -> Trajectory
 def _links(
     stations: list[StationPaths], position_m: Array, virtual_anchors: int
 ) -> list[tuple[StationLinks, int]]:
-    """Return, for each anchor, the links of its station and its own row in their ``anchors_m``."""
+    """Return, for each anchor, its station's links and the anchor's row in ``links.anchors_m``."""
     if len(stations) == 1:
         links = find_links(stations[0], position_m)
         images = np.flatnonzero(~links.is_ground)[1:].tolist()
