@@ -113,7 +113,7 @@ def _draw_streets(canvas: Canvas, view: View, streets: Streets, theme: Theme) ->
 
 
 def _blocks(extent_m: tuple[float, float], block_m: float, low: float, high: float) -> Array:
-    """Return where the blocks that are visible between ``low`` and ``high`` (m) begin: (n,), m."""
+    """Return the coordinates (n,), m, at which the blocks visible between two limits begin."""
     begins = extent_m[0] + block_m * np.arange(
         round((extent_m[1] - extent_m[0]) / block_m), dtype=float
     )
@@ -121,7 +121,7 @@ def _blocks(extent_m: tuple[float, float], block_m: float, low: float, high: flo
 
 
 def _box(view: View, corners_m: Array) -> Rect:
-    """Return the visible part of the rectangle with these south-west and north-east corners, m."""
+    """Return the visible part of a rectangle with corners (2, 2), m: south-west, north-east."""
     frame = view.frame.inflate(4.0, 4.0)
     (left, bottom), (right, top) = np.clip(
         view.pixels(corners_m), (frame.left, frame.top), (frame.right, frame.bottom)
