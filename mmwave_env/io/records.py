@@ -1,8 +1,8 @@
 """Dataclasses that are stored in JSON files; the types of fields define their valid values.
 
 The types serve three purposes: a dataclass refuses values that do not fit (:func:`require_fields`);
-JSON files are read into it (:func:`read_object`); and the schemas in mmwave_env/data/schemas, which
-describe these files, are made from the types.
+JSON files become dataclasses (:func:`read_object`); and the schemas in mmwave_env/data/schemas,
+which describe these files, are made from the types.
 """
 
 import math
