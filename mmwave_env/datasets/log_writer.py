@@ -14,8 +14,8 @@ def log_columns(episode: Episode) -> dict[str, Array]:
     """Return the columns of an episode's log, arrays (n,) with one row per epoch and anchor.
 
     NaN stands for an empty cell. The cells of measurements that are not usable are empty. An SNR is
-    given only if its anchor's link or Doppler shift is usable. A partial layout adds columns of
-    standard deviations. Elevations that noise pushes beyond the vertical are clipped to it.
+    given only if its anchor's link or Doppler shift is usable. A partial layout (single values may
+    be missing) adds columns of standard deviations. Noisy elevations are clipped to the vertical.
     """
     layout, usable = episode.layout, episode.usable
     T, L = len(episode), layout.anchors

@@ -82,7 +82,7 @@ class MeasuredTrack(Track):
             range_sigma_m, aoa_azimuth_sigma_rad, aoa_elevation_sigma_rad, aod_azimuth_sigma_rad:
                 (T, L) the receiver's own standard deviations, which replace the profile's.
             doppler_sigma_hz: (T,) the receiver's own standard deviation of the Doppler shift.
-            doppler_spread_hz: (T,) Doppler spread; None, NaN and 0: it was not measured.
+            doppler_spread_hz: (T,) Doppler spread; None, NaN or 0 if it was not measured.
             velocity_mps: (T, 3) true velocities, m/s; None to compute them from the positions.
             carrier_hz, bandwidth_hz: frequencies of the signal.
             name: name for results and messages.
@@ -140,10 +140,10 @@ def _require_noise(
 def _as_partial(
     record: str, fields: dict[str, Any], heard: Mask, deviations: dict[str, ArrayLike | None]
 ) -> dict[str, Any]:
-    """Return the fields of a track that a partial layout changes; {} if no such layout is needed.
+    """Return the fields of a track that a partial layout changes; {} if the plain one is enough.
 
-    ``heard`` (T, L) says whether a link has an SNR. ``deviations`` has the standard deviations
-    (T, L) or (T,) by the name of the measurement.
+    ``heard`` (T, L) says whether a link has an SNR. ``deviations`` maps the name of a measurement
+    to its standard deviations: (T, L) for links, (T,) for Doppler shifts, or None.
     """
     layout: Layout = fields["layout"]
     rows, sigma = fields["measurement"], np.full_like(fields["measurement"], np.nan)

@@ -53,7 +53,7 @@ class Track(ABC):
     Attributes:
         name: name for results and messages.
         scene: scene whose L anchors were measured; often only its anchors are known.
-        layout: which values a measurement has, in order, and their groups.
+        layout: which value is in which row of a measurement, and which rows form a group.
         time_s: (T,) times, increasing.
         measurement: (T, rows) in the order of ``layout``: m, rad, Hz, m/s.
         visible: (T, groups) whether each group was measured; if not, its values are meaningless.
@@ -88,8 +88,8 @@ class Track(ABC):
 
         The prior is drawn around the true state. If the bias of the oscillator is unknown, the mean
         of its prior is 0. If the layout has a clock, a random clock offset is added to the ranges
-        of a recording; the other random numbers stay the same. The ranges of a measured track
-        already contain an offset.
+        of a recording; the other random numbers are those of an episode without a clock. The ranges
+        of a measured track already contain an offset.
 
         Raises:
             ValueError: the true position in an epoch is not known.
@@ -235,7 +235,7 @@ class TrackSource:
 
     Args:
         track: a measured track, whose measurements are the same in each episode; or a recording,
-            whose measurements are drawn anew in each.
+            whose measurements are drawn anew in each episode.
         radio: profile of the receiver, or its name.
         epochs: length of an episode, which is a window drawn at random from all stretches; None
             for the complete longest stretch.
@@ -243,7 +243,7 @@ class TrackSource:
         clock: whether the user's clock has an unknown offset.
 
     Raises:
-        ValueError: there is no stretch, or no stretch has that many epochs.
+        ValueError: there is no stretch, none has that many epochs, or measurements are missing.
     """
 
     def __init__(
@@ -281,8 +281,8 @@ class TrackSource:
         if epochs is None and most < len(track):
             warnings.warn(
                 f"{track.record}: found {len(track)} epochs, some without a true position or "
-                f"after a gap of more than {GAP_S:g} s; episodes use the longest stretch between "
-                f"these, {most} epochs from {track.time_s[longest.start]:g} s on",
+                f"after a gap of more than {GAP_S:g} s; episodes use the longest stretch without "
+                f"either, {most} epochs from {track.time_s[longest.start]:g} s on",
                 stacklevel=2,
             )
         self.epochs = most if epochs is None else epochs

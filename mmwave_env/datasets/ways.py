@@ -87,6 +87,6 @@ def _number(file: Path, cell: str, text: str) -> float:
 
 
 def scenario_from(scenario: Scenario) -> Scenario:
-    """Return a ``scenario=`` argument; replace the name of a CSV file by its trajectories."""
+    """Return a ``scenario=`` argument, or the trajectories in the CSV file that it names."""
     is_file = isinstance(scenario, str | os.PathLike) and str(scenario).lower().endswith(".csv")
     return read_ways(scenario) if is_file else scenario  # type: ignore[arg-type]

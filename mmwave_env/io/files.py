@@ -119,8 +119,8 @@ def read_json(path: Path, kind: str, make: Callable[[dict[str, Any]], T], see: s
     Args:
         path: path of the file.
         kind: kind of the file, for messages, such as "a mode file".
-        make: function of the object. If it fails because of a missing key or a value of a wrong
-            type, the error is converted to the ValueError below.
+        make: function that converts the object. If it fails because of a missing key or a value of
+            a wrong type, its error is converted to the ValueError below.
         see: page that describes this kind of file, for messages.
 
     Raises:

@@ -1,6 +1,6 @@
 """Names: which ones are valid, how they are shown, and lookup by name.
 
-Errors list the valid names, or say how to install what is missing.
+Errors list the valid names, or say how to install a missing package.
 """
 
 import importlib.util
@@ -63,7 +63,7 @@ def unknown(field: str, name: object, known: Iterable[str]) -> str:
 
 
 def did_you_mean(name: object, known: Iterable[str], most: int = 1) -> str:
-    """Return the end of a message that names the closest known names; empty if none is close."""
+    """Return the end of a message that suggests the closest known names; "" if none is close."""
     typed = isinstance(name, str) and len(name) <= LONGEST
     close = get_close_matches(str(name), list(known), most) if typed else []
     return f"; did you mean {' or '.join(close)}?" if close else ""

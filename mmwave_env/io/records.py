@@ -1,8 +1,8 @@
 """Dataclasses that are stored in JSON files; the types of fields define their valid values.
 
 The types serve three purposes: a dataclass refuses values that do not fit (:func:`require_fields`);
-JSON files are read into it (:func:`read_object`); and the schemas in mmwave_env/data/schemas, which
-describe these files, are made from the types.
+JSON files become dataclasses (:func:`read_object`); and the schemas in mmwave_env/data/schemas,
+which describe these files, are made from the types.
 """
 
 import math
@@ -25,12 +25,12 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Bound:
-    """Limits of a number: >= ``least`` or > ``above``, and <= ``most`` or < ``below``."""
+    """Limits of a number."""
 
-    expected: str
-    least: float | None = None
+    expected: str  # the limits in words, for messages
+    least: float | None = None  # smallest valid number; if None, numbers must be > ``above``
     above: float = -math.inf
-    most: float | None = None
+    most: float | None = None  # largest valid number; if None, numbers must be < ``below``
     below: float = math.inf
 
     def holds(self, value: Any) -> Any:
@@ -121,7 +121,7 @@ def _is_list(value: Any) -> bool:
 
 
 def _said(hint: Any) -> str:
-    """Return the words for a type that follow "expected" in messages."""
+    """Return the words that describe a type, to follow "expected" in messages."""
     origin, inside = get_origin(hint), get_args(hint)
     if hint in _KINDS:
         return _KINDS[hint][1]

@@ -14,7 +14,7 @@ DRAWN = 16  # more pictures would be too small to read, and would need too much 
 
 
 class Gallery:
-    """Recorder and painter of the first :data:`DRAWN` of n environments, or of all if n is smaller.
+    """Recorder and painter of n environments, or only of the first :data:`DRAWN` if n is larger.
 
     :class:`Recorder` and :class:`~mmwave_env.rendering.picture.Picture` describe the arguments.
     """
@@ -46,19 +46,19 @@ class Gallery:
     ) -> None:
         """Begin new recordings of some environments, with the prior in their workspaces.
 
-        ``names`` (N,) are the names of the episodes. Given the index of an environment, ``streets``
+        ``names`` (n,) are the names of the episodes. Given the index of an environment, ``streets``
         returns the streets of its episode, and ``workspace`` the array (size,) of all its values.
         """
         for index in indices[indices < len(self.recorders)].tolist():
             self.recorders[index].begin(names[index], streets(index), workspace(index))
 
     def add(self, indices: Index, actions: NDArray[Any], workspace: Callable[[int], Array]) -> None:
-        """Record the epoch just processed in some environments, with actions (N,)."""
+        """Record the epoch that some environments just processed with their ``actions`` (n,)."""
         for index in indices[indices < len(self.recorders)].tolist():
             self.recorders[index].add(workspace(index), int(actions[index]))
 
     def draw(self) -> tuple[NDArray[np.uint8], ...]:
-        """Draw N pictures, one per environment; all without a recorder get the same black one."""
+        """Draw n pictures, one per environment; environments after the first DRAWN are black."""
         if self._picture is None:
             from mmwave_env.rendering.picture import Picture
 

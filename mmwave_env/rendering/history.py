@@ -10,8 +10,8 @@ import numpy as np
 from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array, Index, Mask
 
-NO_MODE = -1  # for the prior, which no mode computed
-POSITION_NUMBERS = 6  # number of values for the position; they come first in a packed covariance
+NO_MODE = -1  # in place of a mode's number, for the prior, which no mode computed
+POSITION_NUMBERS = 6  # number of values of the position, the first ones of a packed covariance
 
 
 class Scenery(NamedTuple):
@@ -31,10 +31,11 @@ class History:
     time_s: Array  # (k + 1,) time since the first epoch
     modes: Index  # (k + 1,) number of the mode that ran; ``NO_MODE`` in the first row
     truth: Array  # (k + 1, 6) position (m), velocity (m/s)
-    estimate: Array  # (k + 1, 7) position (m), velocity (m/s), bias (Hz)
-    P: Array  # (k + 1, 6) covariance of the position, packed: xx, xy, yy, xz, yz, zz, m^2
-    nees: Array  # (k + 1,), NaN in the first row
-    # accepted, rejected: (k + 1, groups) links first, then the Doppler shift
+    estimate: Array  # (k + 1, 7 or more) position (m), velocity (m/s), bias (Hz); clock (m) if any
+    P: Array  # (k + 1, 6) covariance of the position (m^2), packed: xx, xy, yy, xz, yz, zz
+    nees: Array  # (k + 1,) NEES; NaN in the first row
+    # accepted, rejected: (k + 1, groups) decisions of the gate about the links, then the Doppler
+    # shift, then odometry, if any; both are False for a missing group
     accepted: Mask
     rejected: Mask
 
@@ -74,7 +75,7 @@ class Recorder:
         self._epochs: list[dict[str, Array]] = []
 
     def begin(self, name: str, streets: Streets | None, workspace: Array) -> None:
-        """Start over with the prior in the workspace (size,)."""
+        """Start a new recording with the prior in the workspace (size,)."""
         anchors_m = workspace[self._rows["anchors"]].reshape(-1, 3).copy()
         self._scenery = Scenery(name, anchors_m, streets)
         self._modes, self._epochs = [], []

@@ -1,6 +1,6 @@
 """Picture of an episode from above, with the state of the filter; needs pygame.
 
-Strips below the map show speed, error, NEES and modes over time.
+Strips (diagrams over time) below the map show speed, error and NEES; a ribbon shows the modes.
 """
 
 import math
@@ -195,7 +195,7 @@ class Strip:
 def draw_strips(
     canvas: Canvas, top: float, history: History, theme: Theme, beside: Sequence[History]
 ) -> None:
-    """Draw all strips below a height, with scales that also fit ``beside``."""
+    """Draw all strips below ``top``, with scales that also fit the histories ``beside``."""
     rows = slice(max(1, history.epochs - _WINDOW + 1), None)
     modes, (first, last) = history.modes[rows], _times(history, rows)
     x = _LEFT + (history.time_s[rows] - first) / (last - first) * _WIDTH

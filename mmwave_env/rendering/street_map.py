@@ -16,7 +16,7 @@ from mmwave_env.rendering.history import History
 from mmwave_env.rendering.theme import Color, Theme
 
 _MEMORY_S, _LAG_S = 20.0, 4.0  # length of moving averages, and time constant of their weights
-_AHEAD_S = 4.0  # time in which the user would travel from the center to the edge
+_AHEAD_S = 4.0  # minimum time in which the user would travel from the center to the upper edge
 _LEAST_M = 25.0  # minimum distance from the center to the upper edge
 _INNER = 0.5  # share of the picture's height and width in which user and estimate stay
 _STREET_M = 14.0  # width of streets in the picture, if blocks leave enough room
@@ -113,7 +113,7 @@ def _draw_streets(canvas: Canvas, view: View, streets: Streets, theme: Theme) ->
 
 
 def _blocks(extent_m: tuple[float, float], block_m: float, low: float, high: float) -> Array:
-    """Return the lower edges (n,), m, of the blocks that are visible between two limits (m)."""
+    """Return the coordinates (n,), m, at which the blocks visible between two limits begin."""
     begins = extent_m[0] + block_m * np.arange(
         round((extent_m[1] - extent_m[0]) / block_m), dtype=float
     )
@@ -121,7 +121,7 @@ def _blocks(extent_m: tuple[float, float], block_m: float, low: float, high: flo
 
 
 def _box(view: View, corners_m: Array) -> Rect:
-    """Return the visible part of a rectangle with south-west and north-east corners (2, 2)."""
+    """Return the visible part of a rectangle with corners (2, 2), m: south-west, north-east."""
     frame = view.frame.inflate(4.0, 4.0)
     (left, bottom), (right, top) = np.clip(
         view.pixels(corners_m), (frame.left, frame.top), (frame.right, frame.bottom)
@@ -193,7 +193,7 @@ def draw_by_mode(canvas: Canvas, points: Array, modes: Index, theme: Theme, widt
 
 
 def runs(modes: Index) -> list[tuple[int, int]]:
-    """Return first and end index of each run of epochs in which the mode stays the same."""
+    """Return (first index, last index + 1) of each run of epochs with the same mode."""
     changes = np.flatnonzero(np.diff(modes)) + 1
     return list(pairwise([0, *changes.tolist(), len(modes)]))
 
@@ -213,7 +213,7 @@ def _draw_scale(canvas: Canvas, view: View, theme: Theme) -> Rect:
 
 
 def _draw_anchors(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
-    """Draw scale bar and anchors; for an anchor outside, an arrow at the edge, and its distance."""
+    """Draw scale bar and anchors; an anchor outside is an arrow at the edge, with its distance."""
     inner = view.frame.inflate(-14.0, -14.0)
     user, here = _point(view, history.truth[-1]), history.truth[-1, :3]
     around = 9.0

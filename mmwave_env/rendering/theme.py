@@ -88,7 +88,7 @@ def _theme(column: int) -> Theme:
 
 
 THEMES = {"light": _theme(1), "dark": _theme(2)}
-SMALLEST, LARGEST = 480, 1080  # height and width in px
+SMALLEST, LARGEST = 480, 1080  # limits of the height and width of a picture, px
 FRAMES_PER_SECOND = 10  # default speed of videos and windows
 
 

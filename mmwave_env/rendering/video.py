@@ -40,7 +40,7 @@ def write_video(
     """Write a video completely or, if that fails, not at all; an existing file is then kept.
 
     ``draw`` returns the picture (height, width, 3) for one of the ``numbers``, and ``report``
-    receives the share that is done; :func:`require_video` has checked the path.
+    receives the share that is done. Check the path with :func:`require_video` first.
     """
 
     def pictures() -> Iterator[NDArray[np.uint8]]:

@@ -1,4 +1,4 @@
-"""Checks of arrays over epochs, in episodes and tracks; errors name the record and the field."""
+"""Checks of the arrays of a record (an episode or a track); errors name the record and field."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -10,19 +10,19 @@ from mmwave_env.numerics.numbers import Array
 
 
 def refuse(record: str, field: str, value: object, expected: str) -> NoReturn:
-    """Raise a ValueError about a field of a record; a record is, for example, "episode 'jam'"."""
+    """Raise a ValueError about a field of a record; ``record`` is, say, "episode 'jam'"."""
     raise ValueError(f"{field} of {record}: found {value}, expected {expected}")
 
 
 def refuse_in(file: Path, part: str, value: object, expected: str) -> NoReturn:
-    """Raise a ValueError about a part of a file, such as a line or a key."""
+    """Raise a ValueError about a part of a file, such as a line or a named array."""
     raise ValueError(f"{file}: {part}: found {value}, expected {expected}")
 
 
 def require_epochs(record: str, epochs: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:
     """Refuse arrays of wrong shapes, and times that do not increase; messages name the record.
 
-    Attributes of ``epochs`` are ``time_s`` and the arrays in ``shapes``; an array may be None.
+    ``epochs`` has an attribute ``time_s``, and an array or None for every name in ``shapes``.
     """
     for field, shape in shapes.items():
         value = getattr(epochs, field)

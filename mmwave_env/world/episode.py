@@ -21,7 +21,7 @@ from mmwave_env.numerics.numbers import Array, Index, Mask, Number, Vector, wher
 from mmwave_env.numerics.pytree import flatten, indices
 from mmwave_env.world.checks import refuse, require_epochs, require_finite
 
-NEUTRAL_SNR_DB = 20.0  # stands for an SNR that was not measured; about the mean in streets
+NEUTRAL_SNR_DB = 20.0  # replaces an SNR that was not measured; about the mean SNR in streets
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,27 +29,28 @@ class Episode:
     """The data of T epochs of one user.
 
     Missing groups (a link, the Doppler shift or odometry) are marked in ``visible``; where it is
-    False the values are meaningless. Measurements that are NaN or infinite count as missing.
-    In a partial layout, unmeasured rows are NaN; one measured row makes a group visible.
-    Values that the filters cannot handle are refused (:mod:`~mmwave_env.models.envelope`).
+    False the values are meaningless. Measurements that are NaN or infinite count as missing. In a
+    partial layout, single rows of a group may be missing: these rows are NaN, and the group is
+    visible if at least one row was measured. Values that the filters cannot handle are refused
+    (:mod:`~mmwave_env.models.envelope`).
 
     Attributes:
         name: name of the episode, for results and messages.
         scene_anchors_m: (L, 3) anchors, the physical gNB first.
-        hz_per_mps: carrier frequency over the speed of light.
+        hz_per_mps: carrier frequency divided by the speed of light.
         time_s: (T,) increasing times.
         measurement: (T, rows) values in the order of ``layout``: m, rad, Hz, m/s.
         sigma: (T, rows) standard deviations in the same units, positive.
         visible: (T, groups) whether the group was measured.
         snr_db: (T, L) SNR of each link.
         doppler_spread_hz: (T,) measured Doppler spread; 0 where none was measured.
-        prior_mean: (7,) state at the first epoch; (8,) with a clock.
-        prior_covariance: (7, 7) positive definite covariance of the mean; (8, 8) with a clock.
+        prior_mean: (7,) mean of the state at the first epoch; (8,) with a clock.
+        prior_covariance: (7, 7) positive definite covariance of the state; (8, 8) with a clock.
         truth_position_m: (T, 3) true positions; None if unknown.
         truth_velocity_mps: (T, 3) true velocities; None if unknown.
-        layout: rows and groups.
-        doppler_anchor: (T,) anchor of the Doppler shift, counted from 0, in a partial layout; None
-            for the first anchor in every epoch.
+        layout: which quantity is in which row, and which rows form a group.
+        doppler_anchor: (T,) index, from 0, of the anchor whose Doppler shift was measured (only in
+            a partial layout); None if it is the first anchor in every epoch.
     """
 
     name: str
@@ -135,20 +136,21 @@ class Episode:
         position_m: Array | None = None,
         velocity_mps: Array | None = None,
     ) -> "Episode":
-        """Return an episode of measured arrays; noise not in ``sigma`` follows from the radio.
+        """Return an episode of measured arrays.
 
         Arguments that are not listed here are attributes of the episode.
 
         Args:
             scene, radio: scene whose anchors were measured, and profile of the receiver.
-            prior: mean (7,) and covariance (7, 7) at the first epoch.
-            sigma: (T, rows) standard deviations that the receiver states, NaN where it states none.
+            prior: ``prior_mean`` and ``prior_covariance``.
+            sigma: (T, rows) standard deviations that the receiver states, NaN where it states none;
+                missing ones are computed from the SNR with the radio profile.
             position_m, velocity_mps: true positions and velocities (T, 3); None if unknown.
         """
         known = np.isfinite(snr_db)
         stated = radio.sigma(snr_db, scene, layout)
         if layout.partial:
-            snr_db = np.where(known, snr_db, NEUTRAL_SNR_DB)  # for features only, not for noise
+            snr_db = np.where(known, snr_db, NEUTRAL_SNR_DB)  # used as a feature, not for noise
             if doppler_anchor is not None:
                 shifted = np.repeat(snr_db[np.arange(len(snr_db)), doppler_anchor], layout.anchors)
                 of_doppler = radio.sigma(shifted.reshape(snr_db.shape), scene, layout)
@@ -168,9 +170,9 @@ class Episode:
 
     @cached_property
     def usable(self) -> Mask:
-        """Return which groups (T, groups) are visible, with finite rows and (links) a finite SNR.
+        """Return which groups (T, groups) are visible and finite; links also need a finite SNR.
 
-        In a partial layout, one finite row is enough.
+        In a partial layout, one finite row is enough, and the SNR does not matter.
         """
         finite, starts = self._finite, [rows.start for rows in self.layout.groups]
         if self.layout.partial:
@@ -200,7 +202,7 @@ class Episode:
             raise ValueError(f"{self._record}: found no truth, which reward and metrics need")
 
     def on_flat_ground(self, height_m: float | None = None) -> "Episode":
-        """Return the episode with a prior mean of this height (default: the true one) and vz 0."""
+        """Return the episode with a height (default: the true one) and vz = 0 in its prior mean."""
         if height_m is None:
             self.require_truth()
             height_m = self.truth_position_m[0, 2]  # type: ignore[index]
@@ -243,7 +245,7 @@ class Episode:
 
 
 def sigma_bounds(layout: Layout) -> list[tuple[list[int], Bound]]:
-    """Return the rows of each unit, with the bound of their standard deviations."""
+    """Return the rows of ranges and speed, of angles and of Doppler, each list with its bound."""
     lengths = np.setdiff1d(np.arange(layout.size), [*layout.angles, layout.doppler]).tolist()
     angles, doppler = envelope.ANGLE_SIGMA_RAD, envelope.DOPPLER_SIGMA_HZ
     of_lengths = lengths, envelope.RANGE_SIGMA_M
@@ -267,7 +269,7 @@ class EpisodeBatch(NamedTuple):
         """Return a batch of episodes.
 
         Raises:
-            ValueError: an episode's layout differs from ``layout``, or from the first episode's.
+            ValueError: a layout differs from ``layout`` (if None: from the first episode's layout).
         """
         if isinstance(episodes, EpisodeBatch):
             layouts = [(episodes.names[0], episodes.layout)]
@@ -300,7 +302,7 @@ class EpisodeBatch(NamedTuple):
 
 
 def level(sites: Array, height_m: Array, layout: Layout) -> Array:
-    """Return the sites (n, numbers) with these heights (n,) and vz 0 in the mean of the prior."""
+    """Return sites (n, numbers) whose prior means have the heights ``height_m`` (n,) and vz = 0."""
     sites, prior = sites.copy(), indices(blank_site(layout)).prior_x
     sites[:, prior[2]], sites[:, prior[5]] = height_m, 0.0
     return sites

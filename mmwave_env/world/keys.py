@@ -21,7 +21,7 @@ _STRIDE = np.uint64(0x9E3779B97F4A7C15)  # 2**64 over the golden ratio, rounded 
 
 
 def keys_at(streams: NDArray[np.uint64], episodes: NDArray[np.uint64]) -> Keys:
-    """Return the keys (n,) of episodes (n,), numbered from 0, in streams (n,) or in one stream."""
+    """Return the keys (n,) of episodes with numbers (n,), from 0, in streams (n,) or in one."""
     # overflow is intended: arrays of integers wrap around
     bits = np.atleast_1d(streams) + (np.atleast_1d(episodes) + np.uint64(1)) * _STRIDE
     bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -100,7 +100,7 @@ class Streams:
         self.set_states(self._states)
 
     def seed(self, place: int, seed: int) -> None:
-        """Start the stream of environment ``place`` with a seed >= 0, as ``Env.reset`` does."""
+        """Start the stream of environment number ``place`` with a seed >= 0, as Env.reset does."""
         seed = operator.index(seed)
         if seed < 0:
             raise ValueError(f"seed: found {seed}, expected 0 or more")
@@ -108,9 +108,9 @@ class Streams:
         self._states[place] = stream_of(seed), 0
 
     def seed_some(self, seed: int | Sequence[int | None] | None, places: Index) -> None:
-        """Start the streams of environments at ``places``, as a vector environment's reset does.
+        """Start the streams of the environments ``places``, as a vector environment's reset does.
 
-        A seed s seeds environment i with s + i; None continues a stream.
+        An integer s seeds environment i with s + i; None continues a stream.
 
         Raises:
             ValueError: there is not one seed per environment, or a seed is negative.
@@ -141,7 +141,7 @@ class Streams:
         self._generators: list[np.random.Generator | None] = [None] * len(states)
 
     def keys(self, places: Index) -> Keys:
-        """Draw the next episode's key for each environment in ``places``, which has no repeats."""
+        """Draw the next episode's key for the environments ``places``, indices without repeats."""
         keys = keys_at(*self._states[places].T)
         self._states[places, 1] += np.uint64(1)
         return keys

@@ -99,12 +99,13 @@ def state_of(t: Traveler) -> tuple[list[Number], list[Number]]:
 def wanted_acceleration(t: Traveler, net: Net) -> Number:
     """Return the acceleration, m/s^2, that a traveler wants, given its target and what is ahead.
 
-    Two things ahead limit the speed. A turn at a crossing limits it to v_c with v_c^2 = lateral
-    acceleration times radius; a red light limits it to v_c = 0 one meter before the crossing.
-    Braking at b over a distance d reduces v to v_c, where v^2 = v_c^2 + 2 b d. Travelers plan with
-    half of their b, so they aim at the speed v with v^2 = v_c^2 + b d. From their current v, they
-    must brake at (v^2 - v_c^2) / (2 d), where d does not include the distance traveled until the
-    braking has built up. If this exceeds 0.7 b, they brake as hard as needed, up to b.
+    Two things ahead limit the speed. A turn at a crossing limits it to v_c, where v_c^2 is the
+    limit of lateral acceleration times the radius; a red light limits it to v_c = 0 one meter
+    before the crossing. Let d be the distance to there, and b the limit of braking. Travelers plan
+    to brake at b / 2 only, so they aim at the speed u for which u^2 = v_c^2 + 2 (b / 2) d. At their
+    current speed v, they need to brake at (v^2 - v_c^2) / (2 d'), where d' is d minus the distance
+    that they travel while the braking builds up (the jerk is limited). If this exceeds 0.7 b, they
+    brake as hard as needed, up to b.
     """
     left, turns, turns_after = t.stretch - t.traveled, t.arc > 0.0, abs(t.turn_after) > 0.5
     beyond = left + net.block - where(turns_after, t.radius, 0.0)

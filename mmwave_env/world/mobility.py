@@ -106,7 +106,7 @@ class Mobility:
     """A kind of user.
 
     Attributes:
-        name: name of the scenario.
+        name: name of the kind of user, which is also the name of its episodes.
         phases: phases in order of time. All but the last need a ``duration_s``; the last must not
             have one, unless ``ends_as_it_began``.
         blocks: factor by which this user's crossings are closer together than the scene's.
@@ -151,7 +151,7 @@ MOBILITIES: dict[str, Mobility] = {
     "cyclist": Mobility("cyclist", (Phase(_CYCLING, _CYCLE),)),
 }
 MIXED = "mixed"
-# The kinds of users in "mixed", which is the default scenario: additions would change results.
+# The kinds of users in "mixed". That is the default scenario: additions would change results.
 _IN_EQUAL_SHARES = ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")
 SCENARIOS = {  # names and meanings
     "pedestrian": "walks, stands, turns at crossings",

@@ -1,7 +1,7 @@
 """Simulated episodes of a user in the streets, observed through a radio channel.
 
-An episode is a function of its key: the key determines the beginning, from which the simulation
-runs epoch by epoch, eight episodes at a time.
+An episode is a function of its key, an integer of 64 bits: the key determines the beginning, from
+which the simulation runs epoch by epoch, eight episodes at a time.
 """
 
 import math
@@ -54,7 +54,7 @@ class Begun(NamedTuple):
         worlds: (n, numbers) state of receiver and user before the first epoch; if a way is given,
             only the state of the receiver.
         truth: (n, epochs, 6) true positions and velocities on given ways; else (n, epochs, 0).
-        first: (n, 7) true states at the first epoch.
+        first: (n, 7) true states at the first epoch; (n, 8) with a clock.
         sites: (n, numbers) anchors, carrier and prior, each row as :meth:`Episode.site` returns it.
     """
 
@@ -76,11 +76,11 @@ class SimulatedSource:
     Attributes:
         scene: the scene of all episodes, or a random scene from which each episode draws its own.
         radio: radio profile, which determines noise, blockage and multipath.
-        scenario: kind of user (a name, "mixed", a JSON file or a Mobility), or given ways (a CSV
-            file, a Trajectory or Ways).
+        scenario: kind of user (a name, "mixed", a JSON file or a Mobility), or given ways (a
+            Trajectory or Ways).
         dt: seconds between epochs.
-        epochs: length of an episode. With given ways, an episode is a random window of that
-            length, or shorter if all ways are shorter.
+        epochs: length of an episode. With given ways, an episode is a random window of a way, as
+            long as the longest way if all ways are shorter than ``epochs``.
         odometry: whether the user also reports speed and heading.
         measurements: names of the quantities that the receiver measures, some of
             :data:`~mmwave_env.models.layout.MEASUREMENTS`; None for all.
@@ -216,8 +216,8 @@ class SimulatedSource:
         )
 
     def feed(self, worlds: Array) -> Feed:
-        """Return a feed, which computes the epochs of n episodes, given their ``Begun.worlds``."""
-        _, _, receiver, user = self.world.template  # fills unused lanes
+        """Return a feed (code that computes each epoch) for n episodes, given ``Begun.worlds``."""
+        _, _, receiver, user = self.world.template  # unused lanes compute with its numbers
         kept = blocks_of(np.array(flatten([receiver, user]), float), len(worlds))
         fill(kept, np.arange(kept.shape[1]), worlds)
         timed = columns_of(self.layout).dt

@@ -41,14 +41,15 @@ from mmwave_env.world.travel import Phase, TravelPlan, attend, blank_plan, draw_
 class WorldSettings(NamedTuple):
     """The settings that are the same in all episodes of a source."""
 
-    hz_per_mps: Number  # carrier frequency over the speed of light
+    hz_per_mps: Number  # carrier frequency divided by the speed of light
     channel: Channel  # constants of the channel, from radio and scene
     drift_hz: Number  # standard deviation of the oscillator's change from epoch to epoch
     step_s: Number  # length of a substep
     stride: Number  # number of substeps in an epoch
     offered: Vector = ()  # (rows,) 1 if the receiver measures the row; empty if it measures all
-    # (2,) half the time between epochs divided by ``hz_per_mps``, and standard deviation of the
-    # noise that the clock itself adds between epochs, m; empty if the user's clock is synchronized
+    # [0] half the time between epochs divided by ``hz_per_mps``: this factor converts the sum of
+    # two oscillator biases (Hz) to a drift (m); [1] standard deviation (m) of the noise that the
+    # clock itself adds between epochs; empty if the user's clock is synchronized
     clock: Vector = ()
 
 
@@ -91,7 +92,7 @@ class WorldState(NamedTuple):
 def measure(
     truth: list[Number], settings: WorldSettings, receiver: ReceiverState, layout: Layout
 ) -> tuple[Incoming, ReceiverState]:
-    """Simulate the channel and the measurement in an epoch; also return the receiver after it.
+    """Simulate channel and measurement; return the epoch and the receiver's next state.
 
     ``truth`` (6,) is the true position (m) and velocity (m/s).
     """
@@ -135,9 +136,9 @@ def measure(
 
 
 def _run_on(receiver: ReceiverState, bias_hz: Number, clock: Vector) -> Clock | tuple[()]:
-    """Return the clock one epoch later, moved by noise and by the oscillator's bias.
+    """Return the clock one epoch later; () if the clock is synchronized.
 
-    The bias that counts is the mean of the oscillator's biases in this epoch and in the next.
+    The clock drifts by noise and by the mean of the oscillator's bias in this epoch and the next.
     """
     if not isinstance(receiver.clock, Clock):
         return ()
@@ -148,7 +149,7 @@ def _run_on(receiver: ReceiverState, bias_hz: Number, clock: Vector) -> Clock | 
 
 
 def _where_measured(measured: Vector, rows: Vector, otherwise: float) -> list[Number]:
-    """Return the values (rows,), but ``otherwise`` where ``measured`` (rows,) is 0."""
+    """Return the values ``rows``, replaced by ``otherwise`` where ``measured`` is 0."""
     return [where(s > 0.5, value, otherwise) for s, value in zip(measured, rows, strict=True)]
 
 
@@ -204,11 +205,11 @@ class World:
         self.template = blank_world(layout, phases, gaits)
         self.index: WorldState = indices(self.template)  # the row of each float in the workspace
         sizes = [len(flatten(part)) for part in self.template]
-        # the rows at which the measured epoch, the settings and the kept state end
+        # the rows at which the measured epoch, the settings, and receiver and user end
         self.ends = (sizes[0], sizes[0] + sizes[1], sum(sizes))
 
     def on_lanes(self) -> int:
-        """Return the address of a compiled C function that simulates an epoch, for a ``Feed``."""
+        """Return the address of a compiled C function that simulates an epoch; a Feed calls it."""
         with global_compiler_lock:
             return self._compiled.address  # type: ignore[no-any-return]
 
@@ -243,7 +244,7 @@ class World:
         return compiled_callback(signature, on_addresses)
 
 
-@cache  # never dropped, because feeds hold only the address of the compiled code
+@cache  # never dropped, because a Feed holds only the address of the compiled code
 def world_of(layout: Layout, phases: int, gaits: int) -> World:
     """Return the world of simulated users, shared by all sources with the same arguments."""
     return World(layout, phases, gaits)
@@ -282,20 +283,19 @@ def as_measured(layout: Layout) -> Program[AsMeasured]:
     return Program(lambda w: w, AsMeasured(blank_incoming(layout)))
 
 
-# --- the beginning of an episode: everything that is drawn before its first epoch
-
 # Each key seeds three streams of random numbers. So a user's way does not depend on the receiver
 # or the rate of epochs, and neither the way nor the receiver's noise depends on the user's clock.
 USER, RECEIVER, CLOCK = 0, 1, 2
 
 
 class FirstDraws(NamedTuple):
-    """The draws for the beginning of an episode."""
+    """The beginning of an episode: everything that is drawn before its first epoch."""
 
     receiver: ReceiverState
     user: UserState  # not used if a way is given
-    choice: Number  # number of the kind of user; or uniform in [0, 1), to choose among given ways
-    # (7,) true state at the first epoch; if a way is given, only the oscillator's bias is valid
+    choice: Number  # index of the kind of user; for given ways, uniform in [0, 1), to select one
+    # (7,) true state at the first epoch, and the clock's bias (m) if there is one; if ways are
+    # given, position and velocity are meaningless
     first: list[Number]
     # (7,) error of the prior's mean; with a clock, the negative of the clock's bias is appended
     prior_noise: list[Number]
@@ -305,10 +305,10 @@ class Beginning(NamedTuple):
     """A key, the parameters of an episode's beginning, and the beginning drawn from them."""
 
     key: list[Number]  # (1,) bits of the key
-    plans: list[TravelPlan]  # kinds of users; none if a way is given
-    scene: SceneNumbers  # the scene, unless scenes are drawn
+    plans: list[TravelPlan]  # kinds of users; empty if ways are given
+    scene: SceneNumbers  # the scene; not used if every episode draws its own
     duration_s: Number  # duration of the episode
-    prior_deviation: list[Number]  # (7,) standard deviation of the prior's mean
+    prior_deviation: list[Number]  # (7,) or, with a clock, (8,) standard deviation of the prior
     first_bias_hz: Number  # standard deviation of the oscillator's first bias
     begun: FirstDraws
 
@@ -316,8 +316,8 @@ class Beginning(NamedTuple):
 def begin(w: Beginning, streets: RandomScene | None) -> Beginning:
     """Draw the beginning of an episode.
 
-    If the order of the draws changed, every key would give another episode. Only random scenes need
-    ``streets``.
+    If the order of the draws changed, every key would give another episode. ``streets`` is the
+    random scene from which the episode draws its own scene; None if the scene is fixed.
     """
     dice, others = Dice(seeded(w.key[0], USER)), Dice(seeded(w.key[0], RECEIVER))
     scene = streets.draw_numbers(dice) if streets else w.scene
@@ -353,8 +353,8 @@ def beginning(
 ) -> Program[Beginning]:
     """Return the program that runs :func:`begin` on SIMD lanes.
 
-    There are 0 kinds of users if a way is given, and no ``streets`` in a fixed scene. ``phases``
-    and ``gaits`` are maximum numbers.
+    ``kinds`` is the number of kinds of users, 0 if ways are given. ``phases`` and ``gaits`` are as
+    in :class:`World`, and ``streets`` is as in :func:`begin`.
     """
     world = blank_world(layout, phases, gaits)
     state = [0.0] * layout.state_size

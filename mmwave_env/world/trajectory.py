@@ -1,6 +1,6 @@
 """Trajectories of users, and *ways*: trajectories in a scene, from which episodes are drawn.
 
-This module also interprets the argument ``scenario=``: kinds of users, or ways.
+This module also interprets the argument ``scenario=``, which selects kinds of users or ways.
 """
 
 import os
@@ -18,7 +18,7 @@ from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.world.mobility import FASTEST_MPS, Mobility, mobilities_of
 
 REACH_M = (1.0, 5000.0)  # distances for which the path loss is valid (3GPP TR 38.901, UMi)
-STANDING_M, STANDING_S = 0.1, 60.0  # positions that change less in a minute may be in degrees
+STANDING_M, STANDING_S = 0.1, 60.0  # coordinates that change less than this may be in degrees
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ class Trajectory:
             )
 
     def _require(self, holds: Mask, values: Array, part: str, expected: str) -> None:
-        """Refuse the first row of values (N, ...) for which a condition is false."""
+        """Refuse values (N, ...) with a row for which ``holds`` is false; name the first one."""
         rows = holds.reshape(len(holds), -1).all(axis=1)
         if not rows.all():
             self._refuse(int(np.argmin(rows)), part, values[np.argmin(rows)], expected)
@@ -180,10 +180,10 @@ class PlacedWays:
     epochs: int  # length of an episode
 
     def draw(self, choice: Array) -> tuple[Index, Array]:
-        """Draw a way for each of n episodes; return its number (n,) and the truth (n, epochs, 6).
+        """Draw a way for each of n episodes; return its index (n,) and the truth (n, epochs, 6).
 
-        All ways are equally likely, and so are all windows of one way; ``choice`` (n,) is uniform
-        in [0, 1).
+        The numbers ``choice`` (n,), uniform in [0, 1), select way and window: all ways are equally
+        likely, and so are all windows of one way.
         """
         scaled = choice * len(self.tables)
         numbers = scaled.astype(np.int64)

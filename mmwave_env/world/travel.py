@@ -57,7 +57,7 @@ class PhasePlan(NamedTuple):
     acceleration: list[Number]
     braking: list[Number]
     lateral: list[Number]
-    ends_early: Number  # 1 if this phase ends early enough to repeat the first phase after it
+    ends_early: Number  # 1 if the phase must leave time to repeat the first phase after it
     phase: Phase  # the values that are not drawn
 
 
@@ -119,12 +119,12 @@ def _look_ahead(dice: Dice, t: Traveler, heading: Number, phase: Phase, net: Net
 
 
 def _arc(turn: Number, radius: Number) -> Number:
-    """Return the length of an arc of some quarter turns."""
+    """Return the length of an arc of ``turn`` quarter turns."""
     return abs(turn) * (math.pi / 2) * radius
 
 
 def _cross(dice: Dice, t: Traveler, phase: Phase, net: Net) -> Traveler:
-    """Pass a crossing: what lies behind the crossing becomes the way ahead."""
+    """Pass a crossing: the street that leads from it becomes the way ahead."""
     east, north = unit(t.heading)
     turned, side = abs(t.turn), where(t.turn < 0.0, -1.0, 1.0)
     forward = t.stretch + where(abs(turned - 1.0) < 0.5, t.radius, 0.0)

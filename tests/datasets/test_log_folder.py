@@ -1,4 +1,4 @@
-"""Tests of folders with a log, its scene and its truth: written, read and played as episodes."""
+"""Tests that folders with log, scene and true track are written, read and played as episodes."""
 
 import shutil
 from dataclasses import replace
@@ -87,7 +87,7 @@ def test_epochs_are_matched_to_poses_by_time(folder):
 
 
 def test_a_wrong_clock_of_the_truth_is_reported_but_not_corrected(sample):
-    """Write a truth with 30 poses a second instead of 10 and with a clock that is 0.1 s ahead."""
+    """Write a true track of 30 poses per second instead of 10, with a clock that is 0.1 s ahead."""
     track = read_log_folder(sample)
     time = np.arange(0.004, track.time_s[-1], 1.0 / 30.0)
     way = CubicSpline(track.time_s, track.position_m)(time)

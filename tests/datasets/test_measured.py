@@ -1,4 +1,4 @@
-"""Tests of measured tracks: arrays become episodes, and messages name the array that is wrong."""
+"""Tests that measured arrays become episodes, and that messages name the array that is wrong."""
 
 import gymnasium as gym
 import numpy as np
@@ -166,7 +166,7 @@ def exchanged(a):
     return {f"ao{x}_azimuth_rad": a[f"ao{y}_azimuth_rad"] for x, y in ("ad", "da")}
 
 
-MISTAKES = {  # name -> function that changes arrays, column that the warning names
+MISTAKES = {  # name -> (function that returns the changed arrays, array that the warning names)
     "exchanged": (exchanged, "aod_azimuth_rad of anchor 1"),
     "degrees": (lambda a: {"aoa_azimuth_rad": np.degrees(a["aoa_azimuth_rad"])}, "aoa_azimuth_rad"),
     "zenith": (

@@ -29,7 +29,7 @@ def generator(seed=0):
 
 
 def residuals(episode, recording, cut=slice(None)):
-    """Return measured minus exact values (T, rows), with angles wrapped."""
+    """Return measured minus exact values (T, rows) of the epochs ``cut``, with angles wrapped."""
     out = episode.measurement - recording.measurement[cut]
     angles = recording.layout.angles
     out[:, angles] = np.remainder(out[:, angles] + np.pi, 2.0 * np.pi) - np.pi

@@ -241,7 +241,7 @@ FRAME = Rect(0.0, 20.0, 480.0, 260.0)
 
 
 def views(seed, action, **arguments):
-    """Yield history, view, and pixels of user and estimate, after every epoch of an episode."""
+    """Yield, for each epoch, its history and view, and where user and estimate are drawn (2, 2)."""
     env = gym.make(ID, render_mode="rgb_array", **arguments).unwrapped
     env.reset(seed=seed)
     over = False
@@ -257,7 +257,7 @@ def views(seed, action, **arguments):
 
 @pytest.mark.parametrize(("seed", "scenario"), [(0, "mixed"), (3, "mixed"), (0, "vehicle")])
 def test_user_and_estimate_are_always_in_the_frame(seed, scenario):
-    """Include a vehicle that the filter loses; even then, the frame must show user and estimate."""
+    """Check also the episode of a vehicle whose estimate is lost: its error exceeds 15 m."""
     worst = 0.0
     for so_far, _, pixels in views(seed, 0, scenario=scenario):
         worst = max(worst, so_far.error_m[-1])

@@ -1,4 +1,4 @@
-"""Tests of episodes: geometry, noise (99.9 % confidence), layout, validation and packing."""
+"""Tests of episodes: geometry, layout, noise (99.9 % confidence), validation, engines' tables."""
 
 from dataclasses import replace
 
@@ -99,7 +99,7 @@ def test_noise_divided_by_sigma_is_standard_normal():
     for row in pooled.T:
         assert kstest(row, "norm").pvalue > SIGNIFICANCE
     off_diagonal = np.corrcoef(pooled.T)[np.triu_indices(13, 1)]
-    # rows are independent; Bonferroni over the pairs
+    # rows are independent; the significance is divided by the number of pairs (Bonferroni)
     z = norm.ppf(1.0 - SIGNIFICANCE / (2.0 * off_diagonal.size))
     assert np.abs(off_diagonal).max() <= z / np.sqrt(len(pooled))
 
@@ -118,7 +118,7 @@ def test_the_layout_depends_on_scene_and_odometry(scene):
     assert draw(scene=SCENES[scene], odometry=True).measurement.shape == (200, 15)
 
 
-# --- missing numbers, and refused ones
+# --- values that are missing, and values that are refused
 
 
 @pytest.mark.parametrize(
@@ -179,7 +179,7 @@ def test_a_wrong_field_is_refused_with_the_names_of_field_and_episode(episode, f
             replace(episode, **{field: value})
 
 
-# --- packed for the engine: a table with a row per epoch, and a site with all that is constant
+# --- the table for the engine, which has a row per epoch
 
 
 @pytest.mark.parametrize("odometry", [False, True])

@@ -1,4 +1,4 @@
-"""Tests of keys of episodes, and of the streams that keys are taken from."""
+"""Tests of keys (64-bit seeds of episodes), and of the streams that keys are taken from."""
 
 import gymnasium as gym
 import numpy as np

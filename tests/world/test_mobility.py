@@ -33,11 +33,11 @@ STEP_S, STEPS, SEEDS = 0.1, 2000, 40
 class Bounds(NamedTuple):
     """Bounds for a kind of user, from the project's model of mobility."""
 
-    speed: float  # most, m/s
-    acceleration: float  # most, m/s^2
-    braking: float  # most, m/s^2
-    jerk: float  # most, m/s^3
-    radius: float  # of corners, m
+    speed: float  # maximum, m/s
+    acceleration: float  # maximum, m/s^2
+    braking: float  # maximum, m/s^2
+    jerk: float  # maximum, m/s^3
+    radius: float  # radius of the arcs at crossings, m
 
 
 DRIVING = Bounds(20.0, 3.0, 3.5, 4.0, 8.0)
@@ -94,7 +94,7 @@ def run_one(name, seed, dt, epochs):
 
 @every_mobility
 def test_acceleration_and_braking_are_bounded(tracks, name):
-    """Check jerk and speed, too; the highest speed must also come near its bound."""
+    """Check also that jerk and speed are bounded, and that the highest speed is near its bound."""
     speed, bounds = tracks(name).speed, BOUNDS[name]
     assert 0.8 * bounds.speed < speed.max() <= bounds.speed + 1e-9
     change = np.diff(speed) / STEP_S
@@ -121,7 +121,7 @@ def test_position_is_the_integral_of_velocity(tracks, name, scene):
     position, velocity, *_ = tracks(name, scene)
     trapezoid = 0.5 * STEP_S * (velocity[:, 1:] + velocity[:, :-1])
     slip = np.linalg.norm(np.diff(position, axis=1) - trapezoid, axis=-1)
-    # The mean velocity of a step lies between those at its ends.
+    # The mean velocity of a step lies between the velocities at its ends.
     between = 0.5 * STEP_S * np.linalg.norm(np.diff(velocity, axis=1), axis=-1)
     assert (slip <= between + 1e-3).all()
 
@@ -187,7 +187,7 @@ def test_mixed_draws_every_mobility_with_the_same_probability():
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], "mixed", epochs=1)
     counts = Counter(source.sample_batch(keys_of(range(draws))).names)
     assert set(counts) == set(MIXED)
-    # 99 % for all five together (Bonferroni)
+    # with a probability of 99 %, all five counts are in the interval (Bonferroni)
     low, high = binom.interval(1.0 - 0.01 / 5, draws, 1.0 / 5)
     assert all(low <= count <= high for count in counts.values())
 

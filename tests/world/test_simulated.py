@@ -1,7 +1,8 @@
 """Tests of simulated episodes against a plain NumPy simulation with the same random numbers.
 
-The plain simulation defines the episode of a key: it shows which numbers are drawn, in which
-order, before the first epoch and in every epoch. Trajectory and reception have separate generators.
+A key, a seed of 64 bits, determines an episode. The plain simulation defines how: it shows which
+numbers are drawn, in which order, before the first epoch and in every epoch. Trajectory and
+reception have separate random generators.
 """
 
 import numpy as np
@@ -35,8 +36,8 @@ SOURCES = {
     ),
 }
 KEYS = np.random.default_rng(0).integers(0, 2**64, 20, np.uint64)
-# For two in a thousand keys (none of these), trajectories of the two simulations differ: they round
-# sums differently, so that an event, such as the end of a gait, is a substep later in one of them.
+# For two in a thousand keys (none of these), the two simulations give different trajectories. They
+# round sums differently, so an event, such as a new speed, is a substep later in one of them.
 
 
 class PlainDice:
@@ -67,7 +68,7 @@ class PlainDice:
 
 
 def spells(uniform, onset, leave, first):
-    """Run a two-state Markov chain per column; return whether it is on, and since when."""
+    """Run a two-state Markov chain per column; return whether it is on, and since which epoch."""
     on, since = np.zeros(uniform.shape, bool), np.zeros(uniform.shape, int)
     for t, draw in enumerate(uniform):
         before = on[t - 1] if t else np.zeros(uniform.shape[1], bool)

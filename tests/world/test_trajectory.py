@@ -1,4 +1,4 @@
-"""Tests of custom trajectories: read, resampled, and refused if they are impossible."""
+"""Tests that a user's own trajectories are read, resampled, and refused if impossible."""
 
 import numpy as np
 import pytest

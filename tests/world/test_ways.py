@@ -1,4 +1,4 @@
-"""Tests of ways, the trajectories of several users: files, windows, and use as scenario=."""
+"""Tests of ways (trajectories from which episodes are drawn): files, windows, and ``scenario=``."""
 
 import warnings
 from pathlib import Path

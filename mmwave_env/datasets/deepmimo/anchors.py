@@ -45,17 +45,17 @@ class StationPaths:
     position_m: Array  # (3,) position of the station
     interactions: Array  # (E, P) 0 for a line of sight, 1 for one reflection, ...; NaN for no path
     bounce_m: Array  # (E, P, 3) first point of interaction
-    gain_db: Array  # (E, P) 20 log10 |a|
+    gain_db: Array  # (E, P) 20 log10 of the amplitude
     delay_s: Array  # (E, P) absolute delay
-    # arrival, departure: (E, P, 2) azimuth and zenith angle at the receiver and at the station,
-    # rad, either along propagation or against it (see :func:`propagation`)
+    # arrival (at the receiver), departure (at the station): (E, P, 2) azimuth and zenith angle,
+    # rad, of the direction of propagation or of its opposite (see :func:`propagation`)
     arrival: Array
     departure: Array
-    # function (name of an array, epoch) -> (file of this array, row of the receiver in it)
+    # function of the name of an array and an epoch; returns the array's file and the receiver's row
     source: Callable[[str, int], tuple[Path, int]]
 
     def refuse(self, key: str, epoch: int, value: str, expected: str) -> NoReturn:
-        """Raise a ValueError about a value of the receiver in this epoch, naming the file."""
+        """Raise a ValueError about the receiver's value in an array, and name the array's file."""
         file, receiver = self.source(key, epoch)
         refuse_in(file, key, f"{value} of receiver {receiver}", expected)
 
@@ -64,7 +64,7 @@ def propagation(angles: Array, sight: Array, direct: Mask) -> Array:
     """Compute unit vectors (E, P, 3) along propagation from azimuths and zenith angles (E, P, 2).
 
     Some converters store the direction of propagation, others its opposite. The paths that are a
-    line of sight (``direct``) show which one is stored, because ``sight`` is their true direction.
+    line of sight (``direct``) show which one is stored: they propagate along ``sight`` (E, 1, 3).
     """
     azimuth, zenith = np.moveaxis(angles, -1, 0)
     horizontal = np.sin(zenith)
@@ -103,7 +103,7 @@ class StationLinks:
         return np.bincount(pairs[:, 1], minlength=len(self.anchors_m))
 
     def strongest(self, anchor: int) -> tuple[Mask, Index]:
-        """Return the epochs (E,) in which an anchor is seen, and the strongest path (E,) to it."""
+        """Return (E,) whether an anchor is seen, and (E,) the index of the strongest path to it."""
         leads = self.member == anchor
         return leads.any(axis=1), np.argmax(np.where(leads, self.paths.gain_db, -np.inf), axis=1)
 
@@ -158,7 +158,7 @@ def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, Index]:
 
 
 def _measure(paths: StationPaths, position_m: Array, anchors: Array, member: Index) -> Array:
-    """Compute each path's rows (E, P, 4) of a link, m and rad, as if it came from its anchor."""
+    """Compute the values (E, P, 4) of links, m and rad, as if each path came from its anchor."""
     sight = (position_m - paths.position_m)[:, None]
     direct = member == 0
     arrival = propagation(paths.arrival, sight, direct)

@@ -1,4 +1,4 @@
-"""DeepMIMO scenarios as recordings whose epochs are the receivers of one track.
+"""DeepMIMO scenarios, read as recordings of one user.
 
 A scenario lists paths (:mod:`~mmwave_env.datasets.deepmimo.v4`); a recording has links to
 anchors (:mod:`~mmwave_env.datasets.deepmimo.anchors`).
@@ -41,9 +41,9 @@ def read_deepmimo(
 ) -> Recording:
     """Read a scenario folder as a recording.
 
-    The epochs of a static scenario are its receivers; the epochs of a dynamic scenario are its
-    scenes. Times and velocities come from ``trajectory.csv`` in the folder, which has one row for
-    each receiver or, if the scenario is dynamic, for each scene.
+    In a static scenario, the epochs are successive receivers along the user's way; in a dynamic
+    scenario, they are successive scenes (moments in time). Times and velocities come from the file
+    ``trajectory.csv`` in the folder, with a row for each receiver or, if dynamic, for each scene.
 
     If there is one station, or ``base_station`` selects one, the anchors are this station and
     its mirror images. Otherwise the anchors are all stations that are in sight in some epoch, the
@@ -58,7 +58,7 @@ def read_deepmimo(
             positions.
         users: indices of receivers, from 0. For a static scenario, one index per epoch; for a
             dynamic scenario, one index for all scenes, or one index per scene.
-        base_station: number of the only station to use, from 1 in the order of the files' names.
+        base_station: number of the only station to use, from 1 in the order of file names.
         receiver_set: number of the set of receivers, if there are several sets.
 
     Raises:

@@ -43,7 +43,7 @@ class Scenario:
 
     @property
     def is_dynamic(self) -> bool:
-        """Tell whether each epoch of a recording is a scene; if not, each epoch is a receiver."""
+        """Tell whether epochs are successive scenes; if not, they are receivers along a way."""
         return self.scenes != (self.folder,)
 
     def name_of(self, epoch: Index) -> str:
@@ -52,7 +52,7 @@ class Scenario:
         return f"receiver {row}" + (f" in {self.scenes[scene].name}" if self.is_dynamic else "")
 
     def epochs(self, users: int | Sequence[int] | Index | None) -> Index:
-        """Return (E, 2): for every epoch, its scene and the row of its receiver in the arrays.
+        """Return pairs (E, 2): the scene of each epoch, and its receiver's row in the arrays.
 
         Args:
             users: rows of receivers, from 0. For a static scenario, one row per epoch, or None for
@@ -86,7 +86,7 @@ class Scenario:
         return find_array(self.scenes[scene], f"{key}_{station}_r{self.receiver_set}")
 
     def positions(self, epochs: Index) -> Array:
-        """Return the positions (E, 3), m, of the receivers that :meth:`epochs` returned (E, 2)."""
+        """Return the receivers' positions (E, 3), m, in ``epochs`` (E, 2) from :meth:`epochs`."""
         parts = []
         for scene, rows in _by_scene(epochs):
             file = self.file(scene, "rx_pos", self.stations[0])
@@ -103,7 +103,7 @@ class Scenario:
         """Read the paths from every base station, or from only one station, to some receivers.
 
         Args:
-            epochs: (E, 2) scenes, in increasing order, and rows, as :meth:`epochs` returns them.
+            epochs: (E, 2) pairs (scene, row) from :meth:`epochs`; scenes are in increasing order.
             base_station: number of the only station to read, from 1 in the order of ``stations``.
 
         Raises:

@@ -114,7 +114,7 @@ def assert_fits(recording, scene, near_m=1e-6, near_rad=1e-5):
 
 
 def write_hall(folder, gnb, receivers, walls, link=LINK):
-    """Write a scenario with line of sight and one reflection per infinite wall (normal, offset)."""
+    """Write a scenario with a line of sight and a reflection per wall, a plane (normal, offset)."""
     (folder / "params.json").write_text((VEHICLE / "params.json").read_text())
     N, P = len(receivers), 1 + len(walls)
     set_counts(folder, N)

@@ -179,7 +179,7 @@ def line(number, content):
     return lambda folder: edit_line(folder, number, content)
 
 
-DAMAGE = {  # name -> damage; file, key or line that the refusal names
+DAMAGE = {  # name -> (function that damages a folder, file or part that the refusal names)
     "no params": (drop("params.json"), "params.json"),
     "params not JSON": (write("params.json", b"{"), "params.json"),
     "frequency a word": (params("rt_params", frequency="28 GHz"), "rt_params.frequency"),

@@ -1,4 +1,4 @@
-"""Tests of times and velocities, from the sidecar trajectory.csv or from a time step dt_s."""
+"""Tests of times and velocities, from trajectory.csv (the "sidecar" that users add) or dt_s."""
 
 import numpy as np
 import pytest
@@ -70,7 +70,7 @@ def nothing(folder):
     pass
 
 
-SPOILT = {  # name -> damage, arguments of the reader, place that the refusal names
+SPOILT = {  # name -> (function that damages a folder, reader's arguments, place in the refusal)
     "a jump": (jump, {}, "line 12: speed"),
     "a jump of the receivers": (receivers_jump, {"dt_s": 0.1}, "row 10: speed"),
     "a time in milliseconds": (scaled([0], 1e3), {}, "line 3: t"),

@@ -157,7 +157,7 @@ def array_in(number, key, change):
     return lambda folder: edit(folder / f"scene_{number:04}", key, change)
 
 
-DAMAGE = {  # name -> damage, files and keys that the refusal names
+DAMAGE = {  # name -> (function that damages a folder, files and keys that the refusal names)
     "two receivers": (array_in(5, "rx_pos", lambda a: np.tile(a, (2, 1))), ["0005", "rx_pos"]),
     "a path too few": (array_in(5, "delay", lambda a: a[:, 1:]), ["scene_0005", "delay"]),
     "a key missing": (
