@@ -77,7 +77,7 @@ class Picture:
         if history.epochs == 0:
             numbers = f"prior   {error}"
         else:
-            links = history.accepted.shape[1] - 1
+            links = len(history.scenery.anchors_m)
             numbers = (
                 f"epoch {history.epochs}   {history.time_s[-1]:g} s   "
                 f"true {np.linalg.norm(history.truth[-1, 3:]):.1f} m/s   "

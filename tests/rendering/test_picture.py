@@ -93,6 +93,15 @@ def test_accepted_links_are_solid_rejected_ones_dashed_and_missing_ones_faint():
     assert 5 < contrast["missing"].min() and contrast["missing"].max() < 40
 
 
+def test_the_header_counts_links_without_the_doppler_shift_and_odometry():
+    anchors = [(200.0, 150.0, 10.0), (200.0, -150.0, 10.0)]
+    without, with_odometry = (
+        drawn(anchors=anchors, accepted=np.ones(n, bool), rejected=np.zeros(n, bool))
+        for n in (3, 4)
+    )
+    np.testing.assert_array_equal(without, with_odometry)
+
+
 def test_the_trail_has_the_color_of_the_mode_that_ran():
     way = [(2.0 * k, 0.0) for k in range(10)]
     beside = [(x, 4.0) for x, _ in way]
