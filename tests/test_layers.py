@@ -14,7 +14,7 @@ WORLDS = FILTER_SIDE | {"compiler", "world", "interface", "task"}
 ENVIRONMENT = WORLDS | {"engines", "rendering"}
 LIBRARY = ENVIRONMENT | {"datasets", "logs", "policies", "localization", "env", "vector_env", "sb3"}
 BELOW = {"experiments.console", "experiments.evaluation", "experiments.figures"}
-SEES = {
+SEES = {  # room -> rooms that it may import
     "numerics": set(),
     "compiler": {"numerics"},
     "models": {"numerics"},
@@ -119,7 +119,7 @@ def crossings(imported):
 
 
 def circles(edges):
-    """Return all rooms (or modules); raise CycleError if they import each other in a circle."""
+    """Return all rooms (or modules), or raise CycleError if they import each other in a circle."""
     graph = {}
     for a, b in edges:
         if a != b:
