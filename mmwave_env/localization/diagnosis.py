@@ -207,7 +207,7 @@ def _start(block: LogBlock) -> int:
     """Return the index of the epoch at which the tracks begin.
 
     It is the first epoch with a link of the base station. In a partial layout, a unique position
-    may need several incomplete links, so it is the early epoch with the most values.
+    may need several incomplete links, so it is the one of the first epochs with the most values.
 
     Raises:
         ValueError: no epoch has a link of the base station, and the layout is not partial.
@@ -234,7 +234,7 @@ def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Fi
         A finding for the log as it is and for every hypothesis that changes a number. Hypotheses
         that make the log consistent come first, the most likely one at the top; the others follow,
         best fit first. If only pairs of hypotheses make the log consistent, the most likely pair
-        comes first. In a partial layout, only pairs with another radio are tried.
+        comes first. In a partial layout, only pairs of another radio and any mistake are tried.
 
     Raises:
         ValueError: there is no link with which a track could begin.

@@ -1,10 +1,10 @@
 """Protection levels of position errors: Gaussian levels times factors that a network learned.
 
-A protection level is a bound that an error exceeds with a stated probability, the risk. Gaussian
-levels (:mod:`mmwave_env.localization.position_errors`) do this only if the covariance is right. So
-a small network, trained by quantile regression, reads what a filter knows after an epoch, and
-returns the logarithm of a factor for the Gaussian level. A constant (one per kind of filter, risk
-and direction) is added to this logarithm. The constants were computed by split conformal
+A protection level is a bound that an error exceeds with a stated probability, the risk. Errors
+exceed Gaussian levels (:mod:`mmwave_env.localization.position_errors`) with this probability only
+if the covariance is right. So a small network, trained by quantile regression, reads what a filter
+knows after an epoch, and returns the logarithm of a factor for the Gaussian level. A constant (per
+kind of filter, risk and direction) is added to it. The constants were computed by split conformal
 prediction on episodes that the training did not use (Y. Romano, R. Patterson and E. Candès,
 "Conformalized quantile regression", NeurIPS 2019; for epochs grouped in episodes: Y. Lee, R. F.
 Barber and R. Willett, "Distribution-free inference with hierarchical data", 2023). docs/errors.md
@@ -41,7 +41,8 @@ class Network(NamedTuple):
     Attributes:
         risks: (R,) risks for which the network was trained and calibrated.
         constants: (3, R, 2) numbers that the calibration adds to the network's outputs, for every
-            kind of filter (single, bank, corrector), risk, and direction (horizontal, vertical).
+            kind of filter (one mode, bank of modes, bank with a corrector of its beliefs), risk,
+            and direction (horizontal, vertical).
         low, high: (features,) limits of the features in the training.
         layers: weights (outputs, inputs) and biases (outputs,) of the layers.
     """

@@ -15,7 +15,7 @@ Horizontally, let a >= b be the standard deviations along the axes of the error 
 and e = (a rho cos t, b rho sin t), where the density of rho and t is
 rho exp(-rho^2/2) / (2 pi). Then
 
-    P(|e| > d) = 1/(2 pi) int_0^(2 pi) exp(-d^2 / (2 (a^2 cos^2 t + b^2 sin^2 t))) dt,
+    Pr(|e| > d) = 1/(2 pi) int_0^(2 pi) exp(-d^2 / (2 (a^2 cos^2 t + b^2 sin^2 t))) dt,
 
 which is solved for d. This gives the exact quantile instead of the usual upper bound
 a sqrt(chi2^-1(1 - r; 2)), which is exact only if a = b. (J. W. Craig, MILCOM 1991, has the integral
@@ -80,7 +80,7 @@ def _multiples(risk: float) -> Array:
 def exceedance(error: Array, level: Array) -> dict[str, Any]:
     """Count how often errors (n,) exceed their levels (n,); "share" and "ci95" are None if n is 0.
 
-    If an error or its level is NaN, the level counts as exceeded. The interval is that of Clopper
+    If an error or its level is NaN, the level counts as exceeded. "ci95" is the interval of Clopper
     and Pearson (1934) with :data:`CONFIDENCE`, for independent epochs. Epochs of a track are
     correlated, so the share in another track may well lie outside of the interval.
     """
