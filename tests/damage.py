@@ -28,7 +28,7 @@ def damaged(draw, content):
 
 
 def places(content, path=()):
-    """Yield the path (keys, indices) to each part of JSON content, of a list to five items only."""
+    """Yield the path (keys, indices) to each part of JSON content, in lists to five items only."""
     parts = content.items() if isinstance(content, dict) else enumerate(content[:5])
     for key, value in parts:
         yield (*path, key)

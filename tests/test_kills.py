@@ -36,7 +36,7 @@ COMMANDS = {
     "tune": ("tune", "--modes", "ekf", "--scenarios", "pedestrian", "--free", "sigma_v",
              "--episodes", "2", "--out", "modes.json"),
 }  # fmt: skip
-WAYS = {  # name -> signal to send, or None; exit codes of a command that is interrupted so
+WAYS = {  # name -> signal to send, or None; exit codes of a command that was interrupted
     "KILL": (signal.SIGKILL, {-signal.SIGKILL}),
     "TERM": (signal.SIGTERM, {-signal.SIGTERM, 128 + signal.SIGTERM}),
     "INT": (signal.SIGINT, {-signal.SIGINT, 128 + signal.SIGINT}),

@@ -97,7 +97,7 @@ def all_imports():
 
 @cache
 def arrows():
-    """Return the imports of our own modules."""
+    """Return all imports of our own modules by our own modules."""
     return [arrow for arrow in all_imports() if arrow[1].split(".")[0] in PACKAGES]
 
 

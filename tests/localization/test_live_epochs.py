@@ -28,7 +28,7 @@ SCENE, RADIO, EKF = read_scene(WALK / "scene.json"), RADIOS["standard"], named_m
 def walk(count=60, **changed):
     """Return the walk's first epochs with changed columns.
 
-    A keyword names a column; its value makes the cell from a row, or is None to drop the column.
+    A keyword names a column; its value is a function from row to cell, or None to drop the column.
     """
     with (WALK / "log.csv").open() as file:
         rows = [
