@@ -1,6 +1,6 @@
 """MmWaveLoc-v0: an agent chooses which Kalman filter pipeline localizes a mobile user.
 
-Importing this package registers the environment; heavy packages are loaded when one is made.
+Importing this package registers the environment; making an environment loads heavy packages.
 """
 
 import gymnasium

@@ -336,7 +336,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         return column[self._observed].astype(np.float32), self._worded(info, at_end=True)
 
     def _begin(self, key: int | None) -> dict[str, Any]:
-        """Begin the episode of a key, or the next one; return the episode's part of the info."""
+        """Begin the episode of a key, or the next one if None; return infos about the episode."""
         task, engine = self._task, self._engine
         if not task.has_keys:
             episode = task.draw(self.np_random)
@@ -350,7 +350,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         return {"episode_name": name, "episode_key": np.uint64(key), "nonfinite": 0}
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Take an action: run a mode, trust a mode, or use numbers; see Gymnasium's `Env.step`."""
+        """Take an action: run a mode, trust a mode or apply numbers. See Gymnasium's `Env.step`."""
         if self._over:
             raise ResetNeeded("Call reset before step: there is no episode under way.")
         mode = self._take(action)

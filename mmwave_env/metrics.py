@@ -15,7 +15,7 @@ import numpy as np
 
 from mmwave_env.numerics.numbers import Array
 
-BURN_IN = 10  # first epochs, dropped from averages because the prior still affects them
+BURN_IN = 10  # number of first epochs left out of averages, because the prior still affects them
 RISK = 1e-3  # default probability that an error exceeds its protection level
 DIVERGENCE_M = 50.0  # an episode in which the error exceeds this has diverged
 
@@ -143,7 +143,7 @@ METRICS = {
     )
 }  # fmt: skip
 INFO_KEYS = {m.name: m.info or m.name for m in METRICS.values() if m.running}
-TERMS = {  # costs, with headers and meanings; the tracking reward is minus their sum
+TERMS = {  # cost -> its header and meaning; the tracking reward is minus the sum of the costs
     "error_term": ("error term", "what position errors cost in the tracking reward, per epoch"),
     "nees_term": ("NEES term", "what the NEES costs in the tracking reward, per epoch"),
 }

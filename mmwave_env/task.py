@@ -61,17 +61,17 @@ class Task:
         return episode
 
     def tables(self, keys: Keys, threads: int = 1) -> EpisodeBatch:
-        """Draw the simulated episodes of keys (n,) together, on at most ``threads`` threads."""
+        """Draw the simulated episodes of keys (n,) in one call, on at most ``threads`` threads."""
         episodes = self.simulated.sample_batch(keys, threads=threads)
         return episodes.on_flat_ground() if self.pipeline.planar else episodes
 
     @property
     def has_keys(self) -> bool:
-        """Return whether every episode is a function of a key."""
+        """Return whether every episode is a function of a key, which is a 64-bit number."""
         return type(self.source) is SimulatedSource  # other sources may draw in their own way
 
     def streets_of(self, key: int) -> Streets | None:
-        """Return the streets of the episode with a key, for its picture; None if unknown."""
+        """Return the streets to draw in the picture of the episode with a key; None if unknown."""
         if isinstance(self.source, TrackSource):
             scene = self.source.scene
             return scene.streets if scene.streets_known else None

@@ -153,7 +153,7 @@ class MmWaveLocVectorEnv(
         return self._gallery.draw()
 
     def _begin_pictures(self, places: Index) -> None:
-        """Clear the pictures of the environments ``places``, whose episodes have just begun."""
+        """Clear the pictures of the environments with indices ``places``, whose episodes begin."""
         if self._gallery:
             names, engine = self._names.tolist(), self._engine
             self._gallery.begin(places, names, self._streets_of, engine.column)
@@ -220,7 +220,7 @@ class MmWaveLocVectorEnv(
         return self._streams.seeds()
 
     def _draw(self, places: Index, keys: Keys | None = None) -> dict[str, NDArray[Any]]:
-        """Begin episodes in the environments ``places``; return infos for ``reset``, (N,) each."""
+        """Begin episodes in the environments with indices ``places``; return infos, (N,) each."""
         task, engine = self._task, self._engine
         infos: dict[str, NDArray[Any]] = {"episode_name": np.full(self.num_envs, None, object)}
         infos["nonfinite"] = np.zeros(self.num_envs, np.int64)
@@ -247,7 +247,7 @@ class MmWaveLocVectorEnv(
     def step(self, actions: Index) -> Step:
         """Process an epoch in every environment, with modes (N,) or numbers (N, k) as actions."""
         actions, numbers = self._checked(actions)
-        fresh, resets = self._over, self._ended  # to reset now: only with NextStep
+        fresh, resets = self._over, self._ended  # which ones NextStep resets now, and their number
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
         result, self._ended, infos = self._stepper.step(actions, numbers)
         observations, rewards, terminated, truncated, *_ = result
@@ -292,7 +292,7 @@ class MmWaveLocVectorEnv(
         return infos
 
     def _checked(self, actions: Any) -> tuple[Index, Array | None]:
-        """Return copies of actions as modes (N,), 0 if unused, and numbers (N, k), None if unused.
+        """Return copies of the actions: modes (N,) and None, or zeros (N,) and numbers (N, k).
 
         Invalid actions are refused, except in environments that ignore their action.
         """
@@ -319,7 +319,7 @@ class MmWaveLocVectorEnv(
         )
 
     def _same_step(self, observations: Observations, infos: dict[str, Any]) -> dict[str, Any]:
-        """Reset environments whose episodes ended; their last results become ``final_*``."""
+        """Reset environments whose episodes ended; return infos, the old ones as ``final_*``."""
         over = self._over.copy()
         ended = np.flatnonzero(over)
         final_obs = np.full(self.num_envs, None, object)

@@ -8,8 +8,8 @@ from importlib.util import find_spec
 # Tests of pictures need the extra ``render``; without it they are not collected.
 collect_ignore_glob = [] if find_spec("pygame") else ["rendering/test_*.py"]
 
-# Tests run in parallel, one per core, so more threads of torch and BLAS would only wait; they would
-# not survive a fork either.
+# Tests run in parallel, one per core, so more threads of torch and BLAS would only wait. Besides,
+# threads do not survive a fork.
 os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 # The loops that draw episodes, and step and reset environments, take half a minute to compile if

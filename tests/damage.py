@@ -1,4 +1,4 @@
-"""Hypothesis strategies that damage files as disks, editors or attackers might, to test readers."""
+"""Hypothesis strategies that damage files as disks, editors or attackers might."""
 
 import json
 from copy import deepcopy
@@ -18,7 +18,7 @@ VALUES = (
 
 @st.composite
 def damaged(draw, content):
-    """Draw the bytes with some of them cut out and others put in their place."""
+    """Draw the bytes of a file with some of them replaced by others."""
     for _ in range(draw(st.integers(1, 3))):
         begin = draw(st.integers(0, len(content)))
         end = begin + draw(st.sampled_from((0, 1, 2, 8, len(content))))
@@ -28,7 +28,7 @@ def damaged(draw, content):
 
 
 def places(content, path=()):
-    """Yield the path (keys, indices) to each part of JSON content; lists are cut to five items."""
+    """Yield the path (keys, indices) to each part of JSON content, in lists to five items only."""
     parts = content.items() if isinstance(content, dict) else enumerate(content[:5])
     for key, value in parts:
         yield (*path, key)

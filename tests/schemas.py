@@ -1,4 +1,4 @@
-"""JSON schemas of users' files, made from the dataclasses that represent these files.
+"""JSON schemas of the files that users write, made from the dataclasses of their contents.
 
 Run ``make generated`` after changing such a dataclass: it writes mmwave_env/data/schemas.
 """
@@ -93,7 +93,7 @@ def object_schema(kind, optional=(), replaced=None):
 
 
 def radio():
-    """Return the schema of a radio's file: a base profile, and the fields that differ from it."""
+    """Return the schema of a radio file: a base profile, and the fields that differ from it."""
     schema = object_schema(Radio, optional=["name"])
     properties = schema["properties"]
     for name in [n for n in properties if n.endswith("_rad")]:

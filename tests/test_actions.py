@@ -27,12 +27,12 @@ PER_MODE = {"beliefs": "per-mode", "modes": ["ekf", "ukf"]}
 
 
 def alternating(table):
-    """Return a base policy that trusts one of the modes, or none, depending on a feature."""
+    """Return a function for ``base`` that trusts a mode, or none, depending on a feature."""
     column = table.names.index("coming NIS anchor 1 ukf")
     return lambda shown: np.digitize(shown[:, column], [-0.5, 0.5])
 
 
-KINDS = {
+KINDS = {  # name -> arguments of the environment
     "weights": PER_MODE | {"action": "weights"},
     "correction": PER_MODE | {"action": "correction"},
     "of a base": PER_MODE | {"action": "correction", "base": alternating},
@@ -50,7 +50,7 @@ def played(env, actions, seed=0):
 
 
 def drawn(space, steps, n=(), share=0.5, seed=0):
-    """Return random actions (steps, *n, k) within a share of the limits."""
+    """Return random actions (steps, *n, k) within a ``share`` of the limits of the space."""
     rng = np.random.default_rng(seed)
     numbers = rng.uniform(-share, share, (steps, *n, *space.shape)) * space.high
     return numbers.astype(np.float32)
@@ -187,7 +187,7 @@ def test_stable_baselines3_trains_with_continuous_actions():
 
 
 def bad(limits):
-    """Yield actions that are not arrays of k numbers within the limits (k,)."""
+    """Yield invalid actions: they are not k finite numbers within the limits (k,)."""
     for value in (math.nan, math.inf, limits[-1] * 1.001):
         yield np.append(np.zeros(len(limits) - 1), value)
     yield from (np.zeros(len(limits) + 1), np.zeros((1, len(limits))), 0, None, "none")

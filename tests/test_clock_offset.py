@@ -93,7 +93,7 @@ def tables(clock, n, **arguments):
 
 
 def biases(n, **arguments):
-    """Return range biases (n, T) of simulated episodes (NaN without a link), and their tables."""
+    """Return range biases (n, T), NaN without a link, of simulated episodes, and the episodes."""
     (task, plain), (_, shifted) = (tables(c, n, **arguments) for c in ("synchronized", "offset"))
     rows = 1 + 4 * np.arange(task.pipeline.layout.anchors)
     measured = plain.table[:, :, rows + task.pipeline.layout.size] > 0.0

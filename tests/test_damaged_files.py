@@ -46,10 +46,10 @@ SLOWEST_S = 20  # longest time that reading may take
 
 
 class Reader(NamedTuple):
-    """A reader of files from outside the project, and intact files to damage."""
+    """Intact files, which the test damages, and the function that reads them."""
 
     files: Callable[[], dict[str, Any]]  # returns file name -> bytes or (JSON) parsed content
-    read: Callable[[Path], Any]  # its argument is the folder of the files
+    read: Callable[[Path], Any]  # function that reads the files in a folder
 
 
 def head(path, lines):
@@ -138,7 +138,8 @@ def numbers_in(content):
         yield from numbers_in(vars(content))
 
 
-# Files that may contain NaN: most of them are only shown; in logs of paths, NaN means missing.
+# Files that may contain NaN: most of them are only displayed, and nothing is computed with their
+# numbers; in logs of paths, NaN means a missing value.
 MAY_BE_NAN = ("results", "run", "summary", "progress log", "policy", "log of paths")
 
 

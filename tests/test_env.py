@@ -43,7 +43,7 @@ def draw(seed=0, **changes):
 
 
 def adrift(drift_mps, epochs=200):
-    """Return a source without measurements: the user rests, the prior moves at ``drift_mps``."""
+    """Return a source without measurements: the user rests; the prior's speed is ``drift_mps``."""
     episode = draw(epochs=epochs)
     position = np.tile(episode.truth_position_m[0], (epochs, 1))
     return replay(

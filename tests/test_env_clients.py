@@ -1,4 +1,4 @@
-"""Tests of what planners, wrappers and libraries need: copies, lengths, fixed infos, refusals."""
+"""Tests of copies, lengths of episodes, fixed infos and refusals, which other libraries need."""
 
 import copy
 import math

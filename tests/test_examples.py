@@ -1,5 +1,6 @@
-"""Tests that examples beat the best fixed mode or `guided` or make data, and that notebooks run.
+"""Tests that example agents beat simple rivals, that other examples work, and that notebooks run.
 
+The rival is the policy `guided` if the example prints its reward, or else the best fixed mode.
 Examples whose libraries are not installed are skipped; `make examples` installs them all.
 """
 

@@ -1,4 +1,4 @@
-"""Tests that golden traces, computed again, agree with the files in which they are stored."""
+"""Tests that golden traces, stored outputs of fixed runs, are reproduced when run again."""
 
 import pytest
 

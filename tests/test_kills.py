@@ -22,7 +22,7 @@ pytestmark = [
     pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork"),
 ]
 HITS, TRIES = 3, 15  # required number of interruptions of a command, maximum number of tries
-TOLD = "told.txt"  # file with a command's output, next to the command's folder
+TOLD = "told.txt"  # file with a command's output, next to the folder in which the command runs
 LOG, SCENE = (str(LOGS / "canyon28_vehicle" / name) for name in ("log.csv", "scene.json"))
 FEW = ("--episodes", "4", "--episode-steps", "30")
 COMMANDS = {
@@ -36,7 +36,7 @@ COMMANDS = {
     "tune": ("tune", "--modes", "ekf", "--scenarios", "pedestrian", "--free", "sigma_v",
              "--episodes", "2", "--out", "modes.json"),
 }  # fmt: skip
-WAYS = {  # signal to send (None: none), exit codes of an interrupted command
+WAYS = {  # name -> signal to send, or None; exit codes of a command that was interrupted
     "KILL": (signal.SIGKILL, {-signal.SIGKILL}),
     "TERM": (signal.SIGTERM, {-signal.SIGTERM, 128 + signal.SIGTERM}),
     "INT": (signal.SIGINT, {-signal.SIGINT, 128 + signal.SIGINT}),

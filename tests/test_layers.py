@@ -14,7 +14,7 @@ WORLDS = FILTER_SIDE | {"compiler", "world", "interface", "task"}
 ENVIRONMENT = WORLDS | {"engines", "rendering"}
 LIBRARY = ENVIRONMENT | {"datasets", "logs", "policies", "localization", "env", "vector_env", "sb3"}
 BELOW = {"experiments.console", "experiments.evaluation", "experiments.figures"}
-SEES = {
+SEES = {  # room -> rooms that it may import
     "numerics": set(),
     "compiler": {"numerics"},
     "models": {"numerics"},
@@ -97,7 +97,7 @@ def all_imports():
 
 @cache
 def arrows():
-    """Return the imports of our own modules."""
+    """Return all imports of our own modules by our own modules."""
     return [arrow for arrow in all_imports() if arrow[1].split(".")[0] in PACKAGES]
 
 
@@ -119,7 +119,7 @@ def crossings(imported):
 
 
 def circles(edges):
-    """Return all rooms (or modules); raise CycleError if they import each other in a circle."""
+    """Return all rooms (or modules), or raise CycleError if they import each other in a circle."""
     graph = {}
     for a, b in edges:
         if a != b:

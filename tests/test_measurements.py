@@ -1,4 +1,4 @@
-"""Tests of ``measurements=``, for receivers that measure only some quantities, and of clocks."""
+"""Tests of the arguments ``measurements``, for receivers without some quantities, and ``clock``."""
 
 import gymnasium as gym
 import numpy as np

@@ -1,4 +1,4 @@
-"""Tests of the adapter to Stable-Baselines3, and of single environments with its checker."""
+"""Tests of the adapter to Stable-Baselines3, whose checker also tests single environments."""
 
 import warnings
 

@@ -262,7 +262,7 @@ def peak_bytes(n):
     """Return numpy's peak memory while environments are stepped past the end of every episode.
 
     This is not resident memory, which varies by megabytes because the operating system hands out
-    huge pages. One thread runs; with several, the maximum would depend on which jobs run together.
+    huge pages. With more than one thread, the peak would depend on which jobs run together.
     """
     tracemalloc.start()
     try:

@@ -1,12 +1,12 @@
-"""Association of paths with anchors, epoch by epoch, for logs of paths without anchor numbers.
+"""Association of propagation paths with anchors, for logs without anchor numbers.
 
 A separate filter follows the user (``path_tracker.py``) and predicts the user's state in every
-epoch. Given this state, global nearest neighbor assigns the paths to anchors. The result is an
-ordinary log, so all code that localizes a log can localize it.
+epoch. Given this state, the method of the global nearest neighbor assigns the paths to anchors.
+The result is an ordinary log, so all code that localizes a log can localize it.
 
 A track begins with the hypothesis that some path is the line of sight, if the hypothesis explains
 enough paths of the coming epochs. A new track replaces the current track if the current track is
-lost, or if the current track explains fewer paths than the hypothesis of the new track.
+lost, or if it explains clearly fewer paths than the new track would.
 """
 
 from collections.abc import Iterable, Iterator
@@ -36,7 +36,7 @@ class Association:
         self._associated, self._missed = np.zeros((2, anchors), np.int64)
 
     def add(self, paths: PathEpoch, labels: Index | None, begins: bool) -> None:
-        """Add an epoch; ``labels`` (L,) give the path of each anchor; None if there is no track."""
+        """Add an epoch; ``labels`` (L,) hold the index of each anchor's path; None if no track."""
         self.epochs += 1
         self.starts += begins
         self._paths += len(paths.snr_db)
@@ -83,7 +83,7 @@ def associate(
         tally: counter of the associations.
 
     Raises:
-        LogError: ``epochs`` raises it, or no receiver can have made the measurements.
+        LogError: the log is damaged, or no receiver can have made its measurements.
     """
     return in_windows(_labelled(epochs, scene, radio, mode, tally), epochs_per_block)
 

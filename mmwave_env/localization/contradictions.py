@@ -25,14 +25,14 @@ _ENOUGH = 20  # minimum number of epochs for a conclusion
 _ENOUGH_IF_BLOCKED = 100  # minimum if blockages of a few seconds could distort the conclusion
 _WINDOW_S = 30.0  # the oscillator's offset hardly changes over this time
 _MOST_APART_S = 3.0  # longest gap over which the Doppler shift is integrated
-_SLOPE_LIMITS = (0.5, 1.5)
-_SURE = 10.0  # standard errors; this is high, because errors of a blocked link are not independent
+_SLOPE_LIMITS = (0.5, 1.5)  # m by which the range grows where the Doppler shift predicts 1 m
+_SURE = 10.0  # standard errors from a slope of 1; high, because errors of a blocked link correlate
 
 
 class Contradiction(NamedTuple):
     """A contradiction between a log and its scene, its radio or physical limits."""
 
-    group: str  # group of measurements, or another quantity
+    group: str  # name of a group of measurements, or of another quantity
     found: str
     expected: str
 
@@ -157,10 +157,10 @@ def _windows(time_s: Array) -> Iterator[slice]:
 
 
 def _regression(time_s: Array, range_m: Array, rate: Array, sigma: float, radio: Radio) -> Array:
-    """Return a window's residual degrees of freedom, and three sums divided by sigma^2.
+    """Return [degrees of freedom, moved^2, moved * range, range^2] of a window.
 
-    The sums are of moved^2, moved * range and range^2, after a regression on a constant and time;
-    ``moved`` is the integrated Doppler shift.
+    The last three are sums over epochs, divided by sigma^2. ``moved`` is the integrated Doppler
+    shift. Regressions on a constant and on time were subtracted from it and from the range.
     """
     time = time_s - time_s.mean()
     moved = np.cumsum(np.diff(time, prepend=time[0]) * 0.5 * (rate + np.roll(rate, 1)))

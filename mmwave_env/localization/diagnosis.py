@@ -1,11 +1,11 @@
 """Diagnosis of a log: a search for the mistake whose correction makes the log consistent.
 
-A hypothesis is a way to read the values in the file. For every hypothesis, the same filter
+A hypothesis says how to read the values in the file. For every hypothesis, the same filter
 without gates computes a track from the first epochs. A hypothesis makes the log consistent if the
 NIS per degree of freedom (dof) is near 1 and :mod:`~mmwave_env.localization.contradictions` reports
-nothing. Such hypotheses are ranked by the likelihood of the values in the file's units, because
-likelihoods in different units can't be compared. If no single mistake explains the log, pairs of
-mistakes are tried.
+nothing. Hypotheses that make the log consistent are ranked by the likelihood of the values as they
+are in the file, because likelihoods of values in different units can't be compared. If no single
+mistake explains the log, pairs of mistakes are tried.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -49,8 +49,8 @@ _FACTORS = {  # mistake -> the factor that undoes it, and the unit that the colu
     "1e6 times too small (s?)": (1e6, "s"),
     "1e9 times too small (s?)": (1e9, "s"),
 }
-_SEARCHED_EPOCHS = 50  # number of epochs among which the best one to begin at is searched
-_ADVANTAGE = 0.01  # log-likelihood per epoch by which a mistake must be likelier than none
+_SEARCHED_EPOCHS = 50  # number of epochs that are searched for the best one to begin at
+_ADVANTAGE = 0.01  # log-likelihood per epoch by which a mistake must exceed the log as it is
 _OUTLIER_QUANTILE = 1e-6  # NIS is clipped at this upper quantile of chi-square
 
 
@@ -73,7 +73,7 @@ class Finding(NamedTuple):
     """The result of testing a hypothesis."""
 
     hypothesis: str  # the hypothesis in words
-    # for each group of measurements (by name), the median of its NIS over epochs, divided by the
+    # for each group of measurements (by name), the median over epochs of its NIS divided by the
     # median of chi-square: near 1 if the hypothesis is right; None if the group was not used
     nis_per_dof: dict[str, float | None]
     # mean over epochs of the log-likelihood of the file's values; None if there is no track
@@ -131,7 +131,7 @@ def _exchanged(part: int, other: int, reading: Reading) -> Reading:
 
 
 def _anchors(order: Sequence[int], reading: Reading) -> Reading:
-    """Assume that the log's n-th anchor is the scene's ``order[n]``-th."""
+    """Assume that anchor n of the log, counted from 0, is anchor ``order[n]`` of the scene."""
     gnb, *others = [(x, y, z) for x, y, z in reading.scene.anchors_m[list(order)].tolist()]
     return reading._replace(
         scene=replace(reading.scene, base_station_m=gnb, walls=(), virtual_anchors_m=tuple(others))
@@ -150,7 +150,7 @@ def _orders(anchors: int) -> list[tuple[int, ...]]:
 
 
 def hypotheses(scene: Scene, radio: Radio) -> dict[str, tuple[Hypothesis, str]]:
-    """Return likely mistakes by name: the function that undoes each, and how to correct the log."""
+    """Return likely mistakes by name, each with the function that undoes it and a cure in words."""
     ends, turned = partial(_exchanged, _AZIMUTH, _DEPARTURE), _scaled([_ELEVATION], -1.0)
     vertical = partial(_exchanged, _AZIMUTH, _ELEVATION)
     zenith, nadir = (_scaled([_ELEVATION], sign, -sign * PI / 2.0) for sign in (-1.0, 1.0))
@@ -204,13 +204,13 @@ def _has_effect(reading: Reading, original: Reading) -> bool:
 
 
 def _start(block: LogBlock) -> int:
-    """Return the epoch at which the tracks begin.
+    """Return the index of the epoch at which the tracks begin.
 
-    It is the first one with a link of the base station. In a partial layout, a unique position may
-    need several links, so it is the one with the most values among the first epochs.
+    It is the first epoch with a link of the base station. In a partial layout, a unique position
+    may need several incomplete links, so it is the one of the first epochs with the most values.
 
     Raises:
-        ValueError: there is no such epoch.
+        ValueError: no epoch has a link of the base station, and the layout is not partial.
     """
     if block.layout.partial:
         count = _values(block)[:, : block.layout.doppler].sum(axis=1)
@@ -234,7 +234,7 @@ def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Fi
         A finding for the log as it is and for every hypothesis that changes a number. Hypotheses
         that make the log consistent come first, the most likely one at the top; the others follow,
         best fit first. If only pairs of hypotheses make the log consistent, the most likely pair
-        comes first. In a partial layout, only pairs with another radio are tried.
+        comes first. In a partial layout, only pairs of another radio and any mistake are tried.
 
     Raises:
         ValueError: there is no link with which a track could begin.
@@ -275,7 +275,7 @@ def _findings(readings: dict[str, Reading], mode: Mode) -> list[Finding]:
 
 
 def _rank(finding: Finding) -> tuple[bool, float]:
-    """Return a sort key: consistent findings by likelihood first, then the others by their fit."""
+    """Return a sort key: consistent findings come first, by likelihood, then the others, by fit."""
     if not finding.contradictions and finding.log_likelihood is not None:
         advantage = _ADVANTAGE if finding.hypothesis == AS_IT_IS else 0.0
         return False, -finding.log_likelihood - advantage

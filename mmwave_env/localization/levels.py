@@ -1,9 +1,10 @@
 """Protection levels of position errors: Gaussian levels times factors that a network learned.
 
-An error exceeds its Gaussian level (:mod:`mmwave_env.localization.position_errors`) with the stated
-risk only if the covariance is right. So a small network, trained by quantile regression, reads
-what a filter knows after an epoch, and returns a factor for the Gaussian level. Constants (one per
-kind of filter, risk and direction) then correct the factor. They were computed by split conformal
+A protection level is a bound that an error exceeds with a stated probability, the risk. Errors
+exceed Gaussian levels (:mod:`mmwave_env.localization.position_errors`) with this probability only
+if the covariance is right. So a small network, trained by quantile regression, reads what a filter
+knows after an epoch, and returns the logarithm of a factor for the Gaussian level. A constant (per
+kind of filter, risk and direction) is added to it. The constants were computed by split conformal
 prediction on episodes that the training did not use (Y. Romano, R. Patterson and E. Candès,
 "Conformalized quantile regression", NeurIPS 2019; for epochs grouped in episodes: Y. Lee, R. F.
 Barber and R. Willett, "Distribution-free inference with hierarchical data", 2023). docs/errors.md
@@ -26,12 +27,12 @@ from mmwave_env.localization.position_errors import gaussian_levels, horizontal,
 from mmwave_env.metrics import RISK
 from mmwave_env.numerics.numbers import Array
 
-# parts of a filter's state from which the features are computed
+# parts of a filter's state from which the network's inputs, the features, are computed
 PARTS = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected")
 CALIBRATED, GAUSSIAN = KINDS = ("calibrated", "gaussian")
-_MEMORY = np.array([[0.6], [0.9], [0.97]])  # share of a running mean that remains after 1 s
+_MEMORY = np.array([[0.6], [0.9], [0.97]])  # share of a mean's old value that it keeps for 1 s
 _LEAST, _LEAST_S = 1e-9, 1e-2  # lower limits, so that logarithms and quotients are finite
-_KIND = [18, 20]  # indices of features that are 1 or 0: a corrector runs, a bank runs
+_KIND = [18, 20]  # indices of two features, 1 or 0: whether a corrector and whether a bank runs
 
 
 class Network(NamedTuple):
@@ -40,9 +41,10 @@ class Network(NamedTuple):
     Attributes:
         risks: (R,) risks for which the network was trained and calibrated.
         constants: (3, R, 2) numbers that the calibration adds to the network's outputs, for every
-            kind of filter (single, bank, corrector), risk, and direction (horizontal, vertical).
+            kind of filter (one mode, bank of modes, bank with a corrector of its beliefs), risk,
+            and direction (horizontal, vertical).
         low, high: (features,) limits of the features in the training.
-        layers: weights (outputs, inputs) and biases of the layers.
+        layers: weights (outputs, inputs) and biases (outputs,) of the layers.
     """
 
     risks: list[float]
@@ -132,9 +134,9 @@ class Levels:
             anchors: number of anchors.
             mixes: whether the beliefs come from a bank of interacting modes.
             time_s: (T,) times of the epochs.
-            parts: beliefs x (n, T, 7 or 8) and P (n, T, 28 or 36), packed; for every group of
-                measurements (n, T, groups) its NIS, whether it was accepted, and whether it was
-                rejected; and, optionally, trust in a corrector (n, T), NaN without a corrector.
+            parts: means x (n, T, 7 or 8); packed covariances P (n, T, 28 or 36); three arrays
+                (n, T, groups): each group's NIS, whether it was accepted, and whether it was
+                rejected; optionally, the trust in a corrector (n, T), NaN without a corrector.
         """
         x, P, nis, accepted, rejected, trusted = (*parts, None)[:6]
         if self._means is None:
@@ -162,7 +164,7 @@ class Levels:
 
 
 def _gates(anchors: int, nis: Any, accepted: Any, rejected: Any) -> list[Array]:
-    """Return eight numbers (n, T) on innovations and gates, whatever the number of anchors."""
+    """Return eight arrays (n, T) about innovations and gates, for any number of anchors."""
     measured = accepted + rejected
     links, nis = measured[..., :anchors].sum(axis=-1), nis * measured
     return [
@@ -178,7 +180,7 @@ def _gates(anchors: int, nis: Any, accepted: Any, rejected: Any) -> list[Array]:
 
 
 def _sizes(P: Array) -> list[Array]:
-    """Return logarithms (n, T) of both Gaussian levels.
+    """Return the logarithms (n, T) of the horizontal and of the vertical Gaussian level.
 
     If the height is known, the horizontal level takes the place of the vertical one.
     """
@@ -188,13 +190,13 @@ def _sizes(P: Array) -> list[Array]:
 
 
 def _relative(moved: Array, sizes: Sequence[Array]) -> list[Array]:
-    """Return log(1 + 10 length / level) of vectors (..., 3), given both levels as logarithms."""
+    """Return log(1 + 10 length / level) of vectors (..., 3), in x-y and in z; sizes: log(level)."""
     lengths = horizontal(moved), np.abs(moved[..., 2])
     return [np.log1p(10.0 * a * np.exp(-b)) for a, b in zip(lengths, sizes, strict=True)]
 
 
 def _shape(x: Array, P: Array) -> list[Array]:
-    """Return four numbers (n, T) on the position's error ellipse and on the velocity."""
+    """Return four arrays (n, T) about the position's error ellipse and about the velocity."""
     xx, xy, yy, vx, vy = P[..., 0], P[..., 1], P[..., 2], x[..., 3], x[..., 4]
     mean, square = np.maximum(0.5 * (xx + yy), _LEAST), vx * vx + vy * vy
     along = vx * vx * xx + 2.0 * vx * vy * xy + vy * vy * yy

@@ -1,9 +1,10 @@
-"""Localization of a measurement log by one mode, a rule (paper, Algorithm 1), an IMM or a policy.
+"""Localization of a measurement log by one or several Kalman filter pipelines, called modes.
 
-A log is a sequence of blocks of epochs, because it may be larger than memory; the length of the
-blocks does not change the track. The log is divided into segments at long gaps (``segments.py``).
-In each segment, a track starts from a first position and is filtered; then the track is smoothed,
-``window`` epochs at a time.
+If there are several modes, a rule (paper, Algorithm 1) or a policy chooses between them, or they
+interact as an IMM. A log is a sequence of blocks of epochs, because it may be larger than memory;
+the length of the blocks does not change the track. The log is divided into segments at long gaps
+(``segments.py``). In each segment, a track starts from a first position and is filtered; then the
+track is smoothed, ``window`` epochs at a time.
 """
 
 import os
@@ -50,19 +51,19 @@ class TrackBlock(LogBlock):
     """
 
     planar: bool  # whether z and vz are known exactly
-    # x, P: (T, 7), (T, 28) filtered belief after each epoch; covariances are packed
+    # x, P: mean (T, 7), packed covariance (T, 28) after each epoch; with a clock (T, 8), (T, 36)
     x: Array
     P: Array
-    # (T, values) input of the smoother: x, P, and the predicted belief or the IMM's mixture
+    # (T, values) input of the smoother: x, P, then the predicted belief or the IMM's mixture
     filtered: Array
     # smooth_x, smooth_P: smoothed belief; without smoothing, the filtered one
     smooth_x: Array
     smooth_P: Array
-    mode: Index  # (T,) number of the mode that ran
+    mode: Index  # (T,) index of the mode that ran
     nis: Array  # (T, groups) NIS in that mode; 0 where not visible
     accepted: Mask  # (T, groups) whether the gate accepted the group
     # (T,) factor from 0 to 1 by which a corrector's correction was scaled before it was applied to
-    # x and P; NaN without a corrector. The smoothed belief does not contain corrections
+    # x and P; NaN without a corrector. Smoothing uses beliefs without corrections
     trusted: Array
     # (T, 2) factors for the horizontal and the vertical Gaussian protection level
     level_factors: Array
@@ -73,7 +74,7 @@ class Switching:
     """The modes of a localizer, and the rule or policy that chooses between them.
 
     Attributes:
-        modes: one mode, or the modes to choose from; or a bank, whose modes interact.
+        modes: one or several modes, of which one runs at a time; or a bank, whose modes interact.
         rule: function that chooses a mode in every epoch, as
             :class:`~mmwave_env.engines.track_engine.Tracker` takes it.
         policy: function that makes a policy, given the table of features that it will observe. The
@@ -111,7 +112,7 @@ class Switching:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Return names of the parts of the state to keep; the last ones are for the smoother."""
+        """Return names of the parts of a filter's state to keep, the last ones for the smoother."""
         return (*_FILTERED, "mixture") if self.bank else (*_FILTERED, *_PREDICTED)
 
     def pipeline(self, layout: Layout, planar: bool) -> Pipeline:
@@ -134,7 +135,7 @@ class Switching:
 def learned(path: str | os.PathLike[str], radio: str) -> Switching:
     """Return the modes and the policy of a policy file, or of a shipped policy.
 
-    If a switcher has several banks, its bank for ``radio`` is used.
+    If the policy has a bank for each of several radio profiles, its bank for ``radio`` is used.
     """
     policy = learned_policy(path)
     modes = policy.bank(radio) if policy.beliefs == "per-mode" else policy.modes
@@ -163,7 +164,7 @@ def localize(
         levels: protection levels; None for Gaussian ones.
 
     Raises:
-        LogError: from ``blocks``; or a belief became NaN or infinite.
+        LogError: the log is damaged, or a belief became NaN or infinite.
         ValueError: no epoch determines a position with which a track could begin.
     """
     levels = levels or Levels(kind=GAUSSIAN)
@@ -278,7 +279,7 @@ def smoothed(
     time_s: Array,
     spread_hz: Array,
 ) -> tuple[Array, Array]:
-    """Return smoothed means (N, T, 7) and packed covariances (N, T, 28) of N windows of a track.
+    """Return smoothed means (N, T, 7 or 8) and packed covariances (N, T, 28 or 36) of N windows.
 
     ``filtered`` (N, T, values) holds rows of :func:`filtered_of`. ``time_s`` and the Doppler
     spreads ``spread_hz`` are (N, T).

@@ -32,7 +32,7 @@ _GPX = (
     '<?xml version="1.0" encoding="UTF-8"?>\n'
     '<gpx version="1.1" creator="mmwave-loc" xmlns="http://www.topografix.com/GPX/1/1">'
 )
-_UNIX_S = 1e8  # larger times count as Unix time (from 1973 on), others as seconds of a day
+_UNIX_S = 1e8  # only larger times (from 1973 on) count as Unix times, which GPX files contain
 
 
 def geodetic(origin: Origin, points_m: Array) -> Array:
@@ -46,7 +46,7 @@ def geodetic(origin: Origin, points_m: Array) -> Array:
 
 
 def _ellipses(origin: Origin, x: Array, P: Array) -> Array:
-    """Return longitude and latitude (n, corners, 2) of the corners of the 95 % ellipses."""
+    """Return n closed rings (n, corners + 1, 2), longitude and latitude, for the 95 % ellipses."""
     variance = np.array([[P[:, 0], P[:, 1]], [P[:, 1], P[:, 2]]]).transpose(2, 0, 1)
     size, axes = np.linalg.eigh(variance)
     axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]  # rings are counterclockwise (RFC 7946)
@@ -64,7 +64,7 @@ def _ellipses(origin: Origin, x: Array, P: Array) -> Array:
 def _geojson(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
     """Write a FeatureCollection: lines of the track, and every second a 95 % ellipse."""
     separator = ""
-    # what was written last: segment, time of an ellipse, point
+    # segment of the last block, time of the last ellipse, last point
     last: tuple[int, float, list[float]] = -1, -np.inf, []
     file.write(_GEOJSON)
 
@@ -145,7 +145,7 @@ def nmea(origin: Origin, moment: float, place: Array, packed: Array) -> str:
         origin: place of the scene on the earth.
         moment: time, s.
         place: (3,) latitude and longitude (degrees) and height (m).
-        packed: (28,) packed covariance.
+        packed: (28,) packed covariance of the state.
     """
     hundredths = round(moment % 86400.0 * 100.0) % 8_640_000
     seconds, minutes = hundredths / 100.0 % 60.0, hundredths // 6000
@@ -182,7 +182,7 @@ def _sentence(text: str) -> str:
 class MapFile(NamedTuple):
     """A format of files for maps."""
 
-    header: str  # text that every such file begins with
+    header: str  # text with which every file of this format begins
     writer: Callable[[TextIO, Origin, str], AbstractContextManager[Write]]
 
 
@@ -195,7 +195,7 @@ MAP_FILES = {  # by the ending of the name
 
 @contextmanager
 def map_file(path: Path, scene: Scene, name: str) -> Iterator[Write]:
-    """Yield a function that writes the next block of a track; at the end, put the file in place.
+    """Yield a function that writes the next block of a track; the finished file appears at the end.
 
     Args:
         path: file to write; its ending is one of :data:`MAP_FILES`.

@@ -1,4 +1,4 @@
-"""Tracker that follows a user by propagation paths with unknown anchors, by testing hypotheses.
+"""Tracker that follows a user by means of propagation paths whose anchors are unknown.
 
 A track begins with the hypothesis that a certain path is the line of sight. This path gives a
 position, and the paths of the next epochs confirm or contradict it. Tracks are immutable values,
@@ -49,7 +49,7 @@ def path_nis(x: Vector, P: Matrix, anchors: Matrix, paths: Array, sigma: Array) 
 
 
 def assign(nis: Array, gate: float) -> Index:
-    """Return the path of every anchor (L,), ``NO_PATH`` if no path is within the gate.
+    """Return the index of every anchor's path (L,), or ``NO_PATH`` if an anchor gets no path.
 
     ``nis`` is (L, n); a path may belong to an anchor only if its NIS is below ``gate``.
     """
@@ -85,7 +85,7 @@ class PathTrack(NamedTuple):
     memory: Memory
     time_s: float
     seen_s: float  # last time at which the track used a path or odometry
-    labels: Index  # (L,) the path of every anchor in this epoch
+    labels: Index  # (L,) index of every anchor's path in this epoch, or NO_PATH
     epoch: Epoch  # the measurements of this epoch, each path as the link of its anchor
 
     @property
@@ -154,7 +154,7 @@ class PathTracker:
     def _best(
         self, track: PathTrack | None, paths: PathEpoch, coming: Sequence[PathEpoch]
     ) -> tuple[PathTrack | None, int]:
-        """Return the track that begins with ``paths`` and explains the most paths, and how many."""
+        """Return the track beginning with ``paths`` that explains most paths, and their number."""
         begun = ((new, self._fitted(new, coming)) for new in self._beginnings(track, paths))
         return max(begun, key=lambda pair: pair[1], default=(None, 0))
 

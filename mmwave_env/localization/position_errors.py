@@ -15,7 +15,7 @@ Horizontally, let a >= b be the standard deviations along the axes of the error 
 and e = (a rho cos t, b rho sin t), where the density of rho and t is
 rho exp(-rho^2/2) / (2 pi). Then
 
-    P(|e| > d) = 1/(2 pi) int_0^(2 pi) exp(-d^2 / (2 (a^2 cos^2 t + b^2 sin^2 t))) dt,
+    Pr(|e| > d) = 1/(2 pi) int_0^(2 pi) exp(-d^2 / (2 (a^2 cos^2 t + b^2 sin^2 t))) dt,
 
 which is solved for d. This gives the exact quantile instead of the usual upper bound
 a sqrt(chi2^-1(1 - r; 2)), which is exact only if a = b. (J. W. Craig, MILCOM 1991, has the integral
@@ -31,7 +31,7 @@ from mmwave_env.metrics import RISK
 from mmwave_env.numerics.numbers import Array
 
 CONFIDENCE = 0.95  # confidence of the intervals of shares
-_RATIOS = np.linspace(0.0, 1.0, 1025)  # b / a; levels are interpolated between these
+_RATIOS = np.linspace(0.0, 1.0, 1025)  # values of b / a; for others, levels are interpolated
 _ANGLES = (np.arange(64) + 0.5) * (np.pi / 128)  # in one quadrant, which represents all four
 _HALVINGS = 60
 _LARGEST_RISK = 0.5
@@ -44,7 +44,7 @@ def require_risk(risk: float) -> None:
 
 
 def horizontal_level(P: Array, risk: float) -> Array:
-    """Compute levels (...,), m, from packed covariances P (..., 3 or more): x and y come first."""
+    """Compute levels (...,), m, from packed covariances P (..., 3+) that begin with x, y."""
     xx, xy, yy = P[..., 0], P[..., 1], P[..., 2]
     middle, half = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
     major = np.sqrt(middle + half)
@@ -54,7 +54,7 @@ def horizontal_level(P: Array, risk: float) -> Array:
 
 
 def vertical_level(P: Array, risk: float) -> Array:
-    """Compute levels (...,), m, from packed covariances P (..., 6 or more): x, y, z come first."""
+    """Compute levels (...,), m, from packed covariances P (..., 6+) that begin with x, y, z."""
     from scipy.special import ndtri
 
     return -ndtri(0.5 * risk) * np.sqrt(np.maximum(P[..., 5], 0.0))  # type: ignore[no-any-return]
@@ -80,7 +80,7 @@ def _multiples(risk: float) -> Array:
 def exceedance(error: Array, level: Array) -> dict[str, Any]:
     """Count how often errors (n,) exceed their levels (n,); "share" and "ci95" are None if n is 0.
 
-    If an error or its level is NaN, the level counts as exceeded. The interval is that of Clopper
+    If an error or its level is NaN, the level counts as exceeded. "ci95" is the interval of Clopper
     and Pearson (1934) with :data:`CONFIDENCE`, for independent epochs. Epochs of a track are
     correlated, so the share in another track may well lie outside of the interval.
     """
@@ -126,7 +126,7 @@ def percentiles(sizes: Array) -> dict[str, float | None]:
 
 
 class PositionErrors:
-    """Errors of tracks by kind, "horizontal" and "vertical", with levels from their covariances.
+    """Horizontal and vertical errors of tracks, with protection levels from their covariances.
 
     An error exceeds its level with probability ``risk``. If the height is known (``planar``), there
     are no vertical errors.
@@ -141,9 +141,9 @@ class PositionErrors:
         self._parts = {kind: [np.empty((2, 0))] for kind in self._sizes_of}
 
     def add(self, error: Array, P: Array, factors: Array | float = 1.0) -> None:
-        """Add errors (..., 3), m, and packed covariances (..., 6 or more), position first.
+        """Add errors (..., 3), m, and packed covariances (..., 6 or more) that begin with x, y, z.
 
-        ``factors`` (..., 2) are those of :class:`~mmwave_env.localization.levels.Levels`.
+        ``factors`` (..., 2) of :class:`~mmwave_env.localization.levels.Levels` multiply the levels.
         """
         levels = np.moveaxis(gaussian_levels(P, self.risk) * factors, -1, 0)
         for (kind, sizes_of), level in zip(self._sizes_of.items(), levels, strict=False):

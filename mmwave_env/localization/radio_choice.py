@@ -10,7 +10,7 @@ from mmwave_env.numerics.numbers import Array, wrap
 from mmwave_env.world.episode import NEUTRAL_SNR_DB
 
 _FEWEST = 20  # minimum number of second differences for a median
-_ROBUST = 1.4826 / np.sqrt(6.0)  # ratio for white noise: deviation / median |second difference|
+_ROBUST = 1.4826 / np.sqrt(6.0)  # for white noise: its deviation / median |second difference|
 
 
 def nearest_radio(block: LogBlock, scene: Scene) -> str:
@@ -33,7 +33,7 @@ def nearest_radio(block: LogBlock, scene: Scene) -> str:
 
 
 def _deviation(block: LogBlock, row: int) -> float:
-    """Return the standard deviation (m or rad) of a value of links; NaN if measured too rarely."""
+    """Return the standard deviation of value ``row`` of the links, m or rad; NaN for few values."""
     columns = slice(row, block.layout.doppler, len(LINK))
     own = block.sigma[:, columns]
     if np.isfinite(own).any():

@@ -5,8 +5,8 @@ user, with a covariance that is too small. So a segment ends after a long gap. T
 begins with the next epoch that determines a position, called the first fix of the segment.
 
 A complete link of the base station gives this position directly. If the log lacks columns for such
-a link, the position is computed from all links of the epoch, by nonlinear least squares with the
-height of the streets as a weak prior.
+a link, or if the user's clock has an offset, the position is computed from all links of the epoch,
+by nonlinear least squares with the height of the streets as a weak prior.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -41,7 +41,7 @@ class Fix(NamedTuple):
 
 
 def gives_fix(links: Array) -> Mask:
-    """Tell which links (n, 4 or more), m and rad, give a prior.
+    """Tell which links (n, 4 or more), in m and rad, determine a position to begin a track with.
 
     Straight above or below an anchor, the azimuth is undefined. Close to this vertical line, the
     uncertainty of the direction grows with the elevation; a Gaussian does not describe this.
@@ -102,14 +102,14 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
     weight, unknown = 1.0 / np.array(deviation[:n]) ** 2, _UNKNOWN[:n]
 
     def normal(position: Array) -> tuple[float, Array, Array]:
-        """Return the squared error, its gradient and the information matrix at a position."""
+        """Return the squared error, minus half its gradient, and the information at a position."""
         links = groups_of(_state(position), epoch)[: layout.anchors]
         e = np.array([value for link in links for value in link.innovation])
         H = np.array([[g[i] for i in unknown] for link in links for g in link.jacobian])
         w = 1.0 / np.array([value for link in links for value in link.variance])
-        spare = sum(float(link.spare_nis) for link in links)
+        disagreement = sum(float(link.spare_nis) for link in links)  # of each link's two azimuths
         away = center - position
-        cost = float((w * e * e).sum() + (weight * away * away).sum()) + spare
+        cost = float((w * e * e).sum() + (weight * away * away).sum()) + disagreement
         return cost, H.T @ (w * e) + weight * away, (H.T * w) @ H + np.diag(weight)
 
     descents = (_descend(normal, start) for start in _starts(anchors, center))
@@ -171,7 +171,7 @@ def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator
     log says that a track must begin anew. The next segment begins with the next first fix.
 
     Raises:
-        LogError: from ``blocks``, once the epochs before the damage have been yielded.
+        LogError: the log is damaged; the epochs before the damage are yielded first.
         ValueError: no epoch determines a position with which a track could begin.
     """
     held: LogBlock | None = None  # block to yield once its number of dropped epochs is known
@@ -210,10 +210,10 @@ def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator
         raise
     if not held:
         raise ValueError(
-            f"log: found {skipped} epochs, none of which determines a position, expected one with "
-            f"a range of at least {RANGE_LIMITS_M[0]:g} m, all angles and SNR of anchor 1 and an "
-            f"elevation of at most {np.degrees(STEEPEST_FIX_RAD):g} degrees; or, if the log lacks "
-            "columns for these or the clock has an offset, links that have a unique solution"
+            f"log: found {skipped} epochs, none of which determines a position, expected one in "
+            f"which anchor 1 has a range of at least {RANGE_LIMITS_M[0]:g} m, an SNR and all "
+            f"angles (elevation at most {np.degrees(STEEPEST_FIX_RAD):g} degrees); or, if the log "
+            "lacks these columns or the clock has an offset, links that have a unique solution"
         )
     yield held
 
@@ -224,7 +224,7 @@ def _direct(block: LogBlock) -> bool:
 
 
 def _first_fix(block: LogBlock, scene: Scene, radio: Radio) -> int:
-    """Return the index of the first epoch that gives a prior, or the number of epochs if none."""
+    """Return the index of the first epoch to begin a track with, or the block's length if none."""
     links = 1 if _direct(block) else block.layout.anchors
     for epoch in np.flatnonzero(block.visible[:, :links].any(axis=1)):
         if can_begin(block, int(epoch), scene, radio):
@@ -233,7 +233,7 @@ def _first_fix(block: LogBlock, scene: Scene, radio: Radio) -> int:
 
 
 def _end(block: LogBlock, last_s: float, begins: bool) -> tuple[int, float | None]:
-    """Count the block's epochs in the segment; also return the time of the last measurement so far.
+    """Return the number of the block's epochs in the segment, and the time of the last measurement.
 
     The time is None if the segment ends in this block; ``begins`` says whether the segment starts
     with this block.

@@ -85,7 +85,7 @@ def track_files(
     corrected: bool = False,
     risk: float = RISK,
 ) -> Iterator[Write]:
-    """Yield a function that writes the next block of a track; at the end, put the files in place.
+    """Yield a function that writes the next block of a track; finished files appear at the end.
 
     Args:
         track: file for the smoothed track; its ending determines the format. Values for which a

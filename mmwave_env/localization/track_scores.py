@@ -41,7 +41,7 @@ class TruthScores:
         self._pinned: tuple[int, ...] = VERTICAL if planar else ()
         self._first_s = np.empty(0)  # the first times of the log, from which its step is estimated
         self._between, self._away_s = 0, 0.0
-        # of all scored epochs: times and segments (n, 2); and, by track, errors and NEES (n, 4)
+        # for scored epochs: [time, segment] (n, 2); by track, [error x, y, z, NEES] (n, 4)
         self._times = [np.empty((0, 2))]
         self._scores = {name: [np.empty((0, 4))] for name in names}
 
@@ -103,7 +103,7 @@ def _pairs(time_s: Array, segment: Array, first_s: Array) -> tuple[Index, float 
     """Pair scored epochs (n,) that are a second apart, or one time step if steps are longer.
 
     Return the indices (pairs, 2) of the earlier and the later epoch, and the time between them:
-    the multiple of the time step nearest to a second, None without pairs. Epochs of different
+    the multiple of the time step nearest to a second, or None without epochs. Epochs of different
     segments are not paired. The time step is estimated from the log's first times, ``first_s``.
     """
     if len(first_s) < 2 or not len(time_s):
@@ -123,9 +123,9 @@ def _pairs(time_s: Array, segment: Array, first_s: Array) -> tuple[Index, float 
 def _accuracy(
     scores: Array, pairs: Index, interval: tuple[float, float]
 ) -> dict[str, float | None]:
-    """Return the running metrics by name, except divergence, which only episodes have.
+    """Return by name the metrics that need only sums, except divergence, which only episodes have.
 
-    A metric is None without epochs, the RPE also without pairs.
+    All metrics are None without epochs; the RPE is None without pairs, too.
 
     Args:
         scores: (n, 4) errors, m, and NEES of the scored epochs.
@@ -246,6 +246,5 @@ class Course:
             "modes": dict(zip(self._modes, self._counts.tolist(), strict=True)),
             "switches": self._switches,
             **clock,
-            # only if a corrector ran
             **({} if isnan(self._trusted) else {"trusted": self._trusted / self.epochs}),
         }

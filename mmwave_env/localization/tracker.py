@@ -66,7 +66,7 @@ class Position(NamedTuple):
 
 
 class Tracker:
-    """A track that grows epoch by epoch; it equals the complete log's track bit for bit.
+    """A track that grows epoch by epoch; it equals, bit for bit, the track of the complete log.
 
     ```python
     >>> tracker = Tracker("street", policy="corrector")
@@ -109,7 +109,7 @@ class Tracker:
         self._filter: Any = None
         self._last_s: float | None = None  # time of the last measurement; None without a track
         # for each of the last epochs: time; Doppler spread; mode; factors by which Gaussian levels
-        # are multiplied; input of the smoother
+        # are multiplied; parts of the filter's state, which are the smoother's input
         self._late: deque[tuple[float, float, str, Array | None, dict[str, Array]]]
         self._late = deque(maxlen=lag + 1)
 
@@ -124,7 +124,8 @@ class Tracker:
             The belief; None before the first epoch that determines a position, and in long gaps.
 
         Raises:
-            LogError: a row is damaged or late; the epoch is ignored.
+            LogError: a row is damaged or late. This row and those after it are ignored. If the
+                epoch was incomplete, the next call processes the rows before it.
         """
         rows, epochs = list(rows), []
         if self._log is None:

@@ -53,7 +53,7 @@ class ClockOffset(NamedTuple):
 
     @property
     def matters(self) -> bool:
-        """Tell whether an offset is significant and large enough to correct."""
+        """Tell whether the offset is significant, and large enough to correct."""
         return abs(self.seconds) > self.limit * self.deviation_s and self.part > _PART
 
     def figures(self) -> dict[str, float]:

@@ -27,7 +27,7 @@ class DamagedFileError(ValueError):
 
 
 def line_blocks(path: Path) -> Iterator[tuple[list[str], float]]:
-    """Yield the lines of a text file, about 1 MiB at a time, and the share of it read so far.
+    """Yield the lines of a text file, about 1 MiB at a time, and the share of the file read so far.
 
     A file whose name ends in ``.gz`` is unzipped. Lines are yielded without their line ends. Bytes
     that are not UTF-8 are escaped, so that messages can show them.

@@ -15,8 +15,8 @@ from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI
 
-_NUMBERS = {float, int, np.float64}  # types whose text form is parsed to the same number
-_MARGIN = 1e-9  # share of a limit; values nearer than this to the limit need the full checks
+_NUMBERS = {float, int, np.float64}  # numbers that stay the same if written as text and parsed
+_MARGIN = 1e-9  # relative distance from a limit within which values need the full checks
 
 
 class LiveEpoch(NamedTuple):
@@ -24,7 +24,7 @@ class LiveEpoch(NamedTuple):
 
     time_s: float
     block: Callable[[], LogBlock]  # returns the epoch as a block, T = 1
-    # values in the order of :func:`~mmwave_env.logs.log.places`, NaN where not measured; and the
+    # [0]: values in the order of :func:`~mmwave_env.logs.log.places`, NaN where not measured; [1]:
     # index, from 0, of the Doppler shift's anchor. None if some angles are not in the map's frame
     placed: tuple[list[float], int] | None
 
@@ -95,7 +95,7 @@ class LiveLog:
             time_s = self._time_s(cells)
             latest_s = self._time_s(self._rows[0]) if self._rows else self._last_s
             if time_s <= latest_s:
-                problem = f"time {time_s:g} s after the epoch of {latest_s:g} s"
+                problem = f"time {time_s:g} s in a row that follows the epoch at {latest_s:g} s"
                 raise self._log.error(number, "time", problem, "times that increase")
             over = self.end_epoch()
         for before in self._rows:
@@ -147,7 +147,7 @@ class LiveLog:
         return cells[self._anchor] != before[self._anchor]
 
     def _cells(self, row: str | Mapping[str, Any], number: int) -> list[float]:
-        """Return the cells of a row (no cells for a blank line); refuse a damaged row."""
+        """Return the cells of a row, or no cells for a blank line; refuse a damaged row."""
         if not isinstance(row, str):
             for name in row:
                 if name not in self._limits:

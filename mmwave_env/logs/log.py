@@ -4,7 +4,7 @@ The name of a column (`log_columns.py`) is a quantity and a unit: ``time_s, anch
 aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad, doppler_hz, snr_db``, and optionally
 ``doppler_spread_hz`` and odometry, ``speed_mps`` and ``heading_rad``. Anchors are given by their
 number in the scene; number 1 is the physical gNB, usually the only one with a Doppler shift. A cell
-is empty if nothing was measured; an anchor that was not seen may have no row. Quantities that
+is empty if its value was not measured; an anchor that was not seen may have no row. Quantities that
 belong to the epoch, not to an anchor (Doppler spread, odometry), may be in any row of the epoch.
 
 A log of paths has the same columns without ``anchor``: one row per epoch and path, as a receiver
@@ -50,7 +50,8 @@ class LogBlock(Block):
     measurement: Array  # (T, rows) m, rad, Hz, m/s; angles in [-pi, pi)
     sigma: Array  # (T, rows) the receiver's own standard deviations; NaN where it states none
     # (T, groups) whether every value of the group was measured (links and the Doppler shift also
-    # need an SNR). In a partial layout, whether at least one value with known noise was measured
+    # need an SNR). In a partial layout, where a group may lack values, whether at least one value
+    # with known noise was measured
     visible: Mask
     # (T, groups) whether the group is lost because only some of its values were measured. In a
     # partial layout, whether a value is lost because its noise is unknown
@@ -166,7 +167,7 @@ def read_log(
 
 
 def with_clock(log: LogFile) -> LogFile:
-    """Return a log marked as having ranges with the clock's offset; refuse a log without ranges.
+    """Mark that a log's ranges contain an offset of the user's clock; refuse a log without ranges.
 
     Ranges from round-trip times don't count, because they do not contain the offset.
     """
@@ -210,7 +211,7 @@ def places(layout: Layout) -> dict[str, tuple[int, int]]:
 
     The array contains the values that the layout lists, their standard deviations, the SNRs (L,)
     and the Doppler spread. For each quantity, return the index of the first anchor's value and the
-    step to the next anchor's; the step is 0 if the quantity belongs to the epoch.
+    step to the next anchor's; the step is 0 if an epoch has only one value of the quantity.
     """
     rows = {quantity: (row, 4) for row, quantity in enumerate(LINK_QUANTITIES)}
     rows["doppler"] = layout.doppler, 0

@@ -51,13 +51,13 @@ class _Check(NamedTuple):
     quantity: str
     wrong: Mask
     expected: str
-    words: Callable[[int], str] | None = None  # words for the error in a row; None to show the cell
+    words: Callable[[int], str] | None = None  # maps a row to what was found; None shows the cell
 
 
 def first_damage(
     log: LogFile, table: Table, anchors: int | None, limits: bool
 ) -> tuple[int, LogError | None]:
-    """Return index and error of the first damaged row; (number of rows, None) if there is none."""
+    """Return the first damaged row's index and error, or (number of rows, None) if none is."""
     n = len(table)
     first, error = (n - 1, table.damage) if table.damage else (n, None)
     if not n:
@@ -180,7 +180,7 @@ def _show(value: float) -> str:
 
 
 def _end_of_epochs(time: Array, damaged: int, anchors: int | None) -> int:
-    """Return how many rows before a damaged one are in epochs known to be complete."""
+    """Return the number of rows before the damaged row that are in epochs known to be complete."""
     if damaged == 0:
         return 0
     last = time[damaged - 1]

@@ -1,4 +1,4 @@
-"""Columns of a measurement log: the name of a column is a quantity and its unit."""
+"""Columns of a measurement log: the name of a column states a quantity and its unit."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -136,8 +136,8 @@ SIGMA_OF = {quantity: f"{quantity}_sigma" for quantity in (*LINK_QUANTITIES, "do
 SIGMA_OF |= {STATION: "aoa_azimuth_sigma", BODY: "aod_azimuth_sigma"}
 ROW_QUANTITIES = (*LINK_QUANTITIES, "doppler")  # quantities that belong to an anchor
 HORIZONTAL = ("toa", "aoa_azimuth", STATION, "aod_azimuth", BODY)  # at least one is required
-_WHOLE = (*LINK_QUANTITIES, "snr")  # required in a log that is not partial
-_OTHER_FRAMES = {  # quantity -> its replacement, and a quantity that the replacement requires
+_WHOLE = (*LINK_QUANTITIES, "snr")  # required unless links may lack values
+_OTHER_FRAMES = {  # angle -> the angle in another frame, and the quantity that is then required
     "aoa_azimuth": (STATION, STATION),
     "aod_azimuth": (BODY, "heading"),
 }

@@ -84,7 +84,7 @@ class Table(Block):
         return np.concatenate([[0], np.cumsum(np.diff(self.raw("time")) != 0.0)])
 
     def first(self, values: Array) -> Array:
-        """Return each epoch's first value that is not NaN, or NaN; values (n,) are given by row."""
+        """Return (epochs,) the first value in each epoch's rows that is not NaN, of values (n,)."""
         first = np.full(self.epoch[-1] + 1, np.nan)
         some = np.flatnonzero(~np.isnan(values))[::-1]
         first[self.epoch[some]] = values[some]  # backwards, so that the first row's value remains
@@ -93,12 +93,12 @@ class Table(Block):
     def links(self) -> Array:
         """Return ranges (m) and angles (rad) of links, (n, 4); departures are in the map's frame.
 
-        If the log has azimuths of arrival at the base station, the result contains these instead
-        of the azimuths at the anchors.
+        If the log has the azimuths at which paths arrive at the base station (:data:`STATION`), the
+        result contains these instead of the azimuths from each (mirrored) anchor to the user.
         """
         arrival = self[STATION if STATION in self.columns else "aoa_azimuth"]
         departure = self["aod_azimuth"]
-        if BODY in self.columns:  # without a heading in the epoch there is no departure
+        if BODY in self.columns:  # NaN in epochs without a heading
             departure = self[BODY] + self.first(self["heading"])[self.epoch]
         return np.column_stack([self["toa"], arrival, self["aoa_elevation"], departure])
 
@@ -178,7 +178,7 @@ def _csv_names(path: Path) -> tuple[list[str], str]:
     if not lines:
         raise LogError(f"{path}: found an empty file, expected a measurement log")
     delimiter = "," if "," in lines[0] else ";"
-    try:  # with a real CSV reader, because some programs quote names
+    try:  # str.split would not do, because some programs quote names
         names = [name.strip() for name in next(csv.reader(lines[:1], delimiter=delimiter))]
     except csv.Error:
         names = []

@@ -12,11 +12,11 @@ from mmwave_env.logs.tum import read_tum
 from mmwave_env.numerics.numbers import Array
 
 BRIDGED_S = 1.5  # longest gap that is interpolated: GPS gives a pose per second, sometimes late
-TOLERANCE_S = 0.01  # maximum time to a pose that is used without interpolation, as in the tool evo
+TOLERANCE_S = 0.01  # maximum time to a pose that is used uninterpolated, as in the tool evo
 
 
 class TrueEpochs(NamedTuple):
-    """True positions in T epochs, and the distance in time to the nearest poses."""
+    """True positions in T epochs, and times from the epochs to the nearest poses of the track."""
 
     position_m: Array  # (T, 3), NaN where not known
     velocity_mps: Array  # (T, 3), NaN where not known

@@ -1,4 +1,4 @@
-"""Trajectories in TUM format, as evo reads them: lines ``t x y z qx qy qz qw``."""
+"""Trajectories in TUM format, as the tool evo reads them: lines ``t x y z qx qy qz qw``."""
 
 import math
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Mistakes of receivers, drivers and scripts, as functions that put them into correct logs."""
+"""Mistakes that receivers and scripts make, as functions from correct columns to wrong ones."""
 
 import csv
 from pathlib import Path

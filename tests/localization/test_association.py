@@ -1,4 +1,4 @@
-"""Tests of the assignment of paths to anchors, of where tracks begin, and of statistics."""
+"""Tests of the assignment of paths to anchors, of where tracks begin, and of the counts."""
 
 from functools import lru_cache
 from itertools import islice
@@ -108,7 +108,7 @@ def test_a_sample_without_anchor_numbers_gives_nearly_the_same_track(tmp_path, n
 
 
 def test_angles_of_arrival_may_be_measured_at_the_base_station():
-    """Include reflections, whose angles at the station must be converted to those at the image."""
+    """Include reflections: their angles at the station are converted to angles at its image."""
 
     def as_the_station_sees(epoch, anchor):
         z = epoch.measurement.copy()

@@ -21,7 +21,7 @@ FRESH = 5_900_000  # first of the tuning seeds that no calibration used
 
 
 def parts(seed=0):
-    """Return random outputs of filters: x, P, NIS, accepted and rejected groups, and trust."""
+    """Return random outputs of filters: x, P, NIS, accepted, rejected, and trust in a corrector."""
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(N, T, 7, 7))
     P = (root @ np.swapaxes(root, 2, 3))[(..., *np.tril_indices(7))]
@@ -31,7 +31,7 @@ def parts(seed=0):
 
 
 def watched(levels, policies, source, radio, seeds):
-    """Return, for each policy, the ratios (episodes, epochs, 2) of errors to levels."""
+    """Return, by policy, [horizontal, vertical] errors / levels (episodes, epochs, 2)."""
     over = {}
 
     def keep(contender, time_s, results):

@@ -1,4 +1,4 @@
-"""Tests that live epochs equal those of a log of the same rows, and take little work and memory."""
+"""Tests that live rows give the same track as a log file, and take little work and memory."""
 
 import cProfile
 import csv
@@ -28,7 +28,7 @@ SCENE, RADIO, EKF = read_scene(WALK / "scene.json"), RADIOS["standard"], named_m
 def walk(count=60, **changed):
     """Return the walk's first epochs with changed columns.
 
-    Each keyword is a column with a function that makes its cell from a row, or None to drop it.
+    A keyword names a column; its value is a function from row to cell, or None to drop the column.
     """
     with (WALK / "log.csv").open() as file:
         rows = [
@@ -53,7 +53,7 @@ UNITS |= {"toa_s": None, "rtt_ns": of("toa_s", lambda t: 2e9 * t)}
 MOVES = {"speed_mps": lambda row: 1.2, "heading_deg": lambda row: 350.0}
 BODY = MOVES | {DEPARTURE: None, "aod_azimuth_body_rad": of(DEPARTURE, lambda a: a - 6.0)}
 SECOND = {"doppler_hz": lambda row: -20.0 if row["anchor"] == 2 else None}
-LOGGED = {  # name -> changed columns, stated SNR, whether Tracker loads epochs the quick way
+LOGGED = {  # name -> changed columns, stated SNR, whether Tracker loads epochs by its quick method
     "as it is": ({}, None, True),
     "other units": (UNITS, None, True),
     "own noise": ({"snr_db": None} | {k: lambda row, v=v: v for k, v in OWN.items()}, None, True),

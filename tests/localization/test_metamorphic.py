@@ -131,7 +131,7 @@ UNITS = {  # old name -> new name and factor
 
 
 def test_units_orders_clock_and_division_of_a_log_into_parts_do_not_matter(street, tmp_path):
-    """Compare a log with three gzipped parts of it: in other units, reordered, at later times."""
+    """Compare a log with its three gzipped parts that have other units, orders and later times."""
     (columns, scene), modes = street, [replace(PIPELINES["ukf"][0], spread_gain=0.01)]
     plain = track_of(tmp_path, columns, scene, modes)
     order = np.lexsort((-columns["anchor"], columns["time_s"]))

@@ -1,4 +1,4 @@
-"""Tests of logs that lack quantities, state their noise, or have Doppler shifts of any anchor."""
+"""Tests of logs that lack quantities, state their own noise, or have any anchor's Doppler shift."""
 
 import csv
 

@@ -20,7 +20,7 @@ from tests.filters.tracks import process_noise
 from tests.paths import representative
 
 ANCHORS = np.array([[0.0, 0.0, 10.0], [0.0, 70.0, 10.0], [-90.0, 0.0, 12.0], [60.0, -50.0, 8.0]])
-ROWS = {  # column: (row of a link, unit, standard deviation in that unit)
+ROWS = {  # column -> (row of a link, or 4 for Doppler; unit; standard deviation in that unit)
     "range": (0, "m", 0.3),
     "aoa_azimuth": (1, "deg", 1.0),
     "aoa_elevation": (2, "deg", 1.0),
@@ -28,7 +28,7 @@ ROWS = {  # column: (row of a link, unit, standard deviation in that unit)
     "doppler": (4, "hz", 25.0),
 }
 RANGE_AZIMUTH, ANGLES = ("range", "aoa_azimuth"), ("aoa_azimuth", "aoa_elevation", "aod_azimuth")
-RECEIVERS = {  # what is measured, step in s, number of anchors
+RECEIVERS = {  # name -> columns that are measured, time step in s, number of anchors
     "all, 1 s": (tuple(ROWS), 1.0, 3),
     "all, 0.1 s": (tuple(ROWS), 0.1, 3),
     "all, one anchor": (tuple(ROWS), 0.5, 1),
@@ -124,7 +124,7 @@ def test_a_track_equals_that_of_a_textbook_ekf_and_is_consistent(tmp_path, recei
 
 @pytest.mark.slow
 def test_places_are_found_from_range_and_azimuth_of_one_anchor_at_the_users_height(tmp_path):
-    """Localize 45 places 0.5 m apart from measurements like a 60 GHz access point's."""
+    """Localize 45 places, 0.5 m apart, from measurements like those of a 60 GHz access point."""
     rng, anchor = np.random.default_rng(3), np.array([0.0, 0.0, 1.5])
     line = 0.5 * np.arange(15)
     places = np.concatenate(

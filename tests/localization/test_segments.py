@@ -32,7 +32,7 @@ def log(time_s, groups_seen, odometry=True):
 
 
 def pieces_of(*blocks):
-    """Return (times, segment, begins, skipped, dropped) of every piece."""
+    """Return (times, segment, begins, skipped, dropped) of every block that is yielded."""
     return [
         (p.time_s.tolist(), p.segment, p.begins, p.skipped, p.dropped)
         for p in segments(blocks, STREET, HANDSET)

@@ -80,7 +80,7 @@ def test_only_a_ground_truth_in_another_frame_causes_a_warning(tmp_path, recwarn
 
 
 def scored_at(tmp_path, time_s, known, sizes=(T,), segment=None):
-    """Return RPE, its step and the track; the truth is 0 and known only in epochs ``known``."""
+    """Return RPE, the time it spans, and the track; the truth is 0, known in epochs ``known``."""
     block = replace(some_track(len(time_s)), time_s=time_s)
     (tmp_path / "truth.tum").write_text(tum_lines(time_s[known], np.zeros((len(known), 3))))
     scores = TruthScores(Truth(tmp_path / "truth.tum"), ["filtered"], planar=False)

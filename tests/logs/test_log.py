@@ -102,7 +102,7 @@ def test_a_link_is_incomplete_if_its_departure_needs_a_missing_heading(tmp_path)
 FLIGHTS = {"toa_s": 1e-7, "toa_ms": 1e-4, "toa_us": 0.1, "toa_ns": 100, "range_m": 29.9792458}
 FLIGHTS |= {"range_ft": 29.9792458 / 0.3048, "rtt_ns": 200}
 AZIMUTHS = ("aoa_azimuth", "aod_azimuth")
-ANGLES = {"aoa_azimuth": 1, "aoa_elevation": 2, "aod_azimuth": 3}  # place among the rows of a link
+ANGLES = {"aoa_azimuth": 1, "aoa_elevation": 2, "aod_azimuth": 3}  # indices in the rows of a link
 
 
 @pytest.mark.parametrize(

@@ -66,7 +66,7 @@ CELLS = [  # row, column and wrong content of the cell
     (7, DOPPLER, "3"),
     (7, SNR, "-1e4"),
 ]
-DAMAGE = {  # change, fields in the message, epochs before the error
+DAMAGE = {  # name -> change, fields that the message names, number of epochs before the error
     f"line {row + 2}, {HEADER.split(',')[column]} {value!a}": (
         edit(row, column, value),
         (f"line {row + 2}", HEADER.split(",")[column]),
@@ -142,7 +142,7 @@ def test_wrong_values_that_apply_to_a_whole_epoch_are_refused(tmp_path, column, 
     assert not delivered(path, f"line {line}", column)
 
 
-HEADERS = {  # header, fields in the message
+HEADERS = {  # name -> header, fields that the message names
     "empty": ("", []),
     "no columns": ("\n", ["line 1"]),
     "tabs": (HEADER.replace(",", "\t"), ["line 1"]),

@@ -1,4 +1,4 @@
-"""Tests of the true track at given times, and of its clock compared with a log's clock."""
+"""Tests of interpolating a true track, and of estimating the offset of its clock from a log's."""
 
 import numpy as np
 import pytest
@@ -139,7 +139,7 @@ def test_the_standard_error_of_an_offset_is_the_spread_over_many_logs():
 
 
 def test_the_offset_equals_a_least_squares_fit_of_all_unknowns_at_once():
-    """Fit columns for the clock, for the frame and for each row's bias with NumPy's lstsq."""
+    """Fit the clock's offset, the frame's shift and a bias for every row by NumPy's lstsq."""
     time_s, rng = np.arange(0.0, 30.0, 0.25), np.random.default_rng(4)
     log, truth = log_of(time_s, user(time_s)[0], rng), late(time_s, 0.05, (0.3, 0.2, 0.0))
     position, velocity, _ = truth
