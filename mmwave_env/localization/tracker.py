@@ -124,17 +124,14 @@ class Tracker:
             The belief; None before the first epoch that determines a position, and in long gaps.
 
         Raises:
-            LogError: a row is damaged or late. This row and those after it are ignored. If the
-                epoch was incomplete, the next call processes the rows before it.
+            LogError: a row is damaged or late. All rows are ignored, so they can be sent again
+                without the damage.
         """
-        rows, epochs = list(rows), []
+        rows, position = list(rows), None
         if self._log is None:
             names = dict.fromkeys(name for row in rows for name in row)
             self._log = LiveLog(list(names), self._scene, self._snr_db, clock=self._clock)
-        for row in rows:
-            epochs += self._log.add(row)
-        position = None
-        for epoch in [*epochs, *self._log.end_epoch()]:
+        for epoch in self._log.add_epoch(rows):
             position = self.step(epoch)
         return position
 

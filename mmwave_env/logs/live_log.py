@@ -1,6 +1,6 @@
 """Measurement logs that arrive row by row; every epoch is returned as soon as it is complete."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import inf, isnan, nan
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -103,6 +103,20 @@ class LiveLog:
                 self._require_sound(self._table([*self._rows, cells], number))
         self._rows.append(cells)
         return [*over, *(self.end_epoch() if len(self._rows) == self.layout.anchors else [])]
+
+    def add_epoch(self, rows: Iterable[str | Mapping[str, Any]]) -> list[LiveEpoch]:
+        """Add all rows of an epoch, end it, and return the epochs that are over now.
+
+        Raises:
+            LogError: a row is damaged or late; all rows are ignored.
+        """
+        before = self._rows.copy(), self._last_s
+        try:
+            over = [epoch for row in rows for epoch in self.add(row)]
+        except LogError:
+            self._rows, self._last_s = before
+            raise
+        return [*over, *self.end_epoch()]
 
     def end_epoch(self) -> list[LiveEpoch]:
         """End the current epoch and return it; return nothing if it has no rows yet."""

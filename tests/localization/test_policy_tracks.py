@@ -146,10 +146,13 @@ def test_a_live_track_begins_again_after_a_long_gap():
         ("toa_s", -1e-7),
     ],
 )
-def test_an_error_names_the_field_of_a_damaged_row_and_the_track_continues(field, value):
-    tracker = Tracker(SCENE, Switching(LearnedSwitch("ppo-standard").modes[:1]), "standard")
+def test_an_error_names_the_field_of_a_damaged_row_and_the_epoch_can_be_sent_again(field, value):
+    switching = Switching(LearnedSwitch("ppo-standard").modes[:1])
+    tracker, undisturbed = (Tracker(SCENE, switching, "standard") for _ in range(2))
     for epoch in ROWS[:3]:
         tracker.update(epoch)
+        undisturbed.update(epoch)
+    first, second, *_ = ROWS[3]
     with refuses(field, error=LogError):
-        tracker.update([ROWS[3][0] | {field: value}])
-    assert tracker.update(ROWS[4]).begins is False
+        tracker.update([first, second | {field: value}])
+    assert tracker.update(ROWS[3]) == undisturbed.update(ROWS[3])
