@@ -54,8 +54,8 @@ def algorithms(bench: Bench) -> Iterator[Row]:
 
 @section(
     "What each step brings",
-    "Tuned modes, coupled Q. The change is the filtered ATE minus that of the paper's pipeline "
-    "with recovery from lock-out (first row of a group), episode by episode. Robust modes inflate "
+    "Tuned modes, coupled Q. The change is the filtered ATE minus the ATE in the first row of the "
+    "group, the paper's pipeline with our recovery from lock-out, by episode. Robust modes inflate "
     "the noise of a doubtful link instead of rejecting the link, and have no adaptive scaling. "
     "Blockage-aware modes also inflate the noise of a link whose SNR drops.",
     "user | radio | pipeline | filtered ATE m | change m | NEES | in 95 % bounds | smoothed ATE m",
@@ -164,7 +164,7 @@ def process_noise(bench: Bench) -> Iterator[Row]:
     "Doppler in hertz, or as printed",
     "Filtered ATE in m, tuned modes. The receiver measures the shift in Hz (93 Hz for 1 m/s at 28 "
     "GHz). As printed: the filter predicts it as v'(p - p1)/|p - p1| in m/s plus b in Hz. Read as "
-    "m/s: the filter takes the value in Hz for m/s, and assumes noise that is 93 times smaller.",
+    "m/s: the filter treats the number of Hz as if it were m/s, and divides its noise by 93.",
     "user | radio | gates: in hertz | as printed | no gates: in hertz | as printed | read as m/s",
     labels=2,
 )
