@@ -21,7 +21,8 @@ class FixedMode(Policy):
 class LikelihoodRule(Policy):
     """A policy that chooses the mode with the best average likelihood up to the coming epoch.
 
-    The moving averages of the modes' log-likelihoods are features of the observation.
+    Features of the observation are moving averages of the log-likelihood of each mode relative to
+    the last mode.
 
     Args:
         observation: the environment's table of features, of the kind "full".
