@@ -21,8 +21,7 @@ class FixedMode(Policy):
 class LikelihoodRule(Policy):
     """A policy that chooses the mode with the best average likelihood up to the coming epoch.
 
-    Features of the observation are moving averages of the log-likelihood of each mode relative to
-    the last mode.
+    Features of the observation are averages of log-likelihoods relative to the last mode.
 
     Args:
         observation: the environment's table of features, of the kind "full".

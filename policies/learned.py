@@ -59,9 +59,8 @@ class LearnedPolicy:
         """Return the bank to use with a radio, if the policy needs a belief per mode.
 
         Args:
-            radio: name or file of the radio profile. If the policy has no bank for it, the bank of
-                the profile's base is returned; if there is none, the bank of "standard"; if there
-                is none, the first bank.
+            radio: name or file of the radio profile. If the policy has no bank for it, the result
+                is the bank of its base, or else that of "standard", or else the policy's first.
 
         Raises:
             ValueError: the policy was trained with a shared belief.
@@ -86,9 +85,8 @@ class LearnedPolicy:
         never visible (:data:`~mmwave_env.interface.features.UNSEEN`).
 
         Raises:
-            ValueError: the environment does not have the beliefs and modes of the training, or a
-                feature is missing or has another unit or scale; the message says which, and what
-                to do.
+            ValueError: the environment lacks the beliefs or modes of the training, or a feature is
+                missing or has another unit or scale; the message says which, and what to do.
         """
         card = self.card
         banks = [card.modes, *(bank.modes for bank in card.banks.values())]
@@ -159,9 +157,7 @@ class LearnedPolicy:
 
 
 class LearnedSwitch(LearnedPolicy, Policy):
-    """A policy that chooses the action to which its network gives the highest probability.
-
-    The action is a mode to use or, with a belief per mode, a mode to trust.
+    """A policy that chooses its network's most probable action: a mode to use or to trust.
 
     ```python
     >>> policy = LearnedSwitch("runs/mine.safetensors")

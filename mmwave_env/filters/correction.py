@@ -104,7 +104,7 @@ def corrected_all(
     """Correct a batch of beliefs; the result's components are arrays, or floats if x is (7,).
 
     Args:
-        x, P: (..., 7) means and (..., 28) packed covariances; "..." is the shape of the batch.
+        x, P: (..., 7) means and (..., 28) packed covariances (lower triangles) of the batch.
         shift, log_factor: (..., 3), same as for :func:`corrected`.
         pipeline: the filters' pipeline, which says whether the height is known.
     """

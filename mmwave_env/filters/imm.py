@@ -39,7 +39,7 @@ class ImmSettings(NamedTuple):
 class ModeTrack(NamedTuple):
     """One mode's filter within the IMM."""
 
-    # x, P: (7,) mean and (28,) packed covariance
+    # x, P: (7,) mean and (28,) packed covariance (its lower triangle)
     x: list[Number]
     P: list[Number]
     memory: Memory  # past values that the mode's gates and its scaling of noise depend on

@@ -10,7 +10,7 @@ The tangent (EKF) has V = dh/dx L, and no curvature latents zeta. For sigma poin
 up and down be the changes of h at the two points. Then V has the column (up - down) / 2s for xi_j.
 If h is curved along L_j, there is also a curvature latent zeta_j, with the column up + down. Let
 cov(zeta) = (w / 2) I + bend w^2 e e', where e is the vector of ones and :class:`Latents` defines w
-and bend. Then V cov(eta) V' is exactly the covariance of h over all 2n + 1 points.
+and bend. Then V cov(eta) V' is exactly the covariance of h over all 2n + 1 points (x is (n,)).
 
 Only columns 0 to 2 of L move the position, on which a link (range and angles at an anchor) depends.
 So the order of the latents is [xi_0..2, zeta, xi_3..6], and links depend only on the first

@@ -83,7 +83,7 @@ class Pipeline:
         return (0, 1) if self.planar else (0, 1, 2)
 
     def belief(self, x: list[Number], P: Vector) -> Belief:
-        """Return the belief with a mean (7,) and a packed covariance (28,)."""
+        """Return the belief with a mean (7,) and a packed covariance (28,), its lower triangle."""
         return Belief(x, unpack(P, zero=self.known_axes), self.position_axes)
 
 

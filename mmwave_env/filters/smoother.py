@@ -19,7 +19,7 @@ class ForwardEpoch(NamedTuple):
     """An epoch of the forward pass, after the filter's update."""
 
     dt: Number  # seconds since the previous epoch
-    # x, P: mean (7,) and packed covariance (28,) after the epoch
+    # x, P: mean (7,) and packed covariance (28,), its lower triangle, after the epoch
     x: list[Number]
     P: list[Number]
     # x_predicted, P_predicted: the same before the epoch's update

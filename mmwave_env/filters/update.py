@@ -185,7 +185,7 @@ class ModeResult(NamedTuple):
     """The result of a mode in an epoch."""
 
     x: list[Number]  # (7,) posterior mean
-    P: list[Number]  # (28,) packed posterior covariance; (36,) with a clock
+    P: list[Number]  # (28,) packed posterior covariance (lower triangle); (36,) with a clock
     # x_predicted, P_predicted: the same before the update, for smoothing
     x_predicted: list[Number]
     P_predicted: list[Number]

@@ -33,7 +33,6 @@ class Channel(NamedTuple):
     # shadowing_db, correlation: standard deviation of shadowing, and its correlation over a step
     shadowing_db: Number
     correlation: Number
-    # blockage, multipath: parameters of their spells
     blockage: SpellParams
     multipath: SpellParams
     # blockage_scale, blockage_base, blockage_per_m, blockage_limit, blockage_loss_db: see
@@ -53,7 +52,6 @@ class Channel(NamedTuple):
     # floor_variance, bound_variance: (rows,) variances: noise floor, Cramer-Rao bound at SNR 0 dB
     floor_variance: list[Number]
     bound_variance: list[Number]
-    # spread_gain_hz, spread_sigma, spread_floor_hz: parameters of the Doppler spread
     spread_gain_hz: Number
     spread_sigma: Number
     spread_floor_hz: Number

@@ -110,9 +110,8 @@ def seen_from_image(
 ) -> tuple[Number, Number]:
     """Convert a ray's direction (rad) at the base station to its direction at the mirror image.
 
-    ``station`` (3,) and its mirror image in a wall, ``image`` (3,), are points. The direction d
-    becomes d - 2 (d.n) n, with the unit vector n along image - station. If both points are the
-    same, there is no wall, and d is not changed.
+    ``image`` (3,) is the mirror image of ``station`` (3,) in a wall. The direction d becomes
+    d - 2 (d.n) n, with the unit vector n along image - station. If both are equal, d is unchanged.
     """
     n = [image[i] - station[i] for i in range(3)]
     (cos_az, sin_az), (cos_el, sin_el) = cos_sin(azimuth), cos_sin(elevation)
@@ -340,7 +339,7 @@ class Site(NamedTuple):
     anchors: list[list[Number]]  # (L, 3) positions, m
     hz_per_mps: Number  # carrier frequency divided by the speed of light
     prior_x: list[Number]  # (7,) mean at the first epoch; (8,) with a clock
-    prior_P: list[Number]  # (28,) packed covariance at the first epoch; (36,) with a clock
+    prior_P: list[Number]  # (28,) its packed covariance (lower triangle); (36,) with a clock
 
 
 def blank_site(layout: Layout) -> Site:

@@ -10,8 +10,8 @@ from mmwave_env.numerics.numbers import PI, Array, wrap
 
 # Longest gap in a track; filters lost none of 100 vehicles in gaps of 10 s, and some in 20 s.
 GAP_S = 15.0
-# Steepest link from which a prior is computed: 5 degrees, or 2.5 standard deviations of a
-# handset's elevation, from the vertical.
+# Largest elevation of a link from which a prior is computed: 5 degrees off the vertical, which are
+# 2.5 standard deviations of a handset's elevation.
 STEEPEST_FIX_RAD = math.radians(85.0)
 # Standard deviation per axis of an unknown horizontal velocity: half of the filters' 20 m/s limit.
 UNKNOWN_VELOCITY_MPS = 10.0

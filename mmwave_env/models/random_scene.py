@@ -67,8 +67,7 @@ class RandomScene:
     def draw_numbers(self, dice: Dice) -> SceneNumbers:
         """Draw the numbers of a scene.
 
-        Keep the order of the draws: in another order, the key of an episode (a 64-bit seed) would
-        give another scene.
+        Keep the order of the draws; otherwise an episode's key (a seed) would give another scene.
         """
         block, each = dice.uniform(*self.block_m), float(self.blocks + 1)
         counts = floor(1.0 + (each * each - 1.0) * dice.uniform())  # never 0 x 0 blocks

@@ -15,7 +15,7 @@ from tests.filters.tracks import OwnModel, assert_same_beliefs, pipeline_of, pro
 OURS = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 ANCHORS = np.array([[0.0, 0.0, 10.0], [80.0, 60.0, 12.0], [-50.0, 70.0, 15.0]])
 SILENT = {"vertical": [1, 3], "anchor": [1, 2, 3, 12]}  # rows that carry no information
-# Name -> offset (m) of the prior mean from the first anchor, and key of SILENT; None: no such rows.
+# Name -> offset of the prior mean from the first anchor, m; key of SILENT, or None for no such row.
 OFFSETS = {
     "below": ((0.0, 0.0, -8.5), "vertical"),
     "above": ((0.0, 0.0, 20.0), "vertical"),

@@ -68,7 +68,7 @@ def spoiled(episode, seed):
 
 
 def some_rows(episode, rng, share):
-    """Return the episode with only a ``share`` of its rows, and with random ``doppler_anchor``."""
+    """Return the episode with a ``share`` of its rows and a random ``doppler_anchor`` per epoch."""
     whole = episode.only(MEASUREMENTS)
     gone = rng.random(whole.measurement.shape) >= share
     measurement = np.where(gone, np.nan, whole.measurement)

@@ -1,7 +1,4 @@
-"""Tests that the shipped corrector does no harm in cases for which it was not trained.
-
-The seeds of the episodes are among those reserved for tuning.
-"""
+"""Tests that the shipped corrector does no harm where it was not trained, on seeds for tuning."""
 
 from dataclasses import replace
 
