@@ -1,4 +1,4 @@
-"""Policies that choose a mode (a filter) in every epoch: the paper's rule, learned ones, others."""
+"""Policies, which choose a mode (a filter) in every epoch: simple rules and learned policies."""
 
 from policies.baselines import FixedMode, LikelihoodRule
 from policies.corrector import Corrector, learned_policy

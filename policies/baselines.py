@@ -21,7 +21,7 @@ class FixedMode(Policy):
 class LikelihoodRule(Policy):
     """A policy that chooses the mode with the best average likelihood up to the coming epoch.
 
-    The moving averages of the modes' log-likelihoods are features of the observation.
+    Features of the observation are averages of log-likelihoods relative to the last mode.
 
     Args:
         observation: the environment's table of features, of the kind "full".

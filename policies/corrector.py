@@ -2,9 +2,9 @@
 
 After every update, the network reads residuals and beliefs, and returns a correction of the
 position and factors for its standard deviations. Only the output is corrected: the filters continue
-from their own beliefs. The filters belong to the *base*, a switcher or an IMM. If features are
-outside the range that the network saw in training, corrections are scaled down; far outside the
-range, there are none.
+from their own beliefs. What combines the filters is the *base*: a switcher (a policy that chooses
+modes) or an IMM. If features are outside the range that the network saw in training, corrections
+are scaled down; far outside the range, there are none.
 """
 
 from typing import NamedTuple
@@ -22,12 +22,12 @@ from policies.policy import Policy
 from policies.policy_file import CORRECTIONS
 
 BASE_IMM = "imm-best"  # base without a switcher: the IMM of the policy's bank
-# "Trust" is the factor, 0 to 1, by which corrections are scaled
+# "Trust" is the factor, 0 to 1, by which corrections are scaled.
 RANGE_FADE = 2.0  # trust is exp(-2 d) if a feature is d standard deviations outside its range
 RECOVERY = 0.1  # largest growth of trust per epoch; small, as the network remembers strange epochs
-# The members of the network's ensemble compute different shifts. If the spread of these shifts, in
-# corrected standard deviations, is at most the first number, trust is not reduced; from the second
-# number on, trust is 0.
+# The network is an ensemble, whose members compute different shifts. If the spread of the shifts,
+# in corrected standard deviations, is at most SPREAD[0], trust is not reduced; from SPREAD[1] on,
+# trust is 0.
 SPREAD = (0.5, 1.0)
 
 
@@ -38,7 +38,7 @@ class Correction(NamedTuple):
         shift: (n, 3) shifts along and across the motion, and up, in standard deviations of the
             belief.
         log_factor: (n, 3) logarithms of factors for these standard deviations.
-        trusted: (n,) factor, 0 to 1, by which the network's answer was scaled.
+        trusted: (n,) trust, the factor, 0 to 1, by which the network's answer was scaled.
     """
 
     shift: Array32
@@ -47,7 +47,7 @@ class Correction(NamedTuple):
 
 
 class Corrector(LearnedPolicy, Policy):
-    """A policy that acts as its base does and corrects the base's beliefs.
+    """A policy that chooses the same actions as its base, and corrects the base's beliefs.
 
     ```python
     >>> policy = Corrector("corrector")
@@ -59,7 +59,7 @@ class Corrector(LearnedPolicy, Policy):
 
     ```
 
-    Arguments, attributes and errors are those of :class:`~policies.learned.LearnedPolicy`.
+    Arguments, attributes and errors: same as for :class:`~policies.learned.LearnedPolicy`.
     """
 
     def __init__(self, path: AnyPath, observation: Observation | None = None) -> None:
@@ -81,7 +81,7 @@ class Corrector(LearnedPolicy, Policy):
              for name in ("ih", "hh")]
             for rows in (slice(2 * units), slice(2 * units, None))
         )  # fmt: skip
-        # matrix that averages the squared differences of the ensemble's members, per direction
+        # matrix that averages squared differences over the ensemble's members, for each direction
         members = (self._out[0].shape[1] - CORRECTIONS) // 3
         self._average = np.tile(np.eye(3, dtype=np.float32), (members, 1)) / np.float32(members)
         self._hidden = np.zeros((0, units), np.float32)
@@ -96,7 +96,7 @@ class Corrector(LearnedPolicy, Policy):
             self._base.read_from(observation)
 
     def reset(self, mask: Mask) -> None:
-        """Forget the past of environments where an episode begins: those whose ``mask`` is True."""
+        """Forget the past of environments in which an episode begins, where ``mask`` is True."""
         if len(mask) != len(self._hidden):
             self._hidden = np.zeros((len(mask), self._hidden.shape[1]), np.float32)
             self._trust = np.ones(len(mask), np.float32)
@@ -111,14 +111,14 @@ class Corrector(LearnedPolicy, Policy):
         return self._base(observation)
 
     def correct(self, observation: Array32) -> Correction:
-        """Return corrections of the beliefs after the last epoch, and remember the epoch.
+        """Return corrections of the beliefs after the latest epoch; the network remembers it.
 
         Call it once after every step, with the observations (n, features) that the step returned.
         """
         return self.correct_features(self.features_in(observation))
 
     def read_from_track(self, pipeline: Pipeline) -> None:
-        """Find the policy's features among those that tracks of a pipeline compute."""
+        """Find the policy's features among the features that tracks of a pipeline compute."""
         columns = columns_of(after_update(pipeline, per_mode=True))
         self._of_track = self._found_in(columns)
 
@@ -127,7 +127,7 @@ class Corrector(LearnedPolicy, Policy):
         return self.correct_features(taken(signed.astype(np.float32), *self._of_track))
 
     def correct_features(self, features: Array32) -> Correction:
-        """Return corrections, given only the network's features (n, features) of the last epoch."""
+        """Return corrections, given the latest values of the network's features (n, features)."""
         inside = np.fmin(np.fmax(features, self._low), self._high)  # NaN becomes the low limit
         beyond = np.abs(features - inside).max(axis=1)
         strange = np.fmax(np.exp(-RANGE_FADE * beyond), 0.0)  # 0 if a feature is NaN
@@ -163,7 +163,7 @@ class Corrector(LearnedPolicy, Policy):
 def _mean_and_differences(weight: Array32, bias: Array32) -> tuple[Array32, Array32]:
     """Return the weight and bias of a layer that combines the outputs of an ensemble's members.
 
-    The layer outputs the mean of the members, then each member's shift minus the mean shift.
+    The layer's outputs are the members' mean, then each member's shift minus the mean shift.
     """
     members = np.concatenate([weight, bias[None]]).reshape(len(weight) + 1, -1, CORRECTIONS)
     mean = members.mean(axis=1)

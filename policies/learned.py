@@ -33,9 +33,9 @@ class LearnedPolicy:
 
     Attributes:
         card: description of the policy's training.
-        modes: modes that an environment for the policy needs; with a belief per mode, those of the
-            first bank in the file.
-        beliefs: beliefs that such an environment needs, "shared" or "per-mode".
+        modes: modes that the environment must have; if every mode has its own belief, these are
+            the modes of the first bank in the file.
+        beliefs: beliefs that the environment must have, "shared" or "per-mode".
 
     Raises:
         ValueError: the name is unknown, the file is damaged, or the environment lacks a feature.
@@ -50,17 +50,17 @@ class LearnedPolicy:
         self._width = len(self._low)  # number of columns in the environment's observations
         # columns that the policy reads; None if it reads all of them in order
         self._columns: Index | None = None
-        # per feature: the value to use if its anchor is missing in the scene, or else NaN
+        # for each feature: the value to use if the scene lacks its anchor, or NaN if it does not
         self._unseen: Array32 | None = None
         if observation is not None:
             self.read_from(observation)
 
     def bank(self, radio: str = "handset") -> Bank:
-        """Return the bank to use with a radio, for a policy with a belief per mode.
+        """Return the bank to use with a radio, if the policy needs a belief per mode.
 
         Args:
-            radio: name or file of the radio profile. If training did not include it, the bank of
-                the profile's base is used, or else that of "standard", or else the first bank.
+            radio: name or file of the radio profile. If the policy has no bank for it, the result
+                is the bank of its base, or else that of "standard", or else the policy's first.
 
         Raises:
             ValueError: the policy was trained with a shared belief.
@@ -85,8 +85,8 @@ class LearnedPolicy:
         never visible (:data:`~mmwave_env.interface.features.UNSEEN`).
 
         Raises:
-            ValueError: beliefs or modes are not those of the training, or a feature is missing or
-                has another unit or scale; the message says which, and what to do.
+            ValueError: the environment lacks the beliefs or modes of the training, or a feature is
+                missing or has another unit or scale; the message says which, and what to do.
         """
         card = self.card
         banks = [card.modes, *(bank.modes for bank in card.banks.values())]
@@ -104,7 +104,7 @@ class LearnedPolicy:
         """Find the policy's features, by name, in columns.
 
         Returns:
-            Two arrays. The first has the positions of the features in the columns; it is None if
+            Two arrays (features,). The first has the index of each feature's column; it is None if
             the columns are exactly the features. The second has the value to use for each feature
             whose anchor is missing, and NaN for the others; it is None if no anchor is missing.
         """
@@ -141,7 +141,7 @@ class LearnedPolicy:
         return f'gym.make("MmWaveLoc-v0", {arguments}, observation={self.card.observation!r})'
 
     def features_in(self, observation: Array32) -> Array32:
-        """Return the features (n, features) that the network reads in observations.
+        """Return the features (n, features) that the network reads, taken from observations.
 
         Raises:
             ValueError: the number of columns is wrong.
@@ -157,7 +157,7 @@ class LearnedPolicy:
 
 
 class LearnedSwitch(LearnedPolicy, Policy):
-    """A network that chooses the most probable action: a mode to use or to trust.
+    """A policy that chooses its network's most probable action: a mode to use or to trust.
 
     ```python
     >>> policy = LearnedSwitch("runs/mine.safetensors")
@@ -178,7 +178,7 @@ class LearnedSwitch(LearnedPolicy, Policy):
 
     ```
 
-    Arguments, attributes and errors are those of :class:`LearnedPolicy`.
+    Arguments, attributes and errors: same as for :class:`LearnedPolicy`.
     """
 
     def __init__(self, path: AnyPath, observation: Observation | None = None) -> None:
@@ -198,7 +198,7 @@ class LearnedSwitch(LearnedPolicy, Policy):
         return actions
 
     def logits(self, observation: Array32) -> Array32:
-        """Compute logarithms of the actions' probabilities (n, actions), up to a constant per row.
+        """Compute logits (n, actions): logarithms of probabilities, up to a constant per row.
 
         Args:
             observation: (n, features) observations.

@@ -1,22 +1,22 @@
 """Policy files: a learned policy as ``.safetensors``, which is read without unpickling.
 
-The tensors, all float32, describe a network. The network of a switcher chooses actions:
+The tensors, all float32, describe a network. The network of a *switcher* chooses actions:
 
-- ``low``, ``high`` (features,): observations are clipped to these limits. Normalization during
-  training is folded into the first weights;
+- ``low``, ``high`` (features,): observations are clipped to these limits. The first weights include
+  the normalization of features during training;
 - ``layer.0.weight`` (out, in), ``layer.0.bias`` (out,), ``layer.1.weight``, ...: an MLP with
   tanh between its layers. The first ``in`` is the number of features, the last ``out`` the number
-  of actions. The actions are the modes; with a belief per mode, "none" precedes them.
+  of actions. The actions are the modes; if every mode has its own belief, "none" precedes them.
 
-The network of a corrector corrects the beliefs of its base:
+The network of a *corrector* corrects the beliefs of its *base*, which is a switcher or an IMM:
 
-- ``low``, ``high`` (features,): range of every feature in training; normalization is in ``front``;
+- ``low``, ``high`` (features,): range of every feature in training; ``front`` normalizes features;
 - ``front``, ``head``, ``out``: layers with a ``.weight`` (out, in) and a ``.bias`` (out,);
 - ``gru.weight_ih``, ``gru.weight_hh``, ``gru.bias_ih``, ``gru.bias_hh``: the gated recurrent unit
   between ``front`` and ``head``, as PyTorch stores it: reset, update and new gate in this order.
 
-The file's metadata contain, under "policy", a JSON object with the number of this format, the
-:class:`Card` and a checksum of card and tensors.
+The file's metadata contain, under the key "policy", a JSON object with the version of this format,
+the :class:`Card` and a checksum of card and tensors.
 """
 
 import json
@@ -39,13 +39,13 @@ from mmwave_env.io.lookup import choose, quoted
 from mmwave_env.numerics.numbers import Array32
 
 FORMAT = 2
-# outputs of a corrector, for each member of its ensemble: corrections along, across and up, and
-# logarithms of factors on the three deviations
+# Number of outputs of each member of a corrector's ensemble: shifts of the position along, across
+# and up, and logarithms of factors for the three standard deviations.
 CORRECTIONS = 6
 MOST_BYTES = 128 << 20  # maximum size of a file: a thousand times the size of our largest policy
 MOST_HEADER = 16 << 20  # maximum size of the header, which contains names, shapes and the card
 _KEY = "policy"  # only one key, because the library would write several keys in random order
-_PER_MODE = ("beliefs", "banks")  # fields left out if the belief is shared, as in older files
+_PER_MODE = ("beliefs", "banks")  # fields that files leave out if the belief is shared
 _LATER = (*_PER_MODE, "base")  # fields that older files do not have
 
 Tensors = dict[str, Array32]
@@ -59,11 +59,11 @@ class Card:
         ValueError: a field is invalid; the message says what is wrong.
     """
 
-    # modes for which the actions stand; with a belief per mode they are the modes of the first
-    # bank, and action 0, "none", precedes them
+    # modes that the actions choose; if every mode has its own belief, they are the modes of the
+    # first bank, and action 0, "none", precedes them
     modes: tuple[Mode, ...]
     observation: str  # "full", "prior" or "signed"
-    # features that the network reads, in its order: names, units and scales
+    # names, units and scales of the features that the network reads, in the network's order
     features: tuple[Column, ...]
     scenario: str  # scenario of the training
     radio: str  # radio profile of the training
@@ -74,11 +74,11 @@ class Card:
     evaluation: Json  # results, as JSON of any form
     versions: dict[str, str]  # versions of packages used in training, including "mmwave-loc"
     beliefs: str = "shared"  # "shared" or "per-mode"
-    # with a belief per mode, the bank for each radio profile of the training; all banks have modes
-    # of the same names
+    # if every mode has its own belief, the bank for each radio profile of the training; the modes
+    # have the same names in all banks
     banks: dict[str, Bank] = field(default_factory=dict)
-    # the policy whose beliefs a corrector corrects: "imm-best" for the IMM of the banks, or the
-    # name of a shipped switcher; empty for a switcher
+    # what computes the beliefs that a corrector corrects: "imm-best" for the IMM of the banks, or
+    # the name of a shipped switcher; empty if the policy is itself a switcher
     base: str = ""
 
     def __post_init__(self) -> None:
@@ -152,7 +152,7 @@ class Card:
 
 
 def _column(row: Any) -> Column:
-    """Return the column that a JSON list of name, unit, mean and deviation describes."""
+    """Return the column of an observation that a list [name, unit, mean, deviation] describes."""
     types = [type(value) for value in row] if isinstance(row, list) else []
     if types == [str, str, float, float] and np.isfinite(row[2]) and 0.0 < row[3] < np.inf:
         return Column(*row)
@@ -215,7 +215,7 @@ def read_policy(path: AnyPath) -> tuple[Tensors, Card]:
                 f"sha256: found {quoted(document['sha256'])}, expected {expected!r}; the file is "
                 "damaged: copy it or train the policy again"
             )
-    # A card of an unexpected shape may cause any of these errors in the code above.
+    # A card with unexpected content may cause any of these errors in the code above.
     except (ValueError, TypeError, AttributeError, LookupError, SafetensorError) as error:
         raise ValueError(f"{path}: not a policy file: {first_line(error)}") from error
     return tensors, card
@@ -260,7 +260,7 @@ def _tensor(file: Any, name: str) -> Array32:
 
 
 def _require_network(tensors: Tensors, card: Card) -> None:
-    """Refuse tensors that are not a network as the card describes it."""
+    """Refuse tensors that do not form the network that the card describes."""
     shapes = (_corrector_shapes if card.base else _actor_shapes)(tensors, card)
     _require_names("tensors", tensors, shapes)
     for name, shape in shapes.items():
@@ -283,7 +283,7 @@ def _require_network(tensors: Tensors, card: Card) -> None:
 
 
 def _actor_shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of an actor with as many features, layers and neurons as the tensors."""
+    """Return the shapes of a switcher's tensors, given its numbers of features, layers, neurons."""
     size = {name: tensor.size for name, tensor in tensors.items()}
     features = size.get("low", 0)
     shapes: dict[str, tuple[int, ...]] = {"low": (features,), "high": (features,)}
@@ -297,7 +297,7 @@ def _actor_shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]]:
 
 
 def _corrector_shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of a corrector with as many features and neurons as the tensors."""
+    """Return the shapes of a corrector's tensors, given its numbers of features and neurons."""
     size = {name: tensor.size for name, tensor in tensors.items()}
     features, front, head = (size.get(name, 0) for name in ("low", "front.bias", "head.bias"))
     gates, out = size.get("gru.bias_ih", 0), size.get("out.bias", 0)

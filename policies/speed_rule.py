@@ -20,12 +20,12 @@ def mode_at(speed: Number, threshold: float = SLOW_MPS) -> Number:
 
 
 def by_predicted_speed(x: Vector, epoch: Epoch) -> Number:
-    """Apply the rule to the predicted speed, which equals the speed of the last state x (7,)."""
+    """Apply the rule to the predicted speed, which is the same as the speed in the state x (7,)."""
     return mode_at(sqrt(dot(x[3:6], x[3:6])))
 
 
 def by_odometry_speed(x: Vector, epoch: Epoch) -> Number:
-    """Apply the rule to the odometry's speed or, if that is missing, to the predicted speed."""
+    """Apply the rule to the odometry's speed; if it is missing, to the predicted speed."""
     return where(epoch.visible[-1] > 0.5, mode_at(epoch.z[-2]), by_predicted_speed(x, epoch))
 
 

@@ -1,8 +1,8 @@
-"""Modes and banks of modes: named ones, shipped ones, and those in a user's files.
+"""Modes and banks of modes, which are shipped with the package or come from the user.
 
-A mode is a filter with its tuning. A bank is a set of modes with the parameters of an IMM
-(interacting multiple models) over them. A mode file contains a bank. Where modes share one belief
-(mean and covariance), only the bank's modes are used, not its parameters.
+A mode is a filter with its tuning. A bank is a set of modes, together with the parameters of an IMM
+(interacting multiple models) that combines them. A mode file contains a bank. If the modes share
+one belief (mean and covariance), only the bank's modes are used, not its parameters.
 """
 
 import os
@@ -25,7 +25,7 @@ from mmwave_env.models.radio import TUNED_RADIOS, Radio, radio_from
 MOST_MODES = 32  # maximum number of modes; each is compiled, and runs in every epoch
 Transition = Annotated[tuple[tuple[Probability, ...], ...], "a list of rows of probabilities"]
 _ROUNDING = 1e-6  # tolerance of the sum of a row of probabilities
-# Further keys of a mode file, which record how the file was made and are not read.
+# Further keys of a mode file, and their meanings: how the file was made. Readers ignore them.
 NOTES = {
     "about": "what the modes are for",
     "command": "the command that made the file",
@@ -41,15 +41,16 @@ class Bank:
 
     Attributes:
         modes: one or more modes with different names.
-        transition: (modes, modes) probabilities (from, to) over a second; None for a
-            probability of 0.95 of staying in the same mode.
-        nis_quantile: chi-square quantile that caps the NIS of each group of measurements in a
-            mode's likelihood; 1 for no cap, as in the textbook.
+        transition: (modes, modes) transition probabilities over one second, indexed [from, to];
+            None for a probability of 0.95 of staying in the same mode.
+        nis_quantile: probability p: in a mode's likelihood, the NIS (normalized innovation squared)
+            of each group of measurements counts at most as much as the chi-square quantile of p;
+            1 for no limit, as in the textbook.
 
     Raises:
         ValueError: there are no modes or too many, two modes have the same name, the quantile is
-            outside (0, 1], the transition has a wrong shape, its rows are not probabilities, or a
-            mode is unreachable.
+            outside (0, 1], or the transition has a wrong shape, a row that does not contain
+            probabilities with a sum of 1, or a column of zeros.
     """
 
     modes: Annotated[tuple[Mode, ...], Size(1, MOST_MODES)]
@@ -68,7 +69,7 @@ class Bank:
         if len(rows) != n or not sound or not all(map(any, zip(*rows, strict=True))):
             raise ValueError(
                 f"transition: found {[list(row) for row in rows]}, expected {n} rows of {n} "
-                "probabilities that sum to 1, and a way into every mode"
+                "probabilities that sum to 1, and no column of zeros"
             )
 
 
@@ -91,7 +92,7 @@ def bank_in(content: Mapping[str, Any]) -> Bank:
     """Return the bank in a mode file's content, or in a mapping of the same form.
 
     The key "modes" contains a list of modes, each with the attributes of :class:`Mode` that differ
-    from the defaults; the other keys are the attributes of :class:`Bank` and :data:`NOTES`.
+    from the defaults. The other keys are the other attributes of :class:`Bank`, and :data:`NOTES`.
 
     Raises:
         ValueError: the content is wrong; the message names the error.
@@ -168,7 +169,7 @@ def default_modes(radio: str | Radio = "handset") -> tuple[Mode, Mode]:
 
 
 def named_modes(radio: str | Radio = "handset") -> dict[str, Mode]:
-    """Return modes by name: default "ekf" and "ukf", their robust forms, "ckf" tuned like "ukf"."""
+    """Return modes by name: the default modes, their robust forms, and "ckf" tuned like "ukf"."""
     low, high = default_modes(radio)
     modes = (low, high, replace(high, name="ckf", algorithm="ckf"), robust(low), robust(high))
     return {mode.name: mode for mode in modes}
@@ -183,12 +184,12 @@ def best_bank(radio: str | Radio = "handset") -> Bank:
 
 
 def bank_over(modes: Modes, radio: str | Radio = "handset") -> Bank:
-    """Return the bank of a ``modes=`` argument, with one mode or more.
+    """Return the bank of a ``modes=`` argument, which contains one mode or more.
 
     Args:
-        modes: a list of names, mode files and Mode objects; a bank; one mode file, or its
-            content. A single file also defines how its modes interact.
-        radio: profile that named modes are tuned for.
+        modes: a list of names, mode files and Mode objects, or a bank, or one mode file, or the
+            content of a mode file. A single file also defines how its modes interact.
+        radio: radio profile; a mode that is given by name is the one tuned for this profile.
 
     Raises:
         ValueError: same as for :class:`Bank`, or an entry of the list is not a mode.
@@ -215,14 +216,14 @@ def _bank_of(mode: Mode | str, radio: str | Radio) -> Bank:
 
 
 def modes_from(modes: Modes, radio: str | Radio = "handset") -> tuple[Mode, ...]:
-    """Return the modes of a ``modes=`` argument (see :func:`bank_over`); the default for None."""
+    """Return the modes of a ``modes=`` argument (:func:`bank_over`); None for the default modes."""
     return default_modes(radio) if modes is None else bank_over(modes, radio).modes
 
 
 def bank_from(modes: Modes, radio: str | Radio = "handset") -> Bank:
     """Return the bank of a ``modes=`` argument for modes that each keep their own belief.
 
-    Arguments are those of :func:`bank_over`; ``modes`` None stands for :func:`best_bank`.
+    Arguments are the same as for :func:`bank_over`; ``modes`` None stands for :func:`best_bank`.
 
     Raises:
         ValueError: same as for :func:`bank_over`, or there are fewer than two modes.
@@ -230,7 +231,7 @@ def bank_from(modes: Modes, radio: str | Radio = "handset") -> Bank:
     bank = best_bank(radio) if modes is None else bank_over(modes, radio)
     if len(bank.modes) < 2:
         raise ValueError(
-            f"modes: found only {bank.modes[0].name!r}, expected two or more, as every mode "
-            "keeps its own belief"
+            f"modes: found only {bank.modes[0].name!r}, expected two or more if every mode keeps "
+            "its own belief"
         )
     return bank

@@ -1,4 +1,4 @@
-"""A Gaussian belief about the state, and its errors against the truth."""
+"""A Gaussian belief about the state, and scores that compare it with the true position."""
 
 import math
 from typing import NamedTuple
@@ -8,7 +8,7 @@ from mmwave_env.numerics.numbers import Matrix, Number, Vector, log, sqrt
 
 
 class Belief(NamedTuple):
-    """The belief of an estimator, which reward functions receive.
+    """A Gaussian belief about the state. Reward functions receive it as an argument.
 
     Attributes:
         x: (7,) mean: position (m), velocity (m/s), oscillator bias (Hz).
@@ -34,7 +34,7 @@ class Belief(NamedTuple):
         return self._whiten(truth)[0]
 
     def log_density(self, truth: Vector) -> Number:
-        """Return the log density of the true position under the belief, a proper score (nats)."""
+        """Return the log density (nats) of the true position: a proper scoring rule."""
         nees, determinant = self._whiten(truth)
         return -0.5 * (nees + log(determinant) + len(self.axes) * math.log(2.0 * math.pi))
 

@@ -32,7 +32,7 @@ class Frame(NamedTuple):
         return cls(where(moving, vx * scale, 1.0), where(moving, vy * scale, 0.0))
 
     def into(self, x: Number, y: Number) -> tuple[Number, Number]:
-        """Return the components of a horizontal vector: along and across."""
+        """Return the components along and across of a horizontal vector (x, y)."""
         return self.cosine * x + self.sine * y, self.cosine * y - self.sine * x
 
     def out(self, along: Number, across: Number) -> tuple[Number, Number]:
@@ -44,7 +44,7 @@ class Frame(NamedTuple):
 
         Args:
             P: (n, n) covariance.
-            first: index of component x in P, followed by y: 0 for the position, 3 for the velocity.
+            first: index of x in P (0 for the position, 3 for the velocity); y has the next index.
         """
         c, s = self
         xx, yy, xy = P[first][first], P[first + 1][first + 1], P[first + 1][first]
@@ -68,15 +68,15 @@ def deviations_of(belief: Belief) -> tuple[Frame, list[Number]]:
 
 
 def corrected(belief: Belief, shift: Vector, log_factor: Vector) -> Belief:
-    """Return a belief whose position was moved and whose position deviations were scaled.
+    """Return the belief with its position shifted and the position's standard deviations scaled.
 
     The covariance P becomes M P M', where M scales the position along, across and up and leaves the
     other components as they are. So the covariance stays positive definite.
 
     Args:
         belief: belief to correct.
-        shift: (3,) correction along, across and up, in deviations of the belief.
-        log_factor: (3,) logarithms of the factors on these deviations.
+        shift: (3,) shifts along, across and up, in units of the belief's standard deviations.
+        log_factor: (3,) logarithms of the factors that scale these standard deviations.
     """
     frame, deviations = deviations_of(belief)
     along, across, rise = (k * deviation for k, deviation in zip(shift, deviations, strict=True))
@@ -90,7 +90,7 @@ def corrected(belief: Belief, shift: Vector, log_factor: Vector) -> Belief:
         return [xx * column[0] + xy * column[1], xy * column[0] + yy * column[1], up * column[2]]
 
     n, P = len(belief.P), [list(row) for row in belief.P]
-    columns = [scaled([belief.P[i][j] for i in range(3)]) for j in range(n)]  # of M P
+    columns = [scaled([belief.P[i][j] for i in range(3)]) for j in range(n)]  # columns of M P
     for i in range(3):
         row = scaled([column[i] for column in columns[:3]])
         for j in range(n):
@@ -101,11 +101,11 @@ def corrected(belief: Belief, shift: Vector, log_factor: Vector) -> Belief:
 def corrected_all(
     x: Array, P: Array, shift: Array, log_factor: Array, pipeline: Pipeline
 ) -> Belief:
-    """Return corrected beliefs as one belief of arrays (...), or of floats if x is a single mean.
+    """Correct a batch of beliefs; the result's components are arrays, or floats if x is (7,).
 
     Args:
-        x, P: (..., 7), (..., 28) means and packed covariances.
-        shift, log_factor: (..., 3) as for :func:`corrected`.
+        x, P: (..., 7) means and (..., 28) packed covariances (lower triangles) of the batch.
+        shift, log_factor: (..., 3), same as for :func:`corrected`.
         pipeline: the filters' pipeline, which says whether the height is known.
     """
     mean, packed, *correction = (

@@ -1,9 +1,9 @@
 """Trial runs of a user's function (a filter's algorithm or a reward) before it is compiled.
 
 The compiler calls a function once, with *lanes*: numbers that each stand for eight environments,
-and so have no single value. A trial run uses other numbers, which refuse the same operations. It
-compiles nothing, so it takes milliseconds, and it can name the line that asked for a value. It
-finds functions that cannot run, but not wrong results.
+and so have no single value. A trial run calls it with other numbers, which refuse the same
+operations. It compiles nothing, so it takes milliseconds, and it can name the line that asked for
+a value. It finds functions that cannot run, but not functions whose results are wrong.
 """
 
 import os
@@ -78,8 +78,8 @@ def complaint(
 ) -> str:
     """Return the message that refuses a user's function and shows the line that is to blame.
 
-    The message begins with ``subject``. The line is where the ``error`` was raised, or else where
-    the function begins.
+    The message begins with ``subject``. The line is the innermost one of the user's code in the
+    traceback of ``error``; without an error, it is the line on which the function begins.
     """
     begin = _begin_of(function)
     line = _line_of(error, begin) if error else begin
@@ -91,7 +91,7 @@ def complaint(
 def try_out(
     function: Callable[..., Any], arguments: tuple[Any, ...], subject: str, kind: type[Exception]
 ) -> Any:
-    """Return the result of a user's function for arguments whose numbers hide their values.
+    """Call a user's function with arguments whose numbers hide their values; return the result.
 
     Raises:
         Exception: the function cannot run; the exception is of this ``kind``.

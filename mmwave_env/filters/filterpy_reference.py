@@ -38,7 +38,7 @@ from mmwave_env.numerics.numbers import Array, Index, Matrix, Vector
 
 
 def full_noise(noise: ProcessNoise) -> Array:
-    """Return Q (7, 7), given its non-zero entries; (8, 8) with a clock."""
+    """Return Q, given its non-zero entries: (7, 7), or (8, 8) if the state has a clock's bias."""
     Q = np.diag(np.array(noise.diagonal, float))
     pairs = [(0, 3), (1, 4), (2, 5), (7, 6)]
     for (i, j), covariance in zip(pairs, noise.coupling, strict=False):
@@ -72,7 +72,7 @@ class _Relative:
 
 
 class _Filtered(NamedTuple):
-    """The result of a filterpy update: step of the mean, P, innovation y and its covariance S."""
+    """The result of an update: step of the mean, covariance P, innovation y, covariance S of y."""
 
     step: Array
     P: Array
@@ -81,9 +81,9 @@ class _Filtered(NamedTuple):
 
 
 class _Ekf:
-    """The EKF of filterpy; as in all three classes, ``predict`` computes F x and F P F' + Q.
+    """The EKF of filterpy. In this and the next classes, ``predict`` computes F x and F P F' + Q.
 
-    ``update`` conditions N(0, P) on the chosen rows, with their noise covariance R.
+    ``update`` conditions N(0, P) on the chosen rows, whose noise covariance is R.
     """
 
     def __init__(self, size: int) -> None:
@@ -133,7 +133,7 @@ class _Ukf(_PointFilter):
 
 
 class _Ckf(_PointFilter):
-    """The CKF of filterpy, which needs column vectors. Its sigma points are set here."""
+    """The CKF of filterpy, which needs column vectors. ``update`` sets its sigma points."""
 
     def __init__(self, size: int) -> None:
         self._filter = CubatureKalmanFilter(size, 1, 1.0, None, None)
@@ -157,7 +157,7 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
 
     Raises:
         ValueError: filterpy cannot run the pipeline, because it is planar (filterpy needs a
-            covariance of full rank) or a mode has an algorithm of its own.
+            covariance of full rank) or the algorithm of a mode is a user's function.
     """
     if pipeline.planar:
         raise ValueError(
@@ -187,7 +187,7 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
 def _update(
     filter_: _Filter, mean: Vector, covariance: Matrix, measurement: Measurement, gate: Gate
 ) -> Posterior:
-    """Update with all visible groups, and again if gates reject groups or inflate their noise."""
+    """Update with all visible groups; if gates reject groups or inflate noise, update anew."""
     x, P = np.array(mean, float), np.array(covariance, float)
     layout, relative = measurement.layout, _Relative(x, measurement)
     R = np.diag(np.array(measurement.variance, float))

@@ -1,6 +1,7 @@
-"""Gates: which groups of a measurement to use, and with how much noise (paper, Sec. III-D).
+"""Gates, which decide which groups of a measurement to use, and with how much noise.
 
-The normalized innovation squared (NIS) of a group is tested against a chi-square quantile.
+The groups are the link to each anchor, the Doppler shift and the odometry. The normalized
+innovation squared (NIS) of each is tested against a chi-square quantile (paper, Sec. III-D).
 """
 
 from collections.abc import Sequence
@@ -11,7 +12,7 @@ from mmwave_env.models.measurement import Group, Measurement
 from mmwave_env.numerics.linalg import cholesky, dot, forward, symmetric
 from mmwave_env.numerics.numbers import Matrix, Number, log, maximum, where
 
-_GROUPS_PER_LOG = 8  # determinants to multiply before a logarithm; their product fits into a double
+_GROUPS_PER_LOG = 8  # number of determinants whose product still fits into a double
 ROBUST_ONSET = 1.5  # a link is doubtful if the ratio of its NIS to its dimension exceeds this
 
 
@@ -19,7 +20,8 @@ class Gate(NamedTuple):
     """The rule for measurements that look wrong.
 
     Attributes:
-        quantile: chi-square quantile up to which a group is accepted; None to accept all.
+        quantile: probability, such as 0.99: a group is accepted if its NIS is at most the
+            chi-square quantile of this probability; None to accept all groups.
         force: 1 to accept the links whatever their NIS (lock-out recovery), else 0.
         robust: whether to inflate the noise of a doubtful link instead of rejecting it.
     """
@@ -30,7 +32,7 @@ class Gate(NamedTuple):
 
 
 def innovation_statistics(group: Group, V: Matrix, latents: Latents) -> tuple[Number, Number]:
-    """Return a group's NIS y' S^-1 y at the prior, and det S, for its innovation y.
+    """Return a group's NIS y' S^-1 y and det S, where y is its innovation at the prior.
 
     The covariance S of y is H P H' + R in :mod:`~mmwave_env.filters.textbook`; here it is
     V cov(eta) V' + R, with the latent variables eta of :mod:`~mmwave_env.filters.linearization`.
@@ -59,7 +61,7 @@ def chi_square_limits(quantile: float) -> list[float]:
 
 
 def at_degrees(limits: Sequence[Number], rows: Number) -> Number:
-    """Return the limit for a number of degrees of freedom, given the limits for 1, 2, ... ."""
+    """Return the limit for ``rows`` degrees of freedom, given the limits for 1, 2, ... of them."""
     if isinstance(rows, int):
         return limits[rows - 1]
     limit = limits[0]

@@ -21,7 +21,7 @@ from mmwave_env.numerics.linalg import dot, unpack
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, exp, maximum, minimum, where
 from mmwave_env.numerics.pytree import select, tree_at
 
-DEFAULT_STAY = 0.95  # probability that a mode stays the same over a second
+DEFAULT_STAY = 0.95  # probability that the mode does not change within a second
 TRUST = 3.0  # an agent's trust multiplies a mode's probability by exp(TRUST) per second
 _LEAST = 1e-12  # minimum probability of a mode; a probability of zero could not grow again
 
@@ -29,17 +29,17 @@ _LEAST = 1e-12  # minimum probability of a mode; a probability of zero could not
 class ImmSettings(NamedTuple):
     """The parameters of an IMM as numbers, so that one compiled IMM can run any tuning."""
 
-    transition: list[list[Number]]  # (modes, modes) probabilities (from, to) over a second
+    transition: list[list[Number]]  # (modes, modes) probabilities over one second, [from, to]
     tunings: list[Tuning]  # motion model of every mode
     # (groups,) limits for :func:`~mmwave_env.filters.update.limited_likelihood`, infinite in the
-    # textbook's IMM; in a partial layout four limits, for groups with 1 to 4 measured rows
+    # textbook's IMM; if single rows may be missing, (4,) limits for groups of 1 to 4 measured rows
     limits: list[Number]
 
 
 class ModeTrack(NamedTuple):
     """One mode's filter within the IMM."""
 
-    # x, P: (7,), (28,) belief of the mode
+    # x, P: (7,) mean and (28,) packed covariance (its lower triangle)
     x: list[Number]
     P: list[Number]
     memory: Memory  # past values that the mode's gates and its scaling of noise depend on
@@ -53,14 +53,14 @@ class Mixture(NamedTuple):
 
 
 def begin(pipeline: Pipeline, x: Vector, P: Vector) -> Mixture:
-    """Return a mixture with all modes at the prior (7,), (28,), equally probable."""
+    """Return a mixture of equally probable modes, which all have the prior x (7,), P (28,)."""
     modes = len(pipeline.modes)
     tracks = [ModeTrack(list(x), list(P), initial_memory(pipeline.layout, 1)) for _ in range(modes)]
     return Mixture(tracks, [1.0 / modes] * modes)
 
 
 def stay_matrix(modes: int) -> list[list[float]]:
-    """Return transition probabilities (from, to): DEFAULT_STAY on the diagonal, equal elsewhere."""
+    """Return transition probabilities: DEFAULT_STAY on the diagonal, equal values elsewhere."""
     if modes == 1:
         return [[1.0]]
     move = (1.0 - DEFAULT_STAY) / (modes - 1)
@@ -98,11 +98,11 @@ def mix(mixture: Mixture, transition: Matrix) -> tuple[list[Number], list[tuple[
 
 
 def over_step(transition: Matrix, dt: Number) -> list[list[Number]]:
-    """Return transition probabilities (from, to) over a step, given the probabilities per second.
+    """Return transition probabilities [from, to] over a step, given those over one second.
 
-    Over dt seconds, the probability of leaving mode i is (1 - p_ii) dt. A step of more than 1 s
-    counts as 1 s, so that rows stay probabilities. The first step of an episode, 0 s, also counts
-    as 1 s.
+    If p is the probability of staying in a mode over one second, the probability of leaving it
+    within dt seconds is (1 - p) dt. A step of more than 1 s counts as 1 s, so that no probability
+    is negative. The first step of an episode, 0 s, also counts as 1 s.
     """
     step = step_weight(dt)
     return [
@@ -112,7 +112,7 @@ def over_step(transition: Matrix, dt: Number) -> list[list[Number]]:
 
 
 def step_weight(dt: Number) -> Number:
-    """Return a step's length, s, limited to 1; the first step of a track, whose dt is 0, gets 1."""
+    """Return a step's length, s, but at most 1; a track's first step, whose dt is 0, gets 1."""
     return where(dt > 0.0, minimum(dt, 1.0), 1.0)
 
 
@@ -121,8 +121,8 @@ class ImmEpoch(NamedTuple):
 
     mixture: Mixture  # belief after the epoch
     predicted: list[Number]  # (modes,) probabilities before the epoch's measurement
-    mixed: list[Vector]  # (modes,) means (7,) of the mixed beliefs, before prediction
-    results: list[ModeResult]  # result of every mode, from its mixed belief
+    mixed: list[Vector]  # (modes, 7) means of the mixed beliefs, before prediction
+    results: list[ModeResult]  # one per mode, computed from the mode's mixed belief
 
 
 def imm_epoch(
@@ -162,8 +162,8 @@ def imm_epoch(
 def trusting(mixture: Mixture, mode: Number, dt: Number) -> Mixture:
     """Raise the probability of a mode in a mixture and lower the others in proportion.
 
-    Modes count from 1; 0 leaves the probabilities as they are. Trust is a rate per second, like
-    transitions, and ``dt`` is the epoch's step, seconds.
+    Modes are counted from 1; ``mode`` 0 leaves the probabilities as they are. The factor is
+    exp(TRUST) per second, and ``dt`` is the epoch's step, seconds (:func:`step_weight`).
     """
     gain = exp(TRUST * step_weight(dt))
     weights = [
@@ -191,7 +191,7 @@ def _normalized(weights: Sequence[Number]) -> list[Number]:
 
 
 def most_probable(mixture: Mixture) -> Number:
-    """Return the number, from 0, of the most probable mode; the first if several are equal."""
+    """Return the most probable mode, counted from 0; if several are equal, the first of them."""
     number: Number = 0.0
     best = mixture.probability[0]
     for m, probability in enumerate(mixture.probability[1:], start=1):
@@ -218,9 +218,9 @@ def prediction(now: ImmEpoch, dt: Number, hz_per_mps: Number) -> tuple[list[Numb
     """Return the mixture's mean (7,) and packed covariance (28,) before an epoch's update.
 
     The Rauch-Tung-Striebel smoother assumes x_predicted = F x + noise, with noise independent of x.
-    Modes with a known acceleration or turn rate shift x_predicted further. Such shifts count as
-    noise: their covariance is added, but not their correlation with x, which could make smoothed
-    variances negative.
+    Modes with a known acceleration or turn rate shift x_predicted further. These shifts count as
+    noise: their covariance is added. Their correlation with x is ignored, because with it smoothed
+    variances could become negative.
     """
     moved = [move(x, dt, hz_per_mps) for x in now.mixed]
     shifts = [

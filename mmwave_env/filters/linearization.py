@@ -4,17 +4,18 @@ The prior is x = m + L xi with xi ~ N(0, I), where L is the lower Cholesky facto
 Both linearizations express a group of measurements as a linear function of *latents* (latent
 variables) eta:
 
-    h(x) = h(m) + mean shift + V eta + noise,   eta = (xi, kappa)
+    h(x) = h(m) + mean shift + V eta + noise,   eta = (xi, zeta)
 
-The tangent (EKF) has V = dh/dx L, and no curvature latents kappa. For sigma points m +- s L_j, let
-up and down be the changes of h at the two points. Then V_j = (up - down) / 2s, and each column j
-along which h is curved has a curvature latent with V_kappa_j = up + down. With cov(kappa) =
-(w / 2) I + bend w^2 1 1' (:class:`Latents` defines w and bend), V cov(eta) V' is exactly the
-covariance of h over the 2n + 1 points.
+The tangent (EKF) has V = dh/dx L, and no curvature latents zeta. For sigma points m +- s L_j, let
+up and down be the changes of h at the two points. Then V has the column (up - down) / 2s for xi_j.
+If h is curved along L_j, there is also a curvature latent zeta_j, with the column up + down. Let
+cov(zeta) = (w / 2) I + bend w^2 e e', where e is the vector of ones and :class:`Latents` defines w
+and bend. Then V cov(eta) V' is exactly the covariance of h over all 2n + 1 points (x is (n,)).
 
-Only columns 0 to 2 of L move the position. So the order of the latents is [xi_0..2, kappa,
-xi_3..6], and links depend only on the first 3 + len(kappa) latents. With a clock, links also depend
-on its range bias, which column 3 moves (:func:`factor_of`): the order is [xi_0..3, kappa, xi_4..7].
+Only columns 0 to 2 of L move the position, on which a link (range and angles at an anchor) depends.
+So the order of the latents is [xi_0..2, zeta, xi_3..6], and links depend only on the first
+3 + len(zeta). If the state includes the range bias of a clock, links depend on it, too; as column 3
+moves it (:func:`factor_of`), the order is [xi_0..3, zeta, xi_4..7].
 
 Source: Julier and Uhlmann 2004, Sec. IV (scaled sigma points as in van der Merwe 2004).
 The cubature filter (Arasaratnam and Haykin 2009) uses sigma points with the parameters alpha = 1,
@@ -41,7 +42,7 @@ class Tangent:
         return Latents(0, 0.0, 0.0, size)
 
     def rows(self, group: Group, L: Matrix, latents: "Latents") -> list[list[Number]]:
-        """Return V (k, 7), the Jacobian along each column of L."""
+        """Return V (k, 7): the derivatives of k rows along each column of L."""
         columns = list(zip(*L, strict=True))
         return [[dot(gradient, column) for column in columns] for gradient in group.jacobian]
 
@@ -119,7 +120,7 @@ class Latents:
 
     @property
     def variance(self) -> list[float]:
-        """Return the variances of eta, without what ``bend`` adds to the variances of kappa."""
+        """Return the variances of eta, without what ``bend`` adds to the variances of zeta."""
         return [1.0] * self.linear + [self.weight / 2] * self.curvatures + [1.0] * 4
 
     @property
@@ -146,14 +147,14 @@ class Latents:
 class Prior(NamedTuple):
     """A measurement, linearized at the prior."""
 
-    L: Matrix  # (7, 7) factor of the prior covariance, :func:`factor_of`
+    L: Matrix  # (7, 7) factor of the prior covariance, from :func:`factor_of`
     latents: Latents  # moments of eta
     groups: Sequence[Group]  # groups of the measurement, expanded at the prior mean
     V: Sequence[Matrix]  # per group, (k, 7 + curvatures) coefficients of its rows on eta
 
 
 def factor_of(P: Matrix) -> list[list[Number]]:
-    """Return L (n, n) with L L' = P, its rows in the order of the state.
+    """Return L (n, n) with L L' = P; its rows have the order of the state.
 
     Without a clock, L is lower triangular. With a clock, P is factored in an order in which the
     range bias follows the position, so that the links depend on the first four columns alone.

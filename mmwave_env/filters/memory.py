@@ -30,7 +30,7 @@ class Memory(NamedTuple):
 
     mode: Number  # number of the mode that ran last
     lockout: Number  # number of consecutive epochs in which every visible link failed its gate
-    window: list[Number]  # (WINDOW,) latest NIS / dof of the accepted groups
+    window: list[Number]  # (WINDOW,) NIS / dof of the accepted groups per epoch, newest first
     gamma: Number  # adaptive scale of Q and R
     # nis, accepted, rejected: (groups,) in the last epoch; missing groups have 0 in all three
     nis: list[Number]
@@ -42,8 +42,8 @@ class Memory(NamedTuple):
     unfixed_s: Number  # seconds since a link was last accepted
     snr_mean_db: list[Number]  # (L,) slow mean SNR per link
     spread_average_hz: Number  # slow average of the Doppler spread
-    # (2, modes) fast and slow average of each mode's log-likelihood minus that of the pipeline's
-    # last mode, both from :func:`~mmwave_env.filters.update.capped_log_likelihood`
+    # (2, modes) fast and slow average of a difference: the mode's log-likelihood minus that of the
+    # pipeline's last mode, both from :func:`~mmwave_env.filters.update.capped_log_likelihood`
     preference: list[list[Number]]
 
 
@@ -70,7 +70,7 @@ def initial_memory(layout: Layout, modes: int) -> Memory:
 def memory_before(
     memory: Memory, candidates: Sequence[ModeResult], epoch: Epoch, layout: Layout
 ) -> Memory:
-    """Return the memory with the coming epoch added, before any mode is chosen."""
+    """Return the memory with the coming epoch and every mode's result (``candidates``) added."""
     snr = []
     for visible, now, mean in zip(epoch.visible, epoch.snr_db, memory.snr_mean_db, strict=False):
         grown = SNR_MEMORY * mean + (1.0 - SNR_MEMORY) * now
@@ -100,11 +100,11 @@ def memory_after(
     visible: Vector,
     measured: Vector = (),
 ) -> Memory:
-    """Return the memory after a candidate, the result of a mode, has become the belief.
+    """Return the memory after the result of the chosen mode has become the belief.
 
     Args:
-        layout: which values a measurement has, in order.
-        mode, chosen: the number of the candidate's mode, and the candidate.
+        layout: which quantity is in which row of a measurement.
+        mode, chosen: number of the chosen mode, and its result.
         before: (7,) mean from which the epoch was predicted.
         memory: the memory that :func:`memory_before` returned.
         dt, visible, measured: same as in :class:`~mmwave_env.models.measurement.Epoch`.

@@ -53,13 +53,14 @@ class Mode:
             (m/s)^2 / s / Hz, in addition to sigma_v^2 (paper, Sec. II-A).
         coupling: whether velocity noise also moves the position within a step (discrete
             white-noise acceleration); False for the paper's diagonal Q.
-        acceleration_mps2: known acceleration along the predicted horizontal velocity, m/s^2; a
-            negative one brakes, at most to a standstill.
-        turn_rate_radps: known turn rate of the predicted horizontal velocity, rad/s; positive to
+        acceleration_mps2: assumed acceleration along the predicted horizontal velocity, m/s^2; if
+            it is negative, the user brakes, at most to a standstill.
+        turn_rate_radps: assumed turn rate of the predicted horizontal velocity, rad/s; positive to
             the left.
-        gate: chi-square quantile of the gates; None for no gates (paper, Sec. III-D).
-        recovery: number of consecutive epochs with every visible link rejected, after which links
-            are accepted until one passes its gate again; None for never, as in the paper.
+        gate: probability, such as 0.99: a gate accepts NIS up to the chi-square quantile of this
+            probability; None for no gates (paper, Sec. III-D).
+        recovery: number of epochs in a row in which all visible links fail their gates, after which
+            links are accepted until one passes its gate again; None for never, as in the paper.
         adaptive: whether to scale Q and R by the windowed mean of NIS (paper, Sec. III-E).
         blockage_aware: whether to inflate R of a link whose SNR fell below its slow running mean.
         robust: whether to inflate R of a link with a large NIS instead of rejecting it.

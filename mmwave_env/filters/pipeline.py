@@ -52,9 +52,9 @@ class Pipeline:
 
     Attributes:
         modes: the modes that are available.
-        layout: which values a measurement has, in order.
+        layout: which quantity is in which row of a measurement.
         planar: whether the terrain is flat, so that z and vz keep their prior values (paper, Sec.
-            II-A). Sigma points are spaced as if all seven components of the state were uncertain.
+            II-A). Even so, the spacing of sigma points is the one for seven uncertain components.
         predict, update: the filter's two steps, which the filterpy reference replaces.
 
     Raises:
@@ -83,14 +83,14 @@ class Pipeline:
         return (0, 1) if self.planar else (0, 1, 2)
 
     def belief(self, x: list[Number], P: Vector) -> Belief:
-        """Return the belief with a mean (7,) and a packed covariance (28,)."""
+        """Return the belief with a mean (7,) and a packed covariance (28,), its lower triangle."""
         return Belief(x, unpack(P, zero=self.known_axes), self.position_axes)
 
 
 def process_noise(
     tuning: Tuning, epoch: Epoch, hz_per_mps: Number, gamma: Number, planar: bool
 ) -> ProcessNoise:
-    """Return an epoch's Q: the tuning's noise, adapted to Doppler spread and scaled by gamma."""
+    """Return an epoch's Q: the tuning's noise, raised by the Doppler spread, times gamma."""
     t = tuning
     velocity = t.sigma_v * t.sigma_v + t.spread_gain * epoch.doppler_spread_hz
     position = t.sigma_p * t.sigma_p
@@ -136,8 +136,8 @@ def predict(
 ) -> tuple[list[Number], Matrix]:
     """Predict the mean (7,) and the covariance (7, 7) of a mode for the coming epoch.
 
-    :func:`predict_update` describes the arguments; ``gamma`` is the adaptive scale of Q, which a
-    mode that is not adaptive ignores.
+    :func:`predict_update` describes the arguments; ``gamma`` is the adaptive scale of Q, which is
+    ignored unless the mode is adaptive.
     """
     scale, tuning = gamma if mode.adaptive else 1.0, tuning or mode.tuning
     noise = process_noise(tuning, epoch, hz_per_mps, scale, pipeline.planar)
@@ -167,7 +167,7 @@ def predict_update(
     """Run one mode of a pipeline on the coming epoch.
 
     Args:
-        x, P: (7,), (28,) mean and packed covariance after the previous epoch; at first, the prior.
+        x, P: mean (7,) and packed covariance (28,) after the previous epoch; at first, the prior.
         memory: the memory of the track.
         site: anchors and carrier.
         tuning: motion model to use instead of the mode's own.

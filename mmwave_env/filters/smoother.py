@@ -19,24 +19,24 @@ class ForwardEpoch(NamedTuple):
     """An epoch of the forward pass, after the filter's update."""
 
     dt: Number  # seconds since the previous epoch
-    # x, P: (7,), (28,) belief after the epoch; covariances are packed
+    # x, P: mean (7,) and packed covariance (28,), its lower triangle, after the epoch
     x: list[Number]
     P: list[Number]
-    # x_predicted, P_predicted: (7,), (28,) belief predicted for the epoch, before its update
+    # x_predicted, P_predicted: the same before the epoch's update
     x_predicted: list[Number]
     P_predicted: list[Number]
-    hz_per_mps: Vector = ()  # (1,) carrier frequency over the speed of light, with a clock; else ()
+    hz_per_mps: Vector = ()  # (1,) f_c / c if the state has a clock's range bias; else empty
 
 
 class BackwardState(NamedTuple):
-    """The following epoch of the track, from which the backward pass smooths the current one."""
+    """The epoch after the current one, from which the backward pass smooths the current one."""
 
     is_last: Number  # 1 if no epoch follows, because the track ends
-    # dt, x_predicted, P_predicted: values of the following epoch, see :class:`ForwardEpoch`
+    # dt, x_predicted, P_predicted: values of the later epoch, same as in :class:`ForwardEpoch`
     dt: Number
     x_predicted: list[Number]
     P_predicted: list[Number]
-    # x, P: (7,), (28,) smoothed belief of that epoch
+    # x, P: its smoothed mean (7,) and packed covariance (28,)
     x: list[Number]
     P: list[Number]
 
@@ -60,7 +60,7 @@ def smooth_epoch(
     """Smooth the belief of an epoch, with the gain C = P F' P_predicted^-1.
 
     The mean is x + C (x_after - x_predicted), the covariance P + C (P_after - P_predicted) C'.
-    ``after`` is the following epoch, smoothed; the result is ``after`` for the epoch before.
+    ``after`` is the later epoch, smoothed; the result serves as ``after`` for the previous epoch.
     """
     P, P_predicted = unpack(now.P, zero=known_axes), unpack(after.P_predicted, zero=known_axes)
     factor, FP = cholesky(P_predicted), transition_times(P, after.dt, *now.hz_per_mps)

@@ -5,11 +5,10 @@ Read this file first. The filters that run (:mod:`~mmwave_env.filters.update`,
 forms that compile to SIMD lanes, and tests check that both agree except for rounding. Equation
 numbers are the paper's (Sec. III); the IMM is from Bar-Shalom, Li and Kirubarajan 2001, 11.6.6.
 
-The state x (7,) is position (m), velocity (m/s) and oscillator bias (Hz). The rows of a
-measurement z are range (m), azimuth and elevation of arrival and azimuth of departure (rad) of
-each anchor, then the Doppler shift of anchor 1 (Hz), then, optionally, speed and heading. If the
-user's clock is not synchronized, the state (8,) ends with the clock's range bias (m); replace 7 by
-8 below.
+The state x (7,) is position (m), velocity (m/s) and oscillator bias (Hz). A measurement z has four
+rows for each anchor: range (m), azimuth and elevation of arrival (rad), azimuth of departure (rad).
+Then follow the Doppler shift of one anchor (Hz) and, optionally, speed (m/s) and heading (rad). If
+the user's clock is not synchronized, the state ends with its range bias (m): replace 7 by 8 below.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -45,7 +44,7 @@ def predict(
 
 
 class Moments(NamedTuple):
-    """The predicted measurement: mean, covariance without noise, covariance with the state."""
+    """The predicted measurement: mean, covariance S without noise, covariance C with the state."""
 
     mean: Array
     S: Array
@@ -119,10 +118,10 @@ def update(
 
 
 def mix(probability: Array, transition: Array, x: Array, P: Array) -> tuple[Array, Array, Array]:
-    """Mix beliefs (M, 7), (M, 7, 7) of M modes before an IMM's epoch.
+    """Mix the beliefs of M modes before an epoch of an IMM.
 
-    Given the modes' probabilities (M,) and transition probabilities (M, M), indexed [from, to],
-    compute predicted probabilities (M,), mixed means (M, 7) and covariances (M, 7, 7).
+    Given the modes' probabilities (M,), transition probabilities (M, M), indexed [from, to], means
+    (M, 7) and covariances (M, 7, 7), return predicted probabilities, mixed means and covariances.
     """
     joint = transition * probability[:, None]
     predicted = joint.sum(axis=0)
@@ -139,7 +138,7 @@ def reweigh(predicted: Array, log_likelihood: Array) -> Array:
 
 
 def combine(probability: Array, x: Array, P: Array) -> tuple[Array, Array]:
-    """Return the mean and the covariance of a Gaussian mixture: for an IMM, its estimate."""
+    """Return the mean and the covariance of a Gaussian mixture, such as the estimate of an IMM."""
     mean = probability @ x
     away = x - mean
     spread = P + away[:, :, None] * away[:, None, :]
@@ -246,16 +245,16 @@ class Sensor:
         return np.array([False, True, True, True] * self.links + [False, *odometry])
 
     def difference(self, a: Array, b: Array) -> Array:
-        """Return a - b (rows,), angles in [-pi, pi)."""
+        """Return a - b (rows,), with angles wrapped to [-pi, pi)."""
         wrapped = (a - b + np.pi) % (2 * np.pi) - np.pi
         return np.where(self.angles, wrapped, a - b)
 
     def residual(self, a: Array, b: Array, x: Array) -> Array:
-        """Return a - b (rows,), with angles wrapped, and 0 in rows that say nothing about x."""
+        """Return a - b (rows,), with angles wrapped, and 0 in rows that are undefined at x."""
         return np.where(self.silent(x), 0.0, self.difference(a, b))
 
     def silent(self, x: Array) -> Mask:
-        """Return a mask (rows,) of the rows that are undefined in a state, and so are ignored."""
+        """Return a mask (rows,) of the rows that are ignored, because they are undefined at x."""
         d = x[:3] - self.anchors
         on_vertical = np.hypot(d[:, 0], d[:, 1]) <= NEAREST_M
         at_anchor = np.sqrt((d * d).sum(axis=1)) <= NEAREST_M

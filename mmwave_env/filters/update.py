@@ -41,10 +41,10 @@ Algorithm = Callable[[Vector, Matrix, Measurement, Gate], Posterior]
 class _Row(NamedTuple):
     """A scalar row that depends on all latents, conditioned on the links and the rows before it."""
 
-    # C^-1 times the row's coefficients on the coupled latents, with C C' = B (:func:`update`)
+    # white: C^-1 times the row's coefficients on the coupled latents; C C' is B of :func:`update`
     white: list[Number]
     free: list[Number]  # coefficients on the free latents, xi_3..6
-    links: list[Number]  # conditional covariances with the earlier rows
+    shared: list[Number]  # conditional covariance with each earlier row
     cross: list[Number]  # conditional covariance with xi
     innovation: Number
     gain: Number  # 1 / innovation variance; 0 if the row is not accepted
@@ -66,17 +66,17 @@ def _condition(
     cross = [dot(u, white) for u in unit] + free
     s = noise + dot(white, white) + dot(free, free)
     e = innovation - dot(white, information)
-    links: list[Number] = []
+    shared: list[Number] = []
     for j, earlier in enumerate(before):
         c = dot(white, earlier.white) + dot(free, earlier.free)
         for i in range(j):
-            c = c - before[i].gain * links[i] * earlier.links[i]
-        links.append(c)
+            c = c - before[i].gain * shared[i] * earlier.shared[i]
+        shared.append(c)
         k = earlier.gain * c
         s = s - k * c
         e = e - k * earlier.innovation
         cross = [a - k * b for a, b in zip(cross, earlier.cross, strict=True)]
-    return _Row(white, free, links, cross, e, accepted / s)
+    return _Row(white, free, shared, cross, e, accepted / s)
 
 
 def _inform(
@@ -100,15 +100,15 @@ def update(
 ) -> Posterior:
     """Gate every group at the prior N(x, P), then condition on the groups that passed.
 
-    The links depend only on the *coupled latents*: the first three columns of the factor L of P
-    (four with a clock) and their curvatures. So all links add up to a small information matrix B
-    of these latents, whose posterior covariance is B^-1. Rows that depend on the velocity are added
-    one by one; c is the covariance of such a row with the state. The new covariance is L B^-1 L' +
-    sum over the other (*free*) columns L_j L_j' - sum over such rows gain c c', a sum of squares
-    except for the last term.
+    The links depend only on the *coupled latents*: those of the first three columns of the factor L
+    of P (four with a clock), and the curvature latents. So all links add up to a small information
+    matrix B of these latents, whose covariance, given the links, is B^-1. The latents of the other
+    columns are *free*. Rows that depend on the velocity are added one by one. The new covariance is
 
-    The result equals the textbook update with all rows at once, K = P H' S^-1, x + K y,
-    P - K S K' (:func:`mmwave_env.filters.textbook.update`).
+        L_c D L_c' + sum_j L_j L_j' - sum_i gain_i c_i c_i'
+
+    with the first columns L_c, the block D of B^-1 for their latents, the free columns L_j, and the
+    covariance c_i of the state with row i. All terms are squares; only the last is subtracted.
 
     The prior is x (7,) and P (7, 7), positive definite except for structural zeros. The measurement
     is linearized by the tangent (EKF) or by sigma points (UKF, CKF).
@@ -143,7 +143,7 @@ def update(
 def _recompose(
     x: Vector, L: Matrix, mean: Vector, covariance: Matrix, rows: list[_Row]
 ) -> tuple[list[Number], list[list[Number]]]:
-    """Return the state's mean and covariance from those of xi_0..2, and from the scalar rows."""
+    """Return mean and covariance of the state, given those of xi_0..2 and the scalar rows."""
     k, n = len(mean), len(x)
     spread = [[dot(row[:k], column) for column in covariance] for row in L]
     moves = [[dot(line, row.cross) for line in L] for row in rows]
@@ -178,26 +178,26 @@ def ckf(x: Vector, P: Matrix, measurement: Measurement, gate: Gate) -> Posterior
     return update(x, P, measurement, gate, SigmaPoints(1.0, 0.0, 0.0))
 
 
-CAP_QUANTILE = 0.999  # chi-square quantile up to which NIS counts when modes are compared
+CAP_QUANTILE = 0.999  # NIS counts up to this chi-square quantile when modes are compared
 
 
 class ModeResult(NamedTuple):
     """The result of a mode in an epoch."""
 
     x: list[Number]  # (7,) posterior mean
-    P: list[Number]  # (28,) packed posterior covariance; (36,) with a clock
-    # x_predicted, P_predicted: (7,), (28,) belief before the update, for smoothing
+    P: list[Number]  # (28,) packed posterior covariance (lower triangle); (36,) with a clock
+    # x_predicted, P_predicted: the same before the update, for smoothing
     x_predicted: list[Number]
     P_predicted: list[Number]
     # nis, accepted: (groups,) as in :class:`Posterior`
     nis: list[Number]
     accepted: list[Number]
-    passed: Number  # number of links within their gates; not those accepted to end a lock-out
+    passed: Number  # number of links within their gates, not counting those accepted by force
     log_likelihood: Number  # log-likelihood of the visible groups
 
 
 def limited_likelihood(candidate: ModeResult, limits: Vector) -> Number:
-    """Return the log-likelihood with the NIS of each group counted only up to its limit (groups,).
+    """Return a mode's log-likelihood, in which each group's NIS counts up to a limit (groups,).
 
     The tail of a Gaussian falls so fast that, without limits, a single outlier (a link off the line
     of sight) would decide: the mode whose prediction is nearest to the outlier would seem right.
@@ -207,7 +207,7 @@ def limited_likelihood(candidate: ModeResult, limits: Vector) -> Number:
 
 
 def capped_log_likelihood(candidate: ModeResult, degrees: Sequence[Number]) -> Number:
-    """Return the log-likelihood for comparing modes, with NIS limited at :data:`CAP_QUANTILE`.
+    """Return the log-likelihood by which modes are compared; :data:`CAP_QUANTILE` limits the NIS.
 
     ``degrees`` (groups,) are the groups' degrees of freedom, from
     :meth:`~mmwave_env.models.layout.Layout.degrees`.

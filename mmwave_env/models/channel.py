@@ -20,7 +20,7 @@ class SpellParams(NamedTuple):
     """Parameters of a link's spells (periods of blockage or multipath) and of their biases."""
 
     end: Number  # probability that a spell ends within a step
-    # constant_m, mean_m: the range bias is constant_m plus an exponential variate of mean mean_m
+    # constant_m, mean_m: a range bias is constant_m plus an exponential variate with mean mean_m
     constant_m: Number
     mean_m: Number
     angle_rad: Number  # standard deviation of the angle biases
@@ -33,7 +33,6 @@ class Channel(NamedTuple):
     # shadowing_db, correlation: standard deviation of shadowing, and its correlation over a step
     shadowing_db: Number
     correlation: Number
-    # blockage, multipath: parameters of their spells
     blockage: SpellParams
     multipath: SpellParams
     # blockage_scale, blockage_base, blockage_per_m, blockage_limit, blockage_loss_db: see
@@ -50,10 +49,9 @@ class Channel(NamedTuple):
     # detection_snr_db, detection_slope_db: parameters of the logistic probability of detection
     detection_snr_db: Number
     detection_slope_db: Number
-    # floor_variance, bound_variance: (rows,) noise floor, and Cramer-Rao bound at an SNR of 0 dB
+    # floor_variance, bound_variance: (rows,) variances: noise floor, Cramer-Rao bound at SNR 0 dB
     floor_variance: list[Number]
     bound_variance: list[Number]
-    # spread_gain_hz, spread_sigma, spread_floor_hz: parameters of the Doppler spread
     spread_gain_hz: Number
     spread_sigma: Number
     spread_floor_hz: Number
@@ -88,7 +86,7 @@ class Spell(NamedTuple):
     """A spell of blockage or multipath on one link."""
 
     on: Number  # 1 while the spell lasts
-    bias: list[Number]  # (4,) biases of the link's rows in the spell, drawn at its start: m, rad
+    bias: list[Number]  # (4,) biases of the link's rows (m, rad), drawn when the spell begins
 
 
 class ChannelState(NamedTuple):
@@ -166,7 +164,7 @@ def spell_goes_on(on: Number, uniform: Number, onset: Number, end: Number) -> Nu
 def _next_spell(
     before: Spell, params: SpellParams, is_first: Number, onset: Number, draws: SpellDraws
 ) -> Spell:
-    """Return a spell's state one epoch later; its biases are drawn in its first epoch."""
+    """Return a spell's state one epoch later; a spell that begins gets new biases."""
     was_on = where(is_first, 0.0, before.on)
     on = spell_goes_on(was_on, draws.uniform, onset, params.end)
     angles = [params.angle_rad * a for a in draws.angles]

@@ -1,6 +1,6 @@
-"""The envelope: ranges in which filters are accurate, even if two values are at their limits.
+"""The envelope: limits of values, within which filters are accurate even if two are at a limit.
 
-An episode or a filter's mode outside the envelope is refused, and the message names the value. A
+Episodes and modes of filters outside the envelope are refused, and the message names the value. A
 double has 16 digits, and an update adds P / sigma^2 to 1. So if the prior's deviation is 1e8 times
 the noise in one direction, but not in another, the other direction loses all its digits. The limits
 are far beyond anything that a receiver reports; tests/engines/test_extremes.py tests them.

@@ -41,8 +41,8 @@ class Layout:
     Attributes:
         anchors: number of anchors L >= 1, the physical gNB first.
         odometry: whether two rows of odometry follow the Doppler shift.
-        partial: whether each row may be missing alone, and the Doppler shift may belong to any
-            anchor; otherwise groups are present or missing as a whole.
+        partial: whether single rows of a group may be missing, and the Doppler shift may belong to
+            any anchor; otherwise groups are present or missing as a whole.
         clock: whether the state includes the range bias of the user's clock.
     """
 
@@ -58,7 +58,7 @@ class Layout:
 
     @property
     def triangle(self) -> int:
-        """Return the number of entries of a packed covariance of the state: 28, or 36."""
+        """Return the number of entries of the state's packed covariance: 28, or 36 with a clock."""
         return self.state_size * (self.state_size + 1) // 2
 
     @property
@@ -151,7 +151,7 @@ def clock_from(clock: str, measurements: Sequence[str] | None = None) -> bool:
 
 
 def offered_rows(layout: Layout, measurements: Sequence[str] | None) -> list[bool]:
-    """Return, for each row, whether it is one of the measurements; rows of odometry always are.
+    """Tell for each row whether it is one of the chosen measurements; odometry's rows always are.
 
     Raises:
         ValueError: from :func:`measurements_from`.
@@ -185,9 +185,9 @@ def wrapped(angles: Number) -> Number:
 def whole_groups(
     measurement: NDArray[np.float64], heard: NDArray[np.bool_], layout: Layout
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return which groups (T, groups) are measured, and which are lost for lack of a row or SNR.
+    """Return masks (T, groups) of measured groups, and of groups lost for lack of a row or an SNR.
 
-    In a partial layout one measured row is enough, and no group is lost.
+    In a partial layout, a group is measured if at least one of its rows is, and none is lost.
 
     Args:
         measurement: (T, rows), NaN where not measured.
@@ -213,7 +213,7 @@ def without_noise(
     doppler_anchor: NDArray[np.int64],
     layout: Layout,
 ) -> NDArray[np.bool_]:
-    """Return which rows (T, rows) are lost because they were measured with unknown noise.
+    """Return a mask (T, rows) of rows that are lost, because their measurement's noise is unknown.
 
     Args:
         measurement, heard, layout: same as for :func:`whole_groups`.

@@ -9,8 +9,9 @@ The paper prints the first term in m/s and adds b in hertz; we scale this term t
 its sign (positive while the range grows). :mod:`mmwave_env.models.layout` says which quantity is
 in which row.
 
-A group is described by its value, its Jacobian, and its exact change when the state changes by a
-finite step. Filters with sigma points need this change, which does not jump where angles wrap.
+A group of rows (a link, the Doppler shift or the odometry) is described by its value, its Jacobian
+and its exact change when the state changes by a finite step. Filters with sigma points need this
+change, which does not jump where angles wrap.
 
 Straight below or above an anchor the azimuth is undefined, and at the anchor itself the elevation
 is undefined, too. Near these points, the gradient of the azimuth grows as 1 / (horizontal
@@ -45,7 +46,7 @@ _SLOWEST_ODOMETRY = 1e-3  # m/s; lower limit that keeps heading and speed differ
 
 
 class Measurement(NamedTuple):
-    """The measurement of one epoch as an estimator sees it; ``layout`` describes its rows.
+    """The measurement of one epoch, as an estimator sees it.
 
     Attributes:
         anchors: (L, 3) positions, meters.
@@ -78,8 +79,8 @@ class Group(NamedTuple):
         jacobian: (k, 7) dh/dx, (k, 8) with a clock; structural zeros where h does not depend on
             the state.
         change: function that returns the exact h(x + step) - h(x) for a step of the state (7,).
-        curved: h is nonlinear only along the first ``curved`` columns of the covariance's factor
-            (:func:`~mmwave_env.filters.linearization.factor_of`).
+        curved: number of columns of the covariance's factor, counted from the first, along which h
+            is nonlinear (:func:`~mmwave_env.filters.linearization.factor_of`).
         spare_nis, spare_determinant: NIS and variance of the row that :func:`link_group` drops.
     """
 
@@ -107,10 +108,10 @@ def direction(d: Vector) -> tuple[Number, Number, Number]:
 def seen_from_image(
     azimuth: Number, elevation: Number, station: Vector, image: Vector
 ) -> tuple[Number, Number]:
-    """Convert a ray's direction (rad) at the base station (3,) to its direction at the image (3,).
+    """Convert a ray's direction (rad) at the base station to its direction at the mirror image.
 
-    The image is the station's mirror image in a wall. Direction d becomes d - 2 (d.n) n, with n
-    along image - station. If both points are the same, there is no wall.
+    ``image`` (3,) is the mirror image of ``station`` (3,) in a wall. The direction d becomes
+    d - 2 (d.n) n, with the unit vector n along image - station. If both are equal, d is unchanged.
     """
     n = [image[i] - station[i] for i in range(3)]
     (cos_az, sin_az), (cos_el, sin_el) = cos_sin(azimuth), cos_sin(elevation)
@@ -242,7 +243,7 @@ def _only(group: Group, measured: Vector) -> Group:
 def doppler_group(
     x: Vector, anchor: Vector, hz_per_mps: Number, z: Vector, variance: Vector
 ) -> Group:
-    """Return the group of the Doppler shift (Hz) at an anchor; it is linear in v and the bias."""
+    """Return the group of an anchor's Doppler shift (Hz), which is linear in v and the bias."""
     d, v = [x[i] - anchor[i] for i in range(3)], x[3:6]
     distance = norms(d)[1]
     inverse, defined = _inverse(distance), where(distance > NEAREST_M, 1.0, 0.0)
@@ -338,7 +339,7 @@ class Site(NamedTuple):
     anchors: list[list[Number]]  # (L, 3) positions, m
     hz_per_mps: Number  # carrier frequency divided by the speed of light
     prior_x: list[Number]  # (7,) mean at the first epoch; (8,) with a clock
-    prior_P: list[Number]  # (28,) packed covariance at the first epoch; (36,) with a clock
+    prior_P: list[Number]  # (28,) its packed covariance (lower triangle); (36,) with a clock
 
 
 def blank_site(layout: Layout) -> Site:

@@ -61,7 +61,7 @@ def with_clock(
 
 
 def move(x: Vector, dt: Number, hz_per_mps: Number | None = None) -> list[Number]:
-    """Return F x, the mean one step later; with a clock, x is (8,) and ``hz_per_mps`` is given."""
+    """Return F x, the mean one step later; if x is (8,), with a clock, ``hz_per_mps`` is needed."""
     moved = [x[i] + dt * x[i + 3] if i < 3 else x[i] for i in range(min(len(x), STATE_SIZE))]
     return moved + [bias + (dt / hz_per_mps) * x[6] for bias in x[STATE_SIZE:]]
 
@@ -69,9 +69,9 @@ def move(x: Vector, dt: Number, hz_per_mps: Number | None = None) -> list[Number
 def accelerate(x: Vector, acceleration: Number, dt: Number) -> list[Number]:
     """Return the mean (7,) after a step with a known acceleration along the horizontal velocity.
 
-    The acceleration (m/s^2) is a known input (Bar-Shalom et al. 2001, Sec. 5.2): it changes the
-    mean (7,) that a constant velocity leads to after ``dt`` seconds, but not the covariance. A
-    negative acceleration brakes, at most to a standstill.
+    ``x`` (7,) is the mean that a constant velocity leads to after ``dt`` seconds. The acceleration
+    (m/s^2) is a known input (Bar-Shalom et al. 2001, Sec. 5.2): it changes this mean, but not the
+    covariance. A negative acceleration brakes, at most to a standstill.
     """
     v = x[3:5]
     speed = sqrt(v[0] * v[0] + v[1] * v[1] + STANDING_MPS**2)
@@ -84,9 +84,9 @@ def accelerate(x: Vector, acceleration: Number, dt: Number) -> list[Number]:
 def turn(x: Vector, rate: Number, dt: Number) -> list[Number]:
     """Return the mean (7,) after a step with a known turn rate: along an arc, at the same speed.
 
-    This is the coordinated turn of Bar-Shalom et al. 2001, Sec. 11.7.1, as a known input: the rate
-    (rad/s, positive to the left) changes the mean (7,) that a constant velocity leads to after
-    ``dt`` seconds, but not the covariance.
+    ``x`` (7,) is the mean that a constant velocity leads to after ``dt`` seconds. This is the
+    coordinated turn of Bar-Shalom et al. 2001, Sec. 11.7.1, as a known input: the rate (rad/s,
+    positive to the left) changes this mean, but not the covariance.
     """
     angle, (vx, vy) = rate * dt, x[3:5]
     straight = angle * angle < _LEAST_RAD**2

@@ -10,7 +10,8 @@ from mmwave_env.numerics.numbers import PI, Array, wrap
 
 # Longest gap in a track; filters lost none of 100 vehicles in gaps of 10 s, and some in 20 s.
 GAP_S = 15.0
-# Steepest link for a prior; it is 5 degrees off the vertical, 2.5 sigma of a handset's elevation.
+# Largest elevation of a link from which a prior is computed: 5 degrees off the vertical, which are
+# 2.5 standard deviations of a handset's elevation.
 STEEPEST_FIX_RAD = math.radians(85.0)
 # Standard deviation per axis of an unknown horizontal velocity: half of the filters' 20 m/s limit.
 UNKNOWN_VELOCITY_MPS = 10.0
@@ -27,9 +28,9 @@ def draw_prior(
 def prior_from_fix(
     anchor: Array, link: Array, sigma: Array, radio: Radio, scene: Scene
 ) -> tuple[Array, Array]:
-    """Return a mean (7,) at rest and its covariance (7, 7), from one link (4,) to an anchor (3,).
+    """Return the mean (7,), at rest, and covariance (7, 7) that one link (4,) to an anchor gives.
 
-    The position is anchor + range (cos el cos az, cos el sin az, sin el); its covariance is
+    The position is anchor (3,) + range (cos el cos az, cos el sin az, sin el); its covariance is
     linearized. ``sigma`` (4,) contains the standard deviations of the link.
     """
     distance, azimuth, elevation, departure = link

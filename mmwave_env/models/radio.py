@@ -1,8 +1,8 @@
 """Radio profiles: link budget, noise, and the rates of the channel's disturbances.
 
-The noise is a floor (calibration, array errors) plus the Cramer-Rao bound at the link's SNR, in
-quadrature. Blockage lowers the SNR of a link and biases its measurements; multipath biases them
-without changing the SNR. The filters do not know which links are affected.
+The noise variance is a floor (calibration, array errors) plus the Cramer-Rao bound at the link's
+SNR. Blockage lowers the SNR of a link and biases its measurements; multipath biases them without
+changing the SNR. The filters do not know which links are affected.
 """
 
 import math
@@ -68,7 +68,7 @@ class Radio:
     Attributes:
         name: name of the profile.
         gnb_elements, ue_elements: number of antenna elements along one side of the square arrays.
-        range_floor_m: range noise floor on the direct path and on reflections, m.
+        range_floor_m: noise floors of the range, m: [on the direct path, on reflections].
         aoa_floor_rad: noise floor of the azimuth of arrival.
         aod_floor_rad: noise floor of the azimuth of departure.
         elevation_floor_rad: noise floor of the elevation of arrival.
@@ -94,7 +94,7 @@ class Radio:
         blockage_angle_rad: standard deviation of the angle biases during a blockage.
         multipath_rate_hz: rate at which spells of multipath begin, per link.
         multipath_mean_s: mean length of a spell of multipath.
-        multipath_range_m: range bias during multipath: constant, and mean of an exponential part.
+        multipath_range_m: range bias during multipath, m: [constant, mean of an exponential part].
         multipath_angle_rad: standard deviation of the angle biases during multipath.
         outage_rate_hz: rate at which outages begin; in an outage all links are lost.
         outage_mean_s: mean length of an outage.
@@ -103,8 +103,8 @@ class Radio:
         drift_mps: random walk of the oscillator bias, (m/s) / sqrt(s).
         odometry_speed_mps, odometry_heading_rad: standard deviation of the odometry's noise.
         odometry_slowest_mps: speed below which there is no odometry, as the heading is undefined.
-        base: shipped profile whose modes, banks and policies this radio uses; only the shipped
-            profiles have their own.
+        base: shipped profile whose modes, banks and policies this radio uses, as only shipped
+            profiles have modes, banks and policies of their own.
     """
 
     name: Name
@@ -249,10 +249,10 @@ def radio_from(radio: str | os.PathLike[str] | Radio) -> Radio:
 
 
 def read_radio(path: str | os.PathLike[str]) -> Radio:
-    """Read a radio from a JSON file: the fields of :class:`Radio` that differ from those of "base".
+    """Read a radio from a JSON file, which contains the fields that differ from the base profile.
 
-    "base" is the name of a shipped profile, by default "standard"; "name" is by default the file's
-    name. An angle may be given in degrees under a name that ends in "_deg" instead of "_rad".
+    The field "base" names this shipped profile; its default is "standard". The default of "name" is
+    the file's name. An angle in degrees has a name that ends in "_deg" instead of "_rad".
 
     Raises:
         ValueError: the file is wrong; the message names the file and the error.
@@ -316,8 +316,8 @@ def deviations(
 ) -> list[Number]:
     """Return standard deviations (rows,) at SNRs (L,): floor and Cramer-Rao bound in quadrature.
 
-    Both variances (rows,) are from :meth:`Radio.variances`; the Doppler shift has the SNR of the
-    first link.
+    Both variances (rows,) come from :meth:`Radio.variances`. The SNR that counts for the Doppler
+    shift is that of the first link.
     """
     inverse = [exp(-DECIBEL * clip(snr, *SNR_LIMITS_DB)) for snr in snr_db]
     per_row = [inverse[a] for a in range(layout.anchors) for _ in range(4)]

@@ -8,7 +8,7 @@ import numpy as np
 from mmwave_env.io.records import between, require_fields
 from mmwave_env.models.radio import Radio
 
-# Fields that are multiplied by a random factor; the angles of shipped profiles stay valid with it.
+# Fields that are multiplied by a random factor, which keeps the angles of shipped profiles valid.
 _SCALED = (
     "aoa_floor_rad", "aod_floor_rad", "elevation_floor_rad", "doppler_floor_mps",
     "prior_position_m", "prior_height_m", "prior_velocity_mps", "prior_bias_mps",
@@ -16,12 +16,12 @@ _SCALED = (
     "multipath_rate_hz", "multipath_mean_s", "multipath_angle_rad", "spread_gain",
     "spread_floor_mps", "drift_mps",
 )  # fmt: skip
-_PAIRS = ("range_floor_m", "multipath_range_m")  # pairs of numbers that share a factor
+_PAIRS = ("range_floor_m", "multipath_range_m")  # fields with two numbers, which share a factor
 
 
 @dataclass(frozen=True)
 class RandomRadio:
-    """A distribution of radios: a profile with noise, rates and link budget changed at random.
+    """A distribution of radios: a profile with random changes of noise, rates and link budget.
 
     Attributes:
         profile: profile to change; filters use its modes.

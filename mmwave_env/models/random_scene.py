@@ -35,8 +35,8 @@ class RandomScene:
     Attributes:
         name: name to show in results.
         block_m: distance between parallel streets.
-        blocks: maximum number of blocks in each direction; the grid is a single street if the
-            number drawn for one direction is 0.
+        blocks: maximum number of blocks in each direction. The number may be 0 in one direction;
+            then the grid is a single street.
         beside_m: distance of the base station from each street of its crossing, on a random side.
         height_m: height of the base station.
         behind_m: distance from a wall to the last street, or to the base station if that is
@@ -65,9 +65,12 @@ class RandomScene:
         return self.scene_of(self.draw_numbers(Dice(seeded(0.0, 0))))
 
     def draw_numbers(self, dice: Dice) -> SceneNumbers:
-        """Draw the numbers of a scene; another order of draws would give keys another scene."""
+        """Draw the numbers of a scene.
+
+        Keep the order of the draws; otherwise an episode's key (a seed) would give another scene.
+        """
         block, each = dice.uniform(*self.block_m), float(self.blocks + 1)
-        counts = floor(1.0 + (each * each - 1.0) * dice.uniform())  # excludes 0 x 0 blocks
+        counts = floor(1.0 + (each * each - 1.0) * dice.uniform())  # never 0 x 0 blocks
         east = floor((counts + 0.5) * (1.0 / each))
         extent, base, walls = [], [], []
         for count in (east, counts - each * east):

@@ -65,7 +65,7 @@ class Wall:
         return nx * point[0] + ny * point[1] - self.offset_m
 
     def side_of(self, point: Point) -> str:
-        """Describe the side of the wall that a point is on, in words such as "y below 25 m"."""
+        """Describe on which side of the wall a point is, in words such as "y below 25 m"."""
         nx, ny = self.unit_normal
         along = "y" if nx == 0.0 else "x" if ny == 0.0 else f"{nx:.3g} x {ny:+.3g} y"
         sign = nx + ny if along in ("x", "y") else 1.0  # the normal may point against the axis
@@ -132,7 +132,7 @@ class SceneNumbers(NamedTuple):
 
     anchors: list[list[Any]]  # (L, 3) positions, m
     block_m: Any  # distance between parallel streets
-    # extent_m, origin_m: (2,) size (west-east, south-north) and south-west corner of the streets
+    # extent_m: (2,) size of the streets, west-east and south-north; origin_m: south-west corner
     extent_m: list[Any]
     origin_m: list[Any]
     height_m: Any  # height of the user equipment
@@ -145,7 +145,7 @@ class Scene:
     Attributes:
         name: name to show in results.
         base_station_m: position of the physical gNB.
-        walls: walls that reflect, each of which adds one virtual anchor.
+        walls: walls that reflect the signal; each adds one virtual anchor.
         streets: streets on which simulated users move.
         carrier_hz: carrier frequency f_c.
         bandwidth_hz: signal bandwidth B.
@@ -179,7 +179,7 @@ class Scene:
 
     @property
     def streets_known(self) -> bool:
-        """Return whether the streets are known; in recordings they are not."""
+        """Return whether the streets are known, which is not the case in recordings."""
         return bool(self.walls) or self.streets != Streets()
 
     def require_streets_in_front(self) -> None:
@@ -194,9 +194,9 @@ class Scene:
             )
 
     def behind_walls(self, points_m: Array) -> Iterator[tuple[int, Wall]]:
-        """Yield (index, wall) for each wall with at least one of the points (n, 3) behind or in it.
+        """Yield (index, wall) for each wall behind which, or in which, points (n, 3) are.
 
-        The index is that of the first such point.
+        The index is the one of the first of these points.
         """
         for wall in self.walls:
             side = wall.signed_distance(self.base_station_m)

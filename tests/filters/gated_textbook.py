@@ -1,4 +1,7 @@
-"""Textbook updates with this package's gates, and sensor models with fewer states or rows."""
+"""Textbook updates with this package's gates, and sensor models with fewer states or rows.
+
+The argument ``moments`` of functions is a method of ``textbook.METHODS``, such as ``tangent``.
+"""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -13,7 +16,7 @@ from mmwave_env.filters.textbook import Sensor, tangent
 
 @dataclass(frozen=True)
 class Restricted:
-    """Sensor as a function of the free components of the state; the others are known exactly."""
+    """Sensor whose argument is the free components of the state; the others are known exactly."""
 
     sensor: Sensor
     known: np.ndarray
@@ -36,7 +39,7 @@ class Restricted:
 
 @dataclass(frozen=True)
 class Rows:
-    """Sensor of the rows where ``kept`` (rows,) is true; groups without such rows are left out."""
+    """Sensor with only the rows where ``kept`` (rows,) is true, and only the groups of these."""
 
     sensor: Sensor
     kept: np.ndarray

@@ -55,16 +55,16 @@ class Problem(NamedTuple):
 
     @property
     def order(self):
-        """Return the states in the order in which our filters factor P.
+        """Return the indices of the state's components in the order in which our filters factor P.
 
         With odometry, which is nonlinear in the velocity, sigma points depend on this order.
         """
         return [0, 1, 2, 7, 3, 4, 5, 6] if self.sensor.clock else [*range(7)]
 
     def textbook(self, moments, gate, force=None, free=None):
-        """Return the textbook's update of the ``free`` states; the others are known exactly.
+        """Return the textbook's update of the ``free`` components; the others are known exactly.
 
-        If ``free`` is None, all states are free; if ``force`` is None, the gate's own value holds.
+        If ``free`` is None, all components are; if ``force`` is None, the gate's own value holds.
         """
         free = self.order if free is None else free
         groups, links, x, P, *measured = self.update
@@ -82,7 +82,7 @@ def numbers(low, high, shape=()):
 
 @st.composite
 def problems(draw, odometry=False, anchors=None, outliers=True, partial=False, clock=False):
-    """Draw an update that is not singular: all anchors are at least 20 m away horizontally."""
+    """Draw a problem that is not singular: all anchors are at least 20 m away horizontally."""
     L = draw(st.integers(1, 5)) if anchors is None else anchors
     position = draw(numbers(-200, 200, (3,)))
     heading, speed = draw(numbers(-3.14, 3.14)), draw(numbers(3.0 if odometry else 0.0, 20))
@@ -125,7 +125,7 @@ def problems(draw, odometry=False, anchors=None, outliers=True, partial=False, c
 
 
 def assert_same(ours, expected, rtol=RTOL, visible=None):
-    """Assert that posteriors agree; states are compared in units of standard deviations.
+    """Assert that posteriors agree; x and P are compared in units of standard deviations.
 
     Args:
         visible: (groups,) mask of the groups in ``expected``; all others must have NIS 0.

@@ -1,4 +1,4 @@
-"""Tests of the assignment of paths to anchors, against the textbook and all permutations."""
+"""Tests that the NIS of paths is the textbook's, and their assignment to anchors the best one."""
 
 from itertools import permutations
 

@@ -1,4 +1,4 @@
-"""Tests of corrections of a belief, against matrices in numpy."""
+"""Tests that corrections of a belief equal products of matrices in numpy."""
 
 import numpy as np
 import pytest

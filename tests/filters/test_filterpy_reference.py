@@ -43,7 +43,7 @@ def both(pipeline, episodes, actions, parts):
 
 
 def assert_agree(pipeline, episodes, *more):
-    """Assert equal beliefs, memories and observations; return both tracks with ``more`` parts."""
+    """Assert equal beliefs, memories and observations; return both tracks, with parts ``more``."""
     ours, twin = both(pipeline, episodes, 0, ("x", "P", "memory", "observation", *more))
     assert_same_beliefs(twin, ours, rtol=1e-9)
     for part in ("memory", "observation"):
@@ -52,7 +52,7 @@ def assert_agree(pipeline, episodes, *more):
 
 
 def pairs():
-    """Yield pairs of an algorithm and a tuning; per tuning, one algorithm is not marked slow."""
+    """Yield all pairs of an algorithm and a tuning; mark all but one pair per tuning as slow."""
     for index, name in enumerate(TUNINGS):
         for a, algorithm in enumerate(ALGORITHMS):
             marks = [] if index % 3 == a else pytest.mark.slow

@@ -15,7 +15,7 @@ from tests.filters.tracks import OwnModel, assert_same_beliefs, pipeline_of, pro
 OURS = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 ANCHORS = np.array([[0.0, 0.0, 10.0], [80.0, 60.0, 12.0], [-50.0, 70.0, 15.0]])
 SILENT = {"vertical": [1, 3], "anchor": [1, 2, 3, 12]}  # rows that carry no information
-# Name -> offset (m) of the prior mean from the first anchor; key of SILENT (None: no silent row).
+# Name -> offset of the prior mean from the first anchor, m; key of SILENT, or None for no such row.
 OFFSETS = {
     "below": ((0.0, 0.0, -8.5), "vertical"),
     "above": ((0.0, 0.0, 20.0), "vertical"),
@@ -30,7 +30,7 @@ everywhere = pytest.mark.parametrize("where", OFFSETS)
 
 
 def near(where, odometry=False):
-    """Return an update with the prior mean at the offset ``where``, about 2 m from the truth."""
+    """Return a problem whose prior mean is at the offset ``where``, about 2 m from the truth."""
     sensor = textbook.Sensor(ANCHORS, HZ_PER_MPS, odometry)
     x = np.array([*(ANCHORS[0] + OFFSETS[where][0]), 3.0, -2.0, 0.1, 20.0])
     scale = np.array([3.0, 3.0, 1.0, 1.0, 1.0, 0.3, 50.0])
@@ -69,7 +69,7 @@ def test_a_jacobian_row_is_zero_if_its_angle_is_undefined_and_else_the_derivativ
 
 
 def starts_near(where):
-    """Return a model with the prior mean at the offset ``where``; users walk away, noise is low."""
+    """Return a model of users who start near the offset ``where`` and walk away; noise is low."""
     sensor = textbook.Sensor(ANCHORS, HZ_PER_MPS)
     mean = np.array([*(ANCHORS[0] + OFFSETS[where][0]), 2.0, 1.0, 0.0, 10.0])
     (mode,) = pipeline_of(algorithms=["ekf"]).modes

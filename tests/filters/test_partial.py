@@ -1,6 +1,6 @@
 """Tests of partial layouts, in which any row of a measurement may be missing.
 
-Tracks are consistent; if no row is missing, they equal the tracks in a plain layout.
+NEES and NIS are chi-square; if no row is missing, tracks equal the tracks in a plain layout.
 """
 
 from dataclasses import replace
@@ -64,7 +64,7 @@ def runs():
 
 
 def with_its_doppler(episode, model):
-    """Return the episode with Doppler shifts of ``doppler_anchor`` instead of the first anchor."""
+    """Return the episode with the Doppler shift of anchor ``doppler_anchor`` in every epoch."""
     sensor, row = model.sensor, episode.layout.doppler
     z = episode.measurement.copy()
     truth = [*episode.truth_position_m.T], [*episode.truth_velocity_mps.T]
@@ -76,7 +76,7 @@ def with_its_doppler(episode, model):
     return replace(episode, measurement=z)
 
 
-def assert_mean(values, dof):
+def assert_sum(values, dof):
     """Assert that the sum is in the 99 % interval of chi-square with ``dof`` degrees of freedom."""
     low, high = chi2.ppf([LEVEL / 2, 1 - LEVEL / 2], dof)
     assert low < values.sum() < high, (low, values.sum(), high)
@@ -85,7 +85,7 @@ def assert_mean(values, dof):
 @pytest.mark.parametrize("epoch", [0, 5, EPOCHS - 1])
 def test_nees_with_missing_rows_and_doppler_shifts_of_any_anchor_is_chi_square(runs, epoch):
     nees, _, _ = runs
-    assert_mean(nees[epoch], 3 * RUNS)
+    assert_sum(nees[epoch], 3 * RUNS)
 
 
 def test_nis_is_chi_square_with_the_number_of_measured_rows(runs):
@@ -94,6 +94,6 @@ def test_nis_is_chi_square_with_the_number_of_measured_rows(runs):
     assert not nis[..., :3][links == 0].any()
     for count in (1, 2, 3, 4):
         values = nis[..., :3][links == count]
-        assert_mean(values, count * len(values))
+        assert_sum(values, count * len(values))
     doppler = nis[..., 3][rows[..., 12]]
-    assert_mean(doppler, len(doppler))
+    assert_sum(doppler, len(doppler))

@@ -81,7 +81,7 @@ def test_an_update_with_any_scaled_sigma_points_equals_the_textbook(kind, parame
 @given(data=st.data())
 @settings(max_examples=12, deadline=None)
 def test_a_planar_update_equals_that_of_the_five_free_states(algorithm, moments, kind, data):
-    """With a clock, there are six free states."""
+    """Compare with six free states if the state includes a clock's range bias."""
     problem, gate, known_axes = data.draw(problems(**KINDS[kind])), Gate(0.99), [2, 5]
     free = [i for i in problem.order if i not in known_axes]
     expected = problem.textbook(moments, gate, free=free)
@@ -98,7 +98,7 @@ def test_a_planar_update_equals_that_of_the_five_free_states(algorithm, moments,
 
 
 def link_to_the_east(azimuth_of_arrival, azimuth_of_departure):
-    """Return an update with an anchor 100 m east of the user; exact azimuths would be pi and 0."""
+    """Return a problem with an anchor 100 m east of the user; exact azimuths would be pi and 0."""
     sensor = textbook.Sensor(np.array([[100.0, 0.0, 10.0]]), HZ_PER_MPS)
     x = np.array([0.0, 0.0, 1.5, 3.0, -2.0, 0.1, 20.0])
     P = np.diag([4.0, 2.0, 0.5, 1.0, 1.0, 0.1, 900.0])

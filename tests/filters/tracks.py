@@ -34,13 +34,13 @@ def geometry(position, velocity, scene, layout):
 
 
 def simulated(n, epochs=200, odometry=False, seed=0, scene=SCENES["street"]):
-    """Return n episodes of the noisiest radio, with outliers and more missing rows than usual."""
+    """Return n episodes of the noisiest radio, with outliers and more missing groups than usual."""
     source = SimulatedSource(scene, RADIOS["handset"], epochs=epochs, odometry=odometry)
     return [spoiled(source.sample(np.random.default_rng([seed, i])), i) for i in range(n)]
 
 
 def around_a_block(corner=(10.0, -20.0)):
-    """Return a trajectory of 90 s along two sides of a block, with varying speed and time step."""
+    """Return a trajectory of 90 s along two sides of a block; speed and time step vary."""
     time_s = np.cumsum(np.tile([0.4, 1.0, 2.1, 0.8], 21)) + 1000.0
     passed = time_s - time_s[0]
     traveled = 2.0 * passed + 4.0 * np.sin(passed / 9.0)
@@ -68,7 +68,7 @@ def spoiled(episode, seed):
 
 
 def some_rows(episode, rng, share):
-    """Return the episode with only a ``share`` of its rows, and with random ``doppler_anchor``."""
+    """Return the episode with a ``share`` of its rows and a random ``doppler_anchor`` per epoch."""
     whole = episode.only(MEASUREMENTS)
     gone = rng.random(whole.measurement.shape) >= share
     measurement = np.where(gone, np.nan, whole.measurement)

@@ -1,8 +1,8 @@
-"""Golden traces: outputs of filters, smoother and environments by epoch, and computing costs.
+"""Golden traces: outputs of filters, smoother and environments in every epoch, and costs.
 
-A trace is a function that yields rows. A row is a dict by column; its first cell names the row.
-Episodes are chosen by key: a new version may draw another key from a seed, but a key always gives
-the same episode.
+A trace is a function that yields rows. A row maps columns to cells; its first cell names the row.
+Episodes are given by their keys (64-bit numbers) instead of seeds: a new version may draw another
+key from a seed, but a key always gives the same episode.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -98,7 +98,7 @@ def _parts(name: str, values: Any) -> Row:
 
 
 class Recorded(TrackSource):
-    """Source of one episode of a recording, with the same window and noise for every seed."""
+    """Source of one episode of a recording: the same epochs with the same noise for every seed."""
 
     def sample(self, rng: np.random.Generator) -> Episode:
         """Return the episode."""
@@ -110,14 +110,14 @@ def rollout(keys: Sequence[int | None], **arguments: Any) -> Iterator[Row]:
     env = gym.make(ID, **arguments)
     for key in keys:
         options = None if key is None else {"episode_key": key}
-        yield {"row": f"{key} reset"} | _told(*env.reset(options=options))
+        yield {"row": f"{key} reset"} | _cells(*env.reset(options=options))
         step, over = 0, False
         while not over:
             step += 1
             action = _action(step, env)
             observation, *scores, info = env.step(action)
             over = scores[1] or scores[2]
-            yield _scored(f"{key} step {step}", action, *scores) | _told(observation, info)
+            yield _scored(f"{key} step {step}", action, *scores) | _cells(observation, info)
 
 
 def vector_rollout(keys: Sequence[int], later: Sequence[int], **arguments: Any) -> Iterator[Row]:
@@ -129,7 +129,7 @@ def vector_rollout(keys: Sequence[int], later: Sequence[int], **arguments: Any) 
     env = gym.make_vec(ID, num_envs=n, autoreset_mode="SameStep", **arguments)
     observations, infos = env.reset(options={"episode_key": keys})
     for i in range(n):
-        yield {"row": f"{i} reset"} | _told(observations[i], _of(i, infos))
+        yield {"row": f"{i} reset"} | _cells(observations[i], _of(i, infos))
     for step in range(1, arguments["episode_steps"] + 1):
         actions = np.array([_action(step + i, env) for i in range(n)])
         observations, *scores, infos = env.step(actions)
@@ -138,12 +138,12 @@ def vector_rollout(keys: Sequence[int], later: Sequence[int], **arguments: Any) 
             observation, info = observations[i], infos
             if over[i]:
                 observation, info = infos["final_obs"][i], infos["final_info"]
-            yield _scored(f"{i} step {step}", *values) | _told(observation, _of(i, info))
+            yield _scored(f"{i} step {step}", *values) | _cells(observation, _of(i, info))
         if over.any() and step < arguments["episode_steps"]:
             options = {"reset_mask": over, "episode_key": later}
             observations, infos = env.reset(options=options)
             for i in np.flatnonzero(over):
-                yield {"row": f"{i} reset {step}"} | _told(observations[i], _of(i, infos))
+                yield {"row": f"{i} reset {step}"} | _cells(observations[i], _of(i, infos))
 
 
 def _action(step: int, env: Any) -> int:
@@ -158,12 +158,12 @@ def _scored(row: str, action: Any, reward: Any, terminated: Any, truncated: Any)
 
 
 def _of(i: int, infos: Row) -> Row:
-    """Return the infos of one environment among those of a vector environment."""
+    """Return the infos of environment i, given the infos of a vector environment."""
     keys = [key for key in infos if key[0] != "_" and not key.startswith("final")]
     return {key: infos[key][i] for key in keys if infos[f"_{key}"][i]}
 
 
-def _told(observation: Any, info: Row) -> Row:
+def _cells(observation: Any, info: Row) -> Row:
     cells: Row = {}
     for key in sorted(info):
         cells |= _parts(key, info[key])

@@ -21,7 +21,7 @@ SHOWN = 5  # maximum number of differences printed per file
 
 
 def text_of(rows: Iterable[Mapping[str, object]]) -> str:
-    """Return rows as CSV: numbers in the fewest digits that restore them, missing cells empty."""
+    """Return rows as CSV: numbers have as few digits as restore them, missing cells are empty."""
     rows = list(rows)
     columns = list(dict.fromkeys(name for row in rows[::-1] for name in row))
     lines = [columns, *([_word(row.get(name, "")) for name in columns] for row in rows)]
@@ -59,7 +59,7 @@ def _same(a: str, b: str, tolerance: float) -> bool:
 
 
 def main(check: bool) -> None:
-    """Write all traces; or only compare them with the files, and exit with 1 if any differs."""
+    """Write all traces; with ``check``, only compare them with files, and fail if any differs."""
     differ = 0
     for name, trace in TRACES.items():
         path, text = FOLDER / f"{name}.csv", text_of(trace())

@@ -92,7 +92,7 @@ def test_braking_ends_at_a_standstill(heading, speed, dt):
     v = speed * np.array([np.cos(heading), np.sin(heading)])
     moved = np.array(accelerate([0.0, 0.0, 1.5, *v, 0.1, 7.0], -100.0, dt))
     np.testing.assert_allclose(moved[3:5], 0.0, atol=1e-12)
-    np.testing.assert_allclose(moved[:2], -0.5 * dt * v, atol=1e-12)  # half of dt v is taken back
+    np.testing.assert_allclose(moved[:2], -0.5 * dt * v, atol=1e-12)  # takes back half of dt v
     np.testing.assert_array_equal(moved[[2, 5, 6]], [1.5, 0.1, 7.0])
 
 

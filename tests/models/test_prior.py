@@ -1,4 +1,4 @@
-"""Tests of priors, drawn around the truth or computed from the first line-of-sight fix."""
+"""Tests of priors that are drawn around the truth, or computed from a fix, the first link."""
 
 import numpy as np
 import pytest

@@ -32,8 +32,9 @@ every_radio = pytest.mark.parametrize("name", RADIOS)
 def channel(radio, epochs, users, distance_m=100.0, speed_mps=0.0, dt=1.0, seed=0, links=1):
     """Simulate independent channels of users at constant distance and speed.
 
-    Returns snr_db, detected and range_bias_m (epochs, users, links) or, for one link, (epochs,
-    users); angle_bias_rad of the first link (epochs, users, 3); doppler_spread_hz (epochs, users).
+    The result has snr_db, detected and range_bias_m (epochs, users, links), without the last axis
+    if there is one link; angle_bias_rad (epochs, users, 3) of the first link; and doppler_spread_hz
+    (epochs, users).
     """
     rng = np.random.default_rng(seed)
     layout = Layout(links)
@@ -116,7 +117,9 @@ def test_blockage_reduces_the_snr_by_25_db():
     np.testing.assert_allclose(loss, np.where(blocked, 25.0, 0.0), atol=1e-9)
 
 
-PROFILES = {  # elements (gNB, UE); floors of 2 ranges (m), 3 angles (deg) and Doppler (m/s)
+# Elements of gNB and UE; noise floors of the range (direct, reflected), m, the azimuth of arrival,
+# the elevation and the azimuth of departure, deg, and the Doppler shift, m/s.
+PROFILES = {
     "handset": (4, 2, 0.5, 0.8, 3.0, 2.0, 2.0, 0.1),
     "standard": (8, 4, 0.2, 0.4, 1.0, 0.7, 0.5, 0.1),
     "high": (16, 8, 0.1, 0.2, 0.5, 0.4, 0.25, 0.05),
@@ -246,7 +249,7 @@ def test_an_outage_affects_every_link():
     assert_share(ends, 1.0 - np.exp(-1.0 / 3.0))
 
 
-BIASES = {  # radio; least range bias and mean excess over it (m); deviation of angle biases (deg)
+BIASES = {  # radio; minimum range bias and its mean excess (m); deviation of angle biases (deg)
     "blockage": (replace(CLEAR, blockage_scale=0.5), 0.0, 3.0, 3.0),
     "multipath": (replace(CLEAR, multipath_rate_hz=0.008), 1.0, 4.0, 5.0),
 }

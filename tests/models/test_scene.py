@@ -40,13 +40,13 @@ def test_mirroring_twice_is_the_identity(wall, point):
 
 @settings(derandomize=True, deadline=None)
 @given(walls, st.floats(0.1, 500.0), st.floats(0.1, 500.0), points, points)
-def test_a_reflection_is_as_long_as_the_line_from_the_mirror_image(wall, ahead, behind, a, b):
-    # Source and user are `ahead` and `behind` meters in front of the wall, anywhere along it; the
-    # specular point divides the line between their projections in the ratio of these distances.
+def test_a_reflection_is_as_long_as_the_line_from_the_mirror_image(wall, d_source, d_user, a, b):
+    # Source and user are d_source and d_user from the wall, on the same side. The point of
+    # reflection divides the line between their projections onto the wall in this ratio.
     normal = np.array([*wall.normal, 0.0]) / np.hypot(*wall.normal)
     on_wall = [p - (p @ normal - wall.offset_m) * normal for p in (np.array(a), np.array(b))]
-    source, user = on_wall[0] + ahead * normal, on_wall[1] + behind * normal
-    specular = (behind * on_wall[0] + ahead * on_wall[1]) / (ahead + behind)
+    source, user = on_wall[0] + d_source * normal, on_wall[1] + d_user * normal
+    specular = (d_user * on_wall[0] + d_source * on_wall[1]) / (d_source + d_user)
     path = np.linalg.norm(source - specular) + np.linalg.norm(specular - user)
     image = np.array(wall.mirror(tuple(source)))
     assert np.linalg.norm(user - image) == pytest.approx(path, rel=1e-9)

@@ -1,4 +1,4 @@
-"""Tests of correctors: memory, trust, files, and a comparison of their network with PyTorch."""
+"""Tests of correctors: memory, trust, files, and a comparison of their network with PyTorch's."""
 
 import numpy as np
 import pytest

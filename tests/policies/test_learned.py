@@ -1,4 +1,4 @@
-"""Tests of learned policies: their network, their banks, and features found by name."""
+"""Tests of learned policies: their network, their banks, and how they find features by name."""
 
 from dataclasses import replace
 
@@ -31,7 +31,7 @@ KINDS = {"plain": {}, "linear": {"hidden": ()}, "narrow": {"hidden": (7,)}}
 
 @pytest.fixture
 def make(tmp_path):
-    """Return a function that makes an actor of one of the KINDS: its policy and its tensors."""
+    """Return a function that returns a policy of one of the KINDS, and its network's tensors."""
 
     def policy_and_tensors(kind, **changes):
         tensors = actor(**KINDS[kind] | changes)
@@ -41,7 +41,7 @@ def make(tmp_path):
 
 
 def observations(*shape, seed=1):
-    """Return random observations, many of them outside the actor's bounds."""
+    """Return random observations, many of them outside the limits to which policies clip."""
     rng = np.random.default_rng(seed)
     return rng.normal(0.0, 1.5, (*shape, FEATURES)).astype(np.float32)
 

@@ -1,4 +1,4 @@
-"""Tests, on tuning seeds, that the shipped corrector does no harm outside its training."""
+"""Tests that the shipped corrector does no harm where it was not trained, on seeds for tuning."""
 
 from dataclasses import replace
 
@@ -114,7 +114,7 @@ def test_the_corrector_is_hardly_below_its_base_where_it_was_never_trained(case)
 
 
 def trust(too):
-    """Yield gain and trust for each factor; stated noise is too high (too=1) or low (too=-1)."""
+    """Yield gain and trust for each factor; stated noise is too high if ``too`` is 1, low if -1."""
     keys = np.arange(SEED, SEED + 20, dtype=np.uint64)
     for factor in FACTORS:
         source = Misstated(SCENES["street"], RADIOS["standard"], stated=factor**too)

@@ -27,7 +27,7 @@ def table():
 
 
 def observe(table, **features):
-    """Return observations (n, features) with the given features, and the means of all others."""
+    """Return observations (n, features) in which all features but the given ones are the means."""
     columns = {name.replace("_", " "): np.atleast_1d(v) for name, v in features.items()}
     n = max(len(column) for column in columns.values())
     observation = np.zeros((n, len(table)))

@@ -68,7 +68,7 @@ def refused(path, content, *fields):
 
 
 def assembled(tensors=TENSORS, card=None, **document):
-    """Return an unchecked file with a correct checksum; ``document`` replaces metadata in it."""
+    """Return an unchecked file with a correct checksum; ``document`` overrides its metadata."""
     card = CARD.as_json() if card is None else card
     whole = {"format": FORMAT, "sha256": _checksum(tensors, card), "card": card} | document
     return save(tensors, {"policy": json.dumps(whole)})
