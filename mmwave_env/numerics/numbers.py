@@ -33,7 +33,7 @@ def _is_float(a: Number) -> bool:
 
 
 def _function(name: str, of: Any = math) -> Callable[[Number], Number]:
-    """Return a function that uses numpy for arrays, Lanes for lanes, module ``of`` for floats."""
+    """Return the function ``name``: from numpy for arrays, from ``of`` for floats, or of Lanes."""
     of_float, of_array = getattr(of, name), getattr(np, name)
 
     def function(a: Number) -> Number:
@@ -45,7 +45,7 @@ def _function(name: str, of: Any = math) -> Callable[[Number], Number]:
 
 
 sqrt, floor = _function("sqrt"), _function("floor")
-exp = _function("exp", np)  # numpy for floats, too: noise has the same bits as on arrays
+exp = _function("exp", np)  # numpy for floats, too: they get the same bits as arrays
 log = _function("log")  # for positive numbers only
 
 
