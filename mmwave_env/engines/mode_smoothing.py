@@ -107,13 +107,13 @@ def _backwards(
     hz_per_mps: float,
     transition: Array,
 ) -> ModeBeliefs:
-    """Return the smoothed beliefs of an epoch, given those of the following epoch.
+    """Return the smoothed beliefs of an epoch, given the smoothed beliefs of the following epoch.
 
     Args:
         pipeline: pipeline of the modes.
         now, gamma: filtered beliefs of the epoch, and the scales (N, modes) of the modes' noise.
         after: smoothed beliefs of the following epoch.
-        coming: step and Doppler spread of the following epoch, (N, 1).
+        coming: the following epoch; only its step and Doppler spread, both (N, 1), are used.
         hz_per_mps: carrier frequency divided by the speed of light.
         transition: (N, modes, modes) probabilities (from, to) over the step.
     """

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from mmwave_env.metrics import BURN_IN, RISK, Sums, nees_interval, running_summary
 from mmwave_env.numerics.numbers import Array, Index
 
-# columns of the sums, in the order of :class:`~mmwave_env.metrics.Sums`
+# columns of the sums: the fields of :class:`~mmwave_env.metrics.Sums` from ``distance`` on
 LENGTH, SQUARED, CHANGE, NEES, INSIDE, LARGEST = range(6)
 NONFINITE = 6  # number of epochs, burn-in included, with an error or NEES that is not finite
 SUMS = 7
 
-# squares of the horizontal protection level at risk RISK, divided by the variance along the longer
-# axis of the error ellipse: NARROWEST if the other axis is 0, WIDEST if both axes are equal
+# square of the horizontal protection level at risk RISK, divided by the variance along the longer
+# axis of the error ellipse: NARROWEST if the shorter axis is 0, WIDEST if both axes are equal
 NARROWEST, WIDEST = NormalDist().inv_cdf(0.5 * RISK) ** 2, -2.0 * math.log(RISK)
 ANGLES, LEAST = 64, 1e-12  # number of angles in a quadrant; smallest variance, m^2
 
@@ -60,7 +60,7 @@ class Tally:
         self.make_room(int(second.max()), int(epochs.max(initial=0)))
 
     def make_room(self, second: int, epochs: int) -> None:
-        """Make room for at least this number of errors and of epochs per environment."""
+        """Make room for the errors of ``second`` epochs and for the modes of ``epochs`` epochs."""
         errors, modes = self.counts.errors, self.counts.modes
         missing = max(0, second - errors.shape[1])
         errors = np.pad(errors, ((0, 0), (0, missing), (0, 0)))
