@@ -1,4 +1,4 @@
-"""Kinds of actions: the number of a mode, or numbers that reweigh modes or correct the belief."""
+"""Kinds of actions: a mode's number, weights of the modes, or a correction of the belief."""
 
 from typing import Any
 
@@ -35,7 +35,7 @@ def space_of(limits: Array, count: int) -> spaces.Space[Any]:
 
 
 def numbers_in(name: str, action: Any, limits: Array, *n: int, ignored: Any = False) -> Array:
-    """Return a copy of an action's numbers (*n, k); those of ``ignored`` environments become 0.
+    """Return a copy of an action's numbers (*n, k), with 0 for the environments ``ignored``.
 
     Raises:
         InvalidAction: the shape differs, or a number is NaN or beyond its limit.

@@ -41,7 +41,7 @@ BELIEFS = {  # a belief is a mean and a covariance
 
 
 def action_names(modes: Sequence[Mode], beliefs: str) -> list[str]:
-    """Return the names of the actions: the modes; with a belief per mode, "none" comes first."""
+    """Return the names of the actions: the modes; after "none", if each has its own belief."""
     names = [mode.name for mode in modes]
     return ["none", *names] if beliefs == "per-mode" else names
 
