@@ -57,7 +57,7 @@ def _jump(_, run, addresses):  # type: ignore[no-untyped-def]
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _load(block, sources, first, here, step, blank, state):  # type: ignore[no-untyped-def]
-    """Load the incoming rows; lanes from ``here`` on have no track and get the first lane's."""
+    """Load the incoming rows; lanes ``here`` and above have no track and repeat lane 0."""
     for lane in range(WIDTH):
         e = first + lane if lane < here else first
         t = state.epoch[e] + step
@@ -83,7 +83,7 @@ def _make(block, b, here, step, blank, state):  # type: ignore[no-untyped-def]
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _aim(targets, first, here, step, running, out, nowhere):  # type: ignore[no-untyped-def]
-    """Set the address for each lane's results: ``nowhere``, an unused array, if no track runs."""
+    """Set the address of each lane's results; a lane whose track does not run gets ``nowhere``."""
     for lane in range(WIDTH):
         e = first + lane
         runs = lane < here and running[e]

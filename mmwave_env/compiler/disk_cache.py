@@ -124,7 +124,7 @@ def kept_functions() -> dict[str, Any]:
 
 
 def _prune(parent: Path) -> None:
-    """Remove this user's folders of all versions but the most recently used ones from a folder."""
+    """Remove this user's folders of versions in ``parent``, except the most recently used ones."""
     with suppress(OSError):  # another process may be removing them, too
         versions = parent.glob(f"{_PACKAGE.name}-*")
         ours = [path for path in versions if _is_ours(os.lstat(path), stat.S_IFDIR)]

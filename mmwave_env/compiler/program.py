@@ -3,7 +3,7 @@
 A *workspace* is a tree of all numbers that a program reads and writes in an environment. The
 program is a function from a workspace to the workspace one epoch later. Workspaces are stored in
 an array (blocks, rows, 8): a block has eight environments, and a row for each number of the tree.
-Before each run, the field ``incoming`` of a workspace is set from a table or by a :class:`Feed`.
+Before each epoch, the field ``incoming`` of a workspace is set from a table or by a :class:`Feed`.
 A *track* is what one environment filters, so n tracks have n workspaces.
 """
 

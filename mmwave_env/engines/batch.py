@@ -178,7 +178,7 @@ class Batch(Generic[Workspace]):
         return StepIO.of(self.n, epochs, self._input_rows, output_rows, obs_rows)
 
     def advance(self, io: StepIO | None = None, running: NDArray[np.bool_] | None = None) -> None:
-        """Run the next epochs; past the end of an episode, epochs are blank.
+        """Run the next epochs; past the end of an episode, epochs are blank (without measurements).
 
         Args:
             io: inputs, outputs and observations; None for one epoch without any.

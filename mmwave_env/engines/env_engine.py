@@ -32,7 +32,7 @@ class Engine:
         pipeline: modes and layout.
         n: number of environments.
         reward: function of (belief, truth).
-        observation: "full" or "prior".
+        observation: "full", "prior" or "signed".
         bank: bank of the pipeline's modes, if every mode keeps its own belief; None if the modes
             share a belief.
         action, base: same as in :class:`~mmwave_env.task.Task`.
@@ -127,7 +127,7 @@ class Engine:
             self.batch.make_room(task.simulated.epochs)
 
     def go_on(self, task: Task, tracks: BatchState) -> None:
-        """Continue from the state of a batch with the same task, even one from another process."""
+        """Continue from the state of a batch with the same task, perhaps from another process."""
         if len(tracks.feed.kept):  # the address of compiled code differs between processes
             feed = tracks.feed._replace(run=task.simulated.world.on_lanes())
             tracks = tracks._replace(feed=feed)
@@ -140,7 +140,7 @@ class Engine:
         return self.batch.episodes(places)
 
     def steps_s(self, places: Index) -> Array:
-        """Return the median time (n,) between epochs of each current episode, seconds."""
+        """Return the median time (n,) in seconds between the epochs of each current episode."""
         state, dt = self.batch.state, columns_of(self.batch.layout).dt
         if state.feed.run:
             return np.full(len(places), state.feed.times[1:2].sum() or 1.0)
@@ -170,7 +170,7 @@ class Engine:
             self.start(places)
 
     def choices(self) -> Index:
-        """Return the actions (n,) of the agent ``base`` in the current epoch; zeros without it."""
+        """Return the current actions (n,) of the agent ``base``, or zeros if there is no agent."""
         n = self.batch.n
         if self._base is None:
             return np.zeros(n, np.int64)

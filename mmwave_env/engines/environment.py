@@ -195,7 +195,7 @@ class Environment:
         return metrics | {SMOOTHED_KEY: smoothed}
 
     def _charge(self, rewards: Array, places: Index) -> None:
-        """Add the worst reward minus the IMM's for each epoch left in episodes that ended early."""
+        """Add the worst (paired) reward for each remaining epoch of episodes that ended early."""
         assert self._task.worst is not None
         batch = self._engine.batch
         rewards[places] += self._task.worst * (batch.state.length - batch.completed)[places]

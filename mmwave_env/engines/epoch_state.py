@@ -107,7 +107,7 @@ def begun(
 
 
 def scores(belief: Belief, truth: Vector, reward: Reward, cost: Number) -> dict[str, Any]:
-    """Return the scores of a belief: its reward minus ``cost``, with its terms, and its errors."""
+    """Return the errors of a belief, its reward minus ``cost``, and the terms of the reward."""
     terms = terms_of(reward, belief, truth)
     return {
         "reward": total(terms) - cost,

@@ -35,7 +35,7 @@ class Counts(NamedTuple):
 
 
 class Tally:
-    """Sums over the epochs that count in the metrics.
+    """Records of episodes: sums over the epochs that count in the metrics, and chosen modes.
 
     Args:
         n: number of environments.
@@ -92,7 +92,7 @@ class Tally:
 
 @register_jitable
 def count(counts, e, k, x, y, z, nees):  # type: ignore[no-untyped-def]
-    """Count epoch ``k`` of an episode, from 0, with its position error (m) and NEES.
+    """Count epoch ``k`` (counted from 0) of an episode, with its position error (m) and NEES.
 
     During the burn-in (the first BURN_IN epochs), each epoch replaces the earlier epochs in the
     sums. So an episode that is shorter than the burn-in is scored by its last epoch.

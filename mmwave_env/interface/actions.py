@@ -13,9 +13,9 @@ from mmwave_env.numerics.numbers import Array
 
 MODE, WEIGHTS, CORRECTION = "mode", "weights", "correction"
 ACTIONS = {
-    MODE: "the number of the mode to run or, with a belief per mode, to trust",
+    MODE: "the number of the mode to run; if each has its own belief, of the mode to trust",
     WEIGHTS: "for each mode, the logarithm of a factor per second on its probability",
-    CORRECTION: "three shifts of the belief and three logarithms of factors on its deviations",
+    CORRECTION: "three shifts of the position, and logarithms of factors on its three deviations",
 }
 
 

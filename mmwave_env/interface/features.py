@@ -157,7 +157,7 @@ def _distance(view: View, anchor: int) -> Number:
 
 
 def _links(layout: Layout, distances: bool) -> list[Feature]:
-    """Return features of the coming epoch's links: SNRs, and distances or else a count of links."""
+    """Return features of the coming links: their SNRs, and their distances or else their number."""
     table = []
     for a in range(layout.anchors):
         table += [

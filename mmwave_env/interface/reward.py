@@ -122,7 +122,7 @@ def term_names(reward: Reward) -> tuple[str, ...]:
 
 
 def reward_from(reward: str | Reward | PairedReward) -> Reward | PairedReward:
-    """Return the reward for ``reward=``: a name, a function of (belief, truth) or a paired reward.
+    """Return a reward, given by name, as a function of (belief, truth) or as a paired reward.
 
     Raises:
         ValueError: the name is unknown, or the function is not hashable, cannot run on SIMD lanes
@@ -142,7 +142,7 @@ def reward_from(reward: str | Reward | PairedReward) -> Reward | PairedReward:
 
 
 def reward_name(reward: Reward) -> str:
-    """Return the name of a reward in :data:`REWARDS`, or otherwise that of its function or class.
+    """Return the name of a reward in :data:`REWARDS`, else the name of its function or class.
 
     A known reward with other weights is named after its class.
     """

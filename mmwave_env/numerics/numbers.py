@@ -32,9 +32,9 @@ def _is_float(a: Number) -> bool:
     return isinstance(a, (float, int))
 
 
-def _function(name: str, of: Any = math) -> Callable[[Number], Number]:
-    """Return the function ``name``: from numpy for arrays, from ``of`` for floats, or of Lanes."""
-    of_float, of_array = getattr(of, name), getattr(np, name)
+def _function(name: str, module: Any = math) -> Callable[[Number], Number]:
+    """Return the function ``name``: numpy's for arrays, ``module``'s for floats, else a method."""
+    of_float, of_array = getattr(module, name), getattr(np, name)
 
     def function(a: Number) -> Number:
         if _is_float(a):

@@ -1,4 +1,4 @@
-"""Tests that numbers move between tables and lanes, compiled or not, as with numpy."""
+"""Tests that plain and compiled functions move numbers between tables and lanes as numpy does."""
 
 import os
 import subprocess

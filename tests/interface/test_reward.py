@@ -244,7 +244,7 @@ def imm_rewards(seed, episodes, reward=REWARDS["tracking"], **task):
     ids=["three modes", "flat"],
 )
 def test_paired_rewards_are_rewards_minus_those_of_the_imm_on_the_same_episodes(task):
-    """Check that paired rewards equal differences of rewards to the last bit, with any modes."""
+    """Check equality to the last bit, also if the agent's modes are not those of the IMM."""
     n, epochs = 5, 3 * task["episode_steps"]
     envs = {
         reward: gym.make_vec(
