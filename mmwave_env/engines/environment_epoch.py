@@ -68,7 +68,7 @@ class EnvState(NamedTuple):
     x: list[Number]
     P: list[Number]
     memory: Memory  # memory of the track
-    candidates: list[ModeResult]  # the modes' results, without predicted beliefs to save cache
+    candidates: list[ModeResult]  # the modes' results; to save cache, without predicted beliefs
     observation: list[Number]  # (features,)
     reward: Number  # reward of the last epoch in which an action was taken
     reward_terms: list[Number]  # terms of the reward; the last one is minus the mode's cost

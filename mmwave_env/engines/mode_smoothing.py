@@ -128,7 +128,7 @@ def _backwards(
         )
         x_predicted = np.stack(np.broadcast_arrays(*mean), axis=-1)
         P_predicted = _matrix(covariance, now.x.shape[:-1])
-        P_predicted[..., known, known] = 1.0  # known axes have no variance, and gain 0
+        P_predicted[..., known, known] = 1.0  # instead of 0, so that the matrix has an inverse
         step = after.x[:, i, None] - x_predicted
         solved = np.linalg.solve(P_predicted, np.concatenate([FP, step[..., None]], axis=-1))
         gain = np.swapaxes(solved[..., :-1], -1, -2)  # 0 for known axes

@@ -10,7 +10,7 @@ from mmwave_env.numerics.random import Dice, next_word, seeded, word_of
 _BITS = 2 ** np.arange(64, dtype=np.uint64)
 _FIRST = np.arange(40, dtype=np.uint64)
 KEYS = np.concatenate([_FIRST, _BITS, ~_FIRST[:24]])
-EACH = 8  # numbers of each kind that a run draws
+EACH = 8  # how many numbers a run draws from each of the three distributions
 
 
 def number(key):
