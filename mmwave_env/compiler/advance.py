@@ -1,8 +1,8 @@
 """The loop that runs a compiled program for many tracks, epoch by epoch, eight tracks at a time.
 
-In each epoch, the *incoming* rows (the epoch's data) of a block of eight tracks are loaded from a
-table, or computed by a *feed* (a compiled function). Results are written to arrays. The loop also
-runs as plain Python.
+The numbers of eight tracks form a *block*: an array in which each track has one column, its *lane*.
+In each epoch, a block's *incoming* rows (the epoch's data) are loaded from a table, or a *feed* (a
+compiled function) computes them. Results are written to arrays. The loop also runs as plain Python.
 """
 
 import ctypes
@@ -16,8 +16,8 @@ from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.transpose import address, gather, scatter, scatter_single
 from mmwave_env.numerics.numbers import Array
 
-NEAR = 2**16  # workspaces of up to this many numbers fit into the core's own caches
-TOGETHER = 8  # a feed runs for this many blocks before the program runs for the same blocks
+NEAR = 2**16  # if all blocks together have up to this many numbers, a core's own caches hold them
+TOGETHER = 8  # a feed runs for this many blocks, and then the program runs for the same blocks
 
 
 def call(run: int, block: Array) -> None:
@@ -26,7 +26,7 @@ def call(run: int, block: Array) -> None:
 
 
 def call_feed(run: int, block: Array, kept: Array, settings: Array) -> None:
-    """Run the function at a feed's address; ``program.Feed`` describes the arguments."""
+    """Run a feed's function, whose address is ``run``; ``program.Feed`` describes the arguments."""
     function = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 3)(run)
     function(block.ctypes.data, settings.ctypes.data, kept.ctypes.data)
 
@@ -44,20 +44,20 @@ def _compiled_call_feed(run, block, kept, settings):  # type: ignore[no-untyped-
 
 
 @intrinsic  # type: ignore[untyped-decorator]
-def _jump(_, run, places):  # type: ignore[no-untyped-def]
+def _jump(_, run, addresses):  # type: ignore[no-untyped-def]
     def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        address, packed = arguments
+        target, packed = arguments
         each = [builder.extract_value(packed, i) for i in range(len(signature.args[1]))]
-        function = ir.FunctionType(ir.VoidType(), [place.type for place in each])
-        builder.call(builder.inttoptr(address, function.as_pointer()), each)
+        function = ir.FunctionType(ir.VoidType(), [value.type for value in each])
+        builder.call(builder.inttoptr(target, function.as_pointer()), each)
         return context.get_dummy_value()
 
-    return types.void(run, places), build
+    return types.void(run, addresses), build
 
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _load(block, sources, first, here, step, blank, state):  # type: ignore[no-untyped-def]
-    """Load the incoming rows; lanes past the last track repeat the first track of their block."""
+    """Load the incoming rows; lanes ``here`` and above have no track and repeat lane 0."""
     for lane in range(WIDTH):
         e = first + lane if lane < here else first
         t = state.epoch[e] + step
@@ -68,7 +68,7 @@ def _load(block, sources, first, here, step, blank, state):  # type: ignore[no-u
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _make(block, b, here, step, blank, state):  # type: ignore[no-untyped-def]
-    """Let the feed compute the incoming rows; they are blank past the end of a track."""
+    """Let the feed compute the incoming rows; past the end of a track, set them to ``blank``."""
     feed = state.feed
     call_feed(feed.run, block, feed.kept[b], feed.settings)
     for lane in range(here):
@@ -83,7 +83,7 @@ def _make(block, b, here, step, blank, state):  # type: ignore[no-untyped-def]
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _aim(targets, first, here, step, running, out, nowhere):  # type: ignore[no-untyped-def]
-    """Set each lane's target address; lanes without a running track get ``nowhere``."""
+    """Set the address of each lane's results; a lane whose track does not run gets ``nowhere``."""
     for lane in range(WIDTH):
         e = first + lane
         runs = lane < here and running[e]
@@ -186,16 +186,16 @@ def advance(begin, end, run, blank, state, io):  # type: ignore[no-untyped-def]
     Callers ignore the returned number: it only keeps the compiler from dropping the reads that
     bring rows into the caches.
 
-    A program reads its rows in an order that hardware prefetchers cannot guess. If the blocks of
-    all environments do not fit into the core's own caches, reading the rows once in order, before
-    the program runs, saves a fifth of the run time or more. The core's first-level cache can't hold
-    the code of both feed and program, so the feed runs some blocks, then the program. All loops are
-    plain because numba takes long to compile slices of arrays.
+    A program reads its rows in an order that hardware prefetchers cannot guess. If the blocks do
+    not all fit into the core's own caches, reading the rows once in order, before the program runs,
+    saves a fifth of the run time or more. The core's first-level cache can't hold the code of both
+    feed and program, so the feed runs for some blocks before the program runs for these blocks. All
+    loops are plain because numba takes long to compile slices of arrays.
 
     Args:
         begin, end: first block, and the block after the last.
         run: address of the program, as ``Program.on_lanes`` returns it.
-        blank: (incoming,) the epoch that is loaded past the end of an episode.
+        blank: (incoming,) data of the epoch that is loaded past the end of a track.
         state, io: the tracks (:class:`~mmwave_env.compiler.program.BatchState`), and their inputs
             and outputs (:class:`~mmwave_env.compiler.program.StepIO`).
     """

@@ -9,11 +9,11 @@ that leaves the file's time and size unchanged. Processes that start at the same
 numba's files, and a damaged file or a full disk ends the program. This cache names its folder after
 a hash of all sources and writes each compiled function to one file; after any error with a file the
 function is compiled again. A checksum detects a damaged file before its content is run. If a source
-is edited while a process runs, the process stops using files: its code may be of either version.
+is edited while a process runs, the process stops using files: it may have read either version.
 
 The files are pickles, like numba's own, and reading a pickle runs code that its author chose. So
 folders and files are private to this user: the cache rejects links and anything that another user
-owns or may write to, and then tries the next possible folder. The parent folder may be shared, like
+owns or may write to. It then tries the next possible folder. The parent folder may be shared, like
 ``/tmp``: a folder that another user created there fails the check of the owner.
 """
 
@@ -73,19 +73,19 @@ def compiled_callback(signature: Any, function: Callable[..., Any]) -> Any:
 
 def _with_cache(compiler: Any, function: Callable[..., Any]) -> Any:
     if folder := _folder():
-        compiler._cache = _Kept(function, folder)
+        compiler._cache = _OnDisk(function, folder)
     return compiler
 
 
 def is_compiled(function: Any, arguments: tuple[Any, ...]) -> bool:
     """Return whether a :func:`compiled` function for these arguments is in memory or on disk."""
     signature, cache = tuple(map(numba.typeof, arguments)), function._cache
-    return signature in function.overloads or (isinstance(cache, _Kept) and cache.has(signature))
+    return signature in function.overloads or (isinstance(cache, _OnDisk) and cache.has(signature))
 
 
 @cache  # so the process keeps its folder, even if a source is edited while it runs
 def _folder() -> Path | None:
-    """Return the folder for functions of this version of the sources; None if no place is writable.
+    """Return the folder for functions of this version of the sources; None if none is writable.
 
     The folder is in numba's ``NUMBA_CACHE_DIR`` if that is set; otherwise next to Python's bytecode
     if the package is writable; otherwise in the user's folder for caches.
@@ -93,20 +93,20 @@ def _folder() -> Path | None:
     version = _version()
     if version is None:
         return None
-    places = [_PACKAGE / "__pycache__", Path(user_cache_dir("mmwave-env", appauthor=False))]
+    parents = [_PACKAGE / "__pycache__", Path(user_cache_dir("mmwave-env", appauthor=False))]
     if numba.config.CACHE_DIR:
-        places.insert(0, Path(numba.config.CACHE_DIR).absolute())
-    for place in places:
-        folder = place / f"{_PACKAGE.name}-{version}"
+        parents.insert(0, Path(numba.config.CACHE_DIR).absolute())
+    for parent in parents:
+        folder = parent / f"{_PACKAGE.name}-{version}"
         with suppress(OSError):
-            if not place.is_absolute():  # the user has no home folder
+            if not parent.is_absolute():  # the user has no home folder
                 continue
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             if not _is_ours(os.lstat(folder), stat.S_IFDIR):
                 continue
             os.utime(folder)  # marks an existing folder as in use, which mkdir does not
             tempfile.TemporaryFile(dir=folder).close()
-            _prune(place)
+            _prune(parent)
             return folder
     return None
 
@@ -123,10 +123,10 @@ def kept_functions() -> dict[str, Any]:
     return {"place": place, "functions": len(sizes), "bytes": sum(sizes)}
 
 
-def _prune(place: Path) -> None:
-    """Remove this user's folders of all versions except the most recently used ones."""
+def _prune(parent: Path) -> None:
+    """Remove this user's folders of versions in ``parent``, except the most recently used ones."""
     with suppress(OSError):  # another process may be removing them, too
-        versions = place.glob(f"{_PACKAGE.name}-*")
+        versions = parent.glob(f"{_PACKAGE.name}-*")
         ours = [path for path in versions if _is_ours(os.lstat(path), stat.S_IFDIR)]
         for old in sorted(ours, key=getmtime)[:-_KEPT]:
             shutil.rmtree(old, ignore_errors=True)
@@ -169,7 +169,7 @@ def _opened(file: Path) -> BinaryIO:
 
 
 def _descriptor(path: str | Path, kind: int, folder: int | None = None) -> int:
-    """Open a path, or a name in a folder, for reading; fail unless :func:`_is_ours` is true."""
+    """Open a path, or a name in an open folder, for reading; fail unless it passes _is_ours."""
     # With these flags, open neither follows a link nor waits for the writer of a pipe.
     descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=folder)
     if _is_ours(os.fstat(descriptor), kind):
@@ -192,7 +192,7 @@ def _checksum(key: str, content: bytes) -> bytes:
     return sha256(key.encode() + content).digest()
 
 
-class _Kept(NullCache):  # type: ignore[misc]
+class _OnDisk(NullCache):  # type: ignore[misc]
     """The cache that numba reads before it compiles a function and writes to afterwards."""
 
     def __init__(self, function: Callable[..., Any], folder: Path) -> None:
@@ -234,7 +234,7 @@ class _Kept(NullCache):  # type: ignore[misc]
             whole.replace(file)
 
     def _entry(self, signature: Any, codegen: Any) -> tuple[str, Path]:
-        """Return the key of this version of the function, and its file."""
+        """Return the key, a text that identifies this version of the function, and its file."""
         key = f"{self._name} {signature} {codegen.magic_tuple()}"
         return key, self._folder / f"{self._name}-{sha256(key.encode()).hexdigest()[:20]}"
 

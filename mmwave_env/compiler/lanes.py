@@ -112,7 +112,7 @@ class Lanes(_Value, Tracer):
         return self._call("floor")
 
     def as_word(self) -> "WordLanes":
-        """Return the same bits as eight words."""
+        """Return the bits of the eight doubles as eight words."""
         return WordLanes(self.builder, self.builder.bitcast(self.value, _BITS))
 
     def _call(self, name: str) -> "Lanes":
@@ -124,7 +124,7 @@ class Lanes(_Value, Tracer):
         return Lanes(self.builder, self.builder.call(function, [self.value], fastmath=_FLAGS))
 
     def atan2(self, x: Any) -> "Lanes":
-        """Return the angle of (x, self) by a polynomial after reduction to pi / 8; error 2e-16."""
+        """Return the angle of (x, self), by a polynomial for angles up to pi / 8; error 2e-16."""
         ax, ay = abs(x), abs(self)
         steep = ay > ax
         low, high = where(steep, ax, ay), where(steep, ay, ax)
@@ -139,7 +139,7 @@ class Lanes(_Value, Tracer):
         return where(self < 0.0, -angle, angle)  # type: ignore[no-any-return]
 
     def cos_sin(self) -> "tuple[Lanes, Lanes]":
-        """Return cosine and sine for |angle| < 1e5 by polynomials after reduction to pi / 4."""
+        """Return cosine and sine for |angle| < 1e5, by polynomials for angles up to pi / 4."""
         b = self.builder
         rounded: Any = self * (2.0 / math.pi) + _ROUND
         quarters, turns = b.bitcast(rounded.value, _BITS), rounded - _ROUND
@@ -237,9 +237,10 @@ def _align_stack(builder: Any) -> None:
 def kernel(function: Callable[[Any], None], ends: Sequence[int]) -> Any:
     """Return a numba function that runs ``function(rows)`` on a workspace of one or more parts.
 
-    ``rows[i]`` reads row i as Lanes and ``rows[i] = value`` writes it. The function is called once,
-    when numba compiles the caller. Every part is an array (rows, 8) of doubles; ``ends`` are the
-    rows where the parts end. The numba function has one argument: a tuple of the parts' addresses.
+    ``rows[i]`` reads row i as Lanes and ``rows[i] = value`` writes it. ``function`` is called only
+    once, when numba compiles the caller. Every part is an array (rows, 8) of doubles; row numbers
+    continue from part to part, and ``ends`` has, for each part, the number after its last row. The
+    numba function has one argument: a tuple of the parts' addresses.
     """
 
     @intrinsic  # type: ignore[untyped-decorator]

@@ -3,7 +3,8 @@
 A *workspace* is a tree of all numbers that a program reads and writes in an environment. The
 program is a function from a workspace to the workspace one epoch later. Workspaces are stored in
 an array (blocks, rows, 8): a block has eight environments, and a row for each number of the tree.
-Before each run, the field ``incoming`` of a workspace is set from a table or by a :class:`Feed`.
+Before each epoch, the field ``incoming`` of a workspace is set from a table or by a :class:`Feed`.
+A *track* is what one environment filters, so n tracks have n workspaces.
 """
 
 import os
@@ -48,9 +49,10 @@ def rows_of(tree: Any) -> Index:
 
 
 def laid_out(parts: Mapping[str, Any]) -> tuple[Index, dict[str, int | slice]]:
-    """Return the rows of some parts of an index, and each part's columns in outputs of these rows.
+    """Return the row numbers of parts of a :attr:`Program.index`, and each part's output columns.
 
-    The columns are a slice, or a number for a part that is a single number.
+    Output arrays have one column for each of these rows, in order. A part's columns are a slice, or
+    a number if the part is a single number.
     """
     columns: dict[str, int | slice] = {}
     first = 0
@@ -76,10 +78,10 @@ def fill(blocks: Array, rows: Index, values: Array) -> Array:
 class Feed(NamedTuple):
     """A function that computes the incoming rows of every epoch, instead of a table.
 
-    A feed has its own workspace, with the same tracks in the same lanes as the program's.
+    A feed has its own workspace, in which a track has the same block and lane as in the program's.
     """
 
-    # address of a C function; its arguments are the addresses of incoming rows, settings, kept
+    # address of a C function, whose arguments are three addresses: incoming rows, settings, kept
     run: int
     settings: Array  # (rows, 8) read only, the same for all blocks
     kept: Array  # (blocks, rows, 8) the feed's workspace, changed in place
@@ -162,8 +164,8 @@ class Program(Generic[Workspace]):
 
     Args:
         function: maps a workspace tree to a workspace tree of the same shape.
-        template: the initial workspace, of floats; its ``incoming`` is the blank epoch, which
-            follows the last epoch of a track.
+        template: the initial workspace, of floats. Its ``incoming`` is the blank epoch, which is
+            run if a track has no epoch left.
     """
 
     def __init__(self, function: Callable[[Workspace], Workspace], template: Workspace) -> None:
@@ -180,7 +182,7 @@ class Program(Generic[Workspace]):
         return self._found(tuple(names))[0]
 
     def by_name(self, names: Sequence[str], outputs: Array) -> dict[str, Array]:
-        """Split outputs (n, epochs, rows) by name; the rows are those of :meth:`rows`, in order.
+        """Split outputs (n, epochs, columns) by name; column i is row ``self.rows(names)[i]``.
 
         A part is (n, epochs) if it is a single number, else (n, epochs, numbers).
         """
@@ -189,7 +191,7 @@ class Program(Generic[Workspace]):
         }
 
     def _found(self, names: tuple[str, ...]) -> tuple[Index, dict[str, int | slice]]:
-        """Return the rows of some parts, and each part's columns in outputs of these rows."""
+        """Return :func:`laid_out` for the parts with these names."""
         if names not in self._columns:
             parts = {name: attrgetter(name)(self.index) for name in names}
             self._columns[names] = laid_out(parts)
@@ -203,10 +205,11 @@ class Program(Generic[Workspace]):
 
     def run_on_floats(self, state: BatchState, io: StepIO) -> None:
         """Run all environments one after the other in plain Python: slow, for reference."""
-        for e in np.flatnonzero(state.running):  # with a table, as feeds run on lanes only
+        for e in np.flatnonzero(state.running):
             lanes = state.rows[e // WIDTH, :, e % WIDTH]
             for step in range(io.outputs.shape[1]):
                 t = state.epoch[e] + step
+                # Epochs come from the table, because feeds only run on lanes.
                 incoming = state.table[e, t] if t < state.length[e] else self.blank
                 lanes[: len(self.blank)] = incoming
                 lanes[io.input_rows] = io.inputs[e, step]
@@ -218,7 +221,7 @@ class Program(Generic[Workspace]):
     def on_lanes(self) -> int:
         """Return the address of a C function that runs the program on a block.
 
-        ``advance.call`` calls the function. It is compiled here, once, and kept with the program.
+        The function is compiled here, once, and kept with the program; ``advance.call`` calls it.
         Loops take the address as an argument, so a loop is not compiled anew for every program. The
         address is a number because a ctypes pointer would cost each call a microsecond of Python.
         """

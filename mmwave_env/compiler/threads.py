@@ -36,22 +36,22 @@ def share(
     results: list[Any] = [None] * len(jobs)
     waiting = iter(range(len(jobs)))  # shared by the threads: next() is atomic
 
-    def work(here: Lock) -> None:
-        with here:
+    def work(busy: Lock) -> None:
+        with busy:
             for i in waiting:
                 results[i] = function(*jobs[i])
 
     # Wait for locks instead of futures: after an interrupt in submit(), a future may be lost.
-    places = [Lock() for _ in range(min(threads, len(jobs)) - 1)]
+    locks = [Lock() for _ in range(min(threads, len(jobs)) - 1)]
     others: list[Future[None]] = []
     try:
-        others.extend(_helpers().submit(work, place) for place in places)
+        others.extend(_helpers().submit(work, lock) for lock in locks)
         work(Lock())
     finally:
         for _ in waiting:  # take the remaining jobs, so that no thread begins another one
             pass
-        for place in places:
-            with place:
+        for lock in locks:
+            with lock:
                 pass
     for other in others:
         if not other.cancel():
@@ -65,6 +65,6 @@ def spans(count: int, parts: int) -> list[tuple[int, int]]:
 
 
 def portions(count: int, threads: int, most: int) -> list[slice]:
-    """Divide ``count`` things into slices of up to ``most`` things, made of whole blocks of 8."""
+    """Divide ``count`` things into slices of whole blocks of 8, each of at most ``most`` things."""
     size = min(most, -(-count // (threads * WIDTH)) * WIDTH)
     return [slice(first, first + size) for first in range(0, count, size)]

@@ -33,7 +33,7 @@ def address(table, i, j):  # type: ignore[no-untyped-def]
 def gather(block: Array, sources: Index, count: int) -> None:
     """Fill the first ``count`` rows of a block (size, 8).
 
-    ``sources`` (8,) are addresses of the numbers of each lane, in double precision.
+    ``sources`` (8,) has the address of each lane's numbers, which are in double precision.
     """
     for lane, source in enumerate(sources.tolist()):
         block[:count, lane] = _numbers(source, count, ctypes.c_double)
@@ -42,7 +42,7 @@ def gather(block: Array, sources: Index, count: int) -> None:
 def scatter(block: Array, rows: Index, targets: Index) -> None:
     """Write rows (k,) of a block (size, 8) to memory, each lane to its own address.
 
-    ``targets`` (8,) are addresses of memory for the k numbers of each lane, in double precision.
+    ``targets`` (8,) has an address for each lane: memory for k numbers in double precision.
     """
     for lane, target in enumerate(targets.tolist()):
         _numbers(target, len(rows), ctypes.c_double)[:] = block[rows, lane]
@@ -138,7 +138,7 @@ def _turn_in(_, block, sources, first):  # type: ignore[no-untyped-def]
 def _turn_out(kind: ir.Type) -> Any:
     @intrinsic  # type: ignore[untyped-decorator]
     def turn_out(_, block, rows, targets, first):  # type: ignore[no-untyped-def]
-        """Store each lane of rows ``rows[first:first + 8]`` in its target, from ``first`` on."""
+        """Store ``rows[first:first + 8]`` as numbers ``first`` to ``first`` + 7 of each target."""
 
         def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
             block, rows, targets, first = arguments

@@ -1,9 +1,9 @@
 """Batches of environments that run a program on episodes.
 
-The workspace of such a program begins with three fields that a :class:`Batch` fills in:
-``incoming``, the next epoch (:class:`~mmwave_env.world.episode.Incoming`); ``site``, the anchors
-and the prior; and ``is_first``, which is 1 if an episode begins. The program sets ``is_first``
-back to 0.
+The program's workspace (all numbers of an environment, one per row) begins with three fields that a
+:class:`Batch` fills in: ``incoming``, the next epoch (:class:`~mmwave_env.world.episode.Incoming`);
+``site``, the anchors, carrier and prior; and ``is_first``, which is 1 if an episode begins. The
+program sets ``is_first`` back to 0.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ from mmwave_env.numerics.pytree import flatten
 from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
 from mmwave_env.world.simulated import Begun, SimulatedSource
 
-BLOCKS_PER_THREAD = 64  # minimum; waking a thread takes as long as running 32 blocks
+BLOCKS_PER_THREAD = 64  # minimum number of blocks (of 8); waking a thread takes as long as 32
 
 
 class Batch(Generic[Workspace]):
@@ -40,16 +40,16 @@ class Batch(Generic[Workspace]):
         program: the program to run.
         layout: which values a measurement has, in order.
         n: number of environments.
-        input_rows: leaves of ``program.index`` that receive an input in every epoch.
+        input_rows: numbers of the workspace's rows that receive an input in every epoch.
         on_floats: whether to run in plain Python instead of on SIMD lanes.
         threads: number of threads that may work at once; results do not depend on it.
         ahead: number of epochs to finish before the first action: 1 if actions are corrections, as
             there must be a belief to correct, else 0.
 
     Attributes:
-        at: tree like the workspace, with row numbers in place of values, to select rows to read.
+        at: tree like the workspace, with row numbers as leaves; its parts select what to read.
         state: the environments' workspaces, episodes and next epochs.
-        parts: (first, end) numbers of the blocks that each thread runs in an epoch.
+        parts: for each thread, the first block that it runs, and the block after its last.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class Batch(Generic[Workspace]):
 
     @property
     def completed(self) -> Index:
-        """Return the number of epochs (n,) of each environment that have had their action."""
+        """Return the number of epochs (n,) for which each environment has received an action."""
         return self.state.epoch - 1 - self.ahead
 
     def load(
@@ -87,8 +87,8 @@ class Batch(Generic[Workspace]):
         Args:
             episodes: one episode for each environment in ``places``.
             places: numbers of the environments to load; None for all.
-            gap_s: seconds since the last epoch that ran, for episodes that continue the track;
-                None to start over from the episodes' priors.
+            gap_s: for episodes that continue the tracks, seconds from the last epoch that ran to
+                their first epoch; None to start over from the episodes' priors.
 
         Raises:
             ValueError: the layout of an episode differs from the batch's.
@@ -135,7 +135,7 @@ class Batch(Generic[Workspace]):
         self.restart(places)
 
     def attach(self, source: SimulatedSource) -> None:
-        """Make the feed that simulates episodes of a source; later calls do nothing."""
+        """Make the feed, compiled code that simulates a source's epochs; later calls do nothing."""
         if not self.state.feed.run:
             blank = source.begin(np.zeros(1, np.uint64)).worlds
             feed = source.feed(np.tile(blank, (self.n, 1)))
@@ -178,7 +178,7 @@ class Batch(Generic[Workspace]):
         return StepIO.of(self.n, epochs, self._input_rows, output_rows, obs_rows)
 
     def advance(self, io: StepIO | None = None, running: NDArray[np.bool_] | None = None) -> None:
-        """Run the next epochs; past the end of an episode, epochs are blank.
+        """Run the next epochs; past the end of an episode, epochs are blank (without measurements).
 
         Args:
             io: inputs, outputs and observations; None for one epoch without any.
@@ -201,7 +201,7 @@ class Batch(Generic[Workspace]):
         return slice(numbers[0], numbers[-1] + 1)
 
     def read(self, tree: Any, dtype: DTypeLike = np.float64) -> NDArray[Any]:
-        """Copy the rows of a subtree of ``at``, or of a span: (n,) for a leaf, else (n, k)."""
+        """Return the numbers of a part of ``at``, or of a slice: (n,) for a leaf, else (n, k)."""
         rows = self.state.rows
         if isinstance(tree, int):
             return rows[:, tree, :].reshape(-1)[: self.n].astype(dtype)
@@ -210,7 +210,7 @@ class Batch(Generic[Workspace]):
         return chosen.reshape(-1, chosen.shape[2])[: self.n]
 
     def column(self, environment: int) -> Array:
-        """Return a copy of all rows (size,) of one environment; :meth:`span` finds a part in it."""
+        """Return a copy of all numbers (size,) of an environment, which :meth:`span` indexes."""
         block, lane = divmod(environment, WIDTH)
         return self.state.rows[block, :, lane].copy()
 

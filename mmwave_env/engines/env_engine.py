@@ -32,7 +32,7 @@ class Engine:
         pipeline: modes and layout.
         n: number of environments.
         reward: function of (belief, truth).
-        observation: "full" or "prior".
+        observation: "full", "prior" or "signed".
         bank: bank of the pipeline's modes, if every mode keeps its own belief; None if the modes
             share a belief.
         action, base: same as in :class:`~mmwave_env.task.Task`.
@@ -79,7 +79,10 @@ class Engine:
             self.tune(bank)
 
     def tune(self, bank: Bank, places: Index | None = None) -> None:
-        """Load a bank whose modes differ only in tuning, in some environments (n,) or in all."""
+        """Load a bank into some environments (n,) or into all.
+
+        The bank's modes may differ from those of the pipeline only in their tuning.
+        """
         numbers = flatten(settings_of(bank, self.pipeline.layout))
         self.batch.write(self.at.settings, np.array(numbers), places)
 
@@ -97,7 +100,7 @@ class Engine:
 
         Args:
             task: a task with simulated episodes, the same in every call.
-            keys: (n,) keys of the episodes.
+            keys: (n,) 64-bit numbers, each of which determines an episode.
             places: (n,) indices of the environments.
             threads: number of threads that may draw at once.
 
@@ -124,7 +127,7 @@ class Engine:
             self.batch.make_room(task.simulated.epochs)
 
     def go_on(self, task: Task, tracks: BatchState) -> None:
-        """Continue from the state of a batch with the same task, even one from another process."""
+        """Continue from the state of a batch with the same task, perhaps from another process."""
         if len(tracks.feed.kept):  # the address of compiled code differs between processes
             feed = tracks.feed._replace(run=task.simulated.world.on_lanes())
             tracks = tracks._replace(feed=feed)
@@ -137,7 +140,7 @@ class Engine:
         return self.batch.episodes(places)
 
     def steps_s(self, places: Index) -> Array:
-        """Return the median time (n,) between epochs of each current episode, seconds."""
+        """Return the median time (n,) in seconds between the epochs of each current episode."""
         state, dt = self.batch.state, columns_of(self.batch.layout).dt
         if state.feed.run:
             return np.full(len(places), state.feed.times[1:2].sum() or 1.0)
@@ -149,8 +152,7 @@ class Engine:
     ) -> tuple[NDArray[np.float32], Array]:
         """Consider the next epoch in environments just loaded; leave the others unchanged.
 
-        Returns:
-            Same as for :meth:`step`, but valid only for these environments.
+        The results are those of :meth:`step`, but valid only for these environments.
         """
         running = np.zeros(self.batch.n, np.bool_)
         running[places] = True
@@ -168,7 +170,7 @@ class Engine:
             self.start(places)
 
     def choices(self) -> Index:
-        """Return the base agent's actions (n,) in the current epoch; zeros without a base agent."""
+        """Return the current actions (n,) of the agent ``base``, or zeros if there is no agent."""
         n = self.batch.n
         if self._base is None:
             return np.zeros(n, np.int64)
@@ -190,7 +192,8 @@ class Engine:
         An environment that was just loaded starts its episode instead.
 
         Args:
-            actions: numbers of modes, from 0; with a belief per mode, from 1, or 0 for no mode.
+            actions: modes, counted from 0. If every mode has its own belief, modes are counted
+                from 1, and action 0 trusts no mode.
             output_rows: (k,) row numbers of the values to return, such as from :func:`rows_of`.
 
         Returns:

@@ -32,18 +32,18 @@ from mmwave_env.task import Task
 from mmwave_env.world.episode import EpisodeBatch
 from mmwave_env.world.keys import Streams
 
-# maximum number of episodes in one job of replaying and in one job of filtering, to save memory
+# maximum number of episodes that one job replays, and that one job filters, to save memory
 REPLAYED, FILTERED = 8, 256
 
 
 class Baseline:
-    """The baseline of a paired reward: the rewards of an IMM on the episodes of a batch.
+    """The baseline of a paired reward: an IMM's rewards, which are subtracted from the agent's.
 
     No action changes an episode, so these rewards are known once the episode is loaded. If actions
-    are corrections, the baseline is the uncorrected belief's reward; a step computes it, too.
+    are corrections, the baseline is the reward of the uncorrected belief, which a step computes.
 
     Args:
-        task: the task, whose baseline is the IMM.
+        task: the task, whose ``baseline`` is the bank of the IMM.
         batch: the batch that runs the episodes.
         threads: number of threads that may work at once; results do not depend on it.
     """
@@ -93,7 +93,7 @@ class Baseline:
         rewards[places] = rewards[places].astype(np.float32) - earned
 
     def rest(self, places: Index) -> Array:
-        """Return the IMM's total reward in the remaining epochs of some environments (n,)."""
+        """Return the IMM's total reward (n,) in the remaining epochs of each environment."""
         tracks = self._batch.state
         spans = zip(places, self._batch.completed[places], tracks.length[places], strict=True)
         return np.array([fsum(self._rewards[place, now:end]) for place, now, end in spans])
@@ -138,7 +138,7 @@ class Environment:
 
     @property
     def _drawn(self) -> tuple[dict[str, Any], int, list[str]]:
-        """Return the rows to draw, the number of axes in the NEES, and the names of the actions."""
+        """Return the rows that pictures show, the number of NEES axes, and the names of actions."""
         rows = drawn_rows(self._engine.at, self._engine.span)
         return rows, len(self._task.pipeline.position_axes), self.observation.actions
 
@@ -146,7 +146,7 @@ class Environment:
         """Return the belief after the last epoch in which an action was taken.
 
         Args:
-            environment: number of the environment, in a vector of them.
+            environment: number of the environment, if there are several.
 
         Raises:
             ResetNeeded: no episode is under way.
@@ -195,7 +195,7 @@ class Environment:
         return metrics | {SMOOTHED_KEY: smoothed}
 
     def _charge(self, rewards: Array, places: Index) -> None:
-        """Add the worst reward for each remaining epoch of episodes that ended early."""
+        """Add the worst (paired) reward for each remaining epoch of episodes that ended early."""
         assert self._task.worst is not None
         batch = self._engine.batch
         rewards[places] += self._task.worst * (batch.state.length - batch.completed)[places]
@@ -279,7 +279,6 @@ class RestorableEnvironment(Environment):
         """
         self._require_simulated("restore")
         n, source = self.num_envs, self._task.simulated
-        # make room for the state's episodes; current episodes continue
         self._engine.attach(self._task)
         self._tally.make_room(min(round(1.0 / source.dt), source.epochs), source.epochs)
         arrays = self._arrays()
@@ -301,7 +300,7 @@ class RestorableEnvironment(Environment):
         self._streams.set_states(state["streams"])
         self._over, self._ended = state["over"].copy(), int(np.count_nonzero(state["over"]))
         self._begin_baseline(np.arange(n))
-        self._begin_pictures(np.arange(n))  # the path so far is not part of a state
+        self._begin_pictures(np.arange(n))  # a state does not contain the path so far
         self._begun = True
 
     def _require_simulated(self, call: str) -> None:

@@ -7,8 +7,8 @@ action, because the observation shows the result of each. No action changes the 
 If the modes share a belief, their results are *candidates*, and the action chooses one. If every
 mode keeps its own belief, the modes interact as in an IMM (:mod:`mmwave_env.filters.imm`), and an
 action is the mode to trust in the epoch that was just filtered: the probability of that mode is
-raised before the beliefs are combined, scored and mixed again. Action 0 trusts no mode, as in the
-IMM. With ``action="weights"``, the action raises or lowers the probability of every mode. With
+raised before the beliefs are combined, scored and mixed again. Action 0 trusts no mode, so that
+the IMM itself decides. With ``action="weights"``, the action scales every mode's probability. With
 ``action="correction"``, the filters are one epoch ahead of the actions: a step corrects and scores
 the belief of one epoch earlier, and the filters continue from their uncorrected beliefs.
 """
@@ -68,16 +68,15 @@ class EnvState(NamedTuple):
     x: list[Number]
     P: list[Number]
     memory: Memory  # memory of the track
-    # results of the modes in the pending epoch; predicted beliefs are left out, so that more
-    # environments fit into a cache
-    candidates: list[ModeResult]
+    candidates: list[ModeResult]  # the modes' results; to save cache, without predicted beliefs
     observation: list[Number]  # (features,)
     reward: Number  # reward of the last epoch in which an action was taken
     reward_terms: list[Number]  # terms of the reward; the last one is minus the mode's cost
-    truth: list[Number]  # (6,) truth in that epoch; before any action, truth in the first epoch
-    error: list[Number]  # (3,) position error in that epoch, m
+    # truth: (6,) truth in the epoch of the reward; before any action, truth in the first epoch
+    truth: list[Number]
+    error: list[Number]  # (3,) position error in the epoch of the reward, m
     distance: Number  # length of the error, m
-    nees: Number  # NEES in that epoch
+    nees: Number  # NEES in the epoch of the reward
 
 
 def shared_epoch(
@@ -113,7 +112,7 @@ def shared_epoch(
 
 
 class Reported(NamedTuple):
-    """The corrected epoch. Its fields mean the same as in :class:`PerModeState`."""
+    """The epoch that an action corrected. Its fields are the same as in :class:`PerModeState`."""
 
     x: list[Number]
     P: list[Number]
@@ -137,10 +136,9 @@ class PerModeState(NamedTuple):
     spread_averages_hz: list[Number]  # average Doppler spread, for each of SPREAD_MEMORIES
     # all fields below, except the observation, belong to the last epoch with an action:
     mode_probabilities: list[Number]  # (modes,) probabilities after the action
-    # x, P: (7,), (28,) the combined belief
-    x: list[Number]
-    P: list[Number]
-    memory: Memory  # memory of the most probable mode, but with the preferences of all modes
+    x: list[Number]  # (7,) mean of the combined belief
+    P: list[Number]  # (28,) its covariance, packed
+    memory: Memory  # of the most probable mode, but its field ``preference`` covers all modes
     observation: list[Number]  # (features,)
     # the fields from ``reward`` to ``nees`` are the same as in :class:`EnvState`
     reward: Number
@@ -216,7 +214,7 @@ def program_of(
     """Return the program of an epoch, shared by all environments with the same arguments.
 
     Args:
-        pipeline: modes and layout; with a belief per mode, the tunings come from the state.
+        pipeline: modes and layout; if every mode has its own belief, the state has the tunings.
         kind: kind of observation.
         reward: function of (belief, truth).
         per_mode: whether every mode keeps its own belief.

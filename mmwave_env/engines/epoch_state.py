@@ -74,10 +74,10 @@ def pending_of(incoming: Incoming, epoch: Epoch, observation: Observation) -> Pe
 def with_expected_spread(epoch: Epoch, velocity: Vector, site: Site) -> Epoch:
     """Return the epoch; a Doppler spread of 0 (not measured) is replaced with the expected one.
 
-    Features need this, because 0 would tell policies that the user stands. The expected spread is
-    about the mean of :func:`~mmwave_env.models.radio.doppler_spread` at the estimated ``velocity``
-    (3,), m/s, and a radio's default parameters. Epochs without any measurement, such as the blank
-    one after the last, keep their 0.
+    Features need this, because 0 would tell policies that the user stands. The expected spread
+    approximates the mean of :func:`~mmwave_env.models.radio.doppler_spread` for the estimated
+    ``velocity`` (3,), m/s, with the default parameters of a radio. Epochs without any measurement,
+    such as the blank epoch after the last one, keep the value 0.
     """
     floor_mps = Radio.spread_floor_mps * math.sqrt(2.0 / math.pi)  # mean of |N(0, floor)|
     speed_mps = sqrt(dot(velocity, velocity))
@@ -87,7 +87,7 @@ def with_expected_spread(epoch: Epoch, velocity: Vector, site: Site) -> Epoch:
 
 
 def last_of(w: Any, layout: Layout, probabilities: Vector = ()) -> LastEpoch | None:
-    """Return the last epoch of an environment with signed features; None without such features."""
+    """Return the epoch before the coming one if the observation has signed features; else None."""
     if not w.pending.incoming:
         return None
     epoch = with_expected_spread(w.pending.incoming.epoch(layout), w.x[3:6], w.site)
@@ -99,7 +99,7 @@ def begun(
 ) -> tuple[list[Number], list[Number], Memory]:
     """Return the belief x (7,), P (28,), and the memory, with which an epoch begins.
 
-    At the start of a track, they are the prior and a new memory; otherwise they are those given.
+    At the start of a track, they are the prior and a new memory; otherwise, the arguments.
     """
     blank, first = initial_memory(pipeline.layout, len(pipeline.modes)), w.is_first > 0.5
     x, P = select(first, w.site.prior_x, x), select(first, w.site.prior_P, P)
@@ -107,7 +107,7 @@ def begun(
 
 
 def scores(belief: Belief, truth: Vector, reward: Reward, cost: Number) -> dict[str, Any]:
-    """Return the errors of a belief after an epoch, and its reward minus ``cost``."""
+    """Return the errors of a belief, its reward minus ``cost``, and the terms of the reward."""
     terms = terms_of(reward, belief, truth)
     return {
         "reward": total(terms) - cost,

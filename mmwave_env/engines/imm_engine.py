@@ -50,7 +50,7 @@ class ImmState(NamedTuple):
     action: Number  # number of the mode to trust, from 1, if an agent acts; 0 for none
     settings: ImmSettings  # parameters of the bank
     mixture: Mixture  # belief and probability of every mode
-    # x, P: (7,), (28,) the combined belief; x_predicted, P_predicted: before the epoch's update
+    # x, P: (7,), (28,) combined belief; x_predicted, P_predicted: the same before the update
     x: list[Number]
     P: list[Number]
     x_predicted: list[Number]

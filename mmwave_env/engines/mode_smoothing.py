@@ -107,13 +107,13 @@ def _backwards(
     hz_per_mps: float,
     transition: Array,
 ) -> ModeBeliefs:
-    """Return the smoothed beliefs of an epoch, given those of the following epoch.
+    """Return the smoothed beliefs of an epoch, given the smoothed beliefs of the following epoch.
 
     Args:
         pipeline: pipeline of the modes.
         now, gamma: filtered beliefs of the epoch, and the scales (N, modes) of the modes' noise.
         after: smoothed beliefs of the following epoch.
-        coming: step and Doppler spread of the following epoch, (N, 1).
+        coming: the following epoch; only its step and Doppler spread, both (N, 1), are used.
         hz_per_mps: carrier frequency divided by the speed of light.
         transition: (N, modes, modes) probabilities (from, to) over the step.
     """
@@ -128,7 +128,7 @@ def _backwards(
         )
         x_predicted = np.stack(np.broadcast_arrays(*mean), axis=-1)
         P_predicted = _matrix(covariance, now.x.shape[:-1])
-        P_predicted[..., known, known] = 1.0  # known axes have no variance, and gain 0
+        P_predicted[..., known, known] = 1.0  # instead of 0, so that the matrix has an inverse
         step = after.x[:, i, None] - x_predicted
         solved = np.linalg.solve(P_predicted, np.concatenate([FP, step[..., None]], axis=-1))
         gain = np.swapaxes(solved[..., :-1], -1, -2)  # 0 for known axes

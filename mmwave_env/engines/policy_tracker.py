@@ -35,8 +35,8 @@ class PolicyTracker:
     Args:
         pipeline: modes and layout.
         policy: function from observations (1, features) to actions (1,), with a method
-            ``reset(mask)`` that is called when a track starts over. A corrector also has
-            ``read_from_track`` and ``correct_track`` (:class:`policies.corrector.Corrector`).
+            ``reset(mask)`` that is called when a track starts over. A policy that corrects beliefs
+            (:class:`policies.corrector.Corrector`) also has ``read_from_track``, ``correct_track``.
         observation: "full", "prior" or "signed".
         bank: bank of the modes, if every mode keeps its own belief; None if they share a belief.
     """

@@ -111,7 +111,7 @@ def smooth(
             update.
         dt: (T - 1,) seconds from each epoch to the next; (N, T - 1) if they differ between tracks.
         planar: whether z and vz are known exactly.
-        hz_per_mps: carrier frequency over the speed of light; needed only with a clock.
+        hz_per_mps: carrier frequency over the speed of light; needed only if x has a range bias.
     """
     N, T, size = x.shape
     program = _program(VERTICAL if planar else (), size)

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from mmwave_env.metrics import BURN_IN, RISK, Sums, nees_interval, running_summary
 from mmwave_env.numerics.numbers import Array, Index
 
-# columns of the sums, in the order of :class:`~mmwave_env.metrics.Sums`
+# columns of the sums: the fields of :class:`~mmwave_env.metrics.Sums` from ``distance`` on
 LENGTH, SQUARED, CHANGE, NEES, INSIDE, LARGEST = range(6)
 NONFINITE = 6  # number of epochs, burn-in included, with an error or NEES that is not finite
 SUMS = 7
 
-# squares of the horizontal protection level at risk RISK, divided by the variance along the longer
-# axis of the error ellipse: NARROWEST if the other axis is 0, WIDEST if both axes are equal
+# square of the horizontal protection level at risk RISK, divided by the variance along the longer
+# axis of the error ellipse: NARROWEST if the shorter axis is 0, WIDEST if both axes are equal
 NARROWEST, WIDEST = NormalDist().inv_cdf(0.5 * RISK) ** 2, -2.0 * math.log(RISK)
 ANGLES, LEAST = 64, 1e-12  # number of angles in a quadrant; smallest variance, m^2
 
@@ -35,7 +35,7 @@ class Counts(NamedTuple):
 
 
 class Tally:
-    """Sums over the epochs that count in the metrics.
+    """Records of episodes: sums over the epochs that count in the metrics, and chosen modes.
 
     Args:
         n: number of environments.
@@ -60,7 +60,7 @@ class Tally:
         self.make_room(int(second.max()), int(epochs.max(initial=0)))
 
     def make_room(self, second: int, epochs: int) -> None:
-        """Make room for at least this number of errors and of epochs per environment."""
+        """Make room for the errors of ``second`` epochs and for the modes of ``epochs`` epochs."""
         errors, modes = self.counts.errors, self.counts.modes
         missing = max(0, second - errors.shape[1])
         errors = np.pad(errors, ((0, 0), (0, missing), (0, 0)))
@@ -92,7 +92,7 @@ class Tally:
 
 @register_jitable
 def count(counts, e, k, x, y, z, nees):  # type: ignore[no-untyped-def]
-    """Count epoch ``k`` of an episode, from 0, with its position error (m) and NEES.
+    """Count epoch ``k`` (counted from 0) of an episode, with its position error (m) and NEES.
 
     During the burn-in (the first BURN_IN epochs), each epoch replaces the earlier epochs in the
     sums. So an episode that is shorter than the burn-in is scored by its last epoch.

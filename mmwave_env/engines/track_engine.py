@@ -145,10 +145,10 @@ class EpisodeFilter(Generic[Workspace]):
 
         Args:
             names: parts of the program's state to return, such as "x" or "memory.nis".
-            actions: (n, epochs) values of the state's part ``action``; None for zeros.
+            actions: (N, epochs) values of the state's part ``action``; None for zeros.
 
         Returns:
-            For each name, (n, epochs) if it is a single number, else (n, epochs, numbers).
+            For each name, (N, epochs) if the part is a single number, else (N, epochs, numbers).
         """
         io = self._batch.io(self.epochs, self.program.rows(names))
         io.inputs[..., 0] = 0 if actions is None else actions
@@ -162,8 +162,8 @@ class Tracker(EpisodeFilter[TrackState]):
     Args:
         pipeline: the mode, or the modes to choose from.
         n: number of tracks.
-        rule: function of the state (7,) after the previous epoch, and of the coming epoch, that
-            returns the number of the mode; None for one mode, or to pass the modes to :meth:`run`.
+        rule: function that returns the number of the mode, given the state (7,) after the previous
+            epoch and the coming epoch; None for one mode, or to pass the modes to :meth:`run`.
         on_floats: whether to run in plain Python (slow, for reference) instead of on SIMD lanes.
     """
 

@@ -29,7 +29,7 @@ class StepResult(NamedTuple):
     rewards: Array  # (n,) results of the reward function
     terminated: Mask  # (n,) False; the caller sets it where a track diverges
     truncated: Mask  # (n,) whether the episode has no epoch left
-    # accepted, rejected: (n, groups); (n, 0) if steps return no infos
+    # accepted, rejected: (n, groups) the gates' verdicts; (n, 0) if steps return no infos
     accepted: Mask
     rejected: Mask
     cost: Array  # (n,) 1.0 where an error exceeds its protection level; (0,) without infos
@@ -40,7 +40,7 @@ class StepColumns(NamedTuple):
 
     reward: int
     nees: int
-    error: int  # 3 columns
+    error: int  # 3 columns: position error
     covariance: int  # 3 columns: covariance of the horizontal position
     # accepted, rejected: one column per group of measurements, if steps return infos
     accepted: int
@@ -129,7 +129,7 @@ class Stepper:
 
         Returns:
             Observations (n, features) and the infos of :data:`STATE_KEYS` (n, ...), valid only for
-            these environments.
+            the environments ``places``.
         """
         observations, outputs = self._engine.start(places, self._rows)
         if self._told:
@@ -144,7 +144,7 @@ def _step_blocks(  # type: ignore[no-untyped-def]
 ):
     """Step the environments of blocks ``begin`` to ``end``; return how many episodes ended.
 
-    ``ahead`` is that of :class:`Batch`.
+    ``ahead`` is the same as in :class:`Batch`.
     """
     first, last = begin * WIDTH, min(end * WIDTH, len(actions))
     inputs, outputs, epoch, length = io.inputs, io.outputs, state.epoch, state.length

@@ -1,4 +1,4 @@
-"""Kinds of actions: the number of a mode, or numbers that reweigh modes or correct the belief."""
+"""Kinds of actions: a mode's number, weights of the modes, or a correction of the belief."""
 
 from typing import Any
 
@@ -13,9 +13,9 @@ from mmwave_env.numerics.numbers import Array
 
 MODE, WEIGHTS, CORRECTION = "mode", "weights", "correction"
 ACTIONS = {
-    MODE: "the number of the mode to run or, with a belief per mode, to trust",
+    MODE: "the number of the mode to run; if each has its own belief, of the mode to trust",
     WEIGHTS: "for each mode, the logarithm of a factor per second on its probability",
-    CORRECTION: "three shifts of the belief and three logarithms of factors on its deviations",
+    CORRECTION: "three shifts of the position, and logarithms of factors on its three deviations",
 }
 
 
@@ -35,7 +35,7 @@ def space_of(limits: Array, count: int) -> spaces.Space[Any]:
 
 
 def numbers_in(name: str, action: Any, limits: Array, *n: int, ignored: Any = False) -> Array:
-    """Return a copy of an action's numbers (*n, k); those of ``ignored`` environments become 0.
+    """Return a copy of an action's numbers (*n, k), with 0 for the environments ``ignored``.
 
     Raises:
         InvalidAction: the shape differs, or a number is NaN or beyond its limit.

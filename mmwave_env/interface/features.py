@@ -28,7 +28,7 @@ UNSEEN |= dict.fromkeys(
         "elevation residual", "elevation deviation", "measured", "last SNR",
     ), 0.0)  # fmt: skip
 _LEAST = 1e-9  # lower limit of a probability in a logarithm
-_WAYS = {
+_WAYS = {  # components of a horizontal vector -> their meaning
     "along": "component along the predicted velocity",
     "across": "component to the left of the predicted velocity",
 }
@@ -157,7 +157,7 @@ def _distance(view: View, anchor: int) -> Number:
 
 
 def _links(layout: Layout, distances: bool) -> list[Feature]:
-    """Return features of the coming epoch's links: SNRs, and distances or the number of links."""
+    """Return features of the coming links: their SNRs, and their distances or else their number."""
     table = []
     for a in range(layout.anchors):
         table += [
@@ -230,8 +230,8 @@ def _mixture(pipeline: Pipeline) -> list[Feature]:
 def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
     """Return features of each mode's result for the coming epoch: innovations, likelihoods.
 
-    Modes come in their order; each but the last is also compared with the last. An observation of
-    the kind "prior" does not contain these features.
+    The modes follow in their order, and each but the last is also compared with the last. An
+    observation of the kind "prior" does not contain these features.
 
     Args:
         pipeline, per_mode: arguments of :func:`context`.
@@ -247,7 +247,7 @@ def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
 
 
 def _doppler_innovation(view: View, layout: Layout) -> Number:
-    """Compute the measured minus the predicted radial velocity, m/s; 0 if it was not measured."""
+    """Compute the measured minus the predicted radial velocity, m/s; 0 without a measurement."""
     x = move(view.x[:7], view.epoch.dt)
     base = doppler_anchor(view.site.anchors, view.epoch.doppler_of)
     step = [x[i] - base[i] for i in range(3)]

@@ -33,12 +33,12 @@ INFOS = {
 
 
 def reported(at: Any) -> Any:
-    """Return the part of a workspace that infos describe: the corrected epoch, if any, else all."""
+    """Return the part of a workspace that infos describe: the corrected epoch if any, else all."""
     return getattr(at, "reported", ()) or at
 
 
 def info_rows(at: Any) -> dict[str, Any]:
-    """Return, by key, the rows of a workspace that hold the values of infos, except ``mode``.
+    """Return, by key, the rows of a workspace with the values of infos except mode and cost.
 
     Args:
         at: workspace of :mod:`~mmwave_env.engines.environment_epoch` with row numbers as leaves.
@@ -67,7 +67,7 @@ def drawn_rows(at: Any, span: Callable[[Any], Any]) -> dict[str, Any]:
 
 
 def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
-    """Return infos (n, ...) of the environments in ``where`` (n,), as Gymnasium batches them.
+    """Return infos (n, ...), in Gymnasium's form, of environments where ``where`` (n,) is True.
 
     Values of other environments are replaced by 0 or None, in place. Every key gets a mask
     ``_key``; all masks are the same array. If ``where`` is False everywhere, the result is empty.
@@ -81,7 +81,7 @@ def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
 
 
 def stepped(infos: dict[str, Any], where: Mask) -> dict[str, Any]:
-    """Return the infos of a step that processed only the environments in ``where`` (n,)."""
+    """Return the infos of a step that ran only in environments where ``where`` (n,) is True."""
     did = {key: infos[key] for key in (*STEP_KEYS, PROBABILITIES) if key in infos}
     kept = (*STATE_KEYS, *mask_keys(STATE_KEYS))
     return masked(did, where) | {key: infos[key] for key in kept if key in infos}
@@ -93,7 +93,7 @@ def step_info(column: Array, rows: dict[str, Any], mode: int) -> dict[str, Any]:
     Args:
         column: workspace (size,) after the step.
         rows: row or slice of each value in the workspace, from :func:`info_rows`.
-        mode: number of the mode that ran.
+        mode: number of the mode that the action chose.
     """
     info: dict[str, Any] = {}
     for key, part in rows.items():
@@ -112,7 +112,7 @@ def worded(
 
     Args:
         info: everything that is known.
-        infos: the environment's argument of this name.
+        infos: one of :data:`INFOS`, the environment's argument.
         at_end: whether the info belongs to a reset or to the last step of an episode.
         groups: number of groups of measurements: links, Doppler shift, odometry.
         beliefs: number of beliefs that the modes keep.

@@ -31,7 +31,7 @@ LIMIT = 10.0  # maximum distance of a feature from its mean, in standard deviati
 
 OBSERVATIONS = {
     "full": "all features",
-    "prior": "all features except how well each mode explains the coming epoch",
+    "prior": "all features except those that say how well each mode explains the coming epoch",
     "signed": "all features, and residuals of the last epoch along and across the velocity",
 }
 BELIEFS = {  # a belief is a mean and a covariance
@@ -41,7 +41,7 @@ BELIEFS = {  # a belief is a mean and a covariance
 
 
 def action_names(modes: Sequence[Mode], beliefs: str) -> list[str]:
-    """Return the names of the actions: the modes; with a belief per mode, "none" comes first."""
+    """Return the names of the actions: the modes and, with a belief per mode, first "none"."""
     names = [mode.name for mode in modes]
     return ["none", *names] if beliefs == "per-mode" else names
 

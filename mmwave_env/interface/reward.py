@@ -1,8 +1,8 @@
 """Rewards: functions of a belief (mean and covariance) and the truth.
 
 A reward is called as ``reward(belief, truth)`` with a
-:class:`~mmwave_env.filters.belief.Belief` and the true (6,) position and velocity. It returns
-one number, or a dict of named terms, whose sum is the reward. Pass your own reward to
+:class:`~mmwave_env.filters.belief.Belief` and the true position and velocity (6,). It returns the
+reward, or a dict of named terms, whose sum is the reward. Pass your own reward to
 ``MmWaveLoc-v0`` as ``reward=``. It must follow the rules of :mod:`mmwave_env.numerics.numbers`,
 because it is compiled for SIMD lanes. Any reward can be paired (:class:`PairedReward`).
 """
@@ -46,7 +46,7 @@ class TrackingReward:
         return -(self.error_weight * self.error_limit_m + self.nees_weight * self.nees_limit)
 
     def costs(self, distance_m: Array, nees: Array, axes: int = 3) -> tuple[Array, Array]:
-        """Compute the cost of error and NEES in epochs (...,); the reward is minus their sum.
+        """Compute two costs per epoch (...,), of error and of NEES; the reward is minus their sum.
 
         Args:
             distance_m: (...,) length of the position error.
@@ -122,7 +122,7 @@ def term_names(reward: Reward) -> tuple[str, ...]:
 
 
 def reward_from(reward: str | Reward | PairedReward) -> Reward | PairedReward:
-    """Return the reward for ``reward=``: a name, a function of (belief, truth) or a paired reward.
+    """Return a reward, given by name, as a function of (belief, truth) or as a paired reward.
 
     Raises:
         ValueError: the name is unknown, or the function is not hashable, cannot run on SIMD lanes
@@ -142,7 +142,7 @@ def reward_from(reward: str | Reward | PairedReward) -> Reward | PairedReward:
 
 
 def reward_name(reward: Reward) -> str:
-    """Return the name of a reward in :data:`REWARDS`, or otherwise that of its function or class.
+    """Return the name of a reward in :data:`REWARDS`, else the name of its function or class.
 
     A known reward with other weights is named after its class.
     """

@@ -18,14 +18,14 @@ from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import PI, Number, Vector, log, maximum, minimum, sqrt, where, wrap
 
 _LEAST_M = 0.05  # minimum of the standard deviations, m, by which residuals are divided
-_LEAST_RAD = 1e-3
-_LEAST_S = 1e-3
-_WAYS = ("along", "across")
-_ROWS = {"range": 0, "azimuth": 1, "elevation": 2, "departure": 3}  # rows of a link
+_LEAST_RAD = 1e-3  # minimum of the standard deviations of elevations, rad
+_LEAST_S = 1e-3  # minimum of a step in a logarithm, s
+_WAYS = ("along", "across")  # components of a horizontal vector in the frame of motion
+_ROWS = {"range": 0, "azimuth": 1, "elevation": 2, "departure": 3}  # index within a link's rows
 
 
 class LastEpoch(NamedTuple):
-    """The last epoch, whose update led to the belief that features describe."""
+    """The epoch that was filtered last; features describe the belief after its update."""
 
     epoch: Epoch
     is_missing: Number  # 1 if no epoch has been filtered yet, else 0
@@ -94,7 +94,7 @@ def _squashed(q: Number) -> Number:
 
 
 def _ray(view: View, anchor: int) -> tuple[list[Number], Number, tuple[Number, Number, Number]]:
-    """Return the vector from an anchor to the estimate, its horizontal length and its direction."""
+    """Return the ray from an anchor to the user: vector, horizontal length, :func:`direction`."""
     step = [view.x[i] - view.site.anchors[anchor][i] for i in range(3)]
     flat = sqrt(step[0] * step[0] + step[1] * step[1])
     return step, flat, direction(step)
@@ -109,13 +109,13 @@ def _residual(view: View, layout: Layout, anchor: int, name: str) -> tuple[Numbe
     z = view.last.epoch.z[4 * anchor + row]
     if name == "range":
         bias = view.x[7] if layout.clock else 0.0
-        residual, way = z - distance - bias, (ux, uy)
+        residual, toward = z - distance - bias, (ux, uy)
     else:
         opposite = PI if name == "departure" else 0.0
-        residual, way = _turned(z - azimuth - opposite) * flat, (0.0 - uy, ux)
+        residual, toward = _turned(z - azimuth - opposite) * flat, (0.0 - uy, ux)
     q = _squashed(residual / _deviation(view, anchor, name))
     q = q * _measured(view, layout, anchor, row)
-    along, across = Frame.of(view.x[3:5]).into(*way)
+    along, across = Frame.of(view.x[3:5]).into(*toward)
     return q * along, q * across
 
 
@@ -125,7 +125,7 @@ def _turned(angle: Number) -> Number:
 
 
 def _deviation(view: View, anchor: int, name: str) -> Number:
-    """Return a row's standard deviation, m; for an angle, it is a length across the ray."""
+    """Return a row's standard deviation, m; an angle's is converted to a length at the user."""
     sigma = view.last.epoch.sigma[4 * anchor + _ROWS[name]]
     _, flat, (distance, _, _) = _ray(view, anchor)
     reach = {"range": 1.0, "azimuth": flat, "elevation": distance, "departure": flat}

@@ -2,7 +2,8 @@
 
 Matrices are lists of rows. A symmetric matrix is stored *packed*: its lower triangle, row
 by row. An entry that is the plain constant ``0.0`` is a *structural zero*, for example the variance
-of a coordinate that is known exactly: it costs nothing on SIMD lanes, and nothing is divided by it.
+of a coordinate that is known exactly. In compiled code, adding it or multiplying by it takes no
+instruction; no function below divides by it.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,7 +20,7 @@ def dot(a: Vector, b: Vector) -> Number:
 
 
 def symmetric(n: int, entry: Callable[[int, int], Number]) -> list[list[Number]]:
-    """Return the (n, n) matrix with ``entry(i, j)``, i >= j, on both sides of the diagonal."""
+    """Return the symmetric (n, n) matrix whose element (i, j), i >= j, is ``entry(i, j)``."""
     m: list[list[Number]] = [[0.0] * n for _ in range(n)]
     for i in range(n):
         for j in range(i + 1):
@@ -33,7 +34,7 @@ def pack(m: Matrix) -> list[Number]:
 
 
 def unpack(packed: Vector, zero: Sequence[int] = ()) -> list[list[Number]]:
-    """Unpack a triangle to a symmetric matrix; rows and columns ``zero`` are structural zeros."""
+    """Unpack a symmetric matrix; its rows and columns ``zero`` become structural zeros."""
     n = round((2 * len(packed) + 0.25) ** 0.5 - 0.5)
     return symmetric(
         n, lambda i, j: 0.0 if i in zero or j in zero else packed[i * (i + 1) // 2 + j]
@@ -56,7 +57,7 @@ def cholesky(a: Matrix) -> list[list[Number]]:
 
 
 def forward(factor: Matrix, b: Vector) -> list[Number]:
-    """Solve ``factor y = b`` for a lower-triangular factor; y is 0 where the pivot is a plain 0."""
+    """Solve ``factor y = b`` (lower-triangular); y[i] is 0 if factor[i][i] is a structural zero."""
     y: list[Number] = []
     for i in range(len(b)):
         pivot = factor[i][i]
@@ -66,7 +67,7 @@ def forward(factor: Matrix, b: Vector) -> list[Number]:
 
 
 def backward(factor: Matrix, b: Vector) -> list[Number]:
-    """Solve ``factor' y = b`` for a lower-triangular factor; y is 0 where the pivot is plain 0."""
+    """Solve ``factor' y = b`` for the same kind of factor as :func:`forward`."""
     n = len(b)
     y: list[Number] = [0.0] * n
     for i in reversed(range(n)):

@@ -32,9 +32,9 @@ def _is_float(a: Number) -> bool:
     return isinstance(a, (float, int))
 
 
-def _function(name: str, of: Any = math) -> Callable[[Number], Number]:
-    """Return a function that uses numpy for arrays, Lanes for lanes, module ``of`` for floats."""
-    of_float, of_array = getattr(of, name), getattr(np, name)
+def _function(name: str, module: Any = math) -> Callable[[Number], Number]:
+    """Return the function ``name``: numpy's for arrays, ``module``'s for floats, else a method."""
+    of_float, of_array = getattr(module, name), getattr(np, name)
 
     def function(a: Number) -> Number:
         if _is_float(a):
@@ -45,7 +45,7 @@ def _function(name: str, of: Any = math) -> Callable[[Number], Number]:
 
 
 sqrt, floor = _function("sqrt"), _function("floor")
-exp = _function("exp", np)  # numpy for floats, too: noise has the same bits as on arrays
+exp = _function("exp", np)  # numpy for floats, too: they get the same bits as arrays
 log = _function("log")  # for positive numbers only
 
 

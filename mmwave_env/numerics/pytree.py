@@ -21,7 +21,7 @@ def flatten(tree: Any) -> list[Number]:
 
 
 def unflatten(template: Tree, numbers: Iterator[Number]) -> Tree:
-    """Return a tree of the template's shape with the next numbers as leaves."""
+    """Return a tree of the template's shape; its leaves are the next of the numbers, in order."""
     if isinstance(template, list):
         return [unflatten(branch, numbers) for branch in template]  # type: ignore[return-value]
     if isinstance(template, tuple):
@@ -42,9 +42,9 @@ def select(condition: Any, a: Tree, b: Tree) -> Tree:
     return unflatten(a, iter(chosen))
 
 
-def tree_at(place: Number, trees: Sequence[Tree]) -> Tree:
-    """Return ``trees[place]`` for a place that is a number known only at run time."""
+def tree_at(index: Number, trees: Sequence[Tree]) -> Tree:
+    """Return ``trees[index]``, where the value of ``index`` is known only at run time."""
     chosen = trees[0]
     for number, tree in enumerate(trees[1:], start=1):
-        chosen = select(place > number - 0.5, tree, chosen)
+        chosen = select(index > number - 0.5, tree, chosen)
     return chosen

@@ -1,8 +1,8 @@
 """Random numbers, drawn by functions that run on floats and on SIMD lanes (eight environments).
 
-The generator is SFC64 (Chris Doty-Humphrey, PractRand), which numpy also offers: it needs only
-additions, shifts, a rotation and xor. Its four 64-bit words are stored as the bits of four floats;
-on SIMD lanes, four vectors of eight floats store the words of eight environments.
+The generator is SFC64 (Chris Doty-Humphrey, PractRand). It needs only additions, shifts, a rotation
+and xor, and numpy has it, too. The four 64-bit words of its state are stored as the bits of four
+floats; on SIMD lanes, four vectors of eight floats store the states of eight environments.
 """
 
 import math
@@ -15,7 +15,7 @@ from mmwave_env.numerics.numbers import Number, Vector, cos_sin, log, sqrt
 
 STATE_WORDS = 4
 _MASK = 2**64 - 1
-_WARM_UP = 18  # number of words to drop after seeding, as they still resemble the key
+_WARM_UP = 18  # number of first words that are dropped, because they still resemble the key
 
 
 def _bitwise(operation: Callable[[int, int], int]) -> Any:
@@ -50,7 +50,7 @@ def word_of(number: Number) -> Any:
 
 
 def next_word(state: Sequence[Any]) -> tuple[Any, list[Any]]:
-    """Return the next word of SFC64 and the new state; words are Word or WordLanes."""
+    """Return the next word of SFC64 and the new state; each word is a Word or WordLanes."""
     a, b, c, counter = state
     word = a + b + counter
     rotated = (c << 24) | (c >> 40)
@@ -60,11 +60,12 @@ def next_word(state: Sequence[Any]) -> tuple[Any, list[Any]]:
 def seeded(key: Number, stream: int) -> list[Number]:
     """Return the generator's state (4,) for a key and the number of a stream.
 
-    The key is the 64 bits of a float, or of lanes of floats. Streams of one key are independent.
+    A key is 64 bits, such as those that determine an episode. ``key`` is the float (or lanes of
+    floats) with these bits. Streams of one key are independent.
     """
     word = word_of(key)
-    none = word ^ word
-    state = [word, word, none + stream, none + 1]
+    zero = word ^ word
+    state = [word, word, zero + stream, zero + 1]
     for _ in range(_WARM_UP):
         _, state = next_word(state)
     return [word.as_number() for word in state]
@@ -75,7 +76,7 @@ class Dice:
 
     def __init__(self, state: Vector) -> None:
         self._words = [word_of(number) for number in state]
-        self._spare: Number | None = None
+        self._spare: Number | None = None  # the other of two normal numbers drawn together
 
     @property
     def state(self) -> list[Number]:
@@ -83,7 +84,7 @@ class Dice:
         return [word.as_number() for word in self._words]
 
     def uniform(self, low: Number = 0.0, high: Number = 1.0) -> Number:
-        """Draw uniformly from [low, high); by default, draw the number that numpy would draw."""
+        """Draw uniformly from [low, high); from [0, 1), draw the number that numpy would draw."""
         word, self._words = next_word(self._words)
         return low + (high - low) * (word >> 11).scaled(2.0**-53)
 

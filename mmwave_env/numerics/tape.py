@@ -1,11 +1,12 @@
-"""Numbers that write every operation on a tape: to try a function, and to name what it computes.
+"""Numbers that record every operation on a *tape*, a list: to try a function, and to name it.
 
-Such numbers hide their value, as lanes do, so a function that runs on them can be compiled.
+These numbers hide their value, as lanes (SIMD numbers for eight environments) do. So a function
+that runs on them can also be compiled for lanes.
 
-The name of a function is its *fingerprint*, a hash of its tape. Two functions share a name only if
-they use the same operations on the same inputs and constants; then each can run the compiled code
-of the other. So users need not name the functions of their modes and rewards, and a change in such
-a function is never missed. Writing a tape takes a hundredth of the time of compiling.
+The name of a function is its *fingerprint*, a hash of its tape. Two functions have the same name
+only if they apply the same operations to the same inputs and constants; then each can run the
+compiled code of the other. So users need not name the functions of their modes and rewards, and no
+change in these functions is missed. Writing a tape takes a hundredth of the time of compiling.
 """
 
 from collections.abc import Callable, Sequence

@@ -14,7 +14,7 @@ class NoValueError(TypeError):
 
 
 _NUMBERS = "mmwave_env.numerics.numbers"
-_REFUSALS = {  # key: (the operation in words, what to write instead)
+_REFUSALS = {  # refused operation -> (the operation in words, what to write instead)
     "truth": (
         "a branch",
         "where(condition, a, b) for 'if' and 'while', & and | for 'and' and 'or', and "

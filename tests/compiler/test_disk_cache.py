@@ -261,7 +261,7 @@ def planted(package, tmp_path):
 
 
 def given_away(path):
-    """Give a path to another user or, without root's rights, return code that makes it look so."""
+    """Give a path to another user; without root's rights, return code that fakes its owner."""
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         os.chown(path, 65534, 65534)
         return ""

@@ -51,7 +51,7 @@ NAN, INF = math.nan, math.inf
 
 @cache
 def compiled(function, arity):
-    """Compile a function of ``arity`` numbers for lanes; return one that takes blocks of lanes."""
+    """Compile a function of ``arity`` numbers, so that it fills the last row of blocks of lanes."""
 
     def build(rows):
         rows[arity] = function(*(rows[i] for i in range(arity)))
@@ -78,7 +78,7 @@ def on_lanes(function, *columns):
 
 
 def floats(low, high):
-    """Return a strategy for 64 floats: none subnormal, and no -0 (its atan2 may differ in sign)."""
+    """Return a strategy for 64 floats, not subnormal and not -0, whose atan2 may differ in sign."""
     elements = st.floats(low, high, allow_subnormal=False).map(lambda a: a + 0.0)
     return hnp.arrays(float, 64, elements=elements)
 
@@ -194,7 +194,7 @@ def outside(a):
 
 
 def test_lanes_and_numbers_on_a_tape_have_the_same_operations():
-    """Compare the two because functions are tried on a tape before they are compiled for lanes."""
+    """Check this because functions are tried on a tape before they are compiled for lanes."""
     inner = {"builder", "value", "_call", "_negated", "_with", "number", "tape", "_record"}
     number = taped(0.0, [])
     for ours, theirs in ((Lanes, number), (Mask, number < 1.0)):

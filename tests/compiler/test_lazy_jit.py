@@ -20,10 +20,10 @@ def fresh(tmp_path, monkeypatch):
     return lambda: LazyJit(function, 5)  # runs as plain Python for 5 units of work
 
 
-def kinds(sparing, *works):
-    """Return the form chosen for each amount of work in turn: "plain" or "compiled"."""
-    named = {sparing.plain: "plain", sparing.compiled: "compiled"}
-    return [named[sparing.choice(work, 20)] for work in works]
+def kinds(lazy, *works):
+    """Return, for each amount of work in turn, the form that a LazyJit chooses."""
+    named = {lazy.plain: "plain", lazy.compiled: "compiled"}
+    return [named[lazy.choice(work, 20)] for work in works]
 
 
 def test_a_function_is_compiled_after_enough_work_and_at_once_for_much_work(fresh):
@@ -46,10 +46,10 @@ def test_each_type_of_argument_is_compiled_separately(fresh):
 
 def test_without_a_disk_cache_a_process_uses_what_it_has_compiled(fresh, monkeypatch):
     monkeypatch.setattr(disk_cache, "_folder", lambda: None)
-    sparing = fresh()
-    assert kinds(sparing, 1) == ["plain"]
-    sparing.compiled(20)
-    assert kinds(sparing, 1) == ["compiled"]
+    lazy = fresh()
+    assert kinds(lazy, 1) == ["plain"]
+    lazy.compiled(20)
+    assert kinds(lazy, 1) == ["compiled"]
 
 
 @pytest.mark.parametrize(("scenario", "mode"), [("walk-ride", "NextStep"), ("mixed", "SameStep")])

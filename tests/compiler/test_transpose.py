@@ -1,4 +1,4 @@
-"""Tests that moving numbers between rows and lanes, compiled or not, agrees with numpy."""
+"""Tests that plain and compiled functions move numbers between tables and lanes as numpy does."""
 
 import os
 import subprocess
@@ -17,7 +17,7 @@ SIZE = 50
 COUNTS = st.integers(0, SIZE)
 
 
-# Called from Python, the functions of tiles run as plain Python; called from these, compiled.
+# The functions of ``tiles`` run as plain Python if Python calls them, compiled if these call them.
 compiled_gather = numba.njit(lambda block, sources, count: tiles.gather(block, sources, count))
 compiled_scatter = numba.njit(lambda block, rows, targets: tiles.scatter(block, rows, targets))
 compiled_scatter_single = numba.njit(
@@ -97,7 +97,7 @@ def out_of(function, kind):
 
 @pytest.mark.slow
 def test_functions_stored_by_two_processes_work_in_a_third(tmp_path):
-    """Use functions that get equal symbols because numba numbers functions anew in each process."""
+    """Use functions with equal symbols, because numba numbers functions anew in each process."""
     (tmp_path / "users.py").write_text(USERS)
     site = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
     variables = os.environ | {"PYTHONPATH": site, "NUMBA_CACHE_DIR": str(tmp_path)}

@@ -1,4 +1,4 @@
-"""Tests that inputs within the envelope's bounds give sound beliefs and that others are refused."""
+"""Tests that inputs within the bounds of models.envelope give sound beliefs; others are refused."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -193,7 +193,7 @@ def numbers_of(record):
 
 
 STREET = SCENES["street"]
-RECORDS = {
+RECORDS = {  # name -> a record of settings, and the arguments of an environment that uses it
     "radio": (RADIOS["standard"], lambda radio: {"radio": radio}),
     "scene": (STREET, lambda scene: {"scene": scene}),
     "streets": (STREET.streets, lambda streets: {"scene": replace(STREET, streets=streets)}),

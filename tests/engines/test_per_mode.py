@@ -1,4 +1,4 @@
-"""Tests of engines with a belief for every mode, where an action trusts one mode or none."""
+"""Tests of engines in which every mode has its own belief, and an action trusts one or none."""
 
 from dataclasses import replace
 
@@ -109,7 +109,7 @@ def test_a_replay_repeats_the_results_of_the_engine(planar):
 
 @pytest.mark.slow
 def test_two_equal_modes_are_smoothed_as_a_single_filter():
-    """Check that the smoothed track is that of one filter, whichever of the modes is trusted."""
+    """Check that the smoothed track equals that of a single filter, whichever mode is trusted."""
     mode = Mode("a", "ukf", sigma_v=1.2)
     twins, episodes = Bank((mode, replace(mode, name="b"))), simulated(5, epochs=T)
     actions = np.random.default_rng(4).integers(0, 3, (5, T)).astype(np.uint8)

@@ -85,7 +85,7 @@ def test_smoothed_tracks_equal_a_plain_numpy_smoother(planar):
 
 @pytest.fixture(scope="module", params=[1.0, 0.1], ids=["1 s", "0.1 s"])
 def mixture(request):
-    """Return dt, true positions (9, T, 3), and the filtered tracks of an IMM for the smoother."""
+    """Return dt, true positions (9, T, 3), and an IMM's x, P, x_predicted and P_predicted."""
     source, bank = (
         SimulatedSource(SCENES["street"], RADIOS["handset"], dt=request.param),
         best_bank(),

@@ -1,4 +1,4 @@
-"""Tests that all numbers stay sound over many steps with random modes and damaged measurements."""
+"""Tests that numbers stay finite and P definite with random modes and damaged measurements."""
 
 from dataclasses import replace
 from itertools import product

@@ -1,4 +1,4 @@
-"""Tests that tracks computed in one call equal those of the engine that steps through epochs."""
+"""Tests that tracks computed in one call equal tracks of the engine that stops at every epoch."""
 
 import numpy as np
 import pytest

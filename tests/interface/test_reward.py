@@ -1,4 +1,4 @@
-"""Tests of rewards: shipped ones against SciPy, users' own, and those paired with an IMM."""
+"""Tests of rewards: shipped ones (against SciPy), users' own, and rewards paired with an IMM."""
 
 import math
 from functools import partial
@@ -244,7 +244,7 @@ def imm_rewards(seed, episodes, reward=REWARDS["tracking"], **task):
     ids=["three modes", "flat"],
 )
 def test_paired_rewards_are_rewards_minus_those_of_the_imm_on_the_same_episodes(task):
-    """Check that paired rewards equal differences to the last bit, whatever the agent's modes."""
+    """Check equality to the last bit, also if the agent's modes are not those of the IMM."""
     n, epochs = 5, 3 * task["episode_steps"]
     envs = {
         reward: gym.make_vec(

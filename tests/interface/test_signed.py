@@ -1,4 +1,4 @@
-"""Tests of signed features (residuals along and across the motion): formulas, invariances."""
+"""Tests of signed features (residuals along and across the motion): formulas and invariances."""
 
 from dataclasses import replace
 
@@ -36,7 +36,7 @@ def played(episodes, actions):
     """Play episodes with actions (n, T) in an environment.
 
     Returns:
-        Features that a corrector reads (n, T, features), and x (n, T, 7), after every epoch.
+        Features for policies that correct beliefs (n, T, features), and x (n, T, 7), per epoch.
     """
     pipeline = Pipeline(BANK.modes, episodes[0].layout)
     engine = Engine(pipeline, len(episodes), TrackingReward(), "signed", BANK)

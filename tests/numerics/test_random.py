@@ -10,7 +10,7 @@ from mmwave_env.numerics.random import Dice, next_word, seeded, word_of
 _BITS = 2 ** np.arange(64, dtype=np.uint64)
 _FIRST = np.arange(40, dtype=np.uint64)
 KEYS = np.concatenate([_FIRST, _BITS, ~_FIRST[:24]])
-EACH = 8  # numbers of each kind that a run draws
+EACH = 8  # how many numbers a run draws from each of the three distributions
 
 
 def number(key):
@@ -18,7 +18,7 @@ def number(key):
 
 
 def theirs(key, stream):
-    """Return NumPy's generator in a key's initial state; our generator drops the first 18 words."""
+    """Return NumPy's generator in a key's initial state; ours then drops the first 18 words."""
     bits = np.random.SFC64(0)
     state = bits.state
     state["state"]["state"] = np.array([key, key, stream, 1], np.uint64)
@@ -104,7 +104,7 @@ def many():
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_numbers_have_their_distributions(many, kind):
-    """Test each distribution at 99.9 %, and its moments at four standard errors."""
+    """Test each distribution with 99.9 % confidence, and its moments to four standard errors."""
     values, exact = many[kind].ravel(), KINDS[kind]
     n = values.size
     assert n == 10_000_000
@@ -127,8 +127,8 @@ def test_tails_of_normal_numbers_have_the_right_weight(many, sigma):
 def test_consecutive_numbers_and_keys_are_not_correlated(many):
     """Compare consecutive numbers of a key, and the numbers of consecutive keys (lanes of a block).
 
-    Each correlation of n pairs has a standard error of 1 / sqrt(n); bounds are at 99.9 % for all
-    lags together (Bonferroni).
+    The correlation of n pairs has a standard error of 1 / sqrt(n). All correlations together stay
+    within the bound with 99.9 % confidence (Bonferroni).
     """
     values = stats.norm.ppf(np.clip(many["uniform"], 1e-12, 1.0))
     lags = 16

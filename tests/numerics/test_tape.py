@@ -78,7 +78,7 @@ def test_the_name_depends_on_rows_that_are_only_passed_through():
 
 @pytest.fixture
 def started(tmp_path):
-    """Return a function that runs code in a new process, with kernels kept in the test's folder."""
+    """Return a function that runs code in a new process and keeps kernels in the test's folder."""
 
     def run(code):
         variables = {"NUMBA_CACHE_DIR": str(tmp_path / "kept")}
@@ -110,7 +110,7 @@ PROGRAMS = """
 
 @pytest.mark.slow
 def test_kernels_of_several_processes_are_not_mixed_up(started):
-    """First compile each kernel in its own process: symbols may then collide in one process."""
+    """Compile each kernel in its own process; where all are loaded, their symbols may collide."""
     changes = ["lambda x: x + 4.0", "lambda x: x * 3.0", "lambda x: x - 7.0"]
     for change, value in zip(changes, ["5.0", "3.0", "-6.0"], strict=True):
         assert started(PROGRAMS + f"    shown({change})") == [value, "0"]
