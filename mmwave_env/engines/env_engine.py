@@ -178,7 +178,7 @@ class Engine:
         whole, count = actions.dtype.kind in "iu", len(self.observation.actions)
         if whole and actions.shape == (n,) and actions.min() >= 0 and actions.max() < count:
             return actions
-        raise ValueError(f"actions of base: found {actions}, expected {n} integers below {count}")
+        raise ValueError(f"actions of base: found {actions}, expected {n} integers in [0, {count})")
 
     def io(self, output_rows: Index = NO_ROWS) -> StepIO:
         """Return the buffers of a step: for actions, observations and output rows."""

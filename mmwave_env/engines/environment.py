@@ -287,13 +287,13 @@ class RestorableEnvironment(Environment):
             stored = state[name].shape if name in state else "nothing"
             if stored != shape:
                 raise ValueError(
-                    f"{name} of the state: found {stored}, expected {shape}, as in an "
+                    f"{name} of the state: found {stored}, expected the shape {shape}, as in an "
                     "environment with the same arguments"
                 )
-        epochs = set(state["length"].tolist())
-        if epochs != {source.epochs}:
+        if wrong := sorted({*state["length"].tolist()} - {source.epochs}):
             raise ValueError(
-                f"length of the state: found episodes of {epochs} epochs, expected {source.epochs}"
+                f"length of the state: found episodes of {wrong[0]} epochs, "
+                f"expected {source.epochs}"
             )
         for name, array in arrays.items():
             array[:] = state[name]
