@@ -16,11 +16,11 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 33_355,
-    "tokens of source": 226_510,
+    "lines of source": 33_485,
+    "tokens of source": 227_225,
     "files of source": 239,
-    "lines of tests": 25_130,
-    "tokens of tests": 225_130,
+    "lines of tests": 25_180,
+    "tokens of tests": 225_440,
     "words of docs": 49_210,
     "pages of docs": 24,
     "tracked files": 660,
@@ -37,7 +37,7 @@ ROOMS = {  # maximum lines of source in a folder
     "mmwave_env/datasets": 1_645,
     "mmwave_env/engines": 2_175,
     "mmwave_env/filters": 2_385,
-    "mmwave_env/localization": 2_700,
+    "mmwave_env/localization": 2_765,
     "mmwave_env/world": 2_135,
 }
 SOURCE = ("mmwave_env", "experiments", "policies")
