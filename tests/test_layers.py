@@ -8,7 +8,7 @@ from graphlib import TopologicalSorter
 from tests.cli import python
 from tests.paths import ROOT
 
-EVERYBODY = {"mmwave_env", "io", "metrics"}  # all may import these (mmwave_env: only __init__.py)
+EVERYBODY = {"mmwave_env", "io", "metrics"}  # all rooms may import these; the first is __init__.py
 FILTER_SIDE = {"numerics", "models", "filters"}
 WORLDS = FILTER_SIDE | {"compiler", "world", "interface", "task"}
 ENVIRONMENT = WORLDS | {"engines", "rendering"}

@@ -19,7 +19,7 @@ def over_training_seeds(run: Run, trained: Sequence[Scores], scores: Mapping[str
     Args:
         run: trainings to compare.
         trained: scores of the trainings, in the order of the run's seeds.
-        scores: scores of all contenders, for the same episodes as those of the trainings.
+        scores: scores of all contenders, for the same episodes as ``trained``.
     """
     reward = np.stack([of["reward"] for of in trained])
     baselines = {rival: scores[rival]["reward"] for rival in references(scores)}
@@ -34,7 +34,7 @@ def over_training_seeds(run: Run, trained: Sequence[Scores], scores: Mapping[str
 
 
 def _figures(run: Run, values: Array) -> Json:
-    """Return means of values (trainings, episodes): of each training, and over all trainings.
+    """Return the mean of values (trainings, episodes) for each training, and over all trainings.
 
     "above_zero" is the number of trainings whose interval is above zero.
     """
@@ -65,7 +65,7 @@ def seeds_markdown(run: Run, content: Json) -> str:
         ["mean over seeds", *(Interval.of(column["mean"]) for column in columns)],
     ]
     about = (
-        f"Trainings of {escaped(run.name)}, ordered by their rewards on tuning seeds. The 95 % "
-        "intervals are over episodes for a seed, and over seeds and episodes for the mean:"
+        f"Trainings of {escaped(run.name)}, ordered by their rewards on tuning seeds. Each 95 % "
+        "interval allows for the choice of episodes; the mean's, also for that of training seeds:"
     )
     return f"\n{about}\n\n{grid(header, rows)}\n"

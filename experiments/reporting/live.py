@@ -36,7 +36,7 @@ def run_live(args: LogArgs) -> None:
         raise ValueError('live: needs "-" (standard input) as the log, and --scene')
     for name in ("sample", "truth", "out", "plot", "json"):
         if getattr(args, name) not in (None, ()):
-            raise ValueError(f"{name}: cannot be combined with --live; use the printed lines")
+            raise ValueError(f"{name}: cannot be combined with --live, which only prints JSON")
     require_at_least(0, args, "lag")
     require_one_choice(args)
     clock, levels = clock_from(args.clock), Levels(args.risk, args.levels)
@@ -69,7 +69,7 @@ def _epochs(
 ) -> Iterator[LiveEpoch]:
     """Read rows (CSV below a header, or JSON objects); yield the epochs that they form.
 
-    An object is a row, or all rows of an epoch: {"rows": [...]}. Line 1 must have all columns.
+    An object is a row or, as {"rows": [...]}, all rows of an epoch. Line 1 must name all columns.
     """
     lines = _lines(stream)
     number, first = next(lines, (0, ""))

@@ -16,7 +16,7 @@ from mmwave_env.models.prior import GAP_S
 from mmwave_env.numerics.numbers import Array
 
 _POINTS = 6000  # maximum number of points in a picture; a long track gets at least half of them
-_POSITION = [0, 1, 3, 1, 2, 4, 3, 4, 5]  # 3 x 3 entries, for the position, of a packed covariance
+_POSITION = [0, 1, 3, 1, 2, 4, 3, 4, 5]  # indices of the position's 3 x 3 entries in a packed P
 
 
 class TrackSampler:
@@ -117,7 +117,7 @@ def _groups(groups: Json) -> str:
 
 
 def _clock(truth: Json) -> str:
-    """Return the end of the sentence on true positions, and a sentence on their clock."""
+    """Return the end of "... epochs have a true position", and a sentence on the truth's clock."""
     between, clock = truth["interpolated"], truth["clock"]
     away = f"{1e3 * truth['nearest_pose_s']:.1f} ms from the nearest pose on average"
     said = f", {between} of them between poses, {away}." if between else "."

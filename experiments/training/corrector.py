@@ -1,11 +1,11 @@
 """Training of a corrector by supervision on simulated episodes.
 
 A corrector corrects the beliefs of another policy, its base. In a simulation the truth is known, so
-the network learns the errors of the base from examples. The loss is the length of the error that
-remains, relative to the belief's mean deviation, plus the error's negative log-likelihood with a
-small weight, from which the network learns to scale the deviations. The base does not depend on
-the corrections, so it plays each episode only once. Every update has new episodes, which come in
-*lots*: batches of episodes of equal length.
+the network learns the errors of the base from examples. The loss has two terms: the length of the
+error that remains, relative to the belief's mean deviation, and with a small weight the negative
+log-likelihood of this error, which teaches the network to scale the deviations. The base does not
+depend on the corrections, so it plays each episode only once. Every update has new episodes, which
+come in *lots*: batches of episodes of equal length.
 """
 
 from collections.abc import Iterator
@@ -31,8 +31,8 @@ from mmwave_env.numerics.numbers import Array, Index
 from policies.policy_file import CORRECTIONS, Tensors
 
 EVALUATE = 32  # number of updates between two evaluations
-FIRST = 3  # number of additional rounds of lots in the first update, to measure the scales
-OUTSIDE = 1e-4  # share of a feature's values below its range; the same share is above its range
+FIRST = 3  # number of extra sets of lots in the first update, which measures the features' ranges
+OUTSIDE = 1e-4  # share of a feature's values to clip at its lower limit, and also at its upper one
 MOST_LENGTH, MOST_SQUARE = 20.0, 50.0  # limits in the loss, so that lost tracks do not dominate it
 CONSTANT = 1e-3  # added to standard deviations, which are 0 for a feature that never changes
 
@@ -85,7 +85,7 @@ class CorrectorTraining:
 
     Args:
         job: training to run; if its folder has a checkpoint, the training continues from it.
-        tell: function that is called with news, whose timesteps count epochs of episodes.
+        tell: function that is called with :class:`News`; its ``timesteps`` count epochs played.
 
     Raises:
         ValueError: the checkpoint is damaged.
@@ -193,8 +193,8 @@ def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]
 
     Args:
         lots: lots to mix.
-        size: number of episodes in a new lot of the shortest episodes; a lot of longer episodes
-            has fewer, but about as many epochs.
+        size: number of episodes in a new lot if they are the shortest ones; a lot of longer
+            episodes has fewer, so that it has about as many epochs.
         rng: random generator of the order.
     """
     shortest = min(len(lot.features) for lot in lots)

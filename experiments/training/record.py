@@ -58,13 +58,14 @@ class Record:
 
     Args:
         job: training to record.
-        tell: function that is called with news of the training.
+        tell: function that is called with :class:`News` of the training.
 
     Attributes:
-        stand: state of the training, by name: "update" and "timesteps", how many so far; "best",
-            the figures of the best policy, if any; "beat_rule", the timesteps and seconds until a
-            policy first beat the paper's rule, if any; "seconds" and "rows" of the log at the last
-            checkpoint; and entries that the trainer saved there, until it has restored them.
+        stand: state of the training, by name. "update" and "timesteps" are numbers so far, "best"
+            has figures of the best policy, and "beat_rule" has the timesteps and seconds until a
+            policy first beat the paper's rule; both are None until there is such a policy.
+            "seconds" (wall time) and "rows" (of the log) are from the checkpoint that is continued;
+            so are the entries of the trainer itself, which it removes as it restores them.
         log: log of the training's progress.
 
     Raises:
@@ -95,15 +96,12 @@ class Record:
     def evaluate(
         self, actor: Tensors, table: Observation, features: Sequence[str] | None = None
     ) -> dict[str, float]:
-        """Evaluate a policy, and keep it if it is the best so far.
+        """Evaluate a policy, keep it if it is the best so far, and return mean figures for the log.
 
         Args:
             actor: tensors of the policy.
             table: table of the features that the policy observes.
             features: names of the features that the policy's network reads; None for all.
-
-        Returns:
-            Mean figures for the log.
         """
         columns = table.columns
         if features is not None:

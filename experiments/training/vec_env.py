@@ -58,7 +58,7 @@ class PlacesVecEnv(VecEnv):
         super().__init__(self._firsts[-1], first.observation_space, first.action_space)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Give environment i the seed ``seed + i``; the count i runs through all places."""
+        """Give environment i, counted across all places, the seed ``seed + i``."""
         seeds = super().seed(seed)
         for part, first in zip(self._parts, self._firsts, strict=False):
             part.seed(seeds[first])

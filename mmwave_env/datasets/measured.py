@@ -65,11 +65,12 @@ class MeasuredTrack(Track):
         """Return a track made from arrays, in which NaN marks values that are not known.
 
         A link may lack some of its values. A value that has no SNR and no standard deviation is
-        treated as not measured, because its noise is unknown. Angles are in the frame of the map:
-        arrival is the direction anchor -> user, azimuth ``atan2(dy, dx)`` and elevation
-        ``atan2(dz, hypot(dx, dy))``; departure is the azimuth user -> anchor. Angles of a virtual
-        anchor are seen from the mirror image. docs/data.md, "Angles", explains how to convert
-        other conventions.
+        treated as not measured, because its noise is unknown. Angles are in the frame of the map,
+        whichever end transmits. Arrival is the direction in which the anchor sees the user: azimuth
+        ``atan2(dy, dx)`` and elevation ``atan2(dz, hypot(dx, dy))``, with (dx, dy, dz) from the
+        anchor to the user. Departure is the azimuth at which the user sees the anchor. Angles of a
+        virtual anchor are seen from the mirror image. docs/data.md, "Angles", explains how to
+        convert other conventions.
 
         Args:
             time_s: (T,) times of the epochs, increasing, s.
@@ -140,7 +141,7 @@ def _require_noise(
 def _as_partial(
     record: str, fields: dict[str, Any], heard: Mask, deviations: dict[str, ArrayLike | None]
 ) -> dict[str, Any]:
-    """Return the fields of a track that a partial layout changes; {} if the plain one is enough.
+    """Return the fields of a track that a partial layout changes; {} if the plain layout is enough.
 
     ``heard`` (T, L) says whether a link has an SNR. ``deviations`` maps the name of a measurement
     to its standard deviations: (T, L) for links, (T,) for Doppler shifts, or None.

@@ -23,7 +23,7 @@ ANGLES, LEAST = 64, 1e-12  # number of angles in a quadrant; smallest variance, 
 
 
 class Counts(NamedTuple):
-    """The records of n environments; plain Python may use sequences with the arrays' shapes."""
+    """The records of n environments; uncompiled code may use nested sequences of these shapes."""
 
     sums: Array  # (n, 7)
     errors: Array  # (n, T, 3) ring buffer of the latest position errors, m
@@ -60,7 +60,7 @@ class Tally:
         self.make_room(int(second.max()), int(epochs.max(initial=0)))
 
     def make_room(self, second: int, epochs: int) -> None:
-        """Make room for the errors of ``second`` epochs and for the modes of ``epochs`` epochs."""
+        """Make room in each environment for at least ``second`` errors and ``epochs`` modes."""
         errors, modes = self.counts.errors, self.counts.modes
         missing = max(0, second - errors.shape[1])
         errors = np.pad(errors, ((0, 0), (0, missing), (0, 0)))
@@ -75,7 +75,7 @@ class Tally:
         return Counts(rows[0], rows[1], second.tolist(), interval.tolist(), modes)  # type: ignore[arg-type]
 
     def nonfinite(self, places: Index) -> Index:
-        """Return the number of epochs (k,) without a finite error and NEES in environments (k,)."""
+        """Return, for environments (k,), how many epochs (k,) have a non-finite error or NEES."""
         return self.counts.sums[places, NONFINITE].astype(np.int64)  # type: ignore[no-any-return]
 
     def metrics(self, places: Index, epochs: Index) -> dict[str, Array]:

@@ -55,7 +55,7 @@ class Pipeline:
         layout: which quantity is in which row of a measurement.
         planar: whether the terrain is flat, so that z and vz keep their prior values (paper, Sec.
             II-A). Even so, the spacing of sigma points is the one for seven uncertain components.
-        predict, update: the filter's two steps, which the filterpy reference replaces.
+        predict, update: the filter's two steps; the implementation with filterpy passes its own.
 
     Raises:
         AlgorithmError: a user's algorithm cannot run at all, or cannot run on SIMD lanes; the
@@ -83,7 +83,7 @@ class Pipeline:
         return (0, 1) if self.planar else (0, 1, 2)
 
     def belief(self, x: list[Number], P: Vector) -> Belief:
-        """Return the belief with a mean (7,) and a packed covariance (28,), its lower triangle."""
+        """Return the belief with mean (7,) and a covariance packed as its lower triangle (28,)."""
         return Belief(x, unpack(P, zero=self.known_axes), self.position_axes)
 
 

@@ -13,8 +13,8 @@ from mmwave_env.numerics.numbers import Array
 
 MODE, WEIGHTS, CORRECTION = "mode", "weights", "correction"
 ACTIONS = {
-    MODE: "the number of the mode to run; if each has its own belief, of the mode to trust",
-    WEIGHTS: "for each mode, the logarithm of a factor per second on its probability",
+    MODE: "the number of the mode to run or, if each has its own belief, of the mode to trust",
+    WEIGHTS: "for each mode, a number w: its probability is multiplied by exp(w) per second",
     CORRECTION: "three shifts of the position, and logarithms of factors on its three deviations",
 }
 

@@ -157,7 +157,7 @@ def _distance(view: View, anchor: int) -> Number:
 
 
 def _links(layout: Layout, distances: bool) -> list[Feature]:
-    """Return features of the coming links: their SNRs, and their distances or else their number."""
+    """Return features of links: SNRs, and distances (if asked) or the number of visible links."""
     table = []
     for a in range(layout.anchors):
         table += [
@@ -230,8 +230,9 @@ def _mixture(pipeline: Pipeline) -> list[Feature]:
 def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
     """Return features of each mode's result for the coming epoch: innovations, likelihoods.
 
-    The modes follow in their order, and each but the last is also compared with the last. An
-    observation of the kind "prior" does not contain these features.
+    First come the Doppler innovation and the NIS of the pipeline's last mode, then features of each
+    mode in the pipeline's order. Every mode except the last is also compared with the last. An
+    observation of the kind "prior" does not contain any of these features.
 
     Args:
         pipeline, per_mode: arguments of :func:`context`.

@@ -24,8 +24,8 @@ class LiveEpoch(NamedTuple):
 
     time_s: float
     block: Callable[[], LogBlock]  # returns the epoch as a block, T = 1
-    # [0]: values in the order of :func:`~mmwave_env.logs.log.places`, NaN where not measured; [1]:
-    # index, from 0, of the Doppler shift's anchor. None if some angles are not in the map's frame
+    # None if some angles are not in the map's frame; else values, NaN where not measured, in the
+    # order of :func:`~mmwave_env.logs.log.places`, and the Doppler shift's anchor, counted from 0
     placed: tuple[list[float], int] | None
 
 

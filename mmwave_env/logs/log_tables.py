@@ -84,7 +84,7 @@ class Table(Block):
         return np.concatenate([[0], np.cumsum(np.diff(self.raw("time")) != 0.0)])
 
     def first(self, values: Array) -> Array:
-        """Return (epochs,) the first value in each epoch's rows that is not NaN, of values (n,)."""
+        """Return each epoch's first value (epochs,) that is not NaN, or NaN, of ``values`` (n,)."""
         first = np.full(self.epoch[-1] + 1, np.nan)
         some = np.flatnonzero(~np.isnan(values))[::-1]
         first[self.epoch[some]] = values[some]  # backwards, so that the first row's value remains
@@ -98,7 +98,7 @@ class Table(Block):
         """
         arrival = self[STATION if STATION in self.columns else "aoa_azimuth"]
         departure = self["aod_azimuth"]
-        if BODY in self.columns:  # NaN in epochs without a heading
+        if BODY in self.columns:  # departures are NaN in epochs without a heading
             departure = self[BODY] + self.first(self["heading"])[self.epoch]
         return np.column_stack([self["toa"], arrival, self["aoa_elevation"], departure])
 

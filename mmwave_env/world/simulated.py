@@ -79,8 +79,8 @@ class SimulatedSource:
         scenario: kind of user (a name, "mixed", a JSON file or a Mobility), or given ways (a
             Trajectory or Ways).
         dt: seconds between epochs.
-        epochs: length of an episode. With given ways, an episode is a random window of a way, as
-            long as the longest way if all ways are shorter than ``epochs``.
+        epochs: length of an episode. With given ways, an episode is a random window of one of them;
+            if all ways are shorter than ``epochs``, episodes are as long as the longest way.
         odometry: whether the user also reports speed and heading.
         measurements: names of the quantities that the receiver measures, some of
             :data:`~mmwave_env.models.layout.MEASUREMENTS`; None for all.
@@ -217,7 +217,7 @@ class SimulatedSource:
 
     def feed(self, worlds: Array) -> Feed:
         """Return a feed (code that computes each epoch) for n episodes, given ``Begun.worlds``."""
-        _, _, receiver, user = self.world.template  # unused lanes compute with its numbers
+        _, _, receiver, user = self.world.template  # numbers for unused SIMD lanes
         kept = blocks_of(np.array(flatten([receiver, user]), float), len(worlds))
         fill(kept, np.arange(kept.shape[1]), worlds)
         timed = columns_of(self.layout).dt

@@ -94,7 +94,7 @@ def stepped(seed=0, steps=3, **arguments):
     return env, [env.step(np.zeros(32, int))[1] for _ in range(steps)]
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs ignore it
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
     env, rewards = stepped(threads=2)
 """
 

@@ -25,12 +25,12 @@ def test_an_imm_of_identical_modes_equals_one_of_them_and_keeps_equal_probabilit
 
 
 def textbook_imm(episode, modes, transitions, nis_quantile=1.0, change=None):
-    """Run the IMM of Bar-Shalom, Li and Kirubarajan 2001, Sec. 11.6.6, without gates or scaling.
+    """Run the IMM of Bar-Shalom, Li and Kirubarajan 2001, Sec. 11.6.6, without gates.
 
-    ``modes`` are pairs (method, Q of one second), ``transitions`` has one matrix per epoch. In
-    likelihoods, NIS is capped at the chi-square quantile of ``nis_quantile``. If given,
-    ``change(t, probabilities)`` returns new probabilities after epoch t. The results are x (T, 7),
-    P (T, 7, 7) and probabilities (T, M).
+    ``modes`` are pairs (method, Q of one second), whose noise is not adapted; ``transitions`` has
+    one matrix per epoch. In likelihoods, NIS is capped at the chi-square quantile of
+    ``nis_quantile``. If given, ``change(t, probabilities)`` returns new probabilities after epoch
+    t. The results are x (T, 7), P (T, 7, 7) and probabilities (T, M).
     """
     most = chi2.ppf(nis_quantile, [4, 4, 4, 1])
     sensor = textbook.Sensor(episode.scene_anchors_m, episode.hz_per_mps)

@@ -1,4 +1,4 @@
-"""Tests of interpolating a true track, and of estimating the offset of its clock from a log's."""
+"""Tests of interpolating a true track, and of estimating how far its clock is ahead of a log's."""
 
 import numpy as np
 import pytest

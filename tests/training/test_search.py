@@ -22,7 +22,7 @@ def distance(bank, planted):
 
 @pytest.mark.slow
 def test_the_search_finds_a_planted_bank():
-    """Let a bank be better the closer it is to a random one, which is planted near the start."""
+    """Plant a random bank near the start of the search; a bank's score is its closeness to it."""
     space = search_space(START[:3])
     point = space.start + 0.7 * space.deviation * np.random.default_rng(0).standard_normal(
         len(space.start)
