@@ -27,7 +27,7 @@ PER_MODE = {"beliefs": "per-mode", "modes": ["ekf", "ukf"]}
 
 
 def alternating(table):
-    """Return a function for ``base`` that trusts a mode, or none, depending on a feature."""
+    """Return a policy for ``base`` that trusts no mode, ekf or ukf, depending on one feature."""
     column = table.names.index("coming NIS anchor 1 ukf")
     return lambda shown: np.digitize(shown[:, column], [-0.5, 0.5])
 
@@ -72,7 +72,8 @@ def test_the_environment_passes_gymnasium_s_checker(name, more):
     env = gym.make(ID, episode_steps=5, disable_env_checker=True, **KINDS[name], **more)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        warnings.filterwarnings("ignore", ".*symmetric and normalized")  # RescaleAction normalizes
+        # The limits are not +-1 on purpose: users can wrap the environment in RescaleAction.
+        warnings.filterwarnings("ignore", ".*symmetric and normalized")
         check_env(env.unwrapped, skip_render_check=True)
 
 

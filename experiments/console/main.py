@@ -124,7 +124,8 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
                 if isinstance(stream, TextIOWrapper):  # its encoding may lack some characters
                     stream.reconfigure(errors="backslashreplace")
             args, command = read_arguments(name, words), importlib.import_module(page_of(name))
-            importlib.import_module("experiments.evaluation.asked")  # slow; all commands need it
+            # Most commands need this slow import. Here, Ctrl-C still ends the program at once.
+            importlib.import_module("experiments.evaluation.asked")
         with ended_by_signals(), _quiet() if "--quiet" in words else nullcontext():
             _require_results_can_be_written(args)
             command.main(args)

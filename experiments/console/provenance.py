@@ -53,7 +53,7 @@ def options_of(args: Any) -> Json:
 
 
 def options_from(kind: type[T], content: Json) -> T:
-    """Return the options in a results file as an instance of the class ``kind``; ignore others.
+    """Return those options in a results file that the class ``kind`` has, as an instance of it.
 
     Raises:
         ValueError: the file has no options, or a value is not of its option's type.

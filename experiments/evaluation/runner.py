@@ -61,7 +61,7 @@ Watch = Callable[[Contender, Array, EpochResults], None]
 
 
 def score(contender: Contender, policy: Policy | None, episodes: Sequence[Episode]) -> Scores:
-    """Return metrics of a contender, with its policy, in every one of equally long episodes."""
+    """Run a contender and its policy on equally long episodes; return metrics of each episode."""
     results = run_contender(contender, policy, _scorable(episodes))
     return _summary(results, episodes[0].time_s, PLAIN)
 
@@ -226,9 +226,9 @@ def score_contenders(
     """Compute the scores of contenders on the same episodes.
 
     Args:
-        names: contenders, or names that :func:`contender_from` reads, given ``modes``.
+        names: contenders, or their names, which :func:`contender_from` looks up.
         source, selection: source of the episodes, and the seeds of the episodes to run.
-        radio: radio profile.
+        radio, modes: radio profile and modes that :func:`contender_from` gets for each name.
         watch: functions called with a contender, the times (T,) and the contender's epoch results.
         after: parts of the state for ``watch``, as in :func:`run_contender`.
 

@@ -45,8 +45,8 @@ def results(
 ) -> Results:
     """Run contenders on the episodes that options select.
 
-    If a name is the folder of a run, the run's median training is shown. ``pictures`` are files to
-    draw, by option: "errors" and "consistency", ``width_mm`` wide.
+    If a name is the folder of a run, the run's median training is shown. ``pictures`` maps the
+    options "errors" and "consistency" to files; each picture in them is ``width_mm`` wide.
 
     Raises:
         ValueError: an option is not valid, or both pictures have the same file.

@@ -190,8 +190,8 @@ def diagnosis_markdown(findings: Sequence[Finding]) -> str:
     impossible = f" {others} other hypotheses give no track; --json lists them." if others else ""
     return (
         f"{_verdict(findings)}\n\n{grid(header, rows)}\n\n"
-        'The column "anchors" has the median NIS / dof of the worst anchor: the median farthest '
-        'from 1. The column "Doppler" has the median NIS / dof of the Doppler shift. In a '
+        'The column "anchors" shows the median NIS / dof of the anchor whose median is farthest '
+        'from 1; the column "Doppler" shows the median NIS / dof of the Doppler shift. In a '
         "consistent log, the user is also mostly below the base station, and SNR and Doppler shift "
         f"are plausible. Of several rows with yes, the first is the most likely.{impossible}\n"
     )

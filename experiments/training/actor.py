@@ -31,13 +31,12 @@ def layers_of(policy: Any) -> list[Any]:
 def actor_tensors(layers: Iterable[Any], normal: Normalization) -> Tensors:
     """Return the tensors of an actor in the form that a policy file stores.
 
-    The normalization is folded into the first linear layer: its weights W become W / sigma, and its
-    biases b become b - (W / sigma) mean.
+    The normalization's mean and sigma are folded into the first linear layer: its weights W become
+    W / sigma, and its biases b become b - (W / sigma) mean.
 
     Args:
-        layers: layers of a network that expects normalized observations; only its linear layers
-            have tensors.
-        normal: normalization of an observation; ``low`` and ``high`` are among the tensors.
+        layers: layers of a network for normalized observations; only linear ones have tensors.
+        normal: normalization of an observation; its ``low`` and ``high`` become tensors, too.
     """
     tensors = {"low": normal.low, "high": normal.high}
     for i, layer in enumerate(layer for layer in layers if type(layer).__name__ == "Linear"):

@@ -4,7 +4,7 @@ A *workspace* is a tree of all numbers that a program reads and writes in an env
 program is a function from a workspace to the workspace one epoch later. Workspaces are stored in
 an array (blocks, rows, 8): a block has eight environments, and a row for each number of the tree.
 Before each epoch, the field ``incoming`` of a workspace is set from a table or by a :class:`Feed`.
-A *track* is what one environment filters, so n tracks have n workspaces.
+A *track* is the sequence of epochs that one environment filters; each has its own workspace.
 """
 
 import os
@@ -30,7 +30,7 @@ Blocks = tuple[int, int]  # first block, and the block after the last
 
 NO_ROWS = np.empty(0, np.int64)
 # Number of times that a block runs an epoch in plain Python before the loop is compiled.
-# Compiling takes as long as 4000 of these runs.
+# Compiling takes as long as running 4000 blocks for one epoch in plain Python.
 PLAIN_BLOCK_EPOCHS = 1000
 
 # numba holds a lock while it compiles. A child that is forked meanwhile would wait forever for the
@@ -247,7 +247,8 @@ run_blocks = LazyJit(advance, PLAIN_BLOCK_EPOCHS)
 class Repeated:
     """A :class:`LazyJit` whose arguments have the same types in every call.
 
-    Calls skip numba's check of the types, which takes microseconds for structures.
+    Calls skip numba's check of the types, which takes microseconds for structures. ``work`` is the
+    sum, over all jobs, of blocks times epochs; it decides whether the function is compiled.
     """
 
     def __init__(self, function: LazyJit) -> None:
@@ -255,7 +256,7 @@ class Repeated:
         self._unchecked: Callable[..., Any] | None = None
 
     def __call__(self, work: int, jobs: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """Run each job in its own thread and return the results; ``work`` is their total work."""
+        """Run each job in its own thread and return the results, in order."""
         run: Any = self._unchecked or self._function.choice(work, *jobs[0])
         results = share(run, jobs, len(jobs))
         if run is self._function.compiled:

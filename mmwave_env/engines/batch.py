@@ -30,7 +30,8 @@ from mmwave_env.numerics.pytree import flatten
 from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
 from mmwave_env.world.simulated import Begun, SimulatedSource
 
-BLOCKS_PER_THREAD = 64  # minimum number of blocks (of 8); waking a thread takes as long as 32
+# Waking a thread takes as long as running 32 blocks, of eight environments each, for one epoch.
+BLOCKS_PER_THREAD = 64  # minimum
 
 
 class Batch(Generic[Workspace]):
@@ -40,11 +41,10 @@ class Batch(Generic[Workspace]):
         program: the program to run.
         layout: which values a measurement has, in order.
         n: number of environments.
-        input_rows: numbers of the workspace's rows that receive an input in every epoch.
+        input_rows: indices of the workspace's rows that receive an input in every epoch.
         on_floats: whether to run in plain Python instead of on SIMD lanes.
         threads: number of threads that may work at once; results do not depend on it.
-        ahead: number of epochs to finish before the first action: 1 if actions are corrections, as
-            there must be a belief to correct, else 0.
+        ahead: number of epochs before the first action: 1 if actions correct a belief, else 0.
 
     Attributes:
         at: tree like the workspace, with row numbers as leaves; its parts select what to read.
@@ -86,7 +86,7 @@ class Batch(Generic[Workspace]):
 
         Args:
             episodes: one episode for each environment in ``places``.
-            places: numbers of the environments to load; None for all.
+            places: indices of the environments to load; None for all.
             gap_s: for episodes that continue the tracks, seconds from the last epoch that ran to
                 their first epoch; None to start over from the episodes' priors.
 
@@ -124,7 +124,7 @@ class Batch(Generic[Workspace]):
         Args:
             source: source of the episodes, the same in every call.
             begun: the beginning of each environment's episode.
-            places: numbers of the environments that begin.
+            places: indices of the environments that begin.
         """
         self.attach(source)
         block, lane = np.divmod(places, WIDTH)

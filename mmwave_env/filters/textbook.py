@@ -44,11 +44,11 @@ def predict(
 
 
 class Moments(NamedTuple):
-    """The predicted measurement: mean, covariance S without noise, covariance C with the state."""
+    """Moments of the measurement that a belief predicts, without the measurement noise."""
 
-    mean: Array
-    S: Array
-    C: Array
+    mean: Array  # (rows,)
+    S: Array  # (rows, rows) its covariance
+    C: Array  # (7, rows) covariance of the state with the measurement
 
 
 Method = Callable[["Sensor", Array, Array], Moments]

@@ -33,7 +33,7 @@ def nearest_radio(block: LogBlock, scene: Scene) -> str:
 
 
 def _deviation(block: LogBlock, row: int) -> float:
-    """Return the standard deviation of value ``row`` of the links, m or rad; NaN for few values."""
+    """Return the standard deviation (m, rad) of ``LINK[row]`` over all links; NaN if few values."""
     columns = slice(row, block.layout.doppler, len(LINK))
     own = block.sigma[:, columns]
     if np.isfinite(own).any():

@@ -49,9 +49,9 @@ class LogBlock(Block):
     time_s: Array  # (T,) increasing, also across blocks
     measurement: Array  # (T, rows) m, rad, Hz, m/s; angles in [-pi, pi)
     sigma: Array  # (T, rows) the receiver's own standard deviations; NaN where it states none
-    # (T, groups) whether every value of the group was measured (links and the Doppler shift also
-    # need an SNR). In a partial layout, where a group may lack values, whether at least one value
-    # with known noise was measured
+    # (T, groups) whether the group can be used: whether all its values were measured (links and the
+    # Doppler shift also need an SNR). In a partial layout, whose groups may lack values, one value
+    # with known noise is enough
     visible: Mask
     # (T, groups) whether the group is lost because only some of its values were measured. In a
     # partial layout, whether a value is lost because its noise is unknown
@@ -65,8 +65,7 @@ class LogBlock(Block):
     share: float  # share of the file read so far, 0 to 1
     whole_columns: bool = True  # whether the log has a column for each value of a link
     segment: int = 0  # number, from 0, of the segment that contains all epochs of the block
-    # whether the segment begins here, with a first fix that gives its prior
-    begins: bool = False
+    begins: bool = False  # whether the segment begins here, with a first fix that gives its prior
     skipped: int = 0  # number of epochs of the log before the first segment
     # number of epochs dropped between segments so far, including those just after this block
     dropped: int = 0
@@ -126,9 +125,9 @@ def read_log(
     Angles are in the frame of the map. Arrival is the direction from the anchor to the
     user; departure is the azimuth from the user to the anchor. docs/data.md has a figure.
 
-    If the log is damaged, every complete epoch before the damage is yielded before the error. An
-    epoch whose end is unknown because of the damage (no later time can be read, and not all anchors
-    are present) does not count as complete.
+    If the log is damaged, every complete epoch before the damaged row is yielded before the error.
+    The last epoch counts as complete only if the damaged row has a later time, or if all anchors of
+    the epoch were read and the damaged row has another time, or none.
 
     Args:
         path: CSV (``.csv``, ``.csv.gz``) or Parquet (``.parquet``, needs the extra `data`).
@@ -173,10 +172,10 @@ def with_clock(log: LogFile) -> LogFile:
     """
     ranges = log.columns.get("toa")
     if ranges is None or ranges.name.startswith("rtt"):
-        problem = "no range" if ranges is None else f"{ranges.name}, which lacks this offset"
+        problem = "no range" if ranges is None else f"round-trip times ({ranges.name})"
         raise LogError(
             f"{log.path}: clock: found offset with {problem}, expected one-way times or ranges, "
-            "such as toa_s, or a synchronized clock"
+            "such as toa_s, which contain the clock's offset; or the setting synchronized"
         )
     return replace(log, clock=True)
 
@@ -283,7 +282,8 @@ class PathEpoch(NamedTuple):
     layout: Layout  # layout of the scene's anchors, with or without odometry
     time_s: float
     measurement: Array  # (n, 5) range (m), three angles (rad), Doppler shift (Hz, or NaN)
-    # whether the angles of arrival are those at the base station, even if a wall reflected the path
+    # whether the angles of arrival are those at the base station. If not, those of a path that a
+    # wall reflected are the angles at the base station's mirror image
     at_station: bool
     snr_db: Array  # (n,)
     incomplete: int  # number of paths that are left out because some of their values are missing

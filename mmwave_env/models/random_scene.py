@@ -67,7 +67,7 @@ class RandomScene:
     def draw_numbers(self, dice: Dice) -> SceneNumbers:
         """Draw the numbers of a scene.
 
-        Keep the order of the draws; otherwise an episode's key (a seed) would give another scene.
+        Keep the order of the draws; otherwise the same episode key would give another scene.
         """
         block, each = dice.uniform(*self.block_m), float(self.blocks + 1)
         counts = floor(1.0 + (each * each - 1.0) * dice.uniform())  # never 0 x 0 blocks
@@ -86,7 +86,7 @@ class RandomScene:
         return SceneNumbers(anchors, block, extent, [0.0, 0.0], self.user_height_m)
 
     def scene_of(self, numbers: SceneNumbers) -> Scene:
-        """Return the scene with these numbers, which :meth:`draw_numbers` drew as floats."""
+        """Return the scene with these numbers, which must be plain floats, not SIMD lanes."""
         (x, y, height), west, south = numbers.anchors
         walls = Wall((1.0, 0.0), (west[0] + x) / 2.0), Wall((0.0, 1.0), (south[1] + y) / 2.0)
         east, north = numbers.extent_m

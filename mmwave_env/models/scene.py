@@ -190,7 +190,7 @@ class Scene:
             side = wall.side_of(self.base_station_m)
             raise ValueError(
                 f"streets of scene {self.name!r}: found {self.streets.x_m} x {self.streets.y_m}"
-                f"{default}, expected all at {side}, where the base station is"
+                f"{default}, expected all at {side}, like the base station"
             )
 
     def behind_walls(self, points_m: Array) -> Iterator[tuple[int, Wall]]:

@@ -18,7 +18,7 @@ from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.world.mobility import FASTEST_MPS, Mobility, mobilities_of
 
 REACH_M = (1.0, 5000.0)  # distances for which the path loss is valid (3GPP TR 38.901, UMi)
-STANDING_M, STANDING_S = 0.1, 60.0  # coordinates that change less than this may be in degrees
+STANDING_M, STANDING_S = 0.1, 60.0  # warn of users who move less (m) in more time (s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +80,8 @@ class Trajectory:
             way, integral = np.linalg.norm(moved, axis=1).sum(), fast[1:] @ step[1:]
             if integral > 2.0 * way + STANDING_M:
                 raise ValueError(
-                    f"{self.name}: vx, vy, vz: found speeds that give a path of {integral:.6g} m, "
-                    f"expected about {way:.6g} m, as x, y, z give: are the speeds in m/s?"
+                    f"{self.name}: vx, vy, vz: found a path of {integral:.6g} m, expected "
+                    f"about {way:.6g} m, the length of the path in x, y, z: are the speeds in m/s?"
                 )
         if t[-1] - t[0] >= STANDING_S and np.ptp(p, axis=0).max() < STANDING_M:
             warnings.warn(
@@ -128,10 +128,10 @@ class Trajectory:
 
         def refuse(epoch: int, expected: str) -> None:
             row = int(np.searchsorted(self.time_s, self.time_s[0] + epoch * dt, "right")) - 1
-            self._refuse(row, "x, y, z", position[epoch], f"{expected} of scene {scene.name!r}")
+            self._refuse(row, "x, y, z", position[epoch], f"{expected} in scene {scene.name!r}")
 
         for epoch, wall in scene.behind_walls(position):
-            refuse(epoch, f"{wall.side_of(scene.base_station_m)}, where the base station is,")
+            refuse(epoch, f"{wall.side_of(scene.base_station_m)}, like the base station,")
         for anchor in scene.anchors_m:
             distance = np.linalg.norm(position - anchor, axis=1)
             outside = (distance < REACH_M[0]) | (distance > REACH_M[1])

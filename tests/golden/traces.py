@@ -1,4 +1,4 @@
-"""Golden traces: outputs of filters, smoother and environments in every epoch, and costs.
+"""Golden traces: outputs of filters, smoother and environments; counts of operations and bytes.
 
 A trace is a function that yields rows. A row maps columns to cells; its first cell names the row.
 Episodes are given by their keys (64-bit numbers) instead of seeds: a new version may draw another
