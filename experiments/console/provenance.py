@@ -53,7 +53,7 @@ def options_of(args: Any) -> Json:
 
 
 def options_from(kind: type[T], content: Json) -> T:
-    """Return those options in a results file that the class ``kind`` has, as an instance of it.
+    """Return an instance of ``kind`` with those of its options that a results file contains.
 
     Raises:
         ValueError: the file has no options, or a value is not of its option's type.

@@ -36,7 +36,7 @@ def printable_lines(text: str) -> str:
 
 
 def escaped(text: str) -> str:
-    """Return plain text as Markdown that shows every character, even in a cell of a table."""
+    """Escape plain text for Markdown, even for a table's cell; spell out unprintable characters."""
     return _READ.sub(r"\\\g<0>", printable(text))
 
 

@@ -72,7 +72,7 @@ def adapted(
 
 def misfit(group: Group, P: Matrix) -> Number:
     """Return the expectation of r' R^-1 r for a group's residual r, given the covariance P."""
-    total = group.spare_nis  # NIS of the row that link_group drops
+    total = group.spare_nis  # NIS of the difference of a link's two azimuths, which is part of r
     for residual, h, variance in zip(group.innovation, group.jacobian, group.variance, strict=True):
         total = total + (residual * residual + dot(h, [dot(row, h) for row in P])) / variance
     return total

@@ -1,4 +1,4 @@
-"""All measurements of mmwave-loc speed, made in several rounds."""
+"""All measurements that the command ``mmwave-loc speed`` makes, in several rounds."""
 
 import gc
 import time
@@ -64,7 +64,7 @@ class Measured:
         self.cores_busy: Rounds = defaultdict(list)
         # minimum time of a step of each kernel on one core
         self.limits_s: Rounds = defaultdict(list)
-        # microseconds per epoch of a live track, by contender, interface and percentile
+        # microseconds per epoch of a live track, by filter or policy, interface and percentile
         self.latency_us: Rounds = defaultdict(list)
         # seconds from the start of a process to the end of its first step; peak memory, MiB
         self.cold_start_s: Rounds = defaultdict(list)

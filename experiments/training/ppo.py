@@ -32,7 +32,7 @@ class PpoTraining(BaseCallback):
 
     Args:
         job: training to run; if its folder has a checkpoint, the training continues from it.
-        tell: function that is called with news of the training.
+        tell: function that is called with :class:`News` of the training.
 
     Attributes:
         env: environments of all places.

@@ -142,7 +142,8 @@ class RolloutTraining:
 
     Args:
         job: training to run; if its folder has a checkpoint, the training continues from it.
-        tell: function called with news; their timesteps count states in which actions were tried.
+        tell: function that is called with :class:`News`; its ``timesteps`` is the number of states
+            in which all actions were tried so far.
 
     Attributes:
         env: environments in which actions are tried.

@@ -68,9 +68,9 @@ class MeasuredTrack(Track):
         treated as not measured, because its noise is unknown. Angles are in the frame of the map,
         whichever end transmits. Arrival is the direction in which the anchor sees the user: azimuth
         ``atan2(dy, dx)`` and elevation ``atan2(dz, hypot(dx, dy))``, with (dx, dy, dz) from the
-        anchor to the user. Departure is the azimuth at which the user sees the anchor. Angles of a
-        virtual anchor are seen from the mirror image. docs/data.md, "Angles", explains how to
-        convert other conventions.
+        anchor to the user. Departure is the azimuth at which the user sees the anchor. A virtual
+        anchor is a mirror image of the base station; its angles are those of the straight line
+        from this image to the user. docs/data.md, "Angles", converts other conventions.
 
         Args:
             time_s: (T,) times of the epochs, increasing, s.
@@ -141,8 +141,9 @@ def _require_noise(
 def _as_partial(
     record: str, fields: dict[str, Any], heard: Mask, deviations: dict[str, ArrayLike | None]
 ) -> dict[str, Any]:
-    """Return the fields of a track that a partial layout changes; {} if the plain layout is enough.
+    """Return the values of fields that change with a partial layout; {} if the plain one suffices.
 
+    The plain layout suffices if no noise is stated and no group lacks only some of its values.
     ``heard`` (T, L) says whether a link has an SNR. ``deviations`` maps the name of a measurement
     to its standard deviations: (T, L) for links, (T,) for Doppler shifts, or None.
     """

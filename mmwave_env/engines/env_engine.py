@@ -26,8 +26,6 @@ from mmwave_env.world.keys import Keys
 class Engine:
     """N environments that step together: episodes and actions in, observations and scores out.
 
-    *Considering* an epoch means running the modes on it, before an action chooses a result.
-
     Args:
         pipeline: modes and layout.
         n: number of environments.
@@ -87,7 +85,7 @@ class Engine:
         self.batch.write(self.at.settings, np.array(numbers), places)
 
     def reset(self, episodes: EpisodeBatch | Sequence[Episode]) -> None:
-        """Start over with one episode for each environment and consider its first epoch."""
+        """Start over with one episode for each environment and run the modes on its first epoch."""
         self.batch.load(episodes)
         self.batch.advance()
         self.lead(np.arange(self.batch.n))
@@ -150,7 +148,7 @@ class Engine:
     def start(
         self, places: Index, output_rows: Index = NO_ROWS
     ) -> tuple[NDArray[np.float32], Array]:
-        """Consider the next epoch in environments just loaded; leave the others unchanged.
+        """Run the modes on the next epoch in environments just loaded; leave the others unchanged.
 
         The results are those of :meth:`step`, but valid only for these environments.
         """
@@ -187,7 +185,7 @@ class Engine:
     def step(
         self, actions: NDArray[np.integer[Any]] | np.int64, output_rows: Index = NO_ROWS
     ) -> tuple[NDArray[np.float32], Array]:
-        """Apply every environment's action (n,), or one for all, and consider the next epoch.
+        """Apply one action per environment (n,), or one to all; run the modes on the next epoch.
 
         An environment that was just loaded starts its episode instead.
 

@@ -1,11 +1,11 @@
 """Fixed-interval smoothing of interacting modes, backwards over a finished track of an IMM.
 
 If a bank contains a mode with little process noise, a Rauch-Tung-Striebel smoother that treats the
-mixture as one Gaussian is overconfident. Here every mode has its own smoothed belief. A step back
-smooths each pair (mode j in this epoch, mode i in the following one) with the motion model of mode
-i, then merges the pairs with the same j. The weight of a pair is the probability of i given all
-measurements, times the probability of j given i. The second factor depends on how well mode i,
-starting from the belief of j, predicts the smoothed state.
+mixture as one Gaussian is overconfident. Here every mode has its own smoothed belief. Each backward
+step computes a smoothed belief for each pair (mode j in this epoch, mode i in the following one)
+with the motion model of mode i. Then it merges the beliefs with the same j. A pair's weight is the
+probability of i given all measurements, times the probability of j given i. The second factor
+depends on how well mode i, starting from the belief of j, predicts the smoothed state.
 
 Sources: Kim 1994, "Dynamic linear models with Markov-switching" (pairs, and their merging); Barber
 2006, "Expectation correction for smoothed inference in switching linear dynamical systems", JMLR 7
@@ -113,9 +113,9 @@ def _backwards(
         pipeline: pipeline of the modes.
         now, gamma: filtered beliefs of the epoch, and the scales (N, modes) of the modes' noise.
         after: smoothed beliefs of the following epoch.
-        coming: the following epoch; only its step and Doppler spread, both (N, 1), are used.
+        coming: the following epoch; only its dt and Doppler spread, both (N, 1), are used.
         hz_per_mps: carrier frequency divided by the speed of light.
-        transition: (N, modes, modes) probabilities (from, to) over the step.
+        transition: (N, mode now, mode after) probabilities of the modes after, given the mode now.
     """
     known, n = list(pipeline.known_axes), now.x.shape[-1]
     x_now = [now.x[..., i] for i in range(n)]  # each an array (N, modes now)

@@ -76,11 +76,12 @@ class Stepper:
         self._tally, self._run = tally, Repeated(_step)
 
     def step(self, actions: Index, numbers: Array | None) -> tuple[StepResult, int, Infos]:
-        """Apply every environment's action and consider the next epoch; see :meth:`Engine.step`.
+        """Apply all actions and run the modes on the next epoch, as :meth:`Engine.step` does.
 
         Args:
             actions: (n,) numbers of the modes; infos contain this array itself, not a copy.
-            numbers: (n, k) weights or corrections, or None; if given, ``actions`` are zeros.
+            numbers: (n, k) the agents' weights of the modes or corrections of the beliefs;
+                ``actions`` are zeros then. None if the agents choose modes.
 
         Returns:
             New results; the number of environments without epochs left; and new infos about all
@@ -125,7 +126,7 @@ class Stepper:
         return np.sqrt((error * error).sum(axis=1))  # type: ignore[no-any-return]
 
     def start(self, places: Index) -> tuple[NDArray[np.float32], Infos]:
-        """Consider the next epoch in environments just loaded; leave the others unchanged.
+        """Run the modes on the next epoch in environments just loaded; leave the others unchanged.
 
         Returns:
             Observations (n, features) and the infos of :data:`STATE_KEYS` (n, ...), valid only for

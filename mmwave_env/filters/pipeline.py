@@ -2,9 +2,8 @@
 
 A track is a belief (x, P) and a :class:`~mmwave_env.filters.memory.Memory` of how the
 measurements behaved. :func:`predict_update` runs a mode on the coming measurement and returns a
-:class:`~mmwave_env.filters.update.ModeResult`; the result of the chosen mode becomes
-the new belief, and :func:`~mmwave_env.filters.memory.memory_after` updates the memory with it.
-An environment runs every mode and keeps the result of the mode that the agent chose.
+:class:`~mmwave_env.filters.update.ModeResult`. An environment runs every mode; the result of the
+mode that the agent chose becomes the new belief and updates the memory (``memory_after``).
 """
 
 from collections.abc import Callable
@@ -55,7 +54,8 @@ class Pipeline:
         layout: which quantity is in which row of a measurement.
         planar: whether the terrain is flat, so that z and vz keep their prior values (paper, Sec.
             II-A). Even so, the spacing of sigma points is the one for seven uncertain components.
-        predict, update: the filter's two steps; the implementation with filterpy passes its own.
+        predict: function that predicts the state.
+        update: function that returns a mode's algorithm. ``filterpy_pipeline`` replaces both.
 
     Raises:
         AlgorithmError: a user's algorithm cannot run at all, or cannot run on SIMD lanes; the
@@ -90,7 +90,7 @@ class Pipeline:
 def process_noise(
     tuning: Tuning, epoch: Epoch, hz_per_mps: Number, gamma: Number, planar: bool
 ) -> ProcessNoise:
-    """Return an epoch's Q: the tuning's noise, raised by the Doppler spread, times gamma."""
+    """Return Q: gamma times the tuning's noise; the Doppler spread adds to that of vx and vy."""
     t = tuning
     velocity = t.sigma_v * t.sigma_v + t.spread_gain * epoch.doppler_spread_hz
     position = t.sigma_p * t.sigma_p

@@ -37,7 +37,7 @@ _WAYS = {  # components of a horizontal vector -> their meaning
 class MixtureView(NamedTuple):
     """The inputs of features that exist only if each mode has its own belief."""
 
-    # predicted, posterior: (modes,) probabilities before and after the coming epoch's measurement
+    # predicted, posterior: (modes,) probabilities of modes before and after the coming measurement
     predicted: list[Number]
     posterior: list[Number]
     spread_averages_hz: list[Number]  # averages of the Doppler spread, from fast to slow
@@ -46,7 +46,7 @@ class MixtureView(NamedTuple):
 class View(NamedTuple):
     """The inputs of features."""
 
-    # x, P: (7,), (7, 7) belief after the last epoch
+    # x, P: mean (7,) and covariance (7, 7) of the belief after the last epoch
     x: Vector
     P: Matrix
     memory: Memory  # memory of the track
@@ -157,7 +157,7 @@ def _distance(view: View, anchor: int) -> Number:
 
 
 def _links(layout: Layout, distances: bool) -> list[Feature]:
-    """Return features of links: SNRs, and distances (if asked) or the number of visible links."""
+    """Return SNRs of links, and either distances (if asked) or the number of visible links."""
     table = []
     for a in range(layout.anchors):
         table += [
@@ -165,8 +165,8 @@ def _links(layout: Layout, distances: bool) -> list[Feature]:
                     f"SNR in the coming epoch; {MISSING_SNR_DB:g} dB if missing", "dB", -20, 80,
                     lambda v, a=a: where(
                         v.epoch.visible[a] > 0.5, v.epoch.snr_db[a], MISSING_SNR_DB), "SNR"),
-            Feature(f"SNR drop anchor {a + 1}", "slow mean of the SNR minus SNR; 0 if missing",
-                    "dB", -20, 40, lambda v, a=a: where(
+            Feature(f"SNR drop anchor {a + 1}", "slow average SNR, minus the current SNR; 0 if "
+                    "missing", "dB", -20, 40, lambda v, a=a: where(
                         v.epoch.visible[a] > 0.5, v.memory.snr_mean_db[a] - v.epoch.snr_db[a], 0.0),
                     "SNR drop"),
             Feature(f"distance anchor {a + 1}", "distance of the predicted position to the anchor",

@@ -37,7 +37,7 @@ def links(record, visible):
 
 
 def arrays(episode):
-    """Return the arrays by name from which ``MeasuredTrack.from_arrays`` makes this episode."""
+    """Return, by name, the arrays from which ``MeasuredTrack.from_arrays`` makes this episode."""
     visible, doppler = episode.usable[:, :3], episode.layout.doppler
     return {
         "time_s": episode.time_s,

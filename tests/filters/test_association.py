@@ -1,4 +1,4 @@
-"""Tests that the NIS of paths is the textbook's, and their assignment to anchors the best one."""
+"""Tests that a path's NIS equals the textbook value, and that the best assignment is found."""
 
 from itertools import permutations
 

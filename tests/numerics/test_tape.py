@@ -110,7 +110,7 @@ PROGRAMS = """
 
 @pytest.mark.slow
 def test_kernels_of_several_processes_are_not_mixed_up(started):
-    """Compile each kernel in its own process; where all are loaded, their symbols may collide."""
+    """Compile kernels in separate processes; load all in one, where equal symbols would clash."""
     changes = ["lambda x: x + 4.0", "lambda x: x * 3.0", "lambda x: x - 7.0"]
     for change, value in zip(changes, ["5.0", "3.0", "-6.0"], strict=True):
         assert started(PROGRAMS + f"    shown({change})") == [value, "0"]

@@ -15,7 +15,7 @@ SHOWN = 5  # number of rows that are shown at first
 
 
 def text(value: Any) -> str:
-    """Return plain text as HTML that shows every character, also in a quoted attribute."""
+    """Escape plain text for HTML, also for a quoted attribute; spell out unprintable characters."""
     return escape(printable(str(value)))
 
 
