@@ -6,6 +6,12 @@ from pathlib import Path
 
 from experiments.console.options import require_at_least
 
+TITLES = {
+    "leaderboard": "Entries, ranked by their mean gain over imm-best at the sites to train in",
+    "scores": "Score at each site, where 100 is the clairvoyant and 0 the paper's rule",
+    "sites": "Reward at each site minus that of the best IMM there, which is in parentheses",
+}
+
 
 @dataclass(kw_only=True)
 class Args:
@@ -73,6 +79,6 @@ def main(args: Args) -> None:
         raise ValueError(f"out: found no entries in {args.out}; --policies makes some")
     protocol.add_scores(entries, ceiling)
     tables = protocol.tables_of(entries, ceiling)
-    show("\n\n".join(tables.values()))
+    show("\n\n".join(f"{TITLES[name]}:\n\n{table}" for name, table in tables.items()))
     if args.docs:
         write_text(args.docs, renewed(page, tables))

@@ -16,12 +16,12 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 33_485,
-    "tokens of source": 227_225,
+    "lines of source": 33_492,
+    "tokens of source": 227_250,
     "files of source": 239,
     "lines of tests": 25_180,
     "tokens of tests": 225_440,
-    "words of docs": 49_320,
+    "words of docs": 49_370,
     "pages of docs": 24,
     "tracked files": 660,
     "tracked MB": 9,

@@ -36,7 +36,7 @@ def test_entries_are_ranked_and_a_page_is_updated(entries, tmp_path):
     assert shown.index(best) < shown.index("| speed-rule | 2 / 2 (too few) | ")
     assert all(f"| {site.name} | " in shown for site in sites())
     for line in shown.splitlines():
-        assert line in page.read_text()
+        assert line in page.read_text() or not line.startswith("|")
 
 
 @pytest.mark.slow
