@@ -20,7 +20,7 @@ BUDGET = {
     "tokens of source": 227_250,
     "files of source": 239,
     "lines of tests": 25_180,
-    "tokens of tests": 225_440,
+    "tokens of tests": 225_450,
     "words of docs": 49_370,
     "pages of docs": 24,
     "tracked files": 660,
