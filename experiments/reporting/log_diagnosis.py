@@ -161,9 +161,11 @@ def _verdict(findings: Sequence[Finding]) -> str:
     """Return sentences on what is wrong with the log and how to correct it."""
     best = findings[0]
     if best.contradictions:
+        as_it_is = next(f.contradictions for f in findings if f.hypothesis == AS_IT_IS)
         return (
-            "No hypothesis makes the log consistent. Check the scene, the radio, and whether the "
-            "angles are in the antenna's frame instead of the map's (docs/data.md, Angles)."
+            f"No hypothesis makes the log consistent. {'; '.join(map(str, as_it_is))}. Check the "
+            "scene, the radio, and whether the angles are in the antenna's frame instead of the "
+            "map's (docs/data.md, Angles)."
         )
     if best.hypothesis == AS_IT_IS:
         return "The log is consistent as it is."
