@@ -40,7 +40,7 @@ def evaluated(values: Values) -> Row:
 
 
 def trained(values: Values, tell: Callable[[Row], None] = lambda row: None) -> Row:
-    """Train a policy; return the metrics, on tuning seeds, and the file of its best version.
+    """Train a policy; return the metrics (on tuning seeds) and the file of its best version.
 
     During the training, ``tell`` is called with a row for each evaluation.
     """
@@ -87,8 +87,8 @@ def kept(folder: Path, spec: Spec) -> set[str]:
     for name in names:
         if not (name.startswith(spec.trial) if spec.free else name in spec.cells):
             raise ValueError(
-                f"{folder / name}.parquet: found a row of another sweep or version (or a file that "
-                "the sweep names has changed since then); choose another folder with --out"
+                f"{folder / name}.parquet: found a row of another sweep or version (or of this "
+                "sweep, before a file that it names was changed); choose another folder with --out"
             )
     return names
 

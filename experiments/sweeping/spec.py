@@ -102,8 +102,8 @@ def plain(value: Any) -> Any:
 def read_spec(path: Path) -> Spec:
     """Read the file of a sweep: one table, whose name is one of :data:`KINDS`.
 
-    Its keys are fields of the class in KINDS; in [train] and [search] also "hyperparameters"; and
-    in [search] also "trials".
+    Its keys are fields of the class in KINDS. [train] and [search] may also have the key
+    "hyperparameters", and [search] also has the key "trials".
 
     Raises:
         ValueError: the file is not a sweep; the message names the file and the key.
@@ -178,7 +178,7 @@ def _distribution(axis: str, choices: Any, whole: bool) -> Any:
 
 
 def _values(key: str, content: Any) -> Sequence[Any]:
-    """Return the values of an axis; for modes or places, several values are a list of lists."""
+    """Return an axis's values; one of modes or places is a list, so several are a list of lists."""
     several = isinstance(content, list) and (
         key not in ("modes", "places") or all(isinstance(value, list) for value in content)
     )

@@ -65,12 +65,12 @@ class MeasuredTrack(Track):
         """Return a track made from arrays, in which NaN marks values that are not known.
 
         A link may lack some of its values. A value that has no SNR and no standard deviation is
-        treated as not measured, because its noise is unknown. Angles are in the frame of the map,
-        whichever end transmits. Arrival is the direction in which the anchor sees the user: azimuth
-        ``atan2(dy, dx)`` and elevation ``atan2(dz, hypot(dx, dy))``, with (dx, dy, dz) from the
-        anchor to the user. Departure is the azimuth at which the user sees the anchor. A virtual
-        anchor is a mirror image of the base station; its angles are those of the straight line
-        from this image to the user. docs/data.md, "Angles", converts other conventions.
+        treated as not measured, because its noise is unknown. Angles are in the frame of the map.
+        Even if the base station transmits, arrival is the direction in which the anchor sees the
+        user (azimuth ``atan2(dy, dx)`` and elevation ``atan2(dz, hypot(dx, dy))``; (dx, dy, dz) is
+        from the anchor to the user), and departure is the azimuth at which the user sees the
+        anchor. A virtual anchor is a mirror image of the base station; its angles are those of the
+        straight line from it to the user. docs/data.md, "Angles", converts other conventions.
 
         Args:
             time_s: (T,) times of the epochs, increasing, s.
@@ -143,7 +143,7 @@ def _as_partial(
 ) -> dict[str, Any]:
     """Return the values of fields that change with a partial layout; {} if the plain one suffices.
 
-    The plain layout suffices if no noise is stated and no group lacks only some of its values.
+    The plain layout suffices if no noise is stated and every group is complete or wholly missing.
     ``heard`` (T, L) says whether a link has an SNR. ``deviations`` maps the name of a measurement
     to its standard deviations: (T, L) for links, (T,) for Doppler shifts, or None.
     """

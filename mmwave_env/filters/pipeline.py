@@ -90,7 +90,7 @@ class Pipeline:
 def process_noise(
     tuning: Tuning, epoch: Epoch, hz_per_mps: Number, gamma: Number, planar: bool
 ) -> ProcessNoise:
-    """Return Q: gamma times the tuning's noise; the Doppler spread adds to that of vx and vy."""
+    """Return Q: gamma times the noise of the tuning, which a Doppler spread raises in vx and vy."""
     t = tuning
     velocity = t.sigma_v * t.sigma_v + t.spread_gain * epoch.doppler_spread_hz
     position = t.sigma_p * t.sigma_p

@@ -36,7 +36,7 @@ class BackwardState(NamedTuple):
     dt: Number
     x_predicted: list[Number]
     P_predicted: list[Number]
-    # x, P: its smoothed mean (7,) and packed covariance (28,)
+    # x, P: smoothed mean (7,) and packed covariance (28,) of the later epoch
     x: list[Number]
     P: list[Number]
 

@@ -1,8 +1,8 @@
 """The measurement update shared by EKF, UKF and CKF (paper, Sec. III-C).
 
-The update is in a reduced form, which is exact. :mod:`~mmwave_env.filters.textbook` has the usual
-form, K = P H' S^-1 with all rows at once; ``tests/filters/test_update.py`` compares the two.
-:mod:`~mmwave_env.filters.linearization` explains *latents*.
+The update is exact, in a reduced form with *latents*: xi, where the state is mean + L xi, and the
+curvatures of :mod:`~mmwave_env.filters.linearization`. The usual form, K = P H' S^-1 with all rows
+at once, is in :mod:`~mmwave_env.filters.textbook`; ``tests/filters/test_update.py`` compares both.
 """
 
 from collections.abc import Callable, Sequence
@@ -45,7 +45,7 @@ class _Row(NamedTuple):
     white: list[Number]
     free: list[Number]  # coefficients on the free latents, xi_3..6
     shared: list[Number]  # conditional covariance with each earlier row
-    cross: list[Number]  # conditional covariance with xi
+    cross: list[Number]  # conditional covariance with each latent in xi
     innovation: Number
     gain: Number  # 1 / innovation variance; 0 if the row is not accepted
 
@@ -101,9 +101,9 @@ def update(
     """Gate every group at the prior N(x, P), then condition on the groups that passed.
 
     The links depend only on the *coupled latents*: those of the first three columns of the factor L
-    of P (four with a clock), and the curvature latents. So all links add up to a small information
-    matrix B of these latents, whose covariance, given the links, is B^-1. The latents of the other
-    columns are *free*. Rows that depend on the velocity are added one by one. The new covariance is
+    of P (four with a clock), and the curvature latents. So prior and links add up to one small
+    information matrix B: given the links, the covariance of the coupled latents is B^-1. The other
+    latents are *free*. Rows that depend on the velocity are added one by one. The new covariance is
 
         L_c D L_c' + sum_j L_j L_j' - sum_i gain_i c_i c_i'
 
@@ -143,7 +143,7 @@ def update(
 def _recompose(
     x: Vector, L: Matrix, mean: Vector, covariance: Matrix, rows: list[_Row]
 ) -> tuple[list[Number], list[list[Number]]]:
-    """Return mean and covariance of the state, given those of xi_0..2 and the scalar rows."""
+    """Return the state's mean and covariance from ``mean``, ``covariance`` of xi_0..2 and rows."""
     k, n = len(mean), len(x)
     spread = [[dot(row[:k], column) for column in covariance] for row in L]
     moves = [[dot(line, row.cross) for line in L] for row in rows]

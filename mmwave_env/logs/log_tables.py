@@ -84,7 +84,7 @@ class Table(Block):
         return np.concatenate([[0], np.cumsum(np.diff(self.raw("time")) != 0.0)])
 
     def first(self, values: Array) -> Array:
-        """Return each epoch's first value (epochs,) that is not NaN, or NaN, of ``values`` (n,)."""
+        """Return each epoch's first of the values (n,) that is not NaN, or else NaN: (epochs,)."""
         first = np.full(self.epoch[-1] + 1, np.nan)
         some = np.flatnonzero(~np.isnan(values))[::-1]
         first[self.epoch[some]] = values[some]  # backwards, so that the first row's value remains
@@ -273,7 +273,7 @@ def require_arrow(path: Path) -> tuple[Any, Any]:
 def _open_parquet(path: Path) -> Any:
     pyarrow, parquet = require_arrow(path)
     try:
-        # Buffered, because otherwise a row group of a million rows would be in memory at once.
+        # Without the buffer, a row group of a million rows would be in memory at once.
         return parquet.ParquetFile(
             path, buffer_size=1 << 20, pre_buffer=False, page_checksum_verification=True
         )

@@ -1,9 +1,9 @@
-"""The envelope: limits of values, within which filters are accurate even if two are at a limit.
+"""The envelope: limits of values. Within them, filters are accurate, even if two are at a limit.
 
 Episodes and modes of filters outside the envelope are refused, and the message names the value. A
-double has 16 digits, and an update adds P / sigma^2 to 1. So if the prior's deviation is 1e8 times
-the noise in one direction, but not in another, the other direction loses all its digits. The limits
-are far beyond anything that a receiver reports; tests/engines/test_extremes.py tests them.
+double has 16 digits, and an update adds P / sigma^2 to 1. If in one direction the prior's deviation
+is 1e8 times the noise, P / sigma^2 is 1e16, and directions where it is about 1 lose all digits. The
+limits are far beyond anything that receivers report; tests/engines/test_extremes.py tests them.
 """
 
 from mmwave_env.io.records import between

@@ -33,10 +33,10 @@ def names_of(pipeline):
 
 
 def played(episodes, actions):
-    """Play episodes with actions (n, T) in an environment.
+    """Play episodes with actions (n, T) in an environment, and return two arrays.
 
-    Returns:
-        Features for policies that correct beliefs (n, T, features), and x (n, T, 7), per epoch.
+    They contain, for every epoch, the features (n, T, features) that a policy gets in order to
+    correct a belief, and the mean x (n, T, 7) of the belief.
     """
     pipeline = Pipeline(BANK.modes, episodes[0].layout)
     engine = Engine(pipeline, len(episodes), TrackingReward(), "signed", BANK)
@@ -114,7 +114,8 @@ def test_residuals_equal_the_formula_in_numpy(episodes):
         deviation = np.maximum(episode.sigma[:, 5] * flat, 0.05)
         q = np.sign(residual) * np.log1p(np.abs(residual) / deviation) * episode.visible[:, 1]
         heading = np.arctan2(x[i, :, 4], x[i, :, 3])
-        across = np.cos(bearing - heading)  # the residual points to the left of the ray
+        # a positive residual points left of the ray from the anchor; this is its part across
+        across = np.cos(bearing - heading)
         np.testing.assert_allclose(
             value("azimuth residual across anchor 2", i), q * across, atol=1e-4
         )

@@ -91,7 +91,7 @@ def test_words_that_are_not_places_are_refused(words, named):
 
 @pytest.mark.parametrize("unseen", ["square", "mine"])
 def test_custom_files_with_a_name_that_must_stay_unseen_are_refused(unseen, files, monkeypatch):
-    """Compare the name that a file contains or, if it contains none, the name of the file."""
+    """Check the name that a file contains; the scene's contains none, so its file name counts."""
     monkeypatch.setattr(module, "UNSEEN", ("square-2", unseen))
     with refuses("places"):
         place_from(":".join(map(str, files)))
