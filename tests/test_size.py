@@ -17,11 +17,11 @@ from tests.paths import ROOT
 
 BUDGET = {
     "lines of source": 33_492,
-    "tokens of source": 227_250,
+    "tokens of source": 227_270,
     "files of source": 239,
     "lines of tests": 25_180,
     "tokens of tests": 225_450,
-    "words of docs": 49_370,
+    "words of docs": 49_400,
     "pages of docs": 24,
     "tracked files": 660,
     "tracked MB": 9,
