@@ -57,7 +57,7 @@ def cholesky(a: Matrix) -> list[list[Number]]:
 
 
 def forward(factor: Matrix, b: Vector) -> list[Number]:
-    """Solve ``factor y = b`` (lower-triangular); y[i] is 0 if factor[i][i] is a structural zero."""
+    """Solve ``factor y = b`` (lower-triangular); y is 0 where the diagonal is structurally 0."""
     y: list[Number] = []
     for i in range(len(b)):
         pivot = factor[i][i]
