@@ -16,11 +16,11 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 33_492,
-    "tokens of source": 227_270,
+    "lines of source": 33_496,
+    "tokens of source": 227_285,
     "files of source": 239,
     "lines of tests": 25_180,
-    "tokens of tests": 225_450,
+    "tokens of tests": 225_455,
     "words of docs": 49_400,
     "pages of docs": 24,
     "tracked files": 660,

@@ -6,6 +6,7 @@ A command is a module in ``experiments`` that declares its options, in a class `
 
 import importlib
 import os
+import signal
 import sys
 import traceback
 import warnings
@@ -14,7 +15,7 @@ from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
 from io import TextIOWrapper
 from typing import Any, NoReturn
 
-from experiments.console.signals import Ended, ended_by_signals, stopped_at_once
+from experiments.console.signals import ENDING, Ended, ended_by_signals, stopped_at_once
 
 GROUPS = {
     "begin": {
@@ -139,6 +140,8 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
         print(f"{program}: interrupted", file=sys.stderr)
         sys.exit(130)
     except Ended as end:
+        for number in ENDING:  # the same signal may arrive again, for the process's group
+            signal.signal(number, signal.SIG_IGN)
         with suppress(OSError):  # the terminal may be gone
             print(f"{program}: {end.told}", file=sys.stderr)
         _leave(int(str(end.code)))
