@@ -291,9 +291,8 @@ def _track(readings: dict[str, Reading], mode: Mode) -> Iterable[Finding]:
         readings[name] = reading._replace(block=replace(reading.block, measurement=z))
         try:
             episodes[name] = episode_from(readings[name].block, reading.scene, reading.radio)
-        except ValueError:
-            nowhere = Contradiction("track", "no unique first position", "one")
-            yield Finding(name, {}, None, [nowhere])
+        except ValueError as error:
+            yield Finding(name, {}, None, [Contradiction("track", f"none ({error})", "one")])
     if not episodes:
         return
     layout = next(iter(readings.values())).block.layout
