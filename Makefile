@@ -68,7 +68,7 @@ locked: .venv-locked/.ready ## the tests without PyTorch on exactly the packages
 	.venv-locked/bin/python -m pytest -m "not slow and not torch" -n auto --dist worksteal
 
 gymnasium-oldest: .venv-oldest/.ready ## the environment on the oldest Gymnasium supported
-	.venv-oldest/bin/python -m pytest -m "not slow and not torch" -n auto tests/test_env.py tests/test_vector_env.py
+	.venv-oldest/bin/python -m pytest -m "not slow and not torch" -n auto tests/environment/test_env.py tests/environment/test_vector_env.py
 
 dist: .venv/.dev ## what would be published, checked: sdist and wheel, their metadata, a fresh install
 	rm -rf dist

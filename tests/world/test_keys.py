@@ -7,8 +7,8 @@ import pytest
 import mmwave_env  # noqa: F401  registers the environment
 from experiments.evaluation.seeds import Selection
 from mmwave_env.world.keys import Streams, key_from, keys_at, keys_of, stream_of
+from tests.environment.vector_checker import same
 from tests.refusals import refuses
-from tests.vector_checker import same
 
 SHORT = {"episode_steps": 2, "modes": ["ekf"]}
 

@@ -24,9 +24,9 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.task import TaskArguments
 from mmwave_env.world.keys import keys_at, keys_of, stream_of
 from mmwave_env.world.simulated import SimulatedSource
+from tests.environment.vector_checker import arrays, same
 from tests.filters.tracks import replay, unpacked
 from tests.refusals import refuses
-from tests.vector_checker import arrays, same
 
 ID = "MmWaveLoc-v0"
 EKF = {"modes": ["ekf"]}  # one mode alone compiles fastest

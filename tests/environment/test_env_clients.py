@@ -11,9 +11,9 @@ from gymnasium.envs.registration import EnvSpec
 
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.env import MmWaveLocEnv
+from tests.environment.test_vector_env import Patchy
+from tests.environment.vector_checker import same
 from tests.refusals import refuses
-from tests.test_vector_env import Patchy
-from tests.vector_checker import same
 
 ID = "MmWaveLoc-v0"
 EKF = {"modes": ["ekf"]}

@@ -9,11 +9,11 @@ import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
+from tests.environment.test_vector_env import LOSING
+from tests.environment.vector_checker import forward, same
 from tests.paths import representative
 from tests.refusals import refuses
-from tests.test_vector_env import LOSING
 from tests.training.actors import MODES
-from tests.vector_checker import forward, same
 
 AUTORESET = ["NextStep", "SameStep", "Disabled"]
 CONFIGURATIONS = {

@@ -18,9 +18,9 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.vector_env import MmWaveLocVectorEnv
 from mmwave_env.world.simulated import SimulatedSource
+from tests.environment.vector_checker import check_vector_env, rollout, same
 from tests.paths import representative
 from tests.refusals import refuses
-from tests.vector_checker import check_vector_env, rollout, same
 
 ID = "MmWaveLoc-v0"
 MODES = ["NextStep", "SameStep", "Disabled"]

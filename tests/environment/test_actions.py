@@ -19,8 +19,8 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.localization.position_errors import horizontal_level
 from mmwave_env.metrics import RISK
 from policies import Corrector, LearnedSwitch
+from tests.environment.vector_checker import forward, same
 from tests.refusals import refuses
-from tests.vector_checker import forward, same
 
 ID = "mmwave_env:MmWaveLoc-v0"
 PER_MODE = {"beliefs": "per-mode", "modes": ["ekf", "ukf"]}
