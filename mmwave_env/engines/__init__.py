@@ -1,1 +1,1 @@
-"""Engines that run filters over episodes: for agents, over whole tracks, and for smoothing."""
+"""Engines that run filters on episodes: step by step for an agent, or whole episodes at once."""

@@ -1,9 +1,9 @@
 """Batches of environments that run a program on episodes.
 
-The program's workspace (all numbers of an environment, one per row) begins with three fields that a
-:class:`Batch` fills in: ``incoming``, the next epoch (:class:`~mmwave_env.world.episode.Incoming`);
-``site``, the anchors, carrier and prior; and ``is_first``, which is 1 if an episode begins. The
-program sets ``is_first`` back to 0.
+A program (:mod:`mmwave_env.compiler.program`) computes one epoch of an environment. Its workspace
+contains all numbers of the environment, one per row. A :class:`Batch` sets the first three fields
+of the workspace: ``incoming`` is the next epoch; ``site`` contains the anchors, carrier and prior;
+``is_first`` is 1 if an episode begins, and the program sets it back to 0.
 """
 
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
 from mmwave_env.world.simulated import Begun, SimulatedSource
 
 # Waking a thread takes as long as running 32 blocks, of eight environments each, for one epoch.
-BLOCKS_PER_THREAD = 64  # minimum
+BLOCKS_PER_THREAD = 64  # each thread gets at least this many
 
 
 class Batch(Generic[Workspace]):
@@ -39,16 +39,16 @@ class Batch(Generic[Workspace]):
 
     Args:
         program: the program to run.
-        layout: which values a measurement has, in order.
+        layout: which quantity is in which row of a measurement.
         n: number of environments.
         input_rows: indices of the workspace's rows that receive an input in every epoch.
         on_floats: whether to run in plain Python instead of on SIMD lanes.
         threads: number of threads that may work at once; results do not depend on it.
-        ahead: number of epochs before the first action: 1 if actions correct a belief, else 0.
+        ahead: additional epochs before the first action: 1 if actions are corrections, else 0.
 
     Attributes:
-        at: tree like the workspace, with row numbers as leaves; its parts select what to read.
-        state: the environments' workspaces, episodes and next epochs.
+        at: workspace with row numbers instead of numbers; its parts tell :meth:`read` what to read.
+        state: the environments' workspaces and episodes, and the index of each one's next epoch.
         parts: for each thread, the first block that it runs, and the block after its last.
     """
 
@@ -87,8 +87,8 @@ class Batch(Generic[Workspace]):
         Args:
             episodes: one episode for each environment in ``places``.
             places: indices of the environments to load; None for all.
-            gap_s: for episodes that continue the tracks, seconds from the last epoch that ran to
-                their first epoch; None to start over from the episodes' priors.
+            gap_s: seconds from the last epoch that ran to the first epoch of the episodes, which
+                then continue the tracks; None to start over from the episodes' priors.
 
         Raises:
             ValueError: the layout of an episode differs from the batch's.
@@ -123,7 +123,7 @@ class Batch(Generic[Workspace]):
 
         Args:
             source: source of the episodes, the same in every call.
-            begun: the beginning of each environment's episode.
+            begun: beginnings of the episodes, one for each of ``places``.
             places: indices of the environments that begin.
         """
         self.attach(source)
@@ -135,7 +135,7 @@ class Batch(Generic[Workspace]):
         self.restart(places)
 
     def attach(self, source: SimulatedSource) -> None:
-        """Make the feed, compiled code that simulates a source's epochs; later calls do nothing."""
+        """Create the feed (compiled code that simulates epochs), unless there is one already."""
         if not self.state.feed.run:
             blank = source.begin(np.zeros(1, np.uint64)).worlds
             feed = source.feed(np.tile(blank, (self.n, 1)))
@@ -181,7 +181,7 @@ class Batch(Generic[Workspace]):
         """Run the next epochs; past the end of an episode, epochs are blank (without measurements).
 
         Args:
-            io: inputs, outputs and observations; None for one epoch without any.
+            io: inputs, outputs and observations; None for one epoch with zeros as inputs.
             running: (n,) False for environments to leave unchanged; None to run all.
         """
         io = self.io() if io is None else io
@@ -201,7 +201,7 @@ class Batch(Generic[Workspace]):
         return slice(numbers[0], numbers[-1] + 1)
 
     def read(self, tree: Any, dtype: DTypeLike = np.float64) -> NDArray[Any]:
-        """Return the numbers of a part of ``at``, or of a slice: (n,) for a leaf, else (n, k)."""
+        """Return numbers: (n,) for a leaf of ``at``, (n, k) for a subtree or a slice of k rows."""
         rows = self.state.rows
         if isinstance(tree, int):
             return rows[:, tree, :].reshape(-1)[: self.n].astype(dtype)
@@ -210,14 +210,14 @@ class Batch(Generic[Workspace]):
         return chosen.reshape(-1, chosen.shape[2])[: self.n]
 
     def column(self, environment: int) -> Array:
-        """Return a copy of all numbers (size,) of an environment, which :meth:`span` indexes."""
+        """Return a copy of an environment's numbers (size,), in the order of the rows."""
         block, lane = divmod(environment, WIDTH)
         return self.state.rows[block, :, lane].copy()
 
     def write(self, tree: Any, values: Any, places: Index | None = None) -> None:
         """Set the rows of a subtree of ``at`` to values: (n,) for a leaf, else (n, leaves).
 
-        ``values`` has one entry for each of ``places``, which is the same as in :meth:`load`.
+        ``values`` has one entry for each of ``places``; None as ``places`` stands for all.
         """
         places = np.arange(self.n) if places is None else places
         block, lane = np.divmod(places, WIDTH)

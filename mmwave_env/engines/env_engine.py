@@ -24,7 +24,7 @@ from mmwave_env.world.keys import Keys
 
 
 class Engine:
-    """N environments that step together: episodes and actions in, observations and scores out.
+    """N environments that step together, and that return observations and scores.
 
     Args:
         pipeline: modes and layout.
@@ -34,12 +34,12 @@ class Engine:
         bank: bank of the pipeline's modes, if every mode keeps its own belief; None if the modes
             share a belief.
         action, base: same as in :class:`~mmwave_env.task.Task`.
-        on_floats: whether to run in plain Python, as filterpy needs, instead of on SIMD lanes.
+        on_floats: whether to run in plain Python, which filterpy needs, instead of on SIMD lanes.
         threads: number of threads that may work at once; results do not depend on this number.
 
     Attributes:
         batch: workspaces and episodes of the environments.
-        keys: (n,) keys of the episodes, if episodes have keys.
+        keys: (n,) keys of the episodes; only :meth:`begin` sets them.
         at, read, column, span: same as those of ``batch``.
     """
 
@@ -100,7 +100,7 @@ class Engine:
             task: a task with simulated episodes, the same in every call.
             keys: (n,) 64-bit numbers, each of which determines an episode.
             places: (n,) indices of the environments.
-            threads: number of threads that may draw at once.
+            threads: number of threads that may draw episodes at once.
 
         Returns:
             The names (n,) of the episodes.
@@ -125,7 +125,7 @@ class Engine:
             self.batch.make_room(task.simulated.epochs)
 
     def go_on(self, task: Task, tracks: BatchState) -> None:
-        """Continue from the state of a batch with the same task, perhaps from another process."""
+        """Continue from a batch's state. Another process may have run the batch, with this task."""
         if len(tracks.feed.kept):  # the address of compiled code differs between processes
             feed = tracks.feed._replace(run=task.simulated.world.on_lanes())
             tracks = tracks._replace(feed=feed)
@@ -150,7 +150,7 @@ class Engine:
     ) -> tuple[NDArray[np.float32], Array]:
         """Run the modes on the next epoch in environments just loaded; leave the others unchanged.
 
-        The results are those of :meth:`step`, but valid only for these environments.
+        The results have the form of those of :meth:`step`, but are valid only for ``places``.
         """
         running = np.zeros(self.batch.n, np.bool_)
         running[places] = True
@@ -192,7 +192,7 @@ class Engine:
         Args:
             actions: modes, counted from 0. If every mode has its own belief, modes are counted
                 from 1, and action 0 trusts no mode.
-            output_rows: (k,) row numbers of the values to return, such as from :func:`rows_of`.
+            output_rows: (k,) numbers of the rows to return, for example from :func:`rows_of`.
 
         Returns:
             The observations (n, features) and the output rows (n, k), in new arrays.

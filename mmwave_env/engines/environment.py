@@ -1,6 +1,6 @@
-"""The base classes of environments: their engine, copies, and states as plain arrays.
+"""The base classes of environments, which run on an engine and can be copied, saved and restored.
 
-An environment that continues from a copy or a state computes exactly what the original would.
+A copy or a restored environment computes exactly what the original would compute.
 """
 
 from collections.abc import Callable
@@ -32,7 +32,7 @@ from mmwave_env.task import Task
 from mmwave_env.world.episode import EpisodeBatch
 from mmwave_env.world.keys import Streams
 
-# maximum number of episodes that one job replays, and that one job filters, to save memory
+# maximum numbers of episodes that a job replays or filters, which limit the memory that it needs
 REPLAYED, FILTERED = 8, 256
 
 
@@ -40,7 +40,7 @@ class Baseline:
     """The baseline of a paired reward: an IMM's rewards, which are subtracted from the agent's.
 
     No action changes an episode, so these rewards are known once the episode is loaded. If actions
-    are corrections, the baseline is the reward of the uncorrected belief, which a step computes.
+    are corrections, the baseline is the reward of the uncorrected belief, which each step computes.
 
     Args:
         task: the task, whose ``baseline`` is the bank of the IMM.
@@ -58,7 +58,7 @@ class Baseline:
 
         Args:
             places: indices of these environments.
-            episodes: function that returns the episodes of environments, given their indices.
+            episodes: function that returns episodes, given the indices of their environments.
         """
         if self._batch.ahead:
             return
@@ -76,14 +76,14 @@ class Baseline:
         share(run, [(places[part],) for part in parts], self._threads)
 
     def subtract(self, rewards: Array, places: Index) -> None:
-        """Subtract from rewards (N,) the IMM's rewards in the epoch that was just processed.
+        """Subtract the baseline from the rewards (N,) of the epoch that was just scored.
 
         The result is rounded to single precision, in which agents receive rewards, so that
         recorded training runs can be repeated exactly.
 
         Args:
             rewards: (N,) rewards of all environments, changed in place.
-            places: (n,) environments that processed an epoch.
+            places: (n,) indices of the environments whose rewards change.
         """
         batch = self._batch
         if batch.ahead:
@@ -102,17 +102,17 @@ class Baseline:
 class Environment:
     """Environments that run on an engine and can be copied by ``deepcopy`` and ``pickle``.
 
-    A copy creates compiled code and references to this code anew, and copies everything else. A
-    deep copy shares the task, including the source of episodes, because no step changes the task.
+    Compiled code is not copied: a copy creates it again. Everything else is copied, but a deep copy
+    shares the task, including the source of episodes, because no step changes the task.
     """
 
     _engine: Engine
     _baseline: Baseline | None
     _replay: Replay | None
-    _set_up: Callable[[], None]  # creates the attributes that are not copied, from the arguments
+    _set_up: Callable[[], None]  # creates the attributes that are not copied
 
     def _take_task(self, task: Task, observation: str, smoothed: bool, n: int = 1) -> None:
-        """Store the task of n environments that have not begun."""
+        """Store the task of n environments, which have no episode yet."""
         if smoothed and task.action != MODE:
             raise ValueError(
                 f"smoothed: found {smoothed} with action={task.action!r}, expected False"
@@ -138,7 +138,7 @@ class Environment:
 
     @property
     def _drawn(self) -> tuple[dict[str, Any], int, list[str]]:
-        """Return the rows that pictures show, the number of NEES axes, and the names of actions."""
+        """Return rows that pictures show, the number of position axes, and the names of actions."""
         rows = drawn_rows(self._engine.at, self._engine.span)
         return rows, len(self._task.pipeline.position_axes), self.observation.actions
 
@@ -195,7 +195,7 @@ class Environment:
         return metrics | {SMOOTHED_KEY: smoothed}
 
     def _charge(self, rewards: Array, places: Index) -> None:
-        """Add the worst (paired) reward for each remaining epoch of episodes that ended early."""
+        """Add the worst reward, minus any baseline, for each epoch that an early end left out."""
         assert self._task.worst is not None
         batch = self._engine.batch
         rewards[places] += self._task.worst * (batch.state.length - batch.completed)[places]

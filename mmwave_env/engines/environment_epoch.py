@@ -1,16 +1,16 @@
 """A step of an environment, for modes that share a belief and for modes that each keep their own.
 
 A step takes the result of the chosen mode as the new belief (mean and covariance), scores the
-belief against the truth, loads the next epoch and runs every mode on it. Modes run before the next
-action, because the observation shows the result of each. No action changes the world.
+belief against the truth, and runs every mode on the next epoch. Modes run before the next action is
+chosen, because the observation shows the results of all modes. No action changes the world.
 
 If the modes share a belief, their results are *candidates*, and the action chooses one. If every
 mode keeps its own belief, the modes interact as in an IMM (:mod:`mmwave_env.filters.imm`), and an
 action is the mode to trust in the epoch that was just filtered: the probability of that mode is
 raised before the beliefs are combined, scored and mixed again. Action 0 trusts no mode, so that
 the IMM itself decides. With ``action="weights"``, the action scales every mode's probability. With
-``action="correction"``, the filters are one epoch ahead of the actions: a step corrects and scores
-the belief of one epoch earlier, and the filters continue from their uncorrected beliefs.
+``action="correction"``, an action concerns the epoch before the one that was just filtered: a step
+corrects and scores the belief of this epoch. The filters continue from their uncorrected beliefs.
 """
 
 from functools import lru_cache, partial
@@ -68,7 +68,7 @@ class EnvState(NamedTuple):
     x: list[Number]
     P: list[Number]
     memory: Memory  # memory of the track
-    candidates: list[ModeResult]  # the modes' results; to save cache, without predicted beliefs
+    candidates: list[ModeResult]  # the modes' results; predicted beliefs are dropped to save cache
     observation: list[Number]  # (features,)
     reward: Number  # reward of the last epoch in which an action was taken
     reward_terms: list[Number]  # terms of the reward; the last one is minus the mode's cost
@@ -214,7 +214,7 @@ def program_of(
     """Return the program of an epoch, shared by all environments with the same arguments.
 
     Args:
-        pipeline: modes and layout; if every mode has its own belief, the state has the tunings.
+        pipeline: modes and layout; with ``per_mode``, tunings are ignored: the state has its own.
         kind: kind of observation.
         reward: function of (belief, truth).
         per_mode: whether every mode keeps its own belief.

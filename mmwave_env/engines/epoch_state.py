@@ -72,12 +72,12 @@ def pending_of(incoming: Incoming, epoch: Epoch, observation: Observation) -> Pe
 
 
 def with_expected_spread(epoch: Epoch, velocity: Vector, site: Site) -> Epoch:
-    """Return the epoch; a Doppler spread of 0 (not measured) is replaced with the expected one.
+    """Return the epoch, with an expected Doppler spread if none was measured (value 0).
 
     Features need this, because 0 would tell policies that the user stands. The expected spread
     approximates the mean of :func:`~mmwave_env.models.radio.doppler_spread` for the estimated
     ``velocity`` (3,), m/s, with the default parameters of a radio. Epochs without any measurement,
-    such as the blank epoch after the last one, keep the value 0.
+    such as the blank epoch after an episode's last epoch, keep the value 0.
     """
     floor_mps = Radio.spread_floor_mps * math.sqrt(2.0 / math.pi)  # mean of |N(0, floor)|
     speed_mps = sqrt(dot(velocity, velocity))

@@ -1,8 +1,7 @@
-"""Interacting multiple models (IMM) instead of an agent: whole episodes in one call.
+"""Filtering with interacting multiple models (IMM), whole episodes in one call.
 
-Without an agent, compiled code need not stop between epochs. Everything that can be
-tuned (transition probabilities, process noise, the weight of outliers) is part of a program's data,
-so one compiled program runs any tuning.
+Compiled code need not stop between epochs, as there is no agent or its actions are known. Since
+transition probabilities, process noise and limits of NIS are data, one program runs any tuning.
 """
 
 from collections.abc import Sequence
@@ -71,7 +70,7 @@ def imm_program(
     Args:
         pipeline: modes and layout.
         reward: function of (belief, truth).
-        acted: whether an agent's actions steer the mixture.
+        acted: whether the field ``action`` of the state names a mode to trust.
         signed: whether to compute the features of
             :func:`~mmwave_env.interface.signed.after_update`.
     """
@@ -130,7 +129,7 @@ def run_imm(
     *names: str,
     planar: bool = False,
 ) -> dict[str, Array]:
-    """Filter complete episodes, from their priors on, by an IMM, which weights its modes itself.
+    """Filter complete episodes, from their priors on, with an IMM and without an agent.
 
     Args:
         bank: the modes and the parameters of their interaction.
@@ -159,11 +158,11 @@ class ImmTracker(EpisodeFilter[ImmState]):
 
     Args:
         bank: the modes and the parameters of their interaction.
-        layout: which values a measurement has, in order.
+        layout: which quantity is in which row of a measurement.
         n: number of tracks.
         planar: same as in :class:`~mmwave_env.filters.pipeline.Pipeline`.
-        acted: whether :meth:`run` receives actions, the modes to trust.
-        signed: whether the part "signed" contains the features that a corrector reads.
+        acted: whether :meth:`run` receives actions, which name the modes to trust.
+        signed: whether the part "signed" has features for a policy that corrects beliefs.
     """
 
     def __init__(

@@ -7,10 +7,9 @@ with the motion model of mode i. Then it merges the beliefs with the same j. A p
 probability of i given all measurements, times the probability of j given i. The second factor
 depends on how well mode i, starting from the belief of j, predicts the smoothed state.
 
-Sources: Kim 1994, "Dynamic linear models with Markov-switching" (pairs, and their merging); Barber
-2006, "Expectation correction for smoothed inference in switching linear dynamical systems", JMLR 7
-(the weight with the smoothed state). With one mode, the result is the same as that of
-:func:`mmwave_env.filters.textbook.rts`.
+Sources: for the pairs, Kim 1994, "Dynamic linear models with Markov-switching"; for their weights,
+Barber 2006, "Expectation correction for smoothed inference in switching linear dynamical systems",
+JMLR 7. With one mode, the result is that of :func:`mmwave_env.filters.textbook.rts`.
 """
 
 from collections.abc import Sequence
@@ -86,7 +85,7 @@ def smooth_modes(
 
 
 def _beliefs(mixtures: Array, pipeline: Pipeline) -> tuple[ModeBeliefs, Array]:
-    """Return the modes' beliefs, and the scales (N, T, modes) of the modes' noise."""
+    """Return the modes' beliefs, and gamma (N, T, modes), the adaptive scale of their noise."""
     n, triangle = pipeline.layout.state_size, pipeline.layout.triangle
     at = indices(begin(pipeline, [0.0] * n, [0.0] * triangle))
     packed = mixtures[..., np.array([track.P for track in at.tracks])]
@@ -111,11 +110,11 @@ def _backwards(
 
     Args:
         pipeline: pipeline of the modes.
-        now, gamma: filtered beliefs of the epoch, and the scales (N, modes) of the modes' noise.
+        now, gamma: filtered beliefs of the epoch, and adaptive scales (N, modes) of modes' noise.
         after: smoothed beliefs of the following epoch.
         coming: the following epoch; only its dt and Doppler spread, both (N, 1), are used.
         hz_per_mps: carrier frequency divided by the speed of light.
-        transition: (N, mode now, mode after) probabilities of the modes after, given the mode now.
+        transition: (N, modes, modes) probabilities, indexed [track, mode now, following mode].
     """
     known, n = list(pipeline.known_axes), now.x.shape[-1]
     x_now = [now.x[..., i] for i in range(n)]  # each an array (N, modes now)
@@ -138,7 +137,7 @@ def _backwards(
         distance = (step * solved[..., -1]).sum(axis=-1)
         density = -0.5 * (distance + np.linalg.slogdet(P_predicted)[1])
         weight.append(np.log(transition[:, :, i] * now.probability) + density)
-    logs = np.stack(weight, axis=2)  # (N, mode now, mode after)
+    logs = np.stack(weight, axis=2)  # indexed like ``transition``
     joint = np.exp(logs - logs.max(axis=1, keepdims=True))
     joint *= after.probability[:, None] / joint.sum(axis=1, keepdims=True)
     probability = np.maximum(joint.sum(axis=2), np.finfo(float).tiny)

@@ -1,7 +1,8 @@
 """A track in which a policy chooses the mode in every epoch; no ground truth is needed.
 
-An environment's engine computes the observations, and an engine for whole tracks applies the
-actions. Both compute exactly the same numbers, so the track is the same as in an environment.
+First, an environment's engine steps through the episode, and the policy chooses its actions. Then
+an engine for whole tracks runs the episode with these actions. Both engines compute exactly the
+same numbers, so the track is the same as in an environment.
 """
 
 from collections.abc import Sequence
@@ -76,8 +77,8 @@ class PolicyTracker:
     def run(self, *names: str) -> dict[str, Array]:
         """Filter the loaded episode once, in the same way as :meth:`Tracker.run`.
 
-        A corrector adds the parts "corrected_x" and "corrected_P", which are the corrected belief,
-        and "trusted", the factor by which the correction was scaled.
+        If the policy corrects beliefs, the parts "corrected_x" and "corrected_P" are the corrected
+        belief, and "trusted" is the factor by which the correction was scaled.
         """
         if self._starts:
             self._policy.reset(np.array([True]))

@@ -13,13 +13,14 @@ from mmwave_env.numerics.numbers import Array, Index
 
 # columns of the sums: the fields of :class:`~mmwave_env.metrics.Sums` from ``distance`` on
 LENGTH, SQUARED, CHANGE, NEES, INSIDE, LARGEST = range(6)
-NONFINITE = 6  # number of epochs, burn-in included, with an error or NEES that is not finite
+NONFINITE = 6  # column: number of epochs, burn-in included, whose error or NEES is not finite
 SUMS = 7
 
-# square of the horizontal protection level at risk RISK, divided by the variance along the longer
-# axis of the error ellipse: NARROWEST if the shorter axis is 0, WIDEST if both axes are equal
+# The horizontal protection level is the error that is exceeded with probability RISK. Its square,
+# divided by the variance along the longer axis of the error ellipse, lies between these numbers:
+# NARROWEST if the shorter axis is 0, WIDEST if both axes are equal.
 NARROWEST, WIDEST = NormalDist().inv_cdf(0.5 * RISK) ** 2, -2.0 * math.log(RISK)
-ANGLES, LEAST = 64, 1e-12  # number of angles in a quadrant; smallest variance, m^2
+ANGLES, LEAST = 64, 1e-12  # angles per quadrant in the integral; smallest variance, m^2
 
 
 class Counts(NamedTuple):
@@ -54,7 +55,7 @@ class Tally:
         self.counts = Counts(sums, errors, second, interval, modes)
 
     def begin(self, places: Index, step_s: Array, epochs: Index) -> None:
-        """Start over in some environments, given the step (s) and number of epochs of each."""
+        """Start over in some environments, given each one's step (s) and number of epochs."""
         second = self.counts.second
         second[places] = np.clip(np.round(1.0 / step_s), 1, epochs)
         self.make_room(int(second.max()), int(epochs.max(initial=0)))
@@ -94,8 +95,8 @@ class Tally:
 def count(counts, e, k, x, y, z, nees):  # type: ignore[no-untyped-def]
     """Count epoch ``k`` (counted from 0) of an episode, with its position error (m) and NEES.
 
-    During the burn-in (the first BURN_IN epochs), each epoch replaces the earlier epochs in the
-    sums. So an episode that is shorter than the burn-in is scored by its last epoch.
+    Each of the first BURN_IN + 1 epochs replaces the earlier ones in the sums, so the burn-in (the
+    first BURN_IN epochs) does not count. An episode that ends earlier is scored by its last epoch.
 
     Args:
         counts: a :class:`Counts`, changed in place.

@@ -109,11 +109,11 @@ class EpisodeFilter(Generic[Workspace]):
     """N tracks that a program filters, each from the first epoch of an episode to the last.
 
     Args:
-        batch: batch of N environments; the caller sets rows that episodes lack, such as tunings.
+        batch: batch of N environments, in which the caller sets rows that episodes do not set.
 
     Attributes:
         program: the program of an epoch.
-        epochs: number of epochs that :meth:`run` filters: those of the longest episode.
+        epochs: number of epochs that :meth:`run` filters: the length of the longest episode.
     """
 
     def __init__(self, batch: Batch[Workspace]) -> None:
@@ -162,8 +162,8 @@ class Tracker(EpisodeFilter[TrackState]):
     Args:
         pipeline: the mode, or the modes to choose from.
         n: number of tracks.
-        rule: function that returns the number of the mode, given the state (7,) after the previous
-            epoch and the coming epoch; None for one mode, or to pass the modes to :meth:`run`.
+        rule: function of the mean (7,) after the previous epoch and of the coming epoch, which
+            returns the number of the mode; None for one mode, or to pass modes to :meth:`run`.
         on_floats: whether to run in plain Python (slow, for reference) instead of on SIMD lanes.
     """
 

@@ -32,7 +32,7 @@ class StepResult(NamedTuple):
     # accepted, rejected: (n, groups) the gates' verdicts; (n, 0) if steps return no infos
     accepted: Mask
     rejected: Mask
-    cost: Array  # (n,) 1.0 where an error exceeds its protection level; (0,) without infos
+    cost: Array  # (n,) 1.0 where an error exceeds its protection level; (0,) if infos are "none"
 
 
 class StepColumns(NamedTuple):
@@ -84,8 +84,8 @@ class Stepper:
                 ``actions`` are zeros then. None if the agents choose modes.
 
         Returns:
-            New results; the number of environments without epochs left; and new infos about all
-            environments, with their masks (empty unless every step returns infos).
+            New results; the number of environments that have no epoch left; and new infos about all
+            environments, with Gymnasium's masks, or {} if steps return no infos.
         """
         batch, io = self._engine.batch, self._io
         n, features, chosen = len(actions), len(io.obs_rows), actions
@@ -97,7 +97,7 @@ class Stepper:
         result = StepResult(
             observations[:, 0], np.empty(n), ends[0], ends[1], flags[0], flags[1], costs
         )
-        # infos need new outputs, as earlier infos still refer to the previous ones
+        # Infos need new arrays of outputs, as earlier infos are views of the previous arrays.
         outputs = np.empty_like(io.outputs) if self._told else io.outputs
         io = StepIO(io.input_rows, io.inputs, self._rows, outputs, io.obs_rows, observations)
         self._io, program = io, (batch.program.on_lanes(), batch.program.blank)
@@ -114,7 +114,7 @@ class Stepper:
         return result, ended, infos
 
     def look(self, actions: Index) -> Infos:
-        """Return the infos about the last step, for steppers whose steps do not return them."""
+        """Return the infos about the last step, for steppers whose steps return no infos."""
         infos = {key: self._engine.read(part) for key, part in self._known.items()}
         infos |= {key: infos[key] > 0.5 for key in FLAGS if infos}
         return infos and infos | {"mode": actions, COST_KEY: self._costs.copy()}
