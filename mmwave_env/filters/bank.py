@@ -25,7 +25,7 @@ from mmwave_env.models.radio import TUNED_RADIOS, Radio, radio_from
 MOST_MODES = 32  # maximum number of modes; each is compiled, and runs in every epoch
 Transition = Annotated[tuple[tuple[Probability, ...], ...], "a list of rows of probabilities"]
 _ROUNDING = 1e-6  # tolerance of the sum of a row of probabilities
-# Further keys of a mode file, and their meanings: how the file was made. Readers ignore them.
+# Keys that say how a mode file was made, with their meanings. This package ignores their values.
 NOTES = {
     "about": "what the modes are for",
     "command": "the command that made the file",
@@ -43,14 +43,14 @@ class Bank:
         modes: one or more modes with different names.
         transition: (modes, modes) transition probabilities over one second, indexed [from, to];
             None for a probability of 0.95 of staying in the same mode.
-        nis_quantile: probability p: in a mode's likelihood, the NIS (normalized innovation squared)
-            of each group of measurements counts at most as much as the chi-square quantile of p;
+        nis_quantile: probability. In a mode's likelihood, the NIS (normalized innovation squared)
+            of each group of measurements is limited to the chi-square quantile of this probability;
             1 for no limit, as in the textbook.
 
     Raises:
-        ValueError: there are no modes or too many, two modes have the same name, the quantile is
-            outside (0, 1], or the transition has a wrong shape, a row that does not contain
-            probabilities with a sum of 1, or a column of zeros.
+        ValueError: there are no modes or too many; two modes have the same name; the quantile is
+            outside (0, 1]; the transition has a wrong shape; one of its rows does not contain
+            probabilities with a sum of 1; or one of its columns contains only zeros.
     """
 
     modes: Annotated[tuple[Mode, ...], Size(1, MOST_MODES)]
@@ -92,7 +92,7 @@ def bank_in(content: Mapping[str, Any]) -> Bank:
     """Return the bank in a mode file's content, or in a mapping of the same form.
 
     The key "modes" contains a list of modes, each with the attributes of :class:`Mode` that differ
-    from the defaults. The other keys are the other attributes of :class:`Bank`, and :data:`NOTES`.
+    from the defaults. Keys of :data:`NOTES` are ignored; others are attributes of :class:`Bank`.
 
     Raises:
         ValueError: the content is wrong; the message names the error.
@@ -136,7 +136,7 @@ def bank_as_written(bank: Bank) -> dict[str, Any]:
     return {**asdict(bank), "modes": modes, "transition": transition}
 
 
-@cache  # so that it warns only once for each radio
+@cache  # each radio causes only one warning
 def _tuned_profile(radio: Radio) -> str:
     """Return the radio's base: the shipped profile whose modes and banks the radio uses."""
     if radio.name not in TUNED_RADIOS:
@@ -184,12 +184,12 @@ def best_bank(radio: str | Radio = "handset") -> Bank:
 
 
 def bank_over(modes: Modes, radio: str | Radio = "handset") -> Bank:
-    """Return the bank of a ``modes=`` argument, which contains one mode or more.
+    """Return the bank, of one mode or more, that a ``modes=`` argument describes.
 
     Args:
-        modes: a list of names, mode files and Mode objects, or a bank, or one mode file, or the
-            content of a mode file. A single file also defines how its modes interact.
-        radio: radio profile; a mode that is given by name is the one tuned for this profile.
+        modes: a bank, a mode file, the content of a mode file, or a list of names, mode files and
+            Mode objects. If a list has several entries, the modes interact in the default way.
+        radio: radio profile; names stand for the modes that were tuned for this profile.
 
     Raises:
         ValueError: same as for :class:`Bank`, or an entry of the list is not a mode.

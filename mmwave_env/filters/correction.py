@@ -13,7 +13,7 @@ from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.numerics.numbers import Array, Matrix, Number, Vector, exp, maximum, sqrt, where
 
-MOST_SHIFT, MOST_LOG_FACTOR = 4.0, 2.0  # limits of a shift, in deviations, and of a log factor
+MOST_SHIFT, MOST_LOG_FACTOR = 4.0, 2.0  # limits of a shift (in deviations) and of a log factor
 SLOWEST_MPS = 1e-3  # below this speed, the x axis counts as the direction of motion
 
 
@@ -32,15 +32,15 @@ class Frame(NamedTuple):
         return cls(where(moving, vx * scale, 1.0), where(moving, vy * scale, 0.0))
 
     def into(self, x: Number, y: Number) -> tuple[Number, Number]:
-        """Return the components along and across of a horizontal vector (x, y)."""
+        """Return the components of a horizontal vector (x, y) along and across the motion."""
         return self.cosine * x + self.sine * y, self.cosine * y - self.sine * x
 
     def out(self, along: Number, across: Number) -> tuple[Number, Number]:
-        """Return the horizontal vector (x, y) with these components along and across."""
+        """Return the horizontal vector (x, y), given its components along and across the motion."""
         return self.cosine * along - self.sine * across, self.sine * along + self.cosine * across
 
     def covariance(self, P: Matrix, first: int = 0) -> tuple[Number, Number, Number]:
-        """Return the variances along and across, and the covariance of these two components.
+        """Return the variances along and across the motion, and the covariance of the two.
 
         Args:
             P: (n, n) covariance.
@@ -106,7 +106,7 @@ def corrected_all(
     Args:
         x, P: (..., 7) means and (..., 28) packed covariances (lower triangles) of the batch.
         shift, log_factor: (..., 3), same as for :func:`corrected`.
-        pipeline: the filters' pipeline, which says whether the height is known.
+        pipeline: pipeline of the filters, which knows whether the terrain is flat.
     """
     mean, packed, *correction = (
         part.tolist() if part.ndim == 1 else list(np.moveaxis(part, -1, 0))

@@ -1,9 +1,9 @@
 """Trial runs of a user's function (a filter's algorithm or a reward) before it is compiled.
 
 The compiler calls a function once, with *lanes*: numbers that each stand for eight environments,
-and so have no single value. A trial run calls it with other numbers, which refuse the same
-operations. It compiles nothing, so it takes milliseconds, and it can name the line that asked for
-a value. It finds functions that cannot run, but not functions whose results are wrong.
+and so have no single value. A trial run calls the function with other numbers, which refuse the
+same operations as lanes. A trial run takes milliseconds, because nothing is compiled, and its error
+names the line that needed a value. It does not notice that a function's results are wrong.
 """
 
 import os
@@ -59,7 +59,7 @@ def _line_of(error: BaseException, begin: FrameSummary | None) -> FrameSummary |
     """Return the innermost line of the user's code in an error's traceback.
 
     The line is in the file in which the user's function begins, or in a file that is not part of a
-    library. If there is none, as when the call itself failed, return the line ``begin``.
+    library. If the traceback has no such line, because the call itself failed, return ``begin``.
     """
     innermost = begin
     for frame, number in walk_tb(error.__traceback__):
@@ -76,9 +76,9 @@ def complaint(
     error: BaseException | None = None,
     advice: str = "",
 ) -> str:
-    """Return the message that refuses a user's function and shows the line that is to blame.
+    """Return the message that refuses a user's function and shows a line of the user's code.
 
-    The message begins with ``subject``. The line is the innermost one of the user's code in the
+    The message begins with ``subject``. The line is the innermost line of the user's code in the
     traceback of ``error``; without an error, it is the line on which the function begins.
     """
     begin = _begin_of(function)
@@ -150,7 +150,7 @@ def _arguments(
 
 
 def _wrong_shapes(layout: Layout, result: Any) -> Iterator[str]:
-    """Yield the parts of a posterior that are missing, or have a wrong type or shape."""
+    """Describe each part of a posterior that is missing, or has a wrong type or shape."""
     if not isinstance(result, Posterior):
         yield f"{_kind(result)}, expected a Posterior from mmwave_env.filters.update"
         return
@@ -161,7 +161,7 @@ def _wrong_shapes(layout: Layout, result: Any) -> Iterator[str]:
 
 
 def wrong_parts(name: str, value: Any, like: Any) -> Iterator[str]:
-    """Yield the parts of a value that differ in type or shape from those of ``like``."""
+    """Describe each part of a value whose type or shape differs from the same part of ``like``."""
     if isinstance(like, list):
         if not isinstance(value, list) or len(value) != len(like):
             parts = "rows" if isinstance(like[0], list) else "numbers"

@@ -38,7 +38,7 @@ from mmwave_env.numerics.numbers import Array, Index, Matrix, Vector
 
 
 def full_noise(noise: ProcessNoise) -> Array:
-    """Return Q, given its non-zero entries: (7, 7), or (8, 8) if the state has a clock's bias."""
+    """Return Q, (7, 7), or (8, 8) if the state has a clock's bias, from its non-zero entries."""
     Q = np.diag(np.array(noise.diagonal, float))
     pairs = [(0, 3), (1, 4), (2, 5), (7, 6)]
     for (i, j), covariance in zip(pairs, noise.coupling, strict=False):
@@ -165,8 +165,8 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
             "planar=False or this package's own filters"
         )
     clock, filters = pipeline.layout.clock, dict[Any, _Filter]()
-    for mode in pipeline.modes:  # there is one filter per algorithm; every step sets its state
-        name: Any = mode.algorithm  # a function is refused like an unknown name
+    for mode in pipeline.modes:  # modes share a filter per algorithm; each step sets its state
+        name: Any = mode.algorithm  # a user's function is refused like an unknown name
         make = choose(_FILTERS, name, f"algorithm of mode {mode.name!r} on filterpy")
         filters[name] = make(pipeline.layout.state_size)
 
@@ -187,7 +187,7 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
 def _update(
     filter_: _Filter, mean: Vector, covariance: Matrix, measurement: Measurement, gate: Gate
 ) -> Posterior:
-    """Update with all visible groups; if gates reject groups or inflate noise, update anew."""
+    """Update with all visible groups; if gates reject groups or inflate noise, do it again."""
     x, P = np.array(mean, float), np.array(covariance, float)
     layout, relative = measurement.layout, _Relative(x, measurement)
     R = np.diag(np.array(measurement.variance, float))

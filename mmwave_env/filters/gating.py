@@ -1,7 +1,7 @@
 """Gates, which decide which groups of a measurement to use, and with how much noise.
 
-The groups are the link to each anchor, the Doppler shift and the odometry. The normalized
-innovation squared (NIS) of each is tested against a chi-square quantile (paper, Sec. III-D).
+The groups are the link to each anchor, the Doppler shift and the odometry. A gate compares a
+group's normalized innovation squared (NIS) with a chi-square quantile (paper, Sec. III-D).
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from mmwave_env.numerics.linalg import cholesky, dot, forward, symmetric
 from mmwave_env.numerics.numbers import Matrix, Number, log, maximum, where
 
 _GROUPS_PER_LOG = 8  # number of determinants whose product still fits into a double
-ROBUST_ONSET = 1.5  # a link is doubtful if the ratio of its NIS to its dimension exceeds this
+ROBUST_ONSET = 1.5  # a link is doubtful if its NIS, divided by its number of rows, exceeds this
 
 
 class Gate(NamedTuple):
@@ -22,7 +22,7 @@ class Gate(NamedTuple):
     Attributes:
         quantile: probability, such as 0.99: a group is accepted if its NIS is at most the
             chi-square quantile of this probability; None to accept all groups.
-        force: 1 to accept the links whatever their NIS (lock-out recovery), else 0.
+        force: 1 to accept all links, after too many epochs in which all failed their gates; else 0.
         robust: whether to inflate the noise of a doubtful link instead of rejecting it.
     """
 
@@ -61,7 +61,7 @@ def chi_square_limits(quantile: float) -> list[float]:
 
 
 def at_degrees(limits: Sequence[Number], rows: Number) -> Number:
-    """Return the limit for ``rows`` degrees of freedom, given the limits for 1, 2, ... of them."""
+    """Return the limit for ``rows`` degrees of freedom; ``limits`` has those for 1, 2, ... rows."""
     if isinstance(rows, int):
         return limits[rows - 1]
     limit = limits[0]
@@ -88,7 +88,7 @@ class GateResult(NamedTuple):
 
 
 def gate_groups(prior: Prior, measurement: Measurement, gate: Gate) -> GateResult:
-    """Gate every group of an epoch at the prior."""
+    """Apply the gates to every group of an epoch, at the prior."""
     groups, V, latents, layout = prior.groups, prior.V, prior.latents, measurement.layout
     degrees = layout.degrees(measurement.measured)
     nis, accepted, noise = [], [], []

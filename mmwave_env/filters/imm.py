@@ -1,6 +1,6 @@
 """Interacting multiple models (IMM): all modes run, weighted by how well they explain the data.
 
-The modes are pipelines that agents switch between, each with its own gates and scaling of noise.
+The modes are the filters that agents choose from; each has its own gates and scaling of noise.
 Sources: Blom and Bar-Shalom 1988; Bar-Shalom, Li and Kirubarajan 2001, Sec. 11.6.6. The functions
 ``mix``, ``reweigh`` and ``combine`` of :mod:`~mmwave_env.filters.textbook` follow the book's form.
 """
@@ -31,8 +31,8 @@ class ImmSettings(NamedTuple):
 
     transition: list[list[Number]]  # (modes, modes) probabilities over one second, [from, to]
     tunings: list[Tuning]  # motion model of every mode
-    # (groups,) limits for :func:`~mmwave_env.filters.update.limited_likelihood`, infinite in the
-    # textbook's IMM; if single rows may be missing, (4,) limits for groups of 1 to 4 measured rows
+    # (groups,) limits of NIS for :func:`~mmwave_env.filters.update.limited_likelihood`, infinite in
+    # the textbook's IMM; in a partial layout, (4,) limits for groups of 1 to 4 measured rows
     limits: list[Number]
 
 
@@ -219,8 +219,8 @@ def prediction(now: ImmEpoch, dt: Number, hz_per_mps: Number) -> tuple[list[Numb
 
     The Rauch-Tung-Striebel smoother assumes x_predicted = F x + noise, with noise independent of x.
     Modes with a known acceleration or turn rate shift x_predicted further. These shifts count as
-    noise: their covariance is added. Their correlation with x is ignored, because with it smoothed
-    variances could become negative.
+    noise, so their covariance is added to the result's. Their correlation with x is ignored, as it
+    could make smoothed variances negative.
     """
     moved = [move(x, dt, hz_per_mps) for x in now.mixed]
     shifts = [

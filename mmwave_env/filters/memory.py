@@ -1,4 +1,4 @@
-"""The memory of a track: the window for adaptive scaling, averages and the lock-out counter.
+"""The memory of a track: statistics of its past epochs that modes and observations depend on.
 
 The memory is updated twice per epoch: :func:`memory_before` adds the coming epoch before a mode is
 chosen, and :func:`memory_after` adds the result of the chosen mode.
@@ -15,9 +15,9 @@ from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Number, Vector, clip, sqrt, where
 
 WINDOW = 10  # number of epochs in the window for adaptive scaling
-GAMMA_LIMITS = (0.5, 2.0)  # paper, Sec. III-E
+GAMMA_LIMITS = (0.5, 2.0)  # limits of the adaptive scale; paper, Sec. III-E
 NIS_MEMORY = (0.6, 0.9)  # weights of the past in the fast and the slow NIS average
-CORRECTION_MEMORY = 0.8  # weight of the past in the average correction
+CORRECTION_MEMORY = 0.8  # weight of the past in the average step of the position by updates
 PREFERENCE_MEMORY = (0.6, 0.85)  # weights of the past in averages of log-likelihood differences
 PREFERENCE_LIMIT = 30.0  # largest absolute difference that counts in these averages
 SNR_MEMORY = 0.95  # weight of the past in a link's mean SNR
@@ -29,7 +29,7 @@ class Memory(NamedTuple):
     """Statistics of a track's measurements so far."""
 
     mode: Number  # number of the mode that ran last
-    lockout: Number  # number of consecutive epochs in which every visible link failed its gate
+    lockout: Number  # epochs in a row, skipping epochs without links, in which no link passed
     window: list[Number]  # (WINDOW,) NIS / dof of the accepted groups per epoch, newest first
     gamma: Number  # adaptive scale of Q and R
     # nis, accepted, rejected: (groups,) in the last epoch; missing groups have 0 in all three
@@ -37,7 +37,7 @@ class Memory(NamedTuple):
     accepted: list[Number]
     rejected: list[Number]
     nis_average: list[Number]  # (2,) fast and slow average of NIS / dof
-    # (2,) average correction of the position along and across the velocity, m
+    # (2,) average step of the position by updates, along and across the velocity, m
     correction: list[Number]
     unfixed_s: Number  # seconds since a link was last accepted
     snr_mean_db: list[Number]  # (L,) slow mean SNR per link
@@ -70,7 +70,7 @@ def initial_memory(layout: Layout, modes: int) -> Memory:
 def memory_before(
     memory: Memory, candidates: Sequence[ModeResult], epoch: Epoch, layout: Layout
 ) -> Memory:
-    """Return the memory with the coming epoch and every mode's result (``candidates``) added."""
+    """Return the memory after adding the coming epoch and every mode's result, ``candidates``."""
     snr = []
     for visible, now, mean in zip(epoch.visible, epoch.snr_db, memory.snr_mean_db, strict=False):
         grown = SNR_MEMORY * mean + (1.0 - SNR_MEMORY) * now

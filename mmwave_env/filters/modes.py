@@ -1,4 +1,4 @@
-"""Modes: filter algorithms with the tuning and the safeguards that were optimized for them."""
+"""Modes: filter algorithms, each with a tuning and with safeguards against wrong measurements."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated, NamedTuple
@@ -59,8 +59,8 @@ class Mode:
             the left.
         gate: probability, such as 0.99: a gate accepts NIS up to the chi-square quantile of this
             probability; None for no gates (paper, Sec. III-D).
-        recovery: number of epochs in a row in which all visible links fail their gates, after which
-            links are accepted until one passes its gate again; None for never, as in the paper.
+        recovery: if all visible links fail their gates in this number of epochs in a row, links are
+            accepted until one passes its gate again; None for never, as in the paper.
         adaptive: whether to scale Q and R by the windowed mean of NIS (paper, Sec. III-E).
         blockage_aware: whether to inflate R of a link whose SNR fell below its slow running mean.
         robust: whether to inflate R of a link with a large NIS instead of rejecting it.

@@ -1,7 +1,7 @@
 """One epoch of a mode: prediction, noise, gating and update.
 
-A track is a belief (x, P) and a :class:`~mmwave_env.filters.memory.Memory` of how the
-measurements behaved. :func:`predict_update` runs a mode on the coming measurement and returns a
+A track is a belief (x, P) and a :class:`~mmwave_env.filters.memory.Memory`, statistics of its past
+measurements. :func:`predict_update` runs a mode on the coming measurement and returns a
 :class:`~mmwave_env.filters.update.ModeResult`. An environment runs every mode; the result of the
 mode that the agent chose becomes the new belief and updates the memory (``memory_after``).
 """
@@ -54,8 +54,8 @@ class Pipeline:
         layout: which quantity is in which row of a measurement.
         planar: whether the terrain is flat, so that z and vz keep their prior values (paper, Sec.
             II-A). Even so, the spacing of sigma points is the one for seven uncertain components.
-        predict: function that predicts the state.
-        update: function that returns a mode's algorithm. ``filterpy_pipeline`` replaces both.
+        predict: function that predicts the state; ``filterpy_pipeline`` replaces it.
+        update: function that returns a mode's algorithm; ``filterpy_pipeline`` replaces it, too.
 
     Raises:
         AlgorithmError: a user's algorithm cannot run at all, or cannot run on SIMD lanes; the
@@ -90,7 +90,7 @@ class Pipeline:
 def process_noise(
     tuning: Tuning, epoch: Epoch, hz_per_mps: Number, gamma: Number, planar: bool
 ) -> ProcessNoise:
-    """Return Q: gamma times the noise of the tuning, which a Doppler spread raises in vx and vy."""
+    """Return Q times gamma; the Doppler spread raises the variances of vx and vy in Q."""
     t = tuning
     velocity = t.sigma_v * t.sigma_v + t.spread_gain * epoch.doppler_spread_hz
     position = t.sigma_p * t.sigma_p
@@ -136,8 +136,8 @@ def predict(
 ) -> tuple[list[Number], Matrix]:
     """Predict the mean (7,) and the covariance (7, 7) of a mode for the coming epoch.
 
-    :func:`predict_update` describes the arguments; ``gamma`` is the adaptive scale of Q, which is
-    ignored unless the mode is adaptive.
+    :func:`predict_update` describes the other arguments. ``gamma`` is the adaptive scale of Q; a
+    mode that is not adaptive ignores it.
     """
     scale, tuning = gamma if mode.adaptive else 1.0, tuning or mode.tuning
     noise = process_noise(tuning, epoch, hz_per_mps, scale, pipeline.planar)
@@ -167,7 +167,7 @@ def predict_update(
     """Run one mode of a pipeline on the coming epoch.
 
     Args:
-        x, P: mean (7,) and packed covariance (28,) after the previous epoch; at first, the prior.
+        x, P: mean (7,) and packed covariance (28,) after the previous epoch, or of the prior.
         memory: the memory of the track.
         site: anchors and carrier.
         tuning: motion model to use instead of the mode's own.

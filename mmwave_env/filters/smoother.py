@@ -31,7 +31,7 @@ class ForwardEpoch(NamedTuple):
 class BackwardState(NamedTuple):
     """The epoch after the current one, from which the backward pass smooths the current one."""
 
-    is_last: Number  # 1 if no epoch follows, because the track ends
+    is_last: Number  # 1 if no epoch follows the current one, because the track ends
     # dt, x_predicted, P_predicted: values of the later epoch, same as in :class:`ForwardEpoch`
     dt: Number
     x_predicted: list[Number]

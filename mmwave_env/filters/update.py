@@ -1,8 +1,8 @@
 """The measurement update shared by EKF, UKF and CKF (paper, Sec. III-C).
 
-The update is exact, in a reduced form with *latents*: xi, where the state is mean + L xi, and the
-curvatures of :mod:`~mmwave_env.filters.linearization`. The usual form, K = P H' S^-1 with all rows
-at once, is in :mod:`~mmwave_env.filters.textbook`; ``tests/filters/test_update.py`` compares both.
+The usual form, K = P H' S^-1 with all rows at once, is in :mod:`~mmwave_env.filters.textbook`. The
+form here has the same result, but smaller matrices. It uses the latent variables (*latents*) of
+:mod:`~mmwave_env.filters.linearization`: xi, where the state is mean + L xi, and the curvatures.
 """
 
 from collections.abc import Callable, Sequence
@@ -103,15 +103,15 @@ def update(
     The links depend only on the *coupled latents*: those of the first three columns of the factor L
     of P (four with a clock), and the curvature latents. So prior and links add up to one small
     information matrix B: given the links, the covariance of the coupled latents is B^-1. The other
-    latents are *free*. Rows that depend on the velocity are added one by one. The new covariance is
+    latents are *free*. The rows of the other groups are added one by one. The new covariance is
 
         L_c D L_c' + sum_j L_j L_j' - sum_i gain_i c_i c_i'
 
-    with the first columns L_c, the block D of B^-1 for their latents, the free columns L_j, and the
-    covariance c_i of the state with row i. All terms are squares; only the last is subtracted.
+    L_c are the first columns of L, D is the block of B^-1 for their latents, L_j are the other
+    columns, and c_i is the covariance of the state with row i. Only the last term is subtracted.
 
-    The prior is x (7,) and P (7, 7), positive definite except for structural zeros. The measurement
-    is linearized by the tangent (EKF) or by sigma points (UKF, CKF).
+    The prior is x (7,) and P (7, 7), positive definite except for the zeros of components that are
+    known exactly. The linearization is the tangent (EKF) or sigma points (UKF, CKF).
     """
     anchors = measurement.layout.anchors
     L, latents, groups, V = prior = linearize(x, P, measurement, linearization)
@@ -143,7 +143,7 @@ def update(
 def _recompose(
     x: Vector, L: Matrix, mean: Vector, covariance: Matrix, rows: list[_Row]
 ) -> tuple[list[Number], list[list[Number]]]:
-    """Return the state's mean and covariance from ``mean``, ``covariance`` of xi_0..2 and rows."""
+    """Return the state's mean and covariance, given those of xi_0..2 and the scalar rows."""
     k, n = len(mean), len(x)
     spread = [[dot(row[:k], column) for column in covariance] for row in L]
     moves = [[dot(line, row.cross) for line in L] for row in rows]
@@ -178,7 +178,7 @@ def ckf(x: Vector, P: Matrix, measurement: Measurement, gate: Gate) -> Posterior
     return update(x, P, measurement, gate, SigmaPoints(1.0, 0.0, 0.0))
 
 
-CAP_QUANTILE = 0.999  # NIS counts up to this chi-square quantile when modes are compared
+CAP_QUANTILE = 0.999  # a comparison of modes limits NIS to this chi-square quantile
 
 
 class ModeResult(NamedTuple):
@@ -197,7 +197,7 @@ class ModeResult(NamedTuple):
 
 
 def limited_likelihood(candidate: ModeResult, limits: Vector) -> Number:
-    """Return a mode's log-likelihood, in which each group's NIS counts up to a limit (groups,).
+    """Return a mode's log-likelihood after limiting each group's NIS; ``limits`` is (groups,).
 
     The tail of a Gaussian falls so fast that, without limits, a single outlier (a link off the line
     of sight) would decide: the mode whose prediction is nearest to the outlier would seem right.
