@@ -83,7 +83,7 @@ def _make(block, b, here, step, blank, state):  # type: ignore[no-untyped-def]
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _aim(targets, first, here, step, running, out, nowhere):  # type: ignore[no-untyped-def]
-    """Set the address of each lane's results; a lane whose track does not run gets ``nowhere``."""
+    """Set the address for each lane's results: ``nowhere`` if the lane's track does not run."""
     for lane in range(WIDTH):
         e = first + lane
         runs = lane < here and running[e]
@@ -183,8 +183,8 @@ def _some_blocks(b, end, state, before, kept_before, some):  # type: ignore[no-u
 def advance(begin, end, run, blank, state, io):  # type: ignore[no-untyped-def]
     """Run the tracks of blocks ``begin`` to ``end``.
 
-    Callers ignore the returned number: it only keeps the compiler from dropping the reads that
-    bring rows into the caches.
+    Callers ignore the returned number. It depends on reads that bring rows into the caches, which
+    the compiler would drop if nothing depended on them.
 
     A program reads its rows in an order that hardware prefetchers cannot guess. If the blocks do
     not all fit into the core's own caches, reading the rows once in order, before the program runs,

@@ -3,12 +3,12 @@
 A process that steps one environment a few hundred times would spend most of its time compiling, so
 small amounts of work run as plain Python (:class:`LazyJit`).
 
-numba's ``cache=True`` checks only the file of the function itself. It returns stale code after an
-edit in another file, if the function calls code there; some versions of numba also miss an edit
+numba's ``cache=True`` checks only the file of the function itself. So it returns stale code after
+an edit in another file, whose code the function calls. Some versions of numba also miss an edit
 that leaves the file's time and size unchanged. Processes that start at the same time can mix up
 numba's files, and a damaged file or a full disk ends the program. This cache names its folder after
-a hash of all sources and writes each compiled function to one file; after any error with a file the
-function is compiled again. A checksum detects a damaged file before its content is run. If a source
+a hash of all sources, and writes each compiled function to one file. After an error with a file, it
+compiles the function again. A checksum detects damage before the file's content is run. If a source
 is edited while a process runs, the process stops using files: it may have read either version.
 
 The files are pickles, like numba's own, and reading a pickle runs code that its author chose. So
@@ -45,9 +45,9 @@ from numba.misc.appdirs import user_cache_dir
 
 _PACKAGE = Path(__file__).parents[1]  # an edit anywhere in the package makes a new version
 _SOURCES = "**/*.py"
-_READ = time.time()  # a source edited after this time may have been read before or after the edit
+_READ = time.time()  # if a source is edited later, this process may have read it before or after
 _KEPT = 8  # number of versions of the sources whose compiled functions are kept
-_CHECKSUM = sha256().digest_size  # number of bytes; each file begins with its checksum
+_CHECKSUM = sha256().digest_size  # length, in bytes, of the checksum with which a file begins
 
 
 def compiled(function: Callable[..., Any]) -> Any:
@@ -85,7 +85,7 @@ def is_compiled(function: Any, arguments: tuple[Any, ...]) -> bool:
 
 @cache  # so the process keeps its folder, even if a source is edited while it runs
 def _folder() -> Path | None:
-    """Return the folder for functions of this version of the sources; None if none is writable.
+    """Return the folder for functions of this version of the sources; None if none can be used.
 
     The folder is in numba's ``NUMBA_CACHE_DIR`` if that is set; otherwise next to Python's bytecode
     if the package is writable; otherwise in the user's folder for caches.
@@ -234,7 +234,7 @@ class _OnDisk(NullCache):  # type: ignore[misc]
             whole.replace(file)
 
     def _entry(self, signature: Any, codegen: Any) -> tuple[str, Path]:
-        """Return the key, a text that identifies this version of the function, and its file."""
+        """Return the key (text that identifies this version of the function) and the file."""
         key = f"{self._name} {signature} {codegen.magic_tuple()}"
         return key, self._folder / f"{self._name}-{sha256(key.encode()).hexdigest()[:20]}"
 

@@ -1,8 +1,8 @@
 """Lanes: SIMD numbers with one value for each of eight environments.
 
-Arithmetic on :class:`Lanes` emits LLVM ``<8 x double>`` instructions, so that a plain
-scalar function called with Lanes inside a numba ``@intrinsic`` becomes straight-line SIMD
-code; if it is called with floats, it runs as usual. :func:`kernel` makes the ``@intrinsic``.
+Arithmetic on :class:`Lanes` emits LLVM ``<8 x double>`` instructions. If a numba ``@intrinsic``
+(made by :func:`kernel`) calls a function of numbers with Lanes, the instructions of the function
+become SIMD code without branches. If the function is called with floats, it runs as usual.
 """
 
 import math
@@ -24,7 +24,7 @@ _VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
 _BITS = ir.VectorType(ir.IntType(64), WIDTH)
 _FLAGS = ("contract", "nsz", "arcp")  # not "nnan": comparisons with NaN stay defined
 
-# arctan(q) = q + q^3 p(q^2) for |q| <= tan(pi/8): Chebyshev fit, error below 2e-16.
+# arctan(q) = q + q^3 p(q^2) for |q| <= tan(pi/8), with a Chebyshev fit p; error below 2e-16.
 _ARCTAN = (
     0.022493317041519877,
     -0.04462310184914474,
@@ -38,16 +38,16 @@ _ARCTAN = (
     -0.33333333333332993,
 )
 _TAN_PI_8 = math.sqrt(2.0) - 1.0
-# log((1 + s) / (1 - s)) = 2 s p(s^2), |s| <= 0.172: Taylor series of atanh.
+# log((1 + s) / (1 - s)) = 2 s p(s^2) for |s| <= 0.172, where p is from the Taylor series of atanh.
 _ATANH = tuple(1.0 / k for k in range(19, 0, -2))
 # exp(r) for |r| <= ln(2) / 2: Taylor series, error below 1e-17.
 _EXP = tuple(1.0 / math.factorial(k) for k in range(14, -1, -1))
 # cos(r) and (sin(r) / r - 1) / r^2 for |r| <= pi / 4: Taylor series in r^2, error below 1e-17.
 _COS = tuple((-1) ** (k // 2) / math.factorial(k) for k in range(18, -1, -2))
 _SIN = tuple((-1) ** (k // 2) / math.factorial(k) for k in range(17, 1, -2))
-_HALF_PI_HIGH, _HALF_PI_LOW = 1.57079632673412561417, 6.07710050650619224932e-11
+_HALF_PI_HIGH, _HALF_PI_LOW = 1.57079632673412561417, 6.07710050650619224932e-11  # sum: pi / 2
 _ROUND = 1.5 * 2.0**52  # adding it rounds a number to an integer, which the sum's lowest bits hold
-_LN2_HIGH, _LN2_LOW = 0.693147180369123816490, 1.90821492927058770002e-10
+_LN2_HIGH, _LN2_LOW = 0.693147180369123816490, 1.90821492927058770002e-10  # sum: ln(2)
 
 
 class _Value:
@@ -157,7 +157,7 @@ class Lanes(_Value, Tracer):
         return Lanes(b, b.bitcast(b.xor(b.bitcast(self.value, _BITS), sign), _VECTOR))
 
     def log(self) -> "Lanes":
-        """Return the natural logarithm of positive numbers that are not subnormal; keep NaN."""
+        """Return the natural logarithm of positive numbers that are not subnormal, or of NaN."""
         b = self.builder
         bits = b.bitcast(self.value, _BITS)
         mantissa_bits = b.or_(b.and_(bits, _bits(0xFFFFFFFFFFFFF)), _bits(0x3FF0000000000000))
@@ -238,8 +238,8 @@ def kernel(function: Callable[[Any], None], ends: Sequence[int]) -> Any:
     """Return a numba function that runs ``function(rows)`` on a workspace of one or more parts.
 
     ``rows[i]`` reads row i as Lanes and ``rows[i] = value`` writes it. ``function`` is called only
-    once, when numba compiles the caller. Every part is an array (rows, 8) of doubles; row numbers
-    continue from part to part, and ``ends`` has, for each part, the number after its last row. The
+    once, when numba compiles the caller. Every part is an array (rows, 8) of doubles. Rows are
+    numbered from part to part, and ``ends`` has the number of each part's last row, plus 1. The
     numba function has one argument: a tuple of the parts' addresses.
     """
 

@@ -4,7 +4,7 @@ A *workspace* is a tree of all numbers that a program reads and writes in an env
 program is a function from a workspace to the workspace one epoch later. Workspaces are stored in
 an array (blocks, rows, 8): a block has eight environments, and a row for each number of the tree.
 Before each epoch, the field ``incoming`` of a workspace is set from a table or by a :class:`Feed`.
-A *track* is the sequence of epochs that one environment filters; each has its own workspace.
+A *track* is the sequence of epochs that one environment filters, with one workspace.
 """
 
 import os
@@ -78,7 +78,7 @@ def fill(blocks: Array, rows: Index, values: Array) -> Array:
 class Feed(NamedTuple):
     """A function that computes the incoming rows of every epoch, instead of a table.
 
-    A feed has its own workspace, in which a track has the same block and lane as in the program's.
+    A feed has its own workspaces; a track has the same block and lane as in the program's arrays.
     """
 
     # address of a C function, whose arguments are three addresses: incoming rows, settings, kept
@@ -95,14 +95,14 @@ class Feed(NamedTuple):
 
 
 class BatchState(NamedTuple):
-    """The workspaces of N tracks, their epochs, and the epoch that is next in each track."""
+    """The workspaces of n tracks, their epochs, and the index of each track's next epoch."""
 
     rows: Array  # (blocks, size, 8) the workspaces, changed in place
     feed: Feed  # computes the epochs if there is no table
     table: Array  # (n, epochs, incoming) the epochs to load
     length: Index  # (n,) number of epochs of each track; after the last, a blank epoch is loaded
-    epoch: Index  # (n,) the epoch that each track runs next, changed in place
-    running: Mask  # (n,) False leaves a track and its epoch number unchanged
+    epoch: Index  # (n,) index of the epoch that each track runs next, changed in place
+    running: Mask  # (n,) False leaves a track and its ``epoch`` unchanged
 
     @classmethod
     def of(cls, table: Array, rows: Array) -> "BatchState":
@@ -247,8 +247,8 @@ run_blocks = LazyJit(advance, PLAIN_BLOCK_EPOCHS)
 class Repeated:
     """A :class:`LazyJit` whose arguments have the same types in every call.
 
-    Calls skip numba's check of the types, which takes microseconds for structures. ``work`` is the
-    sum, over all jobs, of blocks times epochs; it decides whether the function is compiled.
+    Later calls skip numba's check of the types, which takes microseconds. ``work`` is the number of
+    blocks in all jobs times the number of epochs; it decides whether the function is compiled.
     """
 
     def __init__(self, function: LazyJit) -> None:

@@ -15,7 +15,7 @@ Result = TypeVar("Result")
 
 @lru_cache(maxsize=1)
 def _helpers() -> ThreadPoolExecutor:
-    """Return the threads of this process that work together with the calling thread."""
+    """Return the threads that work on jobs together with the thread that calls :func:`share`."""
     return ThreadPoolExecutor(os.cpu_count(), "mmwave-env")
 
 

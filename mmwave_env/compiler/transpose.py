@@ -1,8 +1,8 @@
 """Transpositions between tables and blocks of SIMD lanes.
 
-In a table the numbers of one environment are contiguous; in a block each lane holds one
-environment. Compiled code moves 8 x 8 numbers at a time and transposes them in registers, because
-moving them one by one would take as long as an epoch of an EKF. The environments of a block may be
+In a table, the numbers of one environment are contiguous. In a block (rows, 8), an environment is a
+column. Compiled code moves 8 x 8 numbers at a time and transposes them in registers, because moving
+them one by one would take as long as an epoch of an EKF. The environments of a block may be
 anywhere in a table, so functions receive an address for each environment.
 """
 
