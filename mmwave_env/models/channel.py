@@ -1,8 +1,8 @@
 """Effects of the channel on the links: shadowing, blockage, multipath and detection.
 
-Like the filters, the channel is written as functions of plain numbers, so that it can also be
-compiled to simulate eight episodes at once on SIMD lanes. The functions receive random numbers that
-were drawn before. A :class:`ChannelState` is the state of the channel between two epochs.
+Like the filters, the channel is written as functions of plain numbers, so that it can be compiled
+to simulate eight episodes at once on SIMD lanes. The functions draw no random numbers, but receive
+them as arguments. A :class:`ChannelState` is the state of the channel between two epochs.
 """
 
 import math
@@ -49,7 +49,7 @@ class Channel(NamedTuple):
     # detection_snr_db, detection_slope_db: parameters of the logistic probability of detection
     detection_snr_db: Number
     detection_slope_db: Number
-    # floor_variance, bound_variance: (rows,) variances: noise floor, Cramer-Rao bound at SNR 0 dB
+    # floor_variance, bound_variance: (rows,) noise floors, and Cramer-Rao bounds at an SNR of 0 dB
     floor_variance: list[Number]
     bound_variance: list[Number]
     spread_gain_hz: Number
@@ -110,19 +110,19 @@ class SpellDraws(NamedTuple):
 
     uniform: Number  # in [0, 1)
     length: Number  # exponential with mean 1, for the range bias
-    angles: list[Number]  # (3,) normals
+    angles: list[Number]  # (3,) standard normals, for the angle biases
 
 
 class ChannelDraws(NamedTuple):
     """Random numbers for an epoch of the channel."""
 
-    shadowing: list[Number]  # (L,) normals
+    shadowing: list[Number]  # (L,) standard normals
     # blockage, multipath: (L,) random numbers for each link's spell
     blockage: list[SpellDraws]
     multipath: list[SpellDraws]
-    outage: Number  # uniform
-    detection: list[Number]  # (L,) uniforms
-    # scatter, floor: normals for the Doppler spread
+    outage: Number  # uniform in [0, 1)
+    detection: list[Number]  # (L,) uniform in [0, 1)
+    # scatter, floor: standard normals for the Doppler spread
     scatter: Number
     floor: Number
 
@@ -184,8 +184,8 @@ def channel_epoch(
     """Simulate one epoch of the channel between the anchors and a user.
 
     The user is at distances (L,), m, from the anchors and moves at a speed, m/s. In the episode's
-    first epoch (``is_first``), the state is drawn from its stationary distribution, without
-    multipath and outages; otherwise it follows the state ``before``.
+    first epoch (``is_first``), shadowing and blockages have their stationary distributions, and
+    there is no multipath or outage. Other epochs start from the state ``before``.
     """
     c, rho = channel, channel.correlation
     innovation = sqrt(1.0 - rho * rho)

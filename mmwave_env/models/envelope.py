@@ -1,9 +1,9 @@
 """The envelope: limits of values. Within them, filters are accurate, even if two are at a limit.
 
-Episodes and modes of filters outside the envelope are refused, and the message names the value. A
-double has 16 digits, and an update adds P / sigma^2 to 1. If in one direction the prior's deviation
-is 1e8 times the noise, P / sigma^2 is 1e16, and directions where it is about 1 lose all digits. The
-limits are far beyond anything that receivers report; tests/engines/test_extremes.py tests them.
+Episodes and modes outside the envelope are refused, and the message names the value. The matrix of
+an update contains the ratios of prior and noise variance in all directions. A ratio is 1e16 if the
+prior's deviation is 1e8 times the noise. As a double has 16 digits, ratios of about 1 are then
+lost. Receivers report values far inside the limits, which tests/engines/test_extremes.py tests.
 """
 
 from mmwave_env.io.records import between

@@ -39,7 +39,7 @@ class Layout:
     """The layout of a measurement vector: which quantity is in which row.
 
     Attributes:
-        anchors: number of anchors L >= 1, the physical gNB first.
+        anchors: number of anchors L >= 1, of which the first is the physical gNB.
         odometry: whether two rows of odometry follow the Doppler shift.
         partial: whether single rows of a group may be missing, and the Doppler shift may belong to
             any anchor; otherwise groups are present or missing as a whole.
@@ -116,7 +116,7 @@ def measurements_from(names: Sequence[str] | None) -> tuple[str, ...] | None:
     """Return names of measurements in the order of :data:`MEASUREMENTS`; None stands for all.
 
     Raises:
-        ValueError: a name is unknown, or none of them measures the horizontal position.
+        ValueError: a name is unknown, or nothing measures the horizontal position.
     """
     if names is None:
         return None
@@ -185,7 +185,7 @@ def wrapped(angles: Number) -> Number:
 def whole_groups(
     measurement: NDArray[np.float64], heard: NDArray[np.bool_], layout: Layout
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return masks (T, groups) of measured groups, and of groups lost for lack of a row or an SNR.
+    """Return masks (T, groups): measured groups; groups that are lost, as a row or SNR is missing.
 
     In a partial layout, a group is measured if at least one of its rows is, and none is lost.
 
@@ -213,7 +213,7 @@ def without_noise(
     doppler_anchor: NDArray[np.int64],
     layout: Layout,
 ) -> NDArray[np.bool_]:
-    """Return a mask (T, rows) of rows that are lost, because their measurement's noise is unknown.
+    """Return a mask (T, rows) of measured rows that are lost because their noise is unknown.
 
     Args:
         measurement, heard, layout: same as for :func:`whole_groups`.

@@ -5,13 +5,13 @@ and the Doppler shift is in hertz:
 
     d = (f_c / c) v . (p - p1) / |p - p1| + b
 
-The paper prints the first term in m/s and adds b in hertz; we scale this term to hertz and keep
-its sign (positive while the range grows). :mod:`mmwave_env.models.layout` says which quantity is
-in which row.
+The paper prints the first term in m/s and adds b in hertz. Here, the factor f_c / c scales the term
+to hertz; its sign is the paper's (positive while the range grows). :mod:`mmwave_env.models.layout`
+says which quantity is in which row.
 
 A group of rows (a link, the Doppler shift or the odometry) is described by its value, its Jacobian
 and its exact change when the state changes by a finite step. Filters with sigma points need this
-change, which does not jump where angles wrap.
+change. It does not jump where angles wrap.
 
 Straight below or above an anchor the azimuth is undefined, and at the anchor itself the elevation
 is undefined, too. Near these points, the gradient of the azimuth grows as 1 / (horizontal
@@ -42,7 +42,7 @@ SPEED_OF_LIGHT = 299_792_458.0  # m/s
 # Longest length that counts as 0. Antennas' positions are not known as exactly as this; rounding
 # errors of coordinates of 1000 km are far smaller (1e-10 m).
 NEAREST_M = 1e-3
-_SLOWEST_ODOMETRY = 1e-3  # m/s; lower limit that keeps heading and speed differentiable at rest
+_SLOWEST_ODOMETRY = 1e-3  # m/s; minimum of the speeds by which gradients are divided
 
 
 class Measurement(NamedTuple):
@@ -76,12 +76,12 @@ class Group(NamedTuple):
     Attributes:
         innovation: (k,) z - h(x), angles wrapped.
         variance: (k,) noise variances.
-        jacobian: (k, 7) dh/dx, (k, 8) with a clock; structural zeros where h does not depend on
-            the state.
+        jacobian: (k, 7) dh/dx, (k, 8) with a clock; constant zeros for components of the state on
+            which h does not depend.
         change: function that returns the exact h(x + step) - h(x) for a step of the state (7,).
         curved: number of columns of the covariance's factor, counted from the first, along which h
             is nonlinear (:func:`~mmwave_env.filters.linearization.factor_of`).
-        spare_nis, spare_determinant: NIS and variance of the row that :func:`link_group` drops.
+        spare_nis, spare_determinant: NIS and variance of a row that :func:`link_group` drops.
     """
 
     innovation: Vector

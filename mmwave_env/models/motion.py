@@ -10,8 +10,8 @@ STANDING_MPS = 0.2  # much below this speed a user has no direction in which to 
 # White noise of a user's clock, m / sqrt(s), besides the drift due to the oscillator's bias:
 # 0.01 m^2/s, as for a temperature-compensated crystal (Groves 2013, Sec. 9.4.2).
 CLOCK_SIGMA_M = 0.1
-_SHORTEST_S = 1e-9
-_LEAST_RAD = 1e-9  # the arc of a smaller angle is straight, except for rounding
+_SHORTEST_S = 1e-9  # minimum of a step by which a speed is divided
+_LEAST_RAD = 1e-9  # an arc of a smaller angle differs from a straight line only by rounding
 
 
 class ProcessNoise(NamedTuple):
@@ -32,12 +32,11 @@ def white_noise_acceleration(
     The variances added per second are those of the position (3,), in m^2; of the velocity (3,), in
     (m/s)^2; and of the oscillator's bias, in Hz^2.
 
-    With ``coupling`` 1, the velocity noise, whose variance is q = ``velocity`` * dt, also moves the
-    position, like a constant acceleration during the step: the term [[q dt^2 / 4, q dt / 2],
-    [q dt / 2, q]] (discrete white-noise acceleration, Bar-Shalom et al. 2001, Sec. 6.3.2) is added
-    to the position noise. So Q is positive semidefinite for any variances. With ``coupling`` 0, Q
-    is the paper's diagonal matrix, which underestimates how the position's uncertainty grows at
-    dt = 1 s.
+    With ``coupling`` 1, the velocity noise also moves the position, like a constant acceleration
+    in the step (discrete white-noise acceleration, Bar-Shalom et al. 2001, Sec. 6.3.2). With its
+    variance q = ``velocity`` * dt, it adds [[q dt^2 / 4, q dt / 2], [q dt / 2, q]] to the position
+    noise of an axis, so Q is positive semidefinite for any variances. With ``coupling`` 0, Q is the
+    paper's diagonal matrix. At dt = 1 s, the position's uncertainty grows faster than this Q says.
     """
     q = [v * dt for v in velocity]
     half = coupling * (0.5 * dt)
@@ -51,9 +50,9 @@ def with_clock(
     """Extend the process noise of a step ``dt``, s, to a state with the clock's range bias B.
 
     One oscillator drives the carrier and the clock. So its bias b changes B at the rate
-    b / hz_per_mps, like a velocity. Within a step, the noise of b moves B as velocity noise moves
-    the position in :func:`white_noise_acceleration`; the clock's own noise is added to this
-    (Groves 2013, Sec. 9.4.2; Brown and Hwang 2012, Sec. 9.3).
+    b / hz_per_mps, like a velocity. Within a step, the noise of b moves B in the same way as the
+    velocity noise moves the position in :func:`white_noise_acceleration`. The clock's own noise is
+    added (Groves 2013, Sec. 9.4.2; Brown and Hwang 2012, Sec. 9.3).
     """
     half, drift = coupling * (0.5 * dt) / hz_per_mps, noise.diagonal[-1]
     own = CLOCK_SIGMA_M**2 * dt + drift * (half * half)

@@ -8,7 +8,7 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI, Array, wrap
 
-# Longest gap in a track; filters lost none of 100 vehicles in gaps of 10 s, and some in 20 s.
+# Longest gap in a track. Filters lost none of 100 vehicles in gaps of 10 s, but some in 20 s.
 GAP_S = 15.0
 # Largest elevation of a link from which a prior is computed: 5 degrees off the vertical, which are
 # 2.5 standard deviations of a handset's elevation.
@@ -28,7 +28,7 @@ def draw_prior(
 def prior_from_fix(
     anchor: Array, link: Array, sigma: Array, radio: Radio, scene: Scene
 ) -> tuple[Array, Array]:
-    """Return the mean (7,), at rest, and covariance (7, 7) that one link (4,) to an anchor gives.
+    """Return a prior computed from one link (4,): the mean (7,), at rest, and covariance (7, 7).
 
     The position is anchor (3,) + range (cos el cos az, cos el sin az, sin el); its covariance is
     linearized. ``sigma`` (4,) contains the standard deviations of the link.

@@ -287,14 +287,14 @@ def _in_radians(content: dict[str, Any]) -> dict[str, Any]:
 def oscillator_bias(
     radio: Radio, hz_per_mps: float, time_s: Array, rng: np.random.Generator
 ) -> Array:
-    """Draw the residual carrier offset (T,) at times (T,), Hz: a random walk."""
+    """Draw the oscillator bias (T,), Hz, at times (T,), s: a random walk."""
     first = radio.prior_bias_mps * rng.standard_normal()
     steps = radio.drift_mps * np.sqrt(np.diff(time_s)) * rng.standard_normal(len(time_s) - 1)
     return hz_per_mps * (first + np.concatenate([[0.0], np.cumsum(steps)]))
 
 
 def clock_bias(drift_mps: Array, time_s: Array, rng: np.random.Generator) -> Array:
-    """Draw the range bias (T,), m, of a user's clock: the integral of its drift (m/s) and noise."""
+    """Draw a clock's range bias (T,), m: the integral of the drift (T,), m/s, plus noise."""
     step = np.diff(time_s)
     first = SPEED_OF_LIGHT * CLOCK_OFFSET_S * rng.standard_normal()
     noise = CLOCK_SIGMA_M * np.sqrt(step) * rng.standard_normal(len(step))
@@ -316,8 +316,8 @@ def deviations(
 ) -> list[Number]:
     """Return standard deviations (rows,) at SNRs (L,): floor and Cramer-Rao bound in quadrature.
 
-    Both variances (rows,) come from :meth:`Radio.variances`. The SNR that counts for the Doppler
-    shift is that of the first link.
+    Both variances (rows,) come from :meth:`Radio.variances`. The first link's SNR also applies to
+    the Doppler shift.
     """
     inverse = [exp(-DECIBEL * clip(snr, *SNR_LIMITS_DB)) for snr in snr_db]
     per_row = [inverse[a] for a in range(layout.anchors) for _ in range(4)]

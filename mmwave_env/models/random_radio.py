@@ -8,7 +8,7 @@ import numpy as np
 from mmwave_env.io.records import between, require_fields
 from mmwave_env.models.radio import Radio
 
-# Fields to multiply by random factors; with factors up to 4, the shipped profiles remain valid.
+# Fields to multiply by random factors, up to 4: shipped profiles then stay within Radio's limits.
 _SCALED = (
     "aoa_floor_rad", "aod_floor_rad", "elevation_floor_rad", "doppler_floor_mps",
     "prior_position_m", "prior_height_m", "prior_velocity_mps", "prior_bias_mps",

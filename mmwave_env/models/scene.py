@@ -183,7 +183,7 @@ class Scene:
         return bool(self.walls) or self.streets != Streets()
 
     def require_streets_in_front(self) -> None:
-        """Refuse streets behind a wall, where its reflections cannot be received."""
+        """Raise ValueError if streets are behind a wall, where its reflections are not received."""
         corners = [(x, y, 0.0) for x in self.streets.x_m for y in self.streets.y_m]
         default = " (the default; give the real ones)" if self.streets == Streets() else ""
         for _, wall in self.behind_walls(np.array(corners)):
@@ -194,9 +194,9 @@ class Scene:
             )
 
     def behind_walls(self, points_m: Array) -> Iterator[tuple[int, Wall]]:
-        """Yield (index, wall) for each wall behind which, or in which, points (n, 3) are.
+        """Yield (index, wall) for each wall that has some of the points (n, 3) in it or behind it.
 
-        The index is the one of the first of these points.
+        The index is that of the first such point.
         """
         for wall in self.walls:
             side = wall.signed_distance(self.base_station_m)
