@@ -187,7 +187,7 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
 def _update(
     filter_: _Filter, mean: Vector, covariance: Matrix, measurement: Measurement, gate: Gate
 ) -> Posterior:
-    """Update with all visible groups; if gates reject groups or inflate noise, do it again."""
+    """Update with all visible groups; update again if gates reject groups or inflate noise."""
     x, P = np.array(mean, float), np.array(covariance, float)
     layout, relative = measurement.layout, _Relative(x, measurement)
     R = np.diag(np.array(measurement.variance, float))
