@@ -160,7 +160,7 @@ def tree_kernel(
 
 
 class Program(Generic[Workspace]):
-    """A function of numbers with its workspace, compiled or read from disk at its first use.
+    """A function of numbers and its workspace. Its first use compiles it or reads it from disk.
 
     Args:
         function: maps a workspace tree to a workspace tree of the same shape.
@@ -204,7 +204,7 @@ class Program(Generic[Workspace]):
         run_blocks(epochs, first, end, self.on_lanes(), self.blank, state, io)
 
     def run_on_floats(self, state: BatchState, io: StepIO) -> None:
-        """Run all environments one after the other in plain Python: slow, for reference."""
+        """Run the running tracks one after the other in plain Python: slow, for reference."""
         for e in np.flatnonzero(state.running):
             lanes = state.rows[e // WIDTH, :, e % WIDTH]
             for step in range(io.outputs.shape[1]):

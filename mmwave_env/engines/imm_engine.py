@@ -55,7 +55,7 @@ class ImmState(NamedTuple):
     x_predicted: list[Number]
     P_predicted: list[Number]
     memory: Memory  # memory of the most probable mode
-    # reward, error, nees: as in :class:`~mmwave_env.engines.environment_epoch.EnvState`
+    # reward, error, nees: scores of the combined belief, its position error in m
     reward: Number
     error: list[Number]
     nees: Number

@@ -34,7 +34,7 @@ class TrackState(NamedTuple):
     incoming: Incoming  # the epoch to run, or the epoch that just ran
     site: Site  # anchors, carrier and prior
     is_first: Number  # 1 to start over from the prior
-    action: Number  # number of the mode to run if no rule picks one
+    action: Number  # number of the mode whose result becomes the belief if no rule picks one
     tunings: list[Tuning]  # motion model of every mode
     # x, P: (7,), (28,) belief after the epoch
     x: list[Number]
@@ -157,7 +157,7 @@ class EpisodeFilter(Generic[Workspace]):
 
 
 class Tracker(EpisodeFilter[TrackState]):
-    """N tracks of a pipeline; in each epoch, exactly one of the pipeline's modes runs.
+    """N tracks of a pipeline; in each epoch, the result of one of its modes becomes the belief.
 
     Args:
         pipeline: the mode, or the modes to choose from.

@@ -43,9 +43,9 @@ class Bank:
         modes: one or more modes with different names.
         transition: (modes, modes) transition probabilities over one second, indexed [from, to];
             None for a probability of 0.95 of staying in the same mode.
-        nis_quantile: probability. In a mode's likelihood, the NIS (normalized innovation squared)
-            of each group of measurements is limited to the chi-square quantile of this probability;
-            1 for no limit, as in the textbook.
+        nis_quantile: probability p; in a mode's likelihood, the NIS (normalized innovation squared)
+            of each group of measurements is limited to the chi-square quantile of p; 1 for no
+            limit, as in the textbook.
 
     Raises:
         ValueError: there are no modes or too many; two modes have the same name; the quantile is

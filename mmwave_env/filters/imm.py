@@ -160,7 +160,7 @@ def imm_epoch(
 
 
 def trusting(mixture: Mixture, mode: Number, dt: Number) -> Mixture:
-    """Raise the probability of a mode in a mixture and lower the others in proportion.
+    """Multiply the probability of a mode in a mixture by a factor, then normalize all of them.
 
     Modes are counted from 1; ``mode`` 0 leaves the probabilities as they are. The factor is
     exp(TRUST) per second, and ``dt`` is the epoch's step, seconds (:func:`step_weight`).

@@ -29,7 +29,7 @@ class Memory(NamedTuple):
     """Statistics of a track's measurements so far."""
 
     mode: Number  # number of the mode that ran last
-    lockout: Number  # epochs in a row, skipping epochs without links, in which no link passed
+    lockout: Number  # epochs in a row in which all links failed; epochs without links are skipped
     window: list[Number]  # (WINDOW,) NIS / dof of the accepted groups per epoch, newest first
     gamma: Number  # adaptive scale of Q and R
     # nis, accepted, rejected: (groups,) in the last epoch; missing groups have 0 in all three

@@ -29,14 +29,14 @@ class ForwardEpoch(NamedTuple):
 
 
 class BackwardState(NamedTuple):
-    """The epoch after the current one, from which the backward pass smooths the current one."""
+    """The following epoch, already smoothed; the backward pass needs it for the current epoch."""
 
-    is_last: Number  # 1 if no epoch follows the current one, because the track ends
-    # dt, x_predicted, P_predicted: values of the later epoch, same as in :class:`ForwardEpoch`
+    is_last: Number  # 1 if there is no following epoch, because the track ends
+    # dt, x_predicted, P_predicted: values of the following epoch, as in :class:`ForwardEpoch`
     dt: Number
     x_predicted: list[Number]
     P_predicted: list[Number]
-    # x, P: smoothed mean (7,) and packed covariance (28,) of the later epoch
+    # x, P: smoothed mean (7,) and packed covariance (28,) of the following epoch
     x: list[Number]
     P: list[Number]
 
@@ -60,7 +60,7 @@ def smooth_epoch(
     """Smooth the belief of an epoch, with the gain C = P F' P_predicted^-1.
 
     The mean is x + C (x_after - x_predicted), the covariance P + C (P_after - P_predicted) C'.
-    ``after`` is the later epoch, smoothed; the result serves as ``after`` for the previous epoch.
+    ``after`` is the following epoch, smoothed. For the previous epoch, the result is ``after``.
     """
     P, P_predicted = unpack(now.P, zero=known_axes), unpack(after.P_predicted, zero=known_axes)
     factor, FP = cholesky(P_predicted), transition_times(P, after.dt, *now.hz_per_mps)

@@ -8,7 +8,7 @@ numbers are the paper's (Sec. III); the IMM is from Bar-Shalom, Li and Kirubaraj
 The state x (7,) is position (m), velocity (m/s) and oscillator bias (Hz). A measurement z has four
 rows for each anchor: range (m), azimuth and elevation of arrival (rad), azimuth of departure (rad).
 Then follow the Doppler shift of one anchor (Hz) and, optionally, speed (m/s) and heading (rad). If
-the user's clock is not synchronized, the state ends with its range bias (m): replace 7 by 8 below.
+the user's clock is not synchronized, the state ends with the clock's range bias (m): 7 becomes 8.
 """
 
 from collections.abc import Callable, Iterable, Sequence

@@ -52,9 +52,9 @@ class Channel(NamedTuple):
     # floor_variance, bound_variance: (rows,) noise floors, and Cramer-Rao bounds at an SNR of 0 dB
     floor_variance: list[Number]
     bound_variance: list[Number]
-    spread_gain_hz: Number
-    spread_sigma: Number
-    spread_floor_hz: Number
+    spread_gain_hz: Number  # Doppler spread per m/s of speed
+    spread_sigma: Number  # standard deviation of the logarithm of a random factor on this spread
+    spread_floor_hz: Number  # standard deviation of noise, whose absolute value is added
     odometry_slowest_mps: Number  # below this speed odometry is missing
 
 
@@ -150,7 +150,7 @@ def draw_channel(dice: Dice, anchors: int) -> ChannelDraws:
 class Reception(NamedTuple):
     """The effects of the channel on the links in an epoch."""
 
-    snr_db: list[Number]  # (L,)
+    snr_db: list[Number]  # (L,) SNR of each link
     detected: list[Number]  # (L,) 1 if the link is detected, else 0
     bias: list[list[Number]]  # (L, 4) biases added to the rows of each link
     doppler_spread_hz: Number

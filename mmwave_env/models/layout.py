@@ -9,7 +9,7 @@ present or missing as a whole, except in a *partial* layout, in which single row
 and in which the Doppler shift may belong to any anchor instead of anchor 1.
 
 With a *clock* that is not synchronized, the state has an eighth component, the range bias B: the
-offset of the user's clock times the speed of light. It is added to every range.
+offset of the user's clock times the speed of light. Every measured range contains B.
 """
 
 from collections.abc import Iterable, Sequence
@@ -151,7 +151,7 @@ def clock_from(clock: str, measurements: Sequence[str] | None = None) -> bool:
 
 
 def offered_rows(layout: Layout, measurements: Sequence[str] | None) -> list[bool]:
-    """Tell for each row whether it is one of the chosen measurements; odometry's rows always are.
+    """Tell for each row whether it is one of the chosen measurements; odometry counts as chosen.
 
     Raises:
         ValueError: from :func:`measurements_from`.

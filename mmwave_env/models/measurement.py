@@ -39,8 +39,8 @@ from mmwave_env.numerics.numbers import (
 )
 
 SPEED_OF_LIGHT = 299_792_458.0  # m/s
-# Longest length that counts as 0. Antennas' positions are not known as exactly as this; rounding
-# errors of coordinates of 1000 km are far smaller (1e-10 m).
+# Longest length that counts as 0. The positions of antennas are not known to a millimeter, but
+# rounding errors of coordinates of 1000 km are far smaller (1e-10 m).
 NEAREST_M = 1e-3
 _SLOWEST_ODOMETRY = 1e-3  # m/s; minimum of the speeds by which gradients are divided
 
@@ -158,8 +158,8 @@ def link_group(
 ) -> Group:
     """Return the group of a link, its four rows fused to three: range, azimuth and elevation.
 
-    The azimuths of arrival and departure (which differ by pi, paper Sec. II-B) both measure one
-    bearing, with variances ra and rd; fused, they are one row with variance ra rd / (ra + rd).
+    The azimuths of arrival and departure, which differ by pi (paper, Sec. II-B), measure the same
+    bearing, with variances ra and rd. Their weighted mean is a row with variance ra rd / (ra + rd).
     Fusing drops their difference, which has variance ra + rd and does not depend on the state.
     ``Sensor`` in :mod:`mmwave_env.filters.textbook` keeps all four rows.
 
