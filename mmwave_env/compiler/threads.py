@@ -65,6 +65,6 @@ def spans(count: int, parts: int) -> list[tuple[int, int]]:
 
 
 def portions(count: int, threads: int, most: int) -> list[slice]:
-    """Divide ``count`` things into slices of whole blocks of 8, each of at most ``most`` things."""
-    size = min(most, -(-count // (threads * WIDTH)) * WIDTH)
+    """Divide ``count`` things into slices of at most ``most`` things, for threads to share."""
+    size = min(most, -(-count // (threads * WIDTH)) * WIDTH)  # whole blocks of eight
     return [slice(first, first + size) for first in range(0, count, size)]

@@ -118,8 +118,8 @@ def memory_after(
     ]
     each_link = [1.0] * layout.anchors
     links, fixes = dot(each_link, visible), dot(each_link, chosen.accepted)
-    # An update with links that failed their gates does not end a lock-out: it mends the position,
-    # but the velocity may still be wrong. All links stay accepted until one passes its gate again.
+    # If links are accepted by force, the lock-out goes on: the update mends the position, but the
+    # velocity may still be wrong. All links stay accepted until one passes its gate again.
     lockout = where(links > 0.5, memory.lockout + 1.0, memory.lockout)
     predicted = move(before[:6], dt)
     step = [chosen.x[i] - predicted[i] for i in range(2)]
