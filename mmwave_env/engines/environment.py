@@ -195,7 +195,7 @@ class Environment:
         return metrics | {SMOOTHED_KEY: smoothed}
 
     def _charge(self, rewards: Array, places: Index) -> None:
-        """Add the worst reward, minus any baseline, for each epoch that an early end left out."""
+        """Add the worst reward, minus an IMM's if it ran, for each epoch lost by an early end."""
         assert self._task.worst is not None
         batch = self._engine.batch
         rewards[places] += self._task.worst * (batch.state.length - batch.completed)[places]
