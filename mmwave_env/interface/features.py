@@ -157,7 +157,7 @@ def _distance(view: View, anchor: int) -> Number:
 
 
 def _links(layout: Layout, distances: bool) -> list[Feature]:
-    """Return SNRs of links, and either distances (if asked) or the number of visible links."""
+    """Return features of links: SNRs, and the distances or else the number of visible links."""
     table = []
     for a in range(layout.anchors):
         table += [
@@ -235,7 +235,7 @@ def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
     observation of the kind "prior" does not contain any of these features.
 
     Args:
-        pipeline, per_mode: arguments of :func:`context`.
+        pipeline, per_mode: as in :func:`context`.
     """
     layout, modes = pipeline.layout, pipeline.modes
     table = _innovation(pipeline)
