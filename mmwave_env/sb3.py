@@ -51,7 +51,7 @@ class SB3VecEnv(VecEnv):
     def reset(self) -> Any:
         """Begin all episodes with the seeds and options set earlier; return observations (n, ...).
 
-        Options must not differ between environments, which are all reset together.
+        All environments are reset together, so their options must be the same.
         """
         if any(options != self._options[0] for options in self._options):
             raise ValueError(

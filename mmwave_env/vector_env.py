@@ -57,7 +57,7 @@ class MmWaveLocVectorEnv(
             results do not depend on them.
         max_episode_steps: None or the length of the episodes; Gymnasium may pass this argument,
             which must agree with ``episode_steps``.
-        infos: "all" (for every step), "episode" (for the first and last step of an episode) or
+        infos: "all" (for every step), "episode" (for resets and the last steps of episodes) or
             "none"; "SameStep" always adds ``final_info``, which is empty with "none".
         smoothed: whether the last info of an episode also contains ``smoothed_ate_m``.
         render_mode: None or "rgb_array".

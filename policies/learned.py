@@ -157,7 +157,7 @@ class LearnedPolicy:
 
 
 class LearnedSwitch(LearnedPolicy, Policy):
-    """A policy that chooses its network's most probable action: a mode to use or to trust.
+    """A policy that takes the action that its network prefers: a mode to run or to trust.
 
     ```python
     >>> policy = LearnedSwitch("runs/mine.safetensors")

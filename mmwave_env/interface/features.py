@@ -231,8 +231,8 @@ def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
     """Return features of each mode's result for the coming epoch: innovations, likelihoods.
 
     First come the Doppler innovation and the NIS of the pipeline's last mode, then features of each
-    mode in the pipeline's order. Every mode except the last is also compared with the last. An
-    observation of the kind "prior" does not contain any of these features.
+    mode in the pipeline's order. Every mode except the last is also compared with the last. If
+    ``per_mode``, probabilities and velocities of all modes follow. "prior" observations have none.
 
     Args:
         pipeline, per_mode: as in :func:`context`.

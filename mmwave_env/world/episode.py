@@ -258,7 +258,7 @@ class EpisodeBatch(NamedTuple):
     names: list[str]  # (n,) names of the episodes
     nonfinite: Index  # (n,) number of groups with NaN or infinity, which count as missing
     length: Index  # (n,) number of epochs
-    table: Array  # (n, epochs, columns) from :meth:`Episode.table`; rows past the length are unused
+    table: Array  # (n, epochs, columns) from :meth:`Episode.table`; unused after the last epoch
     site: Array  # (n, numbers) anchors, carrier and prior from :meth:`Episode.site`
     layout: Layout  # layout of all episodes
 
@@ -309,7 +309,7 @@ def level(sites: Array, height_m: Array, layout: Layout) -> Array:
 
 
 class Incoming(NamedTuple):
-    """A row of :meth:`Episode.table`; fields without comments are the same as in :class:`Epoch`."""
+    """An epoch in :meth:`Episode.table`; fields without comments are the same as in ``Epoch``."""
 
     dt: Number
     z: list[Number]
@@ -320,7 +320,7 @@ class Incoming(NamedTuple):
     doppler_of: Vector = ()
 
     def epoch(self, layout: Layout) -> Epoch:
-        """Return everything in the row except the truth, which the estimator must not use."""
+        """Return everything except the truth, which the estimator must not use."""
         sigma = [abs(sigma) for sigma in self.signed_sigma]
         parts = self.dt, self.z, sigma
         if layout.partial:

@@ -1,9 +1,8 @@
 """Motion of users along streets, written so that SIMD lanes can move eight users at once.
 
 A traveler speeds up and brakes within limits of acceleration, braking and jerk, to reach its
-target speed and to slow down for corners and red lights. The equations describe a substep of about
-0.1 s. Between substeps, :mod:`mmwave_env.world.travel` draws events: a new target speed, the next
-crossing, or the next phase (a part of an episode with one style of moving).
+target speed and to slow down for corners and red lights. Each substep takes about 0.1 s. Between
+substeps, :mod:`mmwave_env.world.travel` draws events: new target speeds, crossings and phases.
 """
 
 from typing import NamedTuple
@@ -31,8 +30,7 @@ class Traveler(NamedTuple):
     """The state of a traveler.
 
     The way ahead is a straight stretch, then an arc over the next crossing (no arc if the traveler
-    goes straight on). The turn and the red light at the crossing after the next one, called the
-    second crossing, are known, too, because braking for it may begin before the next crossing.
+    goes straight on). The second crossing is the one after it; travelers may already brake for it.
     """
 
     due: Number  # 1 if an event is due now: a new target speed, crossing or phase
@@ -56,7 +54,7 @@ class Traveler(NamedTuple):
     jerk: Number  # limit of the jerk, m/s^3
     target: Number  # speed to reach, m/s
     gait_left: Number  # time for which the target speed is still kept, s
-    phase: Number  # number of the phase, which ends at ``phase_end`` s
+    phase: Number  # number of the phase (a style of moving); it ends at ``phase_end`` s
     phase_end: Number
     stopping: Number  # 1 while the traveler brakes to a standstill, before the next phase
     # turn, red: at the next crossing, quarter turns to the left and remaining red light, s
