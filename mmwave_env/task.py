@@ -71,7 +71,7 @@ class Task:
         return type(self.source) is SimulatedSource  # subclasses may draw in another way
 
     def streets_of(self, key: int) -> Streets | None:
-        """Return the streets to draw in the picture of the episode with a key; None if unknown."""
+        """Return the streets that pictures of a key's episode show; None if they are unknown."""
         if isinstance(self.source, TrackSource):
             scene = self.source.scene
             return scene.streets if scene.streets_known else None

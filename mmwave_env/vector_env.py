@@ -247,7 +247,7 @@ class MmWaveLocVectorEnv(
     def step(self, actions: Index) -> Step:
         """Process an epoch in every environment, with modes (N,) or numbers (N, k) as actions."""
         actions, numbers = self._checked(actions)
-        fresh, resets = self._over, self._ended  # those that NextStep resets now
+        fresh, resets = self._over, self._ended  # mask and number of the resets by NextStep
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
         result, self._ended, infos = self._stepper.step(actions, numbers)
         observations, rewards, terminated, truncated, *_ = result

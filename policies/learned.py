@@ -59,8 +59,8 @@ class LearnedPolicy:
         """Return the bank to use with a radio, if the policy needs a belief per mode.
 
         Args:
-            radio: name or file of the radio profile. If the policy has no bank for this profile,
-                the bank for the profile's base, for "standard" or, at last, the first is returned.
+            radio: name or file of the radio profile. If the policy has no bank for the profile, the
+                result is the bank for the profile's base, else for "standard", else the first one.
 
         Raises:
             ValueError: the policy was trained with a shared belief.

@@ -287,5 +287,5 @@ def on_page_content(html: str, **_: Any) -> str:
 
 
 def on_post_page(output: str, **_: Any) -> str:
-    """Keep the theme from asking the code host for its stars: the site loads only its own files."""
+    """Keep the theme from asking the code host for stars: the site loads only its own files."""
     return output.replace(' data-md-component="source"', "")

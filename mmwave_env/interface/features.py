@@ -232,10 +232,8 @@ def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
 
     First come the Doppler innovation and the NIS of the pipeline's last mode, then features of each
     mode in the pipeline's order. Every mode except the last is also compared with the last. If
-    ``per_mode``, probabilities and velocities of all modes follow. "prior" observations have none.
-
-    Args:
-        pipeline, per_mode: as in :func:`context`.
+    ``per_mode``, each mode's probability and velocity follow. An observation of the kind "prior"
+    does not contain any of these features. The arguments are the same as for :func:`context`.
     """
     layout, modes = pipeline.layout, pipeline.modes
     table = _innovation(pipeline)

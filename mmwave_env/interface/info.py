@@ -33,12 +33,12 @@ INFOS = {
 
 
 def reported(at: Any) -> Any:
-    """Return the part of a workspace that infos describe: the corrected epoch, or else all."""
+    """Return what infos describe: a workspace's corrected epoch or, if it has none, all of it."""
     return getattr(at, "reported", ()) or at
 
 
 def info_rows(at: Any) -> dict[str, Any]:
-    """Return the rows of a workspace that hold each value of an info, except mode and cost.
+    """Return, by key, the rows of a workspace that hold the values of infos but mode and cost.
 
     Args:
         at: workspace of :mod:`~mmwave_env.engines.environment_epoch` with row numbers as leaves.

@@ -29,7 +29,7 @@ _SMALLEST_NEES = 1e-12
 
 @dataclass(frozen=True)
 class TrackingReward:
-    """The default reward, which penalizes the position error and an inconsistent NEES.
+    """The default reward, which penalizes the error and a NEES that is too large or too small.
 
     It is -(error_weight min(error, error_limit_m) + nees_weight min(|ln(NEES / d)|, nees_limit)),
     where d is the number of estimated position axes. So neither inflating P nor shrinking it pays.
@@ -88,7 +88,7 @@ class PairedReward:
     remaining epochs is also subtracted.
 
     Attributes:
-        reward: reward of both, a function of (belief, truth).
+        reward: reward of agent and IMM, a function of (belief, truth).
     """
 
     reward: Reward = TrackingReward()

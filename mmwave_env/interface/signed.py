@@ -125,7 +125,7 @@ def _turned(angle: Number) -> Number:
 
 
 def _deviation(view: View, anchor: int, name: str) -> Number:
-    """Return a row's standard deviation, m; an angle's is converted to a length at the user."""
+    """Return a row's standard deviation, m; angles are converted to lengths at the user."""
     sigma = view.last.epoch.sigma[4 * anchor + _ROWS[name]]
     _, flat, (distance, _, _) = _ray(view, anchor)
     reach = {"range": 1.0, "azimuth": flat, "elevation": distance, "departure": flat}

@@ -85,7 +85,7 @@ def around(heading: Number) -> Number:
 def state_of(t: Traveler) -> tuple[list[Number], list[Number]]:
     """Return the position (2,), m, and the velocity (2,), m/s, of a traveler."""
     along, bent = minimum(t.traveled, t.stretch), clip(t.traveled - t.stretch, 0.0, t.arc)
-    beyond = maximum(t.traveled - t.stretch - t.arc, 0.0)  # 0 after the crossing event
+    beyond = maximum(t.traveled - t.stretch - t.arc, 0.0)  # distance past the arc, if any
     east, north = unit(t.heading)
     side = where(t.turn < -0.5, -1.0, 1.0)
     cosine, sine = cos_sin(bent / t.radius)

@@ -57,7 +57,7 @@ class Gait:
 
 @dataclass(frozen=True)
 class Limits:
-    """The limits of a traveler's motion; limits given as ranges are drawn once per episode.
+    """The limits of a traveler's motion; limits given as ranges are drawn as an episode begins.
 
     Attributes:
         acceleration_mps2: range from which the acceleration limit is drawn.
@@ -164,7 +164,7 @@ SCENARIOS = {  # names and meanings
 
 
 def mobilities_of(scenario: str | os.PathLike[str]) -> tuple[Mobility, ...]:
-    """Return the mobilities from which a scenario draws users, in equal shares.
+    """Return the kinds of users that a scenario draws with equal probabilities.
 
     Raises:
         ValueError: the scenario is unknown, and the message lists the known ones; or

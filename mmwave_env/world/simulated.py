@@ -43,7 +43,7 @@ from mmwave_env.world.trajectory import PlacedWays, Scenario, Users, users_of
 from mmwave_env.world.travel import TravelPlan, stride_of
 
 RARE = 4.0  # number of standard deviations that only rare events exceed
-MOST_EPOCHS = 1_000_000  # limit of an episode, because times and actions of all epochs are stored
+MOST_EPOCHS = 1_000_000  # maximum per episode, as times and actions of all epochs are stored
 
 
 class Begun(NamedTuple):
@@ -217,7 +217,7 @@ class SimulatedSource:
 
     def feed(self, worlds: Array) -> Feed:
         """Return the feed, which computes each epoch of n episodes, given :attr:`Begun.worlds`."""
-        _, _, receiver, user = self.world.template  # unused lanes use these numbers
+        _, _, receiver, user = self.world.template  # numbers that fill unused SIMD lanes
         kept = blocks_of(np.array(flatten([receiver, user]), float), len(worlds))
         fill(kept, np.arange(kept.shape[1]), worlds)
         timed = columns_of(self.layout).dt

@@ -46,10 +46,10 @@ class WorldSettings(NamedTuple):
     drift_hz: Number  # standard deviation of the oscillator's change from epoch to epoch
     step_s: Number  # length of a substep
     stride: Number  # number of substeps in an epoch
-    offered: Vector = ()  # (rows,) 1 if the receiver measures the row; empty if it measures all
-    # empty if the user's clock is synchronized; else [0]: half the time between epochs, divided by
-    # ``hz_per_mps`` (times the sum of two epochs' oscillator biases, Hz, it is the drift, m);
-    # [1]: standard deviation (m) of the noise that the clock itself adds between epochs
+    offered: Vector = ()  # (rows,) 1 where the receiver measures the row; empty if it measures all
+    # empty if the user's clock is synchronized; else [0]: the factor that converts the sum of two
+    # successive oscillator biases (Hz) to the drift (m) between these epochs; [1]: the standard
+    # deviation (m) of the noise that the clock itself adds between epochs
     clock: Vector = ()
 
 
@@ -63,7 +63,7 @@ class Clock(NamedTuple):
 class ReceiverState(NamedTuple):
     """The state of links and receiver between two epochs."""
 
-    dice: list[Number]  # (4,) state of the random generator
+    dice: list[Number]  # (4,) state of the receiver's random generator
     anchors: list[list[Number]]  # (L, 3) positions, m
     is_first: Number  # 1 before the first epoch
     channel: ChannelState  # state of the links
@@ -138,7 +138,7 @@ def measure(
 def _run_on(receiver: ReceiverState, bias_hz: Number, clock: Vector) -> Clock | tuple[()]:
     """Return the clock one epoch later; () if the clock is synchronized.
 
-    The range bias changes by noise, and by the mean of the oscillator's biases in both epochs.
+    The range bias changes by noise, and by the drift that the oscillator's mean bias causes.
     """
     if not isinstance(receiver.clock, Clock):
         return ()
@@ -220,7 +220,7 @@ class World:
 
     @cached_property
     def _compiled(self) -> Any:
-        """Return a compiled function that runs these parts; events only if one is due in a lane."""
+        """Return the compiled :attr:`parts` as one function; it skips events if none is due."""
         parts, ends = self.parts, self.ends
         look, happen, substep = (tree_kernel(part, self.template, ends) for part in parts)
         row = 8 * WIDTH  # bytes

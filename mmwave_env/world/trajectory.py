@@ -17,7 +17,7 @@ from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.world.mobility import FASTEST_MPS, Mobility, mobilities_of
 
-REACH_M = (1.0, 5000.0)  # an anchor's reach: path loss is valid (3GPP TR 38.901, UMi)
+REACH_M = (1.0, 5000.0)  # an anchor's reach, where the path loss is valid (3GPP TR 38.901, UMi)
 STANDING_M, STANDING_S = 0.1, 60.0  # staying within 0.1 m for 60 s is suspect
 
 

@@ -18,7 +18,7 @@ from mmwave_env.numerics.random import Dice
 from mmwave_env.world.kinematics import FAR, STANDING_MPS, Net, Traveler, around, unit
 
 FINEST_STEP_S = 0.1  # approximate length of a substep
-STOPPING_S = 5.0  # time for a ride to stop before its passenger walks on
+STOPPING_S = 5.0  # time that a ride needs to stop before its passenger walks on
 
 
 class Gait(NamedTuple):
@@ -34,7 +34,7 @@ class Gait(NamedTuple):
 class Phase(NamedTuple):
     """A part of an episode with one style of moving; it begins when the previous phase ends.
 
-    Its limits of acceleration, braking and lateral acceleration are drawn once per episode.
+    Its limits of acceleration, braking and lateral acceleration are drawn as the episode begins.
     """
 
     acceleration: Number
