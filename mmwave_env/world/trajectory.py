@@ -30,7 +30,8 @@ class Trajectory:
         time_s: (N,) increasing times; at least two, without gaps of more than 15 s.
         position_m: (N, 3) positions in the frame of the scene.
         velocity_mps: (N, 3) velocities. If None, the velocity of a row is the slope of the parabola
-            through its position and the positions before and after it.
+            through its position and the positions before and after it; in the first and last row,
+            the slope of the line to the only neighbor.
         lines: (N,) line numbers of the rows in their file, for messages; None without a file.
 
     Raises:
