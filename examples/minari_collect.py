@@ -23,7 +23,7 @@ FIRST_SEED = 10_000_000
 
 
 def player(name, learned, actions, rng):
-    """Return act(observations (1, features), begins) -> action; ``begins``: an episode begins."""
+    """Return a function act(observations (1, features), begins: whether an episode begins)."""
     if name in learned:
         policy = learned[name]
 

@@ -4,10 +4,10 @@ python examples/recurrent_localizer.py 10000000 120
 mmwave-loc compare --policies examples.recurrent_localizer:Localizer fixed-ukf imm imm-best
 
 The first command trains on 120 lots (batches) of episodes, whose seeds begin at 10 000 000, and
-writes localizer.safetensors, which the second command reads. The network is told how a measurement
-depends on the user's state, and which noise the receiver states, but nothing about how users move.
-In every epoch it moves its last position by its last velocity and compares the measurements with
-those expected there. Then a recurrent layer chooses the shares of these differences that it adds to
+writes localizer.safetensors, which the second command reads. The network gets the formulas of the
+measurements and the noise that the receiver states, but must learn from episodes how users move. In
+every epoch it moves its last position by its last velocity and compares the measurements with those
+expected there. Then a recurrent layer chooses the shares of these differences that it adds to
 position, velocity and oscillator bias. It also chooses a weight for every measured direction d; the
 sum of weight * d d' is the inverse of the position's covariance.
 """
@@ -72,7 +72,7 @@ class Network(nn.Module):
 
         Args:
             x: (n, 7) predicted states.
-            kept: (n, MEMORY + 1) memory, and the deviation (m) of a position from one epoch alone.
+            kept: (n, MEMORY + 1) memory, and sigma (m) of a position found from one epoch alone.
             rows: (n, 3 L + 1, 10) from :func:`rows_of`.
             others: (n, 2) seconds since the last epoch, and Doppler spread, Hz.
         """
@@ -123,7 +123,7 @@ def beliefs(network, layout, site, epochs):
 
 
 class Localizer(Estimator):
-    """A trained network, read from a file. Its variances of velocity and bias are placeholders."""
+    """A trained network, read from a file. Variances of velocity and bias are placeholders."""
 
     at_once = True
 
@@ -150,7 +150,7 @@ def loss_of(error, inverse):
 
 
 def lots(seed, count):
-    """Yield layout, site, epochs and true positions (T, n, 3) of episodes at places to train in."""
+    """Yield layout, site, epochs and true positions (T, n, 3) of lots, for training."""
     rng, sources = np.random.default_rng(seed), [s.source() for s in sites() if s.kind == TRAINED]
     for first in range(seed, seed + count * EPISODES, EPISODES):
         keys = keys_of(range(first, first + EPISODES))

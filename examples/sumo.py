@@ -1,4 +1,4 @@
-"""SUMO: convert floating-car data to a file of ways; every episode draws one of these ways.
+"""SUMO: convert floating-car data to ways (trajectories); every episode draws one of them.
 
 python examples/sumo.py traffic.xml.gz ways.csv --scene street
 mmwave-loc compare --policies fixed-ekf imm --scenario ways.csv --episode-steps 60
@@ -41,7 +41,7 @@ def read_trips(path):
 def ways_in(scene, trips, least_s, shift_m=None):
     """Return the trips, except short ones and those behind walls; print why trips are left out.
 
-    Without a shift, the middle of the traffic is moved to the middle of the streets.
+    If ``shift_m`` is None, the middle of the traffic is moved to the middle of the streets.
     """
     places = np.concatenate([rows[:, 1:] for rows in trips.values()])
     if shift_m is None:

@@ -298,8 +298,8 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
     def spec(self, spec: EnvSpec | None) -> None:
         epochs = getattr(self.source, "epochs", None)
         self._spec = spec and replace(spec, max_episode_steps=epochs)
-        # If `gym.make` cuts episodes from outside, their last step has no metrics. `gym.make`
-        # keeps its limit of steps only in a local variable, which is read here.
+        # If `gym.make` itself truncates an episode, the last step has no metrics. `gym.make` keeps
+        # its limit of steps only in a local variable, which is read here.
         make = sys._getframe(1).f_locals
         limit = make.get("max_episode_steps") or getattr(
             make.get("env_spec"), "max_episode_steps", None
@@ -382,7 +382,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         return observation, float(rewards[0]), terminated, truncated, info
 
     def _take(self, action: Any) -> int:
-        """Pass an action to the engine, or refuse it; return its mode, or 0 for numbers."""
+        """Pass an action to the engine, or refuse it; return its mode, or 0 if it has numbers."""
         inputs = self._io.inputs[0, 0]
         if len(self._limits):
             inputs[1:] = numbers_in("action", action, self._limits)

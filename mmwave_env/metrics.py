@@ -1,7 +1,7 @@
 """Metrics of a track: position errors and consistency (paper, Sec. IV).
 
-Tracks are not aligned with the truth, because the frame is known. So ATE, RMSE and RPE are equal to
-those that the tool evo computes for translation without alignment.
+Tracks and truth are in the same frame, so they are not aligned with each other before they are
+compared. The tool evo computes the same ATE, RMSE and RPE for translation without alignment.
 :meth:`mmwave_env.filters.belief.Belief.nees` computes the NEES of the position. For a consistent
 filter and 3 axes, the NEES has the expectation 3, and is in the two-sided chi-square interval
 [0.22, 9.35] in 95 % of the epochs. (The paper gates a 3-D NEES at 5.99, the one-sided 95 % quantile
@@ -56,7 +56,7 @@ def nees_interval(axes: int = 3) -> tuple[float, float]:
 
 
 def scored(epochs: int) -> slice:
-    """Return the slice of epochs that averages use: all after the burn-in, or else the last one."""
+    """Return the epochs that averages use: all after the burn-in or, if none, the last one."""
     return slice(min(BURN_IN, epochs - 1), None)
 
 
@@ -77,7 +77,7 @@ class Sums(NamedTuple):
     changes: Array  # number of pairs of epochs that are a second apart
     distance: Array  # length of the position error, m
     squared: Array  # squared length of the position error, m^2
-    change: Array  # length of the change of the error over a second, m
+    change: Array  # length of the change of the position error over a second, m
     nees: Array
     inside: Array  # number of epochs with the NEES inside its 95 % interval
     largest: Array  # not a sum: the largest squared error, m^2
@@ -174,5 +174,5 @@ def summary(
 
 
 def running_summary(sums: Sums) -> dict[str, Array]:
-    """Compute, for each track (n,), the metrics that need only running sums."""
+    """Compute, for each of n tracks, the metrics (n,) that running sums determine."""
     return {name: METRICS[name].running(sums) for name in INFO_KEYS}  # type: ignore[misc]

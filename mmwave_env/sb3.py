@@ -24,10 +24,10 @@ Infos = list[dict[str, Any]]
 class SB3VecEnv(VecEnv):
     """A Gymnasium vector environment as a ``VecEnv`` of Stable-Baselines3.
 
-    When an episode ends, the environment's info is that of the last step, including the metrics of
-    the episode. The info also has the keys that Stable-Baselines3 reads: the last observation
-    as ``terminal_observation``; ``TimeLimit.truncated``, True if the episode was cut short (then
-    the value of its last state is not 0); ``episode`` with return "r", length "l" and time "t".
+    When an episode ends, the step returns the info of the last step, including the metrics of the
+    episode. The info also has the keys that Stable-Baselines3 reads: ``terminal_observation``, the
+    last observation; ``TimeLimit.truncated``, True if the episode was cut short (so that its last
+    state has a value other than 0); ``episode`` with return "r", length "l" and time "t" (s).
 
     Raises:
         ValueError: the autoreset mode is not "SameStep"; other modes begin the next episode one
@@ -51,7 +51,7 @@ class SB3VecEnv(VecEnv):
     def reset(self) -> Any:
         """Begin all episodes with the seeds and options set earlier; return observations (n, ...).
 
-        Options must not differ between environments, which are all reset together.
+        All environments are reset together, so their options must be the same.
         """
         if any(options != self._options[0] for options in self._options):
             raise ValueError(
@@ -103,24 +103,24 @@ class SB3VecEnv(VecEnv):
         self.env.close()
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """Return an attribute of the environment, once for each of the indices."""
+        """Return a list that contains an attribute of the environment once for each index."""
         return [getattr(self.env, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Set an attribute of the environment, for all indices at once."""
+        """Set an attribute of the vector environment; the indices must be all or None."""
         self._require_all(indices, f"set_attr({attr_name!r})")
         setattr(self.env, attr_name, value)
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call a method of the environment once; return its result for each of the indices."""
+        """Call a method of the vector environment once; return the result once for each index."""
         self._require_all(indices, f"env_method({method_name!r})")
         method: Callable[..., Any] = getattr(self.env, method_name)
         return [method(*method_args, **method_kwargs)] * self.num_envs
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Indices = None) -> list[bool]:
-        """Return for each index whether a wrapper is in use; this class counts as a Monitor."""
+        """Return, for each index, True if the wrapper is Monitor, whose work this class does."""
         return [wrapper_class is Monitor] * len(list(self._get_indices(indices)))
 
     def _require_all(self, indices: Indices, call: str) -> None:
@@ -129,7 +129,7 @@ class SB3VecEnv(VecEnv):
 
 
 def _of(batched: dict[str, Any], i: int) -> dict[str, Any]:
-    """Return one environment's info from batched infos, without keys whose mask excludes it."""
+    """Return environment i's info from batched infos, without keys whose mask is False for it."""
     info: dict[str, Any] = {}
     for key, value in batched.items():
         mask = batched.get(f"_{key}")

@@ -49,7 +49,7 @@ class Task:
     # reward of each epoch that remains after a divergence; None if divergence does not end episodes
     worst: float | None
     action: str = MODE  # kind of actions
-    # function that makes the agent that chooses modes, if actions correct beliefs; None for an IMM
+    # if actions correct beliefs: function that makes the agent that chooses modes; None for an IMM
     base: Base | None = None
 
     def draw(self, rng: np.random.Generator) -> Episode:
@@ -68,10 +68,10 @@ class Task:
     @property
     def has_keys(self) -> bool:
         """Return whether every episode is a function of a key, which is a 64-bit number."""
-        return type(self.source) is SimulatedSource  # other sources may draw in their own way
+        return type(self.source) is SimulatedSource  # subclasses may draw in another way
 
     def streets_of(self, key: int) -> Streets | None:
-        """Return the streets to draw in the picture of the episode with a key; None if unknown."""
+        """Return the streets that pictures of a key's episode show; None if they are unknown."""
         if isinstance(self.source, TrackSource):
             scene = self.source.scene
             return scene.streets if scene.streets_known else None
@@ -81,7 +81,7 @@ class Task:
         return scene.streets if self.simulated.travels or scene.streets_known else None
 
     def require_keys(self, seed: Any) -> None:
-        """Refuse a key if episodes have no keys, or if a seed is given, which also sets the key."""
+        """Refuse a key if episodes have no keys, or if a seed (which determines a key) is given."""
         if not self.has_keys:
             raise ValueError(
                 f"options['episode_key']: found a key, but {self.source.name!r} is recorded or "
@@ -166,7 +166,7 @@ def task_from(**arguments: Any) -> Task:
 
 
 def _require_action(asked: TaskArguments) -> None:
-    """Refuse an unknown ``action``, and arguments that do not go with the given one."""
+    """Refuse an unknown ``action``, and arguments that can't be combined with it."""
     choose(ACTIONS, asked.action, "action")
     if asked.action != MODE and asked.beliefs != "per-mode":
         raise ValueError(f'action: found {asked.action!r}, which needs beliefs="per-mode"')
@@ -181,8 +181,8 @@ def bank_and_modes(
 ) -> tuple[Bank | None, tuple[Mode, ...]]:
     """Return the bank (None if modes share a belief) and the modes for these arguments.
 
-    ``modes=`` and ``beliefs=`` are those of :class:`~mmwave_env.env.MmWaveLocEnv`; named modes are
-    tuned for the radio profile.
+    ``modes`` and ``beliefs`` are arguments of :class:`~mmwave_env.env.MmWaveLocEnv`. Modes that are
+    given by name are tuned for the radio profile.
 
     Raises:
         ValueError: an argument is invalid; the message says what is valid.

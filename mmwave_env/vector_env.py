@@ -36,7 +36,7 @@ Observations = NDArray[np.float32]
 Step = tuple[Observations, Array, Mask, Mask, dict[str, Any]]
 
 
-BEGUN = 512  # episodes drawn at once: few enough for their memory to be negligible
+BEGUN = 512  # maximum number of episodes drawn at once: few enough to need little memory
 
 
 class MmWaveLocVectorEnv(
@@ -44,8 +44,8 @@ class MmWaveLocVectorEnv(
 ):
     """N copies of :class:`~mmwave_env.env.MmWaveLocEnv`, stepped in one kernel call.
 
-    Environment i sees the same episodes, observations, rewards and infos, to the last bit, as
-    a single environment with the same seed. A seed s means s + i for environment i.
+    Environment i has the same episodes, observations, rewards and infos, to the last bit, as a
+    single environment with the same seed. ``reset(seed=s)`` gives environment i the seed s + i.
 
     Args:
         num_envs: number of environments N.
@@ -54,10 +54,10 @@ class MmWaveLocVectorEnv(
             episode are in ``final_obs`` and ``final_info``) or "Disabled" (call
             ``reset(options={"reset_mask": mask})`` with a bool array (N,) to reset only some).
         threads: maximum number of threads, used only where they save time, from N = 1024 on;
-            results do not depend on it.
+            results do not depend on them.
         max_episode_steps: None or the length of the episodes; Gymnasium may pass this argument,
             which must agree with ``episode_steps``.
-        infos: "all" (for every step), "episode" (for the first and last step of an episode) or
+        infos: "all" (for every step), "episode" (for resets and the last steps of episodes) or
             "none"; "SameStep" always adds ``final_info``, which is empty with "none".
         smoothed: whether the last info of an episode also contains ``smoothed_ate_m``.
         render_mode: None or "rgb_array".
@@ -164,7 +164,7 @@ class MmWaveLocVectorEnv(
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Observations, dict[str, Any]]:
-        """Draw an episode for every environment, or for those of ``options["reset_mask"]``.
+        """Draw an episode for every environment, or only where ``options["reset_mask"]`` is True.
 
         Args:
             seed: s to seed environment i with s + i; or one seed per environment, where None
@@ -247,7 +247,7 @@ class MmWaveLocVectorEnv(
     def step(self, actions: Index) -> Step:
         """Process an epoch in every environment, with modes (N,) or numbers (N, k) as actions."""
         actions, numbers = self._checked(actions)
-        fresh, resets = self._over, self._ended  # which ones NextStep resets now, and their number
+        fresh, resets = self._over, self._ended  # mask and number of the resets by NextStep
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
         result, self._ended, infos = self._stepper.step(actions, numbers)
         observations, rewards, terminated, truncated, *_ = result
@@ -309,7 +309,7 @@ class MmWaveLocVectorEnv(
         array = np.asarray(actions)
         if array.shape == (n,) and array.dtype.kind in "iu":
             chosen = array.astype(np.int64)
-            wrong = chosen.view(np.uint64) >= self._mode_count  # negative actions wrap around
+            wrong = chosen.view(np.uint64) >= self._mode_count  # negative ones become large
             if self._ended:
                 wrong[self._over] = False
             if not np.count_nonzero(wrong):
@@ -319,7 +319,7 @@ class MmWaveLocVectorEnv(
         )
 
     def _same_step(self, observations: Observations, infos: dict[str, Any]) -> dict[str, Any]:
-        """Reset environments whose episodes ended; return infos, the old ones as ``final_*``."""
+        """Reset environments whose episodes ended; put their old infos into ``final_info``."""
         over = self._over.copy()
         ended = np.flatnonzero(over)
         final_obs = np.full(self.num_envs, None, object)

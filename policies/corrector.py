@@ -2,9 +2,9 @@
 
 After every update, the network reads residuals and beliefs, and returns a correction of the
 position and factors for its standard deviations. Only the output is corrected: the filters continue
-from their own beliefs. What combines the filters is the *base*: a switcher (a policy that chooses
-modes) or an IMM. If features are outside the range that the network saw in training, corrections
-are scaled down; far outside the range, there are none.
+from their own beliefs. The filters are combined by the *base*, which is a switcher (a policy that
+chooses modes) or an IMM. If features are outside the range that the network saw in training,
+corrections are scaled down, far outside the range almost to zero.
 """
 
 from typing import NamedTuple
@@ -21,10 +21,10 @@ from policies.learned import LearnedPolicy, LearnedSwitch, taken
 from policies.policy import Policy
 from policies.policy_file import CORRECTIONS
 
-BASE_IMM = "imm-best"  # base without a switcher: the IMM of the policy's bank
+BASE_IMM = "imm-best"  # the base is the IMM of the policy's bank, not a switcher
 # "Trust" is the factor, 0 to 1, by which corrections are scaled.
 RANGE_FADE = 2.0  # trust is exp(-2 d) if a feature is d standard deviations outside its range
-RECOVERY = 0.1  # largest growth of trust per epoch; small, as the network remembers strange epochs
+RECOVERY = 0.1  # maximum growth of trust per epoch; small, because strange epochs stay in memory
 # The network is an ensemble, whose members compute different shifts. If the spread of the shifts,
 # in corrected standard deviations, is at most SPREAD[0], trust is not reduced; from SPREAD[1] on,
 # trust is 0.
@@ -75,7 +75,7 @@ class Corrector(LearnedPolicy, Policy):
         )
         self._out = _mean_and_differences(tensors["out.weight"].T, tensors["out.bias"])
         units = len(tensors["gru.bias_hh"]) // 3
-        # weights and biases of the gates (reset and update) and of the candidate state
+        # gates (reset and update), then candidate state: weights and biases of input and memory
         self._gates, self._candidate = (
             [(tensors[f"gru.weight_{name}"][rows].T.copy(), tensors[f"gru.bias_{name}"][rows])
              for name in ("ih", "hh")]
@@ -111,7 +111,7 @@ class Corrector(LearnedPolicy, Policy):
         return self._base(observation)
 
     def correct(self, observation: Array32) -> Correction:
-        """Return corrections of the beliefs after the latest epoch; the network remembers it.
+        """Return corrections of the beliefs after the latest epoch, which the network remembers.
 
         Call it once after every step, with the observations (n, features) that the step returned.
         """

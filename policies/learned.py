@@ -50,7 +50,7 @@ class LearnedPolicy:
         self._width = len(self._low)  # number of columns in the environment's observations
         # columns that the policy reads; None if it reads all of them in order
         self._columns: Index | None = None
-        # for each feature: the value to use if the scene lacks its anchor, or NaN if it does not
+        # for each feature: the value to use if the scene lacks its anchor; NaN if the scene has it
         self._unseen: Array32 | None = None
         if observation is not None:
             self.read_from(observation)
@@ -59,8 +59,8 @@ class LearnedPolicy:
         """Return the bank to use with a radio, if the policy needs a belief per mode.
 
         Args:
-            radio: name or file of the radio profile. If the policy has no bank for it, the result
-                is the bank of its base, or else that of "standard", or else the policy's first.
+            radio: name or file of the radio profile. If the policy has no bank for the profile, the
+                result is the bank for the profile's base, else for "standard", else the first one.
 
         Raises:
             ValueError: the policy was trained with a shared belief.
@@ -157,7 +157,7 @@ class LearnedPolicy:
 
 
 class LearnedSwitch(LearnedPolicy, Policy):
-    """A policy that chooses its network's most probable action: a mode to use or to trust.
+    """A policy that takes the action that its network prefers: a mode to run or to trust.
 
     ```python
     >>> policy = LearnedSwitch("runs/mine.safetensors")

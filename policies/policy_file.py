@@ -10,10 +10,10 @@ The tensors, all float32, describe a network. The network of a *switcher* choose
 
 The network of a *corrector* corrects the beliefs of its *base*, which is a switcher or an IMM:
 
-- ``low``, ``high`` (features,): range of every feature in training; ``front`` normalizes features;
+- ``low``, ``high`` (features,): features are clipped to these limits; ``front`` normalizes them;
 - ``front``, ``head``, ``out``: layers with a ``.weight`` (out, in) and a ``.bias`` (out,);
 - ``gru.weight_ih``, ``gru.weight_hh``, ``gru.bias_ih``, ``gru.bias_hh``: the gated recurrent unit
-  between ``front`` and ``head``, as PyTorch stores it: reset, update and new gate in this order.
+  between ``front`` and ``head``, as PyTorch stores it: gates in the order reset, update, new.
 
 The file's metadata contain, under the key "policy", a JSON object with the version of this format,
 the :class:`Card` and a checksum of card and tensors.
@@ -188,7 +188,7 @@ def to_bytes(tensors: Tensors, card: Card) -> bytes:
     _require_network(tensors, card)
     # The library writes the memory of an array as it is, and so would undo a transposition.
     tensors = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
-    content = json.loads(json.dumps(card.as_json()))  # as it will be read, with lists for tuples
+    content = json.loads(json.dumps(card.as_json()))  # as it will be read: tuples become lists
     document = {"format": FORMAT, "sha256": _checksum(tensors, content), "card": content}
     written: bytes = save(tensors, {_KEY: json.dumps(document)})
     return written
@@ -251,7 +251,7 @@ def _document(text: str | None) -> Json:
 
 
 def _tensor(file: Any, name: str) -> Array32:
-    """Return a tensor of an open file; first check its type, which numpy may not support."""
+    """Return a tensor of an open file; refuse types except float32, which numpy may not support."""
     dtype = file.get_slice(name).get_dtype()
     if dtype != "F32":
         raise ValueError(f"tensor {name!r}: found type {dtype}, expected F32")

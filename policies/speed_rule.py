@@ -20,7 +20,7 @@ def mode_at(speed: Number, threshold: float = SLOW_MPS) -> Number:
 
 
 def by_predicted_speed(x: Vector, epoch: Epoch) -> Number:
-    """Apply the rule to the predicted speed, which is the same as the speed in the state x (7,)."""
+    """Apply the rule to the speed in the state x (7,), which the prediction does not change."""
     return mode_at(sqrt(dot(x[3:6], x[3:6])))
 
 

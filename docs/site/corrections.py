@@ -26,7 +26,7 @@ from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 from policies import Corrector
 
-EPISODES, FEWER = 1000, 500  # test episodes to play, and to play without a group of features
+EPISODES, FEWER = 1000, 500  # test episodes: to compare errors; to withhold groups of features
 NAMES = ("speed-rule", "imm-best", "guided", "corrector")
 AROUND = np.arange(-6, 16)  # epochs shown around an event
 GROUPS = {  # group of features -> words that the names of its features begin with
@@ -85,7 +85,7 @@ def in_motion(played: Played, vectors: Array) -> Array:
 
 
 def events(played: Played) -> dict[str, NDArray[np.bool_]]:
-    """Return in which epochs (n, T) events of each kind begin; users move if above 0.5 m/s."""
+    """Return, by kind, in which epochs (n, T) events begin; users above 0.5 m/s count as moving."""
     speed = np.linalg.norm(played.truth[..., 3:5], axis=-1)
     moving = speed > 0.5
     visible = np.stack([e.visible[:, : e.layout.anchors].all(axis=1) for e in played.episodes])
@@ -108,7 +108,7 @@ def _begins(state: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _lying(episode: Episode) -> NDArray[np.bool_]:
-    """Return in which epochs (T,) a range of a visible link is far from the true one."""
+    """Return in which epochs (T,) a measured range is over 5 standard deviations wrong."""
     assert episode.truth_position_m is not None
     ways = episode.truth_position_m[:, None] - episode.scene_anchors_m
     rows = slice(0, episode.layout.doppler, 4)
@@ -157,14 +157,14 @@ class Without(Corrector):
         self._others = [i for i, name in enumerate(names) if name.startswith(begins)]
 
     def correct_features(self, features: NDArray[np.float32]) -> Any:
-        """Correct after replacing these features by those of another episode in the same epoch."""
+        """Correct after taking these features from the same epoch of another episode."""
         mixed = features.copy()
         mixed[:, self._others] = np.roll(features, 1, axis=0)[:, self._others]
         return super().correct_features(mixed)
 
 
 def without_groups(radio: str) -> Iterator[tuple[str, Array]]:
-    """Yield the reward (n,) that corrections add: with all features, then without each group."""
+    """Yield the rewards (n,) that corrections add: with all features, then without one group."""
     episodes = draw_episodes(SimulatedSource(SCENES["street"], RADIOS[radio]), range(FEWER))
     layout = episodes[0].layout
 

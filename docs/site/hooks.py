@@ -1,4 +1,4 @@
-"""Hooks of mkdocs for pages made at the build, and for links that work on the site.
+"""Hooks of mkdocs that make pages during the build, and links that work on the site.
 
 Besides the files of docs/, the site shows text whose only source is elsewhere: the README, the
 help of the commands, CITATION.cff, notebooks and the docstrings of the modules.
@@ -242,7 +242,7 @@ def relinked(markdown: str, uri: str, source: Path) -> str:
     Args:
         markdown: text of the page, whose links are relative to ``source``.
         uri: address of the page on the site, relative to its top.
-        source: file that the page shows; for a page made at the build, there is no such file.
+        source: file that the page shows; it need not exist if the page is made at the build.
     """
 
     def mended(match: re.Match[str]) -> str:
@@ -287,5 +287,5 @@ def on_page_content(html: str, **_: Any) -> str:
 
 
 def on_post_page(output: str, **_: Any) -> str:
-    """Keep the theme from asking a code host for stars: the site loads nothing from elsewhere."""
+    """Keep the theme from asking the code host for stars: the site loads only its own files."""
     return output.replace(' data-md-component="source"', "")

@@ -1,4 +1,4 @@
-"""Tables of protection levels at all sites of the benchmark, of which docs/errors.md shows one.
+"""Tables of protection levels at all sites of the benchmark; docs/errors.md shows one table.
 
 ``PYTHONPATH=. python docs/site/levels.py`` plays test episodes for about two minutes.
 """
@@ -20,7 +20,7 @@ from mmwave_env.metrics import scored
 from mmwave_env.numerics.numbers import Array
 
 POLICIES = ("guided", "corrector")
-EPISODES, FEWER = 400, 60  # test episodes at a simulated site; on a recording or a hard site
+EPISODES, FEWER = 400, 60  # test episodes at a site; fewer on a recording or at a hard site
 DIRECTIONS, RISKS = ("Horizontally", "Vertically"), (1e-3, 1e-2)
 
 

@@ -27,7 +27,7 @@ def limits_of(action: str, modes: int) -> Array:
 
 
 def space_of(limits: Array, count: int) -> spaces.Space[Any]:
-    """Return the space of actions with these limits (k,), or of ``count`` modes if k is 0."""
+    """Return the space of k numbers with these limits (k,), or of ``count`` modes if k is 0."""
     if not len(limits):
         return spaces.Discrete(count)
     most = limits.astype(np.float32)
@@ -35,7 +35,7 @@ def space_of(limits: Array, count: int) -> spaces.Space[Any]:
 
 
 def numbers_in(name: str, action: Any, limits: Array, *n: int, ignored: Any = False) -> Array:
-    """Return a copy of an action's numbers (*n, k), with 0 for the environments ``ignored``.
+    """Return a copy of an action's numbers (*n, k), with 0 in environments that are ``ignored``.
 
     Raises:
         InvalidAction: the shape differs, or a number is NaN or beyond its limit.

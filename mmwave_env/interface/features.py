@@ -157,7 +157,7 @@ def _distance(view: View, anchor: int) -> Number:
 
 
 def _links(layout: Layout, distances: bool) -> list[Feature]:
-    """Return SNRs of links, and either distances (if asked) or the number of visible links."""
+    """Return features of links: SNRs, and the distances or else the number of visible links."""
     table = []
     for a in range(layout.anchors):
         table += [
@@ -231,11 +231,9 @@ def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
     """Return features of each mode's result for the coming epoch: innovations, likelihoods.
 
     First come the Doppler innovation and the NIS of the pipeline's last mode, then features of each
-    mode in the pipeline's order. Every mode except the last is also compared with the last. An
-    observation of the kind "prior" does not contain any of these features.
-
-    Args:
-        pipeline, per_mode: arguments of :func:`context`.
+    mode in the pipeline's order. Every mode except the last is also compared with the last. If
+    ``per_mode``, each mode's probability and velocity follow. An observation of the kind "prior"
+    does not contain any of these features. The arguments are the same as for :func:`context`.
     """
     layout, modes = pipeline.layout, pipeline.modes
     table = _innovation(pipeline)

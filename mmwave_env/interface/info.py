@@ -1,4 +1,4 @@
-"""Infos of a step, for one or many environments, and of a complete episode."""
+"""Infos: the dicts that resets and steps return, for a single or a vector environment."""
 
 import warnings
 from collections.abc import Callable, Iterable
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from mmwave_env.metrics import INFO_KEYS
 from mmwave_env.numerics.numbers import Array, Mask
 
-STATE_KEYS = ("truth", "estimate")  # also in the info of a reset
+STATE_KEYS = ("truth", "estimate")  # in the infos of resets and steps
 TERMS_KEY = "reward_terms"
 COST_KEY = "cost"  # 1.0 where the horizontal error exceeds its protection level
 STEP_KEYS = (
@@ -33,12 +33,12 @@ INFOS = {
 
 
 def reported(at: Any) -> Any:
-    """Return the part of a workspace that infos describe: the corrected epoch if any, else all."""
+    """Return what infos describe: a workspace's corrected epoch or, if it has none, all of it."""
     return getattr(at, "reported", ()) or at
 
 
 def info_rows(at: Any) -> dict[str, Any]:
-    """Return, by key, the rows of a workspace with the values of infos except mode and cost.
+    """Return, by key, the rows of a workspace that hold the values of infos but mode and cost.
 
     Args:
         at: workspace of :mod:`~mmwave_env.engines.environment_epoch` with row numbers as leaves.
@@ -58,7 +58,7 @@ def drawn_rows(at: Any, span: Callable[[Any], Any]) -> dict[str, Any]:
 
     Args:
         at: workspace with row numbers as leaves, as for :func:`info_rows`.
-        span: function that returns the rows of a part of the workspace.
+        span: function that converts the row numbers of a part to an index or a slice.
     """
     rows = info_rows(at)
     parts = {name: rows[name] for name in ("truth", "estimate", "nees", "accepted", "rejected")}
@@ -67,7 +67,7 @@ def drawn_rows(at: Any, span: Callable[[Any], Any]) -> dict[str, Any]:
 
 
 def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
-    """Return infos (n, ...), in Gymnasium's form, of environments where ``where`` (n,) is True.
+    """Return infos (n, ...) with Gymnasium's masks, for environments where ``where`` (n,) is True.
 
     Values of other environments are replaced by 0 or None, in place. Every key gets a mask
     ``_key``; all masks are the same array. If ``where`` is False everywhere, the result is empty.
@@ -81,7 +81,7 @@ def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
 
 
 def stepped(infos: dict[str, Any], where: Mask) -> dict[str, Any]:
-    """Return the infos of a step that ran only in environments where ``where`` (n,) is True."""
+    """Return the infos of a step where ``where`` (n,) is True; other environments were reset."""
     did = {key: infos[key] for key in (*STEP_KEYS, PROBABILITIES) if key in infos}
     kept = (*STATE_KEYS, *mask_keys(STATE_KEYS))
     return masked(did, where) | {key: infos[key] for key in kept if key in infos}
@@ -107,15 +107,15 @@ def worded(
 ) -> dict[str, Any]:
     """Return an info in the form that ``infos`` selects.
 
-    "fixed" infos always have the same keys, types and shapes: all numbers that an info may contain,
-    in numpy's types; NaN, False or -1 stand for unknown values.
+    "fixed" infos always have the same keys, numpy types and shapes. They contain all numbers that
+    an info may contain; NaN, False or -1 stand for unknown values.
 
     Args:
         info: everything that is known.
         infos: one of :data:`INFOS`, the environment's argument.
         at_end: whether the info belongs to a reset or to the last step of an episode.
         groups: number of groups of measurements: links, Doppler shift, odometry.
-        beliefs: number of beliefs that the modes keep.
+        beliefs: number of beliefs: 1 if the modes share a belief.
         terms: number of terms of the reward.
     """
     if infos == "none" or (infos == "episode" and not at_end):

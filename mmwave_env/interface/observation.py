@@ -1,8 +1,8 @@
 """Observation: one table of features that defines the space, the documentation and the values.
 
-Every feature is standardized by the mean and the deviation of its kind. These are constants of the
-package, so an observation has the same meaning everywhere, and networks need no normalization.
-Values farther than ten deviations from the mean, which are rare, are limited to this distance.
+Every feature is standardized by the mean and the deviation of its kind. These means and deviations
+are constants, so an observation has the same meaning in every environment, and networks need no
+normalization. Values are limited to ten deviations from the mean, which they rarely exceed.
 """
 
 import inspect
@@ -41,7 +41,7 @@ BELIEFS = {  # a belief is a mean and a covariance
 
 
 def action_names(modes: Sequence[Mode], beliefs: str) -> list[str]:
-    """Return the names of the actions: the modes and, with a belief per mode, first "none"."""
+    """Return the names of the actions: the modes, after "none" if each mode has its own belief."""
     names = [mode.name for mode in modes]
     return ["none", *names] if beliefs == "per-mode" else names
 
@@ -57,8 +57,8 @@ class Scale(NamedTuple):
 def feature_scales() -> dict[str, Scale]:
     """Read mean and deviation of every kind of feature from data/feature_scales.json."""
     # Measured 2026-11-23 (code at commit 476d657): 24 episodes with random actions in each
-    # combination of scene, radio, kind of beliefs and set of modes (two modes, two with
-    # odometry, eight, the radio's bank); values are medians over combinations, without clipping.
+    # combination of scene, radio, kind of beliefs and set of modes (two; two, with odometry; eight;
+    # the radio's bank). The file has the medians over combinations. Values were not clipped.
     text = files("mmwave_env").joinpath("data/feature_scales.json").read_text(encoding="utf-8")
     return {kind: Scale(**scale) for kind, scale in json.loads(text)["kinds"].items()}
 
@@ -125,7 +125,7 @@ class Observation:
 
     @property
     def made_with(self) -> str:
-        """Return the environment's arguments that lead to this table, for messages."""
+        """Describe, for messages, the environment's arguments that lead to this table."""
         modes = ", ".join(mode.name for mode in self.modes)
         return f"observation={self.kind!r}, beliefs={self.beliefs!r} and the modes {modes}"
 
@@ -196,7 +196,7 @@ def _shown(value: Number, feature: Feature, scale: Scale) -> Number:
 
 
 def with_tables(docstring: str) -> str:
-    """Fill in ``{modes}`` and ``{table}`` in a docstring: tables of default modes and features."""
+    """Put tables of default modes and features in place of ``{modes}`` and ``{table}``."""
     observed = Observation(Pipeline(default_modes(), Layout())).table()
     lines = ["| action | mode | algorithm | horizontal velocity noise, m/s |", "|---|---|---|---|"]
     for action, (kind, algorithm) in enumerate(

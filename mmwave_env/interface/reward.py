@@ -29,10 +29,10 @@ _SMALLEST_NEES = 1e-12
 
 @dataclass(frozen=True)
 class TrackingReward:
-    """-(error_weight min(error, error_limit_m) + nees_weight min(|ln(NEES / d)|, nees_limit)).
+    """The default reward, which penalizes the error and a NEES that is too large or too small.
 
-    The reward falls with the distance from the truth, and with a NEES that is too large or too
-    small in an epoch, so that inflating P does not pay. d is the number of estimated position axes.
+    It is -(error_weight min(error, error_limit_m) + nees_weight min(|ln(NEES / d)|, nees_limit)),
+    where d is the number of estimated position axes. So neither inflating P nor shrinking it pays.
     """
 
     error_weight: float = 1.0
@@ -79,16 +79,16 @@ class LogScore:
 
 @dataclass(frozen=True)
 class PairedReward:
-    """The agent's reward minus that of an IMM, in the same epoch of the same episode.
+    """The agent's reward minus the reward of an IMM, in the same epoch of the same episode.
 
-    With a shared belief, the IMM mixes the two default modes of the radio; with a belief per mode,
-    the modes of the agent's bank. Actions do not change what the IMM earns, so the best policy
-    stays the same; the difficulty of an episode cancels out, so the variance is smaller. If an
-    episode ends early because of divergence, what the IMM earns in the remaining epochs is also
-    subtracted.
+    If modes share a belief, the IMM mixes the two default modes of the radio. If each mode has its
+    own belief, the IMM mixes the modes of the agent's bank. Actions do not change what the IMM
+    earns, so the best policy stays the same. The difficulty of an episode cancels out, so the
+    variance is smaller. If an episode ends early because of divergence, what the IMM earns in the
+    remaining epochs is also subtracted.
 
     Attributes:
-        reward: function of (belief, truth).
+        reward: reward of agent and IMM, a function of (belief, truth).
     """
 
     reward: Reward = TrackingReward()
@@ -102,7 +102,7 @@ REWARDS: dict[str, Reward | PairedReward] = {
 
 
 def terms_of(reward: Reward, belief: Belief, truth: Vector) -> Terms:
-    """Return the terms of a reward by name; a single number is a term named "reward"."""
+    """Return the terms of a reward by name; a single number becomes a term named "reward"."""
     return _as_terms(reward(belief, truth))
 
 
@@ -122,7 +122,7 @@ def term_names(reward: Reward) -> tuple[str, ...]:
 
 
 def reward_from(reward: str | Reward | PairedReward) -> Reward | PairedReward:
-    """Return a reward, given by name, as a function of (belief, truth) or as a paired reward.
+    """Return the reward that a user passed: a name, a function or a paired reward.
 
     Raises:
         ValueError: the name is unknown, or the function is not hashable, cannot run on SIMD lanes
@@ -153,7 +153,7 @@ def reward_name(reward: Reward) -> str:
 
 
 def _trial() -> tuple[Belief, Vector]:
-    """Return a belief and a truth whose numbers hide their values, as numbers on lanes do."""
+    """Return a belief and a truth for a trial; like SIMD lanes, their numbers hide their values."""
     numbers: list[Any] = [[0.0] * 7, [[0.0] * 7] * 7, [0.0] * 6]
     x, P, truth = taped(numbers, [])
     return Belief(x, P), truth

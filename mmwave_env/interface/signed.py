@@ -19,7 +19,7 @@ from mmwave_env.numerics.numbers import PI, Number, Vector, log, maximum, minimu
 
 _LEAST_M = 0.05  # minimum of the standard deviations, m, by which residuals are divided
 _LEAST_RAD = 1e-3  # minimum of the standard deviations of elevations, rad
-_LEAST_S = 1e-3  # minimum of a step in a logarithm, s
+_LEAST_S = 1e-3  # minimum of a time between epochs in a logarithm, s
 _WAYS = ("along", "across")  # components of a horizontal vector in the frame of motion
 _ROWS = {"range": 0, "azimuth": 1, "elevation": 2, "departure": 3}  # index within a link's rows
 
@@ -34,7 +34,7 @@ class LastEpoch(NamedTuple):
 
 
 def after_update(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
-    """Return all features that use the last epoch alone, for policies that correct beliefs."""
+    """Return all features that use only the last epoch, for policies that correct beliefs."""
     return [*last_epoch(pipeline.layout), *signed(pipeline, per_mode)]
 
 
@@ -125,7 +125,7 @@ def _turned(angle: Number) -> Number:
 
 
 def _deviation(view: View, anchor: int, name: str) -> Number:
-    """Return a row's standard deviation, m; an angle's is converted to a length at the user."""
+    """Return a row's standard deviation, m; angles are converted to lengths at the user."""
     sigma = view.last.epoch.sigma[4 * anchor + _ROWS[name]]
     _, flat, (distance, _, _) = _ray(view, anchor)
     reach = {"range": 1.0, "azimuth": flat, "elevation": distance, "departure": flat}
@@ -154,7 +154,7 @@ def _link(layout: Layout, a: int) -> list[Feature]:
     of = f"anchor {a + 1}"
     table = []
     for name in ("range", "azimuth", "departure"):
-        meaning = f"sign(q) ln(1 + |q|), q: {name} minus the updated estimate, in deviations"
+        meaning = f"sign(q) ln(1 + |q|), q: ({name} - its updated estimate) / deviation"
         table += [
             *(Feature(f"{name} residual {way} {of}", f"{meaning}, times the {way} component of the "
                       "measured direction; 0 if missing", "", -10, 10, partial(residual, name, i),

@@ -15,10 +15,10 @@ os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # pygame would print i
 import pygame
 
 Point = tuple[float, float]
-Rect = pygame.FRect  # a part of a picture, in units from its upper left corner
+Rect = pygame.FRect  # a part of a picture, in units (see Canvas) from its upper left
 UNITS = float(SMALLEST)  # height and width of a picture, in units
 _TIMES = 2  # factor of supersampling, for smooth edges
-_FAR = 2e4  # px of the supersampled picture; larger coordinates are reduced to this
+_FAR = 2e4  # limit of coordinates in the supersampled picture, px
 
 
 class Canvas:
@@ -94,7 +94,7 @@ class Canvas:
         return float(_font(round(size * self._unit)).size(text)[0] / self._unit)
 
     def fitting(self, text: str, width: float, size: float = 15.0) -> str:
-        """Return the text, shortened to a width if it is wider."""
+        """Return the text, with its end replaced by "..." if it is wider than ``width``."""
         if self.width_of(text, size) <= width:
             return text
         cut = (f"{text[:kept]}..." for kept in range(len(text), -1, -1))
@@ -111,7 +111,7 @@ class Canvas:
 
     def _enlarged(self, points: ArrayLike) -> Array:
         """Return points (n, 2) in the coordinates of the large surface."""
-        # np.clip would keep NaN; these functions replace NaN with a limit
+        # np.clip would keep NaN; fmin and fmax replace it with a limit
         enlarged = np.multiply(points, self._scale)
         return np.fmax(np.fmin(enlarged, _FAR), -_FAR)  # type: ignore[no-any-return]
 

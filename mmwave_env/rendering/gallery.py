@@ -10,7 +10,7 @@ from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.rendering.history import Recorder
 
-DRAWN = 16  # more pictures would be too small to read, and would need too much memory
+DRAWN = 16  # maximum number of pictures; more would be too small to read and need much memory
 
 
 class Gallery:
@@ -44,7 +44,7 @@ class Gallery:
         streets: Callable[[int], Streets | None],
         workspace: Callable[[int], Array],
     ) -> None:
-        """Begin new recordings of some environments, with the prior in their workspaces.
+        """Begin new recordings of some environments, whose workspaces contain the prior.
 
         ``names`` (n,) are the names of the episodes. Given the index of an environment, ``streets``
         returns the streets of its episode, and ``workspace`` the array (size,) of all its values.

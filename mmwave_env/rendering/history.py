@@ -10,8 +10,8 @@ import numpy as np
 from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array, Index, Mask
 
-NO_MODE = -1  # in place of a mode's number, for the prior, which no mode computed
-POSITION_NUMBERS = 6  # number of values of the position, the first ones of a packed covariance
+NO_MODE = -1  # replaces the mode's number for the prior, which no mode computed
+POSITION_NUMBERS = 6  # a packed covariance begins with the numbers of the position
 
 
 class Scenery(NamedTuple):
@@ -58,12 +58,12 @@ class History:
 
 
 class Recorder:
-    """Recorder of an environment's epochs, from its workspace (all its values in one array).
+    """A recorder that copies epochs from an environment's workspace, an array of all its values.
 
     Args:
         rows: slices of the workspace that contain ``anchors``, ``truth``, ``estimate``, ``P``
-            (packed), ``accepted`` and ``rejected``, and indices of ``nees`` and the next epoch's
-            ``dt``.
+            (packed), ``accepted`` and ``rejected``; indices of ``nees`` and of ``dt``, the seconds
+            until the next epoch.
         axes: number of position axes that NEES covers.
     """
 
@@ -91,7 +91,7 @@ class Recorder:
         """Return all epochs so far."""
         part = {key: np.array([epoch[key] for epoch in self._epochs]) for key in self._rows}
         time_s = np.cumsum(np.append(0.0, part["dt"][:-1]))
-        part["nees"][0] = np.nan  # instead of the previous episode's NEES
+        part["nees"][0] = np.nan  # the workspace has the previous episode's NEES
         states = part["truth"], part["estimate"], part["P"], part["nees"]
         gates = part["accepted"] > 0.5, part["rejected"] > 0.5
         modes = np.array(self._modes)

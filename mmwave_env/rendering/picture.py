@@ -1,6 +1,6 @@
 """Picture of an episode from above, with the state of the filter; needs pygame.
 
-Strips (diagrams over time) below the map show speed, error and NEES; a ribbon shows the modes.
+Strips (diagrams over time) show speed, error and NEES; a ribbon has the color of the mode that ran.
 """
 
 import math
@@ -180,7 +180,7 @@ class Strip:
     values: tuple[float, float]  # values at the lower and upper edge of the strip
     truth: Array | None = None  # (n,) true values, if known
     band: tuple[float, float, str] | None = None  # expected values: lower and upper edge, label
-    # labelled values of a logarithmic scale; without them the scale is linear
+    # values that label a logarithmic scale; if there are none, the scale is linear
     ticks: tuple[float, ...] = ()
 
     def heights(self, values: Array | float) -> Array:
@@ -248,7 +248,7 @@ def _top(values: Array) -> float:
 def _draw_strip(
     canvas: Canvas, plot: Rect, strip: Strip, x: Array, modes: Index, theme: Theme
 ) -> None:
-    """Draw the frame, ticks, band and lines of a strip, and to the left the key of the lines."""
+    """Draw frame, ticks, band and lines of a strip; the key of the lines is to the left of it."""
 
     def y(values: Array | float) -> Array:
         return plot.bottom - strip.heights(values) * plot.height

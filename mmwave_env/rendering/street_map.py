@@ -21,7 +21,7 @@ _LEAST_M = 25.0  # minimum distance from the center to the upper edge
 _INNER = 0.5  # share of the picture's height and width in which user and estimate stay
 _STREET_M = 14.0  # width of streets in the picture, if blocks leave enough room
 _FACADE_M = 4.0  # depth of a wall in the picture
-_SAME_HEIGHT_M = 0.1  # tolerance; an image in a vertical wall is as high as the base station
+_SAME_HEIGHT_M = 0.1  # tolerance: images in vertical walls are as high as the base station
 _TRAIL = 1500  # maximum number of epochs of a trajectory that are drawn
 
 
@@ -102,7 +102,7 @@ def _draw_streets(canvas: Canvas, view: View, streets: Streets, theme: Theme) ->
     net = np.array([[west - half, south - half], [east + half, north + half]])
     canvas.fill(theme.street, _box(view, net))
     low, high = view.extent_m
-    if streets.block_m * view.scale < 4.0:  # too small to see
+    if streets.block_m * view.scale < 4.0:  # blocks would be too small to see
         return
     columns = _blocks(streets.x_m, streets.block_m, low[0], high[0])
     rows = _blocks(streets.y_m, streets.block_m, low[1], high[1])
@@ -113,7 +113,7 @@ def _draw_streets(canvas: Canvas, view: View, streets: Streets, theme: Theme) ->
 
 
 def _blocks(extent_m: tuple[float, float], block_m: float, low: float, high: float) -> Array:
-    """Return the coordinates (n,), m, at which the blocks visible between two limits begin."""
+    """Return where blocks begin (n,), m, if they are visible between the limits low and high."""
     begins = extent_m[0] + block_m * np.arange(
         round((extent_m[1] - extent_m[0]) / block_m), dtype=float
     )
@@ -213,7 +213,7 @@ def _draw_scale(canvas: Canvas, view: View, theme: Theme) -> Rect:
 
 
 def _draw_anchors(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
-    """Draw scale bar and anchors; an anchor outside is an arrow at the edge, with its distance."""
+    """Draw scale bar and anchors; an arrow and a distance stand for an anchor outside the map."""
     inner = view.frame.inflate(-14.0, -14.0)
     user, here = _point(view, history.truth[-1]), history.truth[-1, :3]
     around = 9.0

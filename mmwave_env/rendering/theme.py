@@ -1,7 +1,7 @@
 """Light and dark colors for videos; figures and reports use the same colors for modes.
 
 The colors of modes are those of Okabe and Ito (2008), which color-blind readers can distinguish.
-Consecutive modes differ clearly. Some colors were made lighter or darker than in that set, to
+Consecutive modes differ clearly. Some colors are lighter or darker than the original ones, to
 contrast with the background.
 """
 
@@ -13,7 +13,7 @@ from mmwave_env.io.lookup import choose, require_extra
 
 Color = tuple[int, ...]  # red, green and blue, 0 to 255
 
-# Name, light color, dark color. "quiet" is for explanations; "none" is an action: trust no mode.
+# Name, light color, dark color. "quiet": explanations; "none": the action that trusts no mode.
 _COLORS = """\
     paper     ffffff 111318
     ink       222226 eeeeeb
@@ -76,7 +76,7 @@ class Theme(NamedTuple):
 
 
 def hex_of(color: Color) -> str:
-    """Return a color as in web pages, such as #0072b2."""
+    """Return a color in the notation of web pages, such as #0072b2."""
     return "#" + bytes(color).hex()
 
 

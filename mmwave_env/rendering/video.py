@@ -37,10 +37,10 @@ def require_video(option: str, path: Path) -> None:
 def write_video(
     path: Path, draw: Draw, numbers: Sequence[int], fps: int, report: Callable[[float], None]
 ) -> None:
-    """Write a video completely or, if that fails, not at all; an existing file is then kept.
+    """Write a complete video; if that fails, write no file and keep an existing one.
 
     ``draw`` returns the picture (height, width, 3) for one of the ``numbers``, and ``report``
-    receives the share that is done. Check the path with :func:`require_video` first.
+    receives the share of pictures that is done. Check the path with :func:`require_video` first.
     """
 
     def pictures() -> Iterator[NDArray[np.uint8]]:
@@ -75,7 +75,7 @@ def _write_mp4(path: Path, pictures: Pictures, first: NDArray[np.uint8], fps: in
 
     size = first.shape[1::-1]
     writer = imageio_ffmpeg.write_frames(str(path), size, fps=fps, quality=8, macro_block_size=2)
-    with closing(writer):  # if a picture fails, ffmpeg must be stopped
+    with closing(writer):  # stops ffmpeg, even if a picture can't be drawn
         writer.send(None)  # starts the generator
         for picture in pictures:
             writer.send(np.ascontiguousarray(picture))

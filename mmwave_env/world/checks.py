@@ -1,4 +1,4 @@
-"""Checks of the arrays of a record (an episode or a track); errors name the record and field."""
+"""Checks of the arrays of a record, which is an episode or a track."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -10,7 +10,7 @@ from mmwave_env.numerics.numbers import Array
 
 
 def refuse(record: str, field: str, value: object, expected: str) -> NoReturn:
-    """Raise a ValueError about a field of a record; ``record`` is, say, "episode 'jam'"."""
+    """Raise a ValueError about a field of a record, such as the ``record`` "episode 'jam'"."""
     raise ValueError(f"{field} of {record}: found {value}, expected {expected}")
 
 
@@ -20,9 +20,9 @@ def refuse_in(file: Path, part: str, value: object, expected: str) -> NoReturn:
 
 
 def require_epochs(record: str, epochs: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Refuse arrays of wrong shapes, and times that do not increase; messages name the record.
+    """Refuse arrays of wrong shapes, and times that do not increase.
 
-    ``epochs`` has an attribute ``time_s``, and an array or None for every name in ``shapes``.
+    ``epochs`` has the attribute ``time_s`` and all attributes named in ``shapes``: arrays or None.
     """
     for field, shape in shapes.items():
         value = getattr(epochs, field)

@@ -1,7 +1,7 @@
-"""Episodes: the data of all epochs, complete before the first step.
+"""Episodes: arrays with the truth, the measurements and the noise of all epochs.
 
-No action of an agent changes truth, measurements or noise, so an episode is data: arrays
-over epochs, drawn from a simulation or taken from a recording.
+No action of an agent changes these data. So they can be complete before the first step, whether
+they come from a simulation or from a recording.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,11 +28,11 @@ NEUTRAL_SNR_DB = 20.0  # replaces an SNR that was not measured; about the mean S
 class Episode:
     """The data of T epochs of one user.
 
-    Missing groups (a link, the Doppler shift or odometry) are marked in ``visible``; where it is
-    False the values are meaningless. Measurements that are NaN or infinite count as missing. In a
-    partial layout, single rows of a group may be missing: these rows are NaN, and the group is
-    visible if at least one row was measured. Values that the filters cannot handle are refused
-    (:mod:`~mmwave_env.models.envelope`).
+    A group is the rows of a link, of the Doppler shift or of odometry. Where ``visible`` is False,
+    the group is missing and its values are meaningless. Values that are NaN or infinite count as
+    missing. In a partial layout, single rows of a group may be missing: these rows are NaN, and the
+    group is visible if at least one row was measured. Values that the filters cannot handle are
+    refused (:mod:`~mmwave_env.models.envelope`).
 
     Attributes:
         name: name of the episode, for results and messages.
@@ -141,16 +141,16 @@ class Episode:
         Arguments that are not listed here are attributes of the episode.
 
         Args:
-            scene, radio: scene whose anchors were measured, and profile of the receiver.
+            scene, radio: scene that contains the anchors, and profile of the receiver.
             prior: ``prior_mean`` and ``prior_covariance``.
-            sigma: (T, rows) standard deviations that the receiver states, NaN where it states none;
-                missing ones are computed from the SNR with the radio profile.
+            sigma: (T, rows) standard deviations that the receiver reports. Those that are NaN (or
+                all, if None) are computed from the SNR with the radio profile.
             position_m, velocity_mps: true positions and velocities (T, 3); None if unknown.
         """
         known = np.isfinite(snr_db)
         stated = radio.sigma(snr_db, scene, layout)
         if layout.partial:
-            snr_db = np.where(known, snr_db, NEUTRAL_SNR_DB)  # used as a feature, not for noise
+            snr_db = np.where(known, snr_db, NEUTRAL_SNR_DB)  # agents observe the SNR
             if doppler_anchor is not None:
                 shifted = np.repeat(snr_db[np.arange(len(snr_db)), doppler_anchor], layout.anchors)
                 of_doppler = radio.sigma(shifted.reshape(snr_db.shape), scene, layout)
@@ -170,7 +170,7 @@ class Episode:
 
     @cached_property
     def usable(self) -> Mask:
-        """Return which groups (T, groups) are visible and finite; links also need a finite SNR.
+        """Return True (T, groups) where a group is visible and finite; links also need an SNR.
 
         In a partial layout, one finite row is enough, and the SNR does not matter.
         """
@@ -187,7 +187,7 @@ class Episode:
 
     @property
     def _used(self) -> Mask:
-        """Return which rows (T, rows) are measured and belong to usable groups."""
+        """Return True (T, rows) where a row is measured and belongs to a usable group."""
         groups = np.repeat(self.usable, self.layout.widths, axis=1)
         return groups & self._finite if self.layout.partial else groups
 
@@ -202,7 +202,7 @@ class Episode:
             raise ValueError(f"{self._record}: found no truth, which reward and metrics need")
 
     def on_flat_ground(self, height_m: float | None = None) -> "Episode":
-        """Return the episode with a height (default: the true one) and vz = 0 in its prior mean."""
+        """Return the episode with this height, or the true one, and vz = 0 in its prior mean."""
         if height_m is None:
             self.require_truth()
             height_m = self.truth_position_m[0, 2]  # type: ignore[index]
@@ -238,14 +238,14 @@ class Episode:
         return table
 
     def site(self) -> Array:
-        """Return anchors, carrier and prior as a row of numbers, as engines load them."""
+        """Return anchors, carrier and prior as one array (numbers,), which engines load."""
         packed = self.prior_covariance[np.tril_indices(self.layout.state_size)]
         site = Site(self.scene_anchors_m.tolist(), self.hz_per_mps, [*self.prior_mean], [*packed])
         return np.array(flatten(site))
 
 
 def sigma_bounds(layout: Layout) -> list[tuple[list[int], Bound]]:
-    """Return the rows of ranges and speed, of angles and of Doppler, each list with its bound."""
+    """Return three lists of rows, each with its bound: ranges and speed, angles, Doppler shift."""
     lengths = np.setdiff1d(np.arange(layout.size), [*layout.angles, layout.doppler]).tolist()
     angles, doppler = envelope.ANGLE_SIGMA_RAD, envelope.DOPPLER_SIGMA_HZ
     of_lengths = lengths, envelope.RANGE_SIGMA_M
@@ -258,7 +258,7 @@ class EpisodeBatch(NamedTuple):
     names: list[str]  # (n,) names of the episodes
     nonfinite: Index  # (n,) number of groups with NaN or infinity, which count as missing
     length: Index  # (n,) number of epochs
-    table: Array  # (n, epochs, columns) from :meth:`Episode.table`; rows past the length are unused
+    table: Array  # (n, epochs, columns) from :meth:`Episode.table`; unused after the last epoch
     site: Array  # (n, numbers) anchors, carrier and prior from :meth:`Episode.site`
     layout: Layout  # layout of all episodes
 
@@ -309,7 +309,7 @@ def level(sites: Array, height_m: Array, layout: Layout) -> Array:
 
 
 class Incoming(NamedTuple):
-    """A row of :meth:`Episode.table`; fields without comments are the same as in :class:`Epoch`."""
+    """An epoch in :meth:`Episode.table`; fields without comments are the same as in ``Epoch``."""
 
     dt: Number
     z: list[Number]
@@ -320,7 +320,7 @@ class Incoming(NamedTuple):
     doppler_of: Vector = ()
 
     def epoch(self, layout: Layout) -> Epoch:
-        """Return the part of the row that the estimator may use."""
+        """Return everything except the truth, which the estimator must not use."""
         sigma = [abs(sigma) for sigma in self.signed_sigma]
         parts = self.dt, self.z, sigma
         if layout.partial:
@@ -342,7 +342,7 @@ def blank_incoming(layout: Layout) -> Incoming:
 
 @lru_cache(maxsize=64)
 def columns_of(layout: Layout) -> Any:
-    """Return the column numbers of :meth:`Episode.table` as an :class:`Incoming`."""
+    """Return an :class:`Incoming` that holds, for each value, its column in the table."""
     return indices(blank_incoming(layout))
 
 
@@ -350,7 +350,7 @@ class EpisodeSource(Protocol):
     """The interface of a source of episodes.
 
     Attributes:
-        layout: rows of every episode's measurements.
+        layout: layout of every episode's measurements.
         epochs: length of every episode.
         name: name of the source, for results.
     """

@@ -17,11 +17,11 @@ from mmwave_env.numerics.numbers import Index
 
 Keys = NDArray[np.uint64]
 
-_STRIDE = np.uint64(0x9E3779B97F4A7C15)  # 2**64 over the golden ratio, rounded to an odd number
+_STRIDE = np.uint64(0x9E3779B97F4A7C15)  # 2**64 / golden ratio, rounded to an odd number
 
 
 def keys_at(streams: NDArray[np.uint64], episodes: NDArray[np.uint64]) -> Keys:
-    """Return the keys (n,) of episodes with numbers (n,), from 0, in streams (n,) or in one."""
+    """Return the keys (n,) of episodes, given their streams (n,) or () and their numbers from 0."""
     # overflow is intended: arrays of integers wrap around
     bits = np.atleast_1d(streams) + (np.atleast_1d(episodes) + np.uint64(1)) * _STRIDE
     bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -46,7 +46,7 @@ def draw_key(rng: np.random.Generator) -> int:
 
 
 def key_from(key: Any) -> int:
-    """Return a key that a user passed, as an int; refuse all but integers of 64 bits."""
+    """Return a user's key as an int; refuse anything but an integer from 0 to 2**64 - 1."""
     try:
         number = operator.index(key)
     except TypeError:
@@ -82,8 +82,8 @@ class Stream:
         self._from: np.random.Generator | None = None
 
     def next(self, rng: np.random.Generator, seed: int) -> int:
-        """Return the key of the next episode, for the environment's current generator and seed."""
-        if rng is not self._from:  # a new seed, or a user's own generator, whose seed is -1
+        """Return the next episode's key, given the environment's current generator and seed."""
+        if rng is not self._from:  # seeded anew; or a user set a generator, whose seed is -1
             self._from = rng
             self._state[:] = draw_key(rng) if seed == -1 else stream_of(seed), 0
         (key,) = keys_at(*self._state)
@@ -141,7 +141,7 @@ class Streams:
         self._generators: list[np.random.Generator | None] = [None] * len(states)
 
     def keys(self, places: Index) -> Keys:
-        """Draw the next episode's key for the environments ``places``, indices without repeats."""
+        """Draw the next key of each environment in ``places``, which are distinct indices."""
         keys = keys_at(*self._states[places].T)
         self._states[places, 1] += np.uint64(1)
         return keys

@@ -1,8 +1,8 @@
 """Motion of users along streets, written so that SIMD lanes can move eight users at once.
 
 A traveler speeds up and brakes within limits of acceleration, braking and jerk, to reach its
-target speed and to slow down for corners and red lights. The equations describe a substep
-without events; :mod:`mmwave_env.world.travel` draws the events between substeps.
+target speed and to slow down for corners and red lights. Each substep takes about 0.1 s. Between
+substeps, :mod:`mmwave_env.world.travel` draws events: new target speeds, crossings and phases.
 """
 
 from typing import NamedTuple
@@ -27,10 +27,10 @@ class Net(NamedTuple):
 
 
 class Traveler(NamedTuple):
-    """The state of a traveler: its position and motion, the way ahead and its plans.
+    """The state of a traveler.
 
-    The way ahead is a straight stretch, then an arc over a crossing (no arc if the way leads
-    straight on). The second crossing is known, too: braking for it may begin before the first one.
+    The way ahead is a straight stretch, then an arc over the next crossing (no arc if the traveler
+    goes straight on). The second crossing is the one after it; travelers may already brake for it.
     """
 
     due: Number  # 1 if an event is due now: a new target speed, crossing or phase
@@ -54,10 +54,10 @@ class Traveler(NamedTuple):
     jerk: Number  # limit of the jerk, m/s^3
     target: Number  # speed to reach, m/s
     gait_left: Number  # time for which the target speed is still kept, s
-    phase: Number  # number of the phase, which ends at ``phase_end`` s
+    phase: Number  # number of the phase (a style of moving); it ends at ``phase_end`` s
     phase_end: Number
     stopping: Number  # 1 while the traveler brakes to a standstill, before the next phase
-    # turn, red: at the next crossing, quarter turns to the left, and seconds of red light
+    # turn, red: at the next crossing, quarter turns to the left and remaining red light, s
     turn: Number
     red: Number
     # turn_after, red_after: the same at the second crossing
@@ -85,7 +85,7 @@ def around(heading: Number) -> Number:
 def state_of(t: Traveler) -> tuple[list[Number], list[Number]]:
     """Return the position (2,), m, and the velocity (2,), m/s, of a traveler."""
     along, bent = minimum(t.traveled, t.stretch), clip(t.traveled - t.stretch, 0.0, t.arc)
-    beyond = maximum(t.traveled - t.stretch - t.arc, 0.0)  # may be > 0 until the next event
+    beyond = maximum(t.traveled - t.stretch - t.arc, 0.0)  # distance past the arc, if any
     east, north = unit(t.heading)
     side = where(t.turn < -0.5, -1.0, 1.0)
     cosine, sine = cos_sin(bent / t.radius)
@@ -101,8 +101,8 @@ def wanted_acceleration(t: Traveler, net: Net) -> Number:
 
     Two things ahead limit the speed. A turn at a crossing limits it to v_c, where v_c^2 is the
     limit of lateral acceleration times the radius; a red light limits it to v_c = 0 one meter
-    before the crossing. Let d be the distance to there, and b the limit of braking. Travelers plan
-    to brake at b / 2 only, so they aim at the speed u for which u^2 = v_c^2 + 2 (b / 2) d. At their
+    before the crossing. Let d be the distance to that point, and b the limit of braking. Travelers
+    plan to brake at b / 2 only, so they aim at a speed u with u^2 = v_c^2 + 2 (b / 2) d. At their
     current speed v, they need to brake at (v^2 - v_c^2) / (2 d'), where d' is d minus the distance
     that they travel while the braking builds up (the jerk is limited). If this exceeds 0.7 b, they
     brake as hard as needed, up to b.

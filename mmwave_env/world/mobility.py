@@ -25,7 +25,7 @@ from mmwave_env.world.kinematics import FAR
 from mmwave_env.world.travel import PhasePlan, TravelPlan, blank_plan
 
 FASTEST_MPS = 100.0  # faster than any user in streets
-ROOM = 3  # every program has room for at least 3 phases of 3 gaits, enough for all shipped users
+ROOM = 3  # minimum room in compiled programs: 3 phases of 3 gaits, enough for all shipped users
 
 Speed = Annotated[float, Bound(f"0 to {FASTEST_MPS:g} m/s", least=0.0, most=FASTEST_MPS)]
 Duration = Annotated[float, Bound("a number >= 0.001", least=1e-3, most=inf)]
@@ -57,7 +57,7 @@ class Gait:
 
 @dataclass(frozen=True)
 class Limits:
-    """The limits of a traveler's motion; limits given as ranges are drawn once per episode.
+    """The limits of a traveler's motion; limits given as ranges are drawn as an episode begins.
 
     Attributes:
         acceleration_mps2: range from which the acceleration limit is drawn.
@@ -88,7 +88,7 @@ class Phase:
 
     Attributes:
         limits: limits of the motion.
-        gaits: target speeds, one of which is chosen at a time.
+        gaits: target speeds; one gait at a time is chosen at random.
         duration_s: range of the duration; by default the phase lasts until the episode ends.
     """
 
@@ -109,7 +109,7 @@ class Mobility:
         name: name of the kind of user, which is also the name of its episodes.
         phases: phases in order of time. All but the last need a ``duration_s``; the last must not
             have one, unless ``ends_as_it_began``.
-        blocks: factor by which this user's crossings are closer together than the scene's.
+        blocks: the distance between this user's crossings is the scene's divided by this number.
         ends_as_it_began: whether the first phase is repeated at the end of the episode.
     """
 
@@ -151,7 +151,7 @@ MOBILITIES: dict[str, Mobility] = {
     "cyclist": Mobility("cyclist", (Phase(_CYCLING, _CYCLE),)),
 }
 MIXED = "mixed"
-# The kinds of users in "mixed". That is the default scenario: additions would change results.
+# The kinds of users in "mixed", the default scenario; more kinds would change its results.
 _IN_EQUAL_SHARES = ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")
 SCENARIOS = {  # names and meanings
     "pedestrian": "walks, stands, turns at crossings",
@@ -164,7 +164,7 @@ SCENARIOS = {  # names and meanings
 
 
 def mobilities_of(scenario: str | os.PathLike[str]) -> tuple[Mobility, ...]:
-    """Return the mobilities from which a scenario draws users, in equal shares.
+    """Return the kinds of users that a scenario draws with equal probabilities.
 
     Raises:
         ValueError: the scenario is unknown, and the message lists the known ones; or
@@ -191,9 +191,9 @@ def read_mobility(path: str | os.PathLike[str]) -> Mobility:
 
 
 def plans_of(mobilities: Sequence[Mobility], block_m: float) -> list[TravelPlan]:
-    """Return the travel plans of kinds of users, for streets at least ``block_m`` apart.
+    """Return one travel plan per kind of user, for streets at least ``block_m`` apart.
 
-    All plans have the same number of phases and gaits; unused ones have no effect.
+    All plans have the same numbers of phases and gaits; those that a user lacks have no effect.
 
     Raises:
         ValueError: corners do not fit between two crossings.
@@ -219,7 +219,7 @@ def plans_of(mobilities: Sequence[Mobility], block_m: float) -> list[TravelPlan]
 
 
 def _phase_plan(phase: Phase, gaits: int) -> PhasePlan:
-    """Return the plan of a phase, with room for ``gaits`` gaits."""
+    """Return the plan of a phase, filled up to ``gaits`` gaits."""
     wanted = [travel.Gait(*(min(value, FAR) for value in astuple(gait))) for gait in phase.gaits]
     wanted += [travel.Gait(0.0, 0.0, 1.0, 0.0)] * (gaits - len(wanted))
     length = [min(end, FAR) for end in phase.duration_s]  # FAR is longer than any episode

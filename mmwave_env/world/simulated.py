@@ -1,7 +1,7 @@
 """Simulated episodes of a user in the streets, observed through a radio channel.
 
-An episode is a function of its key, an integer of 64 bits: the key determines the beginning, from
-which the simulation runs epoch by epoch, eight episodes at a time.
+An episode is a function of its key, an integer of 64 bits. The key determines the beginning; the
+simulation continues from there, epoch by epoch. Eight SIMD lanes simulate eight episodes at once.
 """
 
 import math
@@ -43,7 +43,7 @@ from mmwave_env.world.trajectory import PlacedWays, Scenario, Users, users_of
 from mmwave_env.world.travel import TravelPlan, stride_of
 
 RARE = 4.0  # number of standard deviations that only rare events exceed
-MOST_EPOCHS = 1_000_000  # limit for an episode, since times and actions of all epochs are stored
+MOST_EPOCHS = 1_000_000  # maximum per episode, as times and actions of all epochs are stored
 
 
 class Begun(NamedTuple):
@@ -51,7 +51,7 @@ class Begun(NamedTuple):
 
     Attributes:
         kinds: (n,) index of the kind of user, or of the given way.
-        worlds: (n, numbers) state of receiver and user before the first epoch; if a way is given,
+        worlds: (n, numbers) state of receiver and user before the first epoch; if ways are given,
             only the state of the receiver.
         truth: (n, epochs, 6) true positions and velocities on given ways; else (n, epochs, 0).
         first: (n, 7) true states at the first epoch; (n, 8) with a clock.
@@ -106,7 +106,7 @@ class SimulatedSource:
             object.__setattr__(self, "epochs", self.ways.epochs)
 
     def _require_envelope(self) -> None:
-        """Refuse a radio and scene if their values are outside the range that filters accept."""
+        """Refuse a radio and a scene whose episodes could contain values that filters refuse."""
         scene, radio, anchors = self._example, self.radio, self.layout.anchors
         snr_db = np.repeat(np.array(SNR_LIMITS_DB)[:, None], anchors, axis=1)
         rarely = math.exp(RARE * radio.spread_sigma)
@@ -126,7 +126,7 @@ class SimulatedSource:
 
     @cached_property
     def layout(self) -> Layout:
-        """Return the rows of every episode's measurements."""
+        """Return the layout of every episode's measurements."""
         partial = self.measurements is not None
         return Layout(len(self._example.anchors_m), self.odometry, partial, self.clock)
 
@@ -136,7 +136,7 @@ class SimulatedSource:
 
     @cached_property
     def _example(self) -> Scene:
-        """Return the scene; for a random scene, an example with its carrier and anchor count."""
+        """Return the scene, or an example of the random scene with its carrier and anchor count."""
         return self.scene.example if isinstance(self.scene, RandomScene) else self.scene
 
     @property
@@ -151,7 +151,7 @@ class SimulatedSource:
 
     @property
     def name(self) -> str:
-        """Return the scenario's name, with the scene's name unless that is the default "street"."""
+        """Return the scenario's name, followed by the scene's name unless that is "street"."""
         users, scene = self._users, self.scene.name
         if not isinstance(users, tuple):
             name = users.name
@@ -164,12 +164,12 @@ class SimulatedSource:
         return self.episode(draw_key(rng))
 
     def episode(self, key: int) -> Episode:
-        """Return the episode of a key."""
+        """Return the episode that a key determines."""
         (episode,) = self.episodes(np.array([key], np.uint64))
         return episode
 
     def episodes(self, keys: Keys) -> list[Episode]:
-        """Return the episodes of keys (n,)."""
+        """Return the episodes that the keys (n,) determine."""
         batch, index, scene = self.sample_batch(keys), self._site[1], self._example
         starts, partial = [group.start for group in self.layout.groups], self.layout.partial
         episodes = []
@@ -188,7 +188,7 @@ class SimulatedSource:
         return episodes
 
     def scene_of(self, key: int) -> Scene:
-        """Return the scene of the episode of a key."""
+        """Return the scene of the episode that a key determines."""
         if not isinstance(self.scene, RandomScene):
             return self.scene
         word = float(np.array(key, np.uint64).view(np.float64))
@@ -216,8 +216,8 @@ class SimulatedSource:
         )
 
     def feed(self, worlds: Array) -> Feed:
-        """Return a feed (code that computes each epoch) for n episodes, given ``Begun.worlds``."""
-        _, _, receiver, user = self.world.template  # numbers for unused SIMD lanes
+        """Return the feed, which computes each epoch of n episodes, given :attr:`Begun.worlds`."""
+        _, _, receiver, user = self.world.template  # numbers that fill unused SIMD lanes
         kept = blocks_of(np.array(flatten([receiver, user]), float), len(worlds))
         fill(kept, np.arange(kept.shape[1]), worlds)
         timed = columns_of(self.layout).dt
@@ -301,14 +301,14 @@ class SimulatedSource:
 
     @property
     def _room(self) -> tuple[int, int]:
-        """Return the numbers of phases and of gaits (target speeds) per phase in each plan."""
+        """Return the number of phases in a plan, and of gaits (target speeds) in a phase."""
         phases = [plan.phases for plan in self._plans]
         return (len(phases[0]), len(phases[0][0].phase.gaits)) if phases else (1, 1)
 
     @property
     def _beginning(self) -> Program[Beginning]:
         streets = None
-        if isinstance(self.scene, RandomScene):  # all carriers share one program
+        if isinstance(self.scene, RandomScene):  # the carrier is no part of the program
             same = RandomScene()
             streets = replace(
                 self.scene, carrier_hz=same.carrier_hz, bandwidth_hz=same.bandwidth_hz
@@ -317,7 +317,7 @@ class SimulatedSource:
 
     @cached_property
     def _before(self) -> Array:
-        """Return the input (size,) of the program that begins episodes, without their keys."""
+        """Return the input (size,) of the program that begins episodes, with 0 as the key."""
         scene, radio, template = self._example, self.radio, self._beginning.template
         filled = template._replace(
             plans=self._plans,

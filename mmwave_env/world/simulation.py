@@ -46,24 +46,24 @@ class WorldSettings(NamedTuple):
     drift_hz: Number  # standard deviation of the oscillator's change from epoch to epoch
     step_s: Number  # length of a substep
     stride: Number  # number of substeps in an epoch
-    offered: Vector = ()  # (rows,) 1 if the receiver measures the row; empty if it measures all
-    # [0] half the time between epochs divided by ``hz_per_mps``: this factor converts the sum of
-    # two oscillator biases (Hz) to a drift (m); [1] standard deviation (m) of the noise that the
-    # clock itself adds between epochs; empty if the user's clock is synchronized
+    offered: Vector = ()  # (rows,) 1 where the receiver measures the row; empty if it measures all
+    # empty if the user's clock is synchronized; else [0]: the factor that converts the sum of two
+    # successive oscillator biases (Hz) to the drift (m) between these epochs; [1]: the standard
+    # deviation (m) of the noise that the clock itself adds between epochs
     clock: Vector = ()
 
 
 class Clock(NamedTuple):
     """The state of the user's clock between two epochs."""
 
-    dice: list[Number]  # (4,) state of its own random generator
+    dice: list[Number]  # (4,) state of the clock's own random generator
     bias_m: Number  # range bias in the coming epoch: the speed of light times the clock's offset
 
 
 class ReceiverState(NamedTuple):
     """The state of links and receiver between two epochs."""
 
-    dice: list[Number]  # (4,) state of the random generator
+    dice: list[Number]  # (4,) state of the receiver's random generator
     anchors: list[list[Number]]  # (L, 3) positions, m
     is_first: Number  # 1 before the first epoch
     channel: ChannelState  # state of the links
@@ -83,7 +83,7 @@ class UserState(NamedTuple):
 class WorldState(NamedTuple):
     """The state of a simulated episode between two epochs."""
 
-    measured: Incoming  # the epoch just measured; its dt is filled in by the caller
+    measured: Incoming  # the epoch just measured; the caller fills in its ``dt``
     settings: WorldSettings
     receiver: ReceiverState
     user: UserState
@@ -138,7 +138,7 @@ def measure(
 def _run_on(receiver: ReceiverState, bias_hz: Number, clock: Vector) -> Clock | tuple[()]:
     """Return the clock one epoch later; () if the clock is synchronized.
 
-    The clock drifts by noise and by the mean of the oscillator's bias in this epoch and the next.
+    The range bias changes by noise, and by the drift that the oscillator's mean bias causes.
     """
     if not isinstance(receiver.clock, Clock):
         return ()
@@ -205,7 +205,7 @@ class World:
         self.template = blank_world(layout, phases, gaits)
         self.index: WorldState = indices(self.template)  # the row of each float in the workspace
         sizes = [len(flatten(part)) for part in self.template]
-        # the rows at which the measured epoch, the settings, and receiver and user end
+        # the rows at which three parts end: the measured epoch; the settings; receiver and user
         self.ends = (sizes[0], sizes[0] + sizes[1], sum(sizes))
 
     def on_lanes(self) -> int:
@@ -215,12 +215,12 @@ class World:
 
     @property
     def parts(self) -> tuple[Callable[[WorldState], WorldState], ...]:
-        """Return the three parts of an epoch: measurement, events and motion during a substep."""
+        """Return the functions for measurement, events and motion; the last two run per substep."""
         return partial(_observe, layout=self._layout), _attend, _move
 
     @cached_property
     def _compiled(self) -> Any:
-        """Return the compiled parts of an epoch; events run only if one is due in some lane."""
+        """Return the compiled :attr:`parts` as one function; it skips events if none is due."""
         parts, ends = self.parts, self.ends
         look, happen, substep = (tree_kernel(part, self.template, ends) for part in parts)
         row = 8 * WIDTH  # bytes
@@ -283,8 +283,8 @@ def as_measured(layout: Layout) -> Program[AsMeasured]:
     return Program(lambda w: w, AsMeasured(blank_incoming(layout)))
 
 
-# Each key seeds three streams of random numbers. So a user's way does not depend on the receiver
-# or the rate of epochs, and neither the way nor the receiver's noise depends on the user's clock.
+# Each key seeds three streams of random numbers. So another receiver does not change a user's way,
+# and an offset of the clock changes neither the way nor the receiver's noise.
 USER, RECEIVER, CLOCK = 0, 1, 2
 
 
@@ -294,8 +294,8 @@ class FirstDraws(NamedTuple):
     receiver: ReceiverState
     user: UserState  # not used if a way is given
     choice: Number  # index of the kind of user; for given ways, uniform in [0, 1), to select one
-    # (7,) true state at the first epoch, and the clock's bias (m) if there is one; if ways are
-    # given, position and velocity are meaningless
+    # (7,) true state at the first epoch, followed by the clock's bias (m) if there is a clock; if
+    # ways are given, the position and velocity in it are meaningless
     first: list[Number]
     # (7,) error of the prior's mean; with a clock, the negative of the clock's bias is appended
     prior_noise: list[Number]
@@ -316,8 +316,8 @@ class Beginning(NamedTuple):
 def begin(w: Beginning, streets: RandomScene | None) -> Beginning:
     """Draw the beginning of an episode.
 
-    If the order of the draws changed, every key would give another episode. ``streets`` is the
-    random scene from which the episode draws its own scene; None if the scene is fixed.
+    Keep the order of the draws: otherwise every key would give another episode. ``streets`` is the
+    random scene from which the episode draws its own scene, or None if the scene is fixed.
     """
     dice, others = Dice(seeded(w.key[0], USER)), Dice(seeded(w.key[0], RECEIVER))
     scene = streets.draw_numbers(dice) if streets else w.scene

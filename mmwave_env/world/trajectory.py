@@ -17,8 +17,8 @@ from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.world.mobility import FASTEST_MPS, Mobility, mobilities_of
 
-REACH_M = (1.0, 5000.0)  # distances for which the path loss is valid (3GPP TR 38.901, UMi)
-STANDING_M, STANDING_S = 0.1, 60.0  # warn of users who move less (m) in more time (s)
+REACH_M = (1.0, 5000.0)  # an anchor's reach, where the path loss is valid (3GPP TR 38.901, UMi)
+STANDING_M, STANDING_S = 0.1, 60.0  # staying within 0.1 m for 60 s is suspect
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,8 +29,9 @@ class Trajectory:
         name: name of the trajectory, for results and messages.
         time_s: (N,) increasing times; at least two, without gaps of more than 15 s.
         position_m: (N, 3) positions in the frame of the scene.
-        velocity_mps: (N, 3) velocities; if None, they are computed from the positions, as slopes
-            of the parabola through each row and its neighbors.
+        velocity_mps: (N, 3) velocities. If None, the velocity of a row is the slope of the parabola
+            through its position and the positions before and after it; in the first and last row,
+            the slope of the line to the only neighbor.
         lines: (N,) line numbers of the rows in their file, for messages; None without a file.
 
     Raises:
@@ -64,7 +65,7 @@ class Trajectory:
         object.__setattr__(self, "velocity_mps", np.gradient(p, t, axis=0) if v is None else v)
 
     def _require_motion(self, t: Array, p: Array, v: Array | None) -> None:
-        """Refuse motion that is impossible for a user in streets; warn of a user who stands."""
+        """Refuse motion that no user in streets can make; warn of a user who hardly moves."""
         step = np.diff(t, prepend=t[0] - 1.0)
         moved = np.diff(p, axis=0, prepend=p[:1])
         self._require(step > 0.0, t, "t", "more than in the row before")
@@ -91,7 +92,7 @@ class Trajectory:
             )
 
     def _require(self, holds: Mask, values: Array, part: str, expected: str) -> None:
-        """Refuse values (N, ...) with a row for which ``holds`` is false; name the first one."""
+        """Refuse values (N, ...) unless ``holds`` is True in all rows; name the first wrong row."""
         rows = holds.reshape(len(holds), -1).all(axis=1)
         if not rows.all():
             self._refuse(int(np.argmin(rows)), part, values[np.argmin(rows)], expected)
@@ -117,7 +118,7 @@ class Trajectory:
         """Return positions and velocities (E, 6) from :meth:`resampled`, if they fit a scene.
 
         Raises:
-            ValueError: the way is shorter than ``dt``, behind a wall, or out of an anchor's reach.
+            ValueError: the way is shorter than ``dt``, behind a wall, or outside an anchor's reach.
         """
         way = self.resampled(dt)
         if len(way) < 2:

@@ -1,11 +1,11 @@
 """The true motion of users through the streets.
 
-A traveler walks or drives along a net of streets, turns at crossings on circular arcs,
-waits at red lights, and follows gaits (target speeds that change now and then) within
-limits of acceleration, braking, lateral acceleration and jerk, in substeps of about 0.1 s.
+A traveler walks or drives along a net of streets, turns at crossings on circular arcs and waits at
+red lights. It follows a gait (a target speed that is kept for a while), within limits of
+acceleration, braking, lateral acceleration and jerk. Time passes in substeps of about 0.1 s.
 
-This module draws the events of a traveler (a new gait, crossing or phase);
-:mod:`mmwave_env.world.kinematics` moves the traveler. Each SIMD lane holds one traveler.
+This module draws events: a new gait, the next crossing, or the next phase (a part of an episode
+with one style of moving). Between events, :mod:`mmwave_env.world.kinematics` moves the traveler.
 """
 
 import math
@@ -17,8 +17,8 @@ from mmwave_env.numerics.pytree import select, tree_at
 from mmwave_env.numerics.random import Dice
 from mmwave_env.world.kinematics import FAR, STANDING_MPS, Net, Traveler, around, unit
 
-FINEST_STEP_S = 0.1
-STOPPING_S = 5.0  # time for a ride to stop before its passenger walks on
+FINEST_STEP_S = 0.1  # approximate length of a substep
+STOPPING_S = 5.0  # time that a ride needs to stop before its passenger walks on
 
 
 class Gait(NamedTuple):
@@ -34,7 +34,7 @@ class Gait(NamedTuple):
 class Phase(NamedTuple):
     """A part of an episode with one style of moving; it begins when the previous phase ends.
 
-    Its limits of acceleration, braking and lateral acceleration are drawn once per episode.
+    Its limits of acceleration, braking and lateral acceleration are drawn as the episode begins.
     """
 
     acceleration: Number
@@ -64,7 +64,7 @@ class PhasePlan(NamedTuple):
 class TravelPlan(NamedTuple):
     """A kind of user, described by numbers only."""
 
-    closer: Number  # factor by which this user's crossings are closer together than the scene's
+    closer: Number  # the scene's distance between crossings, divided by this user's
     phases: list[PhasePlan]
 
 
@@ -90,7 +90,7 @@ def _draw_gait(dice: Dice, gaits: Sequence[Gait]) -> tuple[Number, Number]:
 
 
 def _leads_on(x: Number, y: Number, heading: Number, net: Net) -> Number:
-    """Return 1 if a street leads from a crossing in this direction, else 0."""
+    """Return 1 if a street leads from the crossing (x, y) in this direction, else 0."""
     east, north = unit(heading)
     x, y = x + east, y + north
     inside = (x > -0.5) & (y > -0.5) & (x < net.blocks_x + 0.5) & (y < net.blocks_y + 0.5)
@@ -182,7 +182,7 @@ def _change_over(t: Traveler, following: Phase) -> Traveler:
 
 
 def attend(dice: Dice, t: Traveler, phases: Sequence[Phase], net: Net) -> Traveler:
-    """Return the traveler after all events that are due before a substep."""
+    """Return the traveler after the events that are due now, before a substep."""
     t = _change_over(t, tree_at(t.phase + 1.0, phases))
     phase = tree_at(t.phase, phases)
     target, lasts = _draw_gait(dice, phase.gaits)
@@ -212,7 +212,7 @@ def draw_phases(dice: Dice, plans: Sequence[PhasePlan], total_s: Number) -> list
 
 
 def set_off(dice: Dice, phases: Sequence[Phase], net: Net) -> Traveler:
-    """Draw a traveler at a crossing, heading along a street."""
+    """Draw the traveler that starts an episode: at a crossing, heading along a street."""
     x = floor((net.blocks_x + 1.0) * dice.uniform())
     y = floor((net.blocks_y + 1.0) * dice.uniform())
     heading = floor(4.0 * dice.uniform())
