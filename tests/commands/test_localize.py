@@ -24,14 +24,7 @@ from tests.paths import json_in
 
 
 @pytest.mark.parametrize(
-    ("folder", "speed", "mode"),
-    [
-        (WALK, "1.4", "ekf"),
-        (WALK, "2e1", "ukf"),
-        (RIDE, "0", "ekf"),
-        (RIDE, "2", "ekf"),
-        (RIDE, "2.01", "ukf"),
-    ],
+    ("folder", "speed", "mode"), [(WALK, "0", "ekf"), (RIDE, "2", "ekf"), (RIDE, "2.01", "ukf")]
 )
 def test_a_speed_chooses_the_mode(folder, speed, mode):
     results = figures(folder, "--speed", speed, "--radio", "standard")
@@ -51,14 +44,7 @@ def test_with_outside_abort_a_speed_above_the_design_window_is_refused(tmp_path)
     assert figures(WALK, "--speed", "20", "--outside", "abort")["modes"] == {"ukf": 400}
 
 
-def test_speed_auto_chooses_the_mode_in_every_epoch(tmp_path):
-    results = figures(RIDE, "--speed", "auto", "--out", tmp_path / "track.tum")
-    assert results["modes"] == {"ekf": 1, "ukf": 119} and results["switches"] == 1
-    with (tmp_path / "track.csv").open(newline="") as file:
-        assert [row["mode"] for row in csv.DictReader(file)] == ["ekf"] + 119 * ["ukf"]
-
-
-@pytest.mark.parametrize("word", ["fast", "-1", "nan", "inf", "", "1,4", "1_0", "AUTO"])
+@pytest.mark.parametrize("word", ["fast", "-1", "nan", "", "1_0"])
 def test_an_invalid_speed_is_refused(word):
     _, line = refused(options(WALK / "log.csv", "--speed", word))
     assert f"speed: found {word!r}, expected a number of m/s, at least 0" in line
@@ -189,6 +175,7 @@ RISK = ("--risk", "0.2", "--levels", "gaussian")
 def test_the_truth_is_used_only_for_scores(tmp_path):
     with_truth, without = tmp_path / "a.tum", tmp_path / "b.tum"
     scored = figures(RIDE, "--speed", "auto", "--out", with_truth, *RISK)
+    assert scored["modes"] == {"ekf": 1, "ukf": 119} and scored["switches"] == 1
     assert scored["truth"]["risk"] == 0.2
     results = figures(RIDE, "--speed", "auto", "--out", without, truth=False)
     assert with_truth.read_bytes() == without.read_bytes() and "truth" not in results
@@ -267,12 +254,11 @@ def test_modes_can_be_read_from_a_file(tmp_path):
     assert "modes: found 'ekf-robust', expected a mode file (.json)" in line
 
 
-@pytest.mark.parametrize("folder", [WALK, RIDE], ids=["walk", "ride"])
 @pytest.mark.slow
-def test_smoothing_reduces_the_error_of_an_imm(folder):
-    results = figures(folder, "--imm", "imm-best", "--radio", "standard")
+def test_smoothing_reduces_the_error_of_an_imm():
+    results = figures(RIDE, "--imm", "imm-best", "--radio", "standard")
     assert list(results["modes"]) == [mode.name for mode in best_bank("standard").modes]
-    assert sum(results["modes"].values()) == EPOCHS[folder]
+    assert sum(results["modes"].values()) == EPOCHS[RIDE]
     filtered, smoothed = (results["truth"]["tracks"][t] for t in ("filtered", "smoothed"))
     for metric in ("ate_m", "rmse_m", "rpe_m"):
         assert smoothed[metric] < filtered[metric]
@@ -315,12 +301,12 @@ CONTRADICTIONS = {
     "an imm and a speed": (["--imm", "imm", "--speed", "1"], "speed: cannot be combined"),
     "an imm and modes": (["--imm", "imm", "--modes", "m.json"], "modes: cannot be combined"),
     "a diagnosis with --out": (["--diagnose", "--out", "t.tum"], "diagnose: cannot be combined"),
+    "two aims": (["--diagnose", "--associate"], "diagnose: cannot be combined with --associate"),
     "imm": (["--imm", "imm-bets"], "imm: found 'imm-bets', did you mean imm-best"),
     "bank": (["--imm", "missing.json"], "missing.json"),
     "window": (["--speed", "1", "--window", "1"], "window: found 1, expected 2 to 20000 epochs"),
     "height": (["--speed", "1", "--height", "nan"], "height: found nan"),
     "plot": (["--speed", "1", "--plot", "track.gif"], "plot: found track.gif, expected.*png"),
-    "table": (["--speed", "1", "--out", "track.xls"], "out: found track.xls, expected a name"),
     "twice": (["--speed", "1", "--out", "a.tum", "--plot", "a.tum"], "plot: found a.tum"),
 }
 

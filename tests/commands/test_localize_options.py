@@ -8,7 +8,7 @@ import pytest
 
 from mmwave_env.datasets.samples import source_from
 from mmwave_env.logs.tum import read_tum
-from tests.cli import assert_one_clear_line, command, with_json
+from tests.cli import command, with_json
 from tests.commands.localizing import RIDE, WALK, figures, lines_of, options
 from tests.localization.mistakes import MISTAKES, read_columns, write_columns
 from tests.logs.by_hand import hide_anchors
@@ -124,17 +124,6 @@ def test_the_command_reports_how_many_paths_were_associated(hidden):
     assert "paths" not in with_labels and "association" not in labelled
     ates = [f["truth"]["tracks"]["filtered"]["ate_m"] for f in (figures, labelled)]
     assert ates[0] < 1.1 * ates[1]
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ((), "columns: found no anchor in time_s"),
-        (("--associate", "--diagnose"), "diagnose: cannot be combined with --associate"),
-    ],
-)
-def test_association_is_refused_where_it_does_not_fit_the_log(hidden, words, message):
-    assert_one_clear_line(command(*associating(hidden, *words)), message)
 
 
 # --- logs that contradict their scene

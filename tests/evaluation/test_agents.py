@@ -147,8 +147,6 @@ def test_compare_accepts_objects_modules_files_and_loaded_policies(tmp_path):
     first = mine.observed[0]
     assert all(o.shape == first.shape and o.dtype == np.float32 for o in mine.observed)
     assert len(mine.observed) == 201 and len(first) == 3  # 200 steps and a trial call
-    for nothing in comparison.paired["object - fixed-ukf"].values():
-        assert (nothing.mean, nothing.low, nothing.high) == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.slow
@@ -172,3 +170,35 @@ def test_evaluate_accepts_a_name_or_a_function():
 
     mine = evaluate(second, episodes=2, seed=3)
     assert mine.policies == {"second": alone.policies["fixed-ukf"]}
+
+
+@pytest.mark.parametrize(
+    "act",
+    [lambda o: np.ones((len(o), 1), int), lambda o: (np.ones(len(o), int), None), np.ones(3)],
+)
+def test_invalid_actions_are_refused(act):
+    with pytest.raises(ValueError, match="mine.*model.predict"):
+        compare({"mine": act}, beside=(), episodes=2)
+
+
+MINE = {"mine": np.zeros_like}
+WRONG = {  # arguments of compare, by the one that its error names
+    "policy": {"agents": {}, "beside": ("oracle",)},
+    "policies": {"agents": {"imm": np.zeros_like}, "beside": ("imm",)},
+    "policies: found": {"agents": len},
+    "scenario": {"agents": {}, "scenario": "train"},
+    "modes": {"agents": MINE, "modes": HANDSET},
+    "episodes": {"agents": {}, "episodes": "ride"},
+    "reward": {"agents": MINE, "reward": "paired"},
+}
+
+
+@pytest.mark.parametrize("argument", WRONG)
+def test_wrong_arguments_of_compare_are_refused(argument):
+    with refuses(argument.split(":")[0]):
+        compare(**WRONG[argument])
+
+
+def test_an_unknown_option_of_compare_is_refused_with_all_known_ones():
+    with pytest.raises(TypeError, match="'odometer', expected one of .*odometry"):
+        compare({}, odometer=True)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.evaluation.comparison import compare_scores, references
+from experiments.evaluation.comparison import compare_scores
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.positions import HEADER, percent, positions_markdown
 from experiments.evaluation.seeds import Selection
@@ -23,14 +23,6 @@ def scores(**rewards):
 
 
 WHAT = {"scenario": "mixed", "radio": "handset", "selection": Selection(range(3))}
-
-
-def test_references_are_the_best_fixed_mode_the_paper_s_rule_and_the_imms():
-    table = scores(
-        imm_best=[0, 0], fixed_ekf=[-3, -3], fixed_ukf=[-1, -2], speed_rule=[-2, -2], imm=[-1, -1]
-    )
-    assert references(table) == ["fixed-ukf", "speed-rule", "imm", "imm-best"]
-    assert references(scores(ppo=[0.0], speed_rule_tuned=[1.0])) == []
 
 
 def test_every_contender_is_compared_with_every_reference():

@@ -22,11 +22,8 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, scene_from
 
 
-def test_unseen_sites_are_not_among_the_shipped_scenes_and_radios():
+def test_unseen_streets_are_not_shipped_and_differ_in_carrier_and_geometry():
     assert not set(UNSEEN) & {*SCENES, *RADIOS}
-
-
-def test_unseen_streets_differ_in_carrier_and_geometry():
     scenes = [scene_from(unseen_file(name)) for name in UNSEEN[:-1]]
     for scene in scenes:
         scene.require_streets_in_front()

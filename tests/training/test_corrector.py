@@ -11,7 +11,7 @@ import torch
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.protocol import judge, sites
 from experiments.training.corrector import CorrectorTraining, loss_of, mixed
-from experiments.training.corrector_data import EPOCHS, WEAVING_BEHIND_M, CorrectorData, weaving
+from experiments.training.corrector_data import WEAVING_BEHIND_M, CorrectorData, weaving
 from experiments.training.hyperparameters import CorrectorHyperparameters
 from experiments.training.job import Job
 from mmwave_env.metrics import BURN_IN
@@ -39,15 +39,6 @@ def job_of(folder, hyper=HYPER, **changes):
 @pytest.fixture(scope="module")
 def lots():
     return list(CorrectorData(task(), HYPER, SEED).lots())
-
-
-@pytest.mark.slow
-def test_half_of_the_lots_of_episodes_are_random_and_all_can_be_repeated(lots):
-    assert len(lots) == 2 * len(task().places)
-    assert all(len(lot.features) in (EPOCHS, HYPER.long_epochs) for lot in lots)
-    assert all(np.isfinite(part).all() for lot in lots for part in lot)
-    again = list(CorrectorData(task(), HYPER, SEED).lots())
-    np.testing.assert_array_equal(lots[-1].features, again[-1].features)
 
 
 @pytest.mark.slow

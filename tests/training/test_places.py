@@ -14,7 +14,6 @@ from experiments.training.training_task import (
     banks_of,
     place_from,
     places_from,
-    shares,
 )
 from mmwave_env.filters.bank import Bank, bank_as_written, best_bank, default_modes
 from mmwave_env.interface.reward import TrackingReward
@@ -109,13 +108,6 @@ def test_scenes_and_radios_that_the_benchmark_keeps_unseen_are_refused():
                 place_from(word)
 
 
-@pytest.mark.parametrize(("count", "places"), [(256, 9), (9, 9), (500, 3), (7, 1)])
-def test_shares_are_as_even_as_possible(count, places):
-    parts = shares(count, places)
-    assert sum(parts) == count and len(parts) == places
-    assert max(parts) - min(parts) <= 1
-
-
 # --- training at several places
 
 PLACES = places_from(["street:handset", "o1:standard", "street:standard:0.5"])
@@ -147,18 +139,12 @@ def test_a_custom_bank_is_used_at_all_places(tmp_path):
     assert banks_of((str(path),), PLACES, "per-mode") == {"handset": own, "standard": own}
 
 
-def test_places_with_different_features_are_refused(tmp_path):
-    path = tmp_path / "square.json"
-    path.write_text(json.dumps({"base_station_m": [10.0, 10.0, 8.0]}))  # no walls
-    places = (PLACES[0], Place(str(path), "handset"))
+def test_places_with_different_features_or_names_of_modes_are_refused(files):
+    square, _ = files  # without walls, a scene has fewer anchors than the street
     with refuses("places"):
-        task(places)
-
-
-def test_places_with_different_names_of_modes_are_refused():
-    banks = {"handset": Bank(MODES), "standard": Bank(MODES[::-1])}
+        task((PLACES[0], Place(str(square), "handset")))
     with refuses("places"):
-        task(banks=banks)
+        task(banks={"handset": Bank(MODES), "standard": Bank(MODES[::-1])})
 
 
 def test_beliefs_per_mode_with_a_single_mode_are_refused():

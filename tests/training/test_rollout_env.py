@@ -118,17 +118,18 @@ def test_states_near_the_end_of_an_episode_are_left_out():
     assert len(env.try_all(chaotic(4)).values) == 16
 
 
-@pytest.mark.parametrize("n", [8, 12, 0])
-def test_a_number_of_environments_that_does_not_suit_the_places_is_refused(n):
-    with refuses("num_envs"):
-        environment(n=n)
+UKFS = Bank(tuple(replace(mode, algorithm="ukf") for mode in MODES))
+WRONG = {  # arguments, by the one that the error names
+    "num_envs": {"n": 12},  # at two places, a multiple of 16
+    "bank of standard": {"of": task(banks={"handset": Bank(MODES), "standard": UKFS})},
+    "places": {"of": task(places=(PLACES[0], Place("street", "standard", clock="offset")))},
+}
 
 
-def test_banks_with_different_algorithms_are_refused():
-    ukfs = tuple(replace(mode, algorithm="ukf") for mode in MODES)
-    banks = {"handset": Bank(MODES), "standard": Bank(ukfs)}
-    with refuses("bank of standard"):
-        environment(task(banks=banks))
+@pytest.mark.parametrize("argument", WRONG)
+def test_arguments_for_which_one_engine_cannot_run_all_places_are_refused(argument):
+    with refuses(argument):
+        environment(**WRONG[argument])
 
 
 def test_the_normalization_is_measured_on_observations_of_the_environment():
@@ -141,12 +142,6 @@ def test_the_normalization_is_measured_on_observations_of_the_environment():
         observed.append(again.observations)
     np.testing.assert_allclose(normal.mean, np.mean(observed, axis=(0, 1)), atol=1e-4)
     assert (normal.high - normal.mean) / normal.sigma == pytest.approx(6.0, rel=1e-4)
-
-
-def test_places_with_different_clocks_are_refused():
-    drifting = Place("street", "standard", clock="offset")
-    with refuses("places"):
-        environment(task(places=(PLACES[0], drifting)))
 
 
 # --- several places as one vector environment
