@@ -161,9 +161,7 @@ def test_a_diagnosis_names_the_mistake_and_writes_no_track(tmp_path, downlink):
     assert f"\nThe log is consistent if {name}." in done.stdout
     cure = "exchange the columns of aoa_azimuth and aod_azimuth, negate aoa_elevation"
     assert f"To correct it, {cure} (docs/data.md)." in done.stdout
-    diagnosis = json_in(file)
-    assert "--diagnose" in diagnosis["command"] and "numba" in diagnosis["versions"]
-    first, *others = diagnosis["hypotheses"]
+    first, *others = json_in(file)["hypotheses"]
     assert first["hypothesis"] == name and first["contradictions"] == []
     assert all(other["contradictions"] for other in others)
 

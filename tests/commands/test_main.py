@@ -97,9 +97,7 @@ MISTAKES = {
     "unknown choice": (("train", "--algo", "pp"), "pp.*--algo.*ppo.*rollouts"),
     "an option without its value": (("evaluate", "--json"), "--json"),
     "a required option missing": (("simulate",), "--out PATH"),
-    "a required argument missing": (("report",), "results"),
     "an uncalibrated risk": (("compare", "--risk", "0.05"), "risk: found 0.05, expected 0.01 or"),
-    "mistyped name": (("evaluate", "--radio", "hand-set"), "'hand-set', did you mean handset[?]"),
 }
 
 

@@ -24,10 +24,6 @@ def test_a_short_run_prints_and_writes_all_results(tmp_path, monkeypatch):
     assert re.findall("^### (.*)", shown, re.MULTILINE) == list(TITLES)
     result = json_in(file)
     assert result["command"] == "mmwave-loc speed --sizes 8 --seconds 0.0 --repeats 1"
-    rates = result["steps_per_s"]
-    for pair, ratio in result["ratios"].items():
-        over, under = pair.split("_over_")
-        assert ratio == pytest.approx(rates[over] / rates[under])
     assert {"ekf", "ukf", "ckf", "native_8_1_thread"} <= set(result["limit_fraction"])
     assert set(result["cold_start_s"]) == set(result["peak_rss_mb"])
     assert 20.0 < result["peak_rss_mb"]["single"] < 2000.0

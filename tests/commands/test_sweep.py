@@ -43,7 +43,7 @@ def started(*words, cwd):
     return subprocess.Popen(words, cwd=cwd, env=environment(), **pipes)
 
 
-def wait_for_rows(out, running, count=1):
+def wait_for_rows(out, running, count):
     while len(list(out.glob("[!.]*.parquet"))) < count and running.poll() is None:
         time.sleep(0.05)
     assert running.poll() is None, running.communicate()
@@ -65,33 +65,29 @@ def test_mistakes_end_with_one_clear_line(tmp_path, words, message):
     assert_one_clear_line(command("sweep", *words, cwd=tmp_path), message)
 
 
-def raises(values):
-    raise ValueError(f"no {values['number']}\nand no more")
+def squared(values):
+    """Return a row.
 
-
-def exits(values):
-    os._exit(3)
-
-
-def second_time(values):
-    """Return a row; but raise the error of a full disk in the first call for number 1."""
-    if values["number"] == 1 and not os.path.exists(values["mark"]):
-        open(values["mark"], "x").close()
+    Number 0 fails, number 1 raises the error of a full disk in its first call, and number 4 ends
+    the process.
+    """
+    number, mark = values["number"], values["mark"]
+    if number == 0:
+        raise ValueError("no 0\nand no more")
+    if number == 1 and not os.path.exists(mark):
+        open(mark, "x").close()
         raise OSError(28, "No space left on device")
-    return {"square": values["number"] ** 2}
+    if number == 4:
+        os._exit(3)
+    return {"square": number**2}
 
 
 @pytest.mark.slow
 def test_cells_that_fail_do_not_affect_others(tmp_path):
     mark = str(tmp_path / "mark")
     cells = {str(number): {"number": number, "mark": mark} for number in range(5)}
-    fails = {"0": raises, "4": exits}
-
-    def compute(values):
-        return fails.get(str(values["number"]), second_time)(values)
-
     with connected(None, 2):
-        outcomes = {name: (row, error) for name, row, error in computed(compute, cells)}
+        outcomes = {name: (row, error) for name, row, error in computed(squared, cells)}
     assert outcomes["0"] == (None, "ValueError: no 0")
     assert outcomes["4"] == (None, f"its process ended {RETRIES + 1} times (WorkerCrashedError)")
     assert [outcomes[str(n)][0]["square"] for n in (1, 2, 3)] == [1, 4, 9]

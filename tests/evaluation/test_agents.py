@@ -181,22 +181,21 @@ def test_invalid_actions_are_refused(act):
         compare({"mine": act}, beside=(), episodes=2)
 
 
-MINE = {"mine": np.zeros_like}
-WRONG = {  # arguments of compare, by the one that its error names
-    "policy": {"agents": {}, "beside": ("oracle",)},
-    "policies": {"agents": {"imm": np.zeros_like}, "beside": ("imm",)},
-    "policies: found": {"agents": len},
-    "scenario": {"agents": {}, "scenario": "train"},
-    "modes": {"agents": MINE, "modes": HANDSET},
-    "episodes": {"agents": {}, "episodes": "ride"},
-    "reward": {"agents": MINE, "reward": "paired"},
-}
-
-
-@pytest.mark.parametrize("argument", WRONG)
-def test_wrong_arguments_of_compare_are_refused(argument):
-    with refuses(argument.split(":")[0]):
-        compare(**WRONG[argument])
+@pytest.mark.parametrize(
+    ("refused", "agents", "options"),
+    [
+        ("policy", {}, {"beside": ("oracle",)}),
+        ("policies", {"imm": np.zeros_like}, {"beside": ("imm",)}),
+        ("policies", len, {}),
+        ("scenario", {}, {"scenario": "train"}),
+        ("modes", {"mine": np.zeros_like}, {"modes": HANDSET}),
+        ("episodes", {}, {"episodes": "ride"}),
+        ("reward", {"mine": np.zeros_like}, {"reward": "paired"}),
+    ],
+)
+def test_wrong_arguments_of_compare_are_refused(refused, agents, options):
+    with refuses(refused):
+        compare(agents, **options)
 
 
 def test_an_unknown_option_of_compare_is_refused_with_all_known_ones():

@@ -118,18 +118,19 @@ def test_states_near_the_end_of_an_episode_are_left_out():
     assert len(env.try_all(chaotic(4)).values) == 16
 
 
-UKFS = Bank(tuple(replace(mode, algorithm="ukf") for mode in MODES))
-WRONG = {  # arguments, by the one that the error names
-    "num_envs": {"n": 12},  # at two places, a multiple of 16
-    "bank of standard": {"of": task(banks={"handset": Bank(MODES), "standard": UKFS})},
-    "places": {"of": task(places=(PLACES[0], Place("street", "standard", clock="offset")))},
-}
+@pytest.mark.parametrize("n", [12, 0])
+def test_a_number_of_environments_that_does_not_suit_the_places_is_refused(n):
+    with refuses("num_envs"):
+        environment(n=n)
 
 
-@pytest.mark.parametrize("argument", WRONG)
-def test_arguments_for_which_one_engine_cannot_run_all_places_are_refused(argument):
-    with refuses(argument):
-        environment(**WRONG[argument])
+def test_places_that_one_engine_cannot_run_are_refused():
+    ukfs = Bank(tuple(replace(mode, algorithm="ukf") for mode in MODES))
+    with refuses("bank of standard"):
+        environment(task(banks=BANKS | {"standard": ukfs}))
+    drifting = Place("street", "standard", clock="offset")
+    with refuses("places"):
+        environment(task(places=(PLACES[0], drifting)))
 
 
 def test_the_normalization_is_measured_on_observations_of_the_environment():
