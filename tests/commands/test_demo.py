@@ -15,11 +15,9 @@ from tests.paths import json_in
 def test_results_for_every_data_set_are_printed_and_written(tmp_path, monkeypatch, capsys):
     def results(args, names):
         assert args.percentiles
-        rng = np.random.default_rng(0)
-        scores = {name: {m: rng.normal(size=3) for m in (*METRICS, *TERMS)} for name in names}
-        scenario = args.data or "mixed"
-        episodes = {"radio": args.radio, "selection": Selection(range(args.episodes))}
-        comparison = compare_scores(scores, scenario=scenario, **episodes)
+        scores = {name: dict.fromkeys((*METRICS, *TERMS), np.arange(3.0)) for name in names}
+        episodes = {"scenario": args.data or "mixed", "selection": Selection(range(args.episodes))}
+        comparison = compare_scores(scores, radio=args.radio, **episodes)
         return Results(comparison, str(comparison), comparison.json, ())
 
     def page_of(args):

@@ -51,8 +51,6 @@ def test_entries_that_are_kept_are_not_judged_again(entries, tmp_path, monkeypat
     monkeypatch.setattr(protocol, "judge", judging)
     main(Args(policies=("imm-best", "speed-rule"), episodes=2, draws=2, keep=True, out=tmp_path))
     assert judged == {"speed-rule"}
-    made, expected = ((f / "speed-rule.json").read_text() for f in (tmp_path, entries))
-    assert json.loads(made)["sites"].keys() == json.loads(expected)["sites"].keys()
 
 
 @pytest.mark.slow

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from mmwave_env.logs.tum import COLUMNS, read_tum, tum_lines
-from tests.cli import assert_one_clear_line, command, environment, succeed
+from tests.cli import assert_one_clear_line, command, environment, started, succeed
 from tests.commands.localizing import RIDE, WALK, figures, lines_of, options, refused
-from tests.paths import ROOT, json_in
+from tests.paths import json_in
 
 SAMPLE = ("localize", "--sample", RIDE.name, "--speed", "9")
 
@@ -97,10 +97,9 @@ def test_if_one_file_of_several_is_refused_none_is_written(mapped, wrong):
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_an_error_while_printing_is_reported():
     with open("/dev/full", "w") as full:
-        words = [sys.executable, "-m", "experiments.console", "list"]
-        pipes = {"stdout": full, "stderr": subprocess.PIPE, "text": True}
-        done = subprocess.run(words, env=environment(), cwd=ROOT, **pipes)
-    assert done.stderr == "mmwave-loc list: standard output: No space left on device\n"
+        done = started("list", stdout=full)
+        _, err = done.communicate()
+    assert err == "mmwave-loc list: standard output: No space left on device\n"
     assert done.returncode == 2
 
 
@@ -151,10 +150,7 @@ def test_results_and_errors_are_reported_if_standard_output_is_closed(
     log, file, (ours, theirs) = tmp_path / "log.csv", tmp_path / "figures.json", os.pipe()
     os.close(ours)
     log.write_text(with_line(602, lambda l: cell(l, 2, "far") if damaged else l))
-    words = options(log, "--speed", "1", "--json", file)
-    words = [sys.executable, "-m", "experiments.console", "localize", *words]
-    pipes = {"stdout": theirs, "stderr": subprocess.PIPE, "text": True}
-    done = subprocess.Popen(words, env=environment(), **pipes)
+    done = started("localize", *options(log, "--speed", "1", "--json", file), stdout=theirs)
     os.close(theirs)
     err = done.communicate(timeout=100)[1]
     assert done.returncode == code and len(err.splitlines()) == damaged

@@ -5,15 +5,13 @@ import os
 import pty
 import re
 import shlex
-import subprocess
-import sys
 
 import pytest
 
 import mmwave_env
 from experiments.console.main import COMMANDS, SAME, page_of, read_arguments
 from experiments.console.options import IntegrityArgs, TaskArgs
-from tests.cli import assert_one_clear_line, command, environment, python, succeed
+from tests.cli import assert_one_clear_line, command, environment, python, started, succeed
 from tests.paths import ROOT, json_in
 
 HEAVY = {"numba", "gymnasium", "numpy", "scipy", "matplotlib", "torch", "rich", "pyarrow"}
@@ -157,9 +155,9 @@ def test_defaults_of_options_equal_the_constants_of_the_library():
 
 def test_a_terminal_that_reports_zero_columns_gets_the_output():
     ours, theirs = pty.openpty()
-    words = [sys.executable, "-m", "experiments.console", "list", "rewards"]
-    done = subprocess.run(words, env=environment() | {"COLUMNS": "0"}, stdout=theirs, cwd=ROOT)
+    done = started("list", "rewards", env=environment() | {"COLUMNS": "0"}, stdout=theirs)
     os.close(theirs)
+    done.communicate()
     assert done.returncode == 0 and b"tracking" in os.read(ours, 10_000)
     os.close(ours)
 

@@ -4,15 +4,13 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import time
 
 import pytest
 
 from experiments.sweeping.on_ray import RETRIES, computed, connected
 from experiments.training.hyperparameters import read_hyperparameters
-from tests.cli import assert_one_clear_line, command, environment, succeed
-from tests.paths import ROOT
+from tests.cli import assert_one_clear_line, command, started, succeed
 
 pytest.importorskip("pyarrow")
 pytest.importorskip("ray")
@@ -35,12 +33,6 @@ def rows(out):
     from pyarrow import dataset
 
     return dataset.dataset(out, format="parquet", exclude_invalid_files=True).to_table().to_pylist()
-
-
-def started(*words, cwd):
-    words = [sys.executable, "-m", "experiments.console", "sweep", *map(str, words)]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    return subprocess.Popen(words, cwd=cwd, env=environment(), **pipes)
 
 
 def wait_for_rows(out, running, count):
@@ -122,7 +114,7 @@ def test_a_killed_or_interrupted_sweep_can_be_continued_and_leaves_no_process(tm
     others, out = ray_processes(), tmp_path / "out"
     file = written(tmp_path, SMALL.replace("[0, 3]", "[0, 3, 6, 9]").replace("= 3", "= 200"))
     for number, code in ((signal.SIGKILL, -9), (signal.SIGINT, 130)):
-        running = started(file, "--out", out, "--workers", "1", cwd=ROOT)
+        running = started("sweep", file, "--out", out, "--workers", "1")
         wait_for_rows(out, running, len(list(out.glob("*.parquet"))) + 1)
         running.send_signal(number)
         _, errors = running.communicate(timeout=60)

@@ -25,24 +25,15 @@ def scores(**rewards):
 WHAT = {"scenario": "mixed", "radio": "handset", "selection": Selection(range(3))}
 
 
-def test_every_contender_is_compared_with_every_reference():
-    names = ("fixed-ekf", "fixed-ukf", "speed-rule", "ppo", "imm")
-    table = scores(**{name.replace("-", "_"): np.arange(3.0) for name in names})
-    table["fixed-ukf"]["reward"] += 100.0
-    expected = [
-        f"{name} - {reference}"
-        for reference in ("fixed-ukf", "speed-rule", "imm")
-        for name in names
-        if name != reference
-    ]
-    assert list(compare_scores(table, **WHAT).paired) == expected
-
-
-def test_own_agents_are_compared_with_all_contenders_and_with_each_other():
+def test_all_are_compared_with_references_and_own_agents_also_with_the_others():
+    """The references are the best fixed mode, the speed rule and the IMMs."""
     table = scores(mine=[0, 1], yours=[3, 3], guided=[1, 3], imm_best=[2, 2], speed_rule=[1, 1])
+    table |= scores(fixed_ekf=[0, 0], fixed_ukf=[1, 0])
     comparison = compare_scores(table, ["mine", "yours"], **WHAT)
-    references = [(a, b) for b in ("speed-rule", "imm-best") for a in table if a != b]
-    own = [("yours", "mine"), ("mine", "yours"), ("mine", "guided"), ("yours", "guided")]
+    best = ("fixed-ukf", "speed-rule", "imm-best")
+    references = [(a, b) for b in best for a in table if a != b]
+    own = [("yours", "mine"), ("mine", "yours")]
+    own += [(a, b) for b in ("guided", "fixed-ekf") for a in ("mine", "yours")]
     assert list(comparison.paired) == [f"{a} - {b}" for a, b in references + own]
 
 
@@ -68,9 +59,6 @@ def test_paired_differences_are_taken_episode_by_episode():
     gain = result.paired["ppo - speed-rule"]["ate_m"]
     assert gain.mean == pytest.approx(difference.mean())
     assert (gain.low, gain.high) == pytest.approx((expected.low, expected.high))
-    alone = result.policies["ppo"]["reward"]
-    paired = result.paired["ppo - speed-rule"]["reward"]
-    assert paired.high - paired.low < 0.01 * (alone.high - alone.low)
 
 
 def test_scores_run_from_the_paper_s_rule_at_0_to_the_clairvoyant_at_100():

@@ -134,10 +134,9 @@ def test_places_that_one_engine_cannot_run_are_refused():
 
 
 def test_the_normalization_is_measured_on_observations_of_the_environment():
-    env = environment(task(places=PLACES[:1], banks={"handset": Bank(default_modes("handset"))}))
-    normal = env.measured_normalization(6.0)
-    again = environment(task(places=PLACES[:1], banks={"handset": Bank(default_modes("handset"))}))
-    observed = []
+    street = task(places=PLACES[:1], banks={"handset": Bank(default_modes("handset"))})
+    normal = environment(street).measured_normalization(6.0)
+    again, observed = environment(street), []
     for _ in range(200):
         again.step(np.zeros(16, np.int64))
         observed.append(again.observations)

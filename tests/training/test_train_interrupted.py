@@ -8,14 +8,14 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tests.paths import ROOT, json_in
+from tests import cli
+from tests.paths import json_in
 from tests.refusals import refuses
 
 pytest.importorskip("stable_baselines3")
@@ -25,9 +25,9 @@ from experiments.training.evaluator import EPISODES
 from experiments.training.job import Job
 from experiments.training.ppo import PpoTraining
 from experiments.training.processes import side_by_side
-from experiments.training.training_task import places_from
 from mmwave_env.filters.bank import Bank, default_modes
 from tests.training.actors import MODES
+from tests.training.test_rollout_env import task
 from tests.training.test_train import HYPER, TASK, content
 
 pytestmark = [
@@ -38,17 +38,14 @@ pytestmark = [
 
 SMALL = replace(HYPER, num_envs=4, n_steps=25, batch_size=50, paired=True)
 KINDS = {"ppo": SMALL, "places": replace(SMALL, first_action_bias=1.0)}
-PLACES = places_from(["street:handset", "o1:standard:0.5"])
-BANKS = dict.fromkeys(["handset", "standard"], Bank(MODES))
-TASKS = {"places": replace(TASK, places=PLACES, banks=BANKS, beliefs="per-mode")}
+TASKS = {"ppo": TASK, "places": task(banks=dict.fromkeys(["handset", "standard"], Bank(MODES)))}
 UPDATES = 14  # episodes end after every eighth update
 
 
 def job_of(folder, kind="ppo", **changes):
     hyper = KINDS[kind]
-    task = TASKS.get(kind, TASK)
     timesteps = UPDATES * hyper.num_envs * hyper.n_steps
-    job = Job(task, hyper, 0, timesteps, folder, "mmwave-loc train", 1, 20)
+    job = Job(TASKS[kind], hyper, 0, timesteps, folder, "mmwave-loc train", 1, 20)
     return replace(job, **changes)
 
 
@@ -184,9 +181,7 @@ def started():
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def start(*words):
-        words = [sys.executable, "-m", "experiments.console", "train", *map(str, words)]
-        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-        commands.append(subprocess.Popen(words, cwd=ROOT, start_new_session=True, **pipes))
+        commands.append(cli.started("train", *words, start_new_session=True))
         return commands[-1]
 
     yield start
@@ -219,8 +214,8 @@ def until_replaced(path, process):
 
 def test_an_interrupted_command_ends_at_once_and_continues_when_resumed(tmp_path, started):
     """Kill the command, kill one of its trainings, or send Ctrl-C or another signal."""
-    task = replace(TASK, banks={"handset": Bank(default_modes("handset"))})
-    job = job_of(tmp_path / "whole", task=task)
+    street = replace(TASK, banks={"handset": Bank(default_modes("handset"))})
+    job = job_of(tmp_path / "whole", task=street)
     # The training must take seconds, so that it can be interrupted.
     job = replace(job, timesteps=10 * job.timesteps, episodes=EPISODES)
     hyperparameters, out = tmp_path / "mine.json", tmp_path / "run"
