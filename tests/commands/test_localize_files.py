@@ -203,8 +203,7 @@ def test_a_log_that_gives_no_track_leaves_existing_files_unchanged(tmp_path, nam
     log, out = tmp_path / "log.csv", tmp_path / "track.tum"
     log.write_text(content)
     out.write_text(OLD)
-    more = ("--speed", "1", "--out", out, "--plot", tmp_path / "a.png")
-    _, line = refused(options(log, *more))
+    _, line = refused(options(log, "--speed", "1", "--out", out, "--plot", tmp_path / "a.png"))
     assert message in line and "written" not in line and out.read_text() == OLD
     assert sorted(p.name for p in tmp_path.iterdir()) == ["log.csv", "track.tum"]
 

@@ -48,9 +48,8 @@ def test_every_epoch_has_a_line_and_the_last_position_is_that_of_the_track_file(
     positions, errors, code = live(content, "--speed", "1")
     # The only line of standard error is the note on what chooses the modes.
     assert code == 0 and len(positions) == 400 and len(errors) == 1
-    figures(
-        WALK, "--speed", "1", "--radio", "standard", "--no-smoothing", "--out", tmp_path / "t.tum"
-    )
+    more = ("--radio", "standard", "--no-smoothing", "--out", tmp_path / "t.tum")
+    figures(WALK, "--speed", "1", *more)
     last = [float(word) for word in (tmp_path / "t.tum").read_text().splitlines()[-1].split()]
     assert positions[-1]["position_m"] == pytest.approx(last[1:4], abs=1e-9)
     assert positions[0]["begins"] and not any(p["begins"] for p in positions[1:])
@@ -133,9 +132,8 @@ def test_each_contradiction_is_shown_as_a_warning_and_written_to_json(tmp_path, 
     done = command("localize", *words, "--json", tmp_path / "found.json")
     assert done.returncode == 0 and "NIS / dof" in done.stdout
     lines = done.stderr.splitlines()
-    assert re.fullmatch(
-        r"warning: anchor 1: found .*, expected .*; --diagnose tries likely mistakes", lines[0]
-    )
+    warning = "warning: anchor 1: found .*, expected .*; --diagnose tries likely mistakes"
+    assert re.fullmatch(warning, lines[0])
     said = json_in(tmp_path / "found.json")["contradictions"]
     assert len(said) == len(lines)
     for line, contradiction in zip(lines, said, strict=True):

@@ -90,9 +90,8 @@ def test_rows_equal_the_results_of_compare_and_new_cells_are_added(tmp_path):
     file, out = written(tmp_path, SMALL.replace(', "imm"]', "]")), tmp_path / "out"
     succeed("sweep", file, "--out", out, "--workers", "1")
     before = {path: path.stat().st_mtime_ns for path in out.iterdir()}
-    done = command(
-        "sweep", written(tmp_path, SMALL.replace('"imm"', '"imm", "nobody"')), "--out", out
-    )
+    larger = written(tmp_path, SMALL.replace('"imm"', '"imm", "nobody"'))
+    done = command("sweep", larger, "--out", out)
     assert done.returncode == 2 and "6 cells, 2 of them already in" in done.stderr
     assert re.search(r"^failed: policy nobody, seed 3, .*found 'nobody'", done.stderr, re.MULTILINE)
     assert "2 of 6 cells failed, the others are in" in done.stderr

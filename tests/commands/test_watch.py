@@ -107,16 +107,13 @@ def test_a_mistake_ends_with_one_clear_line(mistake, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.skipif(
-    not sys.platform.startswith("linux"), reason="other systems need no display variable"
-)
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems need no display variable")
 def test_the_error_without_a_display_names_the_variables_and_the_option_out(monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER", "SDL_VIDEO_DRIVER"):
         monkeypatch.delenv(name, raising=False)
     done = command("watch", "--policies", "fixed-ukf")
-    assert_one_clear_line(
-        done, "watch: window: found no display.*DISPLAY or WAYLAND_DISPLAY.*--out"
-    )
+    message = "watch: window: found no display.*DISPLAY or WAYLAND_DISPLAY.*--out"
+    assert_one_clear_line(done, message)
 
 
 @pytest.mark.slow

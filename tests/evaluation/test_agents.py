@@ -108,7 +108,7 @@ def test_attributes_of_an_agent_determine_its_modes_observation_and_beliefs():
     per_mode = contender_from("my_agents:trusting", "handset")
     assert per_mode.bank == Bank(modes_from(["ekf", "ckf"])) and per_mode.beliefs == "per-mode"
     named = contender_from("my_agents:second", "handset", HANDSET, beliefs="per-mode")
-    assert named.bank == HANDSET
+    assert named.bank == HANDSET and named.actions == ["none", "stand", "walk", "ride"]
     with refuses("beliefs"):
         contender_from("my_agents:second", "handset", beliefs="mine")
     with refuses("observation"):
@@ -133,8 +133,8 @@ def test_compare_accepts_objects_modules_files_and_loaded_policies(tmp_path):
             return np.ones(len(observations), np.uint8)
 
     mine = Recording()
-    agents = {"object": mine, "module": "my_agents:second", "file": file}
-    agents["loaded"] = LearnedSwitch(file)
+    agents = {"object": mine, "module": "my_agents:second"}
+    agents |= {"file": file, "loaded": LearnedSwitch(file)}
     comparison = compare(agents, beside=("fixed-ukf",), episodes=3, seed=4)
     assert (comparison.scenario, *comparison.selection.seeds) == ("mixed", 4, 5, 6)
     rows = comparison.policies

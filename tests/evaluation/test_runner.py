@@ -150,24 +150,10 @@ def test_a_policy_shipped_for_all_radios_is_a_contender_for_each_with_its_bank(f
 # --- beliefs per mode
 
 
-def none(observations):
-    return np.zeros(len(observations), int)
-
-
 @pytest.fixture
 def trust(tmp_path):
     """Return the file of a policy with beliefs "per-mode": every mode keeps its own belief."""
     return write_per_mode(tmp_path / "trust.safetensors")
-
-
-def test_trusting_no_mode_equals_the_imm_of_the_bank():
-    own = Contender.own("none", none, "handset", HANDSET, beliefs="per-mode")
-    assert own.bank == HANDSET and own.actions == ["none", "stand", "walk", "ride"]
-    imm = contenders("handset", HANDSET)["imm"]()
-    assert imm.policy is None and imm.bank == HANDSET
-    scores, expected = score_contenders([own, imm], SOURCE, "handset", Selection(range(3))).values()
-    for metric, values in expected.items():
-        np.testing.assert_allclose(scores[metric], values, rtol=1e-9)
 
 
 def test_the_imm_uses_the_transition_of_a_bank_or_bank_file_with_any_beliefs(tmp_path):

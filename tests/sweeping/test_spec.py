@@ -34,9 +34,8 @@ def test_every_combination_of_values_is_a_cell(tmp_path):
     spec = spec_of(tmp_path, GRID)
     assert len(spec) == len(spec.cells) == 2 * 2 * 2 * 2
     first, *_, last = spec.cells.values()
-    assert first == dict(
-        zip(spec.axes, ("fixed-ekf", "handset", ("ekf", "ukf"), 1, 0), strict=True)
-    )
+    values = ("fixed-ekf", "handset", ("ekf", "ukf"), 1, 0)
+    assert first == dict(zip(spec.axes, values, strict=True))
     assert last["dt"] == 0.5 and isinstance(first["dt"], float)
     spec = spec_of(tmp_path, POLICY + 'modes = [["ekf", "ukf"], ["ckf"]]\n')
     assert [cell["modes"] for cell in spec.cells.values()] == [("ekf", "ukf"), ("ckf",)]

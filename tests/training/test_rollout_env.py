@@ -61,12 +61,10 @@ def by_hand(place, seed, first_episode, actions, first, act, beliefs):
     at = {"scene": place.scene, "radio": place.radio, "dt": place.dt}
     env = gym.make("MmWaveLoc-v0", **at, beliefs=beliefs, modes=modes)
     env.reset(seed=seed)
-    for action in actions[:first_episode]:
+    for epoch, action in enumerate(actions):
+        if epoch == first_episode:
+            env.reset()
         env.step(action)
-    if first_episode < len(actions):  # the other actions belong to the next episode
-        env.reset()
-        for action in actions[first_episode:]:
-            env.step(action)
     value, action = 0.0, first
     for epoch in range(HORIZON):
         observed, reward, *_ = env.step(action)

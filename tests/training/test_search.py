@@ -24,10 +24,8 @@ def distance(bank, planted):
 def test_the_search_finds_a_planted_bank():
     """Plant a random bank near the start of the search; a bank's score is its closeness to it."""
     space = search_space(START[:3])
-    point = space.start + 0.7 * space.deviation * np.random.default_rng(0).standard_normal(
-        len(space.start)
-    )
-    planted = space.bank_at(point)
+    away = np.random.default_rng(0).standard_normal(len(space.start))
+    planted = space.bank_at(space.start + 0.7 * space.deviation * away)
     start, best = (
         best_bank_of(space, lambda bank, _: -distance(bank, planted), evaluations)
         for evaluations in (0, 3000)

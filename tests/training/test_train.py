@@ -42,6 +42,7 @@ from tests.training.actors import MODES, card_of, write
 
 pytestmark = pytest.mark.torch
 
+PLACES = ("street:handset", "o1:standard:0.5")
 STREET = Place("street", "handset")
 TASK = TrainingTask("mixed", (STREET,), {"handset": Bank(MODES)}, "full", TrackingReward())
 HYPER = PpoHyperparameters(
@@ -195,17 +196,12 @@ def test_wrong_options_are_refused_before_a_folder_is_made(words, message, tmp_p
 
 
 @pytest.mark.parametrize("algorithm", KINDS)
-def test_too_few_environments_for_the_places_are_refused_before_a_folder_is_made(
-    algorithm, tmp_path
-):
+def test_too_few_environments_for_the_places_are_refused_before_any_work(algorithm, tmp_path):
     shipped = json_in(shipped_hyperparameters(algorithm))
     path, out = tmp_path / "few.json", tmp_path / "run"
     path.write_text(json.dumps(shipped | {"num_envs": 1}))
-    args = Args(
-        algo=algorithm, hyperparameters=path, places=("street:handset", "o1:handset"), out=out
-    )
     with refuses(path, "num_envs"):
-        main(args)
+        main(Args(algo=algorithm, hyperparameters=path, places=PLACES, out=out))
     assert not out.exists()
 
 
@@ -265,9 +261,6 @@ def test_a_damaged_manifest_is_refused(damaged, tmp_path):
 
 
 # --- a short run
-
-
-PLACES = ("street:handset", "o1:standard:0.5")
 
 
 @pytest.mark.slow
