@@ -169,12 +169,10 @@ def test_the_json_file_records_the_command_that_makes_the_figures_again(tmp_path
     assert json_in(again) == results | {"written": {}}
 
 
-RISK = ("--risk", "0.2", "--levels", "gaussian")
-
-
 def test_the_truth_is_used_only_for_scores(tmp_path):
     with_truth, without = tmp_path / "a.tum", tmp_path / "b.tum"
-    scored = figures(RIDE, "--speed", "auto", "--out", with_truth, *RISK)
+    risk = ("--risk", "0.2", "--levels", "gaussian")
+    scored = figures(RIDE, "--speed", "auto", "--out", with_truth, *risk)
     assert scored["modes"] == {"ekf": 1, "ukf": 119} and scored["switches"] == 1
     assert scored["truth"]["risk"] == 0.2
     results = figures(RIDE, "--speed", "auto", "--out", without, truth=False)

@@ -110,13 +110,6 @@ def test_learning_rates_fall_but_stay_positive_after_the_end_of_training(left):
     assert rate == pytest.approx(max(0.1 + 0.9 * left, 0.05))
 
 
-def test_shipped_hyperparameters_are_valid():
-    for beliefs in ("shared", "per-mode"):
-        for algorithm, kind in KINDS.items():
-            shipped = shipped_hyperparameters(algorithm, beliefs)
-            assert type(read_hyperparameters(shipped, algorithm)) is kind
-
-
 def test_a_bias_makes_the_first_action_more_likely_at_the_start():
     env = VecNormalize(PlacesVecEnv(TASK, HYPER), norm_reward=False)
     models = [learner(env, replace(HYPER, first_action_bias=bias), seed=1) for bias in (0.0, 2.0)]
