@@ -115,6 +115,15 @@ def test_a_fifo_is_refused_before_it_is_read(tmp_path, option):
     assert_one_clear_line(done, "odd.*: found a FIFO, a socket or a device, expected")
 
 
+@pytest.mark.parametrize("name", ["e\x1b]0;owned\x07", "x" * 81, 7])
+def test_an_invalid_name_is_refused_with_its_file_and_key(tmp_path, name):
+    path = tmp_path / "scene.json"
+    path.write_text(json.dumps({"name": name, "base_station_m": [0.0, 0.0, 10.0]}))
+    done = command("localize", RIDE / "log.csv", "--scene", path, "--speed", "9")
+    assert_one_clear_line(done, "scene.json: name: found .*expected 1 to 80 printable characters")
+    assert len(done.stderr) < 1000
+
+
 def with_line(number, change):
     """Return the log of the walk with one line changed; lines are counted from 1."""
     lines = lines_of()
