@@ -1,4 +1,7 @@
-"""Tests of ``mmwave-loc compare`` and ``evaluate``: policies, runs, options, and written files."""
+"""Tests of ``mmwave-loc compare``, which is also called ``evaluate``.
+
+Policies may be given as files, or as *runs*, which are folders that ``mmwave-loc train`` wrote.
+"""
 
 import csv
 import json
@@ -16,7 +19,7 @@ from tests.training.actors import actor, card_of, write
 
 @pytest.fixture
 def run(tmp_path):
-    """Return a folder as ``mmwave-loc train`` writes it, with policies of random weights."""
+    """Return the folder of a run with three training seeds; its policies have random weights."""
     folder = tmp_path / "run"
     for seed in range(3):
         (folder / f"seed-{seed}").mkdir(parents=True)
@@ -47,7 +50,7 @@ def test_comparing_a_run_gives_results_for_each_training_seed(run):
 
 
 POLICY = "seed-2/policy.safetensors"
-MISTAKES = {  # name -> file of the run that is removed, further policies and options, message
+MISTAKES = {  # name -> file to remove from the run, more policies or options, expected message
     "a missing policy": (POLICY, (), f"{POLICY}: found no such file"),
     "no summary": ("summary.json", (), "summary.json: found no file.*--resume"),
     "the run twice": (None, ("RUN/",), "policies: found .*expected different names"),

@@ -1,4 +1,4 @@
-"""Tests of the output and the files of ``mmwave-loc demo``."""
+"""Test of what ``mmwave-loc demo`` prints and writes, with invented scores of all policies."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc leaderboard``, which ranks entries (JSON files of one policy's results)."""
+"""Tests of ``mmwave-loc leaderboard``, which ranks JSON files, each with one policy's results."""
 
 import json
 import shutil
@@ -17,7 +17,7 @@ GOOD, POOR = "guided", "imm-best"  # two entries in this folder, the better one 
 
 @pytest.fixture(scope="module")
 def entries(tmp_path_factory):
-    """Return a folder with the entries of two policies that were judged on few episodes."""
+    """Return a folder with the files of two policies, which were evaluated on few episodes."""
     folder = tmp_path_factory.mktemp("entries")
     names = ["imm-best", "speed-rule"]
     judged = [judge(names, site, 2, 0) for site in sites()]
@@ -41,7 +41,7 @@ def test_entries_are_ranked_and_a_page_is_updated(entries, tmp_path):
 
 
 @pytest.mark.slow
-def test_entries_that_are_kept_are_not_judged_again(entries, tmp_path, monkeypatch):
+def test_with_keep_no_policy_that_has_a_file_is_evaluated_again(entries, tmp_path, monkeypatch):
     shutil.copy(entries / "imm-best.json", tmp_path)
     judged = set()
 

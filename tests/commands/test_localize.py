@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc localize``: modes chosen by --speed, reported figures, and options."""
+"""Tests of ``mmwave-loc localize``: the modes that it chooses, its figures, and its options."""
 
 import csv
 import json
@@ -109,7 +109,7 @@ def test_the_figures_equal_those_of_evo(tmp_path, track, known):
 
 
 def at_another_rate(folder, path, rate_hz, late_s=0.0):
-    """Write a sample's truth with poses at another rate, and with times ``late_s`` later."""
+    """Write a shipped true track at another rate, with all times later by ``late_s``."""
     truth = read_tum(folder / "truth.tum")
     time = np.arange(truth.time_s[0] + 0.003, truth.time_s[-1], 1.0 / rate_hz)
     position = CubicSpline(truth.time_s, truth.position_m)(time)
@@ -140,7 +140,7 @@ def test_a_truth_with_another_clock_causes_a_warning(tmp_path):
     assert f"The truth's clock is {1e3 * clock['ahead_s']:.0f} ± " in shown.stdout
     assert "ms ahead of the log's." in shown.stdout
     assert f"{truth}: found its clock {1e3 * clock['ahead_s']:.0f} ± " in shown.stderr
-    assert results["truth"]["tracks"]["smoothed"]["ate_m"] > 0.7  # times were not corrected
+    assert results["truth"]["tracks"]["smoothed"]["ate_m"] > 0.7  # no time is corrected
 
 
 def test_the_printed_figures_equal_those_in_the_json_file(capsys, tmp_path):
@@ -151,7 +151,7 @@ def test_the_printed_figures_equal_those_in_the_json_file(capsys, tmp_path):
         assert len(numbers) == 5 and " | ".join(f"{value:.3f}" for value in numbers) in shown
     groups = results["groups"]
     assert list(groups) == ["anchor 1", "anchor 2", "anchor 3", "Doppler", "all"]
-    assert groups["anchor 1"]["seen"] == 399  # of 400 epochs: the first gave the prior
+    assert groups["anchor 1"]["seen"] == 399  # the first of the 400 epochs only gave the prior
     assert results["error"] is None
     assert all(abs(groups[f"anchor {a}"]["nis_in_bounds"] - 0.95) < 0.03 for a in (1, 2, 3))
 
@@ -266,7 +266,7 @@ CONTRADICTIONS = {
     "an imm and a speed": (["--imm", "imm", "--speed", "1"], "speed: cannot be combined"),
     "an imm and modes": (["--imm", "imm", "--modes", "m.json"], "modes: cannot be combined"),
     "a diagnosis with --out": (["--diagnose", "--out", "t.tum"], "diagnose: cannot be combined"),
-    "two aims": (["--diagnose", "--associate"], "diagnose: cannot be combined with --associate"),
+    "a diagnosis of paths": (["--diagnose", "--associate"], "diagnose: .* with --associate"),
     "imm": (["--imm", "imm-bets"], "imm: found 'imm-bets', did you mean imm-best"),
     "bank": (["--imm", "missing.json"], "missing.json"),
     "window": (["--speed", "1", "--window", "1"], "window: found 1, expected 2 to 20000 epochs"),

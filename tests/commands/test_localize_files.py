@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc localize``: its files, special names, and damaged or long logs."""
+"""Tests of ``mmwave-loc localize``: files that it writes, odd names, damaged and long logs."""
 
 import errno
 import gzip
@@ -61,7 +61,7 @@ def test_results_of_a_comparison_are_written_even_if_the_picture_fails(tmp_path,
 
 @pytest.fixture
 def mapped(tmp_path):
-    """Return a folder with the ride's log (my_ride.csv.gz) and a scene with a known origin."""
+    """Return a folder with the ride's log and a scene whose latitude and longitude are known."""
     scene = json_in(RIDE / "scene.json")
     scene["origin"] = {"latitude_deg": 48.0, "longitude_deg": 11.0}
     (tmp_path / "scene.json").write_text(json.dumps(scene))
@@ -106,7 +106,7 @@ def test_an_error_while_printing_is_reported():
 @pytest.mark.skipif(os.name != "posix", reason="needs FIFOs")
 @pytest.mark.parametrize("option", ["log", "--scene", "--truth", "--modes", "--radio"])
 def test_a_fifo_is_refused_before_it_is_read(tmp_path, option):
-    """Use FIFOs, because reading one never ends; tests/io/test_files.py has other special files."""
+    """Use FIFOs: reading one would never end. tests/io/test_files.py has other special files."""
     odd = tmp_path / ("odd.csv" if option == "log" else "odd.json")
     os.mkfifo(odd)
     files = {"log": RIDE / "log.csv", "--scene": RIDE / "scene.json", option: odd}
@@ -133,9 +133,10 @@ def with_line(number, change):
     return "\n".join(lines) + "\n"
 
 
-def cell(line, place, word):
+def cell(line, column, word):
+    """Return a line of CSV with another word in a column; columns are counted from 0."""
     cells = line.split(",")
-    cells[place] = word
+    cells[column] = word
     return ",".join(cells)
 
 
@@ -171,7 +172,8 @@ def test_results_and_errors_are_reported_if_standard_output_is_closed(
 
 # --- damage
 
-HALF_WAY = {  # log, message, and number of complete epochs; line 602 is the first of epoch 201
+# name -> log, expected message, number of complete epochs. Line 602 is the first of epoch 201.
+HALF_WAY = {
     "no number": (with_line(602, lambda l: cell(l, 2, "far")), "line 602, column 'toa_s'", 200),
     "at the end": (with_line(1199, lambda l: l[:20]), "line 1199: found", 399),
     "early": (with_line(6, lambda l: cell(l, 2, "far")), "line 6, column 'toa_s'", 1),
@@ -198,7 +200,7 @@ def test_a_damaged_log_gives_the_track_up_to_the_damage(tmp_path, name, zipped):
     assert f"{epochs} of {epochs} epochs have a true position" in shown
 
 
-NOTHING = {
+NOTHING = {  # name -> log, expected message
     "unknown column": (f"{lines_of()[0]},mood\n", "column 'mood'"),
     "first row": (with_line(2, lambda l: cell(l, 2, "x")), "line 2, column"),
     "no line of sight": (
@@ -265,7 +267,8 @@ def long_log(path, rows):
             file.write("".join(f"{t},{r}\n" for t, r in zip(times.tolist(), rest, strict=True)))
 
 
-# VmHWM is used because ru_maxrss of a child includes the memory of its parent.
+# VmHWM is the most memory that a process has used, in KiB; a child's ru_maxrss would include the
+# memory of its parent.
 PEAK = """
 import sys
 from experiments.console.main import run
@@ -285,5 +288,5 @@ def test_memory_does_not_grow_with_the_log(tmp_path):
         words = [sys.executable, "-c", PEAK, *options(log, *more)]
         done = subprocess.run(words, env=environment(), capture_output=True, text=True, check=True)
         assert f"{rows // 1200 * 400} epochs" in done.stdout
-        peaks.append(int(done.stdout.split()[-1]) / 1024)
+        peaks.append(int(done.stdout.split()[-1]) / 1024)  # MiB
     assert peaks[1] < 500 and peaks[1] < peaks[0] + 18, peaks

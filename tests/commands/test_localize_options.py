@@ -14,13 +14,13 @@ from tests.localization.mistakes import MISTAKES, read_columns, write_columns
 from tests.logs.by_hand import hide_anchors
 from tests.paths import json_in
 
-# --- live rows
+# --- rows that arrive one by one (--live)
 
 WORDS = ("localize", "-", "--live", "--scene", WALK / "scene.json", "--radio", "standard")
 
 
 def live(content, *more):
-    """Run the command on bytes; return its JSON lines, lines of standard error and exit code."""
+    """Run the command with bytes as input; return its JSON lines, error lines and exit code."""
     done = command(*WORDS, *more, stdin=content)
     positions = [json.loads(line) for line in done.stdout.splitlines()]
     return positions, done.stderr.splitlines(), done.returncode
@@ -32,7 +32,7 @@ def first_rows(count):
 
 
 def as_json(lines, whole):
-    """Return CSV lines as JSON lines, each with one row or, if ``whole``, all rows of an epoch."""
+    """Return CSV lines as JSON lines, one for each row or, if ``whole``, one for each epoch."""
     names, *rows = (line.split(",") for line in lines)
     objects = [
         {n: float(v) if v else None for n, v in zip(names, row, strict=True)} for row in rows
@@ -43,7 +43,7 @@ def as_json(lines, whole):
     return "\n".join(map(json.dumps, objects)).encode()
 
 
-def test_every_epoch_has_a_line_and_the_last_position_is_that_of_the_track_file(tmp_path):
+def test_every_epoch_has_a_line_and_the_last_position_equals_that_in_a_track_file(tmp_path):
     content = (WALK / "log.csv").read_bytes()
     positions, errors, code = live(content, "--speed", "1")
     # The only line of standard error is the note on what chooses the modes.
@@ -96,7 +96,7 @@ def test_options_that_do_not_fit_live_are_refused(more):
 
 @pytest.fixture(scope="module")
 def hidden(tmp_path_factory):
-    """Return a log of paths, some of them false, without anchor numbers."""
+    """Return a log of propagation paths without anchor numbers; some of the paths are false."""
     log = tmp_path_factory.mktemp("hidden") / "log.csv"
     source = source_from(RIDE, "standard")
     hide_anchors(log, source.sample(np.random.default_rng(0)), false_paths=5)

@@ -1,4 +1,4 @@
-"""Tests of the program mmwave-loc: results, help, mistakes and output."""
+"""Tests of the program mmwave-loc: its help, its messages about mistakes, and its output."""
 
 import importlib
 import os
@@ -14,8 +14,8 @@ from experiments.console.options import IntegrityArgs, TaskArgs
 from tests.cli import assert_one_clear_line, command, environment, python, started, succeed
 from tests.paths import ROOT, json_in
 
+# packages that take long to import
 HEAVY = {"numba", "gymnasium", "numpy", "scipy", "matplotlib", "torch", "rich", "pyarrow"}
-
 
 # --- help and mistakes
 
@@ -31,7 +31,7 @@ def test_without_a_command_the_commands_are_listed_and_the_version_can_be_shown(
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_explains_its_options(name):
     shown = command(name, "--help", columns=80).stdout
-    # tyro does not fold the line of usage; terminals do.
+    # The package tyro leaves the line of usage as long as it is.
     lines = [line for line in shown.splitlines() if not line.startswith("usage: ")]
     assert max(map(len, lines)) <= 80
     assert f"\nusage: mmwave-loc {name} " in shown and "None" not in shown
@@ -111,10 +111,11 @@ def test_the_error_about_an_unknown_command_has_a_similar_name_and_all_valid_nam
 @pytest.mark.slow
 @pytest.mark.parametrize("module", ["experiments.console.parser", "experiments.compare", "numba"])
 def test_an_interrupt_while_the_program_starts_ends_with_one_line(module):
+    # A shell's background job ignores SIGINT, and so would the new process without signal.signal.
     code = (
         "import os, signal, sys\n"
         "from experiments.console.main import main\n"
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # background jobs ignore it
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "class Interrupt:\n"
         "    def find_spec(self, name, path=None, target=None):\n"
         f"        if name == {module!r}: os.kill(os.getpid(), signal.SIGINT)\n"
@@ -128,7 +129,7 @@ def test_an_interrupt_while_the_program_starts_ends_with_one_line(module):
 
 
 def test_defaults_of_options_equal_the_constants_of_the_library():
-    """Compare constants with their copies in options; the copies keep slow imports out of help."""
+    """Compare constants with their copies in options, which exist so that --help is quick."""
     from experiments.evaluation import protocol
     from mmwave_env.filters.smoother import SMOOTHING_WINDOW
     from mmwave_env.interface.reward import TrackingReward

@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc simulate``, which writes an episode as files; it wrote the sample logs."""
+"""Tests of ``mmwave-loc simulate``, which writes an episode as files, such as the sample logs."""
 
 import re
 import shlex

@@ -30,6 +30,7 @@ def written(folder, text):
 
 
 def rows(out):
+    """Return the results of all cells in a folder, each as a dict."""
     from pyarrow import dataset
 
     return dataset.dataset(out, format="parquet", exclude_invalid_files=True).to_table().to_pylist()
@@ -42,6 +43,7 @@ def wait_for_rows(out, running, count):
 
 
 def ray_processes():
+    """Return the ids of all processes of the package Ray."""
     listed = subprocess.run(["ps", "-eo", "pid,args"], capture_output=True, text=True).stdout
     return set(re.findall(r"^ *(\d+) .*(?:ray::|raylet|gcs_)", listed, re.MULTILINE))
 
@@ -58,10 +60,9 @@ def test_mistakes_end_with_one_clear_line(tmp_path, words, message):
 
 
 def squared(values):
-    """Return a row.
+    """Return the square of a number, except for three numbers.
 
-    Number 0 fails, number 1 raises the error of a full disk in its first call, and number 4 ends
-    the process.
+    0 raises an error, 1 raises the error of a full disk in its first call, and 4 ends the process.
     """
     number, mark = values["number"], values["mark"]
     if number == 0:

@@ -79,6 +79,7 @@ def test_a_mistake_ends_with_one_clear_line(options, message):
 
 
 def marked(file):
+    """Mark the files of all radios except the handset, so that they are tuned for releases only."""
     return file if file.stem == "handset" else pytest.param(file, marks=pytest.mark.release)
 
 

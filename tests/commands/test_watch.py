@@ -16,14 +16,14 @@ SHORT = ("--episode-steps", 12)
 
 
 def frames(path):
-    """Return the number of pictures of a GIF, and their size."""
+    """Return the number of pictures in a GIF, and their width and height."""
     image = pytest.importorskip("PIL.Image")
     with image.open(path) as file:
         return file.n_frames, file.size
 
 
 def picture(path, number):
-    """Return one picture of a GIF, (height, width, 3)."""
+    """Return one picture of a GIF as an array (height, width, 3)."""
     image = pytest.importorskip("PIL.Image")
     with image.open(path) as file:
         file.seek(number)
@@ -32,7 +32,7 @@ def picture(path, number):
 
 @pytest.fixture
 def window(monkeypatch):
-    """Return a list of the pictures that a window would show; no display is needed."""
+    """Return a list to which every picture is added that a window would show on a display."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     from mmwave_env.rendering.window import Window
 

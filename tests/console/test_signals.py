@@ -45,7 +45,7 @@ def heed():
 
 @pytest.fixture
 def writing(tmp_path):
-    """Return a function that starts WRITING for result.json and waits until it prints "writing"."""
+    """Return a function that starts a process with WRITING and waits until it prints "writing"."""
     started = []
 
     def start(before=heed):

@@ -1,4 +1,4 @@
-"""Tests that agents from modules, files and objects are compared, and invalid ones are refused."""
+"""Tests of comparing a user's agents, given as objects, as files, or by functions in modules."""
 
 import json
 import sys
@@ -61,7 +61,7 @@ def act(observations):
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """Return the current folder, which contains a module with a user's agents."""
+    """Change to a folder that contains a module with a user's agents; return the folder."""
     (tmp_path / "my_agents.py").write_text(OWN)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
@@ -144,7 +144,7 @@ def test_compare_accepts_objects_modules_files_and_loaded_policies(tmp_path):
     assert all(begins.all() for begins in mine.begins) and len(mine.begins[-1]) == 3
     first = mine.observed[0]
     assert all(o.shape == first.shape and o.dtype == np.float32 for o in mine.observed)
-    assert len(mine.observed) == 201 and len(first) == 3  # 200 steps and a trial call
+    assert len(mine.observed) == 201 and len(first) == 3  # an agent is tried once, then 200 steps
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from mmwave_env.metrics import HEADERS, METRICS, TERMS
 
 
 def scores(**rewards):
-    """Return scores with these rewards by contender; the other metrics are multiples of them."""
+    """Return all metrics of contenders: the rewards, and multiples of them for other metrics."""
     return {
         name.replace("_", "-"): {
             metric: (i + 1.0) * np.asarray(reward, float)
@@ -26,7 +26,7 @@ WHAT = {"scenario": "mixed", "radio": "handset", "selection": Selection(range(3)
 
 
 def test_all_are_compared_with_references_and_own_agents_also_with_the_others():
-    """The references are the best fixed mode, the speed rule and the IMMs."""
+    """Check that the references are the best fixed mode, the speed rule and the IMMs."""
     table = scores(mine=[0, 1], yours=[3, 3], guided=[1, 3], imm_best=[2, 2], speed_rule=[1, 1])
     table |= scores(fixed_ekf=[0, 0], fixed_ukf=[1, 0])
     comparison = compare_scores(table, ["mine", "yours"], **WHAT)
@@ -50,7 +50,7 @@ def test_without_a_reference_all_contenders_are_compared_with_each_other():
 
 def test_paired_differences_are_taken_episode_by_episode():
     rng = np.random.default_rng(0)
-    hardness = rng.normal(0.0, 10.0, 40)  # both contenders share it, so their difference lacks it
+    hardness = rng.normal(0.0, 10.0, 40)  # the same for both contenders
     table = scores(speed_rule=hardness, ppo=hardness - 1.0 + 0.01 * rng.normal(size=40))
     result = compare_scores(table, **WHAT)
     assert list(result.paired) == ["ppo - speed-rule"]
@@ -75,7 +75,7 @@ def test_scores_run_from_the_paper_s_rule_at_0_to_the_clairvoyant_at_100():
     ("share", "shown"),
     [(None, "-"), (0.0, "0.0 %"), (0.0123, "1.2 %"), (0.00089, "0.089 %"), (0.9988, "99.88 %")],
 )
-def test_rare_shares_keep_two_digits(share, shown):
+def test_small_percentages_are_shown_with_two_digits(share, shown):
     assert percent(share) == shown
 
 

@@ -1,4 +1,4 @@
-"""Tests that contenders' histories (for pictures) equal the histories that environments record."""
+"""Tests of histories of episodes, from which pictures are drawn, against those of environments."""
 
 import gymnasium as gym
 import numpy as np

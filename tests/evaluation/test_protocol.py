@@ -1,4 +1,7 @@
-"""Tests of the benchmark's protocol: its sites (sources of episodes), and verdicts on entries."""
+"""Tests of the benchmark's protocol: its sites, and the entries of its leaderboard.
+
+A *site* is a source of episodes; an *entry* holds the results of one policy at all sites.
+"""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Tests of running contenders on the same episodes, and of their scores."""
+"""Tests of running contenders (policies with their modes, IMMs) on the same episodes."""
 
 import json
 from dataclasses import replace
@@ -64,7 +64,7 @@ def test_scores_equal_those_of_stepping_a_single_environment(beliefs, trust):
         terms = scores["error_term"][e] + scores["nees_term"][e]
         assert -terms == pytest.approx(expected["reward"], rel=1e-9)
         assert taken[e] == actions
-    assert np.max(taken) == len(contender.actions) - 1  # the last mode is used, too
+    assert np.max(taken) == len(contender.actions) - 1  # even the last mode was used
 
 
 def test_scores_do_not_depend_on_chunks_other_seeds_or_other_contenders(monkeypatch):

@@ -1,4 +1,4 @@
-"""Small actor networks with random weights, and their policy files, for tests."""
+"""Small actors (networks that choose actions) with random weights, and their policy files."""
 
 from dataclasses import replace
 
@@ -31,7 +31,7 @@ def card_of(table=TABLE, **changes):
 
 
 def actor(features=FEATURES, actions=3, hidden=(5, 4), seed=0):
-    """Return the tensors of an actor."""
+    """Return the tensors of an actor, by their names in a policy file."""
     rng = np.random.default_rng(seed)
 
     def draw(*shape):

@@ -1,4 +1,4 @@
-"""Tests of checkpoints (read back, damaged, forged) and of the progress log of trainings."""
+"""Tests of a training's checkpoint, which may be damaged or forged, and of its progress log."""
 
 from hashlib import sha256
 

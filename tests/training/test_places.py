@@ -1,4 +1,4 @@
-"""Tests of training places (scene, radio, time step): names, banks, and what is refused."""
+"""Tests of places to train at (scene, radio and time step): their names, banks and mistakes."""
 
 import json
 from dataclasses import replace
@@ -41,14 +41,14 @@ def test_a_word_can_name_measured_quantities_and_a_clock():
     assert layout.partial and layout.clock
 
 
-def test_places_share_the_layout_for_missing_quantities():
+def test_if_a_place_lacks_quantities_all_places_have_the_layout_for_missing_ones():
     whole, part = places_from(["street:handset", "street:handset:range+azimuth"])
     assert whole.source("mixed").layout == part.source("mixed").layout
     assert np.isfinite(whole.source("mixed").episode(7).measurement[:, :12]).any(axis=0).all()
 
 
 def test_the_street_is_the_default_scene_of_environments():
-    """Check equality to the last bit, without which published trainings could not be repeated."""
+    """Compare to the last bit; otherwise, published trainings could not be repeated."""
     episode = Place("street", "handset").source("mixed").sample(np.random.default_rng(10_000_000))
     expected = task_from().source.sample(np.random.default_rng(10_000_000))
     np.testing.assert_array_equal(episode.measurement, expected.measurement)
@@ -88,7 +88,7 @@ def test_words_that_are_not_places_are_refused(words, named):
 
 @pytest.mark.parametrize("unseen", ["square", "mine"])
 def test_custom_files_with_a_name_that_must_stay_unseen_are_refused(unseen, files, monkeypatch):
-    """Check the name that a file contains; the scene's contains none, so its file name counts."""
+    """Use a radio whose file contains its name, and a scene that is named like its file."""
     monkeypatch.setattr(module, "UNSEEN", ("square-2", unseen))
     with refuses("places"):
         place_from(":".join(map(str, files)))
@@ -123,7 +123,7 @@ def test_every_place_has_the_bank_of_its_radio():
 
 
 def test_modes_that_share_a_belief_are_the_same_at_all_places():
-    """Check that all places have the modes that were tuned for the first place's radio."""
+    """Check that these modes are the ones that were tuned for the first place's radio."""
     shared = task(beliefs="shared")
     assert {bank.modes for bank in shared.banks.values()} == {default_modes("handset")}
     at = task_from(**shared.arguments(PLACES[1]))

@@ -1,4 +1,4 @@
-"""Tests of RolloutEnv, which tries all actions, and PlacesVecEnv, which combines several places."""
+"""Tests of the environments for training: one tries all actions, one combines several places."""
 
 from dataclasses import replace
 
@@ -38,7 +38,7 @@ def environment(of=None, n=16, seed=SEED):
 
 
 def chaotic(actions):
-    """Return a policy whose actions depend on the last digits of observations."""
+    """Return a policy whose actions change if the last digits of observations change."""
     return lambda observed: (np.abs(observed[:, 1:9]).sum(1) * 1e4).astype(np.int64) % actions
 
 
@@ -106,7 +106,7 @@ def test_trying_actions_does_not_change_the_environment():
 
 
 def test_states_near_the_end_of_an_episode_are_left_out():
-    """Use 16 environments; after one epoch, the first eight begin an episode of 200 epochs."""
+    """Use 16 environments, of which the first eight begin a new episode after one epoch."""
     env = environment()
     walked(env, 200 - HORIZON + 1)
     assert len(env.try_all(chaotic(4)).values) == 16
@@ -151,7 +151,7 @@ PAIRED = replace(HYPER, num_envs=5, paired=True)  # 3 environments at one place,
 
 
 def alone(place, n):
-    """Return the environments of one place alone."""
+    """Return n environments at one place, as a training at this place alone has them."""
     arguments = TASK.arguments(place) | {"reward": PairedReward(TASK.reward)}
     return SB3VecEnv(MmWaveLocVectorEnv(n, **arguments, autoreset_mode="SameStep"))
 
@@ -166,7 +166,7 @@ def assert_same_ends(infos, expected):
 
 @pytest.mark.slow
 def test_several_places_together_equal_each_place_alone():
-    """Let the second place continue the seeds of the first, and let its episodes end earlier."""
+    """Give the second place the seeds after those of the first, and end its episodes earlier."""
     together = PlacesVecEnv(TASK, PAIRED)
     first, second = alone(PLACES[0], 3), alone(PLACES[1], 2)
     together.seed(10_000_000)

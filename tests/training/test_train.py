@@ -91,7 +91,7 @@ def test_the_exported_actor_chooses_the_actions_of_the_trained_one(tmp_path):
 
 
 def test_a_training_reports_its_periodic_evaluations(tmp_path):
-    """Check also which one is the best. (Searches use all evaluations to stop trials early.)"""
+    """Check that all are reported, because searches stop bad trials early, and the best one."""
     heard = []
     outcome = train(job_of(tmp_path), heard.append)
     rewards = {news.timesteps: news.evaluation["reward"] for news in heard if news.evaluation}
@@ -120,7 +120,7 @@ def test_a_bias_makes_the_first_action_more_likely_at_the_start():
 
 
 def test_hyperparameters_that_have_a_default_may_be_left_out(tmp_path):
-    """Check that files older than a hyperparameter are read, and written again without it."""
+    """Read a file from before a hyperparameter existed; its default is not written either."""
     path = written(tmp_path / "old.json", {"first_action_bias": None})
     assert read_hyperparameters(path, "ppo") == HYPER
     assert hyperparameters_as_written(HYPER) == json_in(path)
@@ -142,7 +142,7 @@ BAD = {
 
 
 def written(path, change):
-    """Write a file of hyperparameters with changes; those that are None are left out."""
+    """Write a text, or HYPER with changes, to a file; a change to None removes an entry."""
     if isinstance(change, str):
         path.write_text(change)
     else:
@@ -152,7 +152,7 @@ def written(path, change):
 
 
 def refused(*words):
-    """Run `train` with options that it must refuse; return its last line."""
+    """Run ``mmwave-loc train`` with options that it must refuse; return its error."""
     done = command("train", *words)
     line = done.stderr.splitlines()[-1]
     assert done.returncode == 2 and done.stdout == "" and line.startswith("mmwave-loc train: ")
@@ -208,7 +208,7 @@ def test_the_error_without_pytorch_says_what_to_install(tmp_path, monkeypatch):
 
 
 def folder_of(path, modes=None, hyper=None, **options):
-    """Make the folder of a run that, according to its manifest, can be resumed."""
+    """Make the folder of a run whose manifest (run.json) has these options; return it."""
     args = Args(out=path, **options)
     banks = {"handset": Bank(modes or default_modes("handset"))}
     manifest = manifest_of(args, banks, hyper or hyperparameters(args, 1))
@@ -234,7 +234,7 @@ def test_a_run_with_other_options_is_not_resumed(tmp_path):
 
 
 def test_a_run_with_other_modes_banks_or_hyperparameters_is_not_resumed(tmp_path):
-    """Change a mode file, the modes that a name stands for, a bank, or a hyperparameter."""
+    """Let the run have other modes, another hyperparameter, or other banks."""
     path = written(tmp_path / "mine.json", {})
     resume = ("--resume", "--hyperparameters", path, "--out")
     folder = folder_of(tmp_path / "modes", modes=MODES, hyperparameters=path)
@@ -258,7 +258,7 @@ def test_a_damaged_manifest_is_refused(damaged, tmp_path):
 
 @pytest.mark.slow
 def test_a_policy_trained_at_two_places_with_beliefs_per_mode_plays_at_a_third(tmp_path):
-    """Run the command `train`, then the command `evaluate`."""
+    """Run the command ``train``, then the command ``evaluate``."""
     short = ("--seeds", 1, "--total-timesteps", 1, "--out", tmp_path / "run")
     shown = succeed("train", "--beliefs", "per-mode", "--places", *PLACES, *short)
     assert "| minus imm-best |" in shown
@@ -266,7 +266,7 @@ def test_a_policy_trained_at_two_places_with_beliefs_per_mode_plays_at_a_third(t
     best = outcome["best"]
     for rival in ("speed-rule", "imm", "imm-best"):
         each = [best[f"{place} minus {rival}"]["mean"] for place in PLACES]
-        # The places have the same number of episodes.
+        # The mean over episodes is the mean over places, which have equally many episodes.
         assert best[f"minus {rival}"]["mean"] == pytest.approx(np.mean(each))
     assert abs(best["minus imm-best"]["mean"]) < 0.05  # the policy starts near the IMM
 

@@ -1,4 +1,4 @@
-"""Tests that a training can be killed at any moment, resumes, and writes the same files."""
+"""Tests that a training that was killed can be continued, and then writes the same files."""
 
 import csv
 import io
@@ -92,7 +92,7 @@ def assert_same_training(actual, expected):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_training_killed_at_random_moments_continues_to_the_same_result(kind, tmp_path):
     job, whole = job_of(tmp_path / "killed", kind), job_of(tmp_path / "whole", kind)
-    train(whole)  # also compiles
+    train(whole)  # compiles the functions that the forked processes run
     checkpoint, rng, kills = job.folder / "checkpoint.pt", np.random.default_rng(5), 0
     before = None
     while True:
@@ -175,7 +175,10 @@ def test_a_damaged_checkpoint_ends_all_trainings(tmp_path):
 
 @pytest.fixture
 def started():
-    """Return a function that starts `train` in a process group, which is killed after the test."""
+    """Return a function that starts ``mmwave-loc train`` in a process group of its own.
+
+    After the test, what remains of the groups is killed.
+    """
     commands = []
     # Commands that a shell runs in the background ignore Ctrl-C, and so do their children.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -246,7 +249,7 @@ def test_an_interrupted_command_ends_at_once_and_continues_when_resumed(tmp_path
         if message:
             assert re.fullmatch(f"mmwave-loc train: {message}", errors.splitlines()[-1])
             assert not list(out.rglob(".*"))
-        assert gone(command.pid)  # the training ends, too
+        assert gone(command.pid)  # the processes of the trainings end, too
 
     command = started(*words, "--resume")
     summary, _ = command.communicate(timeout=1800)
