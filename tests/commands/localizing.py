@@ -8,7 +8,7 @@ from tests.cli import command
 from tests.paths import LOGS, ROOT, json_in
 
 WALK, RIDE = LOGS / "canyon28_pedestrian", LOGS / "canyon28_vehicle"
-EPOCHS = {WALK: 400, RIDE: 120}
+EPOCHS = {WALK: 400, RIDE: 120}  # number of epochs in each log
 
 
 def options(log, *more, folder=WALK):

@@ -105,7 +105,7 @@ def results(tmp_path_factory):
         return content, list(csv.DictReader(file))
 
 
-@pytest.mark.slow  # evaluates two policies
+@pytest.mark.slow
 def test_results_match_their_schema(results):
     validate = pytest.importorskip("jsonschema").validate
     validate(results[0], SCHEMA)
@@ -162,7 +162,7 @@ def test_a_table_that_cannot_be_written_is_refused_before_episodes_are_played(tm
     assert_one_clear_line(done, "a.csv: found a folder")
 
 
-OPTIONS = {
+OPTIONS = {  # name -> option of the command, equivalent argument of the environment
     "planar": (("--planar",), {"planar": True}),
     "odometry": (("--odometry",), {"odometry": True}),
     "time step": (("--dt", "0.5"), {"dt": 0.5}),

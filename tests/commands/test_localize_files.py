@@ -79,7 +79,7 @@ def test_one_run_writes_several_files_and_the_track_in_maps_has_the_name_of_the_
     assert track.name == line["properties"]["name"] == "my_ride"
     tables = [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")]
     assert "t.geojson (smoothed track), new/t.tum (smoothed track), new/t.csv (its" in shown
-    succeed(*MAPPED, "new/t.tum", "new/t.csv", cwd=mapped)  # the table may be named, too
+    succeed(*MAPPED, "new/t.tum", "new/t.csv", cwd=mapped)  # naming the table changes nothing
     assert [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")] == tables
 
 

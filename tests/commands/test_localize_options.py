@@ -46,7 +46,7 @@ def as_json(lines, whole):
 def test_every_epoch_has_a_line_and_the_last_position_equals_that_in_a_track_file(tmp_path):
     content = (WALK / "log.csv").read_bytes()
     positions, errors, code = live(content, "--speed", "1")
-    # The only line of standard error is the note on what chooses the modes.
+    # The only line of standard error says what chooses the modes.
     assert code == 0 and len(positions) == 400 and len(errors) == 1
     more = ("--radio", "standard", "--no-smoothing", "--out", tmp_path / "t.tum")
     figures(WALK, "--speed", "1", *more)
@@ -174,8 +174,8 @@ def test_a_diagnosis_reports_facts_about_the_log():
     assert (facts["first_s"], facts["last_s"]) == (times[0], times[-1])
     assert facts["step_s"] == pytest.approx(np.median(np.diff(times)))
     for anchor, fact in enumerate(facts["anchors"], start=1):
-        of = columns["anchor"] == anchor  # links that were not measured have empty cells
-        assert fact["seen"] == np.isfinite(columns["snr_db"][of]).sum()
+        snr = columns["snr_db"][columns["anchor"] == anchor]
+        assert fact["seen"] == np.isfinite(snr).sum()  # it is NaN where the anchor was not seen
     poses = read_tum(RIDE / "truth.tum")
     moved = np.linalg.norm(np.diff(poses.position_m, axis=0), axis=1) / np.diff(poses.time_s)
     assert facts["speed_mps"]["max"] == pytest.approx(moved.max(), rel=0.05)

@@ -14,7 +14,7 @@ from experiments.console.options import IntegrityArgs, TaskArgs
 from tests.cli import assert_one_clear_line, command, environment, python, started, succeed
 from tests.paths import ROOT, json_in
 
-# packages that take long to import
+# These packages take long to import.
 HEAVY = {"numba", "gymnasium", "numpy", "scipy", "matplotlib", "torch", "rich", "pyarrow"}
 
 # --- help and mistakes
@@ -79,7 +79,7 @@ def test_shells_complete_commands_and_options():
 
 
 NEVER, RECORDED = ("simulate", "--out", "never"), ("--data", "canyon28_vehicle")
-MISTAKES = {
+MISTAKES = {  # name -> words typed, expected message
     "missing scene": (("evaluate", "--scene", "plaza.json"), "plaza.json"),
     "no episodes": (("evaluate", "--episodes", "-5"), "episodes: found -5, expected at least 1"),
     "JSON into a .tex file": (("compare", "--json", "t.tex"), "json: .* ends with .json"),

@@ -46,9 +46,6 @@ def test_mistakes_end_with_one_clear_line_before_any_work(options, message):
     assert_one_clear_line(command("speed", *options), f"^mmwave-loc speed: .*{message}")
 
 
-# --- pages with tables that commands renew
-
-
 def test_a_page_is_renewed_only_between_its_marks():
     tables = {"T": "| a |\n|---|\n| 1 |\n\nnote"}
     page = "before\n<!-- table: T -->\nold\n<!-- end -->\nafter\n"

@@ -75,7 +75,7 @@ SPELLED = r"$x$|a\nb\x1b[31m[red]\u202e<script>"
 
 @pytest.fixture
 def screen(monkeypatch):
-    """Return a buffer that gets what a terminal of 100 columns would get: progress bars."""
+    """Return a buffer to which progress bars are written, as to a terminal of 100 columns."""
     shown = io.StringIO()
 
     def console(**_):
@@ -166,9 +166,3 @@ def test_names_with_special_characters_are_escaped_in_tables(shown, capsys, name
     assert [row.rpartition("  ")[0].rstrip() for row in rows] == [plain, "imm"]
     assert not re.search(r"(?<!\\)<[a-z/]", escaped(name))
     assert len({cell_len(row) for row in rows}) == 1  # wide characters leave columns aligned
-
-
-def test_text_outside_tables_is_shown_without_control_characters(monkeypatch, capsys):
-    monkeypatch.delenv("FORCE_COLOR", raising=False)
-    show("### \x1b]0;title\x07 street\n\nnext\n")
-    assert capsys.readouterr().out == "### \\x1b]0;title\\x07 street\n\nnext\n\n"

@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc --version --json``, which also runs a self-test of the kernels."""
+"""Tests of ``mmwave-loc --version --json``, which also tests kernels (compiled functions)."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Tests of histories of episodes, from which pictures are drawn, against those of environments."""
+"""Tests that the histories of contenders, which pictures show, equal those of environments."""
 
 import gymnasium as gym
 import numpy as np

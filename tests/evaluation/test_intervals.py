@@ -124,7 +124,8 @@ def test_few_seeds_have_wider_intervals():
     assert few_seeds_factor(1) == 1.0 < few_seeds_factor(1000) < 1.002
 
 
-# standard deviations of what a seed, an episode, and the two together add to a score
+# A score is a sum of three random numbers: one of the training seed, one of the episode, and one of
+# the pair. These are their standard deviations.
 SPREADS = {"seeds": (1.0, 0.0, 0.1), "episodes": (0.0, 1.0, 0.1), "all": (0.2, 0.7, 0.7)}
 
 

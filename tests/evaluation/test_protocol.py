@@ -25,7 +25,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, scene_from
 
 
-def test_unseen_streets_are_not_shipped_and_differ_in_carrier_and_geometry():
+def test_unseen_scenes_and_radios_are_not_shipped_and_the_scenes_differ():
     assert not set(UNSEEN) & {*SCENES, *RADIOS}
     scenes = [scene_from(unseen_file(name)) for name in UNSEEN[:-1]]
     for scene in scenes:

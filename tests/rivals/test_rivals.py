@@ -35,11 +35,9 @@ def played(agent, some, planar=False):
 
 
 class Seen(Estimator):
-    """An estimator that stores its inputs; in each epoch, it returns the prior.
+    """An estimator that stores its inputs and returns the prior in every epoch.
 
-    Attributes:
-        size: how many numbers of the prior mean to return; 7 is right.
-        epochs: how many epochs to return a belief for; None for all.
+    With ``size`` it returns too few numbers, and with ``epochs`` it returns too few beliefs.
     """
 
     def __init__(self, size=7, epochs=None):
@@ -62,7 +60,7 @@ def priors_and_measurements():
 
 
 def test_particles_agree_with_the_ekf_where_all_is_nearly_linear():
-    """Use large noise, so that thousands of particles keep weight and err by only a few percent."""
+    """Use large noise: then thousands of particles have weight, and random errors are small."""
     good = replace(SOURCE, radio=RADIOS["standard"])
     some = [replace(episode, sigma=4.0 * episode.sigma) for episode in episodes(4, good)]
     cloud, kalman = (

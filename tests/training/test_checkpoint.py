@@ -94,9 +94,6 @@ def test_a_malicious_checkpoint_is_refused_and_not_executed(path, tmp_path):
     assert not trap.exists()
 
 
-# --- the progress log
-
-
 def test_the_progress_log_writes_one_row_per_call_and_can_be_continued(tmp_path):
     log = ProgressLog(tmp_path, [])
     log.write({"a": 1, "time/fps": 9}, {}, 10)

@@ -144,7 +144,7 @@ def test_the_normalization_is_measured_on_observations_of_the_environment():
 
 # --- several places as one vector environment
 
-PAIR = MODES[:2]  # quick to compile
+PAIR = MODES[:2]  # compile quickly
 SLOWER = Bank(tuple(replace(mode, sigma_v=0.5 * mode.sigma_v) for mode in PAIR), None, 0.99)
 TASK = task(banks={"handset": Bank(PAIR), "standard": SLOWER})
 PAIRED = replace(HYPER, num_envs=5, paired=True)  # 3 environments at one place, 2 at the other

@@ -12,7 +12,7 @@ from mmwave_env.models.radio import RADIOS
 
 
 def distance(bank, planted):
-    """Return the squared logarithmic distance between two banks of the same modes."""
+    """Return the sum of squared differences between the logarithms of two banks' numbers."""
     pairs = [(np.array(bank.transition), np.array(planted.transition))]
     for field in ("sigma_p", "sigma_v", "acceleration_mps2"):
         values = [[getattr(mode, field) for mode in bank_of.modes] for bank_of in (bank, planted)]

@@ -58,11 +58,8 @@ def job_of(folder, hyper=HYPER, **changes):
 
 
 def content(hyper=HYPER):
-    """Return all hyperparameters as in their file."""
+    """Return hyperparameters in the form that a file of hyperparameters has."""
     return asdict(hyper) | {"hidden": list(hyper.hidden)}
-
-
-# --- exported policies
 
 
 def test_the_exported_actor_chooses_the_actions_of_the_trained_one(tmp_path):
@@ -87,11 +84,8 @@ def test_the_exported_actor_chooses_the_actions_of_the_trained_one(tmp_path):
     assert taken == {0, 1, 2} and np.mean(alike) == 1.0
 
 
-# --- evaluations during a training
-
-
 def test_a_training_reports_its_periodic_evaluations(tmp_path):
-    """Check that all are reported, because searches stop bad trials early, and the best one."""
+    """Check that all evaluations are reported, by which searches stop bad trials, and the best."""
     heard = []
     outcome = train(job_of(tmp_path), heard.append)
     rewards = {news.timesteps: news.evaluation["reward"] for news in heard if news.evaluation}
@@ -120,7 +114,7 @@ def test_a_bias_makes_the_first_action_more_likely_at_the_start():
 
 
 def test_hyperparameters_that_have_a_default_may_be_left_out(tmp_path):
-    """Read a file from before a hyperparameter existed; its default is not written either."""
+    """Read a file without a hyperparameter that has a default, which is not written either."""
     path = written(tmp_path / "old.json", {"first_action_bias": None})
     assert read_hyperparameters(path, "ppo") == HYPER
     assert hyperparameters_as_written(HYPER) == json_in(path)
@@ -142,7 +136,7 @@ BAD = {
 
 
 def written(path, change):
-    """Write a text, or HYPER with changes, to a file; a change to None removes an entry."""
+    """Write a text, or HYPER with changes (None removes an entry), to a file; return its path."""
     if isinstance(change, str):
         path.write_text(change)
     else:
@@ -204,7 +198,7 @@ def test_the_error_without_pytorch_says_what_to_install(tmp_path, monkeypatch):
     assert not (tmp_path / "run").exists()
 
 
-# --- folders
+# --- folders, and a short run
 
 
 def folder_of(path, modes=None, hyper=None, **options):
@@ -251,9 +245,6 @@ def test_a_damaged_manifest_is_refused(damaged, tmp_path):
     (tmp_path / "run.json").write_text(damaged)
     line = refused("--out", tmp_path, "--resume")
     assert "run.json: not the manifest of a run" in line
-
-
-# --- a short run
 
 
 @pytest.mark.slow

@@ -216,7 +216,7 @@ def until_replaced(path, process):
 
 
 def test_an_interrupted_command_ends_at_once_and_continues_when_resumed(tmp_path, started):
-    """Kill the command, kill one of its trainings, or send Ctrl-C or another signal."""
+    """Interrupt it four times: kill it, kill its training, press Ctrl-C, and send SIGTERM."""
     street = replace(TASK, banks={"handset": Bank(default_modes("handset"))})
     job = job_of(tmp_path / "whole", task=street)
     # The training must take seconds, so that it can be interrupted.
