@@ -234,13 +234,13 @@ def test_an_interrupted_command_ends_at_once_and_continues_when_resumed(tmp_path
         os.kill(training, signal.SIGKILL)
         os.killpg(group, signal.SIGCONT)
 
-    ways = {  # last line of errors -> exit code, and function that interrupts the command
+    interruptions = {  # last line of errors -> exit code, and function that interrupts the command
         "": (-signal.SIGKILL, lambda pid: os.kill(pid, signal.SIGKILL)),
         "seed 0: its process ended with code -9; .*": (2, kill_the_training),
         "interrupted": (130, lambda pid: os.killpg(pid, signal.SIGINT)),  # as Ctrl-C does
         "ended by SIGTERM": (143, lambda pid: os.kill(pid, signal.SIGTERM)),
     }
-    for message, (code, send) in ways.items():
+    for message, (code, send) in interruptions.items():
         command = started(*words, *["--resume"] * out.exists())
         until_replaced(checkpoint, command)
         send(command.pid)
