@@ -166,3 +166,9 @@ def test_names_with_special_characters_are_escaped_in_tables(shown, capsys, name
     assert [row.rpartition("  ")[0].rstrip() for row in rows] == [plain, "imm"]
     assert not re.search(r"(?<!\\)<[a-z/]", escaped(name))
     assert len({cell_len(row) for row in rows}) == 1  # wide characters leave columns aligned
+
+
+def test_text_outside_tables_is_shown_without_control_characters(monkeypatch, capsys):
+    monkeypatch.delenv("FORCE_COLOR", raising=False)
+    show("### \x1b]0;title\x07 street\n\nnext\n")
+    assert capsys.readouterr().out == "### \\x1b]0;title\\x07 street\n\nnext\n\n"
