@@ -78,13 +78,13 @@ def test_shells_complete_commands_and_options():
         assert "localize" in script and "policies" in script and "quiet" in script
 
 
-NEVER, RECORDED = ("simulate", "--out", "never"), ("--data", "canyon28_vehicle")
+RECORDED = ("simulate", "--out", "never", "--data", "canyon28_vehicle")
 MISTAKES = {  # name -> words typed, expected message
     "missing scene": (("evaluate", "--scene", "plaza.json"), "plaza.json"),
     "no episodes": (("evaluate", "--episodes", "-5"), "episodes: found -5, expected at least 1"),
     "JSON into a .tex file": (("compare", "--json", "t.tex"), "json: .* ends with .json"),
     "a table as text": (("compare", "--episodes-csv", "t.txt"), "episodes-csv: .* ends with .csv"),
-    "recorded scenario": ((*NEVER, *RECORDED, "--scenario", "jam"), "scenario: found 'jam', but"),
+    "recorded scenario": ((*RECORDED, "--scenario", "jam"), "scenario: found 'jam', but"),
     "unknown option": (("evaluate", "--color", "red"), "--color"),
     "mistyped option": (("evaluate", "--episode=3"), "--episode=3; did you mean --episodes[?]"),
     "a word too many": (("speed", "fast"), "fast"),

@@ -60,10 +60,9 @@ def test_mistakes_end_with_one_clear_line(tmp_path, words, message):
 
 
 def squared(values):
-    """Return the square of a number, except for the numbers 0, 1 and 4.
+    """Return the square of a number, except that 0 raises an error and 4 ends the process.
 
-    0 raises an error; 4 ends the process. 1 raises the error of a full disk, but only in its first
-    call, which makes the file ``mark``.
+    1 raises the error of a full disk in its first call, which makes the file ``mark``.
     """
     number, mark = values["number"], values["mark"]
     if number == 0:

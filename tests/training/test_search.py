@@ -46,13 +46,17 @@ def test_generations_are_numbered_and_the_number_of_evaluations_is_limited():
     assert 40 - size < len(asked) <= 40
 
 
-def test_the_search_starts_from_the_modes_and_has_all_numbers_of_a_bank():
+def test_the_search_starts_from_the_modes_and_varies_every_number():
     space, n = search_space(START), len(START)
     start = space.bank_at(space.start)
     assert start.modes == START and start.nis_quantile == 0.999
     np.testing.assert_allclose(start.transition, stay_matrix(n), atol=1e-5)
     maneuvers = sum(bool(mode.acceleration_mps2) for mode in START)
     assert len(space.start) == n * (n - 1) + 2 * n + maneuvers + 1
+    for i, deviation in enumerate(space.deviation):
+        moved = space.start.copy()
+        moved[i] += deviation
+        assert space.bank_at(moved) != start
 
 
 @pytest.mark.parametrize("radio", RADIOS)
