@@ -180,11 +180,11 @@ def test_a_late_begin_a_restart_and_an_end_at_a_long_gap_are_reported(capsys, tm
     log, gap = tmp_path / "gap.csv", range(100, 130)
     header, *lines = lines_of()
     rows = [(round(10 * float(time)), rest) for time, _, rest in (l.partition(",") for l in lines)]
-    for seen, said, counts in (
+    for visible_s, said, counts in (
         (range(20, 400), "restarted once after a gap of more than 15 s; 0 epochs", (1, 0, 350)),
         (range(20, 100), "ended at a gap of more than 15 s; 270 epochs", (0, 270, 80)),
     ):
-        visible = [t in seen or not rest.startswith("1,") for t, rest in rows]
+        visible = [t in visible_s or not rest.startswith("1,") for t, rest in rows]
         kept = [
             f"{t},{rest}" for (t, rest), s in zip(rows, visible, strict=True) if s and t not in gap
         ]
