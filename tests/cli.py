@@ -56,6 +56,17 @@ def python(code, *options, cwd=ROOT):
     return subprocess.run(words, cwd=cwd, env=environment(), capture_output=True, text=True)
 
 
+def started(*words, **options):
+    """Start ``mmwave-loc <words>`` in a process of its own, with pipes for output; return it.
+
+    The options are arguments of ``subprocess.Popen`` that replace or complete the usual ones.
+    """
+    usual = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    usual |= {"env": environment(), "cwd": ROOT}
+    words = [sys.executable, "-m", "experiments.console", *map(str, words)]
+    return subprocess.Popen(words, **usual | options)
+
+
 def succeed(*words, cwd=ROOT):
     """Run a command, check that it succeeds, and return what it prints."""
     done = command(*words, cwd=cwd)

@@ -1,4 +1,4 @@
-"""Helpers that run ``mmwave-loc localize`` on shipped logs (a walk, a ride) or changed logs."""
+"""Helpers that run ``mmwave-loc localize`` on two shipped logs (a walk, a ride) or on others."""
 
 import tempfile
 from pathlib import Path
@@ -8,15 +8,19 @@ from tests.cli import command
 from tests.paths import LOGS, ROOT, json_in
 
 WALK, RIDE = LOGS / "canyon28_pedestrian", LOGS / "canyon28_vehicle"
-EPOCHS = {WALK: 400, RIDE: 120}
+EPOCHS = {WALK: 400, RIDE: 120}  # number of epochs in each log
 
 
 def options(log, *more, folder=WALK):
+    """Return the words after ``localize``: the log, the folder's scene, and more options."""
     return [str(v) for v in (log, "--scene", folder / "scene.json", *more)]
 
 
 def figures(folder, *more, log=None, truth=True):
-    """Run the command on a sample (or ``log``); return the content of the JSON file it writes."""
+    """Run the command on a folder's log, or on ``log``; return the content of its JSON file.
+
+    ``truth`` says whether the track is compared with the folder's true track.
+    """
     with tempfile.TemporaryDirectory() as scratch:
         file = Path(scratch) / "figures.json"
         scored = ("--truth", folder / "truth.tum") if truth else ()
@@ -26,7 +30,7 @@ def figures(folder, *more, log=None, truth=True):
 
 
 def refused(arguments, cwd=ROOT):
-    """Check that localize refuses the arguments; return what it printed and its error line."""
+    """Check that the command refuses the arguments; return what it printed, and its error."""
     done = command("localize", *arguments, cwd=cwd)
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()

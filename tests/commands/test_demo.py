@@ -1,6 +1,4 @@
-"""Tests of the output and the files of ``mmwave-loc demo``."""
-
-import json
+"""Test of what ``mmwave-loc demo`` prints and writes, with invented scores of all policies."""
 
 import numpy as np
 
@@ -11,19 +9,18 @@ from experiments.evaluation.comparison import compare_scores
 from experiments.evaluation.seeds import Selection
 from experiments.reporting.comparison_results import Results
 from mmwave_env.metrics import METRICS, TERMS
+from tests.paths import json_in
 
 
 def test_results_for_every_data_set_are_printed_and_written(tmp_path, monkeypatch, capsys):
     def results(args, names):
         assert args.percentiles
-        rng = np.random.default_rng(0)
-        scores = {name: {m: rng.normal(size=3) for m in (*METRICS, *TERMS)} for name in names}
-        scenario = args.data or "mixed"
-        episodes = {"radio": args.radio, "selection": Selection(range(args.episodes))}
-        comparison = compare_scores(scores, scenario=scenario, **episodes)
+        scores = {name: dict.fromkeys((*METRICS, *TERMS), np.arange(3.0)) for name in names}
+        episodes = {"scenario": args.data or "mixed", "selection": Selection(range(args.episodes))}
+        comparison = compare_scores(scores, radio=args.radio, **episodes)
         return Results(comparison, str(comparison), comparison.json, ())
 
-    def page_of(args):  # the page has its own tests
+    def page_of(args):
         assert args.results == tuple(tmp_path / f"{place}.json" for place in places)
         return "a page"
 
@@ -40,8 +37,8 @@ def test_results_for_every_data_set_are_printed_and_written(tmp_path, monkeypatc
     assert all(written.count(f"\n| {name} |") == 2 * len(places) for name in everyone)
     (page,) = tmp_path.glob("*.html")
     assert str(page) in shown and page.read_text() == "a page"
-    together = json.loads((tmp_path / "all.json").read_text())
+    together = json_in(tmp_path / "all.json")
     for place in places:
         assert str(tmp_path / f"{place}.json") in shown
-        assert together[place] == json.loads((tmp_path / f"{place}.json").read_text())
+        assert together[place] == json_in(tmp_path / f"{place}.json")
         assert list(together[place]["policies"]) == list(everyone)

@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc leaderboard``, which ranks entries (JSON files of one policy's results)."""
+"""Tests of ``mmwave-loc leaderboard``, which ranks JSON files, each with one policy's results."""
 
 import json
 import shutil
@@ -11,12 +11,13 @@ from experiments.leaderboard import Args, main
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT, json_in
 
-GOOD, POOR = "guided", "imm-best"  # entries in docs/leaderboard
+FOLDER = ROOT / "docs" / "leaderboard"
+GOOD, POOR = "guided", "imm-best"  # two entries in this folder, the better one first
 
 
 @pytest.fixture(scope="module")
 def entries(tmp_path_factory):
-    """Return a folder with the entries of two policies that were judged on few episodes."""
+    """Return a folder with the files of two policies, which were evaluated on few episodes."""
     folder = tmp_path_factory.mktemp("entries")
     names = ["imm-best", "speed-rule"]
     judged = [judge(names, site, 2, 0) for site in sites()]
@@ -40,7 +41,7 @@ def test_entries_are_ranked_and_a_page_is_updated(entries, tmp_path):
 
 
 @pytest.mark.slow
-def test_entries_that_are_kept_are_not_judged_again(entries, tmp_path, monkeypatch):
+def test_with_keep_no_policy_that_has_a_file_is_evaluated_again(entries, tmp_path, monkeypatch):
     shutil.copy(entries / "imm-best.json", tmp_path)
     judged = set()
 
@@ -51,13 +52,10 @@ def test_entries_that_are_kept_are_not_judged_again(entries, tmp_path, monkeypat
     monkeypatch.setattr(protocol, "judge", judging)
     main(Args(policies=("imm-best", "speed-rule"), episodes=2, draws=2, keep=True, out=tmp_path))
     assert judged == {"speed-rule"}
-    made, expected = ((f / "speed-rule.json").read_text() for f in (tmp_path, entries))
-    assert json.loads(made)["sites"].keys() == json.loads(expected)["sites"].keys()
 
 
-@pytest.mark.slow
-def test_a_file_that_is_not_an_entry_is_refused(entries, tmp_path):
-    good = json_in(entries / "imm-best.json")
+def test_a_file_that_is_not_an_entry_is_refused(tmp_path):
+    good = json_in(FOLDER / f"{GOOD}.json")
     for damage, message in (
         ({"sites": {}}, "sites: missing street:handset, "),
         ({"mean_gain": {}}, "not an entry: "),
@@ -80,10 +78,9 @@ def test_a_mistake_is_refused_before_episodes_are_played(options, message, tmp_p
     assert_one_clear_line(command("leaderboard", *options, "--out", tmp_path), message)
 
 
-@pytest.mark.parametrize(("episodes", "draws"), [(20, 5), (1999, 200), (2000, 199)])
+@pytest.mark.parametrize(("episodes", "draws"), [(1999, 200), (2000, 199)])
 def test_an_entry_of_too_few_episodes_comes_last_and_is_marked(episodes, draws, tmp_path):
-    folder = ROOT / "docs" / "leaderboard"
-    good, poor = (json_in(folder / f"{name}.json") for name in (GOOD, POOR))
+    good, poor = (json_in(FOLDER / f"{name}.json") for name in (GOOD, POOR))
     (tmp_path / "full.json").write_text(json.dumps(poor))
     for site in good["sites"].values():
         site["episodes"] = draws if site["kind"] == "recorded" else episodes

@@ -52,7 +52,7 @@ def test_a_sample_can_be_copied(tmp_path):
 
 def test_copying_a_sample_replaces_no_file(tmp_path):
     succeed("list", "samples", "--copy", "canyon28_pedestrian", "--out", tmp_path / "walk")
-    (tmp_path / "walk" / "log.csv").unlink()  # a second copy must not add it again
+    (tmp_path / "walk" / "log.csv").unlink()  # the second copy is refused and must not add it
     done = command("list", "samples", "--copy", "canyon28_pedestrian", "--out", tmp_path / "walk")
     assert_one_clear_line(done, "scene.json: found a file of this name, expected none")
     assert not (tmp_path / "walk" / "log.csv").exists()

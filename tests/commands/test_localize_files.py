@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc localize``: its files, special names, and damaged or long logs."""
+"""Tests of ``mmwave-loc localize``: files that it writes, odd names, damaged and long logs."""
 
 import errno
 import gzip
@@ -15,24 +15,22 @@ import numpy as np
 import pytest
 
 from mmwave_env.logs.tum import COLUMNS, read_tum, tum_lines
-from tests.cli import assert_one_clear_line, command, environment, succeed
+from tests.cli import assert_one_clear_line, command, environment, started, succeed
 from tests.commands.localizing import RIDE, WALK, figures, lines_of, options, refused
-from tests.paths import ROOT, json_in
+from tests.paths import json_in
 
 SAMPLE = ("localize", "--sample", RIDE.name, "--speed", "9")
 
 
-def test_a_picture_is_drawn_with_and_without_a_truth_for_any_name(tmp_path):
+def test_a_picture_is_drawn_for_any_name(tmp_path):
     folder = tmp_path / "a$b_{^$ | \x1b[31m\n"
     shutil.copytree(RIDE, folder)
-    for name, truth in {"new/t.png": ("--truth", folder / "truth.tum"), "plain.png": ()}.items():
-        path = folder / name
-        words = options(folder / "log.csv", *truth, "--speed", "9", "--plot", path, folder=folder)
-        done = command("localize", *words)
-        assert done.returncode == 0, done.stderr
-        assert all(line.isprintable() for line in (done.stdout + done.stderr).splitlines())
-        content = path.read_bytes()
-        assert content.startswith(b"\x89PNG") and len(content) > 20_000
+    words = ("--truth", folder / "truth.tum", "--speed", "9", "--plot", folder / "new" / "t.png")
+    done = command("localize", *options(folder / "log.csv", *words, folder=folder))
+    assert done.returncode == 0, done.stderr
+    assert all(line.isprintable() for line in (done.stdout + done.stderr).splitlines())
+    content = (folder / "new" / "t.png").read_bytes()
+    assert content.startswith(b"\x89PNG") and len(content) > 20_000
 
 
 def test_files_and_figures_are_written_even_if_the_picture_fails(tmp_path, monkeypatch):
@@ -63,7 +61,7 @@ def test_results_of_a_comparison_are_written_even_if_the_picture_fails(tmp_path,
 
 @pytest.fixture
 def mapped(tmp_path):
-    """Return a folder with the ride's log (my_ride.csv.gz) and a scene with a known origin."""
+    """Return a folder with the ride's log and a scene whose latitude and longitude are known."""
     scene = json_in(RIDE / "scene.json")
     scene["origin"] = {"latitude_deg": 48.0, "longitude_deg": 11.0}
     (tmp_path / "scene.json").write_text(json.dumps(scene))
@@ -81,7 +79,7 @@ def test_one_run_writes_several_files_and_the_track_in_maps_has_the_name_of_the_
     assert track.name == line["properties"]["name"] == "my_ride"
     tables = [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")]
     assert "t.geojson (smoothed track), new/t.tum (smoothed track), new/t.csv (its" in shown
-    succeed(*MAPPED, "new/t.tum", "new/t.csv", cwd=mapped)  # the table may be named, too
+    succeed(*MAPPED, "new/t.tum", "new/t.csv", cwd=mapped)  # naming the table changes nothing
     assert [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")] == tables
 
 
@@ -99,17 +97,16 @@ def test_if_one_file_of_several_is_refused_none_is_written(mapped, wrong):
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_an_error_while_printing_is_reported():
     with open("/dev/full", "w") as full:
-        words = [sys.executable, "-m", "experiments.console", "list"]
-        pipes = {"stdout": full, "stderr": subprocess.PIPE, "text": True}
-        done = subprocess.run(words, env=environment(), cwd=ROOT, **pipes)
-    assert done.stderr == "mmwave-loc list: standard output: No space left on device\n"
+        done = started("list", stdout=full)
+        _, err = done.communicate()
+    assert err == "mmwave-loc list: standard output: No space left on device\n"
     assert done.returncode == 2
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs FIFOs")
 @pytest.mark.parametrize("option", ["log", "--scene", "--truth", "--modes", "--radio"])
 def test_a_fifo_is_refused_before_it_is_read(tmp_path, option):
-    """Use FIFOs, because reading one never ends; tests/io/test_files.py has other special files."""
+    """Use FIFOs: reading one would never end. tests/io/test_files.py has other special files."""
     odd = tmp_path / ("odd.csv" if option == "log" else "odd.json")
     os.mkfifo(odd)
     files = {"log": RIDE / "log.csv", "--scene": RIDE / "scene.json", option: odd}
@@ -119,19 +116,12 @@ def test_a_fifo_is_refused_before_it_is_read(tmp_path, option):
 
 
 @pytest.mark.parametrize("name", ["e\x1b]0;owned\x07", "x" * 81, 7])
-@pytest.mark.parametrize("kind", ["modes", "scene"])
-def test_an_invalid_name_is_refused_with_its_file_and_key(tmp_path, kind, name):
-    content = {
-        "modes": {"modes": [{"name": name}]},
-        "scene": {"name": name, "base_station_m": [0.0, 0.0, 10.0]},
-    }[kind]
-    path = tmp_path / f"{kind}.json"
-    path.write_text(json.dumps(content))
-    scene = path if kind == "scene" else RIDE / "scene.json"
-    more = ("--modes", path) if kind == "modes" else ()
-    done = command("localize", RIDE / "log.csv", "--scene", scene, "--speed", "9", *more)
+def test_an_invalid_name_is_refused_with_its_file_and_key(tmp_path, name):
+    path = tmp_path / "scene.json"
+    path.write_text(json.dumps({"name": name, "base_station_m": [0.0, 0.0, 10.0]}))
+    done = command("localize", RIDE / "log.csv", "--scene", path, "--speed", "9")
     assert_one_clear_line(
-        done, f"{kind}.json: .*name.*: found .*expected 1 to 80 printable characters"
+        done, "scene.json: .*name.*: found .*expected 1 to 80 printable characters"
     )
     assert len(done.stderr) < 1000
 
@@ -143,9 +133,10 @@ def with_line(number, change):
     return "\n".join(lines) + "\n"
 
 
-def cell(line, place, word):
+def cell(line, column, word):
+    """Return a line of CSV with another word in a column; columns are counted from 0."""
     cells = line.split(",")
-    cells[place] = word
+    cells[column] = word
     return ",".join(cells)
 
 
@@ -153,18 +144,13 @@ def cell(line, place, word):
 OLD = f"# {' '.join(COLUMNS)}; mmwave-loc localize\n"
 
 
-def test_folders_are_made_and_files_that_cannot_be_written_are_named(tmp_path):
-    figures(RIDE, "--speed", "9", "--out", tmp_path / "a" / "b" / "track.tum")
-    assert sorted(p.name for p in (tmp_path / "a" / "b").iterdir()) == ["track.csv", "track.tum"]
+def test_files_that_cannot_be_written_are_named(tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("")
     for option, name in (("--out", "t.tum"), ("--plot", "t.png"), ("--json", "t.json")):
         more = ("--speed", "9", option, blocked / name)
         out, line = refused(options(RIDE / "log.csv", *more, folder=RIDE))
         assert str(blocked) in line and out == ""
-    (tmp_path / "a.tum").mkdir()
-    _, line = refused(options(RIDE / "log.csv", "--speed", "9", "--out", tmp_path / "a.tum"))
-    assert "found a folder, expected a file" in line
 
 
 @pytest.mark.slow
@@ -176,10 +162,7 @@ def test_results_and_errors_are_reported_if_standard_output_is_closed(
     log, file, (ours, theirs) = tmp_path / "log.csv", tmp_path / "figures.json", os.pipe()
     os.close(ours)
     log.write_text(with_line(602, lambda l: cell(l, 2, "far") if damaged else l))
-    words = options(log, "--speed", "1", "--json", file)
-    words = [sys.executable, "-m", "experiments.console", "localize", *words]
-    pipes = {"stdout": theirs, "stderr": subprocess.PIPE, "text": True}
-    done = subprocess.Popen(words, env=environment(), **pipes)
+    done = started("localize", *options(log, "--speed", "1", "--json", file), stdout=theirs)
     os.close(theirs)
     err = done.communicate(timeout=100)[1]
     assert done.returncode == code and len(err.splitlines()) == damaged
@@ -189,7 +172,8 @@ def test_results_and_errors_are_reported_if_standard_output_is_closed(
 
 # --- damage
 
-HALF_WAY = {  # log, message, and number of complete epochs; line 602 is the first of epoch 201
+# name -> log, expected message, number of complete epochs. Line 602 is the first of epoch 201.
+HALF_WAY = {
     "no number": (with_line(602, lambda l: cell(l, 2, "far")), "line 602, column 'toa_s'", 200),
     "at the end": (with_line(1199, lambda l: l[:20]), "line 1199: found", 399),
     "early": (with_line(6, lambda l: cell(l, 2, "far")), "line 6, column 'toa_s'", 1),
@@ -216,7 +200,7 @@ def test_a_damaged_log_gives_the_track_up_to_the_damage(tmp_path, name, zipped):
     assert f"{epochs} of {epochs} epochs have a true position" in shown
 
 
-NOTHING = {
+NOTHING = {  # name -> log, expected message
     "unknown column": (f"{lines_of()[0]},mood\n", "column 'mood'"),
     "first row": (with_line(2, lambda l: cell(l, 2, "x")), "line 2, column"),
     "no line of sight": (
@@ -232,8 +216,7 @@ def test_a_log_that_gives_no_track_leaves_existing_files_unchanged(tmp_path, nam
     log, out = tmp_path / "log.csv", tmp_path / "track.tum"
     log.write_text(content)
     out.write_text(OLD)
-    more = ("--speed", "1", "--out", out, "--plot", tmp_path / "a.png")
-    _, line = refused(options(log, *more))
+    _, line = refused(options(log, "--speed", "1", "--out", out, "--plot", tmp_path / "a.png"))
     assert message in line and "written" not in line and out.read_text() == OLD
     assert sorted(p.name for p in tmp_path.iterdir()) == ["log.csv", "track.tum"]
 
@@ -284,7 +267,8 @@ def long_log(path, rows):
             file.write("".join(f"{t},{r}\n" for t, r in zip(times.tolist(), rest, strict=True)))
 
 
-# VmHWM is used because ru_maxrss of a child includes the memory of its parent.
+# VmHWM is the most memory that a process has used, in KiB; a child's ru_maxrss would include the
+# memory of its parent.
 PEAK = """
 import sys
 from experiments.console.main import run
@@ -304,5 +288,5 @@ def test_memory_does_not_grow_with_the_log(tmp_path):
         words = [sys.executable, "-c", PEAK, *options(log, *more)]
         done = subprocess.run(words, env=environment(), capture_output=True, text=True, check=True)
         assert f"{rows // 1200 * 400} epochs" in done.stdout
-        peaks.append(int(done.stdout.split()[-1]) / 1024)
+        peaks.append(int(done.stdout.split()[-1]) / 1024)  # MiB
     assert peaks[1] < 500 and peaks[1] < peaks[0] + 18, peaks

@@ -8,19 +8,19 @@ import pytest
 
 from mmwave_env.datasets.samples import source_from
 from mmwave_env.logs.tum import read_tum
-from tests.cli import assert_one_clear_line, command, with_json
+from tests.cli import command, with_json
 from tests.commands.localizing import RIDE, WALK, figures, lines_of, options
 from tests.localization.mistakes import MISTAKES, read_columns, write_columns
 from tests.logs.by_hand import hide_anchors
 from tests.paths import json_in
 
-# --- live rows
+# --- rows that arrive one by one (--live)
 
 WORDS = ("localize", "-", "--live", "--scene", WALK / "scene.json", "--radio", "standard")
 
 
 def live(content, *more):
-    """Run the command on bytes; return its JSON lines, lines of standard error and exit code."""
+    """Run the command with bytes as input; return its JSON lines, error lines and exit code."""
     done = command(*WORDS, *more, stdin=content)
     positions = [json.loads(line) for line in done.stdout.splitlines()]
     return positions, done.stderr.splitlines(), done.returncode
@@ -32,7 +32,7 @@ def first_rows(count):
 
 
 def as_json(lines, whole):
-    """Return CSV lines as JSON lines, each with one row or, if ``whole``, all rows of an epoch."""
+    """Return CSV lines as JSON lines, one for each row or, if ``whole``, one for each epoch."""
     names, *rows = (line.split(",") for line in lines)
     objects = [
         {n: float(v) if v else None for n, v in zip(names, row, strict=True)} for row in rows
@@ -43,14 +43,13 @@ def as_json(lines, whole):
     return "\n".join(map(json.dumps, objects)).encode()
 
 
-def test_every_epoch_has_a_line_and_the_last_position_is_that_of_the_track_file(tmp_path):
+def test_every_epoch_has_a_line_and_the_last_position_equals_that_in_a_track_file(tmp_path):
     content = (WALK / "log.csv").read_bytes()
     positions, errors, code = live(content, "--speed", "1")
-    # The only line of standard error is the note on what chooses the modes.
+    # The only line of standard error says what chooses the modes.
     assert code == 0 and len(positions) == 400 and len(errors) == 1
-    figures(
-        WALK, "--speed", "1", "--radio", "standard", "--no-smoothing", "--out", tmp_path / "t.tum"
-    )
+    more = ("--radio", "standard", "--no-smoothing", "--out", tmp_path / "t.tum")
+    figures(WALK, "--speed", "1", *more)
     last = [float(word) for word in (tmp_path / "t.tum").read_text().splitlines()[-1].split()]
     assert positions[-1]["position_m"] == pytest.approx(last[1:4], abs=1e-9)
     assert positions[0]["begins"] and not any(p["begins"] for p in positions[1:])
@@ -97,22 +96,16 @@ def test_options_that_do_not_fit_live_are_refused(more):
 
 @pytest.fixture(scope="module")
 def hidden(tmp_path_factory):
-    """Return a folder with a log of paths, some of them false, without anchor numbers."""
-    folder = tmp_path_factory.mktemp("hidden")
-    for name in ("scene.json", "truth.tum"):
-        (folder / name).write_bytes((RIDE / name).read_bytes())
+    """Return a log of propagation paths without anchor numbers; some of the paths are false."""
+    log = tmp_path_factory.mktemp("hidden") / "log.csv"
     source = source_from(RIDE, "standard")
-    hide_anchors(folder / "log.csv", source.sample(np.random.default_rng(0)), false_paths=5)
-    return folder
-
-
-def associating(folder, *more):
-    truth = ("--truth", folder / "truth.tum", "--radio", "standard", "--speed", "auto")
-    return ("localize", *options(folder / "log.csv", *truth, *more, folder=folder))
+    hide_anchors(log, source.sample(np.random.default_rng(0)), false_paths=5)
+    return log
 
 
 def test_the_command_reports_how_many_paths_were_associated(hidden):
-    shown, figures = with_json(*associating(hidden, "--associate"))
+    more = ("--radio", "standard", "--speed", "auto", "--associate")
+    shown, figures = with_json("localize", *options(hidden, *more, folder=RIDE))
     association = figures["association"]
     assert association["paths"] == 900 and association["without_track"] == {"epochs": 0, "paths": 0}
     assert association["false"] == 900 - sum(association["associated"].values())
@@ -120,21 +113,6 @@ def test_the_command_reports_how_many_paths_were_associated(hidden):
     for name, paths in association["associated"].items():
         assert f"| {name} | {paths} | {association['missed'][name]} |\n" in shown
         assert paths + association["missed"][name] == 120
-    with_labels, labelled = with_json(*associating(RIDE))
-    assert "paths" not in with_labels and "association" not in labelled
-    ates = [f["truth"]["tracks"]["filtered"]["ate_m"] for f in (figures, labelled)]
-    assert ates[0] < 1.1 * ates[1]
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ((), "columns: found no anchor in time_s"),
-        (("--associate", "--diagnose"), "diagnose: cannot be combined with --associate"),
-    ],
-)
-def test_association_is_refused_where_it_does_not_fit_the_log(hidden, words, message):
-    assert_one_clear_line(command(*associating(hidden, *words)), message)
 
 
 # --- logs that contradict their scene
@@ -154,9 +132,8 @@ def test_each_contradiction_is_shown_as_a_warning_and_written_to_json(tmp_path, 
     done = command("localize", *words, "--json", tmp_path / "found.json")
     assert done.returncode == 0 and "NIS / dof" in done.stdout
     lines = done.stderr.splitlines()
-    assert re.fullmatch(
-        r"warning: anchor 1: found .*, expected .*; --diagnose tries likely mistakes", lines[0]
-    )
+    warning = "warning: anchor 1: found .*, expected .*; --diagnose tries likely mistakes"
+    assert re.fullmatch(warning, lines[0])
     said = json_in(tmp_path / "found.json")["contradictions"]
     assert len(said) == len(lines)
     for line, contradiction in zip(lines, said, strict=True):
@@ -172,9 +149,7 @@ def test_a_diagnosis_names_the_mistake_and_writes_no_track(tmp_path, downlink):
     assert f"\nThe log is consistent if {name}." in done.stdout
     cure = "exchange the columns of aoa_azimuth and aod_azimuth, negate aoa_elevation"
     assert f"To correct it, {cure} (docs/data.md)." in done.stdout
-    diagnosis = json_in(file)
-    assert "--diagnose" in diagnosis["command"] and "numba" in diagnosis["versions"]
-    first, *others = diagnosis["hypotheses"]
+    first, *others = json_in(file)["hypotheses"]
     assert first["hypothesis"] == name and first["contradictions"] == []
     assert all(other["contradictions"] for other in others)
 
@@ -199,8 +174,8 @@ def test_a_diagnosis_reports_facts_about_the_log():
     assert (facts["first_s"], facts["last_s"]) == (times[0], times[-1])
     assert facts["step_s"] == pytest.approx(np.median(np.diff(times)))
     for anchor, fact in enumerate(facts["anchors"], start=1):
-        of = columns["anchor"] == anchor  # links that were not measured have empty cells
-        assert fact["seen"] == np.isfinite(columns["snr_db"][of]).sum()
+        snr = columns["snr_db"][columns["anchor"] == anchor]
+        assert fact["seen"] == np.isfinite(snr).sum()  # it is NaN where the anchor was not seen
     poses = read_tum(RIDE / "truth.tum")
     moved = np.linalg.norm(np.diff(poses.position_m, axis=0), axis=1) / np.diff(poses.time_s)
     assert facts["speed_mps"]["max"] == pytest.approx(moved.max(), rel=0.05)

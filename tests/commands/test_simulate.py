@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc simulate``, which writes an episode as files; it wrote the sample logs."""
+"""Tests of ``mmwave-loc simulate``, which writes an episode as files, such as the sample logs."""
 
 import re
 import shlex
@@ -35,15 +35,11 @@ def test_the_written_episode_is_the_one_that_evaluate_draws(tmp_path, capsys):
     assert (out / "log.csv").read_text() == log_text(log_columns(episode))
 
 
-def test_odometry_is_written_with_the_option_odometry(tmp_path):
-    simulate(tmp_path, "--scenario", "vehicle", "--odometry", "--scene", "o1", "--radio", "high")
+def test_odometry_is_written_and_the_truth_file_records_the_options_that_made_it(tmp_path):
+    options = ["--scenario", "jam", "--seed", "3", "--odometry", "--scene", "o1", "--radio", "high"]
+    simulate(tmp_path, *options)
     block = next(read_log(tmp_path / "log.csv", read_scene(tmp_path / "scene.json")))
     assert block.layout == Layout(3, odometry=True) and block.visible[:, -1].any()
-
-
-def test_the_truth_file_records_the_options_that_made_it(tmp_path):
-    options = ["--scenario", "jam", "--seed", "3", "--odometry"]
-    simulate(tmp_path, *options)
     header, *poses = (tmp_path / "truth.tum").read_text().splitlines()
     made_by = re.fullmatch(r"# t x y z qx qy qz qw; mmwave-loc simulate (.*)", header).group(1)
     assert sorted(shlex.split(made_by)) == sorted([*options, "--out", "."])

@@ -4,15 +4,13 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import time
 
 import pytest
 
 from experiments.sweeping.on_ray import RETRIES, computed, connected
 from experiments.training.hyperparameters import read_hyperparameters
-from tests.cli import assert_one_clear_line, command, environment, succeed
-from tests.paths import ROOT
+from tests.cli import assert_one_clear_line, command, started, succeed
 
 pytest.importorskip("pyarrow")
 pytest.importorskip("ray")
@@ -32,25 +30,20 @@ def written(folder, text):
 
 
 def rows(out):
+    """Return the results of all cells in a folder, each as a dict."""
     from pyarrow import dataset
 
-    table = dataset.dataset(out, format="parquet", exclude_invalid_files=True).to_table()
-    return table.sort_by([("policy", "ascending"), ("seed", "ascending")]).to_pylist()
+    return dataset.dataset(out, format="parquet", exclude_invalid_files=True).to_table().to_pylist()
 
 
-def started(*words, cwd):
-    words = [sys.executable, "-m", "experiments.console", "sweep", *map(str, words)]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    return subprocess.Popen(words, cwd=cwd, env=environment(), **pipes)
-
-
-def wait_for_rows(out, running, count=1):
+def wait_for_rows(out, running, count):
     while len(list(out.glob("[!.]*.parquet"))) < count and running.poll() is None:
         time.sleep(0.05)
     assert running.poll() is None, running.communicate()
 
 
 def ray_processes():
+    """Return the ids of all processes of the package Ray."""
     listed = subprocess.run(["ps", "-eo", "pid,args"], capture_output=True, text=True).stdout
     return set(re.findall(r"^ *(\d+) .*(?:ray::|raylet|gcs_)", listed, re.MULTILINE))
 
@@ -66,33 +59,28 @@ def test_mistakes_end_with_one_clear_line(tmp_path, words, message):
     assert_one_clear_line(command("sweep", *words, cwd=tmp_path), message)
 
 
-def raises(values):
-    raise ValueError(f"no {values['number']}\nand no more")
+def squared(values):
+    """Return the square of a number, except that 0 raises an error and 4 ends the process.
 
-
-def exits(values):
-    os._exit(3)
-
-
-def second_time(values):
-    """Return a row; but raise the error of a full disk in the first call for number 1."""
-    if values["number"] == 1 and not os.path.exists(values["mark"]):
-        open(values["mark"], "x").close()
+    1 raises the error of a full disk in its first call, which makes the file ``mark``.
+    """
+    number, mark = values["number"], values["mark"]
+    if number == 0:
+        raise ValueError("no 0\nand no more")
+    if number == 1 and not os.path.exists(mark):
+        open(mark, "x").close()
         raise OSError(28, "No space left on device")
-    return {"square": values["number"] ** 2}
+    if number == 4:
+        os._exit(3)
+    return {"square": number**2}
 
 
 @pytest.mark.slow
 def test_cells_that_fail_do_not_affect_others(tmp_path):
     mark = str(tmp_path / "mark")
     cells = {str(number): {"number": number, "mark": mark} for number in range(5)}
-    fails = {"0": raises, "4": exits}
-
-    def compute(values):
-        return fails.get(str(values["number"]), second_time)(values)
-
     with connected(None, 2):
-        outcomes = {name: (row, error) for name, row, error in computed(compute, cells)}
+        outcomes = {name: (row, error) for name, row, error in computed(squared, cells)}
     assert outcomes["0"] == (None, "ValueError: no 0")
     assert outcomes["4"] == (None, f"its process ended {RETRIES + 1} times (WorkerCrashedError)")
     assert [outcomes[str(n)][0]["square"] for n in (1, 2, 3)] == [1, 4, 9]
@@ -103,9 +91,8 @@ def test_rows_equal_the_results_of_compare_and_new_cells_are_added(tmp_path):
     file, out = written(tmp_path, SMALL.replace(', "imm"]', "]")), tmp_path / "out"
     succeed("sweep", file, "--out", out, "--workers", "1")
     before = {path: path.stat().st_mtime_ns for path in out.iterdir()}
-    done = command(
-        "sweep", written(tmp_path, SMALL.replace('"imm"', '"imm", "nobody"')), "--out", out
-    )
+    larger = written(tmp_path, SMALL.replace('"imm"', '"imm", "nobody"'))
+    done = command("sweep", larger, "--out", out)
     assert done.returncode == 2 and "6 cells, 2 of them already in" in done.stderr
     assert re.search(r"^failed: policy nobody, seed 3, .*found 'nobody'", done.stderr, re.MULTILINE)
     assert "2 of 6 cells failed, the others are in" in done.stderr
@@ -127,7 +114,7 @@ def test_a_killed_or_interrupted_sweep_can_be_continued_and_leaves_no_process(tm
     others, out = ray_processes(), tmp_path / "out"
     file = written(tmp_path, SMALL.replace("[0, 3]", "[0, 3, 6, 9]").replace("= 3", "= 200"))
     for number, code in ((signal.SIGKILL, -9), (signal.SIGINT, 130)):
-        running = started(file, "--out", out, "--workers", "1", cwd=ROOT)
+        running = started("sweep", file, "--out", out, "--workers", "1")
         wait_for_rows(out, running, len(list(out.glob("*.parquet"))) + 1)
         running.send_signal(number)
         _, errors = running.communicate(timeout=60)
@@ -166,8 +153,6 @@ def test_the_policies_of_trainings_are_kept(tmp_path):
 @pytest.mark.slow
 @pytest.mark.torch
 def test_a_search_can_be_continued_and_writes_the_best_hyperparameters(tmp_path):
-    from pyarrow import dataset
-
     text = TRAIN.replace("[train]", "[search]\ntrials = 1").replace(
         "= 1e-3", "= { low = 1e-4, high = 1e-2, log = true }\nhyperparameters.hidden = [[8], [9]]"
     )
@@ -178,8 +163,7 @@ def test_a_search_can_be_continued_and_writes_the_best_hyperparameters(tmp_path)
         done = command("sweep", file, "--out", out)
         assert done.returncode == 0, done.stderr
         assert f"{trials} cells, {kept} of them already" in done.stderr
-        table = dataset.dataset(out, format="parquet", exclude_invalid_files=True).to_table()
-        tried = {row[axis]: row["reward_mean"] for row in table.to_pylist()}
+        tried = {row[axis]: row["reward_mean"] for row in rows(out)}
         assert len(tried) == trials and all(1e-4 <= rate <= 1e-2 for rate in tried)
         best = read_hyperparameters(out / "hyperparameters.json", "ppo").learning_rate
         assert tried[best] == max(tried.values())

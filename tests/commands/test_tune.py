@@ -14,7 +14,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.keys import draw_key
 from mmwave_env.world.simulated import SimulatedSource
-from tests.cli import assert_one_clear_line, command
+from tests.cli import assert_one_clear_line, command, succeed
 from tests.filters.tracks import far_from_the_anchors, process_noise
 from tests.paths import ROOT, json_in
 
@@ -38,37 +38,28 @@ def test_the_command_writes_a_mode_file_that_environments_and_commands_accept(tm
     modes, figures = tmp_path / "modes.json", tmp_path / "figures.json"
     options = ["--modes", "ekf", "ukf-robust", "--scenarios", "pedestrian", "jam", "--episodes", 3,
                "--free", "sigma_v", "spread_gain", "--diagonal"]  # fmt: skip
-    done = command("tune", *options, "--out", modes, "--json", figures)
-    assert done.returncode == 0, done.stderr
-    written = json_in(modes)
-    assert sorted(shlex.split(written["command"])) == sorted(
-        ["mmwave-loc", "tune", *map(str, options)]
-    )
+    shown = succeed("tune", *options, "--out", modes, "--json", figures)
     ekf, robust = read_bank(modes).modes
     assert not ekf.coupling and ekf.adaptive and robust.robust and robust.spread_gain > 0.0
-    tuned = json_in(figures)["tuned"]
-    assert [(f["mode"], f["scenario"]) for f in tuned] == [
-        ("ekf", "pedestrian"),
-        ("ukf-robust", "jam"),
-    ]
-    assert f": sigma_v {ekf.sigma_v:g}, spread_gain {ekf.spread_gain:g}" in done.stdout
+    tuned = [(f["mode"], f["scenario"]) for f in json_in(figures)["tuned"]]
+    assert tuned == [("ekf", "pedestrian"), ("ukf-robust", "jam")]
+    assert f": sigma_v {ekf.sigma_v:g}, spread_gain {ekf.spread_gain:g}" in shown
     env = gym.make("mmwave_env:MmWaveLoc-v0", modes=str(modes))
     assert env.unwrapped.modes == (ekf, robust)
-    done = command("evaluate", "--modes", modes, "--policy", "fixed-ukf-robust", "--episodes", 2)
-    assert done.returncode == 0 and "fixed-ukf-robust" in done.stdout
+    words = ("--modes", modes, "--policy", "fixed-ukf-robust", "--episodes", 2)
+    assert "fixed-ukf-robust" in succeed("evaluate", *words)
 
 
 @pytest.mark.slow
 def test_a_tuned_bank_is_written_with_its_results_on_held_out_episodes(tmp_path):
     options = ["--bank", "--radio", "high", "--episodes", 18, "--evaluations", 30]
-    done = command("tune", *options, "--out", tmp_path / "bank.json")
-    assert done.returncode == 0, done.stderr
+    shown = succeed("tune", *options, "--out", tmp_path / "bank.json")
     written = json_in(tmp_path / "bank.json")
     assert sorted(shlex.split(written["command"])[2:]) == sorted(map(str, options))
     assert len(bank_from(tmp_path / "bank.json").modes) == 5
     low, high = written["held_out"]["minus imm"]["ci95"]
     assert low <= written["held_out"]["minus imm"]["mean"] <= high
-    assert f"reward {written['held_out']['reward']['mean']:.3f}" in done.stdout
+    assert f"reward {written['held_out']['reward']['mean']:.3f}" in shown
 
 
 @pytest.mark.parametrize(
@@ -84,11 +75,11 @@ def test_a_tuned_bank_is_written_with_its_results_on_held_out_episodes(tmp_path)
     ],
 )
 def test_a_mistake_ends_with_one_clear_line(options, message):
-    done = command("tune", *options)
-    assert_one_clear_line(done, message)
+    assert_one_clear_line(command("tune", *options), message)
 
 
 def marked(file):
+    """Mark the files of all radios except the handset, so that they are tuned for releases only."""
     return file if file.stem == "handset" else pytest.param(file, marks=pytest.mark.release)
 
 

@@ -16,14 +16,14 @@ SHORT = ("--episode-steps", 12)
 
 
 def frames(path):
-    """Return the number of pictures of a GIF, and their size."""
+    """Return the number of pictures in a GIF, and their width and height."""
     image = pytest.importorskip("PIL.Image")
     with image.open(path) as file:
         return file.n_frames, file.size
 
 
 def picture(path, number):
-    """Return one picture of a GIF, (height, width, 3)."""
+    """Return one picture of a GIF as an array (height, width, 3)."""
     image = pytest.importorskip("PIL.Image")
     with image.open(path) as file:
         file.seek(number)
@@ -32,7 +32,7 @@ def picture(path, number):
 
 @pytest.fixture
 def window(monkeypatch):
-    """Return a list of the pictures that a window would show; no display is needed."""
+    """Return a list to which every picture is added that a window would show on a display."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     from mmwave_env.rendering.window import Window
 
@@ -44,8 +44,9 @@ def window(monkeypatch):
 def test_contenders_are_shown_side_by_side_beginning_with_the_prior(tmp_path):
     pytest.importorskip("PIL")
     out = tmp_path / "new" / "both.gif"
-    shown = succeed("watch", "--policies", "fixed-ekf", "imm", *SHORT, "--seed", 3, "--out", out)
-    assert frames(out) == (13, (960, 480))
+    words = ("--policies", "fixed-ekf", "imm", *SHORT, "--seed", 3, "--render-size", 500)
+    shown = succeed("watch", *words, "--out", out)
+    assert frames(out) == (13, (1000, 500))
     title, first, second, written = shown.splitlines()
     assert re.fullmatch(r"\w+, seed 3, 0 to 11 s", title)
     assert re.fullmatch(r"fixed-ekf: [\d.]+ m off on average, [\d.]+ m at most", first)
@@ -69,11 +70,6 @@ def test_a_part_of_a_recording_or_of_a_log_can_be_played(tmp_path, window):
     before = len(window)
     assert succeed("watch", "--data", tmp_path / "ride", *part).startswith("ride, seed 0, 3 to 8 s")
     assert before > 0 and len(window) - before == 6
-
-
-def test_a_window_is_as_wide_as_all_contenders_together(window):
-    succeed("watch", "--policies", "fixed-ekf", "fixed-ukf", *SHORT, "--render-size", 500)
-    assert [picture.shape for picture in window] == [(500, 1000, 3)] * 13
 
 
 def test_closing_the_window_ends_the_command(monkeypatch, window):
@@ -111,16 +107,13 @@ def test_a_mistake_ends_with_one_clear_line(mistake, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.skipif(
-    not sys.platform.startswith("linux"), reason="other systems need no display variable"
-)
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems need no display variable")
 def test_the_error_without_a_display_names_the_variables_and_the_option_out(monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER", "SDL_VIDEO_DRIVER"):
         monkeypatch.delenv(name, raising=False)
     done = command("watch", "--policies", "fixed-ukf")
-    assert_one_clear_line(
-        done, "watch: window: found no display.*DISPLAY or WAYLAND_DISPLAY.*--out"
-    )
+    message = "watch: window: found no display.*DISPLAY or WAYLAND_DISPLAY.*--out"
+    assert_one_clear_line(done, message)
 
 
 @pytest.mark.slow

@@ -45,7 +45,7 @@ def heed():
 
 @pytest.fixture
 def writing(tmp_path):
-    """Return a function that starts WRITING for result.json and waits until it prints "writing"."""
+    """Return a function that starts a process with WRITING and waits until it prints "writing"."""
     started = []
 
     def start(before=heed):
@@ -96,7 +96,7 @@ def test_under_nohup_a_command_continues_after_its_terminal_is_closed(writing, t
     assert command.poll() is None and len(list(tmp_path.iterdir())) == 1
 
 
-def test_signals_end_the_block_and_their_handlers_are_restored_after_it():
+def test_signals_end_the_with_block_after_which_the_earlier_handlers_are_restored():
     before = signal.getsignal(signal.SIGTERM)
     with pytest.raises(Ended) as end, ended_by_signals():
         signal.raise_signal(signal.SIGTERM)

@@ -67,7 +67,7 @@ def test_a_table_has_one_line_per_row_for_any_names(names):
     assert all(len(re.findall(r"(?<!\\)(?:\\\\)*\|", line)) == 3 for line in lines)
 
 
-# --- lines and bars
+# --- printed lines and progress bars
 
 AWKWARD = "$x$|a\nb\x1b[31m[red]\u202e<script>"
 SPELLED = r"$x$|a\nb\x1b[31m[red]\u202e<script>"
@@ -75,7 +75,7 @@ SPELLED = r"$x$|a\nb\x1b[31m[red]\u202e<script>"
 
 @pytest.fixture
 def screen(monkeypatch):
-    """Return a buffer to which bars are drawn as if it were a terminal of 100 columns."""
+    """Return a buffer to which progress bars are written, as to a terminal of 100 columns."""
     shown = io.StringIO()
 
     def console(**_):
@@ -105,7 +105,7 @@ WORDS = st.from_regex(r"[a-z0-9.±-]{1,20}", fullmatch=True)
 
 @pytest.fixture
 def shown(monkeypatch, capsys):
-    """Return a function that shows Markdown on a terminal of some width and returns its lines."""
+    """Return a function that shows Markdown on a terminal and returns the lines shown."""
     monkeypatch.setenv("FORCE_COLOR", "1")
 
     def lines(text, width):
@@ -165,7 +165,7 @@ def test_names_with_special_characters_are_escaped_in_tables(shown, capsys, name
     rows = [line for line in lines if line.endswith(("-1.5", "-1.0"))]
     assert [row.rpartition("  ")[0].rstrip() for row in rows] == [plain, "imm"]
     assert not re.search(r"(?<!\\)<[a-z/]", escaped(name))
-    assert len({cell_len(row) for row in rows}) == 1  # columns are aligned, wide characters or not
+    assert len({cell_len(row) for row in rows}) == 1  # wide characters leave columns aligned
 
 
 def test_text_outside_tables_is_shown_without_control_characters(monkeypatch, capsys):

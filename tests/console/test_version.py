@@ -1,18 +1,16 @@
-"""Tests of ``mmwave-loc --version --json``, which also runs a self-test of the kernels."""
+"""Tests of ``mmwave-loc --version --json``, which also tests kernels (compiled functions)."""
 
 import json
 import os
 import signal
 import subprocess
-import sys
 import time
 
 import pytest
 
 import mmwave_env
 from experiments.console import version
-from tests.cli import command, environment
-from tests.paths import ROOT
+from tests.cli import command, environment, started
 
 
 @pytest.mark.slow  # the self-test compiles five modes at once
@@ -34,10 +32,9 @@ def test_a_kernel_that_fails_the_self_test_ends_with_code_1(monkeypatch):
 
 @pytest.mark.slow
 def test_a_signal_ends_the_self_test_while_it_compiles(tmp_path):
-    words = [sys.executable, "-m", "experiments.console", "--version", "--json"]
     cold = environment() | {"NUMBA_CACHE_DIR": str(tmp_path)}
     nowhere = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    running = subprocess.Popen(words, env=cold, cwd=ROOT, **nowhere)
+    running = started("--version", "--json", env=cold, **nowhere)
     while not any(path.is_file() for path in tmp_path.rglob("*")):
         assert running.poll() is None
         time.sleep(0.05)

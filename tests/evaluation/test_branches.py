@@ -35,7 +35,7 @@ def begun(walked):
 
 
 def rest(walked, action):
-    """Return sums (N,) of rewards: of ``action`` after ``walked`` epochs, and of action 0 later."""
+    """Return sums (N,) of rewards: of ``action`` in epoch ``walked``, and of action 0 later."""
     engine, total = begun(walked), 0.0
     for taken in [action, *[np.int64(0)] * (EPOCHS - walked - 1)]:
         total += engine.step(taken, rows_of(engine.at.reward))[1][:, 0]

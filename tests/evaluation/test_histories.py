@@ -1,4 +1,4 @@
-"""Tests that contenders' histories (for pictures) equal the histories that environments record."""
+"""Tests that the histories of contenders, which pictures show, equal those of environments."""
 
 import gymnasium as gym
 import numpy as np
@@ -18,7 +18,6 @@ SEED = 5
 TASK = task_from()
 (EPISODE,) = draw_episodes(TASK.source, [SEED])
 STREETS = TASK.streets_of(int(keys_of([SEED])[0]))
-SCORES = {"rtol": 1e-9, "atol": 1e-9}
 
 
 @pytest.mark.parametrize(
@@ -47,7 +46,7 @@ def test_a_history_equals_what_an_environment_records(name, arguments):
     np.testing.assert_array_equal(history.scenery.anchors_m, recorded.scenery.anchors_m)
     for field in ("time_s", "modes", "truth", "estimate", "P", "nees", "accepted", "rejected"):
         np.testing.assert_allclose(
-            getattr(history, field), getattr(recorded, field), err_msg=field, **SCORES
+            getattr(history, field), getattr(recorded, field), err_msg=field, rtol=1e-9, atol=1e-9
         )
 
 

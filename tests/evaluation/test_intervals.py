@@ -32,8 +32,9 @@ def test_one_episode_gives_a_mean_and_no_interval():
 def test_intervals_agree_with_scipy_s_bootstrap(n):
     values = np.random.default_rng(0).exponential(2.0, (n, 2))
     ours = bootstrap(values)
-    # The standard error of a 2.5 % quantile is this factor times the standard error of the mean. In
-    # only one of 10^5 tests, two such quantiles differ by more than 4.5 sqrt(2) standard errors.
+    # The standard error of a 2.5 % quantile of the resampled means is this factor times their
+    # standard deviation. Two independent quantiles differ by more than 4.5 sqrt(2) standard errors
+    # in only one of 10^5 tests.
     quantile_error = np.sqrt(0.025 * 0.975 / RESAMPLES) / norm.pdf(norm.ppf(0.025))
     for column, interval in zip(values.T, ours, strict=True):
         same = {"n_resamples": RESAMPLES, "method": "percentile", "rng": np.random.default_rng(0)}
@@ -75,7 +76,7 @@ def test_each_column_has_a_ratio_which_is_nan_if_the_denominator_is_zero():
 
 
 def plain_work(scores, rng, resamples):
-    """Return means of resamples, which are drawn one by one, minus the mean of the scores."""
+    """Draw resamples one by one; return their means, minus the mean of the scores."""
     K, n = scores.shape
     apart = scores.mean(axis=1) - scores.mean()
     moved = scores + ((few_seeds_factor(K) - 1.0) * apart)[:, None]
@@ -113,7 +114,7 @@ def test_if_only_seeds_differ_the_interval_is_that_of_student_s_t(K):
     seeds = np.random.default_rng(1).normal(size=K)
     interval = crossed_bootstrap(np.tile(seeds[:, None], (1, 10)))
     half = t.ppf(0.975, K - 1) * seeds.std(ddof=1) / np.sqrt(K)
-    # With few seeds, the distribution of resampled means is as skewed as the seeds.
+    # With few seeds, resampled means are as skewed as the seeds, so only the width is compared.
     assert interval.mean == pytest.approx(seeds.mean())
     assert interval.high - interval.low == pytest.approx(2.0 * half, rel=0.06)
 
@@ -123,12 +124,14 @@ def test_few_seeds_have_wider_intervals():
     assert few_seeds_factor(1) == 1.0 < few_seeds_factor(1000) < 1.002
 
 
+# A score is a sum of three random numbers: one of the training seed, one of the episode, and one of
+# the pair. These are their standard deviations.
 SPREADS = {"seeds": (1.0, 0.0, 0.1), "episodes": (0.0, 1.0, 0.1), "all": (0.2, 0.7, 0.7)}
 
 
 @pytest.fixture
 def fewer_resamples(monkeypatch):
-    """Use only 500 resamples, which are enough to measure coverage, in an eighth of the time."""
+    """Use 500 instead of 4000 resamples, which take less time and are enough for coverage."""
     intervals._resamples.cache_clear()
     monkeypatch.setattr(intervals, "RESAMPLES", 500)
     yield
@@ -154,5 +157,5 @@ def coverage(K, spread, trials=400, episodes=40):
 def test_intervals_contain_the_truth_in_about_95_percent_of_trials(K, spread):
     share = coverage(K, SPREADS[spread])
     # Over 400 trials, three standard errors of the share are 0.033. Small samples lower the share a
-    # little; the interaction of seeds and episodes counts twice (Owen 2007) and raises it a little.
+    # little. The interaction of seeds and episodes counts twice (Owen 2007), which raises it.
     assert 0.91 < share < 0.99

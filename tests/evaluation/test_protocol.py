@@ -1,4 +1,7 @@
-"""Tests of the benchmark's protocol: its sites (sources of episodes), and verdicts on entries."""
+"""Tests of the benchmark's protocol: its sites, and the entries of its leaderboard.
+
+A *site* is a source of episodes; an *entry* holds the results of one policy at all sites.
+"""
 
 import numpy as np
 import pytest
@@ -22,11 +25,8 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, scene_from
 
 
-def test_unseen_sites_are_not_among_the_shipped_scenes_and_radios():
+def test_unseen_scenes_and_radios_are_not_shipped_and_the_scenes_differ():
     assert not set(UNSEEN) & {*SCENES, *RADIOS}
-
-
-def test_unseen_streets_differ_in_carrier_and_geometry():
     scenes = [scene_from(unseen_file(name)) for name in UNSEEN[:-1]]
     for scene in scenes:
         scene.require_streets_in_front()

@@ -1,4 +1,4 @@
-"""Tests of a run's results over its training seeds: differences by episode, and intervals."""
+"""Tests of the results of a run (trainings with several seeds): differences, and intervals."""
 
 import numpy as np
 import pytest

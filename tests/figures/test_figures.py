@@ -86,11 +86,11 @@ def test_matplotlib_settings_of_the_user_do_not_change_a_picture(tmp_path):
 
 def test_small_ellipses_are_enlarged_and_the_picture_says_so(tmp_path):
     still = np.zeros((T, 3))
-    way = still + np.linspace(0.0, 100.0, T)[:, None]
-    for name, position in (("still", still), ("way", way)):
+    moving = still + np.linspace(0.0, 100.0, T)[:, None]
+    for name, position in (("still", still), ("moving", moving)):
         draw_trajectory(track(["ekf", "ukf"], position), tmp_path / f"{name}.svg", name)
     assert "enlarged" not in (tmp_path / "still.svg").read_text()
-    assert "enlarged" in (tmp_path / "way.svg").read_text()
+    assert "enlarged" in (tmp_path / "moving.svg").read_text()
 
 
 def test_an_error_cdf_without_vertical_errors_is_drawn(tmp_path):

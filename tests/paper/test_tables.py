@@ -1,4 +1,4 @@
-"""Tests of the reproduction of the paper: its scores, its sections and its page."""
+"""Tests of the tables that reproduce the paper: their scores, their sections, and their page."""
 
 import csv
 import re
@@ -74,7 +74,7 @@ def test_sections_that_need_no_tracks_have_the_expected_rows(bench):
     section = resolution(bench)
     bounds = [row[1] for row in section.rows]
     np.testing.assert_allclose(np.array(bounds[:-1]) / bounds[1:], 10**0.5, rtol=1e-6)
-    # The bound at 0 dB is c / (2 pi (B / sqrt(12)) sqrt(2)).
+    # With the bandwidth B = 100 MHz, the bound at 0 dB is c / (2 pi (B / sqrt(12)) sqrt(2)).
     assert bounds[0] == pytest.approx(299792458.0 / (2e8 * np.pi / 12**0.5 * 2**0.5))
     assert "c / B is 3.00 m" in section.note
 

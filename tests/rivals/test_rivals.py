@@ -1,4 +1,4 @@
-"""Tests of the rivals (particles, Student-t noise, adaptive noise) and of other estimators."""
+"""Tests of other estimators to compare with: particles, Student-t noise and adaptive noise."""
 
 from dataclasses import replace
 
@@ -35,7 +35,10 @@ def played(agent, some, planar=False):
 
 
 class Seen(Estimator):
-    """An estimator that keeps its inputs, and yields ``size`` numbers of the prior mean."""
+    """An estimator that stores its inputs and returns the prior in every epoch.
+
+    With ``size`` it returns too few numbers, and with ``epochs`` it returns too few beliefs.
+    """
 
     def __init__(self, size=7, epochs=None):
         self.size, self.epochs = size, epochs
@@ -57,7 +60,7 @@ def priors_and_measurements():
 
 
 def test_particles_agree_with_the_ekf_where_all_is_nearly_linear():
-    """Use large noise, so that thousands of particles keep weight and err by only a few percent."""
+    """Use large noise: then thousands of particles have weight, and random errors are small."""
     good = replace(SOURCE, radio=RADIOS["standard"])
     some = [replace(episode, sigma=4.0 * episode.sigma) for episode in episodes(4, good)]
     cloud, kalman = (
@@ -73,7 +76,7 @@ def test_particles_agree_with_the_ekf_where_all_is_nearly_linear():
     np.testing.assert_allclose(ratio.mean(axis=(0, 1)), 1.0, atol=0.08)
 
 
-def test_resampling_is_in_proportion_to_the_shares():
+def test_resampling_is_in_proportion_to_the_weights():
     share = np.array([0.5, 0.0, 0.25, 0.125, 0.125, 0.0, 0.0, 0.0])
     drawn = resampled(share, np.random.default_rng(0))
     assert np.bincount(drawn, minlength=8).tolist() == [4, 0, 2, 1, 1, 0, 0, 0]
@@ -111,7 +114,7 @@ def test_adaptive_noise_converges_to_the_true_noise():
         shape, rate = ([0.99 * value for value in part] for part in (shape, rate))
         everywhere = measurement._replace(z=z.tolist(), visible=[1.0] * len(layout.groups))
         *_, shape, rate = adapted(x, P, everywhere, shape, rate, ekf)
-    # the memory holds 100 epochs: 400 rows of a link and 100 of the Doppler shift
+    # The factor 0.99 keeps about 100 epochs in memory: 400 rows of a link, 100 Doppler shifts.
     np.testing.assert_allclose(np.divide(rate, shape), 4.0, rtol=0.3)
 
 
@@ -137,7 +140,7 @@ def test_a_rival_is_a_contender_by_its_name():
     contender = contender_from("experiments.rivals:variational", "handset")
     results = run_contender(contender, contender.start(SOURCE.layout), episodes(2))
     assert results["reward"].shape == (2, SOURCE.epochs)
-    Pipeline(StudentImm().bank("handset").modes, Layout())  # tests whether lanes can run the update
+    Pipeline(StudentImm().bank("handset").modes, Layout())  # raises if SIMD lanes can't run it
 
 
 def test_an_estimator_is_refused_as_a_switcher():

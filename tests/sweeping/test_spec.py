@@ -22,8 +22,6 @@ hyperparameters.learning_rate = { low = 1e-4, high = 1, log = true }
 hyperparameters.n_epochs = { low = 4, high = 16 }
 hyperparameters.hidden = [[64, 64], [32]]
 """
-
-
 POLICY = '[evaluate]\npolicy = "imm"\n'
 
 
@@ -36,14 +34,10 @@ def test_every_combination_of_values_is_a_cell(tmp_path):
     spec = spec_of(tmp_path, GRID)
     assert len(spec) == len(spec.cells) == 2 * 2 * 2 * 2
     first, *_, last = spec.cells.values()
-    assert first == dict(
-        zip(spec.axes, ("fixed-ekf", "handset", ("ekf", "ukf"), 1, 0), strict=True)
-    )
+    values = ("fixed-ekf", "handset", ("ekf", "ukf"), 1, 0)
+    assert first == dict(zip(spec.axes, values, strict=True))
     assert last["dt"] == 0.5 and isinstance(first["dt"], float)
-
-
-def test_a_list_of_lists_is_an_axis_of_lists(tmp_path):
-    spec = spec_of(tmp_path, '[evaluate]\npolicy = "imm"\nmodes = [["ekf", "ukf"], ["ckf"]]\n')
+    spec = spec_of(tmp_path, POLICY + 'modes = [["ekf", "ukf"], ["ckf"]]\n')
     assert [cell["modes"] for cell in spec.cells.values()] == [("ekf", "ukf"), ("ckf",)]
 
 
@@ -55,7 +49,7 @@ def test_names_of_cells_do_not_depend_on_order_or_file_format(tmp_path):
 
 def test_a_changed_mode_file_makes_another_cell(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    text, names = '[evaluate]\npolicy = "imm"\nmodes = ["ekf", "own.json"]\n', set()
+    text, names = POLICY + 'modes = ["ekf", "own.json"]\n', set()
     for content in ("", "1", "2"):
         (tmp_path / "own.json").write_text(content)
         names |= spec_of(tmp_path, text).cells.keys()
@@ -91,7 +85,7 @@ def test_results_are_kept_per_cell_and_those_of_other_sweeps_are_refused(tmp_pat
     assert kept(folder, spec) == {name}
     row = {"reward": "tracking", "reward_mean": -1.5, "reward_each": [-1.0, -2.0]}
     assert read(folder, spec) == {name: {"policy": "imm"} | row}
-    other = spec_of(tmp_path, '[evaluate]\npolicy = "imm"\nseed = 1\n')
+    other = spec_of(tmp_path, POLICY + "seed = 1\n")
     with refuses(f"{name}.parquet"):
         kept(folder, other)
     (folder / f"{name}.parquet").write_bytes(b"PAR1 and no more")

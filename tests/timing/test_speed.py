@@ -1,4 +1,4 @@
-"""Tests of the parts of `mmwave-loc speed`; tests/commands/test_speed.py runs the command."""
+"""Tests of what ``mmwave-loc speed`` computes; tests/commands/test_speed.py runs the command."""
 
 import numpy as np
 import pytest
@@ -20,9 +20,9 @@ def counted(function, n):
     [
         (lambda a, b: a + b, Operations(add=1)),
         (lambda a, b: a * b - 3.0, Operations(fused=1)),
-        (lambda a, b: a * b + b * a, Operations(add=1, multiply=1)),  # equal products
+        (lambda a, b: a * b + b * a, Operations(add=1, multiply=1)),  # b * a is a * b
         (lambda a, b: a / b, Operations(divide=1)),
-        (lambda a, b: a / b + 1.0 / b, Operations(add=1, divide=1, multiply=2)),  # one reciprocal
+        (lambda a, b: a / b + 1.0 / b, Operations(add=1, divide=1, multiply=2)),  # 1 / b once
         (lambda a, b: sqrt(a) - b, Operations(add=1, root=1)),
         (lambda a, b: where((a > b) & (a > 1.0), a, -b), Operations(select=5)),
         (lambda a, b: maximum(a, 2.0), Operations(select=1)),
@@ -44,7 +44,7 @@ def test_operations_whose_result_is_not_used_are_not_counted():
 def test_the_filterpy_loop_earns_the_reward_of_a_good_track():
     twin = filterpy_pipeline(pipeline())
     total = filterpy_episode(twin, source().sample(np.random.default_rng(0)))
-    assert -5.0 < total / EPISODE < 0.0  # the worst reward is -10.6
+    assert -5.0 < total / EPISODE < 0.0  # the worst: -10 for the error, -0.6 for the NEES
 
 
 @pytest.fixture(scope="module")

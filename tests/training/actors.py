@@ -1,4 +1,4 @@
-"""Small actor networks with random weights, and their policy files, for tests."""
+"""Small actors (networks that choose actions) with random weights, and their policy files."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from mmwave_env.interface.observation import Observation
 from mmwave_env.models.layout import Layout
 from policies.policy_file import Card, to_bytes
 
-MODES = (Mode("stand", sigma_v=0.1), Mode("walk"), Mode("ride", sigma_v=2.0))  # quick to compile
+MODES = (Mode("stand", sigma_v=0.1), Mode("walk"), Mode("ride", sigma_v=2.0))  # compile quickly
 TABLE = Observation(Pipeline(MODES, Layout()))
 FEATURES = len(TABLE)
 
@@ -31,7 +31,7 @@ def card_of(table=TABLE, **changes):
 
 
 def actor(features=FEATURES, actions=3, hidden=(5, 4), seed=0):
-    """Return the tensors of an actor."""
+    """Return the tensors of an actor, by their names in a policy file."""
     rng = np.random.default_rng(seed)
 
     def draw(*shape):

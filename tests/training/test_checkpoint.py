@@ -1,4 +1,4 @@
-"""Tests of checkpoints (read back, damaged, forged) and of the progress log of trainings."""
+"""Tests of a training's checkpoint, which may be damaged or forged, and of its progress log."""
 
 from hashlib import sha256
 
@@ -65,7 +65,8 @@ SCOPED = [HealthCheck.function_scoped_fixture]
 @given(data=st.data())
 def test_a_forged_checkpoint_with_a_correct_checksum_is_read_or_refused(path, data):
     write_checkpoint(path, STATE)
-    forge(path, data.draw(damaged(path.read_bytes()[32:])))
+    content = data.draw(damaged(path.read_bytes()[32:]))  # the checksum has 32 bytes
+    path.write_bytes(sha256(content).digest() + content)
     try:
         read_checkpoint(path)
     except ValueError as error:
@@ -73,10 +74,6 @@ def test_a_forged_checkpoint_with_a_correct_checksum_is_read_or_refused(path, da
     else:
         return
     assert "checkpoint.pt: not a checkpoint: " in refusal
-
-
-def forge(path, content):
-    path.write_bytes(sha256(content).digest() + content)
 
 
 BEGIN = {"update": 0, "timesteps": 0, "best": None, "beat_rule": None, "seconds": 0.0, "rows": []}
@@ -95,9 +92,6 @@ def test_a_malicious_checkpoint_is_refused_and_not_executed(path, tmp_path):
     with refuses("checkpoint.pt"):
         read_checkpoint(path)
     assert not trap.exists()
-
-
-# --- the progress log
 
 
 def test_the_progress_log_writes_one_row_per_call_and_can_be_continued(tmp_path):

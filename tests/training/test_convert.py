@@ -137,13 +137,13 @@ def test_code_in_a_model_never_runs_in_the_converting_process(tmp_path, modes):
 
 @pytest.mark.usefixtures("forked")
 def test_a_process_that_ends_without_a_result_is_reported(tmp_path, monkeypatch):
-    monkeypatch.setattr(unzip, "_unzip", print)  # instead of writing tensors
+    monkeypatch.setattr(unzip, "_unzip", print)  # the process writes no file of tensors
     with refuses("model.zip"):
         unzip.unzipped(tmp_path / "model.zip", None)
 
 
 def layered(**changes):
-    """Return a PPO model with another network."""
+    """Return a PPO model whose network differs from the default by these changes."""
     return PPO("MlpPolicy", environment(), **FEW, policy_kwargs=changes)
 
 

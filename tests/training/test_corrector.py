@@ -1,4 +1,4 @@
-"""Tests of the training of correctors: lots (batches) of episodes, interruptions, learning."""
+"""Tests of the training of correctors, with *lots* (batches) of equally long episodes."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ import torch
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.protocol import judge, sites
 from experiments.training.corrector import CorrectorTraining, loss_of, mixed
-from experiments.training.corrector_data import EPOCHS, WEAVING_BEHIND_M, CorrectorData, weaving
+from experiments.training.corrector_data import WEAVING_BEHIND_M, CorrectorData, weaving
 from experiments.training.hyperparameters import CorrectorHyperparameters
 from experiments.training.job import Job
 from mmwave_env.metrics import BURN_IN
@@ -42,16 +42,7 @@ def lots():
 
 
 @pytest.mark.slow
-def test_half_of_the_lots_of_episodes_are_random_and_all_can_be_repeated(lots):
-    assert len(lots) == 2 * len(task().places)
-    assert all(len(lot.features) in (EPOCHS, HYPER.long_epochs) for lot in lots)
-    assert all(np.isfinite(part).all() for lot in lots for part in lot)
-    again = list(CorrectorData(task(), HYPER, SEED).lots())
-    np.testing.assert_array_equal(lots[-1].features, again[-1].features)
-
-
-@pytest.mark.slow
-def test_mixed_lots_hold_every_episode_once_and_several_places(lots):
+def test_every_episode_is_in_one_mixed_lot_and_a_mixed_lot_combines_several_lots(lots):
     shuffled = list(mixed(lots, 4, np.random.default_rng(0)))
     assert all(lot.error.shape[1] * len(lot.error) <= 5 * HYPER.long_epochs for lot in shuffled)
 
@@ -94,7 +85,7 @@ def test_an_interrupted_training_continues_to_the_same_result(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_policy_file_answers_as_the_network(tmp_path, lots):
+def test_the_policy_file_gives_the_corrections_of_the_network(tmp_path, lots):
     training = CorrectorTraining(job_of(tmp_path), silent)
     training.run()
     corrector = Corrector(tmp_path / "latest.safetensors")
@@ -110,7 +101,7 @@ def test_the_policy_file_answers_as_the_network(tmp_path, lots):
         )
 
 
-def test_the_loss_is_least_where_the_answer_is_the_error():
+def test_the_loss_is_smallest_for_the_true_shift_and_deviation():
     rng = np.random.default_rng(0)
     T, n = BURN_IN + 400, 3
     bias, deviation = torch.tensor([0.5, -1.0, 2.0]), torch.full((T, n, 3), 2.0)
@@ -128,7 +119,7 @@ def test_the_loss_is_least_where_the_answer_is_the_error():
 
 @pytest.mark.slow
 def test_a_short_training_beats_its_base(tmp_path):
-    """Compare with a network that has learned nothing, which leaves the base as it is."""
+    """Compare with a training that learns almost nothing, so that its policy is the base."""
     policies = []
     for rate, timesteps in ((1e-12, 1), (0.01, 400_000)):
         hyper = replace(HYPER, num_envs=16, front=16, units=16, head=16, learning_rate=rate)

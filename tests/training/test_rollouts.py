@@ -44,9 +44,9 @@ class Interrupted(Exception):
     pass
 
 
-def interrupt_after(news):
-    """Return a callback that interrupts a training when it is called more than ``news`` times."""
-    left = iter(range(news))
+def interrupt_after(calls):
+    """Return a callback that does nothing in its first calls and then interrupts a training."""
+    left = iter(range(calls))
 
     def tell(*_):
         if next(left, None) is None:
@@ -56,12 +56,12 @@ def interrupt_after(news):
 
 
 def test_an_interrupted_training_continues_to_the_same_result(tmp_path):
-    """Interrupt a training repeatedly, even at an evaluation; let its memory of states overflow."""
+    """Interrupt a training three times, even at an evaluation; its memory of states overflows."""
     whole, job = job_of(tmp_path / "whole"), job_of(tmp_path / "part", checkpoint_every=2)
     train(whole)
-    for news in (3, 2, 4):
+    for calls in (3, 2, 4):
         with pytest.raises(Interrupted):
-            train(job, interrupt_after(news))
+            train(job, interrupt_after(calls))
         assert job.checkpoint.exists()
     train(job)
     assert_same_training(job.folder, whole.folder)
@@ -146,7 +146,7 @@ def test_sampled_actions_follow_the_probabilities_of_the_network():
 
 
 def test_the_learner_learns_which_action_is_best_and_forgets_the_oldest_states():
-    """Fill the memory; then replace it, in unequal parts, by states with another best action."""
+    """Fill the memory, then replace all of it by states in which the other action is best."""
     model, (fresh, best) = learner(), states(1000, 9)
     model.remember(states(512, 0, turned=True)[0])
     newer = [states(n, seed)[0] for seed, n in enumerate((300, 200, 12), start=1)]

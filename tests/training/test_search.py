@@ -12,7 +12,7 @@ from mmwave_env.models.radio import RADIOS
 
 
 def distance(bank, planted):
-    """Return the squared logarithmic distance between two banks of the same modes."""
+    """Return the sum of squared differences between the logarithms of two banks' numbers."""
     pairs = [(np.array(bank.transition), np.array(planted.transition))]
     for field in ("sigma_p", "sigma_v", "acceleration_mps2"):
         values = [[getattr(mode, field) for mode in bank_of.modes] for bank_of in (bank, planted)]
@@ -24,10 +24,8 @@ def distance(bank, planted):
 def test_the_search_finds_a_planted_bank():
     """Plant a random bank near the start of the search; a bank's score is its closeness to it."""
     space = search_space(START[:3])
-    point = space.start + 0.7 * space.deviation * np.random.default_rng(0).standard_normal(
-        len(space.start)
-    )
-    planted = space.bank_at(point)
+    away = np.random.default_rng(0).standard_normal(len(space.start))
+    planted = space.bank_at(space.start + 0.7 * space.deviation * away)
     start, best = (
         best_bank_of(space, lambda bank, _: -distance(bank, planted), evaluations)
         for evaluations in (0, 3000)
@@ -48,7 +46,7 @@ def test_generations_are_numbered_and_the_number_of_evaluations_is_limited():
     assert 40 - size < len(asked) <= 40
 
 
-def test_the_search_starts_from_the_modes_and_varies_their_noise_and_maneuvers():
+def test_the_search_starts_from_the_modes_and_varies_every_number():
     space, n = search_space(START), len(START)
     start = space.bank_at(space.start)
     assert start.modes == START and start.nis_quantile == 0.999

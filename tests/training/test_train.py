@@ -42,6 +42,7 @@ from tests.training.actors import MODES, card_of, write
 
 pytestmark = pytest.mark.torch
 
+PLACES = ("street:handset", "o1:standard:0.5")
 STREET = Place("street", "handset")
 TASK = TrainingTask("mixed", (STREET,), {"handset": Bank(MODES)}, "full", TrackingReward())
 HYPER = PpoHyperparameters(
@@ -57,11 +58,8 @@ def job_of(folder, hyper=HYPER, **changes):
 
 
 def content(hyper=HYPER):
-    """Return all hyperparameters as in their file."""
+    """Return hyperparameters in the form that a file of hyperparameters has."""
     return asdict(hyper) | {"hidden": list(hyper.hidden)}
-
-
-# --- exported policies
 
 
 def test_the_exported_actor_chooses_the_actions_of_the_trained_one(tmp_path):
@@ -86,11 +84,8 @@ def test_the_exported_actor_chooses_the_actions_of_the_trained_one(tmp_path):
     assert taken == {0, 1, 2} and np.mean(alike) == 1.0
 
 
-# --- evaluations during a training
-
-
 def test_a_training_reports_its_periodic_evaluations(tmp_path):
-    """Check also which one is the best. (Searches use all evaluations to stop trials early.)"""
+    """Check that all evaluations are reported, by which searches stop bad trials, and the best."""
     heard = []
     outcome = train(job_of(tmp_path), heard.append)
     rewards = {news.timesteps: news.evaluation["reward"] for news in heard if news.evaluation}
@@ -109,13 +104,6 @@ def test_learning_rates_fall_but_stay_positive_after_the_end_of_training(left):
     assert rate == pytest.approx(max(0.1 + 0.9 * left, 0.05))
 
 
-def test_shipped_hyperparameters_are_valid():
-    for beliefs in ("shared", "per-mode"):
-        for algorithm, kind in KINDS.items():
-            shipped = shipped_hyperparameters(algorithm, beliefs)
-            assert type(read_hyperparameters(shipped, algorithm)) is kind
-
-
 def test_a_bias_makes_the_first_action_more_likely_at_the_start():
     env = VecNormalize(PlacesVecEnv(TASK, HYPER), norm_reward=False)
     models = [learner(env, replace(HYPER, first_action_bias=bias), seed=1) for bias in (0.0, 2.0)]
@@ -126,7 +114,7 @@ def test_a_bias_makes_the_first_action_more_likely_at_the_start():
 
 
 def test_hyperparameters_that_have_a_default_may_be_left_out(tmp_path):
-    """Check that files older than a hyperparameter are read, and written again without it."""
+    """Read a file without a hyperparameter that has a default, which is not written either."""
     path = written(tmp_path / "old.json", {"first_action_bias": None})
     assert read_hyperparameters(path, "ppo") == HYPER
     assert hyperparameters_as_written(HYPER) == json_in(path)
@@ -148,7 +136,7 @@ BAD = {
 
 
 def written(path, change):
-    """Write a file of hyperparameters with changes; those that are None are left out."""
+    """Write a text, or HYPER with changes (None removes an entry), to a file; return its path."""
     if isinstance(change, str):
         path.write_text(change)
     else:
@@ -158,7 +146,7 @@ def written(path, change):
 
 
 def refused(*words):
-    """Run `train` with options that it must refuse; return its last line."""
+    """Run ``mmwave-loc train`` with options that it must refuse; return its error."""
     done = command("train", *words)
     line = done.stderr.splitlines()[-1]
     assert done.returncode == 2 and done.stdout == "" and line.startswith("mmwave-loc train: ")
@@ -195,17 +183,12 @@ def test_wrong_options_are_refused_before_a_folder_is_made(words, message, tmp_p
 
 
 @pytest.mark.parametrize("algorithm", KINDS)
-def test_too_few_environments_for_the_places_are_refused_before_a_folder_is_made(
-    algorithm, tmp_path
-):
+def test_too_few_environments_for_the_places_are_refused_before_any_work(algorithm, tmp_path):
     shipped = json_in(shipped_hyperparameters(algorithm))
     path, out = tmp_path / "few.json", tmp_path / "run"
     path.write_text(json.dumps(shipped | {"num_envs": 1}))
-    args = Args(
-        algo=algorithm, hyperparameters=path, places=("street:handset", "o1:handset"), out=out
-    )
     with refuses(path, "num_envs"):
-        main(args)
+        main(Args(algo=algorithm, hyperparameters=path, places=PLACES, out=out))
     assert not out.exists()
 
 
@@ -215,11 +198,11 @@ def test_the_error_without_pytorch_says_what_to_install(tmp_path, monkeypatch):
     assert not (tmp_path / "run").exists()
 
 
-# --- folders
+# --- folders, and a short run
 
 
 def folder_of(path, modes=None, hyper=None, **options):
-    """Make the folder of a run that, according to its manifest, can be resumed."""
+    """Make the folder of a run whose manifest (run.json) has these options; return it."""
     args = Args(out=path, **options)
     banks = {"handset": Bank(modes or default_modes("handset"))}
     manifest = manifest_of(args, banks, hyper or hyperparameters(args, 1))
@@ -245,7 +228,7 @@ def test_a_run_with_other_options_is_not_resumed(tmp_path):
 
 
 def test_a_run_with_other_modes_banks_or_hyperparameters_is_not_resumed(tmp_path):
-    """Change a mode file, the modes that a name stands for, a bank, or a hyperparameter."""
+    """Let the run have other modes, another hyperparameter, or other banks."""
     path = written(tmp_path / "mine.json", {})
     resume = ("--resume", "--hyperparameters", path, "--out")
     folder = folder_of(tmp_path / "modes", modes=MODES, hyperparameters=path)
@@ -264,15 +247,9 @@ def test_a_damaged_manifest_is_refused(damaged, tmp_path):
     assert "run.json: not the manifest of a run" in line
 
 
-# --- a short run
-
-
-PLACES = ("street:handset", "o1:standard:0.5")
-
-
 @pytest.mark.slow
 def test_a_policy_trained_at_two_places_with_beliefs_per_mode_plays_at_a_third(tmp_path):
-    """Run the command `train`, then the command `evaluate`."""
+    """Run the command ``train``, then the command ``evaluate``."""
     short = ("--seeds", 1, "--total-timesteps", 1, "--out", tmp_path / "run")
     shown = succeed("train", "--beliefs", "per-mode", "--places", *PLACES, *short)
     assert "| minus imm-best |" in shown
@@ -280,7 +257,7 @@ def test_a_policy_trained_at_two_places_with_beliefs_per_mode_plays_at_a_third(t
     best = outcome["best"]
     for rival in ("speed-rule", "imm", "imm-best"):
         each = [best[f"{place} minus {rival}"]["mean"] for place in PLACES]
-        # The places have the same number of episodes.
+        # The mean over episodes is the mean over places, which have equally many episodes.
         assert best[f"minus {rival}"]["mean"] == pytest.approx(np.mean(each))
     assert abs(best["minus imm-best"]["mean"]) < 0.05  # the policy starts near the IMM
 

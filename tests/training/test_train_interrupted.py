@@ -1,4 +1,4 @@
-"""Tests that a training can be killed at any moment, resumes, and writes the same files."""
+"""Tests that a training that was killed can be continued, and then writes the same files."""
 
 import csv
 import io
@@ -8,14 +8,14 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tests.paths import ROOT, json_in
+from tests import cli
+from tests.paths import json_in
 from tests.refusals import refuses
 
 pytest.importorskip("stable_baselines3")
@@ -25,9 +25,9 @@ from experiments.training.evaluator import EPISODES
 from experiments.training.job import Job
 from experiments.training.ppo import PpoTraining
 from experiments.training.processes import side_by_side
-from experiments.training.training_task import places_from
 from mmwave_env.filters.bank import Bank, default_modes
 from tests.training.actors import MODES
+from tests.training.test_rollout_env import task
 from tests.training.test_train import HYPER, TASK, content
 
 pytestmark = [
@@ -38,17 +38,14 @@ pytestmark = [
 
 SMALL = replace(HYPER, num_envs=4, n_steps=25, batch_size=50, paired=True)
 KINDS = {"ppo": SMALL, "places": replace(SMALL, first_action_bias=1.0)}
-PLACES = places_from(["street:handset", "o1:standard:0.5"])
-BANKS = dict.fromkeys(["handset", "standard"], Bank(MODES))
-TASKS = {"places": replace(TASK, places=PLACES, banks=BANKS, beliefs="per-mode")}
+TASKS = {"ppo": TASK, "places": task(banks=dict.fromkeys(["handset", "standard"], Bank(MODES)))}
 UPDATES = 14  # episodes end after every eighth update
 
 
 def job_of(folder, kind="ppo", **changes):
     hyper = KINDS[kind]
-    task = TASKS.get(kind, TASK)
     timesteps = UPDATES * hyper.num_envs * hyper.n_steps
-    job = Job(task, hyper, 0, timesteps, folder, "mmwave-loc train", 1, 20)
+    job = Job(TASKS[kind], hyper, 0, timesteps, folder, "mmwave-loc train", 1, 20)
     return replace(job, **changes)
 
 
@@ -95,7 +92,7 @@ def assert_same_training(actual, expected):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_training_killed_at_random_moments_continues_to_the_same_result(kind, tmp_path):
     job, whole = job_of(tmp_path / "killed", kind), job_of(tmp_path / "whole", kind)
-    train(whole)  # also compiles
+    train(whole)  # compiles the functions that the forked processes run
     checkpoint, rng, kills = job.folder / "checkpoint.pt", np.random.default_rng(5), 0
     before = None
     while True:
@@ -178,15 +175,16 @@ def test_a_damaged_checkpoint_ends_all_trainings(tmp_path):
 
 @pytest.fixture
 def started():
-    """Return a function that starts `train` in a process group, which is killed after the test."""
+    """Return a function that starts ``mmwave-loc train`` in a process group of its own.
+
+    After the test, what remains of the groups is killed.
+    """
     commands = []
     # Commands that a shell runs in the background ignore Ctrl-C, and so do their children.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def start(*words):
-        words = [sys.executable, "-m", "experiments.console", "train", *map(str, words)]
-        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-        commands.append(subprocess.Popen(words, cwd=ROOT, start_new_session=True, **pipes))
+        commands.append(cli.started("train", *words, start_new_session=True))
         return commands[-1]
 
     yield start
@@ -218,9 +216,9 @@ def until_replaced(path, process):
 
 
 def test_an_interrupted_command_ends_at_once_and_continues_when_resumed(tmp_path, started):
-    """Kill the command, kill one of its trainings, or send Ctrl-C or another signal."""
-    task = replace(TASK, banks={"handset": Bank(default_modes("handset"))})
-    job = job_of(tmp_path / "whole", task=task)
+    """Interrupt it four times: kill it, kill its training, press Ctrl-C, and send SIGTERM."""
+    street = replace(TASK, banks={"handset": Bank(default_modes("handset"))})
+    job = job_of(tmp_path / "whole", task=street)
     # The training must take seconds, so that it can be interrupted.
     job = replace(job, timesteps=10 * job.timesteps, episodes=EPISODES)
     hyperparameters, out = tmp_path / "mine.json", tmp_path / "run"
@@ -236,13 +234,13 @@ def test_an_interrupted_command_ends_at_once_and_continues_when_resumed(tmp_path
         os.kill(training, signal.SIGKILL)
         os.killpg(group, signal.SIGCONT)
 
-    ways = {  # last line of errors -> exit code, and function that interrupts the command
+    interruptions = {  # last line of errors -> exit code, and function that interrupts the command
         "": (-signal.SIGKILL, lambda pid: os.kill(pid, signal.SIGKILL)),
         "seed 0: its process ended with code -9; .*": (2, kill_the_training),
         "interrupted": (130, lambda pid: os.killpg(pid, signal.SIGINT)),  # as Ctrl-C does
         "ended by SIGTERM": (143, lambda pid: os.kill(pid, signal.SIGTERM)),
     }
-    for message, (code, send) in ways.items():
+    for message, (code, send) in interruptions.items():
         command = started(*words, *["--resume"] * out.exists())
         until_replaced(checkpoint, command)
         send(command.pid)
@@ -251,7 +249,7 @@ def test_an_interrupted_command_ends_at_once_and_continues_when_resumed(tmp_path
         if message:
             assert re.fullmatch(f"mmwave-loc train: {message}", errors.splitlines()[-1])
             assert not list(out.rglob(".*"))
-        assert gone(command.pid)  # the training ends, too
+        assert gone(command.pid)  # the processes of the trainings end, too
 
     command = started(*words, "--resume")
     summary, _ = command.communicate(timeout=1800)
