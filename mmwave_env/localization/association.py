@@ -4,9 +4,9 @@ A separate filter follows the user (``path_tracker.py``) and predicts the user's
 epoch. Given this state, the method of the global nearest neighbor assigns the paths to anchors.
 The result is an ordinary log, so all code that localizes a log can localize it.
 
-A track begins with the hypothesis that some path is the line of sight, if the hypothesis explains
-enough paths of the coming epochs. A new track replaces the current track if the current track is
-lost, or if it explains clearly fewer paths than the new track would.
+A track begins with the hypothesis that a certain path is the line of sight, if this hypothesis
+explains enough paths of the coming epochs. The track ends after a long gap. Before, a new track can
+replace it, if the new track explains clearly more paths.
 """
 
 from collections.abc import Iterable, Iterator
@@ -28,7 +28,10 @@ LOOK_AHEAD = 10  # number of epochs in which a line-of-sight hypothesis is teste
 
 
 class Association:
-    """Running counts of associated, missed and false paths of a log."""
+    """Counts of the paths of a log.
+
+    A path that belongs to no anchor is false. If an anchor has no path in an epoch, one is missed.
+    """
 
     def __init__(self, anchors: int) -> None:
         self.epochs = self.untracked_epochs = self.starts = 0
@@ -36,7 +39,7 @@ class Association:
         self._associated, self._missed = np.zeros((2, anchors), np.int64)
 
     def add(self, paths: PathEpoch, labels: Index | None, begins: bool) -> None:
-        """Add an epoch; ``labels`` (L,) hold the index of each anchor's path; None if no track."""
+        """Add an epoch; ``labels`` (L,): index of each anchor's path, or None without a track."""
         self.epochs += 1
         self.starts += begins
         self._paths += len(paths.snr_db)
@@ -77,13 +80,13 @@ def associate(
     Args:
         epochs: epochs of the log of paths.
         scene: scene whose anchors were measured.
-        radio: profile of the receiver: standard deviations by SNR, oscillator, prior.
-        mode: filter mode that follows the user during association. Choose a mode for high mobility,
-            whose predictions are uncertain enough for any user.
-        tally: counter of the associations.
+        radio: profile of the receiver; it determines the noise at each SNR, and the prior.
+        mode: filter mode that follows the user during association. Choose a mode for high mobility:
+            the gates around its uncertain predictions are wide enough for any user.
+        tally: counter to which each epoch is added.
 
     Raises:
-        LogError: the log is damaged, or no receiver can have made its measurements.
+        LogError: the log is damaged, or contains measurements that no receiver can have made.
     """
     return in_windows(_labelled(epochs, scene, radio, mode, tally), epochs_per_block)
 
@@ -113,10 +116,7 @@ def _labelled(
 
 
 def _block(paths: PathEpoch, epoch: Epoch, begins: bool) -> LogBlock:
-    """Return the measurements of an epoch, associated with anchors, as a block of a log.
-
-    ``begins`` says whether a track begins here, possibly in place of another one.
-    """
+    """Return an associated epoch as a block of a log; ``begins``: whether a track begins here."""
     visible = np.array([epoch.visible]) > 0.5
     return LogBlock(
         layout=paths.layout,
@@ -134,7 +134,7 @@ def _block(paths: PathEpoch, epoch: Epoch, begins: bool) -> LogBlock:
 
 
 def _windows(epochs: Iterable[PathEpoch], size: int) -> Iterator[list[PathEpoch]]:
-    """Yield, for each epoch, a list of ``size`` epochs that begins with it; shorter at the end."""
+    """Yield, for each epoch, a list of it and the following ones: ``size``, or fewer at the end."""
     held: list[PathEpoch] = []
     try:
         for epoch in epochs:

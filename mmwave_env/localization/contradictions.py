@@ -1,8 +1,8 @@
 """Contradictions between a log and its scene, caused by wrong units, signs or frames.
 
-Most mistakes can't be seen in a single row. But the track that a filter computes from wrong rows
-does not fit these rows, or is impossible. The limits are wide: at most 10 of 1000 correct logs
-violate them (``tests/localization/test_contradictions.py``).
+Most mistakes can't be seen in a single row. But in wrong rows, many values are impossible or rare,
+or the rows do not fit the track that a filter computes from them. The limits are wide: at most 10
+of 1000 correct logs violate them (``tests/localization/test_contradictions.py``).
 """
 
 from collections.abc import Iterator, Mapping
@@ -22,11 +22,13 @@ NIS_LIMITS = (0.2, 5.0)  # per degree of freedom
 SNR_LIMITS_DB = (-60.0, 90.0)
 REJECTED_LIMIT = 1.0 / 3.0
 _ENOUGH = 20  # minimum number of epochs for a conclusion
-_ENOUGH_IF_BLOCKED = 100  # minimum if blockages of a few seconds could distort the conclusion
+_ENOUGH_IF_BLOCKED = 100  # the same, if a blockage of a few seconds could distort the conclusion
 _WINDOW_S = 30.0  # the oscillator's offset hardly changes over this time
 _MOST_APART_S = 3.0  # longest gap over which the Doppler shift is integrated
 _SLOPE_LIMITS = (0.5, 1.5)  # m by which the range grows where the Doppler shift predicts 1 m
-_SURE = 10.0  # standard errors from a slope of 1; high, because errors of a blocked link correlate
+# Minimum distance of a wrong slope from 1, in standard errors. It is large, because these assume
+# independent errors, but the errors of successive epochs with a blocked link correlate.
+_SURE = 10.0
 
 
 class Contradiction(NamedTuple):
@@ -46,8 +48,8 @@ def contradictions(
     """Return all contradictions between a log and its scene, its radio or physical limits.
 
     ``block`` is the beginning of the log. ``groups`` maps the name of each group of measurements to
-    the group's statistics in a track: ``seen``, ``rejected_share`` and ``nis_per_dof``, as
-    :meth:`~mmwave_env.localization.track_scores.Groups.figures` returns them.
+    statistics of this group: ``seen`` (a number of epochs), ``rejected_share`` and ``nis_per_dof``,
+    as :meth:`~mmwave_env.localization.track_scores.Groups.figures` returns them for a track.
     """
     return [*impossible(block), *_oddities(block, scene, radio), *_misfits(groups)]
 
@@ -96,7 +98,7 @@ def impossible(block: LogBlock) -> Iterator[Contradiction]:
 
 
 def _oddities(block: LogBlock, scene: Scene, radio: Radio) -> Iterator[Contradiction]:
-    """Yield what is possible but rare: users above the base station, odd SNRs or Doppler shifts."""
+    """Yield rare, but possible findings: odd SNRs or Doppler shifts, a user above anchor 1."""
     low, high = SNR_LIMITS_DB
     for anchor in range(block.layout.anchors):
         snr = block.snr_db[np.isfinite(block.snr_db[:, anchor]), anchor]
@@ -121,10 +123,10 @@ def _oddities(block: LogBlock, scene: Scene, radio: Radio) -> Iterator[Contradic
 def _range_per_doppler(block: LogBlock, scene: Scene, radio: Radio) -> tuple[float, float]:
     """Regress the range of anchor 1 on the distance that follows from the Doppler shift.
 
-    In each window, ranges are regressed on three terms: the integrated shift, a constant, and time.
-    The coefficient of time is the oscillator's offset; its prior comes from ``radio``. Return the
-    coefficient of the shift, which is 1 if sign and unit are right, and its standard error; return
-    (1, inf) if there are too few epochs or nothing moves.
+    Ranges are regressed on three terms: the integrated shift, a constant, and time. The constant
+    and the coefficient of time, which is the oscillator's offset in m/s, differ between windows of
+    30 s; ``radio`` has the offset's prior. Return the coefficient of the shift, which is 1 if sign
+    and unit are right, and its standard error; (1, inf) if epochs are too few or nothing moves.
     """
     direct = block.visible[:, 0] & block.visible[:, block.layout.anchors]
     direct &= block.doppler_anchor == 0
@@ -136,16 +138,16 @@ def _range_per_doppler(block: LogBlock, scene: Scene, radio: Radio) -> tuple[flo
         sums += _regression(
             time[part], z[part, 0], rate[part], float(np.median(sigma[part])), radio
         )
-    spare, over, product, square = sums.tolist()
-    if spare < _ENOUGH_IF_BLOCKED or over <= 0.0:
+    dof, moved, product, square = sums.tolist()
+    if dof < _ENOUGH_IF_BLOCKED or moved <= 0.0:
         return 1.0, float("inf")
-    slope = product / over
-    misfit = max((square - slope * product) / spare, 1.0)
-    return slope, float(np.sqrt(misfit / over))
+    slope = product / moved
+    misfit = max((square - slope * product) / dof, 1.0)
+    return slope, float(np.sqrt(misfit / moved))
 
 
 def _windows(time_s: Array) -> Iterator[slice]:
-    """Yield slices of the times (T,) of epochs: short windows that contain no long gap."""
+    """Yield slices of epochs at times (T,): windows of four epochs or more, without long gaps."""
     if not len(time_s):
         return
     gap = np.diff(time_s, prepend=time_s[:1]) > _MOST_APART_S
@@ -159,8 +161,8 @@ def _windows(time_s: Array) -> Iterator[slice]:
 def _regression(time_s: Array, range_m: Array, rate: Array, sigma: float, radio: Radio) -> Array:
     """Return [degrees of freedom, moved^2, moved * range, range^2] of a window.
 
-    The last three are sums over epochs, divided by sigma^2. ``moved`` is the integrated Doppler
-    shift. Regressions on a constant and on time were subtracted from it and from the range.
+    The last three are sums over epochs, divided by sigma^2. ``moved`` is the integral of ``rate``.
+    Before the sums, regressions on a constant and on time are subtracted from it and from ranges.
     """
     time = time_s - time_s.mean()
     moved = np.cumsum(np.diff(time, prepend=time[0]) * 0.5 * (rate + np.roll(rate, 1)))

@@ -3,9 +3,9 @@
 A hypothesis says how to read the values in the file. For every hypothesis, the same filter
 without gates computes a track from the first epochs. A hypothesis makes the log consistent if the
 NIS per degree of freedom (dof) is near 1 and :mod:`~mmwave_env.localization.contradictions` reports
-nothing. Hypotheses that make the log consistent are ranked by the likelihood of the values as they
-are in the file, because likelihoods of values in different units can't be compared. If no single
-mistake explains the log, pairs of mistakes are tried.
+nothing. These hypotheses are ranked by the likelihood of the values in the file, not of the values
+that they convert, because likelihoods in different units can't be compared. If no single mistake
+explains the log, pairs of mistakes are tried.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -49,9 +49,9 @@ _FACTORS = {  # mistake -> the factor that undoes it, and the unit that the colu
     "1e6 times too small (s?)": (1e6, "s"),
     "1e9 times too small (s?)": (1e9, "s"),
 }
-_SEARCHED_EPOCHS = 50  # number of epochs that are searched for the best one to begin at
-_ADVANTAGE = 0.01  # log-likelihood per epoch by which a mistake must exceed the log as it is
-_OUTLIER_QUANTILE = 1e-6  # NIS is clipped at this upper quantile of chi-square
+_SEARCHED_EPOCHS = 50  # number of epochs from which the best one to begin a track at is chosen
+_ADVANTAGE = 0.01  # log-likelihood per epoch that is added to that of the log as it is
+_OUTLIER_QUANTILE = 1e-6  # NIS is clipped where chi-square exceeds it with this probability
 
 
 class Reading(NamedTuple):
@@ -78,8 +78,7 @@ class Finding(NamedTuple):
     nis_per_dof: dict[str, float | None]
     # mean over epochs of the log-likelihood of the file's values; None if there is no track
     log_likelihood: float | None
-    # what contradicts the hypothesis; empty if the log is consistent with it
-    contradictions: list[Contradiction]
+    contradictions: list[Contradiction]  # empty if the hypothesis makes the log consistent
     cure: str = ""  # how to correct the log if the hypothesis is right; empty for the log as it is
 
     @property
@@ -90,7 +89,7 @@ class Finding(NamedTuple):
 
 
 def _values(block: LogBlock) -> Mask:
-    """Tell which values (T, rows) of a log were measured and are visible."""
+    """Tell which values (T, rows) of a log were measured, in groups that are visible."""
     visible = np.repeat(block.visible, block.layout.widths, axis=1)
     return visible & np.isfinite(block.measurement)
 
@@ -206,8 +205,9 @@ def _has_effect(reading: Reading, original: Reading) -> bool:
 def _start(block: LogBlock) -> int:
     """Return the index of the epoch at which the tracks begin.
 
-    It is the first epoch with a link of the base station. In a partial layout, a unique position
-    may need several incomplete links, so it is the one of the first epochs with the most values.
+    It is the first epoch with a link of the base station. But in a partial layout, a position may
+    need several incomplete links. So there, it is the epoch with the most values, among the first
+    epochs with links.
 
     Raises:
         ValueError: no epoch has a link of the base station, and the layout is not partial.
@@ -226,15 +226,15 @@ def _start(block: LogBlock) -> int:
 def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
     """Try likely mistakes on the first epochs of a log.
 
-    The scene and radio are those that the user states; the tracker uses the tuning and algorithm
-    of ``mode``. The block must come from :func:`~mmwave_env.logs.log.read_log` with
-    ``limits=False`` and ``odometry=False``.
+    ``scene`` and ``radio`` are those that the user states. The filter has the tuning and algorithm
+    of ``mode``, but not its safeguards. The block must come from
+    :func:`~mmwave_env.logs.log.read_log` with ``limits=False`` and ``odometry=False``.
 
     Returns:
         A finding for the log as it is and for every hypothesis that changes a number. Hypotheses
         that make the log consistent come first, the most likely one at the top; the others follow,
         best fit first. If only pairs of hypotheses make the log consistent, the most likely pair
-        comes first. In a partial layout, only pairs of another radio and any mistake are tried.
+        is added at the top. In a partial layout, one of each pair must be another radio profile.
 
     Raises:
         ValueError: there is no link with which a track could begin.
@@ -275,7 +275,7 @@ def _findings(readings: dict[str, Reading], mode: Mode) -> list[Finding]:
 
 
 def _rank(finding: Finding) -> tuple[bool, float]:
-    """Return a sort key: consistent findings come first, by likelihood, then the others, by fit."""
+    """Return a sort key: first, consistent findings by likelihood; then the others by fit."""
     if not finding.contradictions and finding.log_likelihood is not None:
         advantage = _ADVANTAGE if finding.hypothesis == AS_IT_IS else 0.0
         return False, -finding.log_likelihood - advantage
@@ -314,8 +314,8 @@ def _finding(name: str, reading: Reading, visible: Mask, nis: Array, likelihood:
         fits[group] = float(np.median(ratios)) if used.any() else None
     if not np.isfinite(likelihood).all():
         return Finding(name, fits, None, [Contradiction("track", "NaN or infinity", "numbers")])
-    spared = np.maximum(nis - chdtri(np.maximum(dof, 1), _OUTLIER_QUANTILE), 0.0).sum()
-    mean = (float(likelihood.sum() + 0.5 * spared) + reading.log_scale) / len(block)
+    clipped = np.maximum(nis - chdtri(np.maximum(dof, 1), _OUTLIER_QUANTILE), 0.0).sum()
+    mean = (float(likelihood.sum() + 0.5 * clipped) + reading.log_scale) / len(block)
     groups = {
         group: {"seen": int(count), "rejected_share": 0.0, "nis_per_dof": fits[group]}
         for group, count in zip(layout.group_names, visible.sum(axis=0), strict=True)

@@ -3,12 +3,12 @@
 A protection level is a bound that an error exceeds with a stated probability, the risk. Errors
 exceed Gaussian levels (:mod:`mmwave_env.localization.position_errors`) with this probability only
 if the covariance is right. So a small network, trained by quantile regression, reads what a filter
-knows after an epoch, and returns the logarithm of a factor for the Gaussian level. A constant (per
-kind of filter, risk and direction) is added to it. The constants were computed by split conformal
-prediction on episodes that the training did not use (Y. Romano, R. Patterson and E. Candès,
-"Conformalized quantile regression", NeurIPS 2019; for epochs grouped in episodes: Y. Lee, R. F.
-Barber and R. Willett, "Distribution-free inference with hierarchical data", 2023). docs/errors.md
-says what the levels guarantee; experiments/training/levels.py trains the network.
+knows after an epoch, and returns the logarithm of a factor for the Gaussian level. A constant is
+added to this logarithm; it depends on the kind of filter, the risk and the direction. The constants
+were computed by split conformal prediction on episodes that the training did not use (Y. Romano, R.
+Patterson and E. Candès, "Conformalized quantile regression", NeurIPS 2019; for epochs grouped in
+episodes: Y. Lee, R. F. Barber and R. Willett, "Distribution-free inference with hierarchical data",
+2023). docs/errors.md has the guarantees of levels. experiments/training/levels.py trains networks.
 """
 
 from base64 import b64decode, b64encode
@@ -30,9 +30,9 @@ from mmwave_env.numerics.numbers import Array
 # parts of a filter's state from which the network's inputs, the features, are computed
 PARTS = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected")
 CALIBRATED, GAUSSIAN = KINDS = ("calibrated", "gaussian")
-_MEMORY = np.array([[0.6], [0.9], [0.97]])  # share of a mean's old value that it keeps for 1 s
+_MEMORY = np.array([[0.6], [0.9], [0.97]])  # weight of a running mean's old value after 1 s
 _LEAST, _LEAST_S = 1e-9, 1e-2  # lower limits, so that logarithms and quotients are finite
-_KIND = [18, 20]  # indices of two features, 1 or 0: whether a corrector and whether a bank runs
+_KIND = [18, 20]  # indices of the features that are 1 if a corrector runs, and if a bank runs
 
 
 class Network(NamedTuple):
@@ -40,9 +40,9 @@ class Network(NamedTuple):
 
     Attributes:
         risks: (R,) risks for which the network was trained and calibrated.
-        constants: (3, R, 2) numbers that the calibration adds to the network's outputs, for every
-            kind of filter (one mode, bank of modes, bank with a corrector of its beliefs), risk,
-            and direction (horizontal, vertical).
+        constants: (3, R, 2) numbers that the calibration adds to the network's outputs: one for
+            each kind of filter (one mode, bank of modes, bank with a corrector of its beliefs),
+            risk, and direction (horizontal, vertical).
         low, high: (features,) limits of the features in the training.
         layers: weights (outputs, inputs) and biases (outputs,) of the layers.
     """
@@ -55,7 +55,7 @@ class Network(NamedTuple):
 
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> "Network":
-        """Return the network that a file holds."""
+        """Return the network from the content of a file."""
         low, high, *flat = (_numbers(text) for text in content["tensors"])
         layers = [(w.reshape(len(b), -1), b) for w, b in zip(flat[::2], flat[1::2], strict=True)]
         return cls(content["risks"], np.array(content["constants"]), low, high, layers)
@@ -96,7 +96,7 @@ class Levels:
         kind: "calibrated", or "gaussian" for levels computed from covariances alone.
 
     Raises:
-        ValueError: the kind is unknown, or its levels do not cover the risk.
+        ValueError: the kind or the risk is invalid, or no calibrated levels have this risk.
     """
 
     def __init__(self, risk: float = RISK, kind: str = CALIBRATED) -> None:
@@ -190,7 +190,7 @@ def _sizes(P: Array) -> list[Array]:
 
 
 def _relative(moved: Array, sizes: Sequence[Array]) -> list[Array]:
-    """Return log(1 + 10 length / level) of vectors (..., 3), in x-y and in z; sizes: log(level)."""
+    """Return log(1 + 10 length / level) of vectors (..., 3), in x-y and in z, given log(level)."""
     lengths = horizontal(moved), np.abs(moved[..., 2])
     return [np.log1p(10.0 * a * np.exp(-b)) for a, b in zip(lengths, sizes, strict=True)]
 

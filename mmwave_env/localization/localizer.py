@@ -1,10 +1,10 @@
 """Localization of a measurement log by one or several Kalman filter pipelines, called modes.
 
 If there are several modes, a rule (paper, Algorithm 1) or a policy chooses between them, or they
-interact as an IMM. A log is a sequence of blocks of epochs, because it may be larger than memory;
-the length of the blocks does not change the track. The log is divided into segments at long gaps
-(``segments.py``). In each segment, a track starts from a first position and is filtered; then the
-track is smoothed, ``window`` epochs at a time.
+interact as an IMM. A log is a sequence of blocks of epochs, because it may be larger than memory.
+The length of the blocks does not change the track. The log is divided into segments at long gaps
+(``segments.py``). In each segment, a track starts from a first position. It is filtered first, and
+then smoothed, ``window`` epochs at a time.
 """
 
 import os
@@ -75,8 +75,8 @@ class Switching:
 
     Attributes:
         modes: one or several modes, of which one runs at a time; or a bank, whose modes interact.
-        rule: function that chooses a mode in every epoch, as
-            :class:`~mmwave_env.engines.track_engine.Tracker` takes it.
+        rule: function that chooses a mode in every epoch;
+            :class:`~mmwave_env.engines.track_engine.Tracker` describes it.
         policy: function that makes a policy, given the table of features that it will observe. The
             policy chooses the mode to run or, with a bank, the mode to trust.
         observation: kind of observation that the policy reads: "full", "prior" or "signed".
@@ -112,7 +112,7 @@ class Switching:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Return names of the parts of a filter's state to keep, the last ones for the smoother."""
+        """Return names of the kept parts of a filter's state, the last ones for the smoother."""
         return (*_FILTERED, "mixture") if self.bank else (*_FILTERED, *_PREDICTED)
 
     def pipeline(self, layout: Layout, planar: bool) -> Pipeline:

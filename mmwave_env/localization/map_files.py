@@ -57,12 +57,12 @@ def _ellipses(origin: Origin, x: Array, P: Array) -> Array:
     corners = np.repeat(x[:, None, :3], _CORNERS, axis=1)
     corners[..., :2] += offsets.transpose(0, 2, 1)
     around = geodetic(origin, corners.reshape(-1, 3)).reshape(len(x), _CORNERS, 3)
-    return np.concatenate([around, around[:, :1]], axis=1)[..., [1, 0]]  # a closed ring
+    return np.concatenate([around, around[:, :1]], axis=1)[..., [1, 0]]
 
 
 @contextmanager
 def _geojson(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
-    """Write a FeatureCollection: lines of the track, and every second a 95 % ellipse."""
+    """Write a FeatureCollection: lines of the track, and a 95 % ellipse for every second."""
     separator = ""
     # segment of the last block, time of the last ellipse, last point
     last: tuple[int, float, list[float]] = -1, -np.inf, []
@@ -100,7 +100,7 @@ def _geojson(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
 
 @contextmanager
 def _gpx(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
-    """Write a GPX 1.1 track with a segment for each segment of the track."""
+    """Write a GPX 1.1 track, in which each segment of the log is a segment (``trkseg``)."""
     ascii_name = escape(name).encode("ascii", "xmlcharrefreplace").decode("ascii")
     file.write(f"{_GPX}<trk><name>{ascii_name}</name>")
     current = -1
@@ -145,7 +145,7 @@ def nmea(origin: Origin, moment: float, place: Array, packed: Array) -> str:
         origin: place of the scene on the earth.
         moment: time, s.
         place: (3,) latitude and longitude (degrees) and height (m).
-        packed: (28,) packed covariance of the state.
+        packed: (28,) or, with a clock, (36,) packed covariance of the state.
     """
     hundredths = round(moment % 86400.0 * 100.0) % 8_640_000
     seconds, minutes = hundredths / 100.0 % 60.0, hundredths // 6000
@@ -175,7 +175,7 @@ def _degrees(angle: float, digits: int, sides: str) -> str:
 
 
 def _sentence(text: str) -> str:
-    """Return a sentence with its checksum, the exclusive or of its characters."""
+    """Return an NMEA sentence: a text and its checksum, the exclusive or of its characters."""
     return f"${text}*{reduce(xor, text.encode()):02X}\r\n"
 
 
@@ -186,7 +186,7 @@ class MapFile(NamedTuple):
     writer: Callable[[TextIO, Origin, str], AbstractContextManager[Write]]
 
 
-MAP_FILES = {  # by the ending of the name
+MAP_FILES = {  # formats by the ending of the file's name
     ".geojson": MapFile(_GEOJSON, _geojson),
     ".gpx": MapFile(_GPX, _gpx),
     ".nmea": MapFile("$GPGGA,", _nmea),

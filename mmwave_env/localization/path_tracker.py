@@ -35,10 +35,10 @@ NO_PATH = -1
 
 
 def path_nis(x: Vector, P: Matrix, anchors: Matrix, paths: Array, sigma: Array) -> Array:
-    """Compute the NIS (L, n) of every path as a link of every anchor, given x (7,), P (7, 7).
+    """Compute the NIS (L, n) of each path if it belongs to each anchor, given x (7,), P (7, 7).
 
-    ``paths`` (L, n, 4) contains each path as each anchor would have measured it: the four values
-    of a link, m and rad. ``sigma`` contains the standard deviations of these values.
+    ``paths`` (L, n, 4) contains the four values of a link (m and rad) that each anchor would have
+    measured if the path belonged to it. ``sigma`` contains their standard deviations.
     """
     tangent, L = Tangent(), cholesky(P)
     latents, nis = tangent.latents(0), np.empty(paths.shape[:2])
@@ -56,7 +56,7 @@ def assign(nis: Array, gate: float) -> Index:
     from scipy.optimize import linear_sum_assignment
 
     labels = np.full(len(nis), NO_PATH)
-    # A pair of anchor and path outside the gate costs as much as the gate, and is not assigned.
+    # A pair outside the gate costs as much as an anchor without a path. It is discarded below.
     anchors, paths = linear_sum_assignment(np.minimum(np.nan_to_num(nis, nan=np.inf), gate))
     inside = nis[anchors, paths] < gate
     labels[anchors[inside]] = paths[inside]
@@ -66,8 +66,8 @@ def assign(nis: Array, gate: float) -> Index:
 def disagreement(paths: Array, sigma: Array) -> Array:
     """Compute the NIS (n,) between the azimuths of arrival and departure of paths (n, 4).
 
-    The NIS has 1 degree of freedom. Both angles measure the same bearing, so the user's position
-    is not needed (paper, Sec. II-B).
+    The NIS has 1 degree of freedom. The user's position is not needed, because both angles measure
+    the same bearing (paper, Sec. II-B).
     """
     group = link_group([1.0] * 7, [0.0] * 3, list(paths.T), list(np.square(sigma).T))
     return np.asarray(group.spare_nis)
@@ -108,7 +108,8 @@ class _Links(NamedTuple):
 class PathTracker:
     """A tracker that follows users by propagation paths.
 
-    :func:`~mmwave_env.localization.association.associate` describes the arguments.
+    :func:`~mmwave_env.localization.association.associate` describes all arguments but ``layout``,
+    which is the layout of the log.
     """
 
     def __init__(self, scene: Scene, radio: Radio, mode: Mode, layout: Layout) -> None:
@@ -118,8 +119,8 @@ class PathTracker:
         self._memory = initial_memory(layout, 1)
         self._gate = float(chdtri(4, 1.0 - GATE_QUANTILE))
         self._disagreement = float(chdtri(1, 1.0 - GATE_QUANTILE))
-        unheard = np.zeros((1, layout.anchors))  # odometry's sigma does not depend on SNR
-        self._odometry_sigma = radio.sigma(unheard, scene, layout)[0, layout.doppler + 1 :].tolist()
+        any_snr = np.zeros((1, layout.anchors))  # odometry's sigma does not depend on the SNR
+        self._odometry_sigma = radio.sigma(any_snr, scene, layout)[0, layout.doppler + 1 :].tolist()
 
     def follow(self, track: PathTrack, paths: PathEpoch) -> PathTrack:
         """Return the track after the next epoch."""
@@ -131,20 +132,20 @@ class PathTracker:
         return self._updated(track._replace(labels=labels, epoch=epoch), paths)
 
     def rival(self, track: PathTrack | None, window: Sequence[PathEpoch]) -> PathTrack | None:
-        """Return a track that begins now and explains more paths than ``track``, or None.
+        """Return a track that begins with the window and explains more paths than ``track``.
 
-        "Now" is the first epoch of the window. The result is also None if a track that begins later
-        explains even more: during a blockage, a track would begin with a reflection, which it would
-        mistake for the line of sight.
+        The result is None if there is no such track, or if a track that begins later explains even
+        more. Otherwise, tracks would begin during a blockage, with a reflection that they mistake
+        for the line of sight.
         """
         horizon = window[0].time_s + GAP_S
         paths, *coming = (epoch for epoch in window if epoch.time_s <= horizon)
         best, fitted = self._best(track, paths, coming)
         if best is None:
             return None
-        # The path with which a track begins always fits, so it does not count. To be believed, the
-        # new track must explain one path or more per coming epoch, and clearly more than ``track``.
-        # A new track does not know the velocity, so its gates are wide, and wrong paths may fit.
+        # The new track must explain at least one path per coming epoch, and clearly more paths than
+        # ``track``: the new track does not know the velocity, so its gates are so wide that wrong
+        # paths may fit. The path with which it begins always fits, so this path does not count.
         own = 0.0 if track is None else self._fitted(track, coming) + CLEARLY_MORE * len(coming)
         if fitted - 1 < max(own, len(coming)):
             return None
@@ -181,7 +182,7 @@ class PathTracker:
                 yield begun
 
     def _begin(self, paths: PathEpoch, links: _Links, path: int) -> PathTrack | None:
-        """Return a track with this path as line of sight; None if it would begin behind a wall."""
+        """Return a track with this path as line of sight; None if its user is behind a wall."""
         anchors, fix = self._scene.anchors_m, (links.z[0, path], links.sigma[0, path])
         mean, covariance = prior_from_fix(anchors[0], *fix, self._radio, self._scene)
         distance = np.linalg.norm(mean[:3] - anchors, axis=1)

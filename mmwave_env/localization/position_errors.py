@@ -1,14 +1,14 @@
 """Statistics of position errors: percentiles, shares of epochs and protection levels.
 
 The horizontal error is the length of the error in x and y; the vertical error is the absolute value
-of the error in z. Shares count the epochs with an error within the distances that 3GPP TS 22.261,
-Table 7.3.2.2-1, defines for positioning services.
+of the error in z. A share is the part of the epochs in which the error is at most a distance, one
+of those that 3GPP TS 22.261, Table 7.3.2.2-1, defines for positioning services.
 
-A protection level is a bound that an error exceeds with a stated risk if the covariance is right.
-With position errors e ~ N(0, P), the level at risk r is the distance that |e| exceeds with
-probability r. A track has integrity if its errors exceed the levels in at most a share r of the
-epochs (Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd
-ed., 2013, ch. 17).
+A protection level is a bound that an error exceeds with a stated probability, the risk, if the
+covariance is right. With position errors e ~ N(0, P), the level at risk r is the distance that |e|
+exceeds with probability r. A track has integrity if its errors exceed their levels in at most r
+times all epochs (Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation
+Systems, 2nd ed., 2013, ch. 17).
 
 Vertically |e| has a normal distribution folded at zero: level = sigma_z Phi^-1(1 - r/2).
 Horizontally, let a >= b be the standard deviations along the axes of the error ellipse of x and y,
@@ -31,20 +31,20 @@ from mmwave_env.metrics import RISK
 from mmwave_env.numerics.numbers import Array
 
 CONFIDENCE = 0.95  # confidence of the intervals of shares
-_RATIOS = np.linspace(0.0, 1.0, 1025)  # values of b / a; for others, levels are interpolated
-_ANGLES = (np.arange(64) + 0.5) * (np.pi / 128)  # in one quadrant, which represents all four
+_RATIOS = np.linspace(0.0, 1.0, 1025)  # values of b / a; between them, levels are interpolated
+_ANGLES = (np.arange(64) + 0.5) * (np.pi / 128)  # values of t in one quadrant; the mean is the same
 _HALVINGS = 60
 _LARGEST_RISK = 0.5
 
 
 def require_risk(risk: float) -> None:
-    """Refuse a risk unless it is above 0 and at most a half."""
+    """Raise ValueError unless a risk is above 0 and at most a half."""
     if not 0.0 < risk <= _LARGEST_RISK:
         raise ValueError(f"risk: found {risk:g}, expected more than 0 and at most {_LARGEST_RISK}")
 
 
 def horizontal_level(P: Array, risk: float) -> Array:
-    """Compute levels (...,), m, from packed covariances P (..., 3+) that begin with x, y."""
+    """Compute levels (...,), m, from packed covariances P (..., 3 or more) that begin with x, y."""
     xx, xy, yy = P[..., 0], P[..., 1], P[..., 2]
     middle, half = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
     major = np.sqrt(middle + half)
@@ -54,14 +54,14 @@ def horizontal_level(P: Array, risk: float) -> Array:
 
 
 def vertical_level(P: Array, risk: float) -> Array:
-    """Compute levels (...,), m, from packed covariances P (..., 6+) that begin with x, y, z."""
+    """Compute levels (...,), m, from packed P (..., 6 or more) that begins with x, y, z."""
     from scipy.special import ndtri
 
     return -ndtri(0.5 * risk) * np.sqrt(np.maximum(P[..., 5], 0.0))  # type: ignore[no-any-return]
 
 
 def gaussian_levels(P: Array, risk: float) -> Array:
-    """Compute horizontal and vertical levels (..., 2), m, from packed covariances P (..., 6+)."""
+    """Compute horizontal and vertical levels (..., 2), m, from packed P (..., 6 or more)."""
     return np.stack([horizontal_level(P, risk), vertical_level(P, risk)], axis=-1)
 
 
@@ -81,8 +81,8 @@ def exceedance(error: Array, level: Array) -> dict[str, Any]:
     """Count how often errors (n,) exceed their levels (n,); "share" and "ci95" are None if n is 0.
 
     If an error or its level is NaN, the level counts as exceeded. "ci95" is the interval of Clopper
-    and Pearson (1934) with :data:`CONFIDENCE`, for independent epochs. Epochs of a track are
-    correlated, so the share in another track may well lie outside of the interval.
+    and Pearson (1934) with :data:`CONFIDENCE`, which assumes independent epochs. But epochs of a
+    track are correlated, so the share in another track may well lie outside the interval.
     """
     from scipy.stats import binomtest
 
@@ -97,7 +97,7 @@ def exceedance(error: Array, level: Array) -> dict[str, Any]:
     }
 
 
-SHARES = (0.50, 0.67, 0.80, 0.90, 0.95)  # shares of epochs, for percentiles
+SHARES = (0.50, 0.67, 0.80, 0.90, 0.95)  # percentiles, as shares of the epochs
 DISTANCES_M = (0.2, 1.0, 3.0, 10.0)
 
 
@@ -126,7 +126,7 @@ def percentiles(sizes: Array) -> dict[str, float | None]:
 
 
 class PositionErrors:
-    """Horizontal and vertical errors of tracks, with protection levels from their covariances.
+    """Horizontal and vertical errors of tracks, and protection levels from the tracks' covariances.
 
     An error exceeds its level with probability ``risk``. If the height is known (``planar``), there
     are no vertical errors.
@@ -143,7 +143,7 @@ class PositionErrors:
     def add(self, error: Array, P: Array, factors: Array | float = 1.0) -> None:
         """Add errors (..., 3), m, and packed covariances (..., 6 or more) that begin with x, y, z.
 
-        ``factors`` (..., 2) of :class:`~mmwave_env.localization.levels.Levels` multiply the levels.
+        Gaussian levels are multiplied by ``factors`` (..., 2): see ``levels.py``.
         """
         levels = np.moveaxis(gaussian_levels(P, self.risk) * factors, -1, 0)
         for (kind, sizes_of), level in zip(self._sizes_of.items(), levels, strict=False):

@@ -28,29 +28,32 @@ from mmwave_env.numerics.numbers import Array, Mask
 # deviation of x and y, around the mean position of the anchors.
 HEIGHT_SIGMA_M, _FARTHEST_M = 2.0, 1e3
 _WORST_FIX_M = 50.0  # maximum horizontal standard deviation of a position to begin a track with
-_AMBIGUOUS = 12.0  # two solutions are both possible if their squared errors differ by less
+_AMBIGUOUS = 12.0  # two solutions are both possible if their normalized errors differ by less
 _UNKNOWN = [0, 1, 2, 7]  # components of the state: the position, and the range bias of a clock
-_DIRECTIONS, _STARTS_M, _ROUNDS = 12, (10.0, 40.0, 160.0), 15
+_DIRECTIONS, _STARTS_M, _ROUNDS = 12, (10.0, 40.0, 160.0), 15  # starts around anchors, and steps
 
 
 class Fix(NamedTuple):
     """A first position, from the links of one epoch."""
 
-    prior: tuple[Array, Array]  # mean (7,) and covariance (7, 7) of the state
+    prior: tuple[Array, Array]  # mean (7,), covariance (7, 7) of the state; (8,), (8, 8) with clock
     used: Mask  # (groups,) whether each group of measurements was used to compute the prior
 
 
 def gives_fix(links: Array) -> Mask:
     """Tell which links (n, 4 or more), in m and rad, determine a position to begin a track with.
 
-    Straight above or below an anchor, the azimuth is undefined. Close to this vertical line, the
-    uncertainty of the direction grows with the elevation; a Gaussian does not describe this.
+    Straight above or below an anchor, the azimuth is undefined. Close to this vertical line, it is
+    so uncertain that a Gaussian does not describe the position.
     """
     return (links[:, 0] >= RANGE_LIMITS_M[0]) & (abs(links[:, 2]) <= STEEPEST_FIX_RAD)
 
 
 def first_fix(block: LogBlock, epoch: int, scene: Scene, radio: Radio) -> Fix | None:
-    """Return the position that an epoch of a block determines, or None if it determines none."""
+    """Return the position that an epoch of a block determines, or None without a solution.
+
+    A complete link of the base station always counts as a solution; see :func:`can_begin`.
+    """
     row = block.part(slice(epoch, epoch + 1))
     sigma = radio.sigma(row.snr_db, scene, row.layout)
     sigma = np.where(np.isfinite(row.sigma), row.sigma, sigma)[0]
@@ -85,7 +88,8 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
 
     If the clock is not synchronized, its range bias is a fourth unknown, with the filters' prior.
     The search starts around every anchor, in all directions, because there may be several minima.
-    The result is None if two minima explain the links, or if the best one is too uncertain.
+    The result is None if the best minimum is too uncertain, or if another one, more than 4 standard
+    deviations away, explains the links about as well.
     """
     layout, anchors = row.layout, scene.anchors_m
     measured = np.isfinite(row.measurement[0]).astype(float)
@@ -102,7 +106,7 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
     weight, unknown = 1.0 / np.array(deviation[:n]) ** 2, _UNKNOWN[:n]
 
     def normal(position: Array) -> tuple[float, Array, Array]:
-        """Return the squared error, minus half its gradient, and the information at a position."""
+        """Return the squared error, its gradient times -1/2, and the information at a position."""
         links = groups_of(_state(position), epoch)[: layout.anchors]
         e = np.array([value for link in links for value in link.innovation])
         H = np.array([[g[i] for i in unknown] for link in links for g in link.jacobian])
@@ -146,7 +150,7 @@ def _starts(anchors: Array, center: Array) -> Iterator[Array]:
 def _descend(
     normal: Callable[[Array], tuple[float, Array, Array]], position: Array
 ) -> tuple[float, Array, Array]:
-    """Return squared error, position and information of the minimum near a start (Gauss-Newton)."""
+    """Find the minimum near a start (Gauss-Newton): squared error, position and information."""
     cost, gradient, information = normal(position)
     for _ in range(_ROUNDS):
         step = np.linalg.solve(information, gradient)
@@ -235,8 +239,7 @@ def _first_fix(block: LogBlock, scene: Scene, radio: Radio) -> int:
 def _end(block: LogBlock, last_s: float, begins: bool) -> tuple[int, float | None]:
     """Return the number of the block's epochs in the segment, and the time of the last measurement.
 
-    The time is None if the segment ends in this block; ``begins`` says whether the segment starts
-    with this block.
+    The time is None if the segment ends in this block. ``begins``: whether it starts here.
     """
     measured = block.visible[:, : block.layout.anchors].any(axis=1)
     if block.layout.odometry:  # with odometry alone, a filter keeps the track for two minutes

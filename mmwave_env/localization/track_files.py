@@ -1,4 +1,4 @@
-"""Writers of track files, block by block."""
+"""Writers of track files, to which a track is appended block by block."""
 
 import csv
 import io
@@ -33,7 +33,7 @@ def table_beside(track: Path) -> Path | None:
     """Return the path of the table of standard deviations beside a TUM file; None for other files.
 
     Raises:
-        ValueError: the ending of the file is not that of a track file.
+        ValueError: the ending of the file is not one of :data:`ENDINGS`.
     """
     if track.suffix not in ENDINGS:
         raise ValueError(
@@ -46,9 +46,9 @@ def table_beside(track: Path) -> Path | None:
 def require_own_files(track: Path) -> None:
     """Refuse to replace a file, unless it is an earlier track or an earlier track's table.
 
-    A track and its table can be made again from their log. Any other file may be the only copy:
-    a TUM file may hold ground truth, and users do not type the name of the table, so they may not
-    expect it to replace a file.
+    A track and its table can be made again from their log. Any other file may be the only copy. For
+    example, a TUM file may hold ground truth. Users do not even type the name of the table, so they
+    may not expect it to replace a file.
 
     Raises:
         ValueError: the track or its table would replace a file that ``localize`` did not write.
@@ -93,7 +93,7 @@ def track_files(
         modes: names of the modes.
         scene: the scene; files for maps need its origin.
         name: name of the track in files for maps.
-        corrected: whether a corrector runs; tables then say how far it is trusted.
+        corrected: whether a corrector runs; if so, tables have a column ``trusted``.
         risk: risk of the protection levels in tables.
 
     Raises:

@@ -22,7 +22,7 @@ _ENOUGH = 100  # number of epochs that are used to estimate the time step
 
 
 def ratio(part: float, whole: float) -> float | None:
-    """Return a share or a mean; None if the whole is zero."""
+    """Return part / whole; None if the whole is zero."""
     return float(part / whole) if whole else None
 
 
@@ -123,9 +123,9 @@ def _pairs(time_s: Array, segment: Array, first_s: Array) -> tuple[Index, float 
 def _accuracy(
     scores: Array, pairs: Index, interval: tuple[float, float]
 ) -> dict[str, float | None]:
-    """Return by name the metrics that need only sums, except divergence, which only episodes have.
+    """Return :func:`~mmwave_env.metrics.running_summary` of epochs, without the divergence rate.
 
-    All metrics are None without epochs; the RPE is None without pairs, too.
+    All metrics are None if there are no epochs. The RPE is also None if there are no pairs.
 
     Args:
         scores: (n, 4) errors, m, and NEES of the scored epochs.
@@ -221,11 +221,11 @@ class Course:
         self.epochs += len(block)
 
     def figures(self) -> dict[str, Any]:
-        """Return the statistics of a track of one block or more as a dictionary."""
+        """Return the statistics of a track, of which at least one block was added."""
         last = self._last
         assert last is not None
         expected, clock = np.sqrt(self._variance / self.epochs), {}
-        if last.layout.clock:  # the clock in the last epoch
+        if last.layout.clock:
             bias, deviation = float(last.x[-1, 7]), float(np.sqrt(last.P[-1, 35]))
             clock = {"clock": {"range_bias_m": bias, "deviation_m": deviation}}
         return {

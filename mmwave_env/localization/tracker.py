@@ -46,8 +46,8 @@ class Position(NamedTuple):
         geodetic: latitude and longitude (degrees) and height (m); None in a scene without origin.
         clock_m, clock_sigma_m: range bias of the user's clock and its standard deviation; None
             if clocks are synchronized.
-        trusted: share of the correction that was applied, 0 to 1; None without a corrector.
-        levels_m: horizontal and vertical protection level; None if none were asked for.
+        trusted: factor, 0 to 1, by which the correction was scaled; None without a corrector.
+        levels_m: horizontal and vertical protection level; None if they are not computed.
     """
 
     time_s: float
@@ -121,11 +121,12 @@ class Tracker:
                 value was not measured, it is None or its key is missing.
 
         Returns:
-            The belief; None before the first epoch that determines a position, and in long gaps.
+            The belief. It is None before the first epoch that determines a position, and after a
+            long gap until the next such epoch.
 
         Raises:
-            LogError: a row is damaged or late. All rows are ignored, so they can be sent again
-                without the damage.
+            LogError: a row is damaged or late. All rows of the call are ignored, so they can be
+                passed again after a repair.
         """
         rows, position = list(rows), None
         if self._log is None:
@@ -191,7 +192,7 @@ class Tracker:
         self._sound = all(bound.holds(sigma[:, rows]).all() for rows, bound in sigma_bounds(layout))
 
     def _load(self, block: LogBlock, begins: bool) -> tuple[list[bool], float]:
-        """Load an epoch (T = 1); return which groups were seen, and the Doppler spread, Hz."""
+        """Load an epoch (T = 1); return which groups are visible, and the Doppler spread, Hz."""
         episode = episode_from(block, self._scene, self._radio, begins)
         if self._height_m is not None:
             episode = episode.on_flat_ground(self._height_m)
@@ -199,7 +200,7 @@ class Tracker:
         return episode.visible[0].tolist(), float(block.doppler_spread_hz[0])
 
     def _load_quickly(self, epoch: LiveEpoch) -> tuple[list[bool], float] | None:
-        """Load an epoch as :meth:`_load` does, but faster; return None if this is not safe."""
+        """Load an epoch as :meth:`_load` does, but faster; return None if only that can do it."""
         if not epoch.placed or not self._sound:
             return None
         (numbers, doppler_anchor), layout, at = epoch.placed, self._layout, self._at
@@ -245,7 +246,7 @@ class Tracker:
     def _position(
         self, time_s: float, x: Array, P: Array, mode: str, factors: Array | None
     ) -> Position:
-        """Return a belief as a :class:`Position`, without NIS, rejections, ``begins`` and trust."""
+        """Return a :class:`Position` without NIS, rejections, ``begins`` and ``trusted``."""
         xx, yx, yy, zx, zy, zz = P[:6].tolist()
         covariance = [[xx, yx, zx], [yx, yy, zy], [zx, zy, zz]]
         origin, place = self._scene.origin, None
