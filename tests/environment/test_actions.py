@@ -27,15 +27,15 @@ PER_MODE = {"beliefs": "per-mode", "modes": ["ekf", "ukf"]}
 
 
 def alternating(table):
-    """Return a policy for ``base`` that trusts no mode, ekf or ukf, depending on one feature."""
+    """Return a base policy that trusts no mode, the ekf or the ukf, depending on one feature."""
     column = table.names.index("coming NIS anchor 1 ukf")
     return lambda shown: np.digitize(shown[:, column], [-0.5, 0.5])
 
 
-KINDS = {  # name -> arguments of the environment
+KINDS = {  # arguments of environments with continuous actions
     "weights": PER_MODE | {"action": "weights"},
     "correction": PER_MODE | {"action": "correction"},
-    "of a base": PER_MODE | {"action": "correction", "base": alternating},
+    "base": PER_MODE | {"action": "correction", "base": alternating},
 }
 
 
@@ -49,14 +49,14 @@ def played(env, actions, seed=0):
     return [env.reset(seed=seed), *(env.step(action) for action in actions)]
 
 
-def drawn(space, steps, n=(), share=0.5, seed=0):
-    """Return random actions (steps, *n, k) within a ``share`` of the limits of the space."""
-    rng = np.random.default_rng(seed)
-    numbers = rng.uniform(-share, share, (steps, *n, *space.shape)) * space.high
-    return numbers.astype(np.float32)
+def drawn(space, steps, n=()):
+    """Return random actions (steps, *n, k), whose numbers are at most half of their limits."""
+    rng = np.random.default_rng(0)
+    return (rng.uniform(-0.5, 0.5, (steps, *n, *space.shape)) * space.high).astype(np.float32)
 
 
 def rewards(results):
+    """Return the rewards of the steps in the results of :func:`played`."""
     return np.array([result[1] for result in results[1:]])
 
 
@@ -65,14 +65,14 @@ def rewards(results):
     [
         ("weights", {"backend": "filterpy"}),
         pytest.param("correction", {"planar": True}, marks=pytest.mark.slow),
-        ("of a base", {"backend": "filterpy"}),
+        ("base", {"backend": "filterpy"}),
     ],
 )
 def test_the_environment_passes_gymnasium_s_checker(name, more):
     env = gym.make(ID, episode_steps=5, disable_env_checker=True, **KINDS[name], **more)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        # The limits are not +-1 on purpose: users can wrap the environment in RescaleAction.
+        # Gymnasium recommends limits of -1 and 1. Users get them with the wrapper RescaleAction.
         warnings.filterwarnings("ignore", ".*symmetric and normalized")
         check_env(env.unwrapped, skip_render_check=True)
 
@@ -85,7 +85,7 @@ PAIRED = {"reward": "paired", "terminate_on_divergence": True, "scenario": "vehi
     [
         ("weights", "NextStep", PAIRED),
         ("correction", "SameStep", {}),
-        ("of a base", "Disabled", PAIRED),
+        ("base", "Disabled", PAIRED),
     ],
 )
 def test_the_native_vector_environment_equals_the_synchronous_one(name, mode, more):
@@ -103,21 +103,17 @@ def test_copies_and_restored_states_continue_identically(kind):
     env = gym.make_vec(ID, num_envs=9, autoreset_mode="SameStep", episode_steps=7, **kind)
     first, second = np.split(drawn(env.single_action_space, 20, (9,)), 2)
     played(env, first)
-    twin, again = copy.deepcopy(env), copy.deepcopy(env)
-    state = env.unwrapped.state()
+    twin, state = copy.deepcopy(env), env.unwrapped.state()
     expected = [env.step(actions) for actions in second]
     assert same([twin.step(actions) for actions in second], expected)
-    played(again, second, seed=5)
-    again.unwrapped.restore(state)
+    played(twin, second, seed=5)
+    twin.unwrapped.restore(state)
     for actions, (observation, reward, *_) in zip(second, expected, strict=True):
-        assert same(again.step(actions)[:2], (observation, reward))
-
-
-# --- what the numbers mean
+        assert same(twin.step(actions)[:2], (observation, reward))
 
 
 @pytest.mark.parametrize("dt", [1.0, 0.25])
-def test_a_weight_of_three_trusts_a_mode(dt):
+def test_a_weight_of_three_does_the_same_as_trusting_a_mode(dt):
     options = PER_MODE | {"episode_steps": 30, "dt": dt}
     modes = np.random.default_rng(0).integers(0, 3, 30)
     trusted = played(gym.make(ID, **options), modes)
@@ -132,7 +128,7 @@ def test_corrections_change_the_reported_belief_but_not_the_filters():
     imm = played(gym.make(ID, **options), np.zeros(30, int))
     env = gym.make(ID, action="correction", **options).unwrapped
     actions = drawn(env.action_space, 30)
-    actions[1::2] = 0.0
+    actions[1::2] = 0.0  # no correction in every other epoch
     corrected = played(env, actions)
     difference = np.abs(rewards(corrected) - rewards(imm))
     assert difference[1::2].max() < 1e-9 < difference[::2].min()
@@ -163,8 +159,8 @@ def test_the_shipped_corrector_earns_in_the_environment_what_its_evaluation_says
     np.testing.assert_allclose(np.transpose(earned), expected, atol=1e-5)
 
 
-def test_a_paired_reward_subtracts_that_of_the_same_belief_without_correction():
-    options = KINDS["of a base"] | {"num_envs": 3, "episode_steps": 20}
+def test_a_paired_reward_subtracts_the_reward_of_the_uncorrected_belief():
+    options = KINDS["base"] | {"num_envs": 3, "episode_steps": 20}
     envs = [gym.make_vec(ID, reward=reward, **options) for reward in ("tracking", "paired")]
     actions = drawn(envs[0].single_action_space, 20, (3,))
     plain, paired = (rewards(played(env, actions)) for env in envs)
@@ -175,9 +171,8 @@ def test_a_paired_reward_subtracts_that_of_the_same_belief_without_correction():
 @pytest.mark.torch
 def test_stable_baselines3_trains_with_continuous_actions():
     sb3, adapter = pytest.importorskip("stable_baselines3"), pytest.importorskip("mmwave_env.sb3")
-    options = {"autoreset_mode": "SameStep", "episode_steps": 6} | KINDS["of a base"]
-    envs = gym.make_vec(ID, num_envs=4, **options)
-    envs = adapter.SB3VecEnv(envs)
+    options = {"autoreset_mode": "SameStep", "episode_steps": 6} | KINDS["base"]
+    envs = adapter.SB3VecEnv(gym.make_vec(ID, num_envs=4, **options))
     model = sb3.PPO("MlpPolicy", envs, n_steps=16, batch_size=32, n_epochs=1, device="cpu")
     assert len(model.learn(64).ep_info_buffer) == 4 * (16 // 6)
     model = sb3.SAC("MlpPolicy", envs, learning_starts=8, batch_size=8, gamma=0.0, device="cpu")
@@ -188,7 +183,7 @@ def test_stable_baselines3_trains_with_continuous_actions():
 
 
 def bad(limits):
-    """Yield invalid actions: they are not k finite numbers within the limits (k,)."""
+    """Yield actions that are not as many finite numbers as there are limits, or exceed them."""
     for value in (math.nan, math.inf, limits[-1] * 1.001):
         yield np.append(np.zeros(len(limits) - 1), value)
     yield from (np.zeros(len(limits) + 1), np.zeros((1, len(limits))), 0, None, "none")
@@ -214,7 +209,7 @@ def test_bad_numbers_are_refused_and_change_nothing(kind):
     "arguments",
     [
         {"action": "numbers"},
-        {"action": "weights", "beliefs": "shared"},
+        {"beliefs": "shared", "action": "weights"},
         {"action": "weights", "base": alternating},
         {"action": "correction", "base": "guided"},
         {"action": "correction", "smoothed": True},
@@ -223,7 +218,7 @@ def test_bad_numbers_are_refused_and_change_nothing(kind):
     ids=" ".join,
 )
 def test_arguments_that_do_not_fit_are_refused(arguments):
-    name = [*arguments][-1] if arguments.get("beliefs") != "shared" else "action"
+    *_, name = arguments
     for make in (gym.make, gym.make_vec):
         with refuses(name):
             make(ID, **PER_MODE | arguments)
@@ -238,7 +233,7 @@ def test_a_base_must_return_actions(answer):
         env.reset(seed=0)
 
 
-# --- costs
+# --- costs: 1 if the error exceeds the protection level, else 0
 
 
 def test_errors_exceed_the_level_of_a_belief_that_is_nan_or_exact():
@@ -251,7 +246,7 @@ def test_infos_say_whether_the_error_exceeds_the_level_of_the_belief(arguments):
     env = gym.make(ID, scenario="vehicle", **arguments).unwrapped
     env.reset(seed=1)
     costs = []
-    for action in drawn(env.action_space, 200) if env.action_space.shape else np.zeros(200, int):
+    for action in drawn(env.action_space, 200) if "action" in arguments else np.zeros(200, int):
         info = env.step(action)[4]
         belief = env.belief()
         level = horizontal_level(np.array([belief.P[0][0], belief.P[1][0], belief.P[1][1]]), RISK)

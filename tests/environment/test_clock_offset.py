@@ -1,7 +1,7 @@
-"""Tests of the argument ``clock="offset"``: a user's clock that is not synchronized."""
+"""Tests of the argument ``clock="offset"``, for a user's clock that is not synchronized."""
 
+import re
 from csv import DictReader
-from functools import partial
 from itertools import groupby
 
 import numpy as np
@@ -43,18 +43,22 @@ SOURCES = {
 }
 
 
+def tasks(**arguments):
+    """Return two tasks, in which the user's clock is synchronized and has an offset."""
+    return [task_from(clock=clock, **arguments) for clock in ("synchronized", "offset")]
+
+
 def pair(**arguments):
     """Return the same episode with a synchronized clock and with an offset."""
-    return [
-        task_from(episode_steps=40, radio="standard", clock=clock, **arguments).draw(
-            np.random.default_rng(4)
-        )
-        for clock in ("synchronized", "offset")
-    ]
+    both = tasks(episode_steps=40, radio="standard", **arguments)
+    return [task.draw(np.random.default_rng(4)) for task in both]
 
 
 def bias_of(synchronized, offset):
-    """Return the range bias (T,) by which two episodes differ; NaN in epochs without a link."""
+    """Return by how much (T,) the ranges of two episodes differ (m); NaN in epochs without a link.
+
+    Check that all ranges of an epoch differ by the same amount.
+    """
     ranges = slice(0, offset.layout.doppler, 4)
     change = (offset.measurement - synchronized.measurement)[:, ranges]
     measured = synchronized.usable[:, : offset.layout.anchors] & np.isfinite(change)
@@ -66,7 +70,7 @@ def bias_of(synchronized, offset):
 
 
 @pytest.mark.parametrize("arguments", SOURCES.values(), ids=SOURCES)
-def test_ranges_have_one_bias_and_all_else_stays_as_it_is(arguments):
+def test_all_ranges_get_the_same_bias_and_all_else_stays_as_it_is(arguments):
     synchronized, offset = pair(**arguments)
     bias, layout = bias_of(synchronized, offset), offset.layout
     assert 1.0 < abs(bias[np.isfinite(bias)][0]) < 5.0 * SIGMA_M
@@ -87,32 +91,27 @@ def test_no_offset_is_added_to_the_ranges_of_a_log():
     np.testing.assert_array_equal(offset.prior_mean, [*synchronized.prior_mean, 0.0])
 
 
-def tables(clock, n, **arguments):
-    task = task_from(clock=clock, **arguments)
-    return task, task.tables(keys_of(range(n)))
-
-
 def biases(n, **arguments):
-    """Return range biases (n, T), NaN without a link, of simulated episodes, and the episodes."""
-    (task, plain), (_, shifted) = (tables(c, n, **arguments) for c in ("synchronized", "offset"))
-    rows = 1 + 4 * np.arange(task.pipeline.layout.anchors)
-    measured = plain.table[:, :, rows + task.pipeline.layout.size] > 0.0
-    change = np.where(measured, shifted.table[:, :, rows] - plain.table[:, :, rows], -np.inf)
-    bias = change.max(axis=2)
-    return np.where(np.isfinite(bias), bias, np.nan), shifted
+    """Return the range biases (n, T) of simulated episodes with an offset, and these episodes."""
+    plain, shifted = (task.simulated.episodes(keys_of(range(n))) for task in tasks(**arguments))
+    return np.array([bias_of(*pair) for pair in zip(plain, shifted, strict=True)]), shifted
+
+
+def unexplained(episode):
+    """Return the Doppler shift (T,) in m/s that motion does not explain; NaN if not measured."""
+    away = episode.truth_position_m - episode.scene_anchors_m[0]
+    rate = (away * episode.truth_velocity_mps).sum(axis=1) / np.linalg.norm(away, axis=1)
+    doppler = episode.measurement[:, episode.layout.doppler] / episode.hz_per_mps
+    return np.where(episode.usable[:, 3], doppler - rate, np.nan)
 
 
 def test_the_offset_is_drawn_and_the_oscillator_drives_it():
-    """Compare the bias's growth with the Doppler shift (in m/s) that motion does not explain."""
+    """Compare the growth of the range bias with the oscillator's part of the Doppler shift."""
     bias, shifted = biases(400, radio="standard", episode_steps=60, scenario="pedestrian")
     first = bias[:, 0][np.isfinite(bias[:, 0])]
     assert abs(first.mean()) < 4.0 * SIGMA_M / 20.0
     assert first.std() == pytest.approx(SIGMA_M, rel=0.15)
-    position = shifted.table[..., -6:-3] - STREET.anchors_m[0]
-    rate = (position * shifted.table[..., -3:]).sum(2) / np.linalg.norm(position, axis=2)
-    doppler, measured = shifted.table[..., 13], shifted.table[..., 13 + 13] > 0.0
-    drift = np.where(measured, doppler / STREET.hz_per_mps - rate, np.nan)
-    explained = 59.0 * np.nanmean(drift, axis=1)
+    explained = 59.0 * np.nanmean([unexplained(episode) for episode in shifted], axis=1)
     grown = bias[:, -1] - bias[:, 0]
     left = (grown - explained)[np.isfinite(grown)]
     assert left.std() < 0.15 * grown[np.isfinite(grown)].std()
@@ -122,8 +121,7 @@ def test_the_offset_is_drawn_and_the_oscillator_drives_it():
 def test_the_offset_is_found_and_the_filter_knows_how_well():
     bias, episodes = biases(120, radio="high")
     task, bank = task_from(radio="high", clock="offset"), best_bank("high")
-    imm = partial(run_imm, bank, task.reward)
-    run = imm(episodes, "x", "P", "nees")
+    run = run_imm(bank, task.reward, episodes, "x", "P", "nees")
     late = np.isfinite(bias) & (np.arange(200) >= 20)
     error, sigma = (run["x"][..., 7] - bias)[late], np.sqrt(run["P"][..., 35])[late]
     assert np.sqrt(np.median(error**2)) < 0.5
@@ -137,9 +135,9 @@ def test_tracks_are_smoothed_as_by_the_textbook(planar):
     bank = Bank(modes_from(["ukf"], "standard"))
     pipeline = Pipeline(bank.modes, source.layout, planar)
     batch = source.sample_batch(keys_of(range(3)))
-    imm = partial(run_imm, bank, TrackingReward(), planar=planar)
+    episodes = batch.on_flat_ground() if planar else batch
     names = ("x", "P", "x_predicted", "P_predicted")
-    kept = imm(batch.on_flat_ground() if planar else batch, *names, "mixture")
+    kept = run_imm(bank, TrackingReward(), episodes, *names, "mixture", planar=planar)
     x, P, x_predicted, P_predicted = (kept[name] for name in names)
     free = [0, 1, 3, 4, 6, 7] if planar else list(range(8))
     hz_per_mps, time_s = STREET.hz_per_mps, np.arange(50.0)
@@ -186,6 +184,7 @@ def ride(tmp_path_factory):
 
 
 def words_of(folder):
+    """Return the words of a command that name a simulated log, its scene and its radio."""
     return folder / "log.csv", "--scene", folder / "scene.json", "--radio", "standard"
 
 
@@ -194,13 +193,13 @@ def test_localize_estimates_the_offset(ride):
     out = succeed("localize", *words_of(ride), *more)
     smoothed = next(line for line in out.splitlines() if line.startswith("| smoothed |"))
     assert float(smoothed.split("|")[2]) < 1.0
-    source = [
+    episodes = [
         SimulatedSource(STREET, RADIOS["standard"], clock=clock).episode(int(keys_of([2])[0]))
         for clock in (False, True)
     ]
     said = next(line for line in out.splitlines() if "clock is" in line)
-    ns, deviation = (float(said.split(" ± ")[i].split()[-1 if i == 0 else 0]) for i in range(2))
-    true_ns = bias_of(*source)[-1] / SPEED_OF_LIGHT * 1e9
+    ns, deviation = map(float, re.search(r"([\d.]+) ± ([\d.]+)", said).groups())
+    true_ns = bias_of(*episodes)[-1] / SPEED_OF_LIGHT * 1e9
     assert ns * (-1.0 if "behind" in said else 1.0) == pytest.approx(true_ns, abs=4.0 * deviation)
 
 
@@ -211,11 +210,10 @@ def test_a_live_track_is_that_of_the_whole_log(ride):
     whole = list(localize(blocks, STREET, RADIOS["standard"], switching, None))
     tracker = Tracker(STREET, switching, "standard", clock="offset", lag=3)
     with (ride / "log.csv").open() as file:
-        cells = [
+        rows = [
             {name: float(v) if v else None for name, v in row.items()} for row in DictReader(file)
         ]
-    epochs = groupby(cells, key=lambda row: row["time_s"])
-    live = [tracker.update(rows) for _, rows in epochs]
+    live = [tracker.update(epoch) for _, epoch in groupby(rows, key=lambda row: row["time_s"])]
     x = np.concatenate([block.x for block in whole])
     positions = [[*p.position_m, *p.velocity_mps, p.clock_m] for p in live if p]
     np.testing.assert_array_equal(positions, x[:, [0, 1, 2, 3, 4, 5, 7]])

@@ -1,4 +1,4 @@
-"""Tests of the environment MmWaveLoc-v0; they run without PyTorch, and on Gymnasium 1.1."""
+"""Tests of the environment MmWaveLoc-v0. They also run without PyTorch and on Gymnasium 1.1."""
 
 import inspect
 import math
@@ -22,14 +22,14 @@ from mmwave_env.metrics import INFO_KEYS, summary
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.task import TaskArguments
-from mmwave_env.world.keys import keys_at, keys_of, stream_of
+from mmwave_env.world.keys import keys_of
 from mmwave_env.world.simulated import SimulatedSource
-from tests.environment.vector_checker import arrays, same
+from tests.environment.vector_checker import assert_own_memory, same
 from tests.filters.tracks import replay, unpacked
 from tests.refusals import refuses
 
 ID = "MmWaveLoc-v0"
-EKF = {"modes": ["ekf"]}  # one mode alone compiles fastest
+EKF = {"modes": ["ekf"]}  # a single mode is compiled fastest
 
 STEP_KEYS = {"position_error_m", "nees", "nis", "accepted", "rejected", "mode", "gamma"}
 STEP_KEYS |= {"truth", "estimate", "reward_terms", "cost"}
@@ -43,7 +43,10 @@ def draw(seed=0, **changes):
 
 
 def adrift(drift_mps, epochs=200):
-    """Return a source without measurements: the user rests; the prior's speed is ``drift_mps``."""
+    """Return a source of an episode without measurements, so that the belief only drifts.
+
+    The user rests, but the prior's mean has the speed ``drift_mps``.
+    """
     episode = draw(epochs=epochs)
     position = np.tile(episode.truth_position_m[0], (epochs, 1))
     return replay(
@@ -57,13 +60,12 @@ def adrift(drift_mps, epochs=200):
     )
 
 
-def roll(env, seed=0, steps=200, actions=None):
-    """Return the results of each step of an episode; without actions, use the modes in turn."""
+def roll(env, seed=0, steps=200):
+    """Return the results of the steps of an episode, in which the modes take turns."""
     env.reset(seed=seed)
     done = []
     for t in range(steps):
-        action = t % env.action_space.n if actions is None else actions[t]
-        done.append(env.step(np.int64(action)))
+        done.append(env.step(np.int64(t % env.action_space.n)))
         if done[-1][2] or done[-1][3]:
             break
     return done
@@ -109,9 +111,6 @@ def test_the_docstring_explains_every_argument_and_every_key_of_infos():
         assert f"`{key}`" in information
 
 
-# --- seeds
-
-
 def test_the_same_seed_gives_the_same_episode(configuration):
     first, again = gym.make(ID, **configuration), gym.make(ID, **configuration)
     assert same(first.reset(seed=3), again.reset(seed=3))
@@ -119,14 +118,6 @@ def test_the_same_seed_gives_the_same_episode(configuration):
     assert same(roll(first, seed=3, steps=20), roll(again, seed=3, steps=20))
     other = roll(again, seed=4, steps=20)[-1]
     assert not np.array_equal(other[0], roll(first, seed=3, steps=20)[-1][0])
-
-
-def test_reset_without_a_seed_continues_the_episodes_of_the_last_seed():
-    env, again = gym.make(ID, **EKF), gym.make(ID, **EKF)
-    runs = [[each.reset(seed=0), each.reset(), each.reset()] for each in (env, again)]
-    assert same(*runs)
-    keys = [int(info["episode_key"]) for _, info in runs[0]]
-    assert keys == keys_at(stream_of(0), np.arange(3, dtype=np.uint64)).tolist()
 
 
 # --- steps
@@ -234,13 +225,7 @@ def test_nonfinite_measurements_are_counted_in_info():
 
 def test_returned_arrays_share_no_memory_with_the_environment():
     env, twin = gym.make(ID), gym.make(ID)
-    returned = [env.reset(seed=0), *(env.step(np.int64(t % 2)) for t in range(5))]
-    for i, earlier in enumerate(returned):
-        for later in returned[i + 1 :]:
-            assert not any(np.shares_memory(a, b) for a in arrays(earlier) for b in arrays(later))
-    for step in returned:
-        for array in arrays(step):
-            array.fill(1)
+    assert_own_memory([env.reset(seed=0), *(env.step(np.int64(t % 2)) for t in range(5))])
     roll(twin, steps=5)
     assert same(env.step(np.int64(1)), twin.step(np.int64(1)))
 
@@ -274,7 +259,7 @@ def test_divergence_gives_the_worst_reward_for_every_remaining_epoch():
     source = adrift(drift_mps=4.9)
     surviving = roll(gym.make(ID, episodes=source, **EKF))
     ended = roll(gym.make(ID, episodes=source, terminate_on_divergence=True, **EKF))
-    assert len(surviving) == 200 and len(ended) == 12  # 53.9 m off, 11 s after the prior
+    assert len(surviving) == 200 and len(ended) == 12  # 53.9 m off after 11 s of drift
     assert same(ended[:-1], surviving[:11])
     _, reward, terminated, truncated, info = ended[-1]
     assert terminated and not truncated
@@ -296,12 +281,12 @@ def test_ending_on_divergence_never_returns_more_than_continuing(cost, drift_mps
 
 def test_divergence_in_the_last_epoch_does_not_change_the_reward():
     source = adrift(drift_mps=4.9, epochs=12)
-    (*_, last) = roll(gym.make(ID, episodes=source, terminate_on_divergence=True, **EKF))
-    (*_, plain) = roll(gym.make(ID, episodes=source, **EKF))
+    *_, last = roll(gym.make(ID, episodes=source, terminate_on_divergence=True, **EKF))
+    *_, plain = roll(gym.make(ID, episodes=source, **EKF))
     assert last[1] == plain[1] and last[2] and not last[3]
 
 
-def test_the_smoothed_error_is_the_same_with_filterpy():
+def test_the_smoothed_error_is_the_same_with_filterpy_as_backend():
     lanes, filterpy = (
         roll(gym.make(ID, backend=backend, smoothed=True, episode_steps=14))[-1][-1][SMOOTHED]
         for backend in ("lanes", "filterpy")
@@ -334,19 +319,16 @@ def test_the_last_info_contains_the_metrics_of_the_episode(dt):
 
 
 def test_infos_can_be_limited_to_ends_of_episodes_or_left_empty():
-    all_, lean, none = (
-        roll(gym.make(ID, episode_steps=12, infos=infos, **EKF), steps=12)
+    rolls = [
+        roll(gym.make(ID, episode_steps=12, infos=infos, **EKF))
         for infos in ("all", "episode", "none")
-    )
-    for (*step, info), (*once, end), (*again, nothing) in zip(all_, lean, none, strict=True):
+    ]
+    for (*step, info), (*once, end), (*again, nothing) in zip(*rolls, strict=True):
         assert same(step, once) and same(step, again)
         assert nothing == {}
         assert same(end, info if step[2] or step[3] else {})
     env = gym.make(ID, infos="episode", **EKF)
     assert "episode_key" in env.reset(seed=0)[1]
-
-
-# --- truth
 
 
 @pytest.mark.parametrize("unknown", ["truth_position_m", "truth_velocity_mps"])

@@ -1,4 +1,4 @@
-"""Tests of the adapter to Stable-Baselines3, whose checker also tests single environments."""
+"""Tests with Stable-Baselines3: the adapter for vector environments, wrappers and a checker."""
 
 import warnings
 
@@ -25,12 +25,11 @@ pytestmark = pytest.mark.torch
 ID = "MmWaveLoc-v0"
 
 
-def native(n=4, **arguments):
+def native(**arguments):
+    """Return four environments in one, whose episodes are short."""
     arguments = {"modes": MODES, "episode_steps": 6} | arguments
-    return gym.make_vec(ID, num_envs=n, autoreset_mode="SameStep", **arguments)
+    return gym.make_vec(ID, num_envs=4, autoreset_mode="SameStep", **arguments)
 
-
-# --- against single environments
 
 LOSING = {"scenario": "vehicle", "modes": MODES[:1]}
 CONFIGURATIONS = {
@@ -41,24 +40,21 @@ CONFIGURATIONS = {
 
 
 def assert_same(info, expected):
-    """Check that infos are equal, except for rounding and wall times in ``episode``."""
-    info, expected = dict(info), dict(expected)
-    ours, theirs = info.pop("episode", None), expected.pop("episode", None)
+    """Check that the infos of an episode's end are equal, except for wall times and rounding."""
     assert info.keys() == expected.keys()
-    for key, value in expected.items():
-        np.testing.assert_array_equal(info[key], value, err_msg=key)
-    assert (ours is None) == (theirs is None)
-    if ours:
-        assert ours.keys() == theirs.keys() and ours["l"] == theirs["l"] and ours["t"] >= 0.0
-        assert ours["r"] == pytest.approx(theirs["r"], rel=1e-6, abs=1e-5)
+    for key in info.keys() - {"episode"}:
+        np.testing.assert_array_equal(info[key], expected[key], err_msg=key)
+    ours, theirs = info["episode"], expected["episode"]
+    assert ours.keys() == theirs.keys() and ours["l"] == theirs["l"] and ours["t"] >= 0.0
+    assert ours["r"] == pytest.approx(theirs["r"], rel=1e-6, abs=1e-5)
 
 
 @pytest.mark.parametrize("configuration", representative(CONFIGURATIONS, "ends early"))
 def test_the_adapter_gives_the_same_results_as_a_dummy_vec_env(configuration):
     arguments = {"modes": MODES, "episode_steps": 6} | CONFIGURATIONS[configuration]
-    ours = SB3VecEnv(native(4, **arguments))
+    ours = SB3VecEnv(native(**arguments))
     theirs = DummyVecEnv([lambda: Monitor(gym.make(ID, **arguments))] * 4)
-    rng, ended, ways = np.random.default_rng(1), np.zeros(4, int), set()
+    rng, ended, truncated = np.random.default_rng(1), np.zeros(4, int), set()
     for venv in (ours, theirs):
         venv.seed(7)
     np.testing.assert_array_equal(ours.reset(), theirs.reset())
@@ -71,15 +67,12 @@ def test_the_adapter_gives_the_same_results_as_a_dummy_vec_env(configuration):
         for i, over in enumerate(results[2]):
             if over:
                 assert_same(infos[i], their_infos[i])
-                ways.add(infos[i]["TimeLimit.truncated"])
+                truncated.add(infos[i]["TimeLimit.truncated"])
             else:
                 assert infos[i] == {}
         ended += results[2]
     assert ended.min() >= 3
-    assert ways == ({True, False} if configuration == "ends early" else {True})
-
-
-# --- seeds, options, attributes
+    assert truncated == ({True, False} if configuration == "ends early" else {True})
 
 
 def test_seeds_and_options_are_used_for_one_reset():
@@ -101,7 +94,7 @@ def test_options_that_differ_between_environments_are_refused():
 
 def test_autoreset_modes_other_than_same_step_are_refused():
     ours = [gym.make_vec(ID, num_envs=2, autoreset_mode=m) for m in ("NextStep", "Disabled")]
-    for env in (*ours, gym.vector.VectorEnv()):  # the last has no mode
+    for env in (*ours, gym.vector.VectorEnv()):  # the last one states no autoreset mode
         with refuses("autoreset_mode"):
             SB3VecEnv(env)
 
@@ -125,9 +118,6 @@ def test_attributes_and_methods_apply_to_all_environments():
     assert venv.env_is_wrapped(gym.wrappers.TimeLimit, [2]) == [False]
 
 
-# --- wrappers of Stable-Baselines3
-
-
 def test_wrappers_of_stable_baselines3_work():
     with pytest.warns(UserWarning, match="already wrapped with a `Monitor`"):
         venv = VecMonitor(VecCheckNan(SB3VecEnv(native()), raise_exception=True))
@@ -137,9 +127,6 @@ def test_wrappers_of_stable_baselines3_work():
     assert len(model.ep_info_buffer) == 4 * (32 // 6)
     assert {info["l"] for info in model.ep_info_buffer} == {6}
     assert abs(normal.obs_rms.mean).max() > 0.0 and normal.obs_rms.count > 128
-
-
-# --- single environments
 
 
 @pytest.mark.parametrize("arguments", [{}, {"terminate_on_divergence": True, "episode_steps": 20}])

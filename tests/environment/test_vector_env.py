@@ -1,4 +1,4 @@
-"""Tests that the vector environment follows Gymnasium's rules and equals single environments."""
+"""Tests of the native vector environment: Gymnasium's rules, and equality with single ones."""
 
 import tracemalloc
 from dataclasses import replace
@@ -28,7 +28,7 @@ EKF = {"modes": ["ekf"]}
 
 
 class Patchy:
-    """A source of episodes of 2 to 7 epochs with missing links and NaN measurements."""
+    """A source of episodes with 2 to 7 epochs, missing links and NaN measurements."""
 
     layout, name = Layout(3), "patchy"
 
@@ -49,7 +49,7 @@ class Twice(SimulatedSource):
         return super().sample(rng)
 
 
-# A filter that assumes that users never change speed, and therefore loses most vehicles.
+# This filter assumes that users never change their speed, and therefore loses most vehicles.
 STUBBORN = Mode("ekf", sigma_v=1e-3, sigma_p=1e-3, adaptive=False, recovery=None)
 LOSING = {"scenario": "vehicle", "modes": [STUBBORN]}
 OWN = {"modes": ["ckf", Mode("robust", robust=True, cost=0.1), "ekf"]}
@@ -119,9 +119,6 @@ def test_a_vector_environment_can_be_made_from_its_specification_in_json():
     assert same(rollout(env, seed=1, steps=9), rollout(again, seed=1, steps=9))
 
 
-# --- equal to single environments
-
-
 @pytest.mark.parametrize("mode", MODES)
 def test_the_native_vector_environment_equals_the_synchronous_one(mode, configuration):
     ours, expected = (rollout(make(9, mode, **configuration), 4, 50) for make in (native, sync))
@@ -153,7 +150,7 @@ def test_the_number_of_threads_does_not_matter(mode, monkeypatch):
 def test_a_masked_reset_equals_that_of_synchronous_environments():
     mask, actions = np.arange(9) % 3 == 0, np.zeros(9, np.int64)
     ours, theirs = (make(9, "Disabled", episode_steps=5, **EKF) for make in (native, sync))
-    for seed in (None, list(range(100, 109))):  # the generators' next episodes, or new seeds
+    for seed in (None, list(range(100, 109))):  # None continues with the next episodes
         results = []
         for env in (ours, theirs):
             env.reset(seed=0)
@@ -255,14 +252,12 @@ def test_wrong_seeds_are_refused(seed):
         native(3, **EKF).reset(seed=seed)
 
 
-# --- memory
-
-
 def peak_bytes(n):
-    """Return numpy's peak memory while environments are stepped past the end of every episode.
+    """Return the peak of the memory (bytes) that NumPy holds while n environments are stepped.
 
-    This is not resident memory, which varies by megabytes because the operating system hands out
-    huge pages. With more than one thread, the peak would depend on which jobs run together.
+    All episodes end in this time. Resident memory would vary by megabytes, because the operating
+    system hands out huge pages. With more than one thread, the peak would depend on which jobs run
+    at the same time.
     """
     tracemalloc.start()
     try:

@@ -1,4 +1,4 @@
-"""Tests that a vector environment restored from a saved state continues with identical results."""
+"""Tests that a vector environment continues from a saved state with identical results."""
 
 import gymnasium as gym
 import numpy as np
@@ -31,6 +31,7 @@ def make(mode="SameStep", n=9, **arguments):
 
 
 def go_on(env, steps, actions):
+    """Return the results of random steps; ``actions`` is the seed of the actions."""
     rng, modes = np.random.default_rng(actions), env.single_action_space.n
     return [forward(env, rng.integers(modes, size=env.num_envs)) for _ in range(steps)]
 
@@ -38,13 +39,13 @@ def go_on(env, steps, actions):
 @pytest.mark.parametrize("configuration", representative(CONFIGURATIONS, "ends early", "short"))
 @pytest.mark.parametrize("mode", AUTORESET)
 def test_environments_continue_from_a_state_saved_at_any_step(mode, configuration):
-    """Restore a state in a new environment, in one with other episodes, and in the original."""
+    """Restore a state in a new environment, in one that plays other episodes, and in its own."""
     env = make(mode, **CONFIGURATIONS[configuration])
     elsewhere = make(mode, **CONFIGURATIONS[configuration])
     elsewhere.reset(seed=50)
     go_on(elsewhere, 2, actions=9)
-    env.reset(seed=13)  # gives terminated and truncated episodes
-    ends = np.zeros(2, int)  # terminated, truncated
+    env.reset(seed=13)  # with this seed, some episodes terminate and others are truncated
+    ends = np.zeros(2, int)  # numbers of terminated and of truncated episodes
     for taken in range(8):
         state = env.state()
         expected = go_on(env, 24, actions=taken)
@@ -79,11 +80,6 @@ def test_later_steps_do_not_change_a_saved_state():
     assert same(state, kept)
 
 
-def test_saving_a_state_before_the_first_reset_is_refused():
-    with pytest.raises(ResetNeeded):
-        make().state()
-
-
 @pytest.mark.parametrize(
     ("name", "arguments"),
     [
@@ -99,7 +95,7 @@ def test_the_state_of_another_environment_is_refused(name, arguments):
     env.reset(seed=0)
     with refuses(f"{name} of the state"):
         other.restore(env.state())
-    with pytest.raises(ResetNeeded):  # nothing was restored
+    with pytest.raises(ResetNeeded):  # nothing was restored, and it was never reset
         other.state()
 
 
@@ -113,7 +109,7 @@ def test_a_missing_part_of_a_state_is_named():
 
 
 class Own(SimulatedSource):
-    """A source that might have a memory."""
+    """A user's own source of episodes, which might have a memory that the state lacks."""
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,14 @@
-"""A checker of vector environments, because Gymnasium has one for single environments only."""
+"""A checker of vector environments; Gymnasium has a checker of single environments only."""
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-STEPS = 40  # number of steps in the longest check
-
 
 def check_vector_env(make):
-    """Check seeds and shared memory; comparisons with Gymnasium's environments test the rest."""
+    """Check seeds and shared memory.
+
+    Tests that compare a native vector environment with Gymnasium's own check all other rules.
+    """
     check_seeds(make)
     check_memory(make)
 
@@ -19,7 +20,7 @@ def same(a, b):
     if isinstance(a, (tuple, list)):
         return len(a) == len(b) and all(map(same, a, b))
     if not isinstance(a, np.ndarray):
-        return type(a) is type(b) and (a == b or (a != a and b != b))  # NaN is the same as NaN
+        return type(a) is type(b) and (a == b or (a != a and b != b))  # NaN != NaN
     if a.dtype != b.dtype or a.shape != b.shape:
         return False
     if a.dtype == object:
@@ -47,8 +48,8 @@ def forward(env, actions):
     return results
 
 
-def rollout(env, seed, steps=STEPS, actions=0):
-    """Return the results of ``reset`` and of random steps, which go on after ends of episodes."""
+def rollout(env, seed, steps=40, actions=0):
+    """Return the results of a reset and of random steps; ``actions`` is the seed of the actions."""
     rng, n = np.random.default_rng(actions), env.single_action_space.n
     results = [env.reset(seed=seed)]
     for _ in range(steps):
@@ -70,15 +71,20 @@ def check_seeds(make):
     assert not same(env.reset()[0], first[0][0]), "a reset without a seed repeats the episode"
 
 
-def check_memory(make):
-    env = make()
-    results = rollout(env, seed=0, steps=12)
+def assert_own_memory(results):
+    """Check that no two results share memory. Then overwrite them all, so that a caller can check
+    that the environment does not use them.
+    """
     for i, earlier in enumerate(results):
         for later in results[i + 1 :]:
             assert not any(np.shares_memory(a, b) for a in arrays(earlier) for b in arrays(later))
     for array in arrays(results):
         array.fill(1)
-    twin = make()
+
+
+def check_memory(make):
+    env, twin = make(), make()
+    assert_own_memory(rollout(env, seed=0, steps=12))
     rollout(twin, seed=0, steps=12)
     actions = np.zeros(env.num_envs, np.int64)
     assert same(env.step(actions), twin.step(actions)), (

@@ -1,4 +1,4 @@
-"""Tests that every value of the observation is what its name says."""
+"""Tests that each feature of the observation has the value that its name promises."""
 
 from dataclasses import replace
 from itertools import accumulate
@@ -14,7 +14,7 @@ from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.epoch_state import with_expected_spread
 from mmwave_env.filters.bank import modes_from
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.observation import Observation, feature_scales
+from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.envelope import DOPPLER_SPREAD_HZ
 from mmwave_env.models.layout import Layout
@@ -24,28 +24,25 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
 from tests.filters.tracks import replay
 
+# the groups of measurements in their order, with their degrees of freedom
+GROUPS = {"anchor 1": 4, "anchor 2": 4, "anchor 3": 4, "Doppler": 1}
+DOF = np.array([*GROUPS.values()])
 
-def names(table):
-    return [feature.name for feature in table.features]
 
-
-def draw(seed, radio="handset", **changes):
-    source = SimulatedSource(SCENES["street"], RADIOS[radio], **changes)
+def draw(seed, **changes):
+    source = SimulatedSource(SCENES["street"], RADIOS["handset"], **changes)
     return source.sample(np.random.default_rng(seed))
 
 
 def blinded(episode, first, last):
-    """Return the episode with nothing measured from epoch ``first`` up to ``last`` (excluded)."""
+    """Return the episode without measurements from epoch ``first`` until before ``last``."""
     visible = episode.visible.copy()
     visible[first:last] = False
     return replace(episode, visible=visible)
 
 
-# --- the values
-
-
 def absurd(episode):
-    """Return the episode with impossible measurements, SNR and spread, and a prior far away."""
+    """Return the episode with impossible measurements, SNRs and Doppler spread, and a far prior."""
     measurement = episode.measurement.copy()
     measurement[::7] *= 1e6
     return replace(
@@ -74,7 +71,7 @@ def test_values_are_finite_and_within_their_bounds_even_in_absurd_episodes():
 
 
 class Rollout(NamedTuple):
-    """Rollout of an episode of 200 epochs with random actions.
+    """An episode of 200 epochs that was played with random actions.
 
     Observations and infos have 201 entries: one from ``reset`` and one from every step.
     """
@@ -85,11 +82,16 @@ class Rollout(NamedTuple):
     infos: list
 
     def read(self, name):
+        """Return a feature (201,) in its own unit."""
         return self.table.read(self.observations, name)
+
+    def info(self, key):
+        """Return an entry of the infos of all steps (200, ...)."""
+        return np.array([info[key] for info in self.infos[1:]])
 
     def limited(self, name, values):
         """Return values of a feature, clipped to its limits and to ten deviations from its mean."""
-        i = names(self.table).index(name)
+        i = self.table.names.index(name)
         feature, (mean, deviation) = self.table.features[i], self.table.scales[i]
         reach = 10.0 * deviation
         return np.clip(np.clip(values, feature.low, feature.high), mean - reach, mean + reach)
@@ -120,23 +122,23 @@ def close(values, expected, tolerance=1e-5):
     np.testing.assert_allclose(values, expected, rtol=tolerance, atol=tolerance)
 
 
+def assert_feature(rollout, name, values, tolerance=1e-5):
+    """Assert that a feature has these values (201,), which are first clipped like the feature."""
+    close(rollout.read(name), rollout.limited(name, values), tolerance)
+
+
 def test_predicted_speed_is_the_speed_of_the_estimate(rollout):
     speed = [np.linalg.norm(info["estimate"][3:6]) for info in rollout.infos]
-    close(rollout.read("predicted speed"), rollout.limited("predicted speed", speed))
+    assert_feature(rollout, "predicted speed", speed)
 
 
 def test_nis_and_verdicts_are_those_of_the_last_epoch(rollout):
-    for g, name in enumerate(["anchor 1", "anchor 2", "anchor 3", "Doppler"]):
-        nis = [info["nis"][g] for info in rollout.infos[1:]]
-        mean, deviation = feature_scales()[f"NIS {'Doppler' if name == 'Doppler' else 'link'}"]
-        most = min(10.0, mean + 10.0 * deviation)  # values are clipped at ten deviations
-        close(rollout.read(f"NIS {name}")[1:], np.minimum(np.log1p(nis), most))
-        verdict = [
-            int(info["accepted"][g]) - int(info["rejected"][g]) for info in rollout.infos[1:]
-        ]
-        np.testing.assert_array_equal(rollout.read(f"verdict {name}")[1:], verdict)
-        visible = rollout.episode.usable[:, g]
-        np.testing.assert_array_equal(np.array(verdict) != 0, visible)
+    verdicts = rollout.info("accepted").astype(int) - rollout.info("rejected")
+    np.testing.assert_array_equal(verdicts != 0, rollout.episode.usable)
+    for g, name in enumerate(GROUPS):
+        nis = np.minimum(np.log1p(rollout.info("nis")[:, g]), 10.0)
+        close(rollout.read(f"NIS {name}")[1:], rollout.limited(f"NIS {name}", nis))
+        np.testing.assert_array_equal(rollout.read(f"verdict {name}")[1:], verdicts[:, g])
     assert rollout.read("NIS Doppler")[0] == 0.0 == rollout.read("verdict Doppler")[0]
 
 
@@ -147,9 +149,15 @@ def test_snr_is_that_of_the_coming_epoch(rollout):
         close(rollout.read(f"SNR anchor {a + 1}"), [*coming, -20.0])
 
 
-def test_doppler_spread_is_that_of_the_coming_epoch(rollout):
-    spread = rollout.episode.doppler_spread_hz / rollout.episode.hz_per_mps
-    close(rollout.read("Doppler spread"), [*np.minimum(spread, 50.0), 0.0])
+def averages(values, keep):
+    """Return exponential averages that begin at zero."""
+    return list(accumulate(values, lambda a, now: keep * a + (1.0 - keep) * now, initial=0.0))
+
+
+def test_doppler_spread_is_that_of_the_coming_epoch_and_is_averaged(rollout):
+    spread = np.append(rollout.episode.doppler_spread_hz / rollout.episode.hz_per_mps, 0.0)
+    close(rollout.read("Doppler spread"), np.minimum(spread, 50.0))
+    close(rollout.read("Doppler spread average"), averages(spread, 0.8)[1:])
 
 
 @pytest.mark.parametrize("speed_mps", [0.0, 2.0, 15.0])
@@ -161,16 +169,6 @@ def test_a_missing_doppler_spread_is_about_the_mean_of_those_drawn_at_the_speed(
         epoch = Epoch(1.0, [], [], [0.0, visible], [], measured_hz)
         spread_hz = with_expected_spread(epoch, velocity, site).doppler_spread_hz
         assert spread_hz == pytest.approx(expected, rel=0.03)
-
-
-def averages(values, keep):
-    """Return exponential averages that begin at zero."""
-    return list(accumulate(values, lambda a, now: keep * a + (1.0 - keep) * now, initial=0.0))
-
-
-def test_the_doppler_spread_is_averaged(rollout):
-    spreads = [*rollout.episode.doppler_spread_hz / rollout.episode.hz_per_mps, 0.0]
-    close(rollout.read("Doppler spread average"), averages(spreads, 0.8)[1:])
 
 
 def test_an_snr_drop_is_how_far_the_snr_is_below_its_slow_mean(rollout):
@@ -211,36 +209,36 @@ def test_the_doppler_innovation_is_the_measured_minus_the_predicted_radial_veloc
         close(rollout.read(name)[t], rollout.limited(name, expected), 1e-4)
 
 
+def ratios(rollout):
+    """Yield, epoch by epoch, NIS / dof of the accepted groups; None if none was accepted."""
+    for used, nis in zip(rollout.info("accepted"), rollout.info("nis"), strict=True):
+        yield nis[used].sum() / DOF[used].sum() if used.any() else None
+
+
 def test_gamma_is_the_windowed_mean_of_nis_over_dof(rollout):
     window, expected = [1.0] * 10, [1.0]
-    for info in rollout.infos[1:]:
-        used, dof = info["accepted"], np.array([4, 4, 4, 1])
-        if used.any():
-            window = [*window[1:], info["nis"][used].sum() / dof[used].sum()]
+    for ratio in ratios(rollout):
+        if ratio is not None:
+            window = [*window[1:], ratio]
         expected.append(np.clip(np.mean(window), 0.5, 2.0))
     close(rollout.read("gamma"), expected)
-    close([info["gamma"] for info in rollout.infos[1:]], expected[1:], 1e-12)
+    close(rollout.info("gamma"), expected[1:], 1e-12)
 
 
 def test_nis_averages_forget_exponentially(rollout):
     for pace, keep in (("fast", 0.6), ("slow", 0.9)):
         average, expected = 1.0, [1.0]
-        for info in rollout.infos[1:]:
-            used, dof = info["accepted"], np.array([4, 4, 4, 1])
-            if used.any():
-                ratio = info["nis"][used].sum() / dof[used].sum()
+        for ratio in ratios(rollout):
+            if ratio is not None:
                 average = keep * average + (1.0 - keep) * ratio
             expected.append(average)
-        name = f"NIS {pace} average"
-        close(rollout.read(name), rollout.limited(name, expected))
+        assert_feature(rollout, f"NIS {pace} average", expected)
 
 
 def test_the_previous_mode_is_marked(rollout):
-    ran = [info["mode"] for info in rollout.infos[1:]]
+    ran = rollout.info("mode")
     for mode, name in enumerate(("ekf", "ukf")):
-        np.testing.assert_array_equal(
-            rollout.read(f"previous mode {name}")[1:], np.array(ran) == mode
-        )
+        np.testing.assert_array_equal(rollout.read(f"previous mode {name}")[1:], ran == mode)
 
 
 def test_lock_out_and_time_since_fix_grow_until_a_link_is_accepted(rollout):
@@ -250,52 +248,44 @@ def test_lock_out_and_time_since_fix_grow_until_a_link_is_accepted(rollout):
         fixed, passed = links.any(), (links & (info["nis"][:3] <= chi2.ppf(0.99, 4))).any()
         lockout.append(0.0 if passed else lockout[-1] + visible)
         unfixed_s.append(0.0 if fixed else unfixed_s[-1] + (1.0 if t else 0.0))
-    close(rollout.read("lock-out"), rollout.limited("lock-out", lockout))
-    close(rollout.read("time since fix"), rollout.limited("time since fix", unfixed_s))
+    assert_feature(rollout, "lock-out", lockout)
+    assert_feature(rollout, "time since fix", unfixed_s)
+
+
+def corrections(rollout):
+    """Yield the update's changes of position and velocity, each (along, across) the motion."""
+    for (_, x), info in zip(predictions(rollout), rollout.infos[1:], strict=True):
+        ahead = x[3:5] / np.sqrt(x[3:5] @ x[3:5] + 1e-6)
+        axes = np.array([ahead, [-ahead[1], ahead[0]]])
+        yield axes @ (info["estimate"][:2] - x[:2]), axes @ (info["estimate"][3:5] - x[3:5])
 
 
 def test_features_of_the_coming_epoch_are_what_the_chosen_mode_then_computes(rollout):
-    dof = np.array([4, 4, 4, 1])
-    for (t, x), info in zip(predictions(rollout), rollout.infos[1:], strict=True):
+    variance = rollout.read("position variance")[1:]
+    for t, changes in enumerate(corrections(rollout)):
+        info, visible = rollout.infos[t + 1], rollout.episode.usable[t]
         name = ("ekf", "ukf")[info["mode"]]
-
-        def coming(part, name=name, t=t):
-            return rollout.read(f"coming {part} {name}")[t]
-
-        def limited(part, value, name=name):
-            return rollout.limited(f"coming {part} {name}", value)
-
-        visible = rollout.episode.usable[t]
-        mean_nis = info["nis"][visible].sum() / max(dof[visible].sum(), 1)
-        close(coming("NIS"), limited("NIS", np.log1p(mean_nis)))
-        assert coming("rejected") == info["rejected"][:3].sum()
+        mean_nis = info["nis"][visible].sum() / max(DOF[visible].sum(), 1)
+        expected = {"NIS": np.log1p(mean_nis)}
         if name == "ukf":  # only the last mode has an NIS feature for each group
-            for g, group in enumerate(("anchor 1", "anchor 2", "anchor 3", "Doppler")):
-                part = f"NIS {group}"
-                close(coming(part), limited(part, np.log1p(info["nis"][g])))
-        after = rollout.read("position variance")[t + 1]
-        both = rollout.limited("position variance", coming("variance"))
-        close(both, limited("variance", after), 1e-4)
-        step = info["estimate"][:2] - x[:2]
-        ahead = x[3:5] / np.sqrt(x[3:5] @ x[3:5] + 1e-6)
-        left = np.array([-ahead[1], ahead[0]])
-        faster = info["estimate"][3:5] - x[3:5]
-        for of, change in (("position", step), ("velocity", faster)):
-            for way, axis in (("along", ahead), ("across", left)):
-                part = f"{of} correction {way}"
-                close(coming(part), limited(part, change @ axis), 1e-4)
+            expected |= {f"NIS {group}": np.log1p(info["nis"][g]) for g, group in enumerate(GROUPS)}
+        for part, value in expected.items():
+            coming = f"coming {part} {name}"
+            close(rollout.read(coming)[t], rollout.limited(coming, value))
+        assert rollout.read(f"coming rejected {name}")[t] == info["rejected"][:3].sum()
+        coming = f"coming variance {name}"
+        both = rollout.limited("position variance", rollout.read(coming)[t])
+        close(both, rollout.limited(coming, variance[t]), 1e-4)
+        for of, change in zip(("position", "velocity"), changes, strict=True):
+            for way, value in zip(("along", "across"), change, strict=True):
+                coming = f"coming {of} correction {way} {name}"
+                close(rollout.read(coming)[t], rollout.limited(coming, value), 1e-4)
 
 
 def test_corrections_are_exponential_averages(rollout):
-    steps = {"along": [], "across": []}
-    for (_, x), info in zip(predictions(rollout), rollout.infos[1:], strict=True):
-        step = info["estimate"][:2] - x[:2]
-        ahead = x[3:5] / np.sqrt(x[3:5] @ x[3:5] + 1e-6)
-        steps["along"].append(step @ ahead)
-        steps["across"].append(step[1] * ahead[0] - step[0] * ahead[1])
-    for way, values in steps.items():
-        name = f"correction {way}"
-        close(rollout.read(name), rollout.limited(name, averages(values, 0.8)), 1e-4)
+    steps = np.array([position for position, _ in corrections(rollout)])
+    for way, values in zip(("along", "across"), steps.T, strict=True):
+        assert_feature(rollout, f"correction {way}", averages(values, 0.8), 1e-4)
 
 
 def test_preferences_are_averages_of_the_log_likelihood_difference(rollout):

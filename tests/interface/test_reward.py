@@ -1,7 +1,6 @@
-"""Tests of rewards: shipped ones (against SciPy), users' own, and rewards paired with an IMM."""
+"""Tests of the shipped rewards, of users' own rewards, and of rewards paired with an IMM."""
 
 import math
-from functools import partial
 from pathlib import Path
 
 import gymnasium as gym
@@ -126,7 +125,7 @@ def capped(belief, truth):
 
 
 def steps(epochs=20, **kwargs):
-    """Yield (reward, info) of the first epochs, with every mode in turn."""
+    """Yield reward and info of the first epochs, in which the modes take turns."""
     env = gym.make("MmWaveLoc-v0", **kwargs)
     env.reset(seed=0)
     for t in range(epochs):
@@ -135,14 +134,11 @@ def steps(epochs=20, **kwargs):
     env.close()
 
 
-def tracking(info):
-    error = min(info["position_error_m"], 10.0)
-    return -(error + 0.2 * min(abs(math.log(info["nees"] / 3.0)), 3.0))
-
-
 def test_the_environment_pays_the_tracking_reward():
     for reward, info in steps():
-        assert reward == pytest.approx(tracking(info), abs=1e-9)
+        error = min(info["position_error_m"], 10.0)
+        expected = -(error + 0.2 * min(abs(math.log(info["nees"] / 3.0)), 3.0))
+        assert reward == pytest.approx(expected, abs=1e-9)
 
 
 def test_the_environment_pays_a_users_own_reward_function():
@@ -154,6 +150,7 @@ DEAR = [Mode("free", sigma_v=0.3), Mode("dear", sigma_v=1.8, cost=0.25)]
 
 
 def weighed(belief, truth):
+    """Return a reward with two terms."""
     error = belief.error(truth)
     return {"east": -abs(error[0]), "north": -2.0 * abs(error[1])}
 
@@ -173,15 +170,6 @@ def test_infos_contain_the_terms_that_add_up_to_the_reward(beliefs):
                 assert reward == pytest.approx(east + north + cost, abs=1e-12)
                 assert cost == (-0.25 if env.unwrapped.observation.actions[action] == "dear" else 0)
         assert "reward_terms" in info and east < 0.0 and north < 0.0
-
-
-def test_the_reward_terms_of_a_vector_environment_are_one_array():
-    envs = gym.make_vec("MmWaveLoc-v0", num_envs=9, modes=DEAR, reward=weighed, episode_steps=12)
-    envs.reset(seed=0)
-    for t in range(10):
-        _, rewards, _, _, infos = envs.step(np.full(9, t % 2))
-        assert infos["reward_terms"].shape == (9, 3)
-        np.testing.assert_allclose(infos["reward_terms"].sum(axis=1), rewards, atol=1e-12)
 
 
 def branch(belief, truth):
@@ -217,19 +205,17 @@ def test_a_function_that_is_not_a_valid_reward_is_refused_with_its_line(own):
 # --- paired with the IMM
 
 
-SLUGGISH = Mode("sluggish", sigma_v=0.05)  # its track diverges for about half of the vehicles
+SLUGGISH = Mode("sluggish", sigma_v=0.05)  # diverges in about half of the vehicles' episodes
 DIVERGING = {"scenario": "vehicle", "episode_steps": 40, "modes": [SLUGGISH]}
 ENDING = {"reward": "paired", "terminate_on_divergence": True} | DIVERGING
 
 
 def imm_rewards(seed, episodes, reward=REWARDS["tracking"], **task):
     """Return the IMM's rewards (episodes, epochs) in the first episodes of a seed."""
-    source = task_from(**task)
-    planar = task.get("planar", False)
-    imm = partial(run_imm, Bank(default_modes("handset")), reward, planar=planar)
-    keys = keys_at(stream_of(seed), np.arange(episodes, dtype=np.uint64))
-    drawn = source.tables(keys)
-    return imm(drawn, "reward")["reward"].astype(np.float32)
+    bank = Bank(default_modes("handset"))
+    drawn = task_from(**task).tables(keys_at(stream_of(seed), np.arange(episodes, dtype=np.uint64)))
+    imm = run_imm(bank, reward, drawn, "reward", planar=task.get("planar", False))
+    return imm["reward"].astype(np.float32)
 
 
 @pytest.mark.parametrize(
@@ -244,7 +230,7 @@ def imm_rewards(seed, episodes, reward=REWARDS["tracking"], **task):
     ids=["three modes", "flat"],
 )
 def test_paired_rewards_are_rewards_minus_those_of_the_imm_on_the_same_episodes(task):
-    """Check equality to the last bit, also if the agent's modes are not those of the IMM."""
+    """Check equality to the last bit; the agent's modes differ from those of the IMM."""
     n, epochs = 5, 3 * task["episode_steps"]
     envs = {
         reward: gym.make_vec(

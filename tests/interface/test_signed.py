@@ -1,4 +1,4 @@
-"""Tests of signed features (residuals along and across the motion): formulas and invariances."""
+"""Tests of signed features, which contain residuals along and across the user's motion."""
 
 from dataclasses import replace
 
@@ -29,14 +29,14 @@ def episodes():
 
 
 def names_of(pipeline):
+    """Return the names of the features that a policy gets in order to correct a belief."""
     return [feature.name for feature in after_update(pipeline, per_mode=True)]
 
 
 def played(episodes, actions):
-    """Play episodes with actions (n, T) in an environment, and return two arrays.
+    """Play episodes with actions (n, T) in an environment.
 
-    They contain, for every epoch, the features (n, T, features) that a policy gets in order to
-    correct a belief, and the mean x (n, T, 7) of the belief.
+    Return the features of :func:`names_of` (n, T, features) and the beliefs' means (n, T, 7).
     """
     pipeline = Pipeline(BANK.modes, episodes[0].layout)
     engine = Engine(pipeline, len(episodes), TrackingReward(), "signed", BANK)
@@ -57,7 +57,8 @@ def random_actions(seed=0):
 def test_tracks_and_environments_compute_the_same_bits(episodes):
     actions = random_actions()
     *others, last = episodes
-    episodes = [*others, replace(last, doppler_spread_hz=np.zeros(EPOCHS))]  # none was measured
+    unmeasured = np.zeros(EPOCHS)  # a Doppler spread of 0 means that none was measured
+    episodes = [*others, replace(last, doppler_spread_hz=unmeasured)]
     observed, _ = played(episodes, actions)
     tracker = ImmTracker(BANK, episodes[0].layout, N, acted=True, signed=True)
     tracker.load(episodes)
@@ -66,10 +67,10 @@ def test_tracks_and_environments_compute_the_same_bits(episodes):
 
 
 def turned(episode, angle, offset):
-    """Return an episode in a world turned by an angle (rad), then moved by an offset (3,) in m."""
+    """Return an episode whose world is turned by an angle (rad), then moved by an offset (m)."""
     c, s = np.cos(angle), np.sin(angle)
     R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    whole = np.eye(7)
+    whole = np.eye(7)  # the rotation of a whole state
     whole[:3, :3] = whole[3:6, 3:6] = R
     z = episode.measurement.copy()
     for anchor in range(3):
@@ -114,15 +115,16 @@ def test_residuals_equal_the_formula_in_numpy(episodes):
         deviation = np.maximum(episode.sigma[:, 5] * flat, 0.05)
         q = np.sign(residual) * np.log1p(np.abs(residual) / deviation) * episode.visible[:, 1]
         heading = np.arctan2(x[i, :, 4], x[i, :, 3])
-        # a positive residual points left of the ray from the anchor; this is its part across
-        across = np.cos(bearing - heading)
+        # A positive residual points to the left of the ray from the anchor to the user. The cosine
+        # gives the component of this direction that points to the left of the motion.
+        expected = q * np.cos(bearing - heading)
         np.testing.assert_allclose(
-            value("azimuth residual across anchor 2", i), q * across, atol=1e-4
+            value("azimuth residual across anchor 2", i), expected, atol=1e-4
         )
 
 
 def test_features_do_not_depend_on_the_coming_epoch(episodes):
-    """Change the last epoch; the features after earlier epochs stay the same."""
+    """Change the measurements of the last epoch: the features of earlier epochs stay the same."""
     actions, changed = random_actions(), EPOCHS - 1
     spoiled = []
     for episode in episodes:

@@ -1,4 +1,4 @@
-"""Tests of correctors: memory, trust, files, and a comparison of their network with PyTorch's."""
+"""Tests of correctors: network (against PyTorch), memory, trust in corrections, and files."""
 
 import numpy as np
 import pytest
@@ -16,12 +16,12 @@ from tests.training.actors import MODES, PER_MODE, card_of, write, write_per_mod
 TABLE = Observation(Pipeline(MODES, Layout()), "signed", "per-mode")
 NAMES = [feature.name for feature in after_update(Pipeline(MODES, Layout()), per_mode=True)]
 COLUMNS = tuple(column for column in TABLE.columns if column.name in NAMES)
-FEATURES, FRONT, UNITS, HEAD, MEMBERS = len(NAMES), 6, 5, 4, 3
+FEATURES, FRONT, UNITS, HEAD, MEMBERS = len(NAMES), 6, 5, 4, 3  # sizes of the network's layers
 
 
-def network(seed=0, scale=0.3, limit=5.0):
-    """Return the tensors of a corrector with random weights."""
-    rng = np.random.default_rng(seed)
+def network(scale=0.3, limit=5.0):
+    """Return the tensors of a corrector with random weights, which clips features to ±``limit``."""
+    rng = np.random.default_rng(0)
     shapes = {
         "front.weight": (FRONT, FEATURES), "front.bias": (FRONT,),
         "gru.weight_ih": (3 * UNITS, FRONT), "gru.weight_hh": (3 * UNITS, UNITS),
@@ -45,14 +45,16 @@ def path(tmp_path):
     return write(tmp_path / "corrector.safetensors", network(), card())
 
 
-def started(path, n=4):
-    corrector = Corrector(path)
-    corrector.reset(np.ones(n, bool))
+def started(path, table=None):
+    """Return a corrector of four environments at the beginning of their episodes."""
+    corrector = Corrector(path, table) if table else Corrector(path)
+    corrector.reset(np.ones(4, bool))
     return corrector
 
 
-def features(epochs, n=4, seed=1):
-    return np.random.default_rng(seed).normal(size=(epochs, n, FEATURES)).astype(np.float32)
+def features(epochs):
+    """Return random features (epochs, 4, features) of four environments."""
+    return np.random.default_rng(1).normal(size=(epochs, 4, FEATURES)).astype(np.float32)
 
 
 @pytest.mark.torch
@@ -113,8 +115,7 @@ def test_a_corrector_never_answers_nan(path, value):
 
 
 def test_members_that_disagree_are_not_trusted(tmp_path):
-    wild = write(tmp_path / "wild.safetensors", network(scale=6.0), card())
-    corrector = started(wild)
+    corrector = started(write(tmp_path / "wild.safetensors", network(scale=6.0), card()))
     answers = [corrector.correct_features(epoch) for epoch in features(20)]
     assert np.mean([answer.trusted for answer in answers]) < 0.1
     assert max(np.abs(answer.shift).max() for answer in answers) <= MOST_SHIFT
@@ -124,15 +125,12 @@ def test_members_that_disagree_are_not_trusted(tmp_path):
 def test_features_are_found_by_name_and_anchors_may_be_missing(path):
     modes = PER_MODE["banks"]["handset"].modes
     everything = np.random.default_rng(0).normal(size=(4, len(TABLE))).astype(np.float32)
-    corrector = Corrector(path, Observation(Pipeline(modes, Layout()), "signed", "per-mode"))
-    corrector.reset(np.ones(4, bool))
+    corrector = started(path, Observation(Pipeline(modes, Layout()), "signed", "per-mode"))
     chosen = everything[:, [TABLE.names.index(name) for name in NAMES]]
     expected = started(path).correct_features(chosen).shift
     np.testing.assert_allclose(corrector.correct(everything).shift, expected, atol=1e-6)
     alone = Observation(Pipeline(modes, Layout(1)), "signed", "per-mode")
-    single = Corrector(path, alone)
-    single.reset(np.ones(4, bool))
-    shift = single.correct(np.zeros((4, len(alone)), np.float32)).shift
+    shift = started(path, alone).correct(np.zeros((4, len(alone)), np.float32)).shift
     assert np.isfinite(shift).all()
 
 

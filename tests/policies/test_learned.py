@@ -1,4 +1,4 @@
-"""Tests of learned policies: their network, their banks, and how they find features by name."""
+"""Tests of learned policies: their networks and banks, and how they find features by name."""
 
 from dataclasses import replace
 
@@ -47,7 +47,7 @@ def observations(*shape, seed=1):
 
 
 def logits_by_hand(tensors, observations):
-    """Compute logits (episodes, steps, modes) in double precision."""
+    """Return logits (episodes, steps, modes), computed in double precision."""
     exact = {name: tensor.astype(float) for name, tensor in tensors.items()}
     x = np.clip(observations, exact["low"], exact["high"])
     layers = sum(name.endswith(".weight") for name in exact)
@@ -95,7 +95,7 @@ def per_mode(tmp_path):
     return LearnedSwitch(write_per_mode(tmp_path / "trust.safetensors"))
 
 
-def test_a_radio_gets_the_bank_trained_for_it_and_other_radios_get_that_of_standard(
+def test_a_radio_gets_the_bank_trained_for_it_and_other_radios_the_bank_of_standard(
     per_mode, tmp_path
 ):
     assert per_mode.modes == MODES and per_mode.beliefs == "per-mode"
@@ -108,20 +108,19 @@ def test_a_radio_gets_the_bank_trained_for_it_and_other_radios_get_that_of_stand
     assert mine.bank("standard") == HANDSET  # no bank fits, so the first one is used
 
 
-def test_a_policy_over_a_shared_belief_has_no_bank(make):
-    policy, _ = make("plain")
-    assert policy.beliefs == "shared"
-    with refuses("plain.safetensors"):
-        policy.bank("handset")
-
-
-def test_a_policy_accepts_the_modes_of_each_of_its_banks_and_no_others(per_mode, make):
+def test_a_policy_accepts_the_modes_of_each_of_its_banks_and_no_others(per_mode):
     for bank in (HANDSET, STANDARD):
         per_mode.read_from(Observation(Pipeline(bank.modes, Layout()), "full", "per-mode"))
     for table in (TABLE, Observation(Pipeline(RETUNED, Layout()), "full", "per-mode")):
         with refuses("trust.safetensors", "per-mode"):
             per_mode.read_from(table)
+
+
+def test_a_policy_over_a_shared_belief_has_no_bank_and_accepts_no_other_beliefs(make):
     shared, _ = make("plain")
+    assert shared.beliefs == "shared"
+    with refuses("plain.safetensors"):
+        shared.bank("handset")
     with refuses("plain.safetensors", "shared"):
         shared.read_from(PER_MODE_TABLE)
 
@@ -132,8 +131,7 @@ def test_a_policy_finds_its_features_among_others(tmp_path, table):
     if table is TABLE:
         path = write(path, actor(), card_of())
     more = Observation(Pipeline(MODES, Layout(5, odometry=True)), "full", table.beliefs)
-    names = [feature.name for feature in more.features]
-    columns = [names.index(feature.name) for feature in table.features]
+    columns = [more.names.index(name) for name in table.names]
     observed = np.random.default_rng(3).normal(size=(50, len(more))).astype(np.float32)
     policy, same = LearnedSwitch(path, more), LearnedSwitch(path, table)
     assert len(more) > len(table)
@@ -161,10 +159,9 @@ def test_a_feature_that_is_missing_or_has_another_scale_is_refused_by_name(tmp_p
         LearnedSwitch(path, Observation(Pipeline(MODES, Layout()), "prior"))
     with refuses("feature 'distance anchor 3'"):  # no value can stand for a missing anchor
         LearnedSwitch(path, Observation(Pipeline(MODES, Layout(anchors=2))))
-    path = write_per_mode(tmp_path / "trust.safetensors")
+    per_mode = write_per_mode(tmp_path / "trust.safetensors")
     with refuses("feature 'coming Doppler innovation'"):
-        LearnedSwitch(path, Observation(Pipeline(MODES, Layout(2)), "prior", "per-mode"))
-    path = write(tmp_path / "mine.safetensors", actor(), card_of())
+        LearnedSwitch(per_mode, Observation(Pipeline(MODES, Layout(2)), "prior", "per-mode"))
     column = TABLE.columns[4]
     for change in ({"unit": "ft"}, {"mean": column.mean + 1.0}, {"deviation": 7.0}):
         features = (*TABLE.columns[:4], column._replace(**change), *TABLE.columns[5:])

@@ -1,4 +1,4 @@
-"""Tests that the shipped corrector does no harm where it was not trained, on seeds for tuning."""
+"""Tests that the shipped corrector does no harm in tasks it was not trained for (tuning seeds)."""
 
 from dataclasses import replace
 
@@ -18,12 +18,12 @@ from mmwave_env.world.simulated import SimulatedSource
 pytestmark = pytest.mark.slow
 
 N, SEED = 100, 5_400_000
-MOST_HARM = 0.02  # reward per epoch that the corrector may lose against its base
-FACTORS = (1.0, 4.0, 8.0, 16.0)  # by which the stated noise is wrong
+MOST_HARM = 0.02  # mean reward per epoch that the corrector may lose against its base policy
+FACTORS = (1.0, 4.0, 8.0, 16.0)  # the stated noise is wrong by these factors
 
 
 def turned(episode, angle=0.2):
-    """Return an episode whose receiver is turned by an angle that it does not know."""
+    """Return an episode whose receiver is turned by an angle (rad) that it does not know."""
     z = episode.measurement.copy()
     z[:, 1:12:4] += angle
     return replace(episode, measurement=z)
@@ -74,14 +74,14 @@ CASES = {  # name -> source of episodes, radio, function that falsifies an episo
 
 
 def played(name, radio, episodes):
-    """Return reward per epoch (n,), and how far corrections are trusted (n, T)."""
+    """Return each episode's mean reward (n,), and the trust in corrections (n, T), from 0 to 1."""
     contender = Contender.learned(name, name, radio)
     results = run_contender(contender, contender.start(episodes[0].layout), episodes)
     return results["reward"][:, 10:].mean(axis=1), results.get("trusted")
 
 
 def against_base(radio, episodes):
-    """Return the gain in reward over the base (n,), and how far corrections are trusted (n, T)."""
+    """Return the corrector's gain in mean reward over its base (n,), and the trust (n, T)."""
     ours, trusted = played("corrector", radio, episodes)
     return ours - played("guided", radio, episodes)[0], trusted
 
@@ -114,7 +114,11 @@ def test_the_corrector_is_hardly_below_its_base_where_it_was_never_trained(case)
 
 
 def trust(too):
-    """Yield gain and trust for each factor; stated noise is too high if ``too`` is 1, low if -1."""
+    """Yield gain and trust for each factor, by which the stated noise is too high or too low.
+
+    Args:
+        too: 1 if the stated noise is too high, -1 if it is too low.
+    """
     keys = np.arange(SEED, SEED + 20, dtype=np.uint64)
     for factor in FACTORS:
         source = Misstated(SCENES["street"], RADIOS["standard"], stated=factor**too)

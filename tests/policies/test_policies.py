@@ -1,4 +1,4 @@
-"""Tests of the speed rule, the likelihood rule and fixed modes, on handmade observations."""
+"""Tests of the speed rule, the likelihood rule and fixed modes."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from mmwave_env.models.scene import scene_from
 from mmwave_env.world.episode import blank_incoming
 from mmwave_env.world.simulated import SimulatedSource
 from policies import FixedMode, LikelihoodRule, SpeedRule
-from policies.speed_rule import by_odometry_speed, by_predicted_speed, mode_at
+from policies.speed_rule import by_odometry_speed, by_predicted_speed
 
 THREE = ("ekf", "ukf", "ckf")
 
@@ -27,16 +27,14 @@ def table():
 
 
 def observe(table, **features):
-    """Return observations (n, features) in which all features but the given ones are the means."""
+    """Return observations (n, features) in which all features but the given ones are average."""
     columns = {name.replace("_", " "): np.atleast_1d(v) for name, v in features.items()}
     n = max(len(column) for column in columns.values())
     observation = np.zeros((n, len(table)))
-    for i, (feature, (mean, deviation)) in enumerate(
-        zip(table.features, table.scales, strict=True)
-    ):
-        if feature.name in columns:
-            value = np.clip(columns[feature.name], feature.low, feature.high)
-            observation[:, i] = (value - mean) / deviation
+    for name, values in columns.items():
+        i = table.names.index(name)
+        feature, (mean, deviation) = table.features[i], table.scales[i]
+        observation[:, i] = (np.clip(values, feature.low, feature.high) - mean) / deviation
     return observation.astype(np.float32)
 
 
@@ -49,7 +47,7 @@ def test_a_policy_maps_a_batch_of_observations_to_a_batch_of_actions(table, n):
         assert ((actions >= 0) & (actions < 3)).all()
 
 
-@pytest.mark.parametrize("threshold", [0.0, 0.25, 0.5, 1.0, 2.0, 3.0, 7.3])
+@pytest.mark.parametrize("threshold", [0.0, 0.5, 7.3])
 def test_the_speed_rule_switches_above_its_threshold(table, threshold):
     speeds = [0.0, threshold * (1.0 - 1e-6), threshold, threshold * (1.0 + 1e-6) + 1e-6, 19.9]
     actions = SpeedRule(table, threshold)(observe(table, predicted_speed=speeds))
@@ -90,16 +88,12 @@ def test_the_likelihood_rule_needs_features_of_the_coming_epoch():
 @pytest.mark.parametrize(("speed", "mode"), [(0.0, 0), (2.0, 0), (2.001, 1), (20.0, 1), (99.0, 1)])
 def test_the_speed_rules_for_single_tracks_switch_at_the_threshold_of_the_paper(speed, mode):
     x = [0.0, 0.0, 0.0, 0.6 * speed, -0.8 * speed, 0.0, 7.0]
-    slow = [0.0] * 7
-    assert mode_at(speed) == mode
-    nothing = blank_incoming(Layout(3)).epoch(Layout(3))
-    assert by_predicted_speed(x, nothing) == mode
-    assert by_predicted_speed([0.0, 0.0, 0.0, 0.0, 0.0, speed, 0.0], nothing) == mode
-    odometry = Layout(3, odometry=True)
-    blank = blank_incoming(odometry).epoch(odometry)
-    assert by_odometry_speed(x, blank) == mode
+    layout = Layout(3, odometry=True)
+    blank = blank_incoming(layout).epoch(layout)  # nothing is measured
+    assert by_predicted_speed(x, blank) == by_odometry_speed(x, blank) == mode
+    assert by_predicted_speed([0.0, 0.0, 0.0, 0.0, 0.0, speed, 0.0], blank) == mode
     measured = blank._replace(z=[*blank.z[:-2], speed, 3.0], visible=[*blank.visible[:-1], 1.0])
-    assert by_odometry_speed(slow, measured) == mode
+    assert by_odometry_speed([0.0] * 7, measured) == mode
     assert by_odometry_speed([99.0] * 7, measured) == mode
 
 
@@ -107,7 +101,7 @@ def test_the_speed_rules_for_single_tracks_switch_at_the_threshold_of_the_paper(
 @pytest.mark.filterwarnings("ignore:speed .* is outside the design window")
 @pytest.mark.parametrize("radio", RADIOS)
 def test_no_threshold_of_the_speed_rule_beats_zero(radio):
-    """Use tuning seeds; a rule with a threshold of zero acts like `fixed-ukf` (docs/results.md)."""
+    """Compare thresholds (m/s) on tuning seeds; with zero, the rule acts like `fixed-ukf`."""
     source = SimulatedSource(scene_from("street"), radio_from(radio))
     episodes = draw_episodes(source, range(TUNING_SEED, TUNING_SEED + 500))
     rule = contender_from("speed-rule", radio)
