@@ -15,7 +15,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.world.episode import EpisodeBatch
-from tests.filters.test_imm import textbook_imm
+from tests.filters.gated_textbook import textbook_imm
 from tests.filters.tracks import STREET, simulated, track, unpacked
 from tests.paths import representative
 

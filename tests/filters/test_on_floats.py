@@ -21,8 +21,8 @@ from mmwave_env.models.motion import accelerate, turn
 from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.pytree import unflatten
 from mmwave_env.world.episode import blank_incoming
+from tests.filters.gated_textbook import textbook_imm
 from tests.filters.problems import HZ_PER_MPS, assert_same, assume_clear_of, problems
-from tests.filters.test_imm import textbook_imm
 from tests.filters.tracks import process_noise, simulated, unpacked
 
 few = settings(max_examples=6, deadline=None)
