@@ -14,6 +14,7 @@ from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.metrics import BURN_IN, nees_interval
 from mmwave_env.task import task_from
 from mmwave_env.world.episode import columns_of
+from tests.filters.tracks import unpacked
 
 PARTS = ("x", "P", "x_predicted", "P_predicted", "mixture")
 TUNING = 5_000_000
@@ -37,10 +38,8 @@ def smoothed(task, bank, n):
 def nees(batch, x, P):
     """Return the position error (n, T, 3) and its NEES (n, T), without the burn-in."""
     error = (x[..., :3] - batch.table[..., columns_of(batch.layout).truth[:3]])[:, BURN_IN:]
-    row, column = np.tril_indices(3)
-    covariance = np.empty((*x.shape[:-1], 3, 3))
-    covariance[..., row, column] = covariance[..., column, row] = P[..., :6]
-    solved = np.linalg.solve(covariance[:, BURN_IN:], error[..., None])[..., 0]
+    covariance = unpacked(P)[:, BURN_IN:, :3, :3]
+    solved = np.linalg.solve(covariance, error[..., None])[..., 0]
     return error, (error * solved).sum(axis=-1)
 
 
