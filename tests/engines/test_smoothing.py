@@ -1,7 +1,5 @@
 """Tests of the smoother, against filterpy on a linear model and against numpy on our tracks."""
 
-from functools import partial
-
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
@@ -10,15 +8,15 @@ from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.engines.replay import smooth
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters import textbook
-from mmwave_env.filters.bank import best_bank, modes_from
-from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters.bank import best_bank
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
-from tests.filters.tracks import TRIANGLE, unpacked
+from tests.filters.tracks import TRIANGLE, pipeline_of, simulated, unpacked
 
 TOLERANCE = 1e-9
+PARTS = ("x", "P", "x_predicted", "P_predicted")
 
 
 def packed(P):
@@ -58,12 +56,9 @@ def test_smoothing_a_linear_model_equals_filterpy(dt):
 
 def tracks(planar, n=9, epochs=120):
     """Return filtered tracks (n, epochs, ...) of an EKF: x, P, x_predicted and P_predicted."""
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=epochs)
-    episodes = [source.sample(np.random.default_rng(seed)) for seed in range(n)]
-    pipeline = Pipeline(modes_from(["ekf"]), source.layout, planar)
-    tracker = Tracker(pipeline, n)
-    tracker.load(episodes)
-    return list(tracker.run("x", "P", "x_predicted", "P_predicted").values())
+    tracker = Tracker(pipeline_of(algorithms=["ekf"], planar=planar), n)
+    tracker.load(simulated(n, epochs))
+    return list(tracker.run(*PARTS).values())
 
 
 @pytest.mark.parametrize("planar", [False, True])
@@ -86,15 +81,11 @@ def test_smoothed_tracks_equal_a_plain_numpy_smoother(planar):
 @pytest.fixture(scope="module", params=[1.0, 0.1], ids=["1 s", "0.1 s"])
 def mixture(request):
     """Return dt, true positions (9, T, 3), and an IMM's x, P, x_predicted and P_predicted."""
-    source, bank = (
-        SimulatedSource(SCENES["street"], RADIOS["handset"], dt=request.param),
-        best_bank(),
-    )
+    source = SimulatedSource(SCENES["street"], RADIOS["handset"], dt=request.param)
     episodes = [source.sample(np.random.default_rng(seed)) for seed in range(9)]
-    imm = partial(run_imm, bank, TrackingReward())
-    names = ("x", "P", "x_predicted", "P_predicted")
     truth = np.stack([episode.truth_position_m for episode in episodes])
-    return request.param, truth, list(imm(episodes, *names).values())
+    parts = run_imm(best_bank(), TrackingReward(), episodes, *PARTS)
+    return request.param, truth, list(parts.values())
 
 
 def test_smoothing_a_mixture_equals_plain_numpy(mixture):

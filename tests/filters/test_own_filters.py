@@ -39,10 +39,9 @@ def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("own")
     (folder / "iekf.py").write_text(IEKF)
     (folder / "hasty.py").write_text(HASTY)
-    sys.path.insert(0, str(folder))
-    importlib.invalidate_caches()
-    yield folder
-    sys.path.remove(str(folder))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(folder)
+        yield folder
     for name in ("iekf", "hasty"):
         sys.modules.pop(name, None)
 
@@ -76,18 +75,14 @@ def test_a_log_is_localized_with_a_custom_filter(iekf, tmp_path):
     scene, radio = SCENES["street"], RADIOS["handset"]
     source = SimulatedSource(scene, radio, epochs=30)
     write_log(tmp_path / "log.csv", source.sample(np.random.default_rng(0)))
-    once = partial(iekf, iterations=1)
-    (own,), (ours,) = (
-        list(
-            localize(
-                read_log(tmp_path / "log.csv", scene),
-                scene,
-                radio,
-                Switching((Mode("m", algorithm),)),
-            )
+    tracks = []
+    for algorithm in (partial(iekf, iterations=1), "ekf"):
+        blocks, switching = (
+            read_log(tmp_path / "log.csv", scene),
+            Switching((Mode("m", algorithm),)),
         )
-        for algorithm in (once, "ekf")
-    )
+        tracks += localize(blocks, scene, radio, switching)
+    own, ours = tracks
     np.testing.assert_allclose(own.smooth_x, ours.smooth_x, rtol=1e-6, atol=1e-6)
 
 

@@ -200,20 +200,15 @@ def test_an_estimate_that_is_not_finite_can_be_drawn():
 
 
 @pytest.mark.parametrize("name", ["$x^2$\n two", "a\x00b\x1b[31m", "Привет λ", "中", "\ud800", ""])
-def test_any_name_can_be_drawn(name):
-    assert drawn([name, "x" * 500], name=name * 50).shape == (480, 480, 3)
+def test_any_name_and_any_title_can_be_drawn(name):
+    picture = Picture([name, "x" * 500], title=name * 50).draw(history(name=name * 50))
+    assert picture.shape == (480, 480, 3)
 
 
 def test_a_legend_of_eight_modes_shows_every_color():
     shown = drawn([f"mode {i}" for i in range(8)])[-40:]
     for color in LIGHT.modes[:8]:
         assert near(shown, color).sum() >= 80
-
-
-def test_without_a_render_mode_there_is_no_picture():
-    env = gym.make(ID).unwrapped
-    env.reset(seed=0)
-    assert env.render() is None
 
 
 @pytest.mark.parametrize(
@@ -225,10 +220,12 @@ def test_wrong_render_options_are_refused(name, value):
         MmWaveLocEnv(**{"render_mode": "rgb_array"} | {name: value})
 
 
-def test_there_is_no_picture_before_a_reset():
-    env = MmWaveLocEnv(render_mode="rgb_array")
+def test_there_is_no_picture_before_a_reset_or_without_a_render_mode():
     with pytest.raises(gym.error.ResetNeeded):
-        env.render()
+        MmWaveLocEnv(render_mode="rgb_array").render()
+    env = MmWaveLocEnv()
+    env.reset(seed=0)
+    assert env.render() is None
 
 
 @pytest.mark.parametrize("theme", THEMES)
