@@ -1,5 +1,7 @@
 """Tests of the smoother, against filterpy on a linear model and against numpy on our tracks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
@@ -55,24 +57,25 @@ def test_smoothing_a_linear_model_equals_filterpy(dt):
 
 
 def tracks(planar, n=9, epochs=120):
-    """Return filtered tracks (n, epochs, ...) of an EKF: x, P, x_predicted and P_predicted."""
+    """Return times (n, epochs) with random steps, and an EKF's tracks at these times: PARTS."""
+    time_s = np.random.default_rng(0).uniform(0.2, 2.0, (n, epochs)).cumsum(axis=1)
+    episodes = [replace(e, time_s=t) for e, t in zip(simulated(n, epochs), time_s, strict=True)]
     tracker = Tracker(pipeline_of(algorithms=["ekf"], planar=planar), n)
-    tracker.load(simulated(n, epochs))
-    return list(tracker.run(*PARTS).values())
+    tracker.load(episodes)
+    return time_s, list(tracker.run(*PARTS).values())
 
 
 @pytest.mark.parametrize("planar", [False, True])
 def test_smoothed_tracks_equal_a_plain_numpy_smoother(planar):
-    x, P, x_predicted, P_predicted = tracks(planar)
-    time_s = np.arange(x.shape[1], dtype=float)
+    time_s, (x, P, x_predicted, P_predicted) = tracks(planar)
     free = [0, 1, 3, 4, 6] if planar else list(range(7))
     found_x, found_P = smooth(x, P, x_predicted, P_predicted, np.diff(time_s), planar)
     for e in range(len(x)):
         expected_x, expected_P = textbook.rts(
-            x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s, free
+            x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s[e], free
         )
         np.testing.assert_allclose(found_x[e], expected_x, rtol=TOLERANCE, atol=TOLERANCE)
-        block = np.ix_(range(len(time_s)), free, free)
+        block = np.ix_(range(len(x[e])), free, free)
         np.testing.assert_allclose(
             unpacked(found_P[e])[block], expected_P[block], rtol=1e-8, atol=TOLERANCE
         )
@@ -113,22 +116,8 @@ def test_smoothing_a_mixture_reduces_its_errors_and_its_covariances(mixture):
 
 
 def test_smoothing_does_not_change_a_single_epoch():
-    x, P, x_predicted, P_predicted = (part[:1, :1] for part in tracks(planar=False))
+    _, parts = tracks(planar=False)
+    x, P, x_predicted, P_predicted = (part[:1, :1] for part in parts)
     smoothed_x, smoothed_P = smooth(x, P, x_predicted, P_predicted, np.empty(0))
     np.testing.assert_array_equal(smoothed_x, x)
     np.testing.assert_array_equal(smoothed_P, P)
-
-
-def test_each_track_is_smoothed_with_its_own_uneven_steps():
-    rng, n, T = np.random.default_rng(0), 3, 30
-    roots = rng.normal(size=(2, n, T, 7, 7))
-    P, P_predicted = roots @ np.swapaxes(roots, -1, -2) + np.eye(7)
-    x, time_s = rng.normal(size=(n, T, 7)), rng.uniform(0.2, 2.0, (n, T)).cumsum(axis=1)
-    x_predicted, steps = x.copy(), np.diff(time_s)
-    for e, t in np.ndindex(steps.shape):
-        x_predicted[e, t + 1] = textbook.F(steps[e, t]) @ x[e, t]
-    found_x, _ = smooth(x, packed(P), x_predicted, packed(P_predicted), steps)
-    for e in range(n):
-        expected_x, _ = textbook.rts(x[e], P[e], P_predicted[e], time_s[e])
-        # Arbitrary covariances make smoothed states grow; the tolerance is relative to the largest.
-        assert np.abs(found_x[e] - expected_x).max() <= TOLERANCE * np.abs(expected_x).max()

@@ -77,11 +77,8 @@ def test_a_log_is_localized_with_a_custom_filter(iekf, tmp_path):
     write_log(tmp_path / "log.csv", source.sample(np.random.default_rng(0)))
     tracks = []
     for algorithm in (partial(iekf, iterations=1), "ekf"):
-        blocks, switching = (
-            read_log(tmp_path / "log.csv", scene),
-            Switching((Mode("m", algorithm),)),
-        )
-        tracks += localize(blocks, scene, radio, switching)
+        switching = Switching((Mode("m", algorithm),))
+        tracks += localize(read_log(tmp_path / "log.csv", scene), scene, radio, switching)
     own, ours = tracks
     np.testing.assert_allclose(own.smooth_x, ours.smooth_x, rtol=1e-6, atol=1e-6)
 

@@ -183,13 +183,8 @@ def test_a_picture_does_not_depend_on_later_epochs():
 def test_every_kind_of_episode_can_be_drawn(arguments):
     if "backend" in arguments:
         pytest.importorskip("filterpy")
-    env = gym.make(ID, render_mode="rgb_array", **arguments)
-    env.reset(seed=1)
-    for k in range(5):
-        env.step(k % env.action_space.n)
-    shown = env.render()
-    assert near(shown[20:280], LIGHT.truth).sum() > 20
-    assert env.unwrapped._gallery.recorders[0].history.epochs == 5
+    env = played(5, seed=1, **arguments)
+    assert near(env.render()[20:280], LIGHT.truth).sum() > 20
 
 
 def test_an_estimate_that_is_not_finite_can_be_drawn():
