@@ -18,12 +18,7 @@ from tests.damage import changed
 from tests.paths import LOGS, ROOT, json_in
 from tests.schemas import path_of, schemas
 
-READERS = {
-    "scene": read_scene,
-    "radio": read_radio,
-    "modes": read_bank,
-    "mobility": read_mobility,
-}
+READERS = {"scene": read_scene, "radio": read_radio, "modes": read_bank, "mobility": read_mobility}
 SCHEMAS = schemas()
 VALIDATORS = {name: Draft202012Validator(schema) for name, schema in SCHEMAS.items()}
 
