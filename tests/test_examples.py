@@ -109,16 +109,11 @@ def localizer(tmp_path, monkeypatch):
     return names
 
 
-def on_a_street(**receiver):
-    """Return four short episodes of a source with these fields changed."""
-    source = replace(sites()[0].source(), epochs=30, **receiver)
-    return source.sample_batch(keys_of(range(5_000_000, 5_000_004)))
-
-
 @pytest.mark.torch
 @pytest.mark.parametrize("receiver", [{}, {"measurements": ("range", "azimuth")}, {"clock": True}])
 def test_a_localizer_always_states_a_covariance(localizer, receiver):
-    batch = on_a_street(**receiver)
+    source = replace(sites()[0].source(), epochs=30, **receiver)
+    batch = source.sample_batch(keys_of(range(5_000_000, 5_000_004)))
     batch.table[:, 10:, columns_of(batch.layout).signed_sigma] = -1.0  # nothing is measured
     x, P = localizer.Localizer().estimate(Pipeline(default_modes(), batch.layout), batch)
     assert np.isfinite(x).all()

@@ -51,11 +51,6 @@ def iekf(files):
     return importlib.import_module("iekf").iekf
 
 
-@pytest.fixture
-def mine(iekf):
-    return Mode("iekf", iekf, sigma_v=1.8)
-
-
 @pytest.mark.parametrize("odometry", [False, True], ids=["radio", "odometry"])
 @pytest.mark.parametrize("gate", GATES, ids=str)
 @pytest.mark.parametrize("iterations", [1, 3])
@@ -83,7 +78,8 @@ def test_a_log_is_localized_with_a_custom_filter(iekf, tmp_path):
     np.testing.assert_allclose(own.smooth_x, ours.smooth_x, rtol=1e-6, atol=1e-6)
 
 
-def test_a_custom_filter_is_evaluated_like_a_shipped_mode(mine):
+def test_a_custom_filter_is_evaluated_like_a_shipped_mode(iekf):
+    mine = Mode("iekf", iekf, sigma_v=1.8)
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=30)
     scores = score_contenders(
         ["fixed-iekf", "imm"], source, "handset", Selection(range(2)), (mine,)

@@ -9,11 +9,11 @@ from scipy.stats import chi2
 from mmwave_env.filters import textbook
 from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.linearization import SigmaPoints
-from mmwave_env.filters.update import ckf, ekf, ukf, update
+from mmwave_env.filters.modes import ALGORITHMS
+from mmwave_env.filters.update import update
 from tests.filters.problems import HZ_PER_MPS, Problem, assert_same, assume_clear_of, problems
 from tests.refusals import refuses
 
-OURS = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 GATES = [Gate(None), Gate(0.99), Gate(0.5), Gate(0.5, force=1.0), Gate(0.99, robust=True)]
 
 KINDS = {
@@ -27,7 +27,7 @@ KINDS = {
 }
 WHOLE = ["radio", "odometry", "clock"]
 
-algorithms = pytest.mark.parametrize("algorithm", OURS)
+algorithms = pytest.mark.parametrize("algorithm", ALGORITHMS)
 
 
 @algorithms
@@ -41,7 +41,7 @@ def test_an_update_equals_the_textbook(algorithm, kind, data):
     if gate.quantile is not None:
         assume_clear_of(expected.nis, problem.seen, [lambda n: chi2.ppf(gate.quantile, n)])
     visible = problem.visible if "some rows" in kind else None
-    assert_same(problem.ours(OURS[algorithm], gate), expected, visible=visible)
+    assert_same(problem.ours(ALGORITHMS[algorithm], gate), expected, visible=visible)
 
 
 @pytest.mark.parametrize("kind", WHOLE)
@@ -81,7 +81,7 @@ def test_a_planar_update_equals_that_of_the_five_free_states(algorithm, moments,
     assume_clear_of(expected.nis, problem.sensor, [lambda n: chi2.ppf(0.99, n)])
     P = problem.P.copy()
     P[known_axes, :] = P[:, known_axes] = 0.0
-    ours, free = problem.ours(OURS[algorithm], gate, P), sorted(free)
+    ours, free = problem.ours(ALGORITHMS[algorithm], gate, P), sorted(free)
     whole = np.array(ours.P)
     reduced = whole[np.ix_(free, free)]
     assert_same(ours._replace(x=np.array(ours.x)[free], P=reduced), expected)
@@ -106,7 +106,7 @@ def link_to_the_east(azimuth_of_arrival, azimuth_of_departure):
 @pytest.mark.parametrize("departure", [0.05, -0.05, 0.0])
 def test_fused_azimuths_have_the_nis_of_all_rows_even_across_the_cut(algorithm, arrival, departure):
     problem = link_to_the_east(arrival, departure)
-    ours = problem.ours(OURS[algorithm], Gate(None))
+    ours = problem.ours(ALGORITHMS[algorithm], Gate(None))
     mean, S, _ = textbook.METHODS[algorithm](problem.sensor, problem.x, problem.P)
     S = (S + np.diag(problem.R))[:4, :4]
     y = problem.sensor.difference(problem.z, mean)[:4]
