@@ -3,6 +3,8 @@
 import json
 import re
 from pathlib import Path
+from runpy import run_path
+from types import SimpleNamespace
 
 import pytest
 
@@ -14,6 +16,11 @@ RECORDINGS = ROOT / "mmwave_env" / "data" / "deepmimo_canyon28"
 def json_in(path: Path):
     """Return the content of a JSON file."""
     return json.loads(path.read_text("utf-8"))
+
+
+def loaded(path: str):
+    """Run a Python file of the checkout that is not in a package, and return its names."""
+    return SimpleNamespace(**run_path(str(ROOT / path)))
 
 
 def numbers(text: str) -> list[float]:

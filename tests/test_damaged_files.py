@@ -57,13 +57,9 @@ def head(path, lines):
 
 
 def parquet():
-    import pyarrow.csv
-    import pyarrow.parquet
-
+    csv, parquet = map(pytest.importorskip, ("pyarrow.csv", "pyarrow.parquet"))
     memory = io.BytesIO()
-    pyarrow.parquet.write_table(
-        pyarrow.csv.read_csv(io.BytesIO(head(RIDE / "log.csv", 13))), memory
-    )
+    parquet.write_table(csv.read_csv(io.BytesIO(head(RIDE / "log.csv", 13))), memory)
     return {"log.parquet": memory.getvalue()}
 
 
@@ -152,14 +148,8 @@ def read(kind, folder):
         assert not any(np.isnan(array).any() for array in numbers), "the reader accepted a NaN"
 
 
-def needs(kind):
-    if kind == "Parquet log":
-        pytest.importorskip("pyarrow")
-
-
 @pytest.mark.parametrize("kind", READERS)
 def test_an_undamaged_file_is_read(tmp_path, kind):
-    needs(kind)
     for name, content in READERS[kind].files().items():
         raw = isinstance(content, bytes)
         (tmp_path / name).write_bytes(content if raw else json.dumps(content).encode())
@@ -175,7 +165,6 @@ def test_an_undamaged_file_is_read(tmp_path, kind):
 )
 @given(data=st.data())
 def test_a_damaged_file_is_read_or_refused_with_its_name(tmp_path, kind, data):
-    needs(kind)
     reader, folder = READERS[kind], tmp_path / "scenario"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()

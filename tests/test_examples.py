@@ -6,14 +6,12 @@ Examples whose libraries are not installed are skipped; `make examples` installs
 
 import ast
 import gzip
-import os
 import re
 import shlex
 import subprocess
 import sys
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, distribution
-from runpy import run_path
 from types import SimpleNamespace
 
 import numpy as np
@@ -32,7 +30,7 @@ from mmwave_env.task import task_from
 from mmwave_env.world.episode import columns_of
 from mmwave_env.world.keys import keys_of
 from tests.cli import environment
-from tests.paths import RECORDINGS, ROOT, json_in
+from tests.paths import RECORDINGS, ROOT, json_in, loaded
 
 FOLDER = ROOT / "examples"
 # Examples that make data, draw a Pareto front, compare filters or train a localizer, not an agent.
@@ -70,6 +68,15 @@ def test_an_example_is_short(name):
     assert len([line for line in source.splitlines()[begin:] if line.strip()]) <= 30
 
 
+def run(script, *options, cwd, **variables):
+    """Run a Python file with options and environment variables; return what it prints."""
+    words = [sys.executable, "-W", "ignore", *map(str, (script, *options))]
+    more = {"cwd": cwd, "env": environment() | variables}
+    done = subprocess.run(words, capture_output=True, text=True, **more)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
 @pytest.mark.slow
 @pytest.mark.release
 @pytest.mark.parametrize("name", EXAMPLES)
@@ -77,21 +84,17 @@ def test_an_example_beats_the_best_fixed_mode_or_its_base(name, tmp_path):
     source = EXAMPLES[name].read_text("utf-8")
     for module in imported(source):
         pytest.importorskip(module, exc_type=ImportError)
-    paths = {"PYTHONPATH": str(ROOT), "MINARI_DATASETS_PATH": str(tmp_path)}
-    for words in [*made_before(source), [str(EXAMPLES[name])]]:
-        program, env = [sys.executable, "-W", "ignore", *words], os.environ | paths
-        done = subprocess.run(program, env=env, capture_output=True, text=True, cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
-    reward = rewards(done.stdout)
+    for words in [*made_before(source), [EXAMPLES[name]]]:
+        printed = run(*words, cwd=tmp_path, MINARI_DATASETS_PATH=str(tmp_path))
+    reward = rewards(printed)
     bar = "guided" if "guided" in reward else "fixed-ukf"
-    assert next(iter(reward.values())) > reward[bar], done.stdout
+    assert next(iter(reward.values())) > reward[bar], printed
 
 
 @pytest.mark.slow
-def test_a_front_trades_error_for_consistency():
+def test_a_front_trades_error_for_consistency(tmp_path):
     pytest.importorskip("mo_gymnasium")
-    program = [sys.executable, "-W", "ignore", str(FOLDER / "mo_front.py")]
-    printed = subprocess.run(program, check=True, capture_output=True, text=True).stdout
+    printed = run(FOLDER / "mo_front.py", cwd=tmp_path)
     points = np.array(re.findall(r"error (\S+), inconsistency (\S+):", printed), float)
     assert len(points) > 2 and (np.diff(points[:, 0]) < 0).all()
     assert (np.diff(points[:, 1]) >= 0).all()
@@ -101,21 +104,16 @@ def test_a_front_trades_error_for_consistency():
 def localizer(tmp_path, monkeypatch):
     """Run recurrent_localizer.py, save an untrained network for it, and return its names."""
     monkeypatch.chdir(tmp_path)
-    names = SimpleNamespace(**run_path(str(FOLDER / "recurrent_localizer.py")))
+    names = loaded("examples/recurrent_localizer.py")
     names.save_file(names.Network().state_dict(), names.FILE)
     return names
-
-
-def on_a_street(**receiver):
-    """Return four short episodes of a source with these fields changed."""
-    source = replace(sites()[0].source(), epochs=30, **receiver)
-    return source.sample_batch(keys_of(range(5_000_000, 5_000_004)))
 
 
 @pytest.mark.torch
 @pytest.mark.parametrize("receiver", [{}, {"measurements": ("range", "azimuth")}, {"clock": True}])
 def test_a_localizer_always_states_a_covariance(localizer, receiver):
-    batch = on_a_street(**receiver)
+    source = replace(sites()[0].source(), epochs=30, **receiver)
+    batch = source.sample_batch(keys_of(range(5_000_000, 5_000_004)))
     batch.table[:, 10:, columns_of(batch.layout).signed_sigma] = -1.0  # nothing is measured
     x, P = localizer.Localizer().estimate(Pipeline(default_modes(), batch.layout), batch)
     assert np.isfinite(x).all()
@@ -166,7 +164,7 @@ def outputs_of(name):
     nbformat.validate(notebook)
     folder = {"metadata": {"path": NOTEBOOKS}}  # where Jupyter runs it
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
+        patch.setenv("PYTHONPATH", environment()["PYTHONPATH"])
         nbclient.NotebookClient(notebook, resources=folder, timeout=600).execute()
     outputs = [o for cell in notebook.cells if cell.cell_type == "code" for o in cell.outputs]
     printed = "".join(output["text"] for output in outputs if output.get("name"))
@@ -203,20 +201,9 @@ def test_the_notebook_runs_and_its_agent_beats_the_rules():
 # --- examples that make data
 
 
-def loaded(name):
-    return SimpleNamespace(**run_path(str(ROOT / "examples" / f"{name}.py")))
-
-
-def run(name, *options, cwd):
-    words = [sys.executable, ROOT / "examples" / f"{name}.py", *map(str, options)]
-    done = subprocess.run(words, cwd=cwd, env=environment(), capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
 @pytest.mark.parametrize("name", ["raytrace", "sumo"])
 def test_an_example_that_makes_data_is_short(name):
-    assert len((ROOT / "examples" / f"{name}.py").read_text("utf-8").splitlines()) <= 120
+    assert len((FOLDER / f"{name}.py").read_text("utf-8").splitlines()) <= 120
 
 
 # --- SUMO
@@ -240,7 +227,7 @@ def write_traffic(path):
 @pytest.mark.parametrize("name", ["traffic.xml", "traffic.xml.gz"])
 def test_trips_become_ways_from_which_episodes_are_drawn(tmp_path, name):
     write_traffic(tmp_path / name)
-    text = run("sumo", name, "ways.csv", "--shift", 0, -140, cwd=tmp_path)
+    text = run(FOLDER / "sumo.py", name, "ways.csv", "--shift", 0, -140, cwd=tmp_path)
     for part in (
         "4 trips",
         "left out: lost, row 34",
@@ -258,7 +245,7 @@ def test_trips_become_ways_from_which_episodes_are_drawn(tmp_path, name):
 
 def test_the_traffic_is_moved_to_the_middle_of_the_street(tmp_path, capsys):
     write_traffic(tmp_path / "traffic.xml")
-    sumo, street = loaded("sumo"), SCENES["street"]
+    sumo, street = loaded("examples/sumo.py"), SCENES["street"]
     sumo.ways_in(street, sumo.read_trips(tmp_path / "traffic.xml"), 60.0)
     assert "moved by (5.0, -224.5) m" in capsys.readouterr().out  # x 0..150, y 9..280
 
@@ -269,7 +256,7 @@ def test_sumo_makes_traffic(tmp_path):
         distribution("eclipse-sumo")
     except PackageNotFoundError:
         pytest.skip("needs examples/sumo.txt")
-    run("sumo", "--make", 120, "town.xml.gz", "ways.csv", "--least", 40, cwd=tmp_path)
+    run(FOLDER / "sumo.py", "--make", 120, "town.xml.gz", "ways.csv", "--least", 40, cwd=tmp_path)
     assert len(read_ways(tmp_path / "ways.csv").trajectories) > 9
 
 
@@ -309,7 +296,7 @@ def sionna_paths(users_m, hidden=()):
 
 def test_traced_paths_are_written_to_a_folder_and_read_back(tmp_path):
     """Use arrays shaped as in Sionna RT 2.2; the next test runs its solver if it is installed."""
-    raytrace, velocity = loaded("raytrace"), np.tile([10.0, 0.0, 0.0], (21, 1))
+    raytrace, velocity = loaded("examples/raytrace.py"), np.tile([10.0, 0.0, 0.0], (21, 1))
     traced = sionna_paths(USERS[:12], hidden=[3]), sionna_paths(USERS[12:])
     blocks = [raytrace.arrays_of(paths) for paths in traced]
     arrays = {key: raytrace.joined([block[key] for block in blocks]) for key in blocks[0]}
@@ -332,7 +319,7 @@ def test_traced_paths_are_written_to_a_folder_and_read_back(tmp_path):
 def test_tracing_a_shipped_recording_again_gives_the_same_measurements(tmp_path):
     pytest.importorskip("sionna.rt", reason="needs examples/raytrace.txt")
     shipped = RECORDINGS / "canyon28_walk_ride_walk"
-    run("raytrace", shipped / "trajectory.csv", tmp_path / "again", cwd=tmp_path)
+    run(FOLDER / "raytrace.py", shipped / "trajectory.csv", tmp_path / "again", cwd=tmp_path)
     again, expected = read_deepmimo(tmp_path / "again"), read_deepmimo(shipped)
     np.testing.assert_array_equal(again.visible, expected.visible)
     rows = np.repeat(expected.visible, [4, 4, 4, 1], axis=1)

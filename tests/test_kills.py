@@ -17,10 +17,7 @@ from tests.paths import LOGS
 with suppress(ImportError):  # not on systems without fork
     import resource
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork"),
-]
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")]
 HITS, TRIES = 3, 15  # required number of interruptions of a command, maximum number of tries
 TOLD = "told.txt"  # file with a command's output, next to the folder in which the command runs
 LOG, SCENE = (str(LOGS / "canyon28_vehicle" / name) for name in ("log.csv", "scene.json"))

@@ -65,24 +65,19 @@ def test_the_rpe_of_a_track_of_at_most_one_interval_is_zero():
     np.testing.assert_array_equal(rpe(np.ones((2, 5, 3)), 5), [0.0, 0.0])
 
 
-@pytest.mark.parametrize("axes", [2, 3])
-def test_the_nees_interval_is_a_chi_square_interval(axes):
-    expected = chi2.ppf([0.025, 0.975], axes)
-    np.testing.assert_allclose(nees_interval(axes), expected, rtol=1e-12)
-
-
 def test_default_nees_interval_is_95_percent_of_three_axes():
-    np.testing.assert_allclose(nees_interval(), [0.2158, 9.3484], atol=1e-4)
+    np.testing.assert_allclose(nees_interval(), chi2.ppf([0.025, 0.975], 3), rtol=1e-12)
+    np.testing.assert_allclose(nees_interval(2), chi2.ppf([0.025, 0.975], 2), rtol=1e-12)
 
 
-@pytest.mark.parametrize(("epochs", "counted"), [(200, 190), (11, 1), (10, 1), (3, 1), (1, 1)])
+@pytest.mark.parametrize(("epochs", "counted"), [(200, 190), (11, 1), (10, 1), (1, 1)])
 def test_the_first_ten_epochs_do_not_count(epochs, counted):
     assert len(np.arange(epochs)[scored(epochs)]) == counted
 
 
-def columns(seed=0, episodes=3):
+def columns(episodes=3):
     """Return random rewards, errors and NEES of a few episodes."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     return (
         rng.normal(size=(episodes, EPOCHS)),
         rng.normal(size=(episodes, EPOCHS, 3)),
@@ -90,25 +85,19 @@ def columns(seed=0, episodes=3):
     )
 
 
-def test_the_summary_averages_over_all_but_the_first_ten_epochs():
+@pytest.mark.parametrize("axes", [2, 3])
+def test_the_summary_averages_over_all_but_the_first_ten_epochs(axes):
     reward, error, nees = columns()
-    metrics = summary(error, nees, reward=reward)
+    metrics = summary(error, nees, axes=axes, reward=reward)
     assert set(metrics) == set(METRICS)
     np.testing.assert_allclose(metrics["reward"], reward[:, 10:].mean(axis=1))
     np.testing.assert_allclose(metrics["ate_m"], ate(error[:, 10:]))
     np.testing.assert_allclose(metrics["rmse_m"], rmse(error[:, 10:]))
     np.testing.assert_allclose(metrics["rpe_m"], rpe(error[:, 10:]))
     np.testing.assert_allclose(metrics["nees"], nees[:, 10:].mean(axis=1))
-    low, high = chi2.ppf([0.025, 0.975], 3)
+    low, high = chi2.ppf([0.025, 0.975], axes)
     inside = (nees[:, 10:] > low) & (nees[:, 10:] < high)
     np.testing.assert_allclose(metrics["in_bounds"], inside.mean(axis=1))
-
-
-def test_the_bounds_of_the_nees_depend_on_the_number_of_axes():
-    reward, error, _ = columns()
-    nees = np.full(reward.shape, 8.0)  # within the bounds of 3 axes, beyond those of 2
-    assert (summary(error, nees)["in_bounds"] == 1.0).all()
-    assert (summary(error, nees, axes=2)["in_bounds"] == 0.0).all()
 
 
 @pytest.mark.parametrize(("rate", "delta"), [(0.5, 1), (1.0, 1), (2.0, 2), (10.0, 10)])
@@ -118,14 +107,8 @@ def test_the_rpe_of_the_summary_spans_one_second(rate, delta):
     np.testing.assert_allclose(metrics, rpe(error[:, 10:], delta))
 
 
-@pytest.mark.parametrize(("error_m", "diverged"), [(49.9, 0.0), (50.1, 1.0)])
-def test_one_epoch_beyond_50_m_is_divergence(error_m, diverged):
+@pytest.mark.parametrize(("error_m", "diverged"), [(49.9, 0.0), (50.1, 1.0), (np.nan, 1.0)])
+def test_one_epoch_beyond_50_m_or_without_a_finite_error_is_divergence(error_m, diverged):
     _, error, nees = columns(episodes=1)
     error[0, 100] = [error_m, 0.0, 0.0]
     assert summary(error, nees)["divergence_rate"] == [diverged]
-
-
-def test_an_episode_with_a_nan_error_has_diverged():
-    error = np.zeros((1, 20, 3))
-    error[0, 15] = np.nan
-    assert summary(error, np.ones((1, 20)))["divergence_rate"] == 1.0

@@ -15,12 +15,10 @@ from mmwave_env.models.radio import read_radio
 from mmwave_env.models.scene import read_scene
 from mmwave_env.world.mobility import read_mobility
 from tests.damage import changed
-from tests.paths import ROOT, json_in
+from tests.paths import LOGS, ROOT, json_in
 from tests.schemas import path_of, schemas
 
-LOGS = ROOT / "mmwave_env" / "data" / "logs"
-READERS = {"scene": read_scene, "radio": read_radio, "modes": read_bank}
-READERS |= {"mobility": read_mobility}
+READERS = {"scene": read_scene, "radio": read_radio, "modes": read_bank, "mobility": read_mobility}
 SCHEMAS = schemas()
 VALIDATORS = {name: Draft202012Validator(schema) for name, schema in SCHEMAS.items()}
 

@@ -1,22 +1,15 @@
 """Tests of the documentation site, and of the project's description on package indexes."""
 
 import re
-from runpy import run_path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from experiments.console.main import COMMANDS
-from tests.paths import ROOT, json_in
+from tests.paths import ROOT, json_in, loaded
 
 FIRST = "notebooks/first_switcher"
 NAVIGATION = set(re.findall(r"^ +- .*?([\w/-]+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.M))
-
-
-def loaded(path):
-    """Run a Python file that is not in a package, and return its names."""
-    return SimpleNamespace(**run_path(str(ROOT / path)))
 
 
 @pytest.fixture(scope="module")
@@ -35,14 +28,12 @@ ENVIRONMENT, METRICS = "../mmwave_env/env.py", "../mmwave_env/metrics.py"
 @pytest.mark.parametrize(
     ("link", "uri", "expected"),
     [
-        ("results.md#how", "index.md", "results.md#how"),
         ("docs/results.md", "README.md", "results.md"),
         ("results.json", "results.md", "report.html"),
         ("../README.md#train-on-it", "data.md", "index.md#train-on-it"),
         (ENVIRONMENT, "data.md", "environment.md"),
         (METRICS, "data.md", "api/signals.md#mmwave_env.metrics"),
         ("../data.md", "api/index.md", "../data.md"),
-        ("docs/track.png", "README.md", "track.png"),
         (f"{FIRST}.ipynb", "data.md", f"{FIRST}.md"),
         ("LICENSE", "README.md", "REPOSITORY/blob/main/LICENSE"),
         ("../tests/filters", "data.md", "REPOSITORY/tree/main/tests/filters"),

@@ -23,7 +23,6 @@ compiled_scatter = numba.njit(lambda block, rows, targets: tiles.scatter(block, 
 compiled_scatter_single = numba.njit(
     lambda block, rows, targets: tiles.scatter_single(block, rows, targets)
 )
-compiled_address = numba.njit(lambda table, i, j: tiles.address(table, i, j))
 
 
 def some_block(seed):
@@ -64,14 +63,6 @@ def test_scatter_writes_the_rows_and_nothing_else(scatter, dtype, rows, seed):
     expected[::-1, : len(rows)] = block[rows].T
     scatter(block, np.array(rows, np.int64), addresses(room))
     np.testing.assert_array_equal(room, expected)
-
-
-@pytest.mark.parametrize("address", [tiles.address, compiled_address])
-def test_address_returns_where_an_element_of_a_table_is(address):
-    table = np.zeros((5, 4, 3))[1::2, 1:]
-    for i in range(2):
-        for j in range(3):
-            assert address(table, i, j) == table[i, j].ctypes.data
 
 
 USERS = """

@@ -22,6 +22,7 @@ from mmwave_env.models.scene import SCENES, Wall
 from mmwave_env.world.episode import Episode
 from mmwave_env.world.mobility import MOBILITIES
 from mmwave_env.world.simulated import SimulatedSource
+from tests.filters.tracks import TRIANGLE, unpacked
 from tests.refusals import refuses
 
 ASIDE = 0.01  # distance of a tested value from an end of a bound, relative to this end
@@ -130,8 +131,7 @@ def episode():
 def sound(x, P):
     """Return a mask (n,) of tracks with finite x (n, T, 7) and positive definite P (n, T, 28)."""
     finite = np.isfinite(np.concatenate([x, P], axis=2)).all(axis=(1, 2))
-    full, (i, j) = np.zeros((*P.shape[:2], 7, 7)), np.tril_indices(7)
-    full[..., i, j] = full[..., j, i] = np.where(finite[:, None, None], P, np.eye(7)[i, j])
+    full = unpacked(np.where(finite[:, None, None], P, np.eye(7)[TRIANGLE]))
     scale = np.sqrt(np.maximum(np.einsum("...ii->...i", full), 1e-300))
     least = np.linalg.eigvalsh(full / scale[..., :, None] / scale[..., None, :])[..., 0]
     return finite & (least > -1e-9).all(axis=1)  # eigenvalues have rounding errors
@@ -159,7 +159,7 @@ def test_beliefs_are_sound_with_any_one_or_two_quantities_at_the_ends_of_the_env
 
 
 def test_unsound_tracks_are_detected():
-    x, P = np.zeros((3, 2, 7)), np.tile(np.eye(7)[np.tril_indices(7)], (3, 2, 1))
+    x, P = np.zeros((3, 2, 7)), np.tile(np.eye(7)[TRIANGLE], (3, 2, 1))
     P[0, 1, 1] = 1.1  # a correlation above 1
     x[1, 0, 6] = np.nan
     assert sound(x, P).tolist() == [False, False, True]

@@ -9,7 +9,6 @@ from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.filters.bank import Bank, best_bank, default_modes
 from mmwave_env.filters.belief import Belief
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward, terms_of, total
 from mmwave_env.models.measurement import blank_site
 from mmwave_env.models.radio import RADIOS
@@ -17,12 +16,11 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.pytree import indices
 from mmwave_env.world.episode import EpisodeBatch
 from mmwave_env.world.simulated import SimulatedSource
-from tests.filters.tracks import STREET, simulated, unpacked
+from tests.filters.tracks import simulated, unpacked
 from tests.refusals import refuses
 
 N, T = 11, 60
 MODES = default_modes()
-TWO = Pipeline(MODES, STREET)
 
 
 @pytest.fixture(scope="module")
@@ -56,25 +54,21 @@ def test_an_episode_gives_the_same_results_alone_as_in_a_batch(episodes):
 
 
 @pytest.mark.parametrize(
-    "transition",
+    ("name", "value"),
     [
-        [[1.0]],
-        [[0.9, 0.1]],
-        [[0.9, 0.2], [0.1, 0.9]],
-        [[1.1, -0.1], [0.1, 0.9]],
-        [[1.0, 0.0], [1.0, 0.0]],
-        [[np.nan, 1.0], [0.1, 0.9]],
+        ("transition", [[0.9, 0.1]]),
+        ("transition", [[0.9, 0.2], [0.1, 0.9]]),
+        ("transition", [[1.1, -0.1], [0.1, 0.9]]),
+        ("transition", [[1.0, 0.0], [1.0, 0.0]]),
+        ("transition", [[np.nan, 1.0], [0.1, 0.9]]),
+        ("nis_quantile", 0.0),
+        ("nis_quantile", 1.5),
+        ("nis_quantile", np.nan),
     ],
 )
-def test_an_invalid_transition_is_refused(transition):
-    with refuses("transition"):
-        Bank(MODES, transition)
-
-
-@pytest.mark.parametrize("quantile", [0.0, 1.5, float("nan")])
-def test_an_invalid_quantile_is_refused(quantile):
-    with refuses("nis_quantile"):
-        Bank(MODES, nis_quantile=quantile)
+def test_an_invalid_transition_or_quantile_is_refused(name, value):
+    with refuses(name):
+        Bank(MODES, **{name: value})
 
 
 @pytest.mark.slow

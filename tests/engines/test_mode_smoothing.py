@@ -1,7 +1,5 @@
 """Tests of the smoother for interacting modes, against the single-mode smoother and the truth."""
 
-from functools import partial
-
 import numpy as np
 import pytest
 
@@ -14,21 +12,17 @@ from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.metrics import BURN_IN, nees_interval
 from mmwave_env.task import task_from
 from mmwave_env.world.episode import columns_of
+from tests.filters.tracks import unpacked
 
 PARTS = ("x", "P", "x_predicted", "P_predicted", "mixture")
 TUNING = 5_000_000
 
 
-def filtered(task, bank, n):
-    """Return a batch of n episodes, the bank's pipeline, and the filtered tracks of its IMM."""
+def smoothed(task, bank, n):
+    """Return n episodes, the PARTS of an IMM's tracks, their steps (s), and smoothed (x, P)."""
     batch = task.tables(np.arange(TUNING, TUNING + n).astype(np.uint64))
     pipeline = Pipeline(bank.modes, batch.layout, task.pipeline.planar)
-    engine = partial(run_imm, bank, TrackingReward(), planar=pipeline.planar)
-    return batch, pipeline, engine(batch, *PARTS)
-
-
-def smoothed(task, bank, n):
-    batch, pipeline, track = filtered(task, bank, n)
+    track = run_imm(bank, TrackingReward(), batch, *PARTS, planar=pipeline.planar)
     at, hz_per_mps = columns_of(batch.layout), task.simulated.scene.hz_per_mps
     dt, spread = batch.table[..., at.dt], batch.table[..., at.doppler_spread_hz]
     return batch, track, dt, smooth_modes(bank, pipeline, track["mixture"], dt, spread, hz_per_mps)
@@ -37,10 +31,8 @@ def smoothed(task, bank, n):
 def nees(batch, x, P):
     """Return the position error (n, T, 3) and its NEES (n, T), without the burn-in."""
     error = (x[..., :3] - batch.table[..., columns_of(batch.layout).truth[:3]])[:, BURN_IN:]
-    row, column = np.tril_indices(3)
-    covariance = np.empty((*x.shape[:-1], 3, 3))
-    covariance[..., row, column] = covariance[..., column, row] = P[..., :6]
-    solved = np.linalg.solve(covariance[:, BURN_IN:], error[..., None])[..., 0]
+    covariance = unpacked(P)[:, BURN_IN:, :3, :3]
+    solved = np.linalg.solve(covariance, error[..., None])[..., 0]
     return error, (error * solved).sum(axis=-1)
 
 

@@ -7,19 +7,14 @@ import pytest
 
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import run_imm
-from mmwave_env.engines.replay import Replay, smooth
-from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters.bank import Bank, best_bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.radio import RADIOS
-from mmwave_env.world.episode import EpisodeBatch
-from tests.filters.test_imm import textbook_imm
+from tests.filters.gated_textbook import textbook_imm
 from tests.filters.tracks import STREET, simulated, track, unpacked
-from tests.paths import representative
 
-T = 60
 PLAIN = {"gate": None, "adaptive": False, "coupling": False}
 BANK = Bank(
     (Mode("slow", "ekf", sigma_v=0.3, **PLAIN), Mode("fast", "ukf", sigma_v=1.8, **PLAIN)),
@@ -89,39 +84,6 @@ def test_floats_and_lanes_agree():
     )
     for name in names:
         np.testing.assert_allclose(floats[name], lanes[name], rtol=1e-9, atol=1e-9, err_msg=name)
-
-
-@pytest.mark.parametrize("planar", representative([False, True], False))
-def test_a_replay_repeats_the_results_of_the_engine(planar):
-    bank, episodes = BANK, simulated(9, epochs=T)
-    if planar:
-        episodes = [e.on_flat_ground(float(e.truth_position_m[0, 2])) for e in episodes]
-    actions = np.random.default_rng(3).integers(0, 3, (9, T)).astype(np.uint8)
-    stepped = played(bank, episodes, actions, "error", "nees", planar=planar)
-    replay = Replay(Pipeline(bank.modes, STREET, planar), bank)
-    error, nees, smoothed = replay.run(EpisodeBatch.of(episodes), actions)
-    np.testing.assert_allclose(error, stepped["error"], rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(nees, stepped["nees"], rtol=1e-9, atol=1e-9)
-    np.testing.assert_array_equal(smoothed[:, -1], error[:, -1])
-    away = [np.linalg.norm(e, axis=-1)[:, 10:].mean() for e in (smoothed, error)]
-    assert away[0] < 0.9 * away[1]
-
-
-@pytest.mark.slow
-def test_two_equal_modes_are_smoothed_as_a_single_filter():
-    """Check that the smoothed track equals that of a single filter, whichever mode is trusted."""
-    mode = Mode("a", "ukf", sigma_v=1.2)
-    twins, episodes = Bank((mode, replace(mode, name="b"))), simulated(5, epochs=T)
-    actions = np.random.default_rng(4).integers(0, 3, (5, T)).astype(np.uint8)
-    replay = Replay(Pipeline(twins.modes, STREET), twins)
-    _, _, ours = replay.run(EpisodeBatch.of(episodes), actions)
-    tracker = Tracker(Pipeline((mode,), STREET), 5)
-    tracker.load(episodes)
-    run = tracker.run("x", "P", "x_predicted", "P_predicted", "error")
-    predicted = run["x_predicted"], run["P_predicted"]
-    x, _ = smooth(run["x"], run["P"], *predicted, np.ones(T - 1))
-    expected = run["error"] + (x - run["x"])[..., :3]
-    np.testing.assert_allclose(ours, expected, rtol=1e-7, atol=1e-7)
 
 
 def test_environments_of_one_engine_can_have_different_banks():

@@ -1,39 +1,73 @@
 """Tests of replays, which run finished episodes again and smooth them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mmwave_env.engines.replay import Replay, smooth
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.filters.bank import default_modes
+from mmwave_env.filters.bank import Bank, default_modes
+from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.world.episode import EpisodeBatch
+from tests.engines.test_per_mode import BANK
 from tests.filters.tracks import STREET, simulated, track
+from tests.paths import representative
 
 N, T = 11, 60
 ACTIONS = np.random.default_rng(0).integers(0, 2, (N, T)).astype(np.uint8)
+TRUSTED = np.random.default_rng(3).integers(0, 3, (N, T)).astype(np.uint8)  # 0: no mode
+
+
+def flat(episodes):
+    return [e.on_flat_ground(float(e.truth_position_m[0, 2])) for e in episodes]
+
+
+@pytest.mark.parametrize("planar", representative([False, True], False))
+@pytest.mark.parametrize("bank", [None, BANK], ids=["shared beliefs", "per-mode beliefs"])
+def test_a_replay_repeats_the_results_of_the_engine(planar, bank):
+    episodes = flat(simulated(N, epochs=T)) if planar else simulated(N, epochs=T)
+    pipeline = Pipeline(bank.modes if bank else default_modes(), STREET, planar)
+    actions = TRUSTED if bank else ACTIONS
+    played = track(pipeline, episodes, actions.T, T, ("error", "nees"), bank=bank)
+    error, nees, smoothed = Replay(pipeline, bank).run(EpisodeBatch.of(episodes), actions)
+    np.testing.assert_allclose(error, played["error"].swapaxes(0, 1), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(nees, played["nees"].swapaxes(0, 1), rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(smoothed[:, -1], error[:, -1])
+    away = [np.linalg.norm(e, axis=-1)[:, 10:].mean() for e in (smoothed, error)]
+    assert away[0] < 0.9 * away[1]
+
+
+def smoothed_errors(pipeline, episodes, actions=None):
+    """Return the position errors (n, T, 3) of a tracker's smoothed tracks."""
+    tracker = Tracker(pipeline, len(episodes))
+    tracker.load(episodes)
+    parts = ("x", "P", "x_predicted", "P_predicted", "error")
+    x, *more, error = tracker.run(*parts, actions=actions).values()
+    smoothed_x, _ = smooth(x, *more, np.ones(T - 1), pipeline.planar)
+    return error + (smoothed_x - x)[..., :3]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("planar", [False, True])
-def test_a_replay_repeats_the_results_of_the_engine_and_smooths_them(planar):
-    episodes = simulated(N, epochs=T)
-    if planar:
-        episodes = [e.on_flat_ground(float(e.truth_position_m[0, 2])) for e in episodes]
+def test_smoothed_errors_are_those_of_the_smoothed_track(planar):
+    episodes = flat(simulated(N, epochs=T)) if planar else simulated(N, epochs=T)
     pipeline = Pipeline(default_modes(), STREET, planar)
-    played = track(pipeline, episodes, ACTIONS.T, T, ("error", "nees"))
-    error, nees, smoothed = Replay(pipeline).run(EpisodeBatch.of(episodes), ACTIONS)
-    np.testing.assert_allclose(error, played["error"].swapaxes(0, 1), rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(nees, played["nees"].swapaxes(0, 1), rtol=1e-9, atol=1e-9)
-
-    tracker = Tracker(pipeline, N)
-    tracker.load(episodes)
-    run = tracker.run("x", "P", "x_predicted", "P_predicted", "error", actions=ACTIONS)
-    predicted = run["x_predicted"], run["P_predicted"]
-    x, _ = smooth(run["x"], run["P"], *predicted, np.ones(T - 1), planar)
-    expected = run["error"] + (x - run["x"])[..., :3]
+    _, _, smoothed = Replay(pipeline).run(EpisodeBatch.of(episodes), ACTIONS)
+    expected = smoothed_errors(pipeline, episodes, ACTIONS)
     np.testing.assert_allclose(smoothed, expected, rtol=1e-9, atol=1e-9)
-    assert np.abs(smoothed - error).max() > 0.1
+
+
+@pytest.mark.slow
+def test_two_equal_modes_with_their_own_beliefs_are_smoothed_as_a_single_filter():
+    """Check that the smoothed track equals that of a single filter, whichever mode is trusted."""
+    mode, episodes = Mode("a", "ukf", sigma_v=1.2), simulated(N, epochs=T)
+    twins = Bank((mode, replace(mode, name="b")))
+    replay = Replay(Pipeline(twins.modes, STREET), twins)
+    _, _, smoothed = replay.run(EpisodeBatch.of(episodes), TRUSTED)
+    expected = smoothed_errors(Pipeline((mode,), STREET), episodes)
+    np.testing.assert_allclose(smoothed, expected, rtol=1e-7, atol=1e-7)
 
 
 def test_a_replay_does_not_depend_on_the_other_episodes_or_their_order():

@@ -1,6 +1,6 @@
 """Tests of the smoother, against filterpy on a linear model and against numpy on our tracks."""
 
-from functools import partial
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,15 +10,15 @@ from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.engines.replay import smooth
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters import textbook
-from mmwave_env.filters.bank import best_bank, modes_from
-from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters.bank import best_bank
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
-from tests.filters.tracks import TRIANGLE, unpacked
+from tests.filters.tracks import TRIANGLE, pipeline_of, simulated, unpacked
 
 TOLERANCE = 1e-9
+PARTS = ("x", "P", "x_predicted", "P_predicted")
 
 
 def packed(P):
@@ -57,27 +57,25 @@ def test_smoothing_a_linear_model_equals_filterpy(dt):
 
 
 def tracks(planar, n=9, epochs=120):
-    """Return filtered tracks (n, epochs, ...) of an EKF: x, P, x_predicted and P_predicted."""
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=epochs)
-    episodes = [source.sample(np.random.default_rng(seed)) for seed in range(n)]
-    pipeline = Pipeline(modes_from(["ekf"]), source.layout, planar)
-    tracker = Tracker(pipeline, n)
+    """Return times (n, epochs) with random steps, and an EKF's tracks at these times: PARTS."""
+    time_s = np.random.default_rng(0).uniform(0.2, 2.0, (n, epochs)).cumsum(axis=1)
+    episodes = [replace(e, time_s=t) for e, t in zip(simulated(n, epochs), time_s, strict=True)]
+    tracker = Tracker(pipeline_of(algorithms=["ekf"], planar=planar), n)
     tracker.load(episodes)
-    return list(tracker.run("x", "P", "x_predicted", "P_predicted").values())
+    return time_s, list(tracker.run(*PARTS).values())
 
 
 @pytest.mark.parametrize("planar", [False, True])
 def test_smoothed_tracks_equal_a_plain_numpy_smoother(planar):
-    x, P, x_predicted, P_predicted = tracks(planar)
-    time_s = np.arange(x.shape[1], dtype=float)
+    time_s, (x, P, x_predicted, P_predicted) = tracks(planar)
     free = [0, 1, 3, 4, 6] if planar else list(range(7))
     found_x, found_P = smooth(x, P, x_predicted, P_predicted, np.diff(time_s), planar)
     for e in range(len(x)):
         expected_x, expected_P = textbook.rts(
-            x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s, free
+            x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s[e], free
         )
         np.testing.assert_allclose(found_x[e], expected_x, rtol=TOLERANCE, atol=TOLERANCE)
-        block = np.ix_(range(len(time_s)), free, free)
+        block = np.ix_(range(len(x[e])), free, free)
         np.testing.assert_allclose(
             unpacked(found_P[e])[block], expected_P[block], rtol=1e-8, atol=TOLERANCE
         )
@@ -86,15 +84,11 @@ def test_smoothed_tracks_equal_a_plain_numpy_smoother(planar):
 @pytest.fixture(scope="module", params=[1.0, 0.1], ids=["1 s", "0.1 s"])
 def mixture(request):
     """Return dt, true positions (9, T, 3), and an IMM's x, P, x_predicted and P_predicted."""
-    source, bank = (
-        SimulatedSource(SCENES["street"], RADIOS["handset"], dt=request.param),
-        best_bank(),
-    )
+    source = SimulatedSource(SCENES["street"], RADIOS["handset"], dt=request.param)
     episodes = [source.sample(np.random.default_rng(seed)) for seed in range(9)]
-    imm = partial(run_imm, bank, TrackingReward())
-    names = ("x", "P", "x_predicted", "P_predicted")
     truth = np.stack([episode.truth_position_m for episode in episodes])
-    return request.param, truth, list(imm(episodes, *names).values())
+    parts = run_imm(best_bank(), TrackingReward(), episodes, *PARTS)
+    return request.param, truth, list(parts.values())
 
 
 def test_smoothing_a_mixture_equals_plain_numpy(mixture):
@@ -122,22 +116,8 @@ def test_smoothing_a_mixture_reduces_its_errors_and_its_covariances(mixture):
 
 
 def test_smoothing_does_not_change_a_single_epoch():
-    x, P, x_predicted, P_predicted = (part[:1, :1] for part in tracks(planar=False))
+    _, parts = tracks(planar=False)
+    x, P, x_predicted, P_predicted = (part[:1, :1] for part in parts)
     smoothed_x, smoothed_P = smooth(x, P, x_predicted, P_predicted, np.empty(0))
     np.testing.assert_array_equal(smoothed_x, x)
     np.testing.assert_array_equal(smoothed_P, P)
-
-
-def test_each_track_is_smoothed_with_its_own_uneven_steps():
-    rng, n, T = np.random.default_rng(0), 3, 30
-    roots = rng.normal(size=(2, n, T, 7, 7))
-    P, P_predicted = roots @ np.swapaxes(roots, -1, -2) + np.eye(7)
-    x, time_s = rng.normal(size=(n, T, 7)), rng.uniform(0.2, 2.0, (n, T)).cumsum(axis=1)
-    x_predicted, steps = x.copy(), np.diff(time_s)
-    for e, t in np.ndindex(steps.shape):
-        x_predicted[e, t + 1] = textbook.F(steps[e, t]) @ x[e, t]
-    found_x, _ = smooth(x, packed(P), x_predicted, packed(P_predicted), steps)
-    for e in range(n):
-        expected_x, _ = textbook.rts(x[e], P[e], P_predicted[e], time_s[e])
-        # Arbitrary covariances make smoothed states grow; the tolerance is relative to the largest.
-        assert np.abs(found_x[e] - expected_x).max() <= TOLERANCE * np.abs(expected_x).max()

@@ -130,3 +130,36 @@ def iterated(iterations, sensor, groups, links, x, P, z, R, *gate):
         iterate = x + K @ (residual - H @ (x - iterate))
     A = np.eye(len(x)) - K @ H
     return Update(iterate, A @ P @ A.T + K @ R @ K.T, nis, accepted, log_likelihood)
+
+
+def textbook_imm(episode, modes, transitions, nis_quantile=1.0, change=None):
+    """Run the IMM of Bar-Shalom, Li and Kirubarajan 2001, Sec. 11.6.6, without gates.
+
+    ``modes`` are pairs (method, Q of one second), whose noise is not adapted; ``transitions`` has
+    one matrix per epoch. In likelihoods, NIS is capped at the chi-square quantile of
+    ``nis_quantile``. If given, ``change(t, probabilities)`` returns new probabilities after epoch
+    t. The results are x (T, 7), P (T, 7, 7) and probabilities (T, M).
+    """
+    most = chi2.ppf(nis_quantile, [4, 4, 4, 1])
+    sensor = textbook.Sensor(episode.scene_anchors_m, episode.hz_per_mps)
+    M, probability = len(modes), np.full(len(modes), 1.0 / len(modes))
+    x = np.tile(episode.prior_mean, (M, 1))
+    P = np.tile(episode.prior_covariance, (M, 1, 1))
+    out = []
+    for t in range(len(episode)):
+        dt = episode.time_s[t] - episode.time_s[t - 1] if t else 0.0
+        predicted, mixed_x, mixed_P = textbook.mix(probability, transitions[t], x, P)
+        log_likelihood = np.empty(M)
+        for j, (method, Q) in enumerate(modes):
+            prior = textbook.predict(mixed_x[j], mixed_P[j], Q * dt, dt)
+            measured = episode.table()[t, 1:14], episode.sigma[t] ** 2, episode.usable[t]
+            groups = sensor.groups, sensor.links
+            moments = textbook.METHODS[method]
+            step = update(moments, sensor, *groups, *prior, *measured)
+            x[j], P[j] = step.x, step.P
+            log_likelihood[j] = step.log_likelihood + 0.5 * np.maximum(step.nis - most, 0.0).sum()
+        probability = textbook.reweigh(predicted, log_likelihood)
+        if change:
+            probability = change(t, probability)
+        out.append((*textbook.combine(probability, x, P), probability))
+    return [np.array(column) for column in zip(*out, strict=True)]

@@ -43,17 +43,6 @@ def test_a_correction_is_a_shift_and_a_scaling_in_the_frame_of_motion(angle, shi
     assert np.linalg.eigvalsh(np.array(after.P))[0] > 0.0
 
 
-def test_a_correction_of_many_beliefs_equals_one_after_the_other():
-    beliefs = [belief_of(seed, seed) for seed in range(5)]
-    shift, factors = np.random.default_rng(1).normal(size=(2, 3, 5))
-    x = np.array([belief.x for belief in beliefs]).T
-    P = np.moveaxis(np.array([belief.P for belief in beliefs]), 0, -1)
-    together = corrected(Belief(list(x), list(map(list, P))), list(shift), list(factors))
-    for i, belief in enumerate(beliefs):
-        alone = corrected(belief, shift[:, i].tolist(), factors[:, i].tolist())
-        np.testing.assert_allclose(np.array(together.x)[:, i], alone.x, rtol=1e-12)
-
-
 def test_on_flat_terrain_the_height_is_not_corrected():
     belief = belief_of(axes=(0, 1))
     assert corrected(belief, [1.0, 1.0, 5.0], [0.0] * 3).x[2] == belief.x[2]

@@ -11,13 +11,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.update import ekf
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.scene import SCENES
-from tests.filters.tracks import (
-    assert_same_beliefs,
-    pipeline_of,
-    simulated,
-    some_rows,
-    track,
-)
+from tests.filters.tracks import assert_same_beliefs, pipeline_of, simulated, some_rows, track
 from tests.refusals import refuses
 
 EPOCHS = 120

@@ -5,14 +5,13 @@ import pytest
 
 from mmwave_env.filters import textbook
 from mmwave_env.filters.gating import Gate
-from mmwave_env.filters.update import ckf, ekf, ukf
+from mmwave_env.filters.modes import ALGORITHMS
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import NEAREST_M, exact_rows
 from tests.filters.problems import HZ_PER_MPS, Problem, assert_same
 from tests.filters.test_filterpy_reference import both
 from tests.filters.tracks import OwnModel, assert_same_beliefs, pipeline_of, process_noise
 
-OURS = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 ANCHORS = np.array([[0.0, 0.0, 10.0], [80.0, 60.0, 12.0], [-50.0, 70.0, 15.0]])
 SILENT = {"vertical": [1, 3], "anchor": [1, 2, 3, 12]}  # rows that carry no information
 # Name -> offset of the prior mean from the first anchor, m; key of SILENT, or None for no such row.
@@ -25,7 +24,7 @@ OFFSETS = {
     "far enough from the vertical": ((1.2 * NEAREST_M, 0.7 * NEAREST_M, -8.5), None),
     "far enough from the anchor": ((-1.1 * NEAREST_M, 1.2 * NEAREST_M, 0.9 * NEAREST_M), None),
 }
-algorithms = pytest.mark.parametrize("algorithm", OURS)
+algorithms = pytest.mark.parametrize("algorithm", ALGORITHMS)
 everywhere = pytest.mark.parametrize("where", OFFSETS)
 
 
@@ -48,7 +47,7 @@ def near(where, odometry=False):
 def test_an_update_near_an_anchor_equals_the_textbook(algorithm, where, odometry, gate):
     problem = near(where, odometry)
     assert_same(
-        problem.ours(OURS[algorithm], gate),
+        problem.ours(ALGORITHMS[algorithm], gate),
         problem.textbook(textbook.METHODS[algorithm], gate),
         rtol=1e-6,  # next to an anchor, angles change by a thousand radians per meter
     )
@@ -81,7 +80,7 @@ def starts_near(where):
 @everywhere
 def test_tracks_that_start_near_an_anchor_are_finite_and_agree_with_filterpy(where):
     episodes = [starts_near(where).draw(np.random.default_rng(seed), 12) for seed in range(3)]
-    for place, algorithm in enumerate(OURS):
+    for place, algorithm in enumerate(ALGORITHMS):
         pipeline = pipeline_of(algorithms=[algorithm])
         ours, twin = both(pipeline, episodes[place : place + 1], 0, ("x", "P", "nees"))
         assert np.isfinite(ours["x"]).all() and np.isfinite(ours["nees"]).all()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.filters.bank import best_bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
@@ -20,10 +20,10 @@ from tests.filters.tracks import (
     HZ_PER_MPS,
     assert_same_beliefs,
     far_from_the_anchors,
-    imm_track,
     process_noise,
     simulated,
     some_rows,
+    track,
 )
 
 RUNS, EPOCHS, LEVEL = 600, 25, 0.01
@@ -32,13 +32,13 @@ QUIET = {"gate": None, "adaptive": False, "sigma_v": 0.3}
 
 @pytest.mark.slow
 def test_an_imm_in_a_partial_layout_without_missing_rows_equals_the_plain_imm():
-    plain, bank = simulated(2, 100), best_bank("handset")
+    plain, probability = simulated(2, 100), "mixture.probability"
     ours, expected = (
-        imm_track(Pipeline(bank.modes, e[0].layout), e, bank.transition, bank.nis_quantile)
-        for e in ([episode.only(MEASUREMENTS) for episode in plain], plain)
+        run_imm(best_bank("handset"), TrackingReward(), episodes, "x", "P", probability)
+        for episodes in ([episode.only(MEASUREMENTS) for episode in plain], plain)
     )
     assert_same_beliefs(ours, expected, rtol=1e-9)
-    np.testing.assert_allclose(ours["probability"], expected["probability"], rtol=1e-7, atol=1e-12)
+    np.testing.assert_allclose(ours[probability], expected[probability], rtol=1e-7, atol=1e-12)
 
 
 @pytest.fixture(scope="module")
@@ -52,15 +52,9 @@ def runs():
     drawn = [some_rows(model.draw(rng, EPOCHS), rng, 0.5) for _ in range(RUNS)]
     episodes = [with_its_doppler(episode, model) for episode in drawn]
     pipeline = Pipeline((Mode("ekf", "ekf", **QUIET),), episodes[0].layout)
-    engine = Engine(pipeline, RUNS, TrackingReward())
-    engine.reset(episodes)
-    nees, nis = [], []
-    for _ in range(EPOCHS):
-        nis.append(engine.read(engine.at.candidates[0].nis))
-        engine.step(np.zeros(RUNS, np.int64))
-        nees.append(engine.read(engine.at.nees))
+    results = track(pipeline, episodes, 0, EPOCHS, ("nees", "memory.nis"))
     rows = np.isfinite([episode.measurement for episode in episodes]).swapaxes(0, 1)
-    return np.array(nees), np.array(nis), rows
+    return results["nees"], results["memory.nis"], rows
 
 
 def with_its_doppler(episode, model):

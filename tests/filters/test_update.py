@@ -9,15 +9,16 @@ from scipy.stats import chi2
 from mmwave_env.filters import textbook
 from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.linearization import SigmaPoints
-from mmwave_env.filters.update import ckf, ekf, ukf, update
+from mmwave_env.filters.modes import ALGORITHMS
+from mmwave_env.filters.update import update
 from tests.filters.problems import HZ_PER_MPS, Problem, assert_same, assume_clear_of, problems
 from tests.refusals import refuses
 
-OURS = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 GATES = [Gate(None), Gate(0.99), Gate(0.5), Gate(0.5, force=1.0), Gate(0.99, robust=True)]
 
 KINDS = {
     "radio": {},
+    "nine anchors": {"anchors": 9},  # too many for one logarithm of their determinants' product
     "odometry": {"odometry": True},
     "some rows": {"partial": True},
     "odometry and some rows": {"odometry": True, "partial": True},
@@ -26,7 +27,7 @@ KINDS = {
 }
 WHOLE = ["radio", "odometry", "clock"]
 
-algorithms = pytest.mark.parametrize("algorithm", OURS)
+algorithms = pytest.mark.parametrize("algorithm", ALGORITHMS)
 
 
 @algorithms
@@ -40,15 +41,7 @@ def test_an_update_equals_the_textbook(algorithm, kind, data):
     if gate.quantile is not None:
         assume_clear_of(expected.nis, problem.seen, [lambda n: chi2.ppf(gate.quantile, n)])
     visible = problem.visible if "some rows" in kind else None
-    assert_same(problem.ours(OURS[algorithm], gate), expected, visible=visible)
-
-
-@given(problem=problems(anchors=9))
-@settings(max_examples=3, deadline=None)
-def test_determinants_of_many_links_equal_the_textbook(problem):
-    """Use nine links, too many to take a single logarithm of the product of their determinants."""
-    expected = problem.textbook(textbook.tangent, Gate(None))
-    assert_same(problem.ours(ekf, Gate(None)), expected)
+    assert_same(problem.ours(ALGORITHMS[algorithm], gate), expected, visible=visible)
 
 
 @pytest.mark.parametrize("kind", WHOLE)
@@ -88,7 +81,7 @@ def test_a_planar_update_equals_that_of_the_five_free_states(algorithm, moments,
     assume_clear_of(expected.nis, problem.sensor, [lambda n: chi2.ppf(0.99, n)])
     P = problem.P.copy()
     P[known_axes, :] = P[:, known_axes] = 0.0
-    ours, free = problem.ours(OURS[algorithm], gate, P), sorted(free)
+    ours, free = problem.ours(ALGORITHMS[algorithm], gate, P), sorted(free)
     whole = np.array(ours.P)
     reduced = whole[np.ix_(free, free)]
     assert_same(ours._replace(x=np.array(ours.x)[free], P=reduced), expected)
@@ -113,19 +106,13 @@ def link_to_the_east(azimuth_of_arrival, azimuth_of_departure):
 @pytest.mark.parametrize("departure", [0.05, -0.05, 0.0])
 def test_fused_azimuths_have_the_nis_of_all_rows_even_across_the_cut(algorithm, arrival, departure):
     problem = link_to_the_east(arrival, departure)
-    ours = problem.ours(OURS[algorithm], Gate(None))
+    ours = problem.ours(ALGORITHMS[algorithm], Gate(None))
     mean, S, _ = textbook.METHODS[algorithm](problem.sensor, problem.x, problem.P)
     S = (S + np.diag(problem.R))[:4, :4]
     y = problem.sensor.difference(problem.z, mean)[:4]
     assert np.all(np.abs(y[[1, 3]]) < 0.1)
     assert ours.nis[0] == pytest.approx(y @ np.linalg.inv(S) @ y, rel=1e-9)
     assert_same(ours, problem.textbook(textbook.METHODS[algorithm], Gate(None)))
-
-
-def test_a_link_with_disagreeing_azimuths_is_rejected_even_if_their_mean_fits():
-    agreeing, disagreeing = link_to_the_east(np.pi, 0.0), link_to_the_east(-np.pi + 0.15, -0.1)
-    assert agreeing.ours(ekf, Gate(0.99)).accepted[0] == 1.0
-    assert disagreeing.ours(ekf, Gate(0.99)).accepted[0] == 0.0
 
 
 @given(problem=problems(odometry=True, clock=True))

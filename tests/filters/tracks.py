@@ -7,10 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters import textbook
-from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
@@ -169,14 +167,6 @@ def track(pipeline, episodes, actions, epochs, parts, on_floats=False, bank=None
         predicted = tracker.run("P_predicted", actions=actions.T)["P_predicted"]
         arrays["P_predicted"] = predicted.swapaxes(0, 1)
     return arrays
-
-
-def imm_track(pipeline, episodes, transition=None, nis_quantile=1.0):
-    """Return x, P, probabilities and NEES of an IMM at every epoch, each (epochs, n, ...)."""
-    names = {"x": "x", "P": "P", "nees": "nees", "probability": "mixture.probability"}
-    bank = Bank(pipeline.modes, transition, nis_quantile)
-    results = run_imm(bank, TrackingReward(), episodes, *names.values())
-    return {name: results[part].swapaxes(0, 1) for name, part in names.items()}
 
 
 def unpacked(P):
