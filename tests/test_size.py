@@ -16,11 +16,11 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 33_496,
+    "lines of source": 33_499,
     "tokens of source": 227_285,
     "files of source": 239,
-    "lines of tests": 25_180,
-    "tokens of tests": 225_455,
+    "lines of tests": 24_300,
+    "tokens of tests": 217_310,
     "words of docs": 49_400,
     "pages of docs": 24,
     "tracked files": 660,
@@ -37,7 +37,7 @@ ROOMS = {  # maximum lines of source in a folder
     "mmwave_env/datasets": 1_645,
     "mmwave_env/engines": 2_175,
     "mmwave_env/filters": 2_385,
-    "mmwave_env/localization": 2_765,
+    "mmwave_env/localization": 2_767,
     "mmwave_env/world": 2_135,
 }
 SOURCE = ("mmwave_env", "experiments", "policies")
