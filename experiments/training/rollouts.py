@@ -138,7 +138,7 @@ class RolloutLearner:
 
 
 class RolloutTraining:
-    """A training in progress.
+    """A training by rollouts, in progress.
 
     Args:
         job: training to run; if its folder has a checkpoint, the training continues from it.
