@@ -53,8 +53,8 @@ class Branches:
         """Try every action in the current state of every environment.
 
         Args:
-            act: function from observations (copies, features) to the actions of all epochs but the
-                first; copies whose first action is 0 come first, then those with action 1, ...
+            act: function from observations (copies, features) to actions, for all epochs but the
+                first. The copies whose first action is 0 come first, then the copies with 1, ...
             weights: (n, horizon) weights of the rewards.
 
         Returns:

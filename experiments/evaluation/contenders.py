@@ -126,7 +126,7 @@ Make = Callable[[], Contender]
 
 
 def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:
-    """Return, by name, functions that make the bank of each IMM; they read files when called."""
+    """Return, by name, functions that make each IMM's bank, and read files only when called."""
     return {"imm": lambda: Bank(default_modes(radio)), BEST_IMM: lambda: best_bank(radio)}
 
 
@@ -146,7 +146,7 @@ def _of_any_modes(bank: Bank) -> dict[str, Make]:
 
 
 def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
-    """Return, by name, functions that make the contenders; they read files when called.
+    """Return, by name, functions that make the contenders, and read files only when called.
 
     Args:
         radio: radio profile, a name or a JSON file.

@@ -211,9 +211,9 @@ def standing(figures: Json) -> str:
 def ranking(entries: Sequence[Json]) -> str:
     """Return a Markdown table of all entries, ranked by their mean gain at the training sites.
 
-    An entry is marked and comes last if it has fewer episodes at a simulated site, or fewer draws
-    on a recording, than the protocol requires, because luck would decide its rank. The
-    clairvoyant needs only the episodes and draws that scores use.
+    The protocol requires EPISODES at each simulated site and DRAWS of each recording, and of the
+    clairvoyant only those that scores use. An entry with fewer is marked and comes last, because
+    luck would decide its rank.
     """
     rows: list[tuple[bool, float, list[Any]]] = []
     for content in entries:
