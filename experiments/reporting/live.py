@@ -69,7 +69,7 @@ def _epochs(
 ) -> Iterator[LiveEpoch]:
     """Read rows (CSV below a header, or JSON objects); yield the epochs that they form.
 
-    An object is a row or, as {"rows": [...]}, all rows of an epoch. Line 1 must name all columns.
+    A JSON object is one row; {"rows": [...]} has an epoch's rows. Line 1 must name all columns.
     """
     lines = _lines(stream)
     number, first = next(lines, (0, ""))
