@@ -1,8 +1,8 @@
 """Branches of environments, in which every action is tried, and a policy that knows the truth.
 
 The world does not depend on actions. So all branches of an environment have the same measurements
-(common random numbers). The noise of the measurements cancels out in the differences between
-values of actions.
+(common random numbers). Values of actions then differ only because of the actions, not because of
+different noise.
 """
 
 import math
