@@ -91,7 +91,7 @@ def _tuned_modes(args: Args) -> tuple[Content, Content]:
     from mmwave_env.models.radio import radio_from
 
     radio = radio_from(args.radio)
-    modes = modes_from(args.modes, radio.base)  # names are those of a shipped radio
+    modes = modes_from(args.modes, radio.base)  # a name selects a mode of this shipped profile
     if len(args.scenarios) != len(modes):
         raise ValueError(
             f"scenarios: found {len(args.scenarios)}, expected {len(modes)}, one for each of the "

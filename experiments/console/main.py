@@ -112,7 +112,7 @@ def _complain(program: str, error: BaseException, debug: bool) -> None:
 def run(name: str, words: Sequence[str] | None = None) -> None:
     """Run one command; exit with 2 after bad input, and with 1 after an internal error.
 
-    With ``words`` None, the options of the command are the words of ``sys.argv``.
+    If ``words`` is None, the options of the command are read from ``sys.argv``.
     """
     program, words = f"mmwave-loc {name}", sys.argv[1:] if words is None else words
     debug = "--debug" in words

@@ -40,7 +40,7 @@ def note(text: str) -> None:
 
 @contextmanager
 def progress(label: str) -> Iterator[Callable[[float], None]]:
-    """Show a bar that pulses until the yielded function is called with the share that is done."""
+    """Show a bar; yield a function to call with the fraction of the work that is done, 0 to 1."""
     with bars() as shown:
         task = shown.add_task(printable(label), total=None)
         yield lambda share: shown.update(task, completed=share, total=1.0)

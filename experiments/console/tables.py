@@ -16,7 +16,7 @@ CELL = re.compile(r"((?:\\.|[^|\\])*)\|")  # a cell, with the | that ends it
 UNIT = re.compile(r" (?=(?:m|s|%)(?: |$))")  # the space before a unit, where a line must not break
 GLUED = "\u00a0"  # a space where :mod:`textwrap` does not break
 GAP = 2  # spaces between columns
-# Characters that are markup in Markdown or HTML, such as _ unless it is within a word.
+# Characters that Markdown or HTML reads as markup. The sign _ is one only at the edge of a word.
 _READ = re.compile(
     r"[\\`*|$~]|<(?=[A-Za-z/!?])|&(?=[A-Za-z#])|\](?=[(\[:])"
     r"|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])"

@@ -30,7 +30,7 @@ _EPOCHS = 25
 
 
 def about() -> Json:
-    """Return the report for JSON; compiling kernels that are not cached takes about a minute."""
+    """Return the report as JSON; if kernels must be compiled, this takes about a minute."""
     with ended_by_the_system():  # Python handles no signals during the compiler's long calls
         tests = self_test()
     return {

@@ -28,7 +28,7 @@ TRIED = 3  # number of random observations to try an agent on
 
 
 class Estimator(Policy):
-    """An agent for comparisons that tracks users by itself instead of choosing filters.
+    """An agent that tracks users itself, without the filters; it works only in comparisons.
 
     Attributes:
         at_once: whether one call of :meth:`track` handles all n episodes, with arrays (n,) in
@@ -43,8 +43,8 @@ class Estimator(Policy):
         """Yield a mean (7,) and a packed covariance (28,) after every epoch.
 
         A mean is [px, py, pz, vx, vy, vz, Doppler bias], in m, m/s and Hz; a packed covariance is
-        its lower triangle, row by row. If the clock's offset is unknown, shapes are (8,) and (36,).
-        The pipeline has the radio's default modes, the layout and the terrain.
+        its lower triangle, row by row. An unknown clock offset is an eighth number; shapes are then
+        (8,) and (36,). The pipeline has the radio's default modes, the layout and the terrain.
         """
         raise NotImplementedError
 

@@ -1,4 +1,4 @@
-"""Tasks, contenders (policies and IMMs) and episodes that the options of a command ask for."""
+"""Tasks, contenders (policies and IMMs) and episodes that the options of a command describe."""
 
 import warnings
 from collections.abc import Sequence

@@ -1,8 +1,8 @@
 """Branches of environments, in which every action is tried, and a policy that knows the truth.
 
-The world does not depend on actions. So branches of an environment have the same measurements
-whatever their actions are, and differences of value between actions are free of the noise between
-episodes (common random numbers).
+The world does not depend on actions. So all branches of an environment have the same measurements
+(common random numbers). Values of actions then differ only because of the actions, not because of
+different noise.
 """
 
 import math
@@ -34,7 +34,7 @@ class Branches:
     """Copies of an engine's n environments, one set per action, that run ahead of the originals.
 
     Args:
-        engine: engine whose episodes are loaded as tables.
+        engine: engine that has loaded whole episodes, so that coming epochs can be copied.
         horizon: number of epochs to run ahead.
     """
 
@@ -53,8 +53,8 @@ class Branches:
         """Try every action in the current state of every environment.
 
         Args:
-            act: function from observations (copies, features) to the actions of all epochs but the
-                first; copies whose first action is 0 come first, then those with action 1, ...
+            act: function from observations (copies, features) to actions, for all epochs but the
+                first. The copies whose first action is 0 come first, then the copies with 1, ...
             weights: (n, horizon) weights of the rewards.
 
         Returns:
@@ -85,7 +85,7 @@ class Clairvoyant(Policy):
 
     In every epoch it tries each action (trust one mode, or none) on the same measurements, followed
     by epochs in which no mode is trusted, and takes the action with the largest sum of rewards
-    within :data:`HORIZON_S`. It even knows the noise, so policies without the truth earn far less.
+    within :data:`HORIZON_S`. It even knows future noise; policies without the truth earn far less.
     """
 
     _branches: Branches | None = None

@@ -28,9 +28,9 @@ def score_of(gain: float, possible: float) -> float | None:
     """Return a policy's score: 0 is the paper's rule, 100 the clairvoyant (which knows the truth).
 
     Args:
-        gain: reward of the policy minus that of the rule.
-        possible: reward of the clairvoyant minus that of the rule; the score is None unless this
-            is positive.
+        gain: the policy's reward minus the rule's reward.
+        possible: the clairvoyant's reward minus the rule's reward. If it is not positive, the
+            score is None.
     """
     return 100.0 * (gain / possible) if possible > 0.0 else None
 

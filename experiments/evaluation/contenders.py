@@ -41,8 +41,8 @@ class Contender:
 
     Attributes:
         name: name on the command line and in results.
-        bank: filter modes to choose from or to mix; their interaction matters only for an IMM and
-            with beliefs "per-mode".
+        bank: filter modes to choose from or to mix. Its transition probabilities and NIS quantile
+            matter only for an IMM, or if beliefs are "per-mode".
         policy: function from an :class:`Observation` to a policy; None for the IMM of the bank.
         observation: kind of observation that the policy reads: "full", "prior" or "signed".
         beliefs: beliefs of the modes, "shared" or "per-mode".
@@ -58,8 +58,8 @@ class Contender:
     def learned(cls, path: AnyPath, name: str | None = None, radio: str = "handset") -> "Contender":
         """Return a contender for the learned policy in a file, or for a shipped policy by name.
 
-        A policy with several banks gets its bank for ``radio``. If ``name`` is None, the path is
-        the name.
+        A policy that has a bank for each radio uses the bank for ``radio``. If ``name`` is None,
+        the path is the name.
         """
         policy = learned_policy(path)
         return cls(
@@ -82,9 +82,9 @@ class Contender:
     ) -> "Contender":
         """Return a contender for a user's agent, a function from observations to actions (n,).
 
-        ``modes`` None stands for the radio profile's defaults. The agent's attributes ``modes``,
-        ``observation`` and ``beliefs`` override the arguments, as does its method ``bank(radio)``
-        if beliefs are "per-mode".
+        If ``modes`` is None, the agent gets the radio profile's default modes. The agent's own
+        attributes ``modes``, ``observation`` and ``beliefs`` override the arguments. If beliefs are
+        "per-mode", its method ``bank(radio)`` overrides ``modes``, too.
 
         Raises:
             ValueError: modes or beliefs are unknown; the message lists the valid ones.
@@ -126,7 +126,7 @@ Make = Callable[[], Contender]
 
 
 def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:
-    """Return, by name, functions that make the bank of each IMM; they read files when called."""
+    """Return, by name, functions that make each IMM's bank, and read files only when called."""
     return {"imm": lambda: Bank(default_modes(radio)), BEST_IMM: lambda: best_bank(radio)}
 
 
@@ -146,7 +146,7 @@ def _of_any_modes(bank: Bank) -> dict[str, Make]:
 
 
 def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
-    """Return, by name, functions that make the contenders; they read files when called.
+    """Return, by name, functions that make the contenders, and read files only when called.
 
     Args:
         radio: radio profile, a name or a JSON file.

@@ -13,7 +13,7 @@ from mmwave_env.world.keys import Keys
 from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Trajectory
 
-DURATION_S = 800  # duration of a way (trajectory); an episode is a window of 200 s
+DURATION_S = 800  # duration of a trajectory, s; an episode is a random window of 200 s
 STREET, HANDSET = SCENES["street"], RADIOS["handset"]
 
 
@@ -24,13 +24,13 @@ class Misstated(SimulatedSource):
     stated: float = 1.0  # ratio of stated to true standard deviations
 
     def episodes(self, keys: Keys) -> list[Episode]:
-        """Return episodes by their keys (n,), numbers that determine them."""
+        """Return the episodes that ``keys`` (n,) determine, with misstated noise."""
         episodes = super().episodes(keys)
         return [replace(episode, sigma=self.stated * episode.sigma) for episode in episodes]
 
 
 def corners() -> Trajectory:
-    """Return the way of a car at 10 m/s that turns at every crossing of the default street."""
+    """Return the path of a car at 10 m/s that turns at every crossing of the default scene."""
     crossings = np.array([(0, 0), (1, 0), (1, 1), (2, 1), (2, 2), (1, 2), (1, 1), (0, 1)])
     block_s = round(STREET.streets.block_m / 10.0)
     nodes = STREET.streets.block_m * np.resize(crossings, (DURATION_S // block_s + 1, 2))
@@ -39,7 +39,7 @@ def corners() -> Trajectory:
 
 
 def bus() -> Trajectory:
-    """Return the way of a bus to and fro on a straight street, with a stop of 15 s every 300 m."""
+    """Return the path of a bus that goes to and fro and stops for 15 s every 300 m."""
     speed_mps = np.interp(np.arange(50), [0, 10, 25, 35], [0, 12, 12, 0])
     gone = np.cumsum(np.resize(speed_mps, DURATION_S)) % 600.0
     x = np.minimum(gone, 600.0 - gone) - 150.0

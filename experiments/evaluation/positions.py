@@ -27,7 +27,7 @@ HEADER = (
 class Positions:
     """Position errors of all scored epochs, with protection levels."""
 
-    names: Mapping[str, str]  # contender's name -> name to show; other contenders are skipped
+    names: Mapping[str, str]  # contender's name -> name to show; contenders not named are skipped
     levels: Levels = field(default_factory=Levels)
     anchors: int = 3  # number of anchors in the episodes
     planar: bool = False  # whether the height is known
@@ -55,9 +55,9 @@ class Positions:
 def positions_markdown(title: str, rows: Json, risk: float, kind: str) -> str:
     """Return a table of errors and protection levels, with a note on the columns.
 
-    ``rows`` maps the names in the first column, which is headed ``title``, to figures of
-    :class:`~mmwave_env.localization.position_errors.PositionErrors`. ``risk`` is the probability
-    that an error exceeds its level, and ``kind`` is "calibrated" or "gaussian", as in Levels.
+    The first column has the header ``title`` and contains the keys of ``rows``, whose values are
+    figures of :class:`~mmwave_env.localization.position_errors.PositionErrors`. ``risk`` is the
+    probability that an error exceeds its level. ``kind`` is "calibrated" or "gaussian".
     """
     cells = [
         [f"{name}, {kind}", *row_of(errors)]

@@ -37,7 +37,7 @@ UNSEEN_SCENES, UNSEEN_RADIOS = ("avenue", "plaza", "alley"), ("tablet",)
 UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
 OTHER_RADIOS = ("handset", "standard")  # radios for unseen streets and for recordings
 EPISODES, DRAWS = 2000, 200  # episodes at each simulated site, and drawn from each recording
-CEILING_EPISODES, CEILING_DRAWS = 400, 20  # scores use only the first episodes and draws
+CEILING_EPISODES, CEILING_DRAWS = 400, 20  # scores use only this many first episodes and draws
 PUBLISHED = Path(__file__).parents[2] / "docs" / "leaderboard"  # folder of the published entries
 
 
@@ -192,7 +192,7 @@ def add_scores(entries: Iterable[Json], ceiling: Json | None) -> None:
 
 
 def tables_of(entries: Sequence[Json], ceiling: Json | None) -> dict[str, str]:
-    """Return all tables of entries with their scores, by title."""
+    """Return all tables, by title, of entries in which :func:`add_scores` has set the scores."""
     scores = by_score(entries, ceiling)
     return {"leaderboard": ranking(entries), "scores": scores, "sites": by_site(entries)}
 
@@ -211,9 +211,9 @@ def standing(figures: Json) -> str:
 def ranking(entries: Sequence[Json]) -> str:
     """Return a Markdown table of all entries, ranked by their mean gain at the training sites.
 
-    An entry is marked and comes last if it has fewer episodes at a simulated site, or fewer draws
-    on a recording, than the protocol requires, because luck would decide its rank. The
-    clairvoyant needs only the episodes and draws that scores use.
+    The protocol requires EPISODES at each simulated site and DRAWS of each recording, and of the
+    clairvoyant only those that scores use. An entry with fewer is marked and comes last, because
+    luck would decide its rank.
     """
     rows: list[tuple[bool, float, list[Any]]] = []
     for content in entries:

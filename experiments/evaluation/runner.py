@@ -50,7 +50,7 @@ class Scoring(NamedTuple):
 PLAIN = Scoring()
 Scores = dict[str, Array]  # metric -> (episodes,)
 
-# results by name: "reward" and "nees" (n, T), "error" (n, T, 3); for policies also "mode" (n, T)
+# Results of n episodes: "reward", "nees" (n, T), "error" (n, T, 3); for policies also "mode" (n, T)
 EpochResults = dict[str, NDArray[Any]]
 
 PARTS = ("reward", "nees", "error")
@@ -229,8 +229,8 @@ def score_contenders(
         names: contenders, or their names, which :func:`contender_from` looks up.
         source, selection: source of the episodes, and the seeds of the episodes to run.
         radio, modes: radio profile and modes that :func:`contender_from` gets for each name.
-        watch: functions called with a contender, the times (T,) and the contender's epoch results.
-        after: parts of the state for ``watch``, as in :func:`run_contender`.
+        watch: functions called with a contender, the times (T,) and its results in every epoch.
+        after: parts of the state that these results include, as in :func:`run_contender`.
 
     Raises:
         ValueError: a contender is unknown, or occurs twice.

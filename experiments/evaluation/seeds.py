@@ -19,7 +19,7 @@ SEEDS_EACH = 1_000_000  # number of seeds that each training owns
 
 @dataclass(frozen=True)
 class Selection:
-    """Episodes of a source, by their seeds.
+    """A selection of a source's episodes, by their seeds.
 
     Raises:
         ValueError: there are no seeds, or one is negative.

@@ -10,7 +10,7 @@ from mmwave_env.io.lookup import printable, require_extra, spelled
 from mmwave_env.rendering.theme import THEMES, hex_of
 
 STYLE = Path(__file__).with_name("publication.mplstyle")
-UNDATED: dict[str, dict[str, Any]] = {  # metadata without dates: equal pictures are equal files
+UNDATED: dict[str, dict[str, Any]] = {  # metadata without dates, so equal pictures give equal files
     ".png": {},
     ".svg": {"Date": None},
     ".pdf": {"CreationDate": None},

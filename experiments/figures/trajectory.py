@@ -100,7 +100,7 @@ def _draw_ellipses(axes: Any, track: DrawnTrack) -> None:
 
 
 def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
-    """Draw the anchors in the bounding box of a track, enlarged by its extent (at least 30 m)."""
+    """Draw anchors no farther from the track's bounding box than the track's extent, or 30 m."""
     low, high = position.min(axis=0), position.max(axis=0)
     reach = max(float((high - low).max()), 30.0)
     middle = 0.5 * (low + high)

@@ -191,7 +191,7 @@ def _drifting_in_hz(mode: Mode, episode: Episode) -> Mode:
 
 
 def _read_as_mps(episode: Episode) -> Episode:
-    """Return an episode in which a filter takes shifts in Hz for m/s; their noise is in m/s."""
+    """Return an episode whose shifts (Hz) a filter takes for m/s; their noise is in m/s."""
     sigma = episode.sigma.copy()
     sigma[:, episode.layout.doppler] /= episode.hz_per_mps
     return replace(episode, hz_per_mps=1.0, sigma=sigma)

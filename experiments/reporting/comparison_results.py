@@ -46,7 +46,7 @@ def results(
     """Run contenders on the episodes that options select.
 
     If a name is the folder of a run, the run's median training is shown. ``pictures`` maps the
-    options "errors" and "consistency" to files; each picture in them is ``width_mm`` wide.
+    options "errors" and "consistency" to the files to write; each picture is ``width_mm`` wide.
 
     Raises:
         ValueError: an option is not valid, or both pictures have the same file.

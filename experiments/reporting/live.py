@@ -20,7 +20,7 @@ from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import clock_from
 from mmwave_env.models.scene import Scene, scene_from
 
-LONGEST_LINE = 1 << 16  # bytes; a longer line is not a row
+LONGEST_LINE = 1 << 16  # bytes; a longer line causes a warning and is left out
 SOURCE = "standard input"
 
 
@@ -60,7 +60,7 @@ def run_live(args: LogArgs) -> None:
 
 
 def _content(position: Position) -> Json:
-    """Return the content of a line, without unknown values."""
+    """Return the content of an output line; leave out unknown values."""
     return {name: value for name, value in position._asdict().items() if value is not None}
 
 
@@ -69,7 +69,7 @@ def _epochs(
 ) -> Iterator[LiveEpoch]:
     """Read rows (CSV below a header, or JSON objects); yield the epochs that they form.
 
-    An object is a row or, as {"rows": [...]}, all rows of an epoch. Line 1 must name all columns.
+    A JSON object is one row; {"rows": [...]} has an epoch's rows. Line 1 must name all columns.
     """
     lines = _lines(stream)
     number, first = next(lines, (0, ""))

@@ -37,7 +37,7 @@ class Choice(NamedTuple):
 
 
 def is_algorithm_1(args: LogArgs) -> bool:
-    """Return whether any option is set that asks for the paper's Algorithm 1."""
+    """Return whether an option of the paper's Algorithm 1 is set."""
     chosen = args.speed is not None or args.modes is not None
     return chosen or args.robust or args.follow != "prediction"
 
@@ -67,7 +67,7 @@ def require_one_choice(args: LogArgs) -> None:
 
 
 def choice_of(args: LogArgs, radio: str, block: LogBlock) -> Choice:
-    """Return the choice that options ask for.
+    """Return the choice that options describe.
 
     The default is a policy, or an IMM if ``block``, the beginning of the log, has no elevations.
 
@@ -112,7 +112,7 @@ def modes_of(args: LogArgs, radio: str) -> tuple[Mode, ...]:
 
 
 def _algorithm_1(args: LogArgs, modes: tuple[Mode, ...]) -> Choice:
-    """Return the pipelines of Algorithm 1, Step 3, and the rule that chooses one, if any."""
+    """Return the choice of Algorithm 1, Step 3: two pipelines and a rule, or one for a speed."""
     if args.speed in (None, "auto"):
         rule, followed = RULES[args.follow]
         why = f"chosen by whether {followed} speed is above {SLOW_MPS:g} m/s"

@@ -91,7 +91,7 @@ def _check(args: LogArgs, files: Inputs) -> None:
         )
     if args.height is not None and not np.isfinite(args.height):
         raise ValueError(f"height: found {args.height}, expected a number of meters")
-    Levels(args.risk, args.levels)  # raises if there are no such levels for this risk
+    Levels(args.risk, args.levels)  # raises if levels of this kind do not exist for the risk
     if args.plot is not None:
         require_picture("plot", args.plot)
     owners: dict[Path, str] = {}

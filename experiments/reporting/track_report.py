@@ -20,9 +20,9 @@ _POSITION = [0, 1, 3, 1, 2, 4, 3, 4, 5]  # indices of the position's 3 x 3 entri
 
 
 class TrackSampler:
-    """Every n-th epoch of a track, where n is a power of two that grows with the track.
+    """A sample of a track: every n-th epoch, where n is a power of two that grows with the track.
 
-    ``modes`` are names; ``anchors_m`` (L, 3) are positions, the physical gNB first.
+    ``modes`` are names of modes. ``anchors_m`` (L, 3) are the anchors, the base station first.
     """
 
     def __init__(self, modes: Sequence[str], anchors_m: Array) -> None:

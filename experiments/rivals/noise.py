@@ -89,7 +89,7 @@ def student_t(
     """Update a belief, assuming Student-t noise.
 
     ``gate`` is ignored; it is an argument only so that this function can be a mode's algorithm.
-    With many degrees of freedom, the result is that of ``base`` without gates.
+    With many degrees of freedom, the result is about the same as from ``base`` without gates.
     """
     same = [0.5 * dof] * len(measurement.visible)
     (first, *_, last), _, _ = adapted(x, P, measurement, same, same, base)

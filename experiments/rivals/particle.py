@@ -1,7 +1,7 @@
 """A bootstrap particle filter (Gordon, Salmond and Smith 1993; Arulampalam et al. 2002).
 
-Particles move as the radio's UKF mode assumes and are weighted by the likelihood of each
-measurement, whose noise has a Student-t distribution; so outliers need no gates.
+Particles move as the radio's UKF mode assumes. Their weights are the likelihoods of measurements
+with Student-t noise. Such noise makes outliers less improbable, so the filter needs no gates.
 """
 
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ from mmwave_env.world.episode import blank_incoming
 PARTICLES = 10_000
 LEAST_M = 0.001  # its square is added to variances, which are 0 if only one particle has weight
 SPREAD = 0.35  # width of the kernel that spreads resampled particles, in deviations of the cloud
-KEPT = (1.0 - SPREAD**2) ** 0.5  # factor that first shrinks the cloud, so that its P is kept
+KEPT = (1.0 - SPREAD**2) ** 0.5  # factor that first shrinks the cloud, so that P stays the same
 
 
 class Weighed(NamedTuple):
@@ -72,7 +72,7 @@ class Particles(Estimator):
     def track(
         self, pipeline: Pipeline, site: Site, epochs: Iterator[Epoch]
     ) -> Iterator[tuple[Vector, Vector]]:
-        """Yield means and packed covariances; the random numbers follow from the prior."""
+        """Yield means and packed covariances; the prior's mean seeds the random numbers."""
         layout, mode, n = pipeline.layout, pipeline.modes[-1], self._count
         rng = np.random.default_rng(np.array(site.prior_x).view(np.uint32))
         program = _program(layout, self._dof)

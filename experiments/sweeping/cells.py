@@ -40,7 +40,7 @@ def evaluated(values: Values) -> Row:
 
 
 def trained(values: Values, tell: Callable[[Row], None] = lambda row: None) -> Row:
-    """Train a policy; return the metrics (on tuning seeds) and the file of its best version.
+    """Train a policy; return its best version: the metrics on tuning seeds, and the policy file.
 
     During the training, ``tell`` is called with a row for each evaluation.
     """

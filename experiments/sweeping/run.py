@@ -70,7 +70,7 @@ def _failures(spec: Spec, folder: Path, done: Collection[str]) -> Iterator[str]:
 def _table(spec: Spec, rows: Mapping[str, Values]) -> str:
     """Return a table of computed cells: values of the axes that have several values, then metrics.
 
-    The rows are in the order of the file; those of a search are sorted by reward, best first.
+    The rows are in the order of the file; the rows of a search are in the order of their rewards.
     """
     axes = [axis for axis, values in spec.axes.items() if len(values) > 1]
     names = [name for name in spec.cells if name in rows]

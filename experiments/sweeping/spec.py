@@ -1,6 +1,6 @@
 """Specification of a sweep: a TOML or JSON file, whose keys are axes with one or more values.
 
-A *cell* is a combination of values, one of each axis. A search has trials instead of cells.
+A *cell* is a combination of values, one of each axis. In a search, Optuna draws *trials* instead.
 """
 
 import hashlib
@@ -178,7 +178,7 @@ def _distribution(axis: str, choices: Any, whole: bool) -> Any:
 
 
 def _values(key: str, content: Any) -> Sequence[Any]:
-    """Return an axis's values; one of modes or places is a list, so several are a list of lists."""
+    """Return an axis's values; each value of modes or places is itself a list."""
     several = isinstance(content, list) and (
         key not in ("modes", "places") or all(isinstance(value, list) for value in content)
     )

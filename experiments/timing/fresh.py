@@ -1,7 +1,7 @@
 """Time to the first step, and peak memory, measured in a new process.
 
 The time includes the start of Python, imports and compilation. Files that earlier runs left on
-disk (bytecode, compiled loops) are used, so the time is that of a second run.
+disk (bytecode, compiled loops) are used, so a first run on a machine takes longer.
 """
 
 import os

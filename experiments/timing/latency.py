@@ -1,4 +1,4 @@
-"""Latency of a live track: the time from the rows of an epoch to its position."""
+"""Latency of a live track: the time from the rows of an epoch to the user's position."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Exact counts of the operations of a function of numbers, obtained by running it.
+"""Exact counts of the operations of a function of numbers, obtained by running the function.
 
 :class:`~mmwave_env.compiler.lanes.Lanes` (SIMD values) emit instructions through an LLVM builder. A
 builder that only records them counts the instructions of a function without compiling it.

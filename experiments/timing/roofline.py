@@ -1,8 +1,8 @@
 """Lower bound on a core's time for the operations of a kernel, a compiled function (roofline).
 
-This model assumes that all arithmetic shares the vector pipes. So a mix of operations in the
-kernel's proportions is timed, in several chains that do not wait for each other. Loads and
-stores have their own pipes and are timed separately; the limit is the longer of the two times. The
+The model assumes that all arithmetic shares the core's vector units. So operations are timed in the
+kernel's proportions, in several *chains*: an operation waits only for the one before it in its
+chain. Loads and stores have other units and are timed separately; the limit is the longer time. The
 model leaves out waits for results, register spills, caches, and the fetching of long code.
 """
 

@@ -12,7 +12,7 @@ from policies.policy_file import Tensors
 class Normalization(NamedTuple):
     """Normalization of an observation o in training: (clip(o, low, high) - mean) / sigma."""
 
-    low: Array  # (features,), and so are the next three
+    low: Array  # all four arrays are (features,)
     high: Array
     mean: Array
     sigma: Array

@@ -1,4 +1,4 @@
-"""Checkpoints of a training, written atomically and read without running code in them."""
+"""Checkpoints of a training; they are written atomically, and reading one runs no code in it."""
 
 import io
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ from mmwave_env.io.files import first_line, read_bounded, write_bytes
 
 State = dict[str, Any]  # numbers, strings, arrays and tensors in nested lists, tuples and dicts
 
-MOST_BYTES = 1 << 30  # size limit of a checkpoint; those of the algorithm `rollouts` are large
+MOST_BYTES = 1 << 30  # size limit of a checkpoint; `rollouts` stores all states in its memory
 
 
 def write_checkpoint(path: Path, state: State) -> None:

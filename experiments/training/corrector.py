@@ -1,11 +1,11 @@
 """Training of a corrector by supervision on simulated episodes.
 
 A corrector corrects the beliefs of another policy, its base. In a simulation the truth is known, so
-the network learns the errors of the base from examples. The loss has two terms: the length of the
-error that remains, relative to the belief's mean deviation, and with a small weight the negative
-log-likelihood of this error, which teaches the network to scale the deviations. The base does not
-depend on the corrections, so it plays each episode only once. Every update has new episodes, which
-come in *lots*: batches of episodes of equal length.
+the network learns the errors of the base from examples. The loss has two terms. The first is the
+length of the error that remains, divided by the belief's mean deviation. The second, with a small
+weight, is the negative log-likelihood of this error; it teaches the network to scale deviations.
+The base does not depend on the corrections, so it plays each episode only once. Every update has
+new episodes, which come in *lots*: batches of episodes of equal length.
 """
 
 from collections.abc import Iterator
@@ -31,14 +31,14 @@ from mmwave_env.numerics.numbers import Array, Index
 from policies.policy_file import CORRECTIONS, Tensors
 
 EVALUATE = 32  # number of updates between two evaluations
-FIRST = 3  # number of extra sets of lots in the first update, which measures the features' ranges
+FIRST = 3  # number of extra rounds of lots in the first update, to measure the features' ranges
 OUTSIDE = 1e-4  # share of a feature's values to clip at its lower limit, and also at its upper one
 MOST_LENGTH, MOST_SQUARE = 20.0, 50.0  # limits in the loss, so that lost tracks do not dominate it
 CONSTANT = 1e-3  # added to standard deviations, which are 0 for a feature that never changes
 
 
 class CorrectorNetwork(nn.Module):
-    """A layer, a gated recurrent unit, and a head with outputs for each member of an ensemble."""
+    """A network: a layer, a gated recurrent unit, and a head with outputs for an ensemble."""
 
     def __init__(self, features: int, hyper: CorrectorHyperparameters) -> None:
         super().__init__()
@@ -51,7 +51,7 @@ class CorrectorNetwork(nn.Module):
             self.out.bias.zero_()
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """Map features (T, n, F) to shifts and log factors of deviations (T, n, members, 3)."""
+        """Map features (T, n, F) to shifts and logs of deviations' factors (T, n, members, 3)."""
         front = torch.tanh(self.front(features))
         memory, _ = self.gru(front)
         head = torch.tanh(self.head(torch.cat([memory, front], -1)))
@@ -71,7 +71,7 @@ def loss_of(
     """
     shift, log_factor = (part[BURN_IN:] for part in answer)
     deviation = deviation[BURN_IN:, :, None]
-    left = error[BURN_IN:, :, None] / deviation - shift  # in deviations of the belief
+    left = error[BURN_IN:, :, None] / deviation - shift  # error that remains, in deviations
     size = deviation.norm(dim=-1).mean(0)
     length = ((left * deviation).square().sum(-1) + 1e-6).sqrt() / size
     square = (left * (-log_factor).exp()).square().clamp(max=MOST_SQUARE)
@@ -81,11 +81,11 @@ def loss_of(
 
 
 class CorrectorTraining:
-    """A training in progress.
+    """A training of a corrector, in progress.
 
     Args:
         job: training to run; if its folder has a checkpoint, the training continues from it.
-        tell: function that is called with :class:`News`; its ``timesteps`` count epochs played.
+        tell: function that is called with :class:`News`; ``timesteps`` is the epochs played so far.
 
     Raises:
         ValueError: the checkpoint is damaged.
@@ -152,7 +152,7 @@ class CorrectorTraining:
         return float(loss.item())
 
     def answer(self, lot: Lot) -> tuple[Tensor, Tensor]:
-        """Return the answer of the network (:meth:`CorrectorNetwork.forward`) to a lot."""
+        """Return the network's outputs for a lot; see :meth:`CorrectorNetwork.forward`."""
         low, high, mean, sigma = (self._scales[name] for name in ("low", "high", "mean", "sigma"))
         normal = (np.clip(lot.features, low, high) - mean) / sigma
         answer: tuple[Tensor, Tensor] = self.network(torch.from_numpy(normal.astype(np.float32)))
@@ -171,7 +171,7 @@ class CorrectorTraining:
         return {name: value.astype(np.float32) for name, value in tensors.items()}
 
     def _state(self) -> State:
-        """Return all state on which the rest of the training depends."""
+        """Return everything on which the rest of the training depends, for :meth:`_restore`."""
         return {
             "network": self.network.state_dict(),
             "optimizer": self._optimizer.state_dict(),
@@ -193,8 +193,8 @@ def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]
 
     Args:
         lots: lots to mix.
-        size: number of episodes in a new lot if they are the shortest ones; a lot of longer
-            episodes has fewer, so that it has about as many epochs.
+        size: number of episodes in a new lot of the shortest episodes. A lot of longer episodes
+            has fewer episodes, so that all lots have about the same number of epochs.
         rng: random generator of the order.
     """
     shortest = min(len(lot.features) for lot in lots)

@@ -1,9 +1,9 @@
 """Episodes for a corrector to learn from: features, and the errors and beliefs of its base.
 
 The *base* is the policy or IMM whose beliefs are corrected. Some episodes are at the places of the
-training (scenes with a radio). In the others, streets, carrier, radio, rate of epochs and clock are
-random, and so are the measured quantities, the measured anchors, and the errors of the receiver's
-stated noise and orientation. Without random episodes, a network memorizes the places.
+training (scenes with a radio). In the other episodes, much is random: streets, carrier, radio, rate
+of epochs, clock, measured quantities and anchors, and the errors of the receiver's stated noise and
+orientation. Without random episodes, a network memorizes the places.
 """
 
 from collections.abc import Iterator
@@ -34,8 +34,8 @@ from policies import LearnedSwitch
 from policies.corrector import BASE_IMM
 
 STEPS_S = (1.0, 1.0, 0.5, 0.25, 0.1, 0.1, 0.1, 2.0)  # times between epochs to draw from, s
-EPOCHS = 200
-SUBSETS = (  # a receiver that lacks some quantities measures those in one of these rows
+EPOCHS = 200  # number of epochs of an episode, unless it is a long one
+SUBSETS = (  # a receiver that does not measure all quantities measures those of one row
     ("range", "azimuth", "elevation", "departure"),
     ("range", "azimuth", "elevation"),
     ("range", "azimuth", "elevation", "doppler"),
@@ -48,20 +48,20 @@ SUBSETS = (  # a receiver that lacks some quantities measures those in one of th
 # noise, measures only some anchors, or does not know its orientation exactly.
 LACKING, DRIFTING, MISJUDGING, FEWER, TURNED = 0.3, 0.15, 0.3, 0.15, 0.15
 ORIENTATION_RAD = 0.1  # standard deviation of an orientation that is not known exactly
-# Share of the random episodes whose users weave and vary their speed, as real users do. All other
-# users keep to the middle of the street; from them alone, the network would learn to rely on that.
+# Probability that the users of a random lot weave and vary their speed, as real users do. All other
+# users keep to the middle of the street. With them alone, the network would learn to rely on that.
 WEAVING = 0.5
-WAYS = 64  # maximum number of weaving users from which the episodes of one Lot are drawn
-WEAVE_S = (8.0, 40.0)  # shortest and longest period of weaving at an episode's highest speed
-WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # weaving changes velocity / speed and position by at most this
-WEAVING_BEHIND_M = (20.0, 60.0)  # range of distances from a wall to the last street: room to weave
+WAYS = 64  # maximum number of weaving trajectories from which the episodes of one Lot are drawn
+WEAVE_S = (8.0, 40.0)  # shortest and longest period of weaving at an episode's highest speed, s
+WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # limits of weaving: velocity / speed, and position, per axis
+WEAVING_BEHIND_M = (20.0, 60.0)  # distance from a wall to the last street, which is room to weave
 
 
 class Lot(NamedTuple):
     """A lot, or batch: n episodes of T epochs each.
 
     Attributes:
-        features: (T, n, features) what a corrector reads after every epoch.
+        features: (T, n, features) input of a corrector after every epoch.
         error: (T, n, 3) truth minus estimate, m: along the motion, across it, and up.
         deviation: (T, n, 3) standard deviations of the belief in the same directions, m.
     """
@@ -94,12 +94,12 @@ class CorrectorData:
         return self._switch.bank(radio) if self._switch else self._task.banks[radio]
 
     def lots(self) -> Iterator[Lot]:
-        """Play and yield a lot at every place, then random lots (``random_share`` of all lots)."""
+        """Yield a played lot for every place, then random lots, ``random_share`` of all lots."""
         for radio, batch in self.batches():
             yield self._play(batch, self.bank(radio))
 
     def batches(self) -> Iterator[tuple[str, EpisodeBatch]]:
-        """Yield the name of the radio profile and the episodes of each lot of :meth:`lots`."""
+        """Yield, for each lot of :meth:`lots`, its radio profile's name and unplayed episodes."""
         places, share = self._task.places, self._hyper.random_share
         for place in places:
             rng = self._rng()
@@ -125,7 +125,7 @@ class CorrectorData:
         )
 
     def _at_random(self, rng: np.random.Generator) -> tuple[str, EpisodeBatch]:
-        """Draw episodes in random streets with a random receiver."""
+        """Draw episodes in random streets with a random receiver; also return its radio."""
         profile = self._radios[str(rng.choice(list(self._radios)))]
         scene = replace(
             WIDE_SCENE,
@@ -147,7 +147,7 @@ class CorrectorData:
         return profile.name, batch
 
     def _draw(self, source: SimulatedSource) -> EpisodeBatch:
-        """Draw new episodes, fewer if they are long."""
+        """Draw ``num_envs`` new episodes, or fewer if they are longer than EPOCHS."""
         n = max(1, self._hyper.num_envs * EPOCHS // max(source.epochs, EPOCHS))
         keys = keys_at(self._stream, np.arange(self.played, self.played + n, dtype=np.uint64))
         self.played += n
@@ -177,7 +177,7 @@ class CorrectorData:
 def weaving(source: SimulatedSource, rng: np.random.Generator) -> SimulatedSource:
     """Draw a scene from a source with random scenes; return a source of users who weave in it.
 
-    A weaving user's position is that of a simulated user plus, along each street axis, a sine of
+    A weaving user's position is a simulated user's position plus, along each street axis, a sine of
     the distance traveled. So weaving users stand still when the simulated users do.
     """
     source = replace(source, scene=source.scene_of(int(rng.integers(2**63))))
@@ -196,7 +196,7 @@ def weaving(source: SimulatedSource, rng: np.random.Generator) -> SimulatedSourc
 
 
 def _lot(features: Array32, x: Array, P: Array, error: Array) -> Lot:
-    """Return a lot, given features and, in the axes of the scene, the base's beliefs and errors.
+    """Return a lot, given the features, and the base's beliefs and errors in the scene's axes.
 
     All arrays are (T, n, ...); P is packed, and errors are estimates minus truth. Episodes in which
     the base's belief became NaN or infinite (docs/reliability.md) are left out.

@@ -1,4 +1,4 @@
-"""Evaluation of a policy during its training, on tuning seeds, against rules and IMMs."""
+"""Evaluation of a training's policies: their gains in reward over a rule and IMMs, the rivals."""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -20,14 +20,14 @@ from mmwave_env.world.episode import Episode
 
 TRAINING_RIVALS = ("speed-rule", "imm")  # rivals in every training
 PER_MODE_RIVALS = (*TRAINING_RIVALS, "imm-best")  # rivals if every mode keeps its own belief
-EPISODES = 500  # number of tuning episodes
+EPISODES = 500  # number of episodes to evaluate a policy on
 
 
 class Evaluator:
-    """An evaluator that scores all policies on the same tuning episodes, by the default reward.
+    """An evaluator that scores all policies on the same episodes, by the default reward.
 
     Args:
-        task: task of the training; its places (scenes with a radio) share the episodes evenly.
+        task: task of the training; episodes are split evenly among its places (scene and radio).
         episodes: number of episodes; every place gets at least one.
     """
 
@@ -45,12 +45,11 @@ class Evaluator:
             }
 
     def examine(self, path: Path) -> Json:
-        """Return figures of a policy file, by name.
+        """Evaluate a policy file; return figures by name.
 
-        Returns:
-            The mean of every metric over all episodes; under "minus NAME", the gain in reward over
-            a rival, with its 95 % interval; if there are several places, also under "PLACE minus
-            NAME" the gain at one place; the first seed and the number of episodes.
+        They are the first seed, the number of episodes, and the mean of every metric. The mean
+        gain in reward over each rival is under "minus NAME", with a 95 % interval. If there are
+        several places, the gain at each place is under "PLACE minus NAME".
         """
         scores = self._scores(lambda radio: Contender.learned(path, radio=radio))
         differences = {name: scores["reward"] - reward for name, reward in self._rivals.items()}
@@ -69,7 +68,7 @@ class Evaluator:
         }
 
     def _scores(self, contender_at: Callable[[str], Contender]) -> Scores:
-        """Score a policy or IMM on all episodes; ``contender_at`` makes it for a radio."""
+        """Score a policy or IMM on all episodes; ``contender_at`` returns it for a radio."""
         parts = []
         for place, episodes in self._at:
             contender = contender_at(place.radio)
@@ -78,6 +77,6 @@ class Evaluator:
 
 
 def _gains(differences: dict[str, Array]) -> dict[str, Interval]:
-    """Return intervals of mean differences, each under "minus NAME" with the name of the rival."""
+    """Return each rival's mean difference, with its interval, under "minus NAME"."""
     intervals = bootstrap(np.stack(list(differences.values()), axis=1))
     return {f"minus {name}": gain for name, gain in zip(differences, intervals, strict=True)}

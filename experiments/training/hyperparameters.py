@@ -46,8 +46,8 @@ class _SwitcherHyperparameters(_Hyperparameters):
     ent_coef: Positive  # initial weight of the entropy; it falls linearly
     hidden: Neurons  # sizes of the tanh layers; PPO's critic has layers of the same sizes
     clip_observation: Positive  # normalized observations are clipped to plus or minus this
-    # Logit of action 0 at the start; those of the other actions are about 0. If every mode keeps
-    # its own belief, action 0 trusts the IMM's mixture: a bias lets learning start level with it.
+    # Initial logit of action 0; the other initial logits are about 0. If every mode keeps its own
+    # belief, action 0 trusts the IMM's mixture, so a biased policy begins like the IMM.
     first_action_bias: Positive = 0.0
 
 
@@ -62,8 +62,8 @@ class PpoHyperparameters(_SwitcherHyperparameters):
     clip_range: Positive  # clipping range of the probability ratio
     max_grad_norm: Positive  # length to which longer gradients are shortened
     target_kl: Positive  # an update stops at 1.5 times this KL divergence from the old policy
-    # whether to train on the reward minus the IMM's reward in the same episode: actions do not
-    # change the IMM's reward, so the best policy stays the same and the variance falls
+    # Whether to train on the reward minus the IMM's reward in the same episode. Actions do not
+    # change the IMM's reward, so the best policy stays the same, and the variance falls.
     paired: bool
 
     algorithm = "ppo"
@@ -93,7 +93,7 @@ class CorrectorHyperparameters(_Hyperparameters):
     """Hyperparameters of correctors (:mod:`experiments.training.corrector`)."""
 
     base: str  # policy whose beliefs are corrected: a shipped switcher, or imm-best
-    # held-out places, at which the policies that a training produces are compared
+    # places, held out from the training, at which the best of its policies is chosen
     judged_at: Annotated[tuple[Name, ...], Size(1, 100)]
     random_share: Probability  # share of episodes whose streets, radio and receiver are random
     long_epochs: Count  # length of long episodes, epochs; they are used only at 5 Hz or more

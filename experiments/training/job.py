@@ -14,11 +14,11 @@ H = TypeVar("H", bound=Hyperparameters)
 
 
 class News(NamedTuple):
-    """News of a training while it runs.
+    """A message about the progress of a training.
 
     Attributes:
         timesteps: number of timesteps so far.
-        text: sentence about an event; empty in most news.
+        text: text to print; empty in most messages.
         evaluation: figures of a periodic evaluation, "reward" among them, by name.
     """
 
@@ -34,7 +34,6 @@ Tell = Callable[[News], None]
 class Job(Generic[H]):
     """A training to run."""
 
-    # arguments of the environments and of the algorithm
     task: TrainingTask
     hyperparameters: H
     seed: int  # number of the training, from 0

@@ -1,9 +1,9 @@
 """Training and calibration of protection levels (:mod:`mmwave_env.localization.levels`).
 
 A protection level is a bound that a position error exceeds with a given probability, the risk. The
-Gaussian level is right for Gaussian errors with the belief's covariance. With the pinball loss, a
-network learns quantiles of log(error / Gaussian level), from the kinds of episodes that correctors
-learn from. Other episodes calibrate the network.
+Gaussian level is this bound if errors are Gaussian with the belief's covariance. A network learns
+quantiles of log(error / Gaussian level) by minimizing the pinball loss. It learns from the same
+kinds of episodes as correctors. Constants, calibrated on other episodes, are added to its outputs.
 """
 
 from collections.abc import Iterator, Sequence
@@ -33,29 +33,29 @@ from mmwave_env.world.episode import columns_of
 
 RISKS = (1e-2, 1e-3)
 SINGLE = ("speed-rule", "fixed-ekf", "fixed-ukf")
-# Groups of policies in training and in calibration. A batch of episodes is played once for each
-# group, by a random policy of the group.
+# Groups of policies that play the episodes to train on, and those to calibrate on. Each group plays
+# every batch of episodes once; a random policy of the group plays it.
 LEARNED_FROM = (("guided",), ("corrector",), ("imm-best", "imm", *SINGLE))
 KINDS = (SINGLE, ("guided", "imm-best"), ("corrector",))
 PLACES = [f"{scene}:{radio}" for scene in TRAINED_SCENES for radio in TUNED_RADIOS]
 SEED = TRAINING_SEED + 9 * SEEDS_EACH  # seed of episodes that no corrector was trained on
-# ENVS: episodes per place in each round. ROUNDS, CALIBRATION: rounds to train and to calibrate
+# ENVS: episodes per place in each round. ROUNDS, CALIBRATION: rounds to train and to calibrate on.
 ENVS, ROUNDS, CALIBRATION = 64, 24, 30
-HIDDEN, STEPS, BATCH, RATE = 64, 2500, 8192, 3e-3  # the learning rate falls linearly
+HIDDEN, STEPS, BATCH, RATE = 64, 2500, 8192, 3e-3  # the learning rate falls linearly to 0
 EVERY = 4  # neighboring epochs are alike, so the network learns from one in four
-OUTSIDE = 1e-4  # share of a feature's values below its range; the same share is above its range
+OUTSIDE = 1e-4  # share of a feature's values to clip at its lower limit, and also at its upper one
 LEAST_M = 1e-4  # smaller errors count as 0.1 mm
-LIMIT, HALVINGS = 8.0, 24  # largest constant of the calibration; steps of the bisection for it
+LIMIT, HALVINGS = 8.0, 24  # largest finite constant; number of bisection steps to find a constant
 
 
 def _played(
     seed: int, rounds: int, policies: Sequence[tuple[str, ...]], **changes: float
 ) -> Iterator[tuple[Array, Array]]:
-    """Play batches of episodes; for each batch and each group of policies yield features and logs.
+    """Yield features and logs for each batch of episodes and each group of policies.
 
     The features are (n, T, features). The logs (n, T, risks, 2) are logarithms of the horizontal
-    and the vertical error, each divided by its Gaussian level. ``changes`` replace hyperparameters
-    of the corrector.
+    and the vertical error, each divided by its Gaussian level. The episodes are drawn with the
+    hyperparameters of the corrector; ``changes`` replace some of them.
     """
     places = places_from(PLACES)
     banks = banks_of((), places, "per-mode")
@@ -79,7 +79,7 @@ def _played(
 
 
 def _trained(features: Array, logs: Array, steps: int) -> Network:
-    """Train a network to predict quantiles of logs (n, risks, 2); it is not yet calibrated."""
+    """Train a network to predict quantiles of ``logs`` (n, risks, 2); leave its constants at 0."""
     torch.set_num_threads(1)
     torch.manual_seed(0)
     some = features[::16].astype(float)
@@ -110,8 +110,8 @@ def _trained(features: Array, logs: Array, steps: int) -> Network:
 def _constants(network: Network, seed: int, rounds: int) -> Array:
     """Return the constants (kinds, risks, 2) of the calibration.
 
-    They come from split conformal prediction over all places, with one more episode of infinite
-    errors (Lee et al. 2023). If one of the places alone needs a larger constant, it is returned.
+    A constant comes from split conformal prediction on the episodes of all places and one more
+    episode of infinite errors (Lee et al. 2023), or from the place that needs the largest one.
     """
     over: list[list[Array]] = [[] for _ in range(len(PLACES) * len(KINDS))]
     for i, (features, logs) in enumerate(_played(seed, rounds, KINDS, random_share=0.0)):
@@ -128,8 +128,8 @@ def _least(parts: list[Array], infinite: int) -> Array:
     """Return the least constants (risks, 2) that the logs of all parts exceed rarely enough.
 
     A part has logs (n, T, risks, 2). The share of epochs whose logs exceed a constant, plus the
-    standard error of this share over episodes, is at most the risk. The episodes include
-    ``infinite`` more, whose logs are infinite. Constants above LIMIT become infinite.
+    standard error of this share over episodes, is at most the risk. ``infinite`` is a number of
+    episodes to add, whose logs are infinite. Constants above LIMIT become infinite.
     """
     low, high = np.array([[[-LIMIT] * 2], [[LIMIT] * 2]]).repeat(len(RISKS), axis=1)
     for _ in range(HALVINGS):

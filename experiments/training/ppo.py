@@ -21,10 +21,10 @@ from mmwave_env.interface.info import LAST_KEYS
 from mmwave_env.io.files import Json
 from policies.policy_file import Tensors
 
-# Updates per row of the log (LOG); updates per evaluation until the policy first beats the paper's
-# rule (EARLY), and from then on (LATER).
+# LOG: number of updates between two rows of the log. EARLY, LATER: number of updates between two
+# evaluations, before and after a policy first beats the paper's rule.
 LOG, EARLY, LATER = 4, 2, 16
-MOMENTS = ("mean", "var", "count")  # attributes of SB3's statistics of all observations so far
+MOMENTS = ("mean", "var", "count")  # attributes of RunningMeanStd, SB3's statistics of observations
 
 
 class PpoTraining(BaseCallback):

@@ -33,12 +33,12 @@ def train(job: Job[Any], tell: Tell) -> Json:
 def side_by_side(
     jobs: Sequence[Job[Any]], at_once: int, tell: Callable[[Job[Any], News], None]
 ) -> list[Json]:
-    """Run trainings in parallel and return their outcomes; end all if one fails or is interrupted.
+    """Run trainings in parallel; return their outcomes. If one fails or is interrupted, end all.
 
     Args:
         jobs: trainings to run.
         at_once: number of processes that run at once.
-        tell: function that is called with a job and its news.
+        tell: function that is called with a job and each :class:`News` of the job.
 
     Raises:
         ValueError: the input of a training is not valid.
@@ -80,7 +80,7 @@ def side_by_side(
 
 
 def _started(job: Job[Any]) -> tuple[Connection, BaseProcess]:
-    """Start a process that trains; return the connection that carries its news, and the process."""
+    """Start a process that trains; return the connection for its messages, and the process."""
     spawn = multiprocessing.get_context("spawn")  # a fork would share PyTorch's locks
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # otherwise the trainings compete for cores
     ours, theirs = spawn.Pipe(duplex=False)

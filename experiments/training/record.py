@@ -25,7 +25,7 @@ class ProgressLog(KVWriter):
 
     Args:
         folder: folder of ``progress.csv``.
-        rows: earlier rows of a training that continues.
+        rows: rows that were written before the training was interrupted; empty for a new one.
     """
 
     def __init__(self, folder: Path, rows: list[dict[str, float]]) -> None:
@@ -54,18 +54,18 @@ class ProgressLog(KVWriter):
 
 
 class Record:
-    """The record of a training; if its folder has a checkpoint, the training continues from it.
+    """The record of a training, which continues from the checkpoint in the job's folder, if any.
 
     Args:
         job: training to record.
         tell: function that is called with :class:`News` of the training.
 
     Attributes:
-        stand: state of the training, by name. "update" and "timesteps" are numbers so far, "best"
-            has figures of the best policy, and "beat_rule" has the timesteps and seconds until a
-            policy first beat the paper's rule; both are None until there is such a policy.
-            "seconds" (wall time) and "rows" (of the log) are from the checkpoint that is continued;
-            so are the entries of the trainer itself, which it removes as it restores them.
+        stand: state of the training, by name. "update" and "timesteps" count updates and timesteps.
+            "best" has figures of the best policy so far. "beat_rule" has the timesteps and seconds
+            until a policy first beat the paper's rule. Both are None at first. "seconds" is the
+            wall time, and "rows" are the log's rows, at the checkpoint that was read. Further
+            entries of the checkpoint belong to the trainer, which removes them as it restores them.
         log: log of the training's progress.
 
     Raises:
@@ -96,11 +96,11 @@ class Record:
     def evaluate(
         self, actor: Tensors, table: Observation, features: Sequence[str] | None = None
     ) -> dict[str, float]:
-        """Evaluate a policy, keep it if it is the best so far, and return mean figures for the log.
+        """Evaluate a policy; keep its file if it is the best so far; return means for the log.
 
         Args:
             actor: tensors of the policy.
-            table: table of the features that the policy observes.
+            table: observation of the environments, with its columns.
             features: names of the features that the policy's network reads; None for all.
         """
         columns = table.columns
@@ -128,7 +128,7 @@ class Record:
         return {f"tuning/{key}": mean for key, mean in means.items()}
 
     def save(self, **more: Any) -> None:
-        """Write the log and a checkpoint, which also contains the entries ``more``."""
+        """Write the log, and a checkpoint with :attr:`stand` and the entries ``more``."""
         self.log.save()
         here = {"seconds": self.seconds, "rows": self.log.rows}
         write_checkpoint(self._job.checkpoint, self.stand | here | more)

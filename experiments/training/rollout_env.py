@@ -27,7 +27,7 @@ class Tried(NamedTuple):
 
     Attributes:
         observations: (k, features) observations in the states.
-        values: (k, actions) sums of the discounted rewards of an action and the actions after it.
+        values: (k, actions) discounted rewards of an action and of the actions after it, summed.
     """
 
     observations: Array32
@@ -35,7 +35,7 @@ class Tried(NamedTuple):
 
 
 class RolloutEnv:
-    """N environments at the places of a task (scene and radio), in different epochs of an episode.
+    """A set of n environments at the places of a task; a place is a scene with a radio.
 
     Eight adjacent environments share a place and an epoch. The first episodes of these groups of
     eight are cut to different lengths, so that the groups are in different epochs afterwards.
@@ -49,7 +49,7 @@ class RolloutEnv:
 
     Attributes:
         observation: table of features.
-        observations: (n, features) latest observations, which need an action.
+        observations: (n, features) observations of the current states.
 
     Raises:
         ValueError: n is too small or not a multiple of eight, or one program can't run all banks.
@@ -85,7 +85,7 @@ class RolloutEnv:
         length[:] = 1 + block * (length - 1) // (block[-1] + 1)
 
     def step(self, actions: Index) -> Array:
-        """Take the actions (n,), one in every environment; start new episodes after those that end.
+        """Take the actions (n,), one in every environment; start a new episode where one ends.
 
         Returns:
             The rewards (n,).
@@ -107,7 +107,7 @@ class RolloutEnv:
         self.observations[places] = begun[places]
 
     def measured_normalization(self, clip: float) -> Normalization:
-        """Measure mean and deviation of observations in an episode in which all actions are 0.
+        """Take action 0 for the length of an episode; return the observations' normalization.
 
         Args:
             clip: number of deviations from the mean at which observations are clipped.

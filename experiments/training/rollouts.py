@@ -29,8 +29,8 @@ EVALUATE = 8  # number of updates between two evaluations
 class RolloutLearner:
     """The network, its optimizer and the states that it learns from.
 
-    In every state s in the memory, all actions were tried, each followed by actions of the policy
-    at that time; Q(s, a) is the value of action a. The network, which chooses a with probability
+    The memory has states s in which all actions a were tried; the policy of that time chose the
+    actions after a. Q(s, a) is the value of a. The network, which chooses a with probability
     pi(a | s), maximizes the mean of sum_a pi(a | s) (Q(s, a) - Q(s, 0)) and a small entropy bonus.
 
     Args:
@@ -138,7 +138,7 @@ class RolloutLearner:
 
 
 class RolloutTraining:
-    """A training in progress.
+    """A training by rollouts, in progress.
 
     Args:
         job: training to run; if its folder has a checkpoint, the training continues from it.

@@ -45,7 +45,7 @@ ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")
 
 
 def rewards(args: TaskArgs) -> Reward:
-    """Return the agent's own reward; if the reward is paired, the IMM's is not yet subtracted."""
+    """Return the reward of a task; for a paired one, leave out the IMM's reward to subtract."""
     reward = choose(REWARDS, args.reward, "reward")
     if isinstance(reward, PairedReward):
         reward = reward.reward

@@ -69,7 +69,7 @@ class Place:
     def source(self, scenario: str) -> SimulatedSource:
         """Return the source of episodes at this place, for a kind of user (``scenario``)."""
         world = WorldArgs(scenario=scenario, **asdict(self))
-        return cast(SimulatedSource, source_of(world))  # no recorded data were asked for
+        return cast(SimulatedSource, source_of(world))  # simulated, since ``world`` names no data
 
 
 def place_from(text: str) -> Place:
@@ -127,7 +127,7 @@ def require_environments(count: int, places: int, together: int = 1) -> None:
         together: number of adjacent environments that must share a place.
 
     Raises:
-        ValueError: they can't be; the message says which numbers are possible.
+        ValueError: the number is not possible; the message says which numbers are.
     """
     if count % together or count < together * places:
         multiple = f"a multiple of {together}, " if together > 1 else ""

@@ -1,7 +1,7 @@
-"""Tuning of the bank of the policy `imm-best`.
+"""Tuning of the bank of the policy `imm-best`: an IMM's modes and transition probabilities.
 
-The modes of this bank are for users who stand, cruise, turn, accelerate or brake. All parameters of
-the bank are tuned together, for the mean reward in all scenes to train in, at two rates of epochs.
+The modes of this bank are for users who stand, cruise, turn, accelerate or brake. All parameters
+are tuned together. They maximize the mean reward over all training scenes and two rates of epochs.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,7 +32,7 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import EpisodeBatch, EpisodeSource
 
 STEPS_S = (1.0, 0.1)  # times between two epochs, s
-SHARES = 3  # number of parts of the tuning episodes; each generation of the search uses one part
+SHARES = 3  # number of parts of the tuning episodes; the search's generations use them in turn
 # Modes for steady motion have gates, which reject improbable measurements as outliers. The other
 # modes inflate the noise of such a measurement instead, since the cause may be a maneuver.
 _STEADY: dict[str, Any] = {"sigma_p": 0.01, "adaptive": False, "blockage_aware": True}
@@ -47,7 +47,7 @@ START = (
 
 
 def tuned_bank(radio: str, episodes: int, seed: int, evaluations: int) -> Json:
-    """Search for a radio's best bank; return it, in the form of a mode file, with its figures.
+    """Search for a radio's best bank; return it as a mode file stores it, and add figures.
 
     Args:
         radio: radio profile, a name or a JSON file.
@@ -93,7 +93,7 @@ def tuned_bank(radio: str, episodes: int, seed: int, evaluations: int) -> Json:
 def drawn(
     sources: Sequence[EpisodeSource], seeds: range, shares: int = 1
 ) -> list[list[EpisodeBatch]]:
-    """Draw episodes in equal parts; each part has a batch for each source, in order.
+    """Draw episodes and split them into equal parts; each part has one batch per source, in order.
 
     Raises:
         ValueError: there are fewer seeds than shares.
@@ -111,8 +111,8 @@ def scores(bank: Bank, batches: Sequence[EpisodeBatch]) -> tuple[Array, Array]:
     """Run the IMM of a bank on all episodes, batch after batch.
 
     Returns:
-        The mean reward (n,) over the scored epochs of each episode; and lost (n,), 1 if the
-        estimated track ends farther than DIVERGENCE_M from the true position, else 0.
+        First, (n,) the mean reward of each episode's scored epochs. Second, (n,) 1 if the estimate
+        in the last epoch is farther than DIVERGENCE_M from the true position, else 0.
     """
     reward, lost = [], []
     for batch in batches:
@@ -131,8 +131,8 @@ Value = Callable[[Bank, int], float]
 
 # Ranges to search:
 ODDS = (-14.0, 8.0)  # log(probability to change to another mode / probability to stay)
-# A sigma_v below its range earns a slightly higher reward, because simulated users walk straight.
-# But such a filter would lose a user whose direction varies by a few degrees, as in recordings.
+# A sigma_v below 0.04 would earn a slightly higher reward, because simulated users walk straight.
+# But it would lose users whose direction varies by a few degrees, as in recordings.
 FREE = {
     "sigma_p": (0.005, 2.0),
     "sigma_v": (0.04, 6.0),
@@ -142,7 +142,7 @@ FREE = {
 NINES = (1.0, 9.0)  # number of nines of the quantile that caps the NIS: 3 nines are 0.999
 DECIMALS = 6  # decimals of probabilities
 
-# standard deviations of the search's first points: in log odds, in logs of noise, and in nines
+# Standard deviations of the first generation's log odds, logarithms of noise, and nines:
 _PROBABILITY_STEP, _NOISE_STEP, _NINES_STEP = 0.6, 0.25, 0.3
 
 
@@ -160,7 +160,7 @@ def rows_as_softmax(odds: Array) -> Array:
 
 
 class SearchSpace(NamedTuple):
-    """Start, scale and bounds of a search over points of k numbers."""
+    """A space to search: each point has k numbers and stands for a bank."""
 
     start: Array  # (k,) center of the first points
     deviation: Array  # (k,) standard deviations of the first points

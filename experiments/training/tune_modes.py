@@ -49,7 +49,7 @@ def likelihood(history: dict[str, Array], layout: Layout) -> Array:
 
 
 def objective_of(mode: Mode, episodes: Sequence[Episode]) -> Objective:
-    """Return a function that computes likelihoods (episodes,) of the mode with other tunings."""
+    """Return a function that maps ``mode``, with any tuning, to its likelihoods (episodes,)."""
     layout = episodes[0].layout
     tracker = Tracker(Pipeline((mode,), layout), len(episodes))
     tracker.load(episodes)

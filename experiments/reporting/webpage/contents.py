@@ -121,7 +121,7 @@ def errors_of(source: Source, played: Played) -> Iterator[str]:
 
 
 def origin_of(title: str, command: str, versions: Json) -> str:
-    """Return HTML of the command and the versions that made something."""
+    """Return HTML that shows the command and the versions that made results or this page."""
     made = ", ".join(f"{name} {version}" for name, version in versions.items())
     parts = element("h3", title), element("pre", command)
     return "".join(parts) + (element("p", f"Made with {made}.") if versions else "")

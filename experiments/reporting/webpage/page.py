@@ -72,7 +72,7 @@ def _player(verdicts: Sequence[Verdict], played: Sequence[Played]) -> str:
 
 def _html(verdicts: Sequence[Verdict], sections: Mapping[str, str], data: Any) -> str:
     """Return the complete page; placeholders in inserted text are not replaced."""
-    # escape the JSON so that none of its text can end the script element
+    # In JSON, the signs <, > and & are escaped, so that no text can end the script element.
     content = json.dumps(data, allow_nan=False, separators=(",", ":"))
     titles = {re.sub(r"\W+", "-", t.lower()): t for t, section in sections.items() if section}
     parts = {
@@ -91,7 +91,7 @@ def _html(verdicts: Sequence[Verdict], sections: Mapping[str, str], data: Any) -
 
 
 def _colors() -> str:
-    """Return the colors that videos also have, as CSS variables."""
+    """Return the colors of the page, which videos use, too, as CSS variables."""
     light, dark = THEMES["light"]._asdict(), THEMES["dark"]._asdict()
     lines = (
         f"--{name}: light-dark({hex_of(light[name])}, {hex_of(dark[name])});"

@@ -47,8 +47,8 @@ class Played:
 def play(source: Source, most: int, watched: int) -> Played:
     """Run the first episodes of a comparison, or the beginning of a log, again.
 
-    A user's code is not run: contenders that are a function in a module or a model in a zip file
-    are left out. At most ``most`` episodes run; the first ``watched`` are kept epoch by epoch.
+    A user's code is not run: contenders given as module:function or as a .zip file are left out.
+    At most ``most`` episodes run; the first ``watched`` are kept epoch by epoch.
     """
     if source.kind == "run":
         return Played()

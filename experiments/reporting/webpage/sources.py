@@ -14,7 +14,7 @@ class Source(NamedTuple):
 
     path: str  # path as the user typed it; for a part of a file, the part's title is appended
     kind: str  # "comparison", "track" or "run"
-    content: Json  # content of the file; for a run, its summary, with learning "curves"
+    content: Json  # content of the file; of a run, the summary, and learning curves as "curves"
 
 
 def read_source(path: Path) -> list[Source]:
