@@ -155,7 +155,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
     * To save time, `infos="episode"` fills infos only at resets and last steps, and `infos="none"`
       never. `infos="fixed"` has the same keys at every reset and step, for libraries that need
       this (docs/own-agent.md): only numbers, without `episode_name` and `episode_key`; unknown
-      values are NaN, False or -1.
+      values are NaN, False or -1, and `nonfinite_beliefs` is 0.
 
     ## Keys
 
@@ -185,7 +185,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
     * `beliefs`: "shared" (default) or "per-mode", see Beliefs per Mode.
     * `action`, `base`: "mode" (default), "weights" or "correction", see Actions that are Numbers.
     * `reward`: "tracking", "log-score", "paired", a function or a `PairedReward`.
-    * `observation`: "full" or "prior".
+    * `observation`: "full", "prior" or "signed", which adds residuals of the last epoch to "full".
     * `infos`: "all" (default), "episode", "none" or "fixed", see Information.
     * `smoothed`: whether the last info contains `smoothed_ate_m`; False by default.
     * `episode_steps`, `dt`: epochs per episode and seconds per epoch.

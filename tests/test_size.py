@@ -16,11 +16,11 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 33_499,
-    "tokens of source": 227_285,
+    "lines of source": 33_497,
+    "tokens of source": 227_287,
     "files of source": 239,
-    "lines of tests": 24_300,
-    "tokens of tests": 217_310,
+    "lines of tests": 24_310,
+    "tokens of tests": 217_452,
     "words of docs": 49_400,
     "pages of docs": 24,
     "tracked files": 660,

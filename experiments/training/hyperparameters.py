@@ -19,7 +19,7 @@ from mmwave_env.io.records import (
 
 MOST = 10**15  # largest value; anything larger is a mistake, and needs too much memory and time
 Count = Annotated[int, counts(1, MOST)]
-Positive = Annotated[float, Bound(f"a number from 0 to {MOST:g}", least=0.0, most=MOST)]
+NotNegative = Annotated[float, Bound(f"a number from 0 to {MOST:g}", least=0.0, most=MOST)]
 Neurons = Annotated[tuple[Count, ...], Size(1, 100)]
 
 
@@ -29,7 +29,7 @@ class _Hyperparameters:
 
     num_envs: Count  # number of environments stepped, or of episodes played, at once
     batch_size: Count  # epochs (PPO), states (rollouts) or episodes (corrector) per gradient step
-    learning_rate: Positive  # initial learning rate; it falls linearly
+    learning_rate: NotNegative  # initial learning rate; it falls linearly
     final_fraction: Probability  # share of learning_rate and ent_coef that is left at the end
 
     together: ClassVar[int] = 1  # how many adjacent environments share a place (scene and radio)
@@ -43,12 +43,12 @@ class _SwitcherHyperparameters(_Hyperparameters):
     """Hyperparameters of the algorithms that train switchers."""
 
     gamma: Probability  # discount per epoch (PPO) or per second (rollouts)
-    ent_coef: Positive  # initial weight of the entropy; it falls linearly
+    ent_coef: NotNegative  # initial weight of the entropy; it falls linearly
     hidden: Neurons  # sizes of the tanh layers; PPO's critic has layers of the same sizes
-    clip_observation: Positive  # normalized observations are clipped to plus or minus this
+    clip_observation: NotNegative  # normalized observations are clipped to plus or minus this
     # Initial logit of action 0; the other initial logits are about 0. If every mode keeps its own
     # belief, action 0 trusts the IMM's mixture, so a biased policy begins like the IMM.
-    first_action_bias: Positive = 0.0
+    first_action_bias: NotNegative = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,9 +59,9 @@ class PpoHyperparameters(_SwitcherHyperparameters):
     n_steps: Count  # epochs of each environment between two updates
     n_epochs: Count  # passes over the collected epochs
     gae_lambda: Probability  # lambda of generalized advantage estimation
-    clip_range: Positive  # clipping range of the probability ratio
-    max_grad_norm: Positive  # length to which longer gradients are shortened
-    target_kl: Positive  # an update stops at 1.5 times this KL divergence from the old policy
+    clip_range: NotNegative  # clipping range of the probability ratio
+    max_grad_norm: NotNegative  # length to which longer gradients are shortened
+    target_kl: NotNegative  # an update stops at 1.5 times this KL divergence from the old policy
     # Whether to train on the reward minus the IMM's reward in the same episode. Actions do not
     # change the IMM's reward, so the best policy stays the same, and the variance falls.
     paired: bool
@@ -102,8 +102,8 @@ class CorrectorHyperparameters(_Hyperparameters):
     units: Count
     head: Count
     members: Count  # number of members of the ensemble
-    likelihood_weight: Positive  # weight of the log-likelihood in the loss
-    max_grad_norm: Positive  # length to which longer gradients are shortened
+    likelihood_weight: NotNegative  # weight of the log-likelihood in the loss
+    max_grad_norm: NotNegative  # length to which longer gradients are shortened
 
     algorithm = "corrector"
 

@@ -18,6 +18,7 @@ from torch import nn
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import run_contender
 from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED
+from experiments.training.corrector import OUTSIDE
 from experiments.training.corrector_data import CorrectorData
 from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
 from experiments.training.training_task import TrainingTask, banks_of, places_from
@@ -43,7 +44,6 @@ SEED = TRAINING_SEED + 9 * SEEDS_EACH  # seed of episodes that no corrector was 
 ENVS, ROUNDS, CALIBRATION = 64, 24, 30
 HIDDEN, STEPS, BATCH, RATE = 64, 2500, 8192, 3e-3  # the learning rate falls linearly to 0
 EVERY = 4  # neighboring epochs are alike, so the network learns from one in four
-OUTSIDE = 1e-4  # share of a feature's values to clip at its lower limit, and also at its upper one
 LEAST_M = 1e-4  # smaller errors count as 0.1 mm
 LIMIT, HALVINGS = 8.0, 24  # largest finite constant; number of bisection steps to find a constant
 

@@ -5,7 +5,11 @@ from pathlib import Path
 
 import pytest
 
+from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runs import Run
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.observation import Observation
+from mmwave_env.models.layout import Layout
 from policies import LearnedSwitch, shipped_policies
 from tests.paths import ROOT
 from tests.refusals import refuses
@@ -40,3 +44,7 @@ def test_a_shipped_policy_is_the_median_of_its_five_trainings(name):
     assert all(card.evaluation["seed"] >= 5_000_000 for card in cards)  # none is a test seed
     rewards = [card.evaluation["reward"] for card in cards]
     assert rewards == sorted(rewards, reverse=True)
+    played = contender_from(run.name, "standard" if name == "ppo-standard" else "handset")
+    pipeline = Pipeline(played.bank.modes, Layout())
+    policy = played.policy(Observation(pipeline, played.observation, played.beliefs))
+    assert policy.card.seed == run.median

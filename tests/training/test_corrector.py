@@ -69,8 +69,8 @@ def test_weaving_users_move_along_both_street_axes_with_the_velocity_that_is_sta
 def test_no_episode_is_played_twice():
     data = CorrectorData(task(), HYPER, SEED)
     first, second = (next(iter(data.lots())) for _ in range(2))
-    shapes = {lot.error.shape for lot in (first, second)}
-    assert len(shapes) == 2 or (first.error != second.error).all()
+    epochs, n, _ = np.minimum(first.error.shape, second.error.shape)
+    assert (first.error[:epochs, :n] != second.error[:epochs, :n]).all()
 
 
 @pytest.mark.slow
