@@ -148,7 +148,7 @@ def facts_markdown(facts: Json) -> str:
         for number, anchor in enumerate(f["anchors"], start=1)
     ]
     table = grid(["anchor", "x m", "y m", "z m", "seen"], rows)
-    lists = lines, f["problems"] or ["no problems found"]
+    lists = lines, f["problems"] or ["no problems in the file's format"]
     above, below = ("".join(f"- {line}\n" for line in items) for items in lists)
     return f"{above}\n{table}\n\n{below}"
 

@@ -167,6 +167,13 @@ def hypotheses(scene: Scene, radio: Radio) -> dict[str, tuple[Hypothesis, str]]:
         "times are those of round trips": (_scaled([_RANGE], 0.5), "halve the time of flight"),
         "Doppler shift has the other sign": (_scaled((), -1.0), "negate doppler"),
     }
+    if scene.origin and (bearing := scene.origin.bearing_deg) != 90.0:
+        compass = _scaled(_AZIMUTHS, -1.0, np.radians(bearing))
+        east = _scaled(_AZIMUTHS, 1.0, np.radians(bearing - 90.0))
+        write = f"write {bearing:g} degrees - aoa_azimuth and {bearing:g} degrees - aod_azimuth"
+        mistakes["azimuths are compass bearings"] = compass, write
+        cure = f"add {bearing - 90.0:g} degrees to aoa_azimuth and to aod_azimuth"
+        mistakes["azimuths are counterclockwise from east"] = east, cure
     for name, (column, row) in _COLUMNS.items():
         cure = f"rename {column}_rad to {column}_deg"
         mistakes[f"{name} is in degrees"] = _scaled([row], PI / 180.0), cure

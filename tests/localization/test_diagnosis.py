@@ -4,6 +4,7 @@ from contextlib import suppress
 from copy import deepcopy
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from mmwave_env.filters.bank import default_modes
@@ -13,9 +14,10 @@ from mmwave_env.localization.localizer import Switching, localize
 from mmwave_env.localization.track_scores import Groups
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import read_scene
+from mmwave_env.models.scene import Origin, read_scene
 from policies.speed_rule import by_predicted_speed
 from tests.localization.mistakes import (
+    AZIMUTHS,
     FOLDERS,
     MISTAKES,
     ORDERS,
@@ -133,6 +135,18 @@ def test_a_rotated_frame_causes_a_warning_and_no_hypothesis_explains_it(tmp_path
     path = wrong_log(tmp_path, folder, turned)
     assert doubts(read_log(path, scene), scene)
     assert all(finding.contradictions for finding in findings(path, scene))
+
+
+@pytest.mark.parametrize(("name", "sign", "degrees"), [
+    ("azimuths are compass bearings", -1.0, 60.0),
+    ("azimuths are counterclockwise from east", 1.0, 30.0),
+])  # fmt: skip
+def test_bearings_are_diagnosed_by_the_direction_of_the_x_axis(tmp_path, name, sign, degrees):
+    scene = read_scene(FOLDERS[0] / "scene.json")
+    scene = replace(scene, origin=Origin(48.0, 11.0, bearing_deg=60.0))
+    mistake = linear(sign, *AZIMUTHS, offset=np.radians(degrees))
+    best = findings(wrong_log(tmp_path, FOLDERS[0], mistake), scene)[0]
+    assert best.hypothesis == name and not best.contradictions
 
 
 def test_the_radio_of_a_log_is_diagnosed_and_the_log_is_not_changed():
