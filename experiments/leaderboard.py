@@ -21,8 +21,7 @@ class Args:
     together with the paper's rule and every IMM, at four kinds of sites: the nine sites where
     policies may be trained, unseen sites, recordings and hard sites. A contender's entry (its
     figures at all sites) is written to a JSON file in the folder --out; the tables show all entries
-    there. Scores need the entry of the clairvoyant (a policy that knows the truth), in that folder
-    or in docs/leaderboard.
+    there, and the clairvoyant (a policy that knows the truth), whose score is 100.
 
     mmwave-loc leaderboard --policies imm-best --episodes 400 --draws 20
     """
@@ -57,12 +56,12 @@ def main(args: Args) -> None:
     require_at_least(2, args, "episodes", "draws")
     page = page_to_renew(args.docs) if args.docs else ""
     protocol.require_contenders(args.policies)
-    folders, groups = (args.out, protocol.PUBLISHED), [args.policies] if args.policies else []
+    groups = [args.policies] if args.policies else []
     stems = {name: re.sub(r"[^\w.-]+", "-", name).strip("-") for name in args.policies}
     files = {name: args.out / f"{stem}.json" for name, stem in stems.items()}
     if args.keep:
         groups = [(name,) for name, file in files.items() if not file.exists()]
-    ceiling = protocol.ceiling_in(*folders)
+    ceiling = protocol.ceiling_in(args.out)
     for names in groups:
         judged = []
         for site in protocol.sites():
@@ -77,6 +76,8 @@ def main(args: Args) -> None:
     entries = [protocol.read_entry(path) for path in sorted(args.out.glob("*.json"))]
     if not entries:
         raise ValueError(f"out: found no entries in {args.out}; --policies makes some")
+    if all(entry["entry"] != CLAIRVOYANT for entry in entries):
+        entries.insert(0, ceiling)
     protocol.add_scores(entries, ceiling)
     tables = protocol.tables_of(entries, ceiling)
     show("\n\n".join(f"{TITLES[name]}:\n\n{table}" for name, table in tables.items()))

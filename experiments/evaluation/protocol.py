@@ -38,7 +38,6 @@ UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
 OTHER_RADIOS = ("handset", "standard")  # radios for unseen streets and for recordings
 EPISODES, DRAWS = 2000, 200  # episodes at each simulated site, and drawn from each recording
 CEILING_EPISODES, CEILING_DRAWS = 400, 20  # scores use only this many first episodes and draws
-PUBLISHED = Path(__file__).parents[2] / "docs" / "leaderboard"  # folder of the published entries
 
 
 def unseen_file(name: str) -> str:
@@ -171,27 +170,26 @@ def read_entry(path: Path) -> Json:
     return read_json(path, "an entry", checked)
 
 
-def ceiling_in(*folders: Path) -> Json | None:
-    """Return the clairvoyant's entry from the first folder that has it, or None."""
-    paths = (folder / f"{CLAIRVOYANT}.json" for folder in folders)
-    return next((read_entry(path) for path in paths if path.is_file()), None)
+def ceiling_in(folder: Path) -> Json:
+    """Return the clairvoyant's entry from a folder or, if the folder has none, the shipped one."""
+    own = folder / f"{CLAIRVOYANT}.json"
+    return read_entry(own if own.is_file() else Path(__file__).with_name(own.name))
 
 
-def add_scores(entries: Iterable[Json], ceiling: Json | None) -> None:
+def add_scores(entries: Iterable[Json], ceiling: Json) -> None:
     """Set the scores of entries at their sites; ``ceiling`` is the entry of the clairvoyant.
 
     A score is None unless entry and ceiling were compared with the rule on the same episodes.
     """
-    tops = ceiling["sites"] if ceiling else {}
     for content in entries:
         for name, at in content["sites"].items():
-            top = tops.get(name, {})
+            top = ceiling["sites"].get(name, {})
             at["score"] = None
             if top and scored_over(at) == scored_over(top):
                 at["score"] = score_of(at["over_rule"]["mean"], top["over_rule"]["mean"])
 
 
-def tables_of(entries: Sequence[Json], ceiling: Json | None) -> dict[str, str]:
+def tables_of(entries: Sequence[Json], ceiling: Json) -> dict[str, str]:
     """Return all tables, by title, of entries in which :func:`add_scores` has set the scores."""
     scores = by_score(entries, ceiling)
     return {"leaderboard": ranking(entries), "scores": scores, "sites": by_site(entries)}
@@ -245,8 +243,9 @@ def by_site(entries: Sequence[Json]) -> str:
     entries; the ranking includes them.
     """
     named = {content["entry"]: content["sites"] for content in entries}
-    policies = {name: at for name, at in named.items() if "/" not in name}
-    shown = {n: at for n, at in policies.items() if not n.startswith("imm")} or policies or named
+    names = {name: at for name, at in named.items() if "/" not in name}
+    policies = {name: at for name, at in names.items() if not name.startswith("imm")}
+    shown = next((some for some in (policies, names) if some.keys() - {CLAIRVOYANT}), named)
     rows = []
     for site in sites():
         cells = [site.name]
@@ -258,16 +257,16 @@ def by_site(entries: Sequence[Json]) -> str:
     return grid(["site", *shown], rows)
 
 
-def by_score(entries: Sequence[Json], ceiling: Json | None) -> str:
+def by_score(entries: Sequence[Json], ceiling: Json) -> str:
     """Return a Markdown table by site: the clairvoyant's gain over the rule, then every score.
 
     Policy files and the clairvoyant are left out if there are other entries.
     """
     named = {content["entry"]: content["sites"] for content in entries}
     shown = {n: at for n, at in named.items() if n != CLAIRVOYANT and "/" not in n} or named
-    tops, rows = ceiling["sites"] if ceiling else {}, []
+    rows = []
     for site in sites():
-        top = tops.get(site.name, {}).get("over_rule")
+        top = ceiling["sites"].get(site.name, {}).get("over_rule")
         cells = (score_cell(at[site.name]["score"]) for at in shown.values())
         rows.append([site.name, Interval.of(top) if top else MISSING, *cells])
     return grid(["site", f"{CLAIRVOYANT} minus {RULE}", *shown], rows)

@@ -3,6 +3,8 @@
 A *site* is a source of episodes; an *entry* holds the results of one policy at all sites.
 """
 
+import json
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,7 @@ from experiments.evaluation.protocol import (
     UNSEEN,
     Judged,
     add_scores,
+    ceiling_in,
     entry,
     judge,
     sites,
@@ -92,17 +95,22 @@ def test_the_rule_has_score_0_and_the_clairvoyant_100_at_every_site():
         assert f"| {site.name} | 2.000 [2.000, 2.000] | 50 | 25 | 0 |" in tables["scores"]
 
 
-def test_without_the_clairvoyant_or_its_episodes_scores_are_dashes():
+def test_scores_are_dashes_if_an_entry_has_fewer_episodes_than_the_clairvoyant():
     content, ceiling = (entries()[name] for name in ("mine", "clairvoyant"))
-    for known, shown in ((ceiling, "50"), (None, "-")):
-        add_scores([content], known)
-        tables = tables_of([content], known)
+    for episodes, shown in ((3, "50"), (2, "-")):  # the clairvoyant played three episodes
+        for at in content["sites"].values():
+            at["episodes"] = episodes
+        add_scores([content], ceiling)
+        tables = tables_of([content], ceiling)
         assert f"| {shown} | 0.500 [0.500, 0.500] | 5 / 0 / 0 |" in tables["leaderboard"]
         assert f" | {shown} |\n| street:standard" in tables["scores"]
-    for at in content["sites"].values():
-        at["episodes"] = 2  # the clairvoyant played three episodes
-    add_scores([content], ceiling)
-    assert {at["score"] for at in content["sites"].values()} == {None}
+
+
+def test_a_folder_without_the_clairvoyant_uses_the_shipped_entry(tmp_path):
+    shipped = ceiling_in(tmp_path)
+    assert shipped["sites"].keys() >= {site.name for site in sites()}
+    (tmp_path / "clairvoyant.json").write_text(json.dumps(shipped | {"command": "mine"}))
+    assert ceiling_in(tmp_path)["command"] == "mine"
 
 
 @pytest.fixture(scope="module")
