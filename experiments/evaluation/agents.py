@@ -78,10 +78,12 @@ class Estimator(Policy):
 
 
 class _Function(Policy):
-    """A policy without memory, made from a function of observations."""
+    """A policy without memory, made from a function that may have a method ``correct``."""
 
     def __init__(self, act: Act) -> None:
         self._act = act
+        if hasattr(act, "correct"):
+            self.correct = act.correct
 
     def __call__(self, observation: Array32) -> Any:
         return self._act(observation)

@@ -11,6 +11,7 @@ from experiments.evaluation.contenders import contender_from
 from mmwave_env.filters.bank import Bank, bank_as_written, modes_from
 from mmwave_env.models.layout import Layout
 from policies import LearnedSwitch
+from policies.corrector import Correction
 from tests.cli import assert_one_clear_line, command
 from tests.refusals import refuses
 from tests.training.actors import HANDSET, actor, card_of, write
@@ -67,6 +68,25 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "path", [*sys.path])
     yield tmp_path
     sys.modules.pop("my_agents", None)
+
+
+class Upward:
+    """An agent without a method ``reset`` that shifts the height by one standard deviation."""
+
+    beliefs = "per-mode"
+
+    def __call__(self, observations):
+        return np.zeros(len(observations), int)
+
+    def correct(self, observations):
+        zero = np.zeros((len(observations), 3))
+        return Correction(zero + [0.0, 0.0, 1.0], zero, np.ones(len(zero)))
+
+
+def test_an_agent_without_reset_may_correct_beliefs():
+    result = compare({"mine": Upward()}, ("imm-best",), episodes=2, beliefs="per-mode")
+    mine, base = (result.policies[name]["ate_m"].mean for name in ("mine", "imm-best"))
+    assert mine > base + 0.1
 
 
 def test_an_agent_from_a_module_is_compared_like_any_policy(folder):
