@@ -35,7 +35,6 @@ from mmwave_env.world.keys import Keys, Streams, keys_from, option_of
 Observations = NDArray[np.float32]
 Step = tuple[Observations, Array, Mask, Mask, dict[str, Any]]
 
-
 BEGUN = 512  # maximum number of episodes drawn at once: few enough to need little memory
 
 
