@@ -45,7 +45,7 @@ from numba.misc.appdirs import user_cache_dir
 
 _PACKAGE = Path(__file__).parents[1]  # an edit anywhere in the package makes a new version
 _SOURCES = "**/*.py"
-_READ = time.time()  # if a source is edited later, this process may have read it before or after
+_READ = time.time()  # this process may have read either version of a source edited later
 _KEPT = 8  # number of versions of the sources whose compiled functions are kept
 _CHECKSUM = sha256().digest_size  # length, in bytes, of the checksum with which a file begins
 
