@@ -35,7 +35,7 @@ from mmwave_env.world.keys import Keys, Streams, keys_from, option_of
 Observations = NDArray[np.float32]
 Step = tuple[Observations, Array, Mask, Mask, dict[str, Any]]
 
-BEGUN = 512  # maximum number of episodes drawn at once: few enough to need little memory
+BEGUN = 512  # maximum number of episodes drawn at once, to limit the memory that they need
 
 
 class MmWaveLocVectorEnv(
@@ -246,7 +246,7 @@ class MmWaveLocVectorEnv(
     def step(self, actions: Index) -> Step:
         """Process an epoch in every environment. Actions are modes (N,) or, in a `Box`, (N, k)."""
         actions, numbers = self._checked(actions)
-        fresh, resets = self._over, self._ended  # mask and number of the resets by NextStep
+        fresh, resets = self._over, self._ended  # mask and number of environments to reset now
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
         result, self._ended, infos = self._stepper.step(actions, numbers)
         observations, rewards, terminated, truncated, *_ = result
@@ -291,7 +291,7 @@ class MmWaveLocVectorEnv(
         return infos
 
     def _checked(self, actions: Any) -> tuple[Index, Array | None]:
-        """Return copies of the actions: modes (N,) and None, or zeros (N,) and numbers (N, k).
+        """Return copies of the actions: modes (N,) and None, or zeros (N,) and `Box` values (N, k).
 
         Invalid actions are refused, except in environments that ignore their action.
         """
