@@ -287,7 +287,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         self._io, self._counts = self._engine.io(), self._tally.in_python()
         self._observed, self._error = self._engine.obs_rows, span(at.error)
         self._spread = span(reported(at).P[:3])
-        self._told = {key: span(part) for key, part in info_rows(at).items()}
+        self._info_rows = {key: span(part) for key, part in info_rows(at).items()}
 
     @property  # type: ignore[override]
     def spec(self) -> EnvSpec | None:
@@ -333,11 +333,11 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
             self._gallery.begin(_HERE, names, self._streets_of, self._engine.column)
             if self.render_mode == "human":
                 self.render()
-        info |= {key: column[self._told[key]] for key in STATE_KEYS}
+        info |= {key: column[self._info_rows[key]] for key in STATE_KEYS}
         return column[self._observed].astype(np.float32), self._worded(info, at_end=True)
 
     def _begin(self, key: int | None) -> dict[str, Any]:
-        """Begin the episode of a key, or the next one if None; return infos about the episode."""
+        """Begin the episode with this key (None: the next episode); return infos about it."""
         task, engine = self._task, self._engine
         if not task.has_keys:
             episode = task.draw(self.np_random)
@@ -351,13 +351,13 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         return {"episode_name": name, "episode_key": np.uint64(key), "nonfinite": 0}
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Take an action: run a mode, trust a mode or apply numbers. See Gymnasium's `Env.step`."""
+        """Process an epoch: apply a mode, weights or a correction. See Gymnasium's `Env.step`."""
         if self._over:
             raise ResetNeeded("Call reset before step: there is no episode under way.")
         mode = self._take(action)
         self._engine.batch.advance(self._io)
         column = self._engine.column(0)
-        info = step_info(column, self._told, mode)
+        info = step_info(column, self._info_rows, mode)
         rewards, distance = np.array([column[self._engine.at.reward]]), info["position_error_m"]
         if self._baseline:
             self._baseline.subtract(rewards, _HERE)
@@ -382,13 +382,13 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         return observation, float(rewards[0]), terminated, truncated, info
 
     def _take(self, action: Any) -> int:
-        """Pass an action to the engine, or refuse it; return its mode, or 0 if it has numbers."""
+        """Pass an action to the engine, or refuse it; return it if it is a mode, else 0."""
         inputs = self._io.inputs[0, 0]
         if len(self._limits):
             inputs[1:] = numbers_in("action", action, self._limits)
             (inputs[0],) = self._engine.choices()
             return 0
-        # Gymnasium's own check takes longer than the filters
+        # `contains` takes longer than the filters, so the usual actions are checked without it
         known = type(action) in _INTEGERS and 0 <= action < len(self.observation.actions)
         if not (known or self.action_space.contains(action)):
             raise InvalidAction(
@@ -399,7 +399,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         return int(action)
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Draw the epochs so far, seen from above; return (size, size, 3), or None for "human"."""
+        """Draw the track, seen from above; return pixels (size, size, 3), or None for "human"."""
         if self._gallery is None:
             return None
         self._require_begun("render")

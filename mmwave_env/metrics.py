@@ -56,7 +56,7 @@ def nees_interval(axes: int = 3) -> tuple[float, float]:
 
 
 def scored(epochs: int) -> slice:
-    """Return the epochs that averages use: all after the burn-in or, if none, the last one."""
+    """Return the epochs that averages use: all after the burn-in; if there are none, the last."""
     return slice(min(BURN_IN, epochs - 1), None)
 
 
@@ -67,7 +67,7 @@ class Epochs(NamedTuple):
     error: Array  # (..., T, 3) estimated minus true position, m
     nees: Array  # (..., T) NEES of the position
     second: int  # number of epochs in a second, at least 1
-    interval: tuple[float, float]  # interval of the NEES of a consistent filter
+    interval: tuple[float, float]  # contains the NEES of a consistent filter in 95 % of epochs
 
 
 class Sums(NamedTuple):
@@ -143,7 +143,7 @@ METRICS = {
     )
 }  # fmt: skip
 INFO_KEYS = {m.name: m.info or m.name for m in METRICS.values() if m.running}
-TERMS = {  # cost -> its header and meaning; the tracking reward is minus the sum of the costs
+TERMS = {  # term -> its header and meaning; the tracking reward is minus the sum of both terms
     "error_term": ("error term", "what position errors cost in the tracking reward, per epoch"),
     "nees_term": ("NEES term", "what the NEES costs in the tracking reward, per epoch"),
 }

@@ -26,8 +26,9 @@ class SB3VecEnv(VecEnv):
 
     When an episode ends, the step returns the info of the last step, including the metrics of the
     episode. The info also has the keys that Stable-Baselines3 reads: ``terminal_observation``, the
-    last observation; ``TimeLimit.truncated``, True if the episode was cut short (so that its last
-    state has a value other than 0); ``episode`` with return "r", length "l" and time "t" (s).
+    last observation; ``TimeLimit.truncated``, True if the episode was cut short (so that the value
+    of its last state is not 0); ``episode`` with the return "r", the length "l", and "t", the
+    seconds since this object was created.
 
     Raises:
         ValueError: the autoreset mode is not "SameStep"; other modes begin the next episode one

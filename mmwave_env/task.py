@@ -31,7 +31,7 @@ from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Scenario
 
 EPISODE_STEPS = 200
-# function that makes an agent, given the table of features that it observes; the agent is a
+# function that receives the table of the observed features and returns an agent, which is a
 # function from observations (n, features) to actions (n,)
 Base = Callable[[Observation], Callable[[NDArray[np.float32]], Any]]
 
@@ -43,13 +43,13 @@ class Task:
     source: EpisodeSource
     radio: Radio  # profile of the receiver
     pipeline: Pipeline
-    bank: Bank | None  # the bank of the modes if each keeps its own belief, else None
+    bank: Bank | None  # modes and transition probabilities if every mode has its belief; else None
     reward: Reward  # function of (belief, truth)
     baseline: Bank | None  # bank of the IMM whose reward a paired reward subtracts, or None
     # reward of each epoch that remains after a divergence; None if divergence does not end episodes
     worst: float | None
     action: str = MODE  # kind of actions
-    # if actions correct beliefs: function that makes the agent that chooses modes; None for an IMM
+    # if actions correct beliefs: function that makes the agent for modes; None for a plain IMM
     base: Base | None = None
 
     def draw(self, rng: np.random.Generator) -> Episode:
@@ -68,7 +68,7 @@ class Task:
     @property
     def has_keys(self) -> bool:
         """Return whether every episode is a function of a key, which is a 64-bit number."""
-        return type(self.source) is SimulatedSource  # subclasses may draw in another way
+        return type(self.source) is SimulatedSource  # a subclass may draw episodes without keys
 
     def streets_of(self, key: int) -> Streets | None:
         """Return the streets that pictures of a key's episode show; None if they are unknown."""
@@ -158,7 +158,7 @@ def task_from(**arguments: Any) -> Task:
     if asked.terminate_on_divergence:
         if getattr(pays, "worst", None) is None:
             raise ValueError(
-                "terminate_on_divergence: needs a reward with an attribute worst, the lowest reward"
+                "terminate_on_divergence: needs a reward with an attribute `worst`, its minimum"
             )
         worst = pays.worst - max(mode.cost for mode in pipeline.modes)  # type: ignore[attr-defined]
     acts = asked.action, asked.base
@@ -172,7 +172,7 @@ def _require_action(asked: TaskArguments) -> None:
         raise ValueError(f'action: found {asked.action!r}, which needs beliefs="per-mode"')
     if asked.base is not None and not (asked.action == CORRECTION and callable(asked.base)):
         raise ValueError(
-            f"base: found {asked.base!r}, expected a function, and action={CORRECTION!r}"
+            f"base: found {asked.base!r}, expected a function, with action={CORRECTION!r}"
         )
 
 

@@ -35,8 +35,7 @@ from mmwave_env.world.keys import Keys, Streams, keys_from, option_of
 Observations = NDArray[np.float32]
 Step = tuple[Observations, Array, Mask, Mask, dict[str, Any]]
 
-
-BEGUN = 512  # maximum number of episodes drawn at once: few enough to need little memory
+BEGUN = 512  # maximum number of episodes drawn at once, to limit the memory that they need
 
 
 class MmWaveLocVectorEnv(
@@ -53,8 +52,8 @@ class MmWaveLocVectorEnv(
             resets), "SameStep" (the step that ends an episode also resets; the results of the old
             episode are in ``final_obs`` and ``final_info``) or "Disabled" (call
             ``reset(options={"reset_mask": mask})`` with a bool array (N,) to reset only some).
-        threads: maximum number of threads, used only where they save time, from N = 1024 on;
-            results do not depend on them.
+        threads: maximum number of threads; several are used only from N = 1024 on, where they
+            save time. Results do not depend on this number.
         max_episode_steps: None or the length of the episodes; Gymnasium may pass this argument,
             which must agree with ``episode_steps``.
         infos: "all" (for every step), "episode" (for resets and the last steps of episodes) or
@@ -245,9 +244,9 @@ class MmWaveLocVectorEnv(
         return {} if self._infos == "none" else infos
 
     def step(self, actions: Index) -> Step:
-        """Process an epoch in every environment, with modes (N,) or numbers (N, k) as actions."""
+        """Process an epoch in every environment. Actions are modes (N,) or, in a `Box`, (N, k)."""
         actions, numbers = self._checked(actions)
-        fresh, resets = self._over, self._ended  # mask and number of the resets by NextStep
+        fresh, resets = self._over, self._ended  # mask and number of environments to reset now
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
         result, self._ended, infos = self._stepper.step(actions, numbers)
         observations, rewards, terminated, truncated, *_ = result
@@ -292,7 +291,7 @@ class MmWaveLocVectorEnv(
         return infos
 
     def _checked(self, actions: Any) -> tuple[Index, Array | None]:
-        """Return copies of the actions: modes (N,) and None, or zeros (N,) and numbers (N, k).
+        """Return copies of the actions: modes (N,) and None, or zeros (N,) and `Box` values (N, k).
 
         Invalid actions are refused, except in environments that ignore their action.
         """
@@ -309,7 +308,7 @@ class MmWaveLocVectorEnv(
         array = np.asarray(actions)
         if array.shape == (n,) and array.dtype.kind in "iu":
             chosen = array.astype(np.int64)
-            wrong = chosen.view(np.uint64) >= self._mode_count  # negative ones become large
+            wrong = chosen.view(np.uint64) >= self._mode_count  # negative actions become large
             if self._ended:
                 wrong[self._over] = False
             if not np.count_nonzero(wrong):

@@ -183,8 +183,8 @@ def _some_blocks(b, end, state, before, kept_before, some):  # type: ignore[no-u
 def advance(begin, end, run, blank, state, io):  # type: ignore[no-untyped-def]
     """Run the tracks of blocks ``begin`` to ``end``.
 
-    Callers ignore the returned number. It depends on reads that bring rows into the caches, which
-    the compiler would drop if nothing depended on them.
+    Callers ignore the returned number. It only keeps the compiler from dropping the reads that
+    bring rows into the caches.
 
     A program reads its rows in an order that hardware prefetchers cannot guess. If the blocks do
     not all fit into the core's own caches, reading the rows once in order, before the program runs,

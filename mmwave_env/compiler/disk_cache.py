@@ -9,7 +9,7 @@ that leaves the file's time and size unchanged. Processes that start at the same
 numba's files, and a damaged file or a full disk ends the program. This cache names its folder after
 a hash of all sources, and writes each compiled function to one file. After an error with a file, it
 compiles the function again. A checksum detects damage before the file's content is run. If a source
-is edited while a process runs, the process stops using files: it may have read either version.
+is edited while a process runs, the process stops using the cache: it may have read either version.
 
 The files are pickles, like numba's own, and reading a pickle runs code that its author chose. So
 folders and files are private to this user: the cache rejects links and anything that another user
@@ -45,7 +45,7 @@ from numba.misc.appdirs import user_cache_dir
 
 _PACKAGE = Path(__file__).parents[1]  # an edit anywhere in the package makes a new version
 _SOURCES = "**/*.py"
-_READ = time.time()  # if a source is edited later, this process may have read it before or after
+_READ = time.time()  # this process may have read either version of a source edited later
 _KEPT = 8  # number of versions of the sources whose compiled functions are kept
 _CHECKSUM = sha256().digest_size  # length, in bytes, of the checksum with which a file begins
 

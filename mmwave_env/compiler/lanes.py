@@ -238,9 +238,9 @@ def kernel(function: Callable[[Any], None], ends: Sequence[int]) -> Any:
     """Return a numba function that runs ``function(rows)`` on a workspace of one or more parts.
 
     ``rows[i]`` reads row i as Lanes and ``rows[i] = value`` writes it. ``function`` is called only
-    once, when numba compiles the caller. Every part is an array (rows, 8) of doubles. Rows are
-    numbered from part to part, and ``ends`` has the number of each part's last row, plus 1. The
-    numba function has one argument: a tuple of the parts' addresses.
+    once, when numba compiles the caller. Every part is an array (rows, 8) of doubles. The row
+    numbers continue from one part to the next; ``ends`` contains, for each part, the number of its
+    last row plus 1. The numba function has one argument: a tuple of the parts' addresses.
     """
 
     @intrinsic  # type: ignore[untyped-decorator]

@@ -144,8 +144,8 @@ def tree_kernel(
     """Return a numba function that applies a function of numbers to a workspace, in place.
 
     The function maps a tree to a tree; both have the shape of the ``template``. The leaves of a
-    tree, in order, are the rows. For ``ends`` (None: compile all rows as one part) and the
-    returned function see :func:`~mmwave_env.compiler.lanes.kernel`.
+    tree, in order, are the rows. :func:`~mmwave_env.compiler.lanes.kernel` describes ``ends``
+    (None: all rows are one part) and the returned function.
     """
     size = len(flatten(template))
 
@@ -184,7 +184,7 @@ class Program(Generic[Workspace]):
     def by_name(self, names: Sequence[str], outputs: Array) -> dict[str, Array]:
         """Split outputs (n, epochs, columns) by name; column i is row ``self.rows(names)[i]``.
 
-        A part is (n, epochs) if it is a single number, else (n, epochs, numbers).
+        A part is (n, epochs) if it is a single number, (n, epochs, k) if it has k numbers.
         """
         return {
             name: outputs[..., columns] for name, columns in self._found(tuple(names))[1].items()

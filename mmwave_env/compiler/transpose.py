@@ -66,7 +66,7 @@ def _compiled_gather(block, sources, count):  # type: ignore[no-untyped-def]
                 for i in range(count):
                     block[i, lane] = number_at(sources[lane] + 8 * i)
             return
-        for first in range(0, count, WIDTH):  # tiles of 8 rows; the last may overlap the one before
+        for first in range(0, count, WIDTH):  # tiles of 8 rows; the last two may overlap
             _turn_in(block.ctypes.data, sources.ctypes.data, min(first, count - WIDTH))
 
     return compiled

@@ -1,7 +1,7 @@
 """Batches of environments that run a program on episodes.
 
 A program (:mod:`mmwave_env.compiler.program`) computes one epoch of an environment. Its workspace
-contains all numbers of the environment, one per row. A :class:`Batch` sets the first three fields
+contains the environment's state, one number per row. A :class:`Batch` sets the first three fields
 of the workspace: ``incoming`` is the next epoch; ``site`` contains the anchors, carrier and prior;
 ``is_first`` is 1 if an episode begins, and the program sets it back to 0.
 """
@@ -47,7 +47,7 @@ class Batch(Generic[Workspace]):
         ahead: additional epochs before the first action: 1 if actions are corrections, else 0.
 
     Attributes:
-        at: workspace with row numbers instead of numbers; its parts tell :meth:`read` what to read.
+        at: workspace whose leaves are row indices; :meth:`read` and :meth:`write` take parts of it.
         state: the environments' workspaces and episodes, and the index of each one's next epoch.
         parts: for each thread, the first block that it runs, and the block after its last.
     """
@@ -174,7 +174,7 @@ class Batch(Generic[Workspace]):
     def io(
         self, epochs: int = 1, output_rows: Index = NO_ROWS, obs_rows: Index = NO_ROWS
     ) -> StepIO:
-        """Return buffers for a run of some epochs: zeros as inputs, and arrays for outputs."""
+        """Return buffers for a run of ``epochs``: zeros as inputs, and arrays for outputs."""
         return StepIO.of(self.n, epochs, self._input_rows, output_rows, obs_rows)
 
     def advance(self, io: StepIO | None = None, running: NDArray[np.bool_] | None = None) -> None:
@@ -217,7 +217,7 @@ class Batch(Generic[Workspace]):
     def write(self, tree: Any, values: Any, places: Index | None = None) -> None:
         """Set the rows of a subtree of ``at`` to values: (n,) for a leaf, else (n, leaves).
 
-        ``values`` has one entry for each of ``places``; None as ``places`` stands for all.
+        ``values`` has one entry for each environment in ``places``; None means all environments.
         """
         places = np.arange(self.n) if places is None else places
         block, lane = np.divmod(places, WIDTH)

@@ -31,8 +31,8 @@ class Engine:
         n: number of environments.
         reward: function of (belief, truth).
         observation: "full", "prior" or "signed".
-        bank: bank of the pipeline's modes, if every mode keeps its own belief; None if the modes
-            share a belief.
+        bank: the pipeline's modes and their transition probabilities, if every mode keeps its own
+            belief; None if the modes share a belief.
         action, base: same as in :class:`~mmwave_env.task.Task`.
         on_floats: whether to run in plain Python, which filterpy needs, instead of on SIMD lanes.
         threads: number of threads that may work at once; results do not depend on this number.
@@ -77,9 +77,9 @@ class Engine:
             self.tune(bank)
 
     def tune(self, bank: Bank, places: Index | None = None) -> None:
-        """Load a bank into some environments (n,) or into all.
+        """Load a bank into the environments with indices ``places`` (n,); None for all.
 
-        The bank's modes may differ from those of the pipeline only in their tuning.
+        The bank's modes may differ from the pipeline's modes only in their tuning.
         """
         numbers = flatten(settings_of(bank, self.pipeline.layout))
         self.batch.write(self.at.settings, np.array(numbers), places)
@@ -125,7 +125,7 @@ class Engine:
             self.batch.make_room(task.simulated.epochs)
 
     def go_on(self, task: Task, tracks: BatchState) -> None:
-        """Continue from a batch's state. Another process may have run the batch, with this task."""
+        """Continue from a batch's state, which another process may have saved with this task."""
         if len(tracks.feed.kept):  # the address of compiled code differs between processes
             feed = tracks.feed._replace(run=task.simulated.world.on_lanes())
             tracks = tracks._replace(feed=feed)
@@ -150,7 +150,7 @@ class Engine:
     ) -> tuple[NDArray[np.float32], Array]:
         """Run the modes on the next epoch in environments just loaded; leave the others unchanged.
 
-        The results have the form of those of :meth:`step`, but are valid only for ``places``.
+        The results have the same shapes as in :meth:`step`, but are valid only for ``places``.
         """
         running = np.zeros(self.batch.n, np.bool_)
         running[places] = True
@@ -191,8 +191,8 @@ class Engine:
 
         Args:
             actions: modes, counted from 0. If every mode has its own belief, modes are counted
-                from 1, and action 0 trusts no mode.
-            output_rows: (k,) numbers of the rows to return, for example from :func:`rows_of`.
+                from 1, and action 0 raises the probability of no mode.
+            output_rows: (k,) indices of the rows to return, for example from :func:`rows_of`.
 
         Returns:
             The observations (n, features) and the output rows (n, k), in new arrays.

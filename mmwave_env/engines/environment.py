@@ -32,7 +32,7 @@ from mmwave_env.task import Task
 from mmwave_env.world.episode import EpisodeBatch
 from mmwave_env.world.keys import Streams
 
-# maximum numbers of episodes that a job replays or filters, which limit the memory that it needs
+# maximum numbers of episodes that a job replays (REPLAYED) or filters, to limit its memory
 REPLAYED, FILTERED = 8, 256
 
 
@@ -146,7 +146,7 @@ class Environment:
         """Return the belief after the last epoch in which an action was taken.
 
         Args:
-            environment: number of the environment, if there are several.
+            environment: index of the environment, if there are several.
 
         Raises:
             ResetNeeded: no episode is under way.
@@ -168,7 +168,7 @@ class Environment:
             self._baseline.begin(places, partial(self._engine.episodes, self._task))
 
     def _begin_tracks(self, places: Index) -> None:
-        """Start baseline and tally for episodes that just began in some environments."""
+        """Start the baseline and the tally for episodes that just began in some environments."""
         self._begin_baseline(places)
         length = self._engine.batch.state.length[places]
         self._tally.begin(places, self._engine.steps_s(places), length)
@@ -195,7 +195,7 @@ class Environment:
         return metrics | {SMOOTHED_KEY: smoothed}
 
     def _charge(self, rewards: Array, places: Index) -> None:
-        """Add the worst reward, minus an IMM's if it ran, for each epoch lost by an early end."""
+        """Add the worst reward for each epoch lost by an early end, and subtract any baseline."""
         assert self._task.worst is not None
         batch = self._engine.batch
         rewards[places] += self._task.worst * (batch.state.length - batch.completed)[places]

@@ -9,8 +9,8 @@ mode keeps its own belief, the modes interact as in an IMM (:mod:`mmwave_env.fil
 action is the mode to trust in the epoch that was just filtered: the probability of that mode is
 raised before the beliefs are combined, scored and mixed again. Action 0 trusts no mode, so that
 the IMM itself decides. With ``action="weights"``, the action scales every mode's probability. With
-``action="correction"``, an action concerns the epoch before the one that was just filtered: a step
-corrects and scores the belief of this epoch. The filters continue from their uncorrected beliefs.
+``action="correction"``, an action corrects the belief of the epoch before the one that was just
+filtered, and the step scores the corrected belief. The filters continue without corrections.
 """
 
 from functools import lru_cache, partial
@@ -132,7 +132,7 @@ class PerModeState(NamedTuple):
     numbers: list[Number]  # (k,) the action if it is weights or a correction; else empty
     settings: ImmSettings  # parameters of the bank
     pending: PendingEpoch  # the epoch whose mixture waits for an action
-    mixture: Mixture  # belief after that epoch
+    mixture: Mixture  # beliefs of all modes after the pending epoch
     spread_averages_hz: list[Number]  # average Doppler spread, for each of SPREAD_MEMORIES
     # all fields below, except the observation, belong to the last epoch with an action:
     mode_probabilities: list[Number]  # (modes,) probabilities after the action
@@ -214,7 +214,7 @@ def program_of(
     """Return the program of an epoch, shared by all environments with the same arguments.
 
     Args:
-        pipeline: modes and layout; with ``per_mode``, tunings are ignored: the state has its own.
+        pipeline: modes and layout; with ``per_mode``, the tunings in the state replace its own.
         kind: kind of observation.
         reward: function of (belief, truth).
         per_mode: whether every mode keeps its own belief.

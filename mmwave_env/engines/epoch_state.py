@@ -74,7 +74,7 @@ def pending_of(incoming: Incoming, epoch: Epoch, observation: Observation) -> Pe
 def with_expected_spread(epoch: Epoch, velocity: Vector, site: Site) -> Epoch:
     """Return the epoch, with an expected Doppler spread if none was measured (value 0).
 
-    Features need this, because 0 would tell policies that the user stands. The expected spread
+    Features need this, because 0 would tell policies that the user stands still. This expectation
     approximates the mean of :func:`~mmwave_env.models.radio.doppler_spread` for the estimated
     ``velocity`` (3,), m/s, with the default parameters of a radio. Epochs without any measurement,
     such as the blank epoch after an episode's last epoch, keep the value 0.

@@ -1,7 +1,7 @@
 """Filtering with interacting multiple models (IMM), whole episodes in one call.
 
-Compiled code need not stop between epochs, as there is no agent or its actions are known. Since
-transition probabilities, process noise and limits of NIS are data, one program runs any tuning.
+Compiled code need not stop between epochs, because there is no agent or its actions are known.
+Transition probabilities, process noise and NIS limits are inputs, so one program runs any tuning.
 """
 
 from collections.abc import Sequence
@@ -46,7 +46,7 @@ class ImmState(NamedTuple):
     incoming: Incoming  # the epoch that was just filtered
     site: Site  # anchors, carrier and prior
     is_first: Number  # 1 to start over from the prior
-    action: Number  # number of the mode to trust, from 1, if an agent acts; 0 for none
+    action: Number  # number of the mode whose probability is raised, from 1; 0 for none
     settings: ImmSettings  # parameters of the bank
     mixture: Mixture  # belief and probability of every mode
     # x, P: (7,), (28,) combined belief; x_predicted, P_predicted: the same before the update
@@ -55,7 +55,7 @@ class ImmState(NamedTuple):
     x_predicted: list[Number]
     P_predicted: list[Number]
     memory: Memory  # memory of the most probable mode
-    # reward, error, nees: scores of the combined belief, its position error in m
+    # reward, error, nees: reward, position error (m) and NEES of the combined belief
     reward: Number
     error: list[Number]
     nees: Number
@@ -70,7 +70,7 @@ def imm_program(
     Args:
         pipeline: modes and layout.
         reward: function of (belief, truth).
-        acted: whether the field ``action`` of the state names a mode to trust.
+        acted: whether to raise the probability of the mode in the state's field ``action``.
         signed: whether to compute the features of
             :func:`~mmwave_env.interface.signed.after_update`.
     """
@@ -139,8 +139,8 @@ def run_imm(
         planar: same as in :class:`~mmwave_env.filters.pipeline.Pipeline`.
 
     Returns:
-        For each name, an array: (n, epochs) for a part that is a single number, else (n, epochs,
-        numbers). Values past the end of an episode are meaningless.
+        For each name, an array: (n, epochs) for a part that is a single number, (n, epochs, k) for
+        a part of k numbers. Values past the end of an episode are meaningless.
     """
     packed = EpisodeBatch.of(episodes)
     program = imm_program(Pipeline(bank.modes, packed.layout, planar), reward)
@@ -161,7 +161,7 @@ class ImmTracker(EpisodeFilter[ImmState]):
         layout: which quantity is in which row of a measurement.
         n: number of tracks.
         planar: same as in :class:`~mmwave_env.filters.pipeline.Pipeline`.
-        acted: whether :meth:`run` receives actions, which name the modes to trust.
+        acted: whether :meth:`run` receives actions: the modes whose probability is raised.
         signed: whether the part "signed" has features for a policy that corrects beliefs.
     """
 

@@ -1,6 +1,6 @@
 """Fixed-interval smoothing of interacting modes, backwards over a finished track of an IMM.
 
-If a bank contains a mode with little process noise, a Rauch-Tung-Striebel smoother that treats the
+If one of the modes has little process noise, a Rauch-Tung-Striebel smoother that treats the
 mixture as one Gaussian is overconfident. Here every mode has its own smoothed belief. Each backward
 step computes a smoothed belief for each pair (mode j in this epoch, mode i in the following one)
 with the motion model of mode i. Then it merges the beliefs with the same j. A pair's weight is the
@@ -9,7 +9,7 @@ depends on how well mode i, starting from the belief of j, predicts the smoothed
 
 Sources: for the pairs, Kim 1994, "Dynamic linear models with Markov-switching"; for their weights,
 Barber 2006, "Expectation correction for smoothed inference in switching linear dynamical systems",
-JMLR 7. With one mode, the result is that of :func:`mmwave_env.filters.textbook.rts`.
+JMLR 7. With one mode, the result is the same as in :func:`mmwave_env.filters.textbook.rts`.
 """
 
 from collections.abc import Sequence

@@ -31,15 +31,16 @@ class Choice(Protocol):
 
 
 class PolicyTracker:
-    """One track in which a policy chooses the mode, or the mode to trust, in every epoch.
+    """One track in which a policy takes an action, as in the environment, in every epoch.
 
     Args:
         pipeline: modes and layout.
         policy: function from observations (1, features) to actions (1,), with a method
             ``reset(mask)`` that is called when a track starts over. A policy that corrects beliefs
-            (:class:`policies.corrector.Corrector`) also has ``read_from_track``, ``correct_track``.
+            also has the methods ``read_from_track`` and ``correct_track`` of
+            :class:`policies.corrector.Corrector`.
         observation: "full", "prior" or "signed".
-        bank: bank of the modes, if every mode keeps its own belief; None if they share a belief.
+        bank: modes and transition probabilities, if every mode keeps its own belief; else None.
     """
 
     def __init__(

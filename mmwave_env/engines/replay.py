@@ -38,7 +38,7 @@ class Replay:
 
     Args:
         pipeline: modes and layout.
-        bank: bank of the modes, if every mode keeps its own belief; None if they share a belief.
+        bank: modes and transition probabilities, if every mode keeps its own belief; else None.
     """
 
     def __init__(self, pipeline: Pipeline, bank: Bank | None = None) -> None:
@@ -64,7 +64,8 @@ class Replay:
             actions: (n, T) modes chosen in the first T epochs of each episode.
 
         Returns:
-            Filtered position errors (n, T, 3), m; NEES (n, T); smoothed position errors (n, T, 3).
+            Position errors (n, T, 3), m, and NEES (n, T) of the filtered tracks; position errors
+            (n, T, 3) of the smoothed tracks.
         """
         program, index, (n, T) = self._program, self._program.index, actions.shape
         io = StepIO.of(n, T, rows_of(index.action), program.rows(_KEPT))

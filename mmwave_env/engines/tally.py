@@ -55,7 +55,7 @@ class Tally:
         self.counts = Counts(sums, errors, second, interval, modes)
 
     def begin(self, places: Index, step_s: Array, epochs: Index) -> None:
-        """Start over in some environments, given each one's step (s) and number of epochs."""
+        """Start over in some environments with these seconds per epoch and numbers of epochs."""
         second = self.counts.second
         second[places] = np.clip(np.round(1.0 / step_s), 1, epochs)
         self.make_room(int(second.max()), int(epochs.max(initial=0)))
@@ -95,8 +95,8 @@ class Tally:
 def count(counts, e, k, x, y, z, nees):  # type: ignore[no-untyped-def]
     """Count epoch ``k`` (counted from 0) of an episode, with its position error (m) and NEES.
 
-    Each of the first BURN_IN + 1 epochs replaces the earlier ones in the sums, so the burn-in (the
-    first BURN_IN epochs) does not count. An episode that ends earlier is scored by its last epoch.
+    Each of the first BURN_IN + 1 epochs starts the sums anew, so the burn-in (the first BURN_IN
+    epochs) does not count. An episode that ends in the burn-in is scored by its last epoch.
 
     Args:
         counts: a :class:`Counts`, changed in place.

@@ -109,7 +109,7 @@ class EpisodeFilter(Generic[Workspace]):
     """N tracks that a program filters, each from the first epoch of an episode to the last.
 
     Args:
-        batch: batch of N environments, in which the caller sets rows that episodes do not set.
+        batch: batch of N environments; the caller sets the rows that :meth:`load` does not set.
 
     Attributes:
         program: the program of an epoch.
@@ -148,7 +148,7 @@ class EpisodeFilter(Generic[Workspace]):
             actions: (N, epochs) values of the state's part ``action``; None for zeros.
 
         Returns:
-            For each name, (N, epochs) if the part is a single number, else (N, epochs, numbers).
+            For each name, (N, epochs) for a part of one number, (N, epochs, k) for k numbers.
         """
         io = self._batch.io(self.epochs, self.program.rows(names))
         io.inputs[..., 0] = 0 if actions is None else actions
@@ -162,8 +162,8 @@ class Tracker(EpisodeFilter[TrackState]):
     Args:
         pipeline: the mode, or the modes to choose from.
         n: number of tracks.
-        rule: function of the mean (7,) after the previous epoch and of the coming epoch, which
-            returns the number of the mode; None for one mode, or to pass modes to :meth:`run`.
+        rule: function that receives the mean (7,) after the previous epoch and the coming epoch,
+            and returns the number of a mode; None for one mode, or to pass modes to :meth:`run`.
         on_floats: whether to run in plain Python (slow, for reference) instead of on SIMD lanes.
     """
 

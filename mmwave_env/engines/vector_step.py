@@ -68,7 +68,7 @@ class Stepper:
         self._columns = {name: (slice(None), 0, at) for name, at in columns.items()}
         begins = {name: at if isinstance(at, int) else at.start for name, at in columns.items()}
         self._read = StepColumns(*[begins[name] for name in StepColumns._fields])
-        self._engine, self._told = engine, tuple(key for key in shown if key not in FLAGS)
+        self._engine, self._info_keys = engine, tuple(key for key in shown if key not in FLAGS)
         self._groups = len(at.memory.accepted) if shown else 0
         self._io = engine.io(self._rows)
         self._mask_keys = mask_keys([*shown, "mode", COST_KEY])
@@ -98,16 +98,16 @@ class Stepper:
             observations[:, 0], np.empty(n), ends[0], ends[1], flags[0], flags[1], costs
         )
         # Infos need new arrays of outputs, as earlier infos are views of the previous arrays.
-        outputs = np.empty_like(io.outputs) if self._told else io.outputs
+        outputs = np.empty_like(io.outputs) if self._info_keys else io.outputs
         io = StepIO(io.input_rows, io.inputs, self._rows, outputs, io.obs_rows, observations)
         self._io, program = io, (batch.program.on_lanes(), batch.program.blank)
         recorded = self._tally.counts, batch.ahead
         arguments = (*program, batch.state, io, self._read, chosen, result, *recorded)
         jobs = [(begin, end, *arguments) for begin, end in batch.parts]
         ended = sum(self._run(len(batch.state.rows), jobs))
-        if not self._told:
+        if not self._info_keys:
             return result, ended, {}
-        infos: Infos = {key: outputs[self._columns[key]] for key in self._told}
+        infos: Infos = {key: outputs[self._columns[key]] for key in self._info_keys}
         infos |= {"accepted": result.accepted, "rejected": result.rejected, "mode": actions}
         infos[COST_KEY] = result.cost
         infos |= dict.fromkeys(self._mask_keys, self._everywhere.copy())
@@ -133,7 +133,7 @@ class Stepper:
             the environments ``places``.
         """
         observations, outputs = self._engine.start(places, self._rows)
-        if self._told:
+        if self._info_keys:
             return observations, {key: outputs[:, None][self._columns[key]] for key in STATE_KEYS}
         known = [key for key in STATE_KEYS if key in self._known]
         return observations, {key: self._engine.read(self._known[key]) for key in known}
@@ -143,7 +143,7 @@ class Stepper:
 def _step_blocks(  # type: ignore[no-untyped-def]
     begin, end, run, blank, state, io, columns, actions, result, counts, ahead
 ):
-    """Step the environments of blocks ``begin`` to ``end``; return how many episodes ended.
+    """Step the environments of blocks ``begin`` to ``end`` - 1; return how many episodes ended.
 
     ``ahead`` is the same as in :class:`Batch`.
     """

@@ -80,7 +80,6 @@ Modes = Bank | Sequence[Mode | str] | Mapping[str, Any] | str | os.PathLike[str]
 def settings_of(bank: Bank, layout: Layout) -> ImmSettings:
     """Return the parameters of a bank as numbers, for measurements with this layout."""
     limits = chi_square_limits(bank.nis_quantile)
-
     return ImmSettings(
         [list(row) for row in bank.transition or stay_matrix(len(bank.modes))],
         [mode.tuning for mode in bank.modes],
@@ -188,7 +187,7 @@ def bank_over(modes: Modes, radio: str | Radio = "handset") -> Bank:
 
     Args:
         modes: a bank, a mode file, the content of a mode file, or a list of names, mode files and
-            Mode objects. If a list has several entries, the modes interact in the default way.
+            Mode objects. A list with several entries gives a bank with the default parameters.
         radio: radio profile; names stand for the modes that were tuned for this profile.
 
     Raises:

@@ -13,7 +13,7 @@ from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.numerics.numbers import Array, Matrix, Number, Vector, exp, maximum, sqrt, where
 
-MOST_SHIFT, MOST_LOG_FACTOR = 4.0, 2.0  # limits of a shift (in deviations) and of a log factor
+MOST_SHIFT, MOST_LOG_FACTOR = 4.0, 2.0  # limits: shift in standard deviations, log of a factor
 SLOWEST_MPS = 1e-3  # below this speed, the x axis counts as the direction of motion
 
 
@@ -59,7 +59,7 @@ class Frame(NamedTuple):
 def deviations_of(belief: Belief) -> tuple[Frame, list[Number]]:
     """Return the frame of motion and the position's standard deviations along, across and up, m.
 
-    On flat terrain, the deviation up is 0.
+    On flat terrain, the standard deviation up is 0.
     """
     frame = Frame.of(belief.x[3:5])
     along, across, _ = frame.covariance(belief.P)

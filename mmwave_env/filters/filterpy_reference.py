@@ -165,7 +165,7 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
             "planar=False or this package's own filters"
         )
     clock, filters = pipeline.layout.clock, dict[Any, _Filter]()
-    for mode in pipeline.modes:  # modes share a filter per algorithm; each step sets its state
+    for mode in pipeline.modes:  # modes with the same algorithm share a filter
         name: Any = mode.algorithm  # a user's function is refused like an unknown name
         make = choose(_FILTERS, name, f"algorithm of mode {mode.name!r} on filterpy")
         filters[name] = make(pipeline.layout.state_size)

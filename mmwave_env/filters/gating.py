@@ -12,7 +12,7 @@ from mmwave_env.models.measurement import Group, Measurement
 from mmwave_env.numerics.linalg import cholesky, dot, forward, symmetric
 from mmwave_env.numerics.numbers import Matrix, Number, log, maximum, where
 
-_GROUPS_PER_LOG = 8  # number of determinants whose product still fits into a double
+_GROUPS_PER_LOG = 8  # number of determinants whose product is sure to fit into a double
 ROBUST_ONSET = 1.5  # a link is doubtful if its NIS, divided by its number of rows, exceeds this
 
 
@@ -61,7 +61,7 @@ def chi_square_limits(quantile: float) -> list[float]:
 
 
 def at_degrees(limits: Sequence[Number], rows: Number) -> Number:
-    """Return the limit for ``rows`` degrees of freedom; ``limits`` has those for 1, 2, ... rows."""
+    """Return the limit for ``rows`` degrees of freedom; ``limits[k]`` is the limit for k + 1."""
     if isinstance(rows, int):
         return limits[rows - 1]
     limit = limits[0]

@@ -112,7 +112,7 @@ def over_step(transition: Matrix, dt: Number) -> list[list[Number]]:
 
 
 def step_weight(dt: Number) -> Number:
-    """Return a step's length, s, but at most 1; a track's first step, whose dt is 0, gets 1."""
+    """Return a step's length in seconds, at most 1; a track's first step, whose dt is 0, gets 1."""
     return where(dt > 0.0, minimum(dt, 1.0), 1.0)
 
 
@@ -130,8 +130,7 @@ def imm_epoch(
 ) -> ImmEpoch:
     """Run an epoch: mix the beliefs, run every mode, weight the modes by their likelihood.
 
-    The tunings in ``settings`` replace the modes' own; ``mixture`` is the belief after the previous
-    epoch.
+    The tunings in ``settings`` replace the modes' own; ``mixture`` is from the previous epoch.
     """
     predicted, mixed = mix(mixture, over_step(settings.transition, epoch.dt))
     tracks, results = [], []

@@ -6,8 +6,8 @@ the *latents*:
 
     h(x) = h(m) + mean shift + V eta + noise,   eta = (xi, zeta)
 
-The tangent (EKF) has V = dh/dx L, no mean shift, and no curvature latents zeta. For sigma points,
-let up and down be the changes of h from m to m + s L_j and to m - s L_j. Then xi_j has the column
+The tangent (EKF) has V = dh/dx L, no mean shift, and no curvature latents zeta. For sigma points at
+m + s L_j and m - s L_j, let up and down be the changes of h from m. Then xi_j has the column
 (up - down) / 2s of V. If h is curved along L_j, there is also a curvature latent zeta_j, with the
 column up + down. The mean shift is w times the sum of the columns of zeta. Let cov(zeta) =
 (w / 2) I + bend w^2 e e', where e is a vector of ones and :class:`Latents` defines w and bend. Then

@@ -17,7 +17,7 @@ from mmwave_env.numerics.numbers import Number, Vector, clip, sqrt, where
 WINDOW = 10  # number of epochs in the window for adaptive scaling
 GAMMA_LIMITS = (0.5, 2.0)  # limits of the adaptive scale; paper, Sec. III-E
 NIS_MEMORY = (0.6, 0.9)  # weights of the past in the fast and the slow NIS average
-CORRECTION_MEMORY = 0.8  # weight of the past in the average step of the position by updates
+CORRECTION_MEMORY = 0.8  # weight of the past in the average shift of the position in updates
 PREFERENCE_MEMORY = (0.6, 0.85)  # weights of the past in averages of log-likelihood differences
 PREFERENCE_LIMIT = 30.0  # largest absolute difference that counts in these averages
 SNR_MEMORY = 0.95  # weight of the past in a link's mean SNR
@@ -29,7 +29,7 @@ class Memory(NamedTuple):
     """Statistics of a track's measurements so far."""
 
     mode: Number  # number of the mode that ran last
-    lockout: Number  # epochs in a row in which all links failed; epochs without links are skipped
+    lockout: Number  # number of successive epochs with links in which every link failed its gate
     window: list[Number]  # (WINDOW,) NIS / dof of the accepted groups per epoch, newest first
     gamma: Number  # adaptive scale of Q and R
     # nis, accepted, rejected: (groups,) in the last epoch; missing groups have 0 in all three
@@ -37,7 +37,7 @@ class Memory(NamedTuple):
     accepted: list[Number]
     rejected: list[Number]
     nis_average: list[Number]  # (2,) fast and slow average of NIS / dof
-    # (2,) average step of the position by updates, along and across the velocity, m
+    # (2,) average shift of the position in updates, along and across the velocity, m
     correction: list[Number]
     unfixed_s: Number  # seconds since a link was last accepted
     snr_mean_db: list[Number]  # (L,) slow mean SNR per link

@@ -53,7 +53,7 @@ class Pipeline:
         modes: the modes that are available.
         layout: which quantity is in which row of a measurement.
         planar: whether the terrain is flat, so that z and vz keep their prior values (paper, Sec.
-            II-A). Even so, the spacing of sigma points is the one for seven uncertain components.
+            II-A). The spacing of sigma points still assumes seven uncertain components.
         predict: function that predicts the state; ``filterpy_pipeline`` replaces it.
         update: function that returns a mode's algorithm; ``filterpy_pipeline`` replaces it, too.
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from mmwave_env.numerics.numbers import Array, Mask
 
-NEAREST_M = 1e-3  # closer than this to an anchor or its vertical line, angles are undefined
+NEAREST_M = 1e-3  # this close to an anchor or to the vertical line through it, angles are undefined
 
 
 def F(dt: float, hz_per_mps: float | None = None) -> Array:

@@ -143,7 +143,7 @@ def update(
 def _recompose(
     x: Vector, L: Matrix, mean: Vector, covariance: Matrix, rows: list[_Row]
 ) -> tuple[list[Number], list[list[Number]]]:
-    """Return the state's mean and covariance, given those of xi_0..2 and the scalar rows."""
+    """Return the state's mean and covariance, given the moments of xi_0..2 and the scalar rows."""
     k, n = len(mean), len(x)
     spread = [[dot(row[:k], column) for column in covariance] for row in L]
     moves = [[dot(line, row.cross) for line in L] for row in rows]
