@@ -76,7 +76,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
     ## Beliefs per Mode
 
     By default the modes share one belief, which the chosen mode updates. With `beliefs="per-mode"`
-    each mode keeps its own, and they interact as in an IMM (Blom and Bar-Shalom 1988):
+    each mode keeps its own belief, and the beliefs interact as in an IMM (Blom, Bar-Shalom 1988):
 
     * Action space: `Discrete(len(modes) + 1)`. Action 0 trusts no mode: an agent that always takes
       it is the IMM itself. Action k multiplies the probability of the k-th mode by e^3 per second;
@@ -84,7 +84,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
     * Observation space: as above without distances and the previous mode, but with the log-odds of
       each mode before and after the coming measurement, the mode's speed and velocity variance,
       and more averages of the Doppler spread. `env.unwrapped.observation.table()` shows them all.
-    * Information: `mode` is the action; `mode_probabilities` are those after the action. Estimate,
+    * Information: `mode` is the action; `mode_probabilities` include its effect. Estimate,
       NEES and reward belong to the combined belief; `nis`, `accepted`, `rejected` and `gamma` to
       the most probable mode. `reward="paired"` subtracts the reward of always taking action 0.
     * `modes=None` selects the bank (modes and transition probabilities) of the radio's strongest
@@ -97,15 +97,15 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
     then, and `mode` in infos is 0.
 
     * `action="weights"`: `Box` (modes,), -3 to 3: logarithms of factors on the probabilities of
-      the modes, per second. As trust does, they change the mixture before it is reported and mixed
-      again. A weight of 3 for one mode alone is trust in that mode.
+      the modes, per second. Then the beliefs are combined and mixed again. A weight of 3 for one
+      mode, and 0 for the others, has the same effect as trusting that mode.
     * `action="correction"`: `Box` (6,): shifts of the position along the estimated velocity, across
       it (to the left) and up, -4 to 4 standard deviations of the belief; then logarithms of factors
       on these deviations, -2 to 2. The observation describes an epoch after its update and nothing
-      later. The action corrects the belief of that epoch; reward and infos use the corrected one.
+      later. The action corrects the belief of that epoch; reward and infos use the result.
       The filters go on without corrections, so actions have no later effect (use a discount of 0);
       `reward="paired"` subtracts the reward of the belief without correction. By default the
-      filters are an IMM. With `base`, an agent without memory chooses the modes to trust: `base`
+      filters are an IMM. With `base`, an agent without memory also trusts modes: `base`
       is a function that takes the table of the filters' features and returns the agent, such as
       `partial(LearnedSwitch, "guided")`. If your actions are those of the shipped `corrector`, you
       earn the reward that `mmwave-loc compare` shows.
@@ -121,7 +121,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
 
     `reward="paired"`: the tracking reward minus the reward of an IMM over the radio's two default
     modes, in the same epoch of the same episode. The agent cannot change what the IMM earns, so
-    the best policy is the same, with less noise in training. `PairedReward` pairs other rewards.
+    the best policy stays the same, and the reward is less noisy. `PairedReward` pairs other rewards.
 
     ## Starting State
 
@@ -167,8 +167,8 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
     ## Copies
 
     `copy.deepcopy` and `pickle` copy an environment in the middle of an episode, for planners; the
-    copy continues identically, to the last bit. A deep copy shares the source of episodes and
-    compiled code. Vector environments can also be saved as plain arrays by `state` and `restore`.
+    copy continues identically, to the last bit. A deep copy shares its source of episodes with
+    the original. Vector environments can also be saved as plain arrays by `state` and `restore`.
 
     ## Arguments
 
@@ -197,7 +197,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
     * `odometry`: whether the user also measures speed and heading.
     * `measurements`: names of the quantities that the receiver measures, from "range", "azimuth"
       and "elevation" (of arrival), "departure" (azimuth) and "doppler"; None (default) for all.
-      "range", "azimuth" or "departure" must be among them. Gates and `nis` then count only these
+      "range", "azimuth" or "departure" must be among them. Gates and `nis` then use only these
       quantities. The truth and the remaining values of an episode stay the same.
     * `clock`: "synchronized" (default), or "offset": the user's clock has an unknown offset,
       at first with a standard deviation of 100 ns; the oscillator's bias makes it drift. Ranges
