@@ -121,7 +121,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
 
     `reward="paired"`: the tracking reward minus the reward of an IMM over the radio's two default
     modes, in the same epoch of the same episode. The agent cannot change what the IMM earns, so
-    the best policy stays the same, and the reward is less noisy. `PairedReward` pairs other rewards.
+    the best policy stays the same, and the reward is less noisy. `PairedReward` pairs others.
 
     ## Starting State
 
