@@ -210,7 +210,7 @@ class MmWaveLocVectorEnv(
 
     @property  # type: ignore[misc]
     def np_random(self) -> Any:
-        """Return one generator per environment; your own source draws its episodes from these."""
+        """Return one random generator per environment; a custom source draws episodes from it."""
         return self._streams.generators()
 
     @property
@@ -291,7 +291,7 @@ class MmWaveLocVectorEnv(
         return infos
 
     def _checked(self, actions: Any) -> tuple[Index, Array | None]:
-        """Return copies of the actions: modes (N,) and None, or zeros (N,) and `Box` values (N, k).
+        """Return copies of discrete actions (N,) and None, or zeros (N,) and a `Box`'s (N, k).
 
         Invalid actions are refused, except in environments that ignore their action.
         """

@@ -27,7 +27,7 @@ class PendingEpoch(NamedTuple):
     visible: list[Number]
     truth: list[Number]  # (6,) true position (m) and velocity (m/s)
     measured: Vector  # same as in :class:`~mmwave_env.models.measurement.Epoch`
-    # the complete epoch, if there are signed features (:mod:`mmwave_env.interface.signed`)
+    # the complete epoch if the observation is "signed" (:mod:`mmwave_env.interface.signed`)
     incoming: Any = ()
 
 

@@ -217,7 +217,7 @@ def prediction(now: ImmEpoch, dt: Number, hz_per_mps: Number) -> tuple[list[Numb
     """Return the mixture's mean (7,) and packed covariance (28,) before an epoch's update.
 
     The Rauch-Tung-Striebel smoother assumes x_predicted = F x + noise, with noise independent of x.
-    Modes with a known acceleration or turn rate shift x_predicted further. These shifts count as
+    A mode with a known acceleration or turn rate moves x_predicted further. These moves count as
     noise, so their covariance is added to the result's. Their correlation with x is ignored, as it
     could make smoothed variances negative.
     """
