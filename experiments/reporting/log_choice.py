@@ -23,7 +23,7 @@ DEFAULT_POLICY = "corrector"
 WITHOUT_ELEVATIONS = "imm-best"
 # Correctors read the standard deviation of the height, which does not exist for a known height.
 WITH_HEIGHT = "guided"
-RULES: dict[str, tuple[Rule, str]] = {  # by --follow: rule, and the word before "speed"
+RULES: dict[str, tuple[Rule, str]] = {  # by --follow: rule, and words before "speed" in reports
     "prediction": (by_predicted_speed, "the predicted"),
     "odometry": (by_odometry_speed, "odometry's"),
 }
@@ -33,7 +33,7 @@ class Choice(NamedTuple):
     """Modes to run, the rule or policy that chooses between them, and a description for reports."""
 
     switching: Switching
-    why: str
+    why: str  # words after "modes" in reports
 
 
 def is_algorithm_1(args: LogArgs) -> bool:

@@ -116,7 +116,7 @@ class Measured:
         return ["single"] + [n for threads in workloads.THREADS for n in self.natives(threads)]
 
     def ratios(self) -> Rounds:
-        """Return ratios of our steps per second to those of the workloads in :data:`BASES`."""
+        """Return our steps per second divided by the rate of each workload in :data:`BASES`."""
         rates = self.steps_per_s
         return {
             f"{name}_over_{base}": np.divide(rates[name], rates[base]).tolist()

@@ -75,7 +75,7 @@ class RolloutHyperparameters(_SwitcherHyperparameters):
 
     horizon: Count  # length of a rollout, epochs
     stride: Count  # epochs of an environment between two states in which all actions are tried
-    states: Count  # minimum number of states with tried actions between two network updates
+    states: Count  # minimum number of states, with all actions tried, between two updates
     memory: Count  # number of latest states that an update learns from
     gradient_steps: Count  # number of gradient steps of an update
 

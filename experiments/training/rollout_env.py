@@ -124,7 +124,7 @@ class RolloutEnv:
         """Try every action in each environment whose episode goes on for at least the horizon.
 
         Args:
-            act: function that chooses all actions after the tried one, for observations
+            act: function that chooses the actions after the tried action, given observations
                 (actions * n, features) of copies of the environments: first the n copies that
                 began with action 0, then the n copies that began with action 1, and so on.
         """
