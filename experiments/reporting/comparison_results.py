@@ -60,7 +60,7 @@ def results(
     for option, path in pictures.items():
         require_picture(option, path)
     if len(set(pictures.values())) < len(pictures):
-        raise ValueError(f"consistency: found {path}, expected a file other than for --errors")
+        raise ValueError(f"consistency: found {path}, expected a file other than the --errors file")
     task, runs = task_of(args), runs_of(args, names)
     scoring, selection = Scoring.of(task), selection_of(args)
     files = {name: runs[name].policy if name in runs else name for name in names}

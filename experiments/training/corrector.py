@@ -51,7 +51,7 @@ class CorrectorNetwork(nn.Module):
             self.out.bias.zero_()
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """Map features (T, n, F) to shifts and log scales of sigmas, each (T, n, members, 3)."""
+        """Map features (T, n, F) to shifts and log factors of sigmas: (T, n, members, 3) each."""
         front = torch.tanh(self.front(features))
         memory, _ = self.gru(front)
         head = torch.tanh(self.head(torch.cat([memory, front], -1)))
