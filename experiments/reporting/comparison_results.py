@@ -45,8 +45,8 @@ def results(
 ) -> Results:
     """Run contenders on the episodes that options select.
 
-    If a name is the folder of a run, the run's median training is shown. ``pictures`` maps the
-    options "errors" and "consistency" to the files to write; each picture is ``width_mm`` wide.
+    If a name is the folder of a run, the run's median training is the contender. ``pictures`` maps
+    the options "errors" and "consistency" to the files to write, which are ``width_mm`` wide.
 
     Raises:
         ValueError: an option is not valid, or both pictures have the same file.
@@ -60,7 +60,7 @@ def results(
     for option, path in pictures.items():
         require_picture(option, path)
     if len(set(pictures.values())) < len(pictures):
-        raise ValueError(f"consistency: found {path}, expected a file other than that of --errors")
+        raise ValueError(f"consistency: found {path}, expected a file other than the --errors file")
     task, runs = task_of(args), runs_of(args, names)
     scoring, selection = Scoring.of(task), selection_of(args)
     files = {name: runs[name].policy if name in runs else name for name in names}

@@ -30,7 +30,7 @@ def run_live(args: LogArgs) -> None:
     A damaged or late row causes a warning and is left out.
 
     Raises:
-        ValueError: options contradict each other, or the input has neither header nor JSON.
+        ValueError: options contradict each other, or line 1 is neither a header nor JSON.
     """
     if str(args.log) != "-" or args.scene is None:
         raise ValueError('live: needs "-" (standard input) as the log, and --scene')
@@ -69,7 +69,7 @@ def _epochs(
 ) -> Iterator[LiveEpoch]:
     """Read rows (CSV below a header, or JSON objects); yield the epochs that they form.
 
-    A JSON object is one row; {"rows": [...]} has an epoch's rows. Line 1 must name all columns.
+    A JSON object is one row, or a whole epoch: {"rows": [...]}. Line 1 must name all columns.
     """
     lines = _lines(stream)
     number, first = next(lines, (0, ""))

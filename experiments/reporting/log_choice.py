@@ -18,22 +18,22 @@ from mmwave_env.logs.log import LogBlock
 from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
 
 DEFAULT_POLICY = "corrector"
-# Without elevations, the policy "guided", on which "corrector" builds, trusts wrong modes too often
-# to be useful (docs/learning.md).
+# Without elevations, the policy "guided", whose beliefs "corrector" corrects, chooses wrong modes
+# too often to be useful (docs/learning.md).
 WITHOUT_ELEVATIONS = "imm-best"
 # Correctors read the standard deviation of the height, which does not exist for a known height.
 WITH_HEIGHT = "guided"
-RULES: dict[str, tuple[Rule, str]] = {  # --follow -> rule, words before "speed" in messages
+RULES: dict[str, tuple[Rule, str]] = {  # by --follow: rule, and words before "speed" in reports
     "prediction": (by_predicted_speed, "the predicted"),
     "odometry": (by_odometry_speed, "odometry's"),
 }
 
 
 class Choice(NamedTuple):
-    """Modes to run, the rule or policy that chooses between them, and words for this choice."""
+    """Modes to run, the rule or policy that chooses between them, and a description for reports."""
 
     switching: Switching
-    why: str
+    why: str  # words after "modes" in reports
 
 
 def is_algorithm_1(args: LogArgs) -> bool:
@@ -72,7 +72,7 @@ def choice_of(args: LogArgs, radio: str, block: LogBlock) -> Choice:
     The default is a policy, or an IMM if ``block``, the beginning of the log, has no elevations.
 
     Raises:
-        ValueError: a policy, a bank or a mode is unknown or does not fit.
+        ValueError: a policy, a bank or a mode is unknown or not valid.
     """
     if args.imm is not None:
         bank = _bank(args.imm, radio)
@@ -112,7 +112,7 @@ def modes_of(args: LogArgs, radio: str) -> tuple[Mode, ...]:
 
 
 def _algorithm_1(args: LogArgs, modes: tuple[Mode, ...]) -> Choice:
-    """Return the choice of Algorithm 1, Step 3: two pipelines and a rule, or one for a speed."""
+    """Return the choice of Algorithm 1, Step 3: a rule for two pipelines, or one pipeline."""
     if args.speed in (None, "auto"):
         rule, followed = RULES[args.follow]
         why = f"chosen by whether {followed} speed is above {SLOW_MPS:g} m/s"

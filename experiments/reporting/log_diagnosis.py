@@ -25,16 +25,16 @@ from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.mobility import FASTEST_MPS
 
-_UNEVEN = 0.1  # tolerated deviation of a step, as a share of the median step
+_UNEVEN = 0.1  # tolerated deviation of a time between epochs, as a share of the usual time
 
 
 class _Sums:
-    """Running sums over the epochs of a log, because all epochs may not fit in memory."""
+    """Running sums over the epochs of a log, because a long log may not fit in memory."""
 
     def __init__(self, anchors: int) -> None:
         self.epochs, self.links = 0, np.zeros(anchors, np.int64)
         self.irregular: Counter[str] = Counter()  # number of irregular epochs, by description
-        self.first_s = self.last_s = self.step_s = np.nan
+        self.first_s = self.last_s = self.step_s = np.nan  # step_s: the first block's median step
         self.distance_m = self.moving_s = self.fastest_mps = 0.0
         self._before = np.empty((0, 4))  # time and true position of the last epoch
 
@@ -68,7 +68,7 @@ class _Sums:
         self.irregular.update({words: int(epochs.sum()) for words, epochs in counted.items()})
 
     def problems(self) -> list[str]:
-        """Return sentences about what is irregular, with counts."""
+        """Return a phrase about each kind of irregularity, with its count."""
         never = [f"anchor {a + 1} was never measured" for a in np.flatnonzero(self.links == 0)]
         return [f"{count} {words}" for words, count in self.irregular.items() if count] + never
 
@@ -176,7 +176,7 @@ def _verdict(findings: Sequence[Finding]) -> str:
 
 
 def diagnosis_markdown(findings: Sequence[Finding]) -> str:
-    """Return a verdict and a table of the hypotheses that lead to a track, the best one first."""
+    """Return a verdict and a table of the hypotheses that lead to a track, the best first."""
     header = ["hypothesis", "anchors", "Doppler", "consistent"]
     rows = [
         [

@@ -46,7 +46,7 @@ from mmwave_env.models.scene import Scene, scene_from
 from mmwave_env.world.episode import NEUTRAL_SNR_DB
 
 EPOCHS_PER_BLOCK = 1 << 14
-LONGEST_WINDOW = 20_000  # epochs; a window must fit in memory
+LONGEST_WINDOW = 20_000  # maximum length of the smoother's window, epochs; limits its memory
 
 
 class Inputs(NamedTuple):
@@ -91,7 +91,7 @@ def _check(args: LogArgs, files: Inputs) -> None:
         )
     if args.height is not None and not np.isfinite(args.height):
         raise ValueError(f"height: found {args.height}, expected a number of meters")
-    Levels(args.risk, args.levels)  # raises if levels of this kind do not exist for the risk
+    Levels(args.risk, args.levels)  # raises if there are no such protection levels
     if args.plot is not None:
         require_picture("plot", args.plot)
     owners: dict[Path, str] = {}
@@ -255,7 +255,7 @@ def localized(args: LogArgs) -> None:
     finally:  # the results are shown even if a picture fails
         try:
             show(track_markdown(figures))
-        finally:  # and the error in the log is reported even if nobody reads the results
+        finally:  # an error in the log is reported even if nobody reads the results
             if error:
                 shown = "written" if args.out else "shown"
                 raise ValueError(f"{error}; {figures['epochs']} epochs are {shown}") from error

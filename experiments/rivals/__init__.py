@@ -1,4 +1,4 @@
-"""Rivals of learned policies: ``--policies experiments.rivals:NAME`` (docs/rivals.md)."""
+"""Rivals of learned policies, for ``--policies experiments.rivals:NAME`` (docs/rivals.md)."""
 
 from experiments.rivals.noise import StudentImm as student_imm
 from experiments.rivals.noise import Variational as variational

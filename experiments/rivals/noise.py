@@ -4,7 +4,7 @@ The stated variances of every group of measured values (such as a link) are mult
 factor with an inverse gamma distribution. Variational Bayes alternates between the belief and the
 factors. If the distribution starts anew in every epoch, the noise is Student-t distributed, and
 outliers weigh little (Piché, Särkkä and Hartikainen 2012; Roth, Özkan and Gustafsson 2013). If the
-distribution is slowly forgotten, the filter adapts to its noise (Särkkä and Nummenmaa 2009).
+distribution is only slowly forgotten, the filter adapts to the noise (Särkkä and Nummenmaa 2009).
 """
 
 from collections.abc import Iterator
@@ -25,9 +25,9 @@ from mmwave_env.numerics.numbers import Matrix, Number, Vector, log
 from policies import FixedMode
 
 DOF = 3.0  # degrees of freedom of Student-t noise, chosen on tuning seeds
-MEMORY = 0.5  # share of its knowledge that the adaptive filter keeps per epoch; tuned like DOF
+MEMORY = 0.5  # share of the distributions' parameters that is kept per epoch; tuned like DOF
 ITERATIONS = 3
-LEAST_VARIANCE = 1e-9  # least variance of a known height, m^2, and of its rate, (m/s)^2
+LEAST_VARIANCE = 1e-9  # variance added to a known height, m^2, and to its rate, (m/s)^2
 EVERYTHING = Gate(None)
 
 
@@ -47,7 +47,7 @@ def adapted(
     """Update a belief and the inverse gamma distributions of the factors on the variances.
 
     Args:
-        x, P, measurement: same as for any algorithm.
+        x, P, measurement: belief and measurement, as for any :data:`Algorithm`.
         shape, rate: (groups,) parameters of the distributions. The first iteration takes rate /
             shape as the factors.
         base: update for Gaussian noise.

@@ -106,7 +106,7 @@ def keep(folder: Path, name: str, values: Values, result: Values) -> None:
 
 
 def read(folder: Path, spec: Spec) -> dict[str, Values]:
-    """Read the rows of a sweep, by the names of their cells; errors name the file."""
+    """Read the rows of a sweep, by the names of their cells; an error names the damaged file."""
     from pyarrow import ArrowException, parquet
 
     rows = {}

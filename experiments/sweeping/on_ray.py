@@ -19,20 +19,20 @@ AHEAD = 1000  # number of cells submitted to Ray at once, which limits the numbe
 ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_task_oom_retries": str(RETRIES),  # unlimited by default
-    "RAY_agent_register_timeout_ms": "120000",  # a busy machine starts slowly
+    "RAY_agent_register_timeout_ms": "120000",  # Ray starts slowly on a busy machine
     "RAY_AIR_NEW_OUTPUT": "0",
     "RAY_CHDIR_TO_TRIAL_DIR": "0",  # paths are relative to the command's folder
     "TUNE_DISABLE_SIGINT_HANDLER": "1",  # Ctrl-C must end the command
     "TUNE_DISABLE_AUTO_CALLBACK_LOGGERS": "1",  # a sweep stores only rows
 }
-RUNGS, SHARE = 9, 3  # parameters of early stopping: docs/sweep.md
+RUNGS, SHARE = 9, 3  # at 1/9 and 1/3 of the timesteps, only the best third of the trials goes on
 
 
 @contextmanager
 def connected(address: str | None, workers: int | None) -> Iterator[None]:
     """Connect to the cluster at an address during the ``with`` block, and send it this code.
 
-    Without an address, start Ray on this machine with ``workers``, by default one per core.
+    Without an address, start Ray on this machine with ``workers`` processes (None: one per core).
     """
     os.environ |= ENVIRONMENT | ({"RAY_NUM_REDIS_GET_RETRIES": "1"} if address else {})
     import ray
@@ -58,7 +58,7 @@ def connected(address: str | None, workers: int | None) -> Iterator[None]:
 def computed(
     compute: Callable[[Values], Values], cells: Mapping[str, Values]
 ) -> Iterator[tuple[str, Values | None, str]]:
-    """Yield every finished cell: its name, its row (None if it failed) and its error.
+    """Yield every finished cell: its name, its row (None if the cell failed) and its error message.
 
     ``compute`` maps the values of a cell to its row.
     """

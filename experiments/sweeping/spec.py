@@ -45,7 +45,7 @@ class Training(TaskArgs):
     """Keys of a table [train], except hyperparameters: options of `mmwave-loc train`."""
 
     total_timesteps: Count
-    seed: Seed = 0  # number of the training
+    seed: Seed = 0  # number of the training, which determines its random numbers
     episodes: Count = 200  # number of episodes to evaluate policies on
 
 
@@ -86,7 +86,7 @@ class Spec:
         return values
 
     def _digest(self, values: Values) -> str:
-        """Return a name that depends on the version, the values, and the files that values name."""
+        """Return a name that depends on the version, the values, and files named by values."""
         words = itertools.chain(*(v if isinstance(v, tuple) else (v,) for v in values.values()))
         paths = (Path(word) for word in words if isinstance(word, str) and os.path.isfile(word))
         files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
@@ -95,7 +95,7 @@ class Spec:
 
 
 def plain(value: Any) -> Any:
-    """Return a number or text as it is, and anything else as JSON, for Parquet and Optuna."""
+    """Return a bool or a tuple as JSON, and other values as they are, for Parquet and Optuna."""
     return json.dumps(value) if isinstance(value, (bool, tuple)) else value
 
 
@@ -178,7 +178,7 @@ def _distribution(axis: str, choices: Any, whole: bool) -> Any:
 
 
 def _values(key: str, content: Any) -> Sequence[Any]:
-    """Return an axis's values; each value of modes or places is itself a list."""
+    """Return an axis's values; each value of "modes" or "places" is itself a list."""
     several = isinstance(content, list) and (
         key not in ("modes", "places") or all(isinstance(value, list) for value in content)
     )

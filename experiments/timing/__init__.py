@@ -1,1 +1,1 @@
-"""Timing for mmwave-loc speed: environments, filters and the limit of a processor core."""
+"""Timing of environments and filters, and the speed limit of a core, for ``mmwave-loc speed``."""

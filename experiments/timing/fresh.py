@@ -18,8 +18,8 @@ def fresh(name: str, n: int) -> tuple[float, float]:
     """Start Python, make an environment in it, and measure the time and memory of steps.
 
     ``n`` is the number of environments in a vector environment; 0 for a single environment. Return
-    the seconds from Python's start to the end of the first step; and peak resident memory, MiB
-    (2^20 bytes), in a run that is longer than an episode.
+    first the seconds from Python's start to the end of the first step, and second the peak resident
+    memory, MiB (2^20 bytes), in a run that is longer than an episode.
     """
     words = [sys.executable, "-m", __name__, name, str(n)]
     # The new process finds the same packages as this one.
@@ -36,7 +36,7 @@ def fresh(name: str, n: int) -> tuple[float, float]:
 
 
 def _step(name: str, n: int) -> None:
-    """Print a line after the first step, and peak memory at the end, in the new process."""
+    """Step in the new process; print a line after the first step, and peak memory at the end."""
     import gymnasium as gym
     import numpy as np
 

@@ -24,7 +24,7 @@ from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.io.files import Json
 from mmwave_env.world.travel import stride_of
 
-FRESH_RUNS = 3  # maximum number of runs in new processes, since each takes seconds
+FRESH_RUNS = 3  # maximum number of new processes per environment; each takes seconds
 FRESH_SIZES = 3  # number of vector environments that also run in new processes: the largest ones
 STEP = "step"  # name of the kernel (compiled function) that makes an environment's whole step
 BASES = ("filterpy", workloads.SYNC_NAME)  # workloads with which ours are compared
@@ -35,7 +35,7 @@ Rounds = dict[str, list[float]]
 def rate(laps: workloads.Laps, seconds: float) -> tuple[float, float]:
     """Run complete episodes for at least ``seconds``, without garbage collection.
 
-    Return the steps per second, and the processor time per elapsed time (cores busy).
+    Return the steps per second, and the number of busy cores (processor time / elapsed time).
     """
     gc.collect()
     gc.disable()
@@ -62,7 +62,7 @@ class Measured:
         # steps per second and cores busy, by workload: environments, and filters on one thread
         self.steps_per_s: Rounds = defaultdict(list)
         self.cores_busy: Rounds = defaultdict(list)
-        # minimum time of a step of each kernel on one core
+        # minimum seconds for a step on one core, by kernel
         self.limits_s: Rounds = defaultdict(list)
         # microseconds per epoch of a live track, by filter or policy, interface and percentile
         self.latency_us: Rounds = defaultdict(list)
@@ -116,7 +116,7 @@ class Measured:
         return ["single"] + [n for threads in workloads.THREADS for n in self.natives(threads)]
 
     def ratios(self) -> Rounds:
-        """Return ratios of our steps per second to those of the workloads in :data:`BASES`."""
+        """Return our steps per second divided by the rate of each workload in :data:`BASES`."""
         rates = self.steps_per_s
         return {
             f"{name}_over_{base}": np.divide(rates[name], rates[base]).tolist()
@@ -162,7 +162,7 @@ class Measured:
 
 
 def kernels() -> dict[str, Operations]:
-    """Count the operations of each filter, and of an environment's step with its simulation.
+    """Count the operations of each filter, and of an environment's step including the simulation.
 
     Rare events of the simulation (changes of gait, crossings) are left out.
     """

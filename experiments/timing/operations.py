@@ -1,7 +1,7 @@
 """Exact counts of the operations of a function of numbers, obtained by running the function.
 
-:class:`~mmwave_env.compiler.lanes.Lanes` (SIMD values) emit instructions through an LLVM builder. A
-builder that only records them counts the instructions of a function without compiling it.
+:class:`~mmwave_env.compiler.lanes.Lanes` (SIMD values) emit instructions through an LLVM builder.
+The builder here only records them, so they are counted without compiling the function.
 """
 
 from collections import Counter
@@ -22,7 +22,7 @@ _COMMUTE = ("fadd", "fmul", "and_", "or_")  # instructions whose operands may be
 class Operations(NamedTuple):
     """Numbers of SIMD instructions, each of which works on eight environments."""
 
-    fused: int = 0  # multiply-adds: sums with a term that is a product used nowhere else
+    fused: int = 0  # multiply-adds: sums in which one term is a product used nowhere else
     add: int = 0  # remaining sums and differences
     multiply: int = 0  # remaining products
     divide: int = 0

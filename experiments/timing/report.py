@@ -40,7 +40,7 @@ def short(value: float) -> str:
 
 
 def spread(values: Sequence[float], unit: float = 1.0) -> str:
-    """Format values, one per round, as their median and range; a single value has no range."""
+    """Format values times ``unit`` as their median and range; a single value has no range."""
     values = [value * unit for value in values]
     if len(values) == 1:
         return short(values[0])

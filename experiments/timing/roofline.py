@@ -1,9 +1,9 @@
 """Lower bound on a core's time for the operations of a kernel, a compiled function (roofline).
 
-The model assumes that all arithmetic shares the core's vector units. So operations are timed in the
-kernel's proportions, in several *chains*: an operation waits only for the one before it in its
-chain. Loads and stores have other units and are timed separately; the limit is the longer time. The
-model leaves out waits for results, register spills, caches, and the fetching of long code.
+The model assumes that all arithmetic shares the core's vector units. So the operations are timed
+together, in the kernel's proportions. They form several independent *chains*: each operation needs
+the previous result of its chain. Loads and stores use other units and are timed separately; the
+limit is the longer time. Waits for results, register spills, caches and code fetches are ignored.
 """
 
 import time
@@ -21,7 +21,7 @@ from mmwave_env.numerics.numbers import sqrt, where
 
 CHAINS = (8, 16, 24)  # numbers of chains to try: the best depends on registers and latencies
 LENGTH = 480  # operations per pass of a timed loop: many, but their code fits into any cache
-BLOCKS, ROWS = 4, 64  # 16 KiB, which fits into any first-level cache
+BLOCKS, ROWS = 4, 64  # size of the copied data: 16 KiB, which fits into any first-level cache
 CALLS, TRIES = 1000, 10
 
 # Steps of a chain; the factor is 1 and the term 0, but the compiler does not know this.
@@ -41,14 +41,14 @@ def limit_s(operations: Operations) -> float:
     order, blocks = interleaved(operations), np.full((1, ROWS, WIDTH), 1.7)
     blocks[:, :2] = [[1.0], [0.0]]
     # mix_s: seconds per operation of the mix, at the best number of chains. copying_s: seconds per
-    # pair of a load and a store
+    # pair of a load and a store.
     mix_s = min(_seconds(_chains(order, chains), blocks) for chains in CHAINS) / LENGTH
     copying_s = _seconds(_copying(), np.zeros((BLOCKS, ROWS, WIDTH))) / (BLOCKS * ROWS // 2)
     return max(steps * mix_s, rows * copying_s)
 
 
 def interleaved(operations: Operations) -> tuple[str, ...]:
-    """Return ``LENGTH`` kinds of operations, in the given proportions and evenly mixed."""
+    """Return ``LENGTH`` operations, by kind, in the given proportions and evenly mixed."""
     steps = _steps(operations)
     total = sum(steps.values())
     order: list[str] = []

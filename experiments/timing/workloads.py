@@ -1,10 +1,10 @@
-"""Timed workloads, which do the same work per step as far as possible.
+"""Timed workloads: steps of environments, and filters alone.
 
-The work is the step of an environment, in three ways: with a loop over filterpy's filters, with our
-single environment, and with our vector environments. All compute the predictions, gates,
-innovations and posteriors of both modes and the reward of the chosen mode (always mode 1), and draw
-episodes when needed. The filterpy loop leaves out observations, adaptive noise, recovery, and the
-metrics of an episode.
+The step of an environment is made in three ways: in a loop over filterpy's filters, in our single
+environment, and in our vector environments. All three compute the predictions, gates, innovations
+and posteriors of both modes and the reward of the chosen mode (always mode 1), and draw episodes
+when needed. The filterpy loop leaves out observations, adaptive noise, recovery, and the metrics of
+an episode.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -35,7 +35,7 @@ from mmwave_env.world.simulated import SimulatedSource
 
 RADIO = "handset"
 EPISODE = 200  # number of steps of an episode
-SYNC = 8  # number of environments that Gymnasium steps one after another
+SYNC = 8  # number of environments in Gymnasium's vector environment, stepped one by one
 SYNC_NAME = f"sync_{SYNC}"
 TRACKS = 1024  # number of tracks that a filter without an environment runs at once
 BOTH = 2  # number of threads that `gymnasium.make_vec` uses by default on two cores

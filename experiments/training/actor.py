@@ -35,7 +35,7 @@ def actor_tensors(layers: Iterable[Any], normal: Normalization) -> Tensors:
     W / sigma, and its biases b become b - (W / sigma) mean.
 
     Args:
-        layers: layers of a network for normalized observations; only linear ones have tensors.
+        layers: layers of a network for normalized observations; only linear layers have tensors.
         normal: normalization of an observation; its ``low`` and ``high`` become tensors, too.
     """
     tensors = {"low": normal.low, "high": normal.high}

@@ -1,4 +1,4 @@
-"""Checkpoints of a training; they are written atomically, and reading one runs no code in it."""
+"""Atomically written checkpoints of a training; reading a checkpoint runs no code from it."""
 
 import io
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ from mmwave_env.io.files import first_line, read_bounded, write_bytes
 
 State = dict[str, Any]  # numbers, strings, arrays and tensors in nested lists, tuples and dicts
 
-MOST_BYTES = 1 << 30  # size limit of a checkpoint; `rollouts` stores all states in its memory
+MOST_BYTES = 1 << 30  # size limit of a checkpoint, which holds the whole memory of `rollouts`
 
 
 def write_checkpoint(path: Path, state: State) -> None:
@@ -34,7 +34,7 @@ def read_checkpoint(path: Path) -> State:
     """
     written = read_bounded(path, MOST_BYTES, "a checkpoint")
     checksum, content = written[: sha256().digest_size], written[sha256().digest_size :]
-    with going_on_from(path):  # PyTorch can raise anything if it reads foreign bytes
+    with going_on_from(path):  # PyTorch can raise any exception for damaged bytes
         if sha256(content).digest() != checksum:
             raise ValueError("found a checksum that does not match the content")
         state: State = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)

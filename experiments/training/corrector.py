@@ -2,10 +2,10 @@
 
 A corrector corrects the beliefs of another policy, its base. In a simulation the truth is known, so
 the network learns the errors of the base from examples. The loss has two terms. The first is the
-length of the error that remains, divided by the belief's mean deviation. The second, with a small
-weight, is the negative log-likelihood of this error; it teaches the network to scale deviations.
-The base does not depend on the corrections, so it plays each episode only once. Every update has
-new episodes, which come in *lots*: batches of episodes of equal length.
+length of the error that remains, divided by the mean length of the belief's standard deviations.
+The second, with a small weight, is the negative log-likelihood of this error; it teaches the
+network to scale the standard deviations. The base does not depend on the corrections, so it plays
+each episode only once. Every update has new episodes in *lots*, batches of equally long episodes.
 """
 
 from collections.abc import Iterator
@@ -32,13 +32,13 @@ from policies.policy_file import CORRECTIONS, Tensors
 
 EVALUATE = 32  # number of updates between two evaluations
 FIRST = 3  # number of extra rounds of lots in the first update, to measure the features' ranges
-OUTSIDE = 1e-4  # share of a feature's values to clip at its lower limit, and also at its upper one
+OUTSIDE = 1e-4  # share of a feature's values below its lower limit, and also above its upper limit
 MOST_LENGTH, MOST_SQUARE = 20.0, 50.0  # limits in the loss, so that lost tracks do not dominate it
 CONSTANT = 1e-3  # added to standard deviations, which are 0 for a feature that never changes
 
 
 class CorrectorNetwork(nn.Module):
-    """A network: a layer, a gated recurrent unit, and a head with outputs for an ensemble."""
+    """A network: a tanh layer, a gated recurrent unit, and a head with outputs for an ensemble."""
 
     def __init__(self, features: int, hyper: CorrectorHyperparameters) -> None:
         super().__init__()
@@ -51,7 +51,7 @@ class CorrectorNetwork(nn.Module):
             self.out.bias.zero_()
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """Map features (T, n, F) to shifts and logs of deviations' factors (T, n, members, 3)."""
+        """Map features (T, n, F) to shifts and log factors of sigmas: (T, n, members, 3) each."""
         front = torch.tanh(self.front(features))
         memory, _ = self.gru(front)
         head = torch.tanh(self.head(torch.cat([memory, front], -1)))
@@ -71,7 +71,7 @@ def loss_of(
     """
     shift, log_factor = (part[BURN_IN:] for part in answer)
     deviation = deviation[BURN_IN:, :, None]
-    left = error[BURN_IN:, :, None] / deviation - shift  # error that remains, in deviations
+    left = error[BURN_IN:, :, None] / deviation - shift  # remaining error, in standard deviations
     size = deviation.norm(dim=-1).mean(0)
     length = ((left * deviation).square().sum(-1) + 1e-6).sqrt() / size
     square = (left * (-log_factor).exp()).square().clamp(max=MOST_SQUARE)
@@ -85,7 +85,7 @@ class CorrectorTraining:
 
     Args:
         job: training to run; if its folder has a checkpoint, the training continues from it.
-        tell: function that is called with :class:`News`; ``timesteps`` is the epochs played so far.
+        tell: function that is called with :class:`News`; its ``timesteps`` counts played epochs.
 
     Raises:
         ValueError: the checkpoint is damaged.
@@ -193,8 +193,8 @@ def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]
 
     Args:
         lots: lots to mix.
-        size: number of episodes in a new lot of the shortest episodes. A lot of longer episodes
-            has fewer episodes, so that all lots have about the same number of epochs.
+        size: number of episodes in a new lot if they are the shortest ones. A lot of longer
+            episodes has fewer, so that all lots have about the same number of epochs.
         rng: random generator of the order.
     """
     shortest = min(len(lot.features) for lot in lots)
@@ -211,7 +211,7 @@ def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]
 
 
 def _scales(lots: list[Lot]) -> dict[str, Array]:
-    """Return, as arrays (features,), the limits, the mean and the deviation of every feature."""
+    """Return, as arrays (features,), limits, mean and standard deviation of every feature."""
     rows = np.concatenate([lot.features.reshape(-1, lot.features.shape[2]) for lot in lots])
     low, high = np.quantile(rows, (OUTSIDE, 1.0 - OUTSIDE), axis=0)
     mean, sigma = rows.mean(0, np.float64), rows.std(0, np.float64) + CONSTANT

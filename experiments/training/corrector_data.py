@@ -35,7 +35,7 @@ from policies.corrector import BASE_IMM
 
 STEPS_S = (1.0, 1.0, 0.5, 0.25, 0.1, 0.1, 0.1, 2.0)  # times between epochs to draw from, s
 EPOCHS = 200  # number of epochs of an episode, unless it is a long one
-SUBSETS = (  # a receiver that does not measure all quantities measures those of one row
+SUBSETS = (  # a receiver that lacks quantities measures only the quantities of one row
     ("range", "azimuth", "elevation", "departure"),
     ("range", "azimuth", "elevation"),
     ("range", "azimuth", "elevation", "doppler"),
@@ -49,12 +49,12 @@ SUBSETS = (  # a receiver that does not measure all quantities measures those of
 LACKING, DRIFTING, MISJUDGING, FEWER, TURNED = 0.3, 0.15, 0.3, 0.15, 0.15
 ORIENTATION_RAD = 0.1  # standard deviation of an orientation that is not known exactly
 # Probability that the users of a random lot weave and vary their speed, as real users do. All other
-# users keep to the middle of the street. With them alone, the network would learn to rely on that.
+# users keep to the middle of the street; with them alone, the network would come to expect this.
 WEAVING = 0.5
 WAYS = 64  # maximum number of weaving trajectories from which the episodes of one Lot are drawn
 WEAVE_S = (8.0, 40.0)  # shortest and longest period of weaving at an episode's highest speed, s
-WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # limits of weaving: velocity / speed, and position, per axis
-WEAVING_BEHIND_M = (20.0, 60.0)  # distance from a wall to the last street, which is room to weave
+WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # limits per axis: weaving velocity / speed; displacement, m
+WEAVING_BEHIND_M = (20.0, 60.0)  # range of distances from a wall to the last street: room to weave
 
 
 class Lot(NamedTuple):
@@ -94,7 +94,7 @@ class CorrectorData:
         return self._switch.bank(radio) if self._switch else self._task.banks[radio]
 
     def lots(self) -> Iterator[Lot]:
-        """Yield a played lot for every place, then random lots, ``random_share`` of all lots."""
+        """Yield a played lot for every place, then random lots (``random_share`` of all lots)."""
         for radio, batch in self.batches():
             yield self._play(batch, self.bank(radio))
 

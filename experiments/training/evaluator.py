@@ -1,4 +1,4 @@
-"""Evaluation of a training's policies: their gains in reward over a rule and IMMs, the rivals."""
+"""Evaluation of a training's policies: their gains in reward over rivals (a rule and IMMs)."""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -47,8 +47,8 @@ class Evaluator:
     def examine(self, path: Path) -> Json:
         """Evaluate a policy file; return figures by name.
 
-        They are the first seed, the number of episodes, and the mean of every metric. The mean
-        gain in reward over each rival is under "minus NAME", with a 95 % interval. If there are
+        The figures are the first seed, the number of episodes, the mean of every metric and, as
+        "minus NAME", the mean gain in reward over each rival, with a 95 % interval. If there are
         several places, the gain at each place is under "PLACE minus NAME".
         """
         scores = self._scores(lambda radio: Contender.learned(path, radio=radio))
@@ -68,7 +68,7 @@ class Evaluator:
         }
 
     def _scores(self, contender_at: Callable[[str], Contender]) -> Scores:
-        """Score a policy or IMM on all episodes; ``contender_at`` returns it for a radio."""
+        """Score a contender on all episodes; ``contender_at`` maps a radio to the contender."""
         parts = []
         for place, episodes in self._at:
             contender = contender_at(place.radio)
@@ -77,6 +77,6 @@ class Evaluator:
 
 
 def _gains(differences: dict[str, Array]) -> dict[str, Interval]:
-    """Return each rival's mean difference, with its interval, under "minus NAME"."""
+    """Return the mean difference from each rival, with an interval, under "minus NAME"."""
     intervals = bootstrap(np.stack(list(differences.values()), axis=1))
     return {f"minus {name}": gain for name, gain in zip(differences, intervals, strict=True)}

@@ -17,7 +17,7 @@ from mmwave_env.io.records import (
     require_fields,
 )
 
-MOST = 10**15  # largest value; anything larger is a mistake, and needs too much memory and time
+MOST = 10**15  # largest value; a larger one would need too much memory and time
 Count = Annotated[int, counts(1, MOST)]
 NotNegative = Annotated[float, Bound(f"a number from 0 to {MOST:g}", least=0.0, most=MOST)]
 Neurons = Annotated[tuple[Count, ...], Size(1, 100)]
@@ -32,7 +32,7 @@ class _Hyperparameters:
     learning_rate: NotNegative  # initial learning rate; it falls linearly
     final_fraction: Probability  # share of learning_rate and ent_coef that is left at the end
 
-    together: ClassVar[int] = 1  # how many adjacent environments share a place (scene and radio)
+    together: ClassVar[int] = 1  # number of adjacent environments that share a place (scene, radio)
 
     def __post_init__(self) -> None:
         require_fields(self)
@@ -45,9 +45,9 @@ class _SwitcherHyperparameters(_Hyperparameters):
     gamma: Probability  # discount per epoch (PPO) or per second (rollouts)
     ent_coef: NotNegative  # initial weight of the entropy; it falls linearly
     hidden: Neurons  # sizes of the tanh layers; PPO's critic has layers of the same sizes
-    clip_observation: NotNegative  # normalized observations are clipped to plus or minus this
+    clip_observation: NotNegative  # largest absolute value of a normalized observation
     # Initial logit of action 0; the other initial logits are about 0. If every mode keeps its own
-    # belief, action 0 trusts the IMM's mixture, so a biased policy begins like the IMM.
+    # belief, action 0 leaves the mixing to the IMM, so a policy with a large bias begins like it.
     first_action_bias: NotNegative = 0.0
 
 
@@ -75,7 +75,7 @@ class RolloutHyperparameters(_SwitcherHyperparameters):
 
     horizon: Count  # length of a rollout, epochs
     stride: Count  # epochs of an environment between two states in which all actions are tried
-    states: Count  # minimum number of states with tried actions between two network updates
+    states: Count  # minimum number of states, with all actions tried, between two updates
     memory: Count  # number of latest states that an update learns from
     gradient_steps: Count  # number of gradient steps of an update
 
@@ -116,7 +116,7 @@ KINDS: dict[str, type[Hyperparameters]] = {
 
 
 def read_hyperparameters(path: Path, algorithm: str) -> Hyperparameters:
-    """Read a JSON file with the hyperparameters, by name, of an algorithm from :data:`KINDS`.
+    """Read the hyperparameters of an algorithm (a key of :data:`KINDS`) from a JSON file.
 
     Hyperparameters that have a default may be left out.
 

@@ -34,8 +34,8 @@ from mmwave_env.world.episode import columns_of
 
 RISKS = (1e-2, 1e-3)
 SINGLE = ("speed-rule", "fixed-ekf", "fixed-ukf")
-# Groups of policies that play the episodes to train on, and those to calibrate on. Each group plays
-# every batch of episodes once; a random policy of the group plays it.
+# LEARNED_FROM, KINDS: groups of policies that play the episodes to train and to calibrate on. Each
+# batch of episodes is played once for every group, by a random policy of the group.
 LEARNED_FROM = (("guided",), ("corrector",), ("imm-best", "imm", *SINGLE))
 KINDS = (SINGLE, ("guided", "imm-best"), ("corrector",))
 PLACES = [f"{scene}:{radio}" for scene in TRAINED_SCENES for radio in TUNED_RADIOS]
@@ -43,7 +43,7 @@ SEED = TRAINING_SEED + 9 * SEEDS_EACH  # seed of episodes that no corrector was 
 # ENVS: episodes per place in each round. ROUNDS, CALIBRATION: rounds to train and to calibrate on.
 ENVS, ROUNDS, CALIBRATION = 64, 24, 30
 HIDDEN, STEPS, BATCH, RATE = 64, 2500, 8192, 3e-3  # the learning rate falls linearly to 0
-EVERY = 4  # neighboring epochs are alike, so the network learns from one in four
+EVERY = 4  # neighboring epochs are alike, so the network learns from one epoch in four
 LEAST_M = 1e-4  # smaller errors count as 0.1 mm
 LIMIT, HALVINGS = 8.0, 24  # largest finite constant; number of bisection steps to find a constant
 
@@ -110,8 +110,8 @@ def _trained(features: Array, logs: Array, steps: int) -> Network:
 def _constants(network: Network, seed: int, rounds: int) -> Array:
     """Return the constants (kinds, risks, 2) of the calibration.
 
-    A constant comes from split conformal prediction on the episodes of all places and one more
-    episode of infinite errors (Lee et al. 2023), or from the place that needs the largest one.
+    A constant is the larger of two: the constant for all places and one more episode of infinite
+    errors (split conformal prediction, Lee et al. 2023), and the largest constant of one place.
     """
     over: list[list[Array]] = [[] for _ in range(len(PLACES) * len(KINDS))]
     for i, (features, logs) in enumerate(_played(seed, rounds, KINDS, random_share=0.0)):

@@ -33,7 +33,7 @@ def train(job: Job[Any], tell: Tell) -> Json:
 def side_by_side(
     jobs: Sequence[Job[Any]], at_once: int, tell: Callable[[Job[Any], News], None]
 ) -> list[Json]:
-    """Run trainings in parallel; return their outcomes. If one fails or is interrupted, end all.
+    """Run trainings in parallel; return their outcomes. If one training fails, end all others.
 
     Args:
         jobs: trainings to run.

@@ -25,7 +25,7 @@ class ProgressLog(KVWriter):
 
     Args:
         folder: folder of ``progress.csv``.
-        rows: rows that were written before the training was interrupted; empty for a new one.
+        rows: rows that were written before the training was interrupted; empty for a new training.
     """
 
     def __init__(self, folder: Path, rows: list[dict[str, float]]) -> None:
@@ -63,9 +63,9 @@ class Record:
     Attributes:
         stand: state of the training, by name. "update" and "timesteps" count updates and timesteps.
             "best" has figures of the best policy so far. "beat_rule" has the timesteps and seconds
-            until a policy first beat the paper's rule. Both are None at first. "seconds" is the
-            wall time, and "rows" are the log's rows, at the checkpoint that was read. Further
-            entries of the checkpoint belong to the trainer, which removes them as it restores them.
+            until a policy first beat the paper's rule. "best" and "beat_rule" are None at first.
+            "seconds" (wall time) and "rows" (of the log) are from the checkpoint that was read. Its
+            other entries belong to the trainer, which removes them as it restores them.
         log: log of the training's progress.
 
     Raises:

@@ -27,7 +27,7 @@ class Tried(NamedTuple):
 
     Attributes:
         observations: (k, features) observations in the states.
-        values: (k, actions) discounted rewards of an action and of the actions after it, summed.
+        values: (k, actions) sum of the discounted rewards of an action and the actions after it.
     """
 
     observations: Array32
@@ -110,7 +110,7 @@ class RolloutEnv:
         """Take action 0 for the length of an episode; return the observations' normalization.
 
         Args:
-            clip: number of deviations from the mean at which observations are clipped.
+            clip: number of standard deviations from the mean at which observations are clipped.
         """
         parts = []
         for _ in range(max(source.epochs for source in self._sources)):
@@ -124,7 +124,7 @@ class RolloutEnv:
         """Try every action in each environment whose episode goes on for at least the horizon.
 
         Args:
-            act: function that chooses all actions after the tried one, for observations
+            act: function that chooses the actions after the tried action, given observations
                 (actions * n, features) of copies of the environments: first the n copies that
                 began with action 0, then the n copies that began with action 1, and so on.
         """
@@ -140,7 +140,7 @@ class RolloutEnv:
         return arrays | {"streams": self._streams.states(), "observations": observations}
 
     def restore(self, state: State) -> None:
-        """Continue exactly from a :meth:`state`, which may come from other environments."""
+        """Continue exactly from a :meth:`state`, possibly of another RolloutEnv."""
         for name in STATE:
             getattr(self._engine.batch.state, name)[:] = state[name]
         self._streams.set_states(state["streams"])

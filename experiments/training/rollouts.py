@@ -29,7 +29,7 @@ EVALUATE = 8  # number of updates between two evaluations
 class RolloutLearner:
     """The network, its optimizer and the states that it learns from.
 
-    The memory has states s in which all actions a were tried; the policy of that time chose the
+    The memory has states s in which all actions a were tried; the network of that time chose the
     actions after a. Q(s, a) is the value of a. The network, which chooses a with probability
     pi(a | s), maximizes the mean of sum_a pi(a | s) (Q(s, a) - Q(s, 0)) and a small entropy bonus.
 
@@ -81,7 +81,7 @@ class RolloutLearner:
         return actions
 
     def remember(self, tried: Tried) -> None:
-        """Add states to the memory; they replace the oldest."""
+        """Add states to the memory; they replace the oldest states."""
         memory = len(self._gains)
         rows = torch.arange(self._seen, self._seen + len(tried.values)) % memory
         gains = tried.values - tried.values[:, :1]

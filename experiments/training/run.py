@@ -45,7 +45,7 @@ ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")
 
 
 def rewards(args: TaskArgs) -> Reward:
-    """Return the reward of a task; for a paired one, leave out the IMM's reward to subtract."""
+    """Return a task's reward; if it is paired, leave out the subtraction of the IMM's reward."""
     reward = choose(REWARDS, args.reward, "reward")
     if isinstance(reward, PairedReward):
         reward = reward.reward

@@ -148,7 +148,7 @@ class TrainingTask:
     """Arguments of ``MmWaveLoc-v0`` for training.
 
     Attributes:
-        scenario, observation, beliefs: arguments of the same names.
+        scenario, observation, beliefs: same as for ``MmWaveLoc-v0``.
         places: places to train at; every environment is at one place.
         banks: banks of modes to choose from, by the name of their radio (:func:`banks_of`).
         reward: function of (belief, truth).

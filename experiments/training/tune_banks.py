@@ -47,7 +47,7 @@ START = (
 
 
 def tuned_bank(radio: str, episodes: int, seed: int, evaluations: int) -> Json:
-    """Search for a radio's best bank; return it as a mode file stores it, and add figures.
+    """Search for a radio's best bank; return the content of its mode file, with figures.
 
     Args:
         radio: radio profile, a name or a JSON file.
@@ -96,7 +96,7 @@ def drawn(
     """Draw episodes and split them into equal parts; each part has one batch per source, in order.
 
     Raises:
-        ValueError: there are fewer seeds than shares.
+        ValueError: there are fewer seeds than parts (``shares``).
     """
     if len(seeds) < shares:
         raise ValueError(
@@ -142,7 +142,7 @@ FREE = {
 NINES = (1.0, 9.0)  # number of nines of the quantile that caps the NIS: 3 nines are 0.999
 DECIMALS = 6  # decimals of probabilities
 
-# Standard deviations of the first generation's log odds, logarithms of noise, and nines:
+# Standard deviations of the first generation's log odds, logs of FREE parameters, and nines:
 _PROBABILITY_STEP, _NOISE_STEP, _NINES_STEP = 0.6, 0.25, 0.3
 
 
@@ -160,7 +160,7 @@ def rows_as_softmax(odds: Array) -> Array:
 
 
 class SearchSpace(NamedTuple):
-    """A space to search: each point has k numbers and stands for a bank."""
+    """A space to search: each point (k,) determines a bank."""
 
     start: Array  # (k,) center of the first points
     deviation: Array  # (k,) standard deviations of the first points
@@ -193,7 +193,7 @@ def search_space(modes: Sequence[Mode]) -> SearchSpace:
 
 
 def _written(transition: Array) -> tuple[tuple[float, ...], ...]:
-    """Round probabilities to DECIMALS so that rows still sum to 1."""
+    """Round probabilities to DECIMALS decimals so that rows still sum to 1."""
     short = transition.round(DECIMALS)
     np.fill_diagonal(short, 0.0)
     np.fill_diagonal(short, (1.0 - short.sum(axis=1)).round(DECIMALS))

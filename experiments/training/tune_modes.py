@@ -65,7 +65,7 @@ def tune(mode: Mode, free: Sequence[str], objective: Objective) -> Mode:
     """Return the mode with the best values of its free parameters.
 
     A Nelder-Mead search over all free parameters starts at the best point of a logarithmic grid
-    over the first two.
+    over the first two of them.
     """
     axes = [np.geomspace(*RANGES[name], POINTS[-1 - i]) for i, name in enumerate(free[:2])]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))

@@ -21,8 +21,8 @@ from mmwave_env.world.simulated import SimulatedSource
 class PlacesVecEnv(VecEnv):
     """The environments of all places of a task, stepped together.
 
-    A *place* is a scene with a radio and a rate of epochs. A reset also makes some steps with
-    action 0, a different number at each place. So episodes end at different times, and every update
+    A *place* is a scene with a radio and a rate of epochs. A reset also makes steps with
+    action 0; their number differs by place. So episodes end at different times, and every update
     of a network has data from all phases of an episode.
 
     Args:

@@ -44,7 +44,7 @@ def results_of(source: Source) -> tuple[Verdict, str]:
 
 
 def _verdict(comparison: Comparison) -> Verdict:
-    """Return the best contender and its margin in words."""
+    """Return the best contender and its margin over the next that is paired with it."""
     best, *others = comparison.policies
     name = f"{comparison.scenario}, {comparison.radio}, {comparison.selection}"
     about = f"{len(others) + 1} contenders on {name}." if others else f"{best} on {name}."
@@ -121,7 +121,7 @@ def errors_of(source: Source, played: Played) -> Iterator[str]:
 
 
 def origin_of(title: str, command: str, versions: Json) -> str:
-    """Return HTML that shows the command and the versions that made results or this page."""
+    """Return HTML with the command and the package versions that made results or this page."""
     made = ", ".join(f"{name} {version}" for name, version in versions.items())
     parts = element("h3", title), element("pre", command)
     return "".join(parts) + (element("p", f"Made with {made}.") if versions else "")

@@ -1,4 +1,4 @@
-// Elements, scales and lines. Names reach the page only as text, never as markup.
+// Functions for elements, scales and lines. Names reach the page only as text, never as markup.
 
 function change(one, attributes) {
   for (const [key, value] of Object.entries(attributes)) one.setAttribute(key, value);
@@ -18,12 +18,12 @@ function shape(parent, name, attributes = {}, text = "") {
   return made;
 }
 
-// A picture with its text alternative.
+// Returns an empty picture; `words` is its text alternative.
 function picture(width, height, words) {
   return shape(null, "svg", { viewBox: `0 0 ${width} ${height}`, width, height, role: "img", "aria-label": words });
 }
 
-// Maps values to pixels between start and end, linearly or logarithmically; low values are at the start.
+// Returns a function that maps values from low to high to pixels from start to end, linearly or (if `log`) logarithmically. Values below low go to start.
 function scale(low, high, start, end, log = false) {
   const turn = log ? Math.log10 : (v) => v;
   return (v) => start + ((turn(Math.max(v, low)) - turn(low)) / (turn(high) - turn(low))) * (end - start);

@@ -63,7 +63,7 @@ function drawStreets(svg, episode, toX, toY, perMeter) {
     }
   }
   const [[gx, gy, gz], ...images] = episode.anchors;
-  for (const [x, y, z] of images) { // an image is the gNB's mirror image in a wall, so the wall halves the line between them at a right angle
+  for (const [x, y, z] of images) { // each image is the gNB's mirror image in a wall, so the wall is the perpendicular bisector between gNB and image
     const far = Math.hypot(x - gx, y - gy);
     if (far === 0 || Math.abs(z - gz) > 0.1) continue;
     const [dx, dy] = [(-5000 * (y - gy)) / far, (5000 * (x - gx)) / far];
@@ -96,7 +96,7 @@ function drawAnchors(svg, episode, toX, toY, width, height) {
   });
 }
 
-// Draws the track of an estimate, and returns a function that shows it up to an epoch. The track of contender number 0 has the colors of its modes.
+// Draws the track of an estimate, and returns a function that shows the track up to an epoch. Contender number 0 has a track in the colors of its modes.
 function trail(svg, course, xs, ys, number) {
   if (number) {
     const line = shape(svg, "path", lineOf(number));

@@ -11,11 +11,11 @@ from typing import Any
 from experiments.console.tables import CELL, unescaped
 from mmwave_env.io.lookup import printable
 
-SHOWN = 5  # number of rows that are shown at first
+SHOWN = 5  # number of table rows that are shown at first
 
 
 def text(value: Any) -> str:
-    """Escape plain text for HTML, also for a quoted attribute; spell out unprintable characters."""
+    """Escape text for HTML, including quoted attributes; spell out unprintable characters."""
     return escape(printable(str(value)))
 
 
@@ -27,7 +27,7 @@ def element(tag: str, words: Any, kind: str = "") -> str:
 def table(caption: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
     """Return a table of plain text that scrolls sideways; the first cell of each row names the row.
 
-    Rows after the first :data:`SHOWN` are hidden until a box is checked, which needs no script.
+    Rows after the first :data:`SHOWN` are hidden until a box is checked; this needs no script.
     """
     head = "".join(f'<th scope="col">{text(title)}</th>' for title in header)
     body = "".join(
@@ -57,9 +57,9 @@ def html_of(markdown: str) -> str:
 
 
 def drawn(caption: str, draw: Callable[[Path], None]) -> str:
-    """Return a picture, which the page's style inverts in dark mode; without matplotlib, a note.
+    """Return a picture as HTML; without matplotlib, return a note.
 
-    ``draw`` writes the picture to an .svg file.
+    ``draw`` writes the picture to an .svg file. In dark mode, the page's style inverts the picture.
     """
     if not find_spec("matplotlib"):
         return element("p", f"{caption}: pictures need mmwave-loc[plot]", "note")

@@ -91,7 +91,7 @@ def _html(verdicts: Sequence[Verdict], sections: Mapping[str, str], data: Any) -
 
 
 def _colors() -> str:
-    """Return the colors of the page, which videos use, too, as CSS variables."""
+    """Return the page's colors, which are also those of videos, as CSS variables."""
     light, dark = THEMES["light"]._asdict(), THEMES["dark"]._asdict()
     lines = (
         f"--{name}: light-dark({hex_of(light[name])}, {hex_of(dark[name])});"

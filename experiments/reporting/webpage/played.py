@@ -1,4 +1,4 @@
-"""Second runs of a comparison's episodes or of a log, for details that results do not store."""
+"""Replay of a comparison's episodes or of a log, for details that results do not store."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -36,7 +36,7 @@ class Played:
     """Results of contenders in episodes that were played again."""
 
     which: str = "no episodes"  # description of the episodes
-    # epochs, positions: errors, NEES and protection levels of the scored epochs
+    # epochs: errors and NEES; positions: errors and protection levels; only of scored epochs
     epochs: EpochErrors = field(default_factory=lambda: EpochErrors({}))
     positions: Positions = field(default_factory=lambda: Positions({}))
     shown: list[Json] = field(default_factory=list)  # episodes to watch, as JSON
@@ -48,7 +48,7 @@ def play(source: Source, most: int, watched: int) -> Played:
     """Run the first episodes of a comparison, or the beginning of a log, again.
 
     A user's code is not run: contenders given as module:function or as a .zip file are left out.
-    At most ``most`` episodes run; the first ``watched`` are kept epoch by epoch.
+    At most ``most`` episodes run; all epochs of the first ``watched`` episodes are kept.
     """
     if source.kind == "run":
         return Played()
@@ -168,8 +168,8 @@ def _episode(name: str, history: History, rows: slice, groups: Sequence[str]) ->
 def _course(history: History, rows: slice, modes: Sequence[str], weighed: bool) -> Json:
     """Return the results of a contender in an episode, in the form that the player needs.
 
-    ``weighed`` says that an IMM combined all modes by their probabilities; the mode of an epoch is
-    then the most probable mode.
+    ``weighed`` tells whether the mode of an epoch is the most probable mode; otherwise, it is the
+    mode or action that was chosen.
     """
     accepted, rejected = history.accepted[rows], history.rejected[rows]
     letters = np.where(accepted, "a", np.where(rejected, "r", "m"))  # m: missing
@@ -196,5 +196,5 @@ def _course(history: History, rows: slice, modes: Sequence[str], weighed: bool) 
 
 
 def _numbers(values: Array, digits: str = ".4g") -> list[float | None]:
-    """Round numbers; replace those that are not finite by None."""
+    """Round numbers; replace NaN and infinite numbers by None."""
     return [float(f"{v:{digits}}") if np.isfinite(v) else None for v in values]

@@ -91,7 +91,7 @@ function legend(place, episode, chosen) {
     return element("div", { class: "key" }, title, ...course.modes.map((mode, k) => swatch(course.colors[k], mode)));
   });
   const fates = Object.entries(FATES).map(([fate, name]) => swatch(FILLS[fate], `measurement ${name}`));
-  const notes = `Measurements, links and the ellipse of 2 standard deviations belong to ${chosen[0]}. The true speed has the color of the text. If the covariances are right, 95 % of the NEES are in the band. Triangles are the gNB and other anchors; arrows point to anchors outside the map.`;
+  const notes = `Measurements, links and the ellipse of 2 standard deviations belong to ${chosen[0]}. The true speed has the color of the text. If the covariances are right, 95 % of the NEES values are in the band. Triangles are the gNB and other anchors; arrows point to anchors outside the map.`;
   place.replaceChildren(...modes, element("div", { class: "key" }, ...fates, element("span", {}, notes)));
 }
 
@@ -183,7 +183,7 @@ function drawStrips(place, episode, chosen) {
   return (at) => change(cursor, { x1: ts[at], x2: ts[at] });
 }
 
-// Calls the function `take` for every run of equal values, with its first epoch and the epoch where the next one begins.
+// Calls take(value, from, to) for every run of equal values: `from` is its first epoch, and `to` is the first epoch of the next run, or the last epoch.
 function runs(values, take) {
   let begin = 0;
   for (let k = 1; k <= values.length; k += 1) {

@@ -14,11 +14,11 @@ class Source(NamedTuple):
 
     path: str  # path as the user typed it; for a part of a file, the part's title is appended
     kind: str  # "comparison", "track" or "run"
-    content: Json  # content of the file; of a run, the summary, and learning curves as "curves"
+    content: Json  # content of a file; or a run's summary, with learning curves as "curves"
 
 
 def read_source(path: Path) -> list[Source]:
-    """Read a file of results, or the folder of a run, finished or not.
+    """Read a file of results, or the folder of a finished or unfinished run.
 
     Raises:
         ValueError: the file does not hold results; the message names the file and what it lacks.
