@@ -14,7 +14,7 @@ _BLOCK_BYTES = 1 << 20
 
 
 class DamagedFileError(ValueError):
-    """Error for a file that is damaged from some row on; readers first yield the rows before it.
+    """Error for a file that is damaged from some row on; the rows before it are yielded first.
 
     Rows are counted from 1; ``unit`` is the word for a row in the message.
     """

@@ -34,7 +34,7 @@ class LogError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Base class for dataclasses of n rows or epochs: arrays (n, ...), and values for all rows."""
+    """Base class for dataclasses of n rows or epochs: arrays (n, ...), and common values."""
 
     def arrays(self) -> dict[str, Array]:
         """Return the arrays by name."""
@@ -45,12 +45,12 @@ class Block:
         return len(next(iter(self.arrays().values())))
 
     def part(self: AnyBlock, rows: slice) -> AnyBlock:
-        """Return a block with some of the rows."""
+        """Return a block with only these rows."""
         return replace(self, **{name: values[rows] for name, values in self.arrays().items()})
 
     @classmethod
     def joined(cls, blocks: Sequence[AnyBlock]) -> AnyBlock:
-        """Join consecutive blocks; values for all rows are those of the last block."""
+        """Join consecutive blocks; common values are taken from the last block."""
         last = blocks[-1]
         names = last.arrays()
         return replace(last, **{n: np.concatenate([getattr(b, n) for b in blocks]) for n in names})
@@ -84,7 +84,7 @@ class Table(Block):
         return np.concatenate([[0], np.cumsum(np.diff(self.raw("time")) != 0.0)])
 
     def first(self, values: Array) -> Array:
-        """Return, for each epoch, the first of its ``values`` (n,) that is not NaN, else NaN."""
+        """Return (epochs,): the first of each epoch's ``values`` (n,) that is not NaN, else NaN."""
         first = np.full(self.epoch[-1] + 1, np.nan)
         some = np.flatnonzero(~np.isnan(values))[::-1]
         first[self.epoch[some]] = values[some]  # backwards, so that the first row's value remains
