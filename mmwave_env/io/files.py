@@ -62,7 +62,7 @@ def open_regular(path: Path, expected: str = "a file") -> BinaryIO:
 
 
 def read_bounded(path: Path, most: int, expected: str = "a file") -> bytes:
-    """Read all bytes of a file; refuse a file with too many.
+    """Read all bytes of a file; refuse a file with more than ``most``.
 
     Raises:
         OSError: as for :func:`open_regular`, or the file is larger than ``most``.

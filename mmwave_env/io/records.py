@@ -68,7 +68,7 @@ class Size:
 
 @dataclass(frozen=True)
 class Printable:
-    """Text that can be shown unchanged in tables and pictures."""
+    """A rule for texts: they can be shown unchanged in tables and pictures."""
 
     expected: str = f"1 to {LONGEST} printable characters"
 

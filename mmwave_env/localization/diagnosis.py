@@ -2,10 +2,10 @@
 
 A hypothesis says how to read the values in the file. For every hypothesis, the same filter
 without gates computes a track from the first epochs. A hypothesis makes the log consistent if
-:mod:`~mmwave_env.localization.contradictions` then reports none, such as a wrong NIS per degree of
-freedom (dof). Hypotheses that do so are ranked by the likelihood of the values in the file, not
-of the converted values, because likelihoods in different units can't be compared. If no single
-mistake explains the log, pairs of mistakes are tried.
+:mod:`~mmwave_env.localization.contradictions` finds none with it; for example, the NIS per degree
+of freedom (dof) must be near 1. Consistent hypotheses are ranked by the likelihood of the values in
+the file, not of the converted values, because likelihoods in different units can't be compared. If
+no single mistake explains the log, pairs of mistakes are tried.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -51,7 +51,7 @@ _FACTORS = {  # mistake -> the factor that undoes it, and the unit that the colu
 }
 _SEARCHED_EPOCHS = 50  # number of epochs among which the track's first epoch is chosen
 _ADVANTAGE = 0.01  # bonus for the log as it is, added to its log-likelihood per epoch
-_OUTLIER_QUANTILE = 1e-6  # maximum of NIS: chi-square exceeds it with this probability
+_OUTLIER_QUANTILE = 1e-6  # NIS is capped at the value that chi-square exceeds this rarely
 
 
 class Reading(NamedTuple):

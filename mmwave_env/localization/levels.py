@@ -119,7 +119,7 @@ class Levels:
         self._first_s = self._last_s = 0.0
 
     def factors(self, anchors: int, mixes: bool, time_s: Array, *parts: Any) -> Array:
-        """Return factors (n, T, 2) of horizontal and vertical Gaussian levels; see ``features``."""
+        """Return factors (n, T, 2) for both Gaussian levels; arguments as for :meth:`features`."""
         if self.kind == GAUSSIAN:
             return np.ones((*parts[0].shape[:2], 2))
         logs = shipped().log_factors(self.features(anchors, mixes, time_s, *parts))

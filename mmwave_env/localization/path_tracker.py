@@ -64,10 +64,10 @@ def assign(nis: Array, gate: float) -> Index:
 
 
 def disagreement(paths: Array, sigma: Array) -> Array:
-    """Compute the NIS (n,) between the azimuths of arrival and departure of paths (n, 4).
+    """Compute the NIS (n,) of the difference between the two azimuths of paths (n, 4).
 
-    The NIS has 1 degree of freedom. The user's position is not needed, because both angles measure
-    the same bearing (paper, Sec. II-B).
+    The NIS has 1 degree of freedom. The user's position is not needed, because the azimuths of
+    arrival and departure measure the same bearing (paper, Sec. II-B).
     """
     group = link_group([1.0] * 7, [0.0] * 3, list(paths.T), list(np.square(sigma).T))
     return np.asarray(group.spare_nis)

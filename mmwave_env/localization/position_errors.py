@@ -1,8 +1,9 @@
 """Statistics of position errors: percentiles, shares of epochs and protection levels.
 
 The horizontal error is the length of the error in x and y; the vertical error is the absolute value
-of the error in z. A share is the fraction of the epochs in which the error is at most a distance.
-The distances are those of 3GPP TS 22.261, Table 7.3.2.2-1, for positioning services.
+of the error in z. A share is the fraction of the epochs in which the error is at most a certain
+distance; the distances are those of 3GPP TS 22.261, Table 7.3.2.2-1, for positioning services.
+Covariances P are packed: they are lower triangles, row by row (:mod:`mmwave_env.numerics.linalg`).
 
 A protection level is a bound that an error exceeds with a stated probability, the risk, if the
 covariance is right. With position errors e ~ N(0, P), the level at risk r is the distance that |e|
@@ -31,7 +32,7 @@ from mmwave_env.numerics.numbers import Array
 
 CONFIDENCE = 0.95  # confidence of the intervals of shares
 _RATIOS = np.linspace(0.0, 1.0, 1025)  # values of b / a; between them, levels are interpolated
-_ANGLES = (np.arange(64) + 0.5) * (np.pi / 128)  # values of t in a quadrant; all have the same mean
+_ANGLES = (np.arange(64) + 0.5) * (np.pi / 128)  # values of t; one quadrant represents all
 _HALVINGS = 60
 _LARGEST_RISK = 0.5
 
@@ -43,7 +44,7 @@ def require_risk(risk: float) -> None:
 
 
 def horizontal_level(P: Array, risk: float) -> Array:
-    """Compute horizontal levels (...,), m, from packed P (..., 3 or more) that begins with x, y."""
+    """Compute horizontal levels (...,), m, from packed P (..., 3 or more) with x, y first."""
     xx, xy, yy = P[..., 0], P[..., 1], P[..., 2]
     middle, half = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
     major = np.sqrt(middle + half)
@@ -53,7 +54,7 @@ def horizontal_level(P: Array, risk: float) -> Array:
 
 
 def vertical_level(P: Array, risk: float) -> Array:
-    """Compute vertical levels (...,), m, from packed P (..., 6 or more) that begins with xyz."""
+    """Compute vertical levels (...,), m, from packed P (..., 6 or more) with x, y, z first."""
     from scipy.special import ndtri
 
     return -ndtri(0.5 * risk) * np.sqrt(np.maximum(P[..., 5], 0.0))  # type: ignore[no-any-return]

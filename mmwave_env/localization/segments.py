@@ -2,7 +2,7 @@
 
 A filter can predict over some seconds without a link. After half a minute it is often far from the
 user, with a covariance that is too small. So a segment ends after a long gap. The next segment
-begins with the next epoch that determines a position, called the first fix of the segment.
+begins with the next epoch that determines a position, the first fix of the segment.
 
 A complete link of the base station gives this position directly. If the log lacks a column that a
 complete link needs, or if the user's clock has an offset, the position is computed from all links
@@ -235,9 +235,9 @@ def _first_fix(block: LogBlock, scene: Scene, radio: Radio) -> int:
 
 
 def _end(block: LogBlock, last_s: float, begins: bool) -> tuple[int, float | None]:
-    """Return how many epochs from the block's first one on are in the segment, and a time.
+    """Return how many epochs at the block's beginning are in the segment, and a time.
 
-    It is the time of the last measurement, or None if the segment ends within the block. ``begins``
+    The time is that of the last measurement, None if the segment ends within the block. ``begins``
     tells whether the segment begins with the block.
     """
     measured = block.visible[:, : block.layout.anchors].any(axis=1)

@@ -34,7 +34,7 @@ from mmwave_env.numerics.numbers import Array, wrap
 _STRETCHES, _SHORTEST_S = 32, 2.0  # maximum number and minimum length of stretches
 _FEWEST = 5  # minimum number of stretches for a standard error
 _CHANCE = 0.005  # probability of finding an offset if there is none
-_PART = 0.01  # share of the squared error (with noise) that an offset must explain to matter
+_PART = 0.01  # an offset matters if it explains more than this share of the squared errors
 _STEP_M = 1e-3  # step of the numerical derivatives dh/dp
 _ENOUGH = 20  # minimum number of epochs for a standard deviation
 _OUTLIER = 6.0  # standard deviations; larger errors are ignored

@@ -1,7 +1,7 @@
 """Measurement logs that arrive row by row; every epoch is returned as soon as it is complete.
 
-Cells that are well within their limits pass quick checks. Only other rows get the full checks, in
-``log_checks.py``, which are slower and also find out what is wrong.
+Rows whose cells are well within their limits pass quick checks. Only other rows need the full
+checks of ``log_checks.py``, which are slower and also find out what is wrong.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence

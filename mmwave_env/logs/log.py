@@ -146,6 +146,7 @@ def read_log(
         LogError: the file is not a log, or lacks a column (raised at once); a row is damaged (the
             message names file, row, column, what was found and what was expected); or the log has
             no row or no measurement (raised at the end).
+        ValueError: ``epochs_per_block`` is less than 1.
         OSError: the file can't be read.
     """
     if epochs_per_block < 1:

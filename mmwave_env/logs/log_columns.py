@@ -61,7 +61,7 @@ def _flight(name: str) -> dict[str, Unit]:
 
 _SPEED = {"speed_mps": Unit(), "speed_kmh": Unit(1.0, 3.6)}
 
-RANGE_LIMITS_M = (1e-3, 1e6)  # real ranges are within these limits; ranges in a wrong unit are not
+RANGE_LIMITS_M = (1e-3, 1e6)  # limits of real ranges; ranges in a wrong unit often violate them
 WIDEST_ELEVATION_DEG = 90.0
 _RANGE = between(0.0, RANGE_LIMITS_M[1], "m"), "m"
 _TURN = between(-360.0, 360.0, "degrees (docs/data.md, Angles)"), "degrees"

@@ -6,8 +6,8 @@ receiver at p sees the signal come from a, the station's mirror image (paper, Se
     a = q + |g - q| (q - p) / |q - p|
 
 A flat wall gives all receivers the same image, so each cluster of images is a virtual anchor. The
-arrival and the range of such a path are those of the straight line from the image. The departure
-is given in the files at the station, before the bounce, so it must be mirrored, too.
+arrival and the range of such a path are those of the straight line from the image. In the files,
+the departure is the direction at the station, before the bounce, so it must be mirrored, too.
 
 Other paths (two bounces, diffraction, scattering, transmission) are left out: they have no fixed
 image, or their image can't be computed from their first point of interaction.
