@@ -42,8 +42,8 @@ class Received(NamedTuple):
     snr_db: Array  # (T, L)
     doppler_spread_hz: Array  # (T,)
     bias_hz: Array | None  # (T,) the oscillator's bias, None if unknown
-    sigma: Array | None = None
-    doppler_anchor: Index | None = None
+    sigma: Array | None = None  # (T, rows) standard deviations, NaN where the receiver states none
+    doppler_anchor: Index | None = None  # (T,) index, from 0, of the anchor with the Doppler shift
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

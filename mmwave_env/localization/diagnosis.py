@@ -275,7 +275,7 @@ def _findings(readings: dict[str, Reading], mode: Mode) -> list[Finding]:
 
 
 def _rank(finding: Finding) -> tuple[bool, float]:
-    """Return a sort key: first, consistent findings by likelihood; then the others by fit."""
+    """Return a sort key: consistent findings by likelihood, then inconsistent ones by fit."""
     if not finding.contradictions and finding.log_likelihood is not None:
         advantage = _ADVANTAGE if finding.hypothesis == AS_IT_IS else 0.0
         return False, -finding.log_likelihood - advantage

@@ -132,9 +132,9 @@ class Levels:
             anchors: number of anchors.
             mixes: whether the beliefs come from a bank of interacting modes.
             time_s: (T,) times of the epochs.
-            parts: means x (n, T, 7 or 8); packed covariances P (n, T, 28 or 36); three arrays
-                (n, T, groups): each group's NIS, whether it was accepted, and whether it was
-                rejected; optionally, the trust in a corrector (n, T), NaN without a corrector.
+            parts: means x (n, T, 7 or 8); packed covariances P (n, T, 28 or 36); NIS, acceptance
+                and rejection (0 or 1) of each group, as three arrays (n, T, groups); optionally,
+                the trust in a corrector (n, T), which is NaN without a corrector.
         """
         x, P, nis, accepted, rejected, trusted = (*parts, None)[:6]
         if self._means is None:

@@ -40,7 +40,7 @@ class Position(NamedTuple):
         covariance_m2: (3, 3) covariance of the position.
         velocity_mps: (3,) velocity in the frame of the scene.
         mode: name of the mode that ran or, in a bank, of the most probable mode.
-        nis: name of every group of values (such as a link) that was measured -> its NIS.
+        nis: NIS of each group of values (such as a link) that was measured, by the group's name.
         rejected: names of the groups that the gates rejected.
         begins: whether a track begins here, with a first position from the links.
         geodetic: latitude and longitude (degrees) and height (m); None in a scene without origin.

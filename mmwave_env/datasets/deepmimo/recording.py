@@ -26,7 +26,7 @@ from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.world.checks import refuse_in
 from mmwave_env.world.trajectory import Trajectory
 
-SIDECAR = "trajectory.csv"  # times and positions; the user adds this file to those of DeepMIMO
+SIDECAR = "trajectory.csv"  # with times and positions; users add it to the files of DeepMIMO
 
 
 def read_deepmimo(
