@@ -27,10 +27,10 @@ def read_log_folder(folder: Path, clock: bool = False) -> MeasuredTrack:
     """Read a folder with a log, its scene and its true track, completely into memory.
 
     :class:`~mmwave_env.logs.truth.Truth` interpolates the true positions at the times of the
-    epochs; differences of these positions give true velocities. The layout is partial (each value
-    of a link may be missing alone) if a link lacks some of its values, if the log states standard
-    deviations, or if the Doppler shift was measured at an anchor other than the base station. A
-    difference between the clocks of log and track causes a warning.
+    epochs. True velocities are computed from these positions. The layout is partial (each value of
+    a link may be missing alone) if a link lacks some of its values, if the log states standard
+    deviations, or if a Doppler shift was measured at an anchor other than the base station. If the
+    clocks of log and track seem to differ, there is a warning.
 
     Args:
         folder: contains ``log.csv`` (or ``.csv.gz``, ``.parquet``), ``scene.json``, ``truth.tum``.

@@ -15,7 +15,7 @@ def log_columns(episode: Episode) -> dict[str, Array]:
 
     NaN stands for an empty cell. The cells of measurements that are not usable are empty. An SNR is
     given only if its anchor's link or Doppler shift is usable. A partial layout (single values may
-    be missing) adds columns of standard deviations. Noisy elevations are clipped to the vertical.
+    be missing) adds columns of standard deviations. Elevations beyond the vertical are clipped.
     """
     layout, usable = episode.layout, episode.usable
     T, L = len(episode), layout.anchors

@@ -1,6 +1,6 @@
 """Measured tracks: a log with the true positions of the user, replayed as it was measured.
 
-Measurements are the same in every episode: a seed determines only the prior and, if episodes are
+Measurements are the same in every episode. A seed determines only the prior and, if episodes are
 shorter than the log, the epoch of the log at which an episode begins.
 """
 
@@ -66,11 +66,11 @@ class MeasuredTrack(Track):
 
         A link may lack some of its values. A value that has no SNR and no standard deviation is
         treated as not measured, because its noise is unknown. Angles are in the frame of the map.
-        Even if the base station transmits, arrival is the direction in which the anchor sees the
-        user (azimuth ``atan2(dy, dx)`` and elevation ``atan2(dz, hypot(dx, dy))``; (dx, dy, dz) is
-        from the anchor to the user), and departure is the azimuth at which the user sees the
-        anchor. A virtual anchor is a mirror image of the base station; its angles are those of the
-        straight line from it to the user. docs/data.md, "Angles", converts other conventions.
+        Even if the base station transmits, arrival is the direction (dx, dy, dz) from the anchor to
+        the user, with azimuth ``atan2(dy, dx)`` and elevation ``atan2(dz, hypot(dx, dy))``;
+        departure is the azimuth from the user to the anchor. A virtual anchor is a mirror image of
+        the base station; its angles are those of the straight line between the image and the user.
+        docs/data.md, "Angles", converts other conventions.
 
         Args:
             time_s: (T,) times of the epochs, increasing, s.
@@ -90,8 +90,8 @@ class MeasuredTrack(Track):
 
         Raises:
             ValueError: an array has the wrong shape, times do not increase, standard deviations
-                are not positive, no array contains information about the horizontal position, or
-                an array has no standard deviations and no SNR; the message names the array.
+                are not positive, no array measures the horizontal position, or a measurement has
+                neither standard deviations nor an SNR; the message names the array.
         """
         record = f"{cls.KIND} {name!r}"
         links = (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad)
@@ -141,7 +141,7 @@ def _require_noise(
 def _as_partial(
     record: str, fields: dict[str, Any], heard: Mask, deviations: dict[str, ArrayLike | None]
 ) -> dict[str, Any]:
-    """Return the values of fields that change with a partial layout; {} if the plain one suffices.
+    """Return those fields that differ in a partial layout; {} if the plain layout suffices.
 
     The plain layout suffices if no noise is stated and every group is complete or wholly missing.
     ``heard`` (T, L) says whether a link has an SNR. ``deviations`` maps the name of a measurement

@@ -1,8 +1,8 @@
 """Recordings: one track through a known scene, with measurements drawn anew in every episode.
 
 A ray tracer (or a survey) gives the paths and what a perfect receiver would measure on them. Each
-episode adds what a real receiver has: noise, the bias of an oscillator, and a prior. All three are
-drawn from a seed and a radio profile. Blockage, multipath, missed detections and outages are not
+episode adds noise and an oscillator's bias, and it has its own prior. All three are drawn from a
+seed and a radio profile. Blockage, multipath, missed detections and outages are not
 simulated, because the recording already says which paths exist.
 """
 
@@ -53,8 +53,8 @@ class Recording(Track):
         """Return a recording of the paths of a ray tracer or survey; NaN stands for a missing path.
 
         Arguments are as in :meth:`~mmwave_env.datasets.measured.MeasuredTrack.from_arrays`, but
-        must not contain noise. The radio profile converts ``path_gain_db``, (T, L) and negative, to
-        an SNR. The Doppler shift is computed from the true velocity if there is a line of sight.
+        without noise. The radio profile converts ``path_gain_db``, (T, L) and negative, to an
+        SNR. The Doppler shift is computed from the true velocity if there is a line of sight.
 
         Raises:
             ValueError: an array has the wrong shape or invalid values; the message names the

@@ -1,4 +1,4 @@
-"""Sources of episodes: samples, which are part of the package, and a user's own data."""
+"""Sources of episodes, made from the samples that the package contains or from a user's data."""
 
 import os
 from collections.abc import Sequence
@@ -54,7 +54,7 @@ def source_from(
     measurements: Sequence[str] | None = None,
     clock: bool = False,
 ) -> TrackSource:
-    """Return the source for an ``episodes=`` argument, or for ``--data``.
+    """Return the source of episodes for an argument ``episodes=`` or an option ``--data``.
 
     Args:
         episodes: one of :func:`sample_names`; a folder with a measurement log, its scene and its

@@ -28,10 +28,10 @@ from mmwave_env.numerics.numbers import Array, Index, Mask, wrap
 from mmwave_env.world.checks import refuse, require_increasing
 from mmwave_env.world.episode import Episode
 
-# Limits of the median errors of ranges (m) and angles (rad). Noise can't cause a median above _FAR;
-# a median below _NEAR is acceptable.
+# Limits of the median errors of a link's range (m) and angles (rad). Noise can't cause a median
+# above _FAR; a median below _NEAR is acceptable.
 _FAR, _NEAR = (50.0, 0.5, 0.5, 0.5), (5.0, 0.05, 0.05, 0.05)
-_NOISE = 0.6745 * np.sqrt(2.0)  # median absolute difference of two N(0, 1) errors
+_NOISE = 0.6745 * np.sqrt(2.0)  # median of the absolute difference of two N(0, 1) errors
 _ENOUGH = 20  # minimum number of epochs for a median
 
 
@@ -42,8 +42,8 @@ class Received(NamedTuple):
     snr_db: Array  # (T, L)
     doppler_spread_hz: Array  # (T,)
     bias_hz: Array | None  # (T,) the oscillator's bias, None if unknown
-    sigma: Array | None = None
-    doppler_anchor: Index | None = None
+    sigma: Array | None = None  # (T, rows) standard deviations, NaN where the receiver states none
+    doppler_anchor: Index | None = None  # (T,) index, from 0, of the anchor with the Doppler shift
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -88,8 +88,8 @@ class Track(ABC):
 
         The prior is drawn around the true state. If the bias of the oscillator is unknown, the mean
         of its prior is 0. If the layout has a clock, a random clock offset is added to the ranges
-        of a recording; the other random numbers are those of an episode without a clock. The ranges
-        of a measured track already contain an offset.
+        of a recording, and this changes no other random number. The ranges of a measured track
+        already contain an offset.
 
         Raises:
             ValueError: the true position in an epoch is not known.
@@ -139,10 +139,10 @@ class Track(ABC):
     ) -> tuple[dict[str, Any], Array]:
         """Check arrays; return the fields of a :class:`Track`, and the links' SNR or gain (T, L).
 
-        The arrays are arguments of ``from_arrays`` of a subclass. ``links`` has one array (T, L) or
+        The arrays are arguments of a subclass's ``from_arrays``. ``links`` has one array (T, L) or
         None for each measurement of ``LINK``, with NaN where not measured. ``strength`` is the name
-        and the array of the SNR or gain, ``truth`` the true positions and velocities (T, 3), and
-        ``signal`` the carrier frequency and the bandwidth, Hz.
+        and the array of the SNR or gain; ``truth`` has the true positions and velocities (T, 3);
+        ``signal`` has the carrier frequency and the bandwidth, Hz.
 
         Raises:
             ValueError: an array has the wrong shape, or times do not increase.
@@ -198,8 +198,8 @@ class Track(ABC):
     def _warn_of_contradictions(self) -> None:
         """Warn if the errors of links, computed with the true positions, have a large median.
 
-        The cause is a wrong convention or unit, or a true track in another frame. Noise alone gives
-        no warning; its size is estimated from the change of errors from one epoch to the next.
+        The cause is a wrong convention or unit, or a true track in another frame. Noise alone
+        causes no warning: its size is estimated from the errors' changes between epochs.
         """
         layout, position = self.layout, list(self.position_m.T)
         anchors = self.anchors_m.tolist()
@@ -216,7 +216,7 @@ class Track(ABC):
                     continue
                 sizes = (np.abs(wrap(e) if i else e) for e in (error, np.diff(error)))
                 median, differ = (float(np.median(size)) for size in sizes)
-                # With noise alone, the median is two thirds of the noise's standard deviation.
+                # With noise alone, the median is about 0.67 times the noise's standard deviation.
                 if median > min(_FAR[i], max(_NEAR[i], 2.0 * differ / _NOISE)):
                     far.append(f"{name} of anchor {a + 1}: {median:.3g}")
         if far:
@@ -230,7 +230,7 @@ class Track(ABC):
 class TrackSource:
     """Source of episodes from one track.
 
-    An episode lies within a *stretch*: consecutive epochs that all have a true position, with no
+    An episode lies within a *stretch*: consecutive epochs that all have a true position, without a
     gap of more than ``GAP_S``.
 
     Args:
@@ -243,7 +243,7 @@ class TrackSource:
         clock: whether the user's clock has an unknown offset.
 
     Raises:
-        ValueError: there is no stretch, none has that many epochs, or measurements are missing.
+        ValueError: there is no stretch or none of this length, or the track lacks ``measurements``.
     """
 
     def __init__(
@@ -304,7 +304,7 @@ class TrackSource:
 
 
 def numbers(record: str, field: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    """Return ``values`` as a new array of this shape, in which None stands for any length but 0."""
+    """Return ``values`` as a new array; in its ``shape``, None stands for any length except 0."""
     try:
         array = np.array(values, float)
     except (TypeError, ValueError) as error:

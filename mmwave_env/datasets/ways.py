@@ -16,7 +16,7 @@ from mmwave_env.io.records import Printable
 from mmwave_env.world.checks import refuse_in
 from mmwave_env.world.trajectory import Scenario, Trajectory, Ways
 
-COLUMNS = ("t", "x", "y", "z", "vx", "vy", "vz")  # a file has all of the last three or none
+COLUMNS = ("t", "x", "y", "z", "vx", "vy", "vz")  # a file may lack the last three together
 ID = "id"
 
 

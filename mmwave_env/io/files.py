@@ -1,4 +1,4 @@
-"""Reading and writing of files: reads are bounded, writes are atomic, and errors name the file."""
+"""Functions that read files up to a size limit and write files atomically; errors name the file."""
 
 import json
 import os
@@ -46,7 +46,7 @@ def first_line(error: Exception) -> str:
 
 
 def open_regular(path: Path, expected: str = "a file") -> BinaryIO:
-    """Open a file to read its bytes; refuse a FIFO, which would block, and an endless device.
+    """Open a file to read its bytes; refuse a FIFO or a device, which may block or never end.
 
     Raises:
         FileNotFoundError: there is no such file; the message calls it ``expected``.
@@ -62,7 +62,7 @@ def open_regular(path: Path, expected: str = "a file") -> BinaryIO:
 
 
 def read_bounded(path: Path, most: int, expected: str = "a file") -> bytes:
-    """Read all bytes of a file; refuse a file with too many.
+    """Read all bytes of a file; refuse a file with more than ``most``.
 
     Raises:
         OSError: as for :func:`open_regular`, or the file is larger than ``most``.
@@ -94,7 +94,7 @@ def read_text(path: Path, expected: str = "text", most: int = TEXT_BYTES) -> str
 
 
 def parse_json(text: str) -> Any:
-    """Parse JSON; refuse nesting so deep that programs fail on it.
+    """Parse JSON; refuse lists and objects that are nested more than :data:`JSON_DEPTH` deep.
 
     Raises:
         ValueError: the text is not valid JSON; the message says what is wrong.
@@ -121,7 +121,7 @@ def read_json(path: Path, kind: str, make: Callable[[dict[str, Any]], T], see: s
         kind: kind of the file, for messages, such as "a mode file".
         make: function that converts the object. If it fails because of a missing key or a value of
             a wrong type, its error is converted to the ValueError below.
-        see: page that describes this kind of file, for messages.
+        see: page or schema that describes this kind of file, for messages.
 
     Raises:
         ValueError: the file is invalid; the message names the file and what is wrong in it.
@@ -150,7 +150,7 @@ def require_writable(path: Path) -> None:
 
 
 def _target_of(path: Path) -> Path:
-    """Return the file that a path or link leads to; refuse a device; create missing folders."""
+    """Return the file that a path or link points to; refuse a device; create missing folders."""
     target = Path(os.path.realpath(path))
     if target.is_dir():
         raise IsADirectoryError(f"{path}: found a folder, expected a file to write")

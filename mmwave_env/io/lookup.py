@@ -1,4 +1,4 @@
-"""Names: which ones are valid, how they are shown, and lookup by name.
+"""Functions that check names, show them, and look up values by name.
 
 Errors list the valid names, or say how to install a missing package.
 """
@@ -55,7 +55,7 @@ def choose(options: Mapping[str, T], name: str, field: str) -> T:
 
 
 def unknown(field: str, name: object, known: Iterable[str]) -> str:
-    """Return the message about an unknown name."""
+    """Return the error message for an unknown name."""
     names = list(known)
     hint = did_you_mean(name, names)
     begin = f"{hint.removeprefix('; ')} E" if hint else "e"
@@ -63,14 +63,14 @@ def unknown(field: str, name: object, known: Iterable[str]) -> str:
 
 
 def did_you_mean(name: object, known: Iterable[str], most: int = 1) -> str:
-    """Return the end of a message that suggests the closest known names; "" if none is close."""
+    """Return words that suggest the closest known names in a message; "" if none is close."""
     typed = isinstance(name, str) and len(name) <= LONGEST
     close = get_close_matches(str(name), list(known), most) if typed else []
     return f"; did you mean {' or '.join(close)}?" if close else ""
 
 
 class MissingExtraError(ImportError, ValueError):
-    """Error for a missing package that one of our extras installs.
+    """Error for a missing package that an extra of this project installs.
 
     It is also a ValueError, because commands print a ValueError in one line, without a traceback.
     """

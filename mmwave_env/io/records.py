@@ -1,8 +1,8 @@
-"""Dataclasses that are stored in JSON files; the types of fields define their valid values.
+"""Dataclasses that are stored in JSON files; the types of their fields define the valid values.
 
-The types serve three purposes: a dataclass refuses values that do not fit (:func:`require_fields`);
-JSON files become dataclasses (:func:`read_object`); and the schemas in mmwave_env/data/schemas,
-which describe these files, are made from the types.
+The types serve three purposes. A dataclass refuses values that do not fit (:func:`require_fields`).
+Objects in JSON files are converted to dataclasses (:func:`read_object`). And the schemas of these
+files, in mmwave_env/data/schemas, are generated from the types.
 """
 
 import math
@@ -28,13 +28,13 @@ class Bound:
     """Limits of a number."""
 
     expected: str  # the limits in words, for messages
-    least: float | None = None  # smallest valid number; if None, numbers must be > ``above``
+    least: float | None = None  # smallest valid number; if None, valid numbers are > ``above``
     above: float = -math.inf
-    most: float | None = None  # largest valid number; if None, numbers must be < ``below``
+    most: float | None = None  # largest valid number; if None, valid numbers are < ``below``
     below: float = math.inf
 
     def holds(self, value: Any) -> Any:
-        """Tell whether a number, or each element of an array, is within the limits; NaN is not."""
+        """Tell whether a number or, separately, each element of an array is valid; NaN is not."""
         low = value > self.above if self.least is None else value >= self.least
         return low & (value < self.below if self.most is None else value <= self.most)
 
@@ -68,7 +68,7 @@ class Size:
 
 @dataclass(frozen=True)
 class Printable:
-    """Text that can be shown unchanged in tables and pictures."""
+    """A rule for texts: they can be shown unchanged in tables and pictures."""
 
     expected: str = f"1 to {LONGEST} printable characters"
 
@@ -121,7 +121,7 @@ def _is_list(value: Any) -> bool:
 
 
 def _said(hint: Any) -> str:
-    """Return the words that describe a type, to follow "expected" in messages."""
+    """Describe the valid values of a type, in words that can follow "expected" in a message."""
     origin, inside = get_origin(hint), get_args(hint)
     if hint in _KINDS:
         return _KINDS[hint][1]
@@ -141,7 +141,7 @@ def _said(hint: Any) -> str:
 def require_fields(record: Any, of: str = "") -> None:
     """Refuse fields whose values do not fit their types; call this in ``__post_init__``.
 
-    In the message, ``of`` (such as " of radio 'lab'") follows the field's name.
+    The message adds ``of``, such as " of radio 'lab'", to the field's name.
 
     Raises:
         ValueError: a value is invalid; the message names field, value and what was expected.
@@ -151,7 +151,7 @@ def require_fields(record: Any, of: str = "") -> None:
 
 
 def require_ordered(record: object, *names: str) -> None:
-    """Refuse fields that are ranges (two numbers) if the first number is larger than the second."""
+    """Refuse fields that are pairs [low, high] if the first number is larger than the second."""
     for name in names:
         low, high = getattr(record, name)
         if low > high:
@@ -171,10 +171,10 @@ def require(name: str, value: Any, hint: Any, of: str = "") -> None:
 
 
 def object_from(kind: type[T], content: Any, where: str = "") -> T:
-    """Return a dataclass made from an object of a JSON file; lists in it become tuples.
+    """Return a dataclass made from an object of a JSON file.
 
-    Objects inside the object become dataclasses, too. The prefix ``where`` says where the object is
-    in the file, such as "walls[1].".
+    In it, lists become tuples, and inner objects become dataclasses, too. ``where`` is a prefix for
+    messages, which says where the object is in the file, such as "walls[1].".
 
     Raises:
         ValueError: a key is unknown or missing, or the dataclass refuses a value.
@@ -218,7 +218,7 @@ def read_object(path: str | os.PathLike[str], schema: str, make: Callable[[Any],
     The schema is "scene", "modes", "radio" or "mobility".
 
     Raises:
-        ValueError: the file is invalid; the message names file, mistake and schema.
+        ValueError: the file is invalid; the message names the file, the mistake and the schema.
         OSError: the file can't be read; FileNotFoundError if there is no such file.
     """
     described = f"mmwave_env/data/schemas/{schema}.schema.json"

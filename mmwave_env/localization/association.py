@@ -4,9 +4,9 @@ A separate filter follows the user (``path_tracker.py``) and predicts the user's
 epoch. Given this state, the method of the global nearest neighbor assigns the paths to anchors.
 The result is an ordinary log, so all code that localizes a log can localize it.
 
-A track begins with the hypothesis that a certain path is the line of sight, if this hypothesis
-explains enough paths of the coming epochs. The track ends after a long gap. Before, a new track can
-replace it, if the new track explains clearly more paths.
+A track begins from a path that is assumed to be the line of sight, if the track then explains
+enough paths of the coming epochs, that is, assigns them to anchors. A track ends after a long gap,
+or when a new track that explains clearly more paths replaces it.
 """
 
 from collections.abc import Iterable, Iterator
@@ -28,9 +28,10 @@ LOOK_AHEAD = 10  # number of epochs in which a line-of-sight hypothesis is teste
 
 
 class Association:
-    """Counts of the paths of a log.
+    """Counts of the paths of a log: associated, false and missed ones.
 
-    A path that belongs to no anchor is false. If an anchor has no path in an epoch, one is missed.
+    While a track exists, each path that is assigned to no anchor counts as a false path, and each
+    anchor without a path in an epoch counts as a missed path.
     """
 
     def __init__(self, anchors: int) -> None:
@@ -39,7 +40,7 @@ class Association:
         self._associated, self._missed = np.zeros((2, anchors), np.int64)
 
     def add(self, paths: PathEpoch, labels: Index | None, begins: bool) -> None:
-        """Add an epoch; ``labels`` (L,): index of each anchor's path, or None without a track."""
+        """Add an epoch; ``labels`` are those of its :class:`PathTrack`, or None without a track."""
         self.epochs += 1
         self.starts += begins
         self._paths += len(paths.snr_db)
@@ -73,7 +74,7 @@ def associate(
     tally: Association,
     epochs_per_block: int = 4096,
 ) -> Iterator[LogBlock]:
-    """Yield the log with its paths associated with anchors, in blocks of epochs.
+    """Associate the paths of a log with anchors, and yield the resulting log in blocks of epochs.
 
     If the log is damaged, the epochs before the damage are yielded before the error is raised.
 
@@ -83,7 +84,7 @@ def associate(
         radio: profile of the receiver; it determines the noise at each SNR, and the prior.
         mode: filter mode that follows the user during association. Choose a mode for high mobility:
             the gates around its uncertain predictions are wide enough for any user.
-        tally: counter to which each epoch is added.
+        tally: counts to which each epoch is added.
 
     Raises:
         LogError: the log is damaged, or contains measurements that no receiver can have made.
@@ -134,7 +135,7 @@ def _block(paths: PathEpoch, epoch: Epoch, begins: bool) -> LogBlock:
 
 
 def _windows(epochs: Iterable[PathEpoch], size: int) -> Iterator[list[PathEpoch]]:
-    """Yield, for each epoch, a list of it and the following ones: ``size``, or fewer at the end."""
+    """Yield, for each epoch, a list of ``size`` epochs that begins with it; fewer at the end."""
     held: list[PathEpoch] = []
     try:
         for epoch in epochs:

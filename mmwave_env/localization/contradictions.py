@@ -1,8 +1,8 @@
 """Contradictions between a log and its scene, caused by wrong units, signs or frames.
 
-Most mistakes can't be seen in a single row. But in wrong rows, many values are impossible or rare,
-or the rows do not fit the track that a filter computes from them. The limits are wide: at most 10
-of 1000 correct logs violate them (``tests/localization/test_contradictions.py``).
+A single row seldom shows a mistake. But over many rows, a mistake causes values that are impossible
+or unlikely, or that do not fit the track that a filter computes from them. The limits are wide: at
+most 10 of 1000 correct logs violate them (``tests/localization/test_contradictions.py``).
 """
 
 from collections.abc import Iterator, Mapping
@@ -22,19 +22,19 @@ NIS_LIMITS = (0.2, 5.0)  # per degree of freedom
 SNR_LIMITS_DB = (-60.0, 90.0)
 REJECTED_LIMIT = 1.0 / 3.0
 _ENOUGH = 20  # minimum number of epochs for a conclusion
-_ENOUGH_IF_BLOCKED = 100  # the same, if a blockage of a few seconds could distort the conclusion
+_ENOUGH_IF_BLOCKED = 100  # the same for a conclusion that a blockage of a few seconds may distort
 _WINDOW_S = 30.0  # the oscillator's offset hardly changes over this time
 _MOST_APART_S = 3.0  # longest gap over which the Doppler shift is integrated
-_SLOPE_LIMITS = (0.5, 1.5)  # m by which the range grows where the Doppler shift predicts 1 m
-# Minimum distance of a wrong slope from 1, in standard errors. It is large, because these assume
-# independent errors, but the errors of successive epochs with a blocked link correlate.
+_SLOPE_LIMITS = (0.5, 1.5)  # growth of the range, m, where the Doppler shift predicts 1 m
+# Minimum distance of a wrong slope from 1, in standard errors. It is large, because the standard
+# errors assume that ranges have independent errors, but errors of a blocked link correlate.
 _SURE = 10.0
 
 
 class Contradiction(NamedTuple):
     """A contradiction between a log and its scene, its radio or physical limits."""
 
-    group: str  # name of a group of measurements, or of another quantity
+    group: str  # name of a group of measurements (such as "anchor 1") or of a quantity ("time")
     found: str
     expected: str
 
@@ -48,8 +48,8 @@ def contradictions(
     """Return all contradictions between a log and its scene, its radio or physical limits.
 
     ``block`` is the beginning of the log. ``groups`` maps the name of each group of measurements to
-    statistics of this group: ``seen`` (a number of epochs), ``rejected_share`` and ``nis_per_dof``,
-    as :meth:`~mmwave_env.localization.track_scores.Groups.figures` returns them for a track.
+    its statistics: ``seen`` (number of epochs with the group), ``rejected_share`` (of these epochs)
+    and ``nis_per_dof``, as :meth:`~mmwave_env.localization.track_scores.Groups.figures` returns.
     """
     return [*impossible(block), *_oddities(block, scene, radio), *_misfits(groups)]
 
@@ -62,7 +62,7 @@ def _misfits(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Contradiction]
         nis, share = group["nis_per_dof"], group["rejected_share"]
         low, high = NIS_LIMITS
         # With large process noise, a filter predicts Doppler shift and odometry far better than its
-        # covariance says. Even on correct logs, their NIS is often a tenth of its expected value.
+        # covariance says. Even in correct logs, both NIS are often a tenth of the expected value.
         if not name.startswith("anchor"):
             low = 0.0
         if nis is not None and not low <= nis <= high:
@@ -98,7 +98,7 @@ def impossible(block: LogBlock) -> Iterator[Contradiction]:
 
 
 def _oddities(block: LogBlock, scene: Scene, radio: Radio) -> Iterator[Contradiction]:
-    """Yield rare, but possible findings: odd SNRs or Doppler shifts, a user above anchor 1."""
+    """Yield what is possible but rare: odd SNRs or Doppler shifts, or a user above anchor 1."""
     low, high = SNR_LIMITS_DB
     for anchor in range(block.layout.anchors):
         snr = block.snr_db[np.isfinite(block.snr_db[:, anchor]), anchor]
@@ -121,12 +121,12 @@ def _oddities(block: LogBlock, scene: Scene, radio: Radio) -> Iterator[Contradic
 
 
 def _range_per_doppler(block: LogBlock, scene: Scene, radio: Radio) -> tuple[float, float]:
-    """Regress the range of anchor 1 on the distance that follows from the Doppler shift.
+    """Return the slope of anchor 1's range over the distance that the Doppler shift predicts.
 
-    Ranges are regressed on three terms: the integrated shift, a constant, and time. The constant
-    and the coefficient of time, which is the oscillator's offset in m/s, differ between windows of
-    30 s; ``radio`` has the offset's prior. Return the coefficient of the shift, which is 1 if sign
-    and unit are right, and its standard error; (1, inf) if epochs are too few or nothing moves.
+    Also return the slope's standard error. The slope is 1 if sign and unit of the shift are right;
+    the result is (1, inf) if epochs are too few or nothing moves. Ranges are regressed on the
+    integrated shift, a constant and time. The coefficient of time is the oscillator's offset in
+    m/s, whose prior is in ``radio``. Each window of 30 s has its own constant and offset.
     """
     direct = block.visible[:, 0] & block.visible[:, block.layout.anchors]
     direct &= block.doppler_anchor == 0
@@ -147,7 +147,7 @@ def _range_per_doppler(block: LogBlock, scene: Scene, radio: Radio) -> tuple[flo
 
 
 def _windows(time_s: Array) -> Iterator[slice]:
-    """Yield slices of epochs at times (T,): windows of four epochs or more, without long gaps."""
+    """Yield windows of epochs at times (T,), as slices, with 4 epochs or more and no long gap."""
     if not len(time_s):
         return
     gap = np.diff(time_s, prepend=time_s[:1]) > _MOST_APART_S
@@ -162,7 +162,7 @@ def _regression(time_s: Array, range_m: Array, rate: Array, sigma: float, radio:
     """Return [degrees of freedom, moved^2, moved * range, range^2] of a window.
 
     The last three are sums over epochs, divided by sigma^2. ``moved`` is the integral of ``rate``.
-    Before the sums, regressions on a constant and on time are subtracted from it and from ranges.
+    In the sums, ``moved`` and range are residuals of their regressions on a constant and on time.
     """
     time = time_s - time_s.mean()
     moved = np.cumsum(np.diff(time, prepend=time[0]) * 0.5 * (rate + np.roll(rate, 1)))

@@ -1,11 +1,11 @@
 """Diagnosis of a log: a search for the mistake whose correction makes the log consistent.
 
 A hypothesis says how to read the values in the file. For every hypothesis, the same filter
-without gates computes a track from the first epochs. A hypothesis makes the log consistent if the
-NIS per degree of freedom (dof) is near 1 and :mod:`~mmwave_env.localization.contradictions` reports
-nothing. These hypotheses are ranked by the likelihood of the values in the file, not of the values
-that they convert, because likelihoods in different units can't be compared. If no single mistake
-explains the log, pairs of mistakes are tried.
+without gates computes a track from the first epochs. A hypothesis makes the log consistent if
+:mod:`~mmwave_env.localization.contradictions` finds none with it; for example, the NIS per degree
+of freedom (dof) must be near 1. Consistent hypotheses are ranked by the likelihood of the values in
+the file, not of the converted values, because likelihoods in different units can't be compared. If
+no single mistake explains the log, pairs of mistakes are tried.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -49,9 +49,9 @@ _FACTORS = {  # mistake -> the factor that undoes it, and the unit that the colu
     "1e6 times too small (s?)": (1e6, "s"),
     "1e9 times too small (s?)": (1e9, "s"),
 }
-_SEARCHED_EPOCHS = 50  # number of epochs from which the best one to begin a track at is chosen
-_ADVANTAGE = 0.01  # log-likelihood per epoch that is added to that of the log as it is
-_OUTLIER_QUANTILE = 1e-6  # NIS is clipped where chi-square exceeds it with this probability
+_SEARCHED_EPOCHS = 50  # number of epochs among which the track's first epoch is chosen
+_ADVANTAGE = 0.01  # bonus for the log as it is, added to its log-likelihood per epoch
+_OUTLIER_QUANTILE = 1e-6  # NIS is capped at the value that chi-square exceeds this rarely
 
 
 class Reading(NamedTuple):
@@ -138,7 +138,7 @@ def _anchors(order: Sequence[int], reading: Reading) -> Reading:
 
 
 def _orders(anchors: int) -> list[tuple[int, ...]]:
-    """Return the orders with two anchors exchanged, or with all anchors shifted by one."""
+    """Return the orders of anchors in which two are exchanged, or all are shifted by one."""
     right = list(range(anchors))
     orders = [tuple(right[1:] + right[:1]), tuple(right[-1:] + right[:-1])]
     for i, j in combinations(right, 2):
@@ -212,9 +212,9 @@ def _has_effect(reading: Reading, original: Reading) -> bool:
 def _start(block: LogBlock) -> int:
     """Return the index of the epoch at which the tracks begin.
 
-    It is the first epoch with a link of the base station. But in a partial layout, a position may
-    need several incomplete links. So there, it is the epoch with the most values, among the first
-    epochs with links.
+    It is the first epoch with a link of the base station. In a partial layout, where a position may
+    need several incomplete links, it is the epoch whose links have the most values, among the 50
+    epochs that begin with the first link.
 
     Raises:
         ValueError: no epoch has a link of the base station, and the layout is not partial.
@@ -231,17 +231,17 @@ def _start(block: LogBlock) -> int:
 
 
 def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
-    """Try likely mistakes on the first epochs of a log.
+    """Test, on the first epochs of a log, which likely mistakes would explain it.
 
-    ``scene`` and ``radio`` are those that the user states. The filter has the tuning and algorithm
-    of ``mode``, but not its safeguards. The block must come from
+    The user states ``scene`` and ``radio``. The filter has the tuning and algorithm of ``mode``,
+    but not its safeguards, such as gates. The block must come from
     :func:`~mmwave_env.logs.log.read_log` with ``limits=False`` and ``odometry=False``.
 
     Returns:
         A finding for the log as it is and for every hypothesis that changes a number. Hypotheses
         that make the log consistent come first, the most likely one at the top; the others follow,
         best fit first. If only pairs of hypotheses make the log consistent, the most likely pair
-        is added at the top. In a partial layout, one of each pair must be another radio profile.
+        is added at the top. In a partial layout, only pairs with another radio profile are tried.
 
     Raises:
         ValueError: there is no link with which a track could begin.
@@ -282,7 +282,7 @@ def _findings(readings: dict[str, Reading], mode: Mode) -> list[Finding]:
 
 
 def _rank(finding: Finding) -> tuple[bool, float]:
-    """Return a sort key: first, consistent findings by likelihood; then the others by fit."""
+    """Return a sort key: consistent findings by likelihood, then inconsistent ones by fit."""
     if not finding.contradictions and finding.log_likelihood is not None:
         advantage = _ADVANTAGE if finding.hypothesis == AS_IT_IS else 0.0
         return False, -finding.log_likelihood - advantage

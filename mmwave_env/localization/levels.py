@@ -3,12 +3,13 @@
 A protection level is a bound that an error exceeds with a stated probability, the risk. Errors
 exceed Gaussian levels (:mod:`mmwave_env.localization.position_errors`) with this probability only
 if the covariance is right. So a small network, trained by quantile regression, reads what a filter
-knows after an epoch, and returns the logarithm of a factor for the Gaussian level. A constant is
-added to this logarithm; it depends on the kind of filter, the risk and the direction. The constants
-were computed by split conformal prediction on episodes that the training did not use (Y. Romano, R.
-Patterson and E. Candès, "Conformalized quantile regression", NeurIPS 2019; for epochs grouped in
-episodes: Y. Lee, R. F. Barber and R. Willett, "Distribution-free inference with hierarchical data",
-2023). docs/errors.md has the guarantees of levels. experiments/training/levels.py trains networks.
+knows after an epoch, and returns the logarithm of a factor for the Gaussian level. A constant,
+which depends on the kind of filter, the risk and the direction, is added to this logarithm. The
+constants were computed by split conformal prediction on episodes that the training did not use (Y.
+Romano, R. Patterson and E. Candès, "Conformalized quantile regression", NeurIPS 2019; for epochs
+grouped in episodes: Y. Lee, R. F. Barber and R. Willett, "Distribution-free inference with
+hierarchical data", 2023). docs/errors.md says what levels guarantee. experiments/training/levels.py
+trains networks.
 """
 
 from base64 import b64decode, b64encode
@@ -40,10 +41,10 @@ class Network(NamedTuple):
 
     Attributes:
         risks: (R,) risks for which the network was trained and calibrated.
-        constants: (3, R, 2) numbers that the calibration adds to the network's outputs: one for
-            each kind of filter (one mode, bank of modes, bank with a corrector of its beliefs),
-            risk, and direction (horizontal, vertical).
-        low, high: (features,) limits of the features in the training.
+        constants: (3, R, 2) numbers that the calibration adds to the network's outputs, by kind of
+            filter (one mode, bank of modes, bank with a corrector of its beliefs), by risk, and by
+            direction (horizontal, vertical).
+        low, high: (features,) limits to which features are clipped, as in the training.
         layers: weights (outputs, inputs) and biases (outputs,) of the layers.
     """
 
@@ -118,10 +119,7 @@ class Levels:
         self._first_s = self._last_s = 0.0
 
     def factors(self, anchors: int, mixes: bool, time_s: Array, *parts: Any) -> Array:
-        """Return factors (n, T, 2) by which to multiply horizontal and vertical Gaussian levels.
-
-        Arguments are those of :meth:`features`.
-        """
+        """Return factors (n, T, 2) for both Gaussian levels; arguments as for :meth:`features`."""
         if self.kind == GAUSSIAN:
             return np.ones((*parts[0].shape[:2], 2))
         logs = shipped().log_factors(self.features(anchors, mixes, time_s, *parts))
@@ -134,9 +132,9 @@ class Levels:
             anchors: number of anchors.
             mixes: whether the beliefs come from a bank of interacting modes.
             time_s: (T,) times of the epochs.
-            parts: means x (n, T, 7 or 8); packed covariances P (n, T, 28 or 36); three arrays
-                (n, T, groups): each group's NIS, whether it was accepted, and whether it was
-                rejected; optionally, the trust in a corrector (n, T), NaN without a corrector.
+            parts: means x (n, T, 7 or 8); packed covariances P (n, T, 28 or 36); NIS, acceptance
+                and rejection (0 or 1) of each group, as three arrays (n, T, groups); optionally,
+                the trust in a corrector (n, T), which is NaN without a corrector.
         """
         x, P, nis, accepted, rejected, trusted = (*parts, None)[:6]
         if self._means is None:
@@ -182,7 +180,7 @@ def _gates(anchors: int, nis: Any, accepted: Any, rejected: Any) -> list[Array]:
 def _sizes(P: Array) -> list[Array]:
     """Return the logarithms (n, T) of the horizontal and of the vertical Gaussian level.
 
-    If the height is known, the horizontal level takes the place of the vertical one.
+    If the height is known exactly, the horizontal level is returned instead of the vertical one.
     """
     horizontal, vertical = np.moveaxis(gaussian_levels(P, RISK), -1, 0)
     vertical = np.where(P[..., 5] > 0.0, vertical, horizontal)

@@ -1,10 +1,11 @@
 """Localization of a measurement log by one or several Kalman filter pipelines, called modes.
 
 If there are several modes, a rule (paper, Algorithm 1) or a policy chooses between them, or they
-interact as an IMM. A log is a sequence of blocks of epochs, because it may be larger than memory.
-The length of the blocks does not change the track. The log is divided into segments at long gaps
-(``segments.py``). In each segment, a track starts from a first position. It is filtered first, and
-then smoothed, ``window`` epochs at a time.
+interact as an IMM. A policy that is a *corrector* also corrects beliefs (policies/corrector.py).
+A log is a sequence of blocks of epochs, because it may be larger than memory. The length of the
+blocks does not change the track. The log is divided into segments at long gaps (``segments.py``).
+In each segment, a track starts from a first position. The track is filtered first, and then
+smoothed, ``window`` epochs at a time.
 """
 
 import os
@@ -54,7 +55,7 @@ class TrackBlock(LogBlock):
     # x, P: mean (T, 7), packed covariance (T, 28) after each epoch; with a clock (T, 8), (T, 36)
     x: Array
     P: Array
-    # (T, values) input of the smoother: x, P, then the predicted belief or the IMM's mixture
+    # (T, values) input of the smoother: x, P, then the predicted belief or (IMM) the mixture
     filtered: Array
     # smooth_x, smooth_P: smoothed belief; without smoothing, the filtered one
     smooth_x: Array
@@ -65,7 +66,7 @@ class TrackBlock(LogBlock):
     # (T,) factor from 0 to 1 by which a corrector's correction was scaled before it was applied to
     # x and P; NaN without a corrector. Smoothing uses beliefs without corrections
     trusted: Array
-    # (T, 2) factors for the horizontal and the vertical Gaussian protection level
+    # (T, 2) factors by which to multiply the horizontal and the vertical Gaussian protection level
     level_factors: Array
 
 
@@ -112,7 +113,7 @@ class Switching:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Return names of the kept parts of a filter's state, the last ones for the smoother."""
+        """Return names of the parts of the state to keep; the last ones are for the smoother."""
         return (*_FILTERED, "mixture") if self.bank else (*_FILTERED, *_PREDICTED)
 
     def pipeline(self, layout: Layout, planar: bool) -> Pipeline:

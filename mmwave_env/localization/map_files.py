@@ -32,7 +32,7 @@ _GPX = (
     '<?xml version="1.0" encoding="UTF-8"?>\n'
     '<gpx version="1.1" creator="mmwave-loc" xmlns="http://www.topografix.com/GPX/1/1">'
 )
-_UNIX_S = 1e8  # only larger times (from 1973 on) count as Unix times, which GPX files contain
+_UNIX_S = 1e8  # larger times (1973 or later) are written to GPX files, because they are Unix times
 
 
 def geodetic(origin: Origin, points_m: Array) -> Array:
@@ -46,7 +46,7 @@ def geodetic(origin: Origin, points_m: Array) -> Array:
 
 
 def _ellipses(origin: Origin, x: Array, P: Array) -> Array:
-    """Return n closed rings (n, corners + 1, 2), longitude and latitude, for the 95 % ellipses."""
+    """Return 95 % ellipses as closed rings (n, corners + 1, 2) of longitudes and latitudes."""
     variance = np.array([[P[:, 0], P[:, 1]], [P[:, 1], P[:, 2]]]).transpose(2, 0, 1)
     size, axes = np.linalg.eigh(variance)
     axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]  # rings are counterclockwise (RFC 7946)
@@ -62,7 +62,7 @@ def _ellipses(origin: Origin, x: Array, P: Array) -> Array:
 
 @contextmanager
 def _geojson(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
-    """Write a FeatureCollection: lines of the track, and a 95 % ellipse for every second."""
+    """Write a FeatureCollection: lines of the track, and at most one 95 % ellipse per second."""
     separator = ""
     # segment of the last block, time of the last ellipse, last point
     last: tuple[int, float, list[float]] = -1, -np.inf, []
@@ -142,8 +142,8 @@ def nmea(origin: Origin, moment: float, place: Array, packed: Array) -> str:
     """Return the sentences GGA and GST of an epoch.
 
     Args:
-        origin: place of the scene on the earth.
-        moment: time, s.
+        origin: place and bearing of the scene on the earth.
+        moment: time, s, of which the sentences contain the time of day.
         place: (3,) latitude and longitude (degrees) and height (m).
         packed: (28,) or, with a clock, (36,) packed covariance of the state.
     """

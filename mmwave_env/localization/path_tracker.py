@@ -1,13 +1,13 @@
 """Tracker that follows a user by means of propagation paths whose anchors are unknown.
 
-A track begins with the hypothesis that a certain path is the line of sight. This path gives a
-position, and the paths of the next epochs confirm or contradict it. Tracks are immutable values,
-so several hypotheses can be tried side by side.
+A track begins with the hypothesis that a certain path is the line of sight. This path determines a
+position, and the paths of the next epochs confirm or contradict the hypothesis. Tracks are
+immutable values, so several hypotheses can be tried side by side.
 
 Paths are assigned to anchors by global nearest neighbor (Blackman and Popoli 1999, Sec. 6.4). Each
-path and each anchor is used at most once. Among all such assignments, the one with the smallest sum
-of NIS is chosen; for an anchor without a path, the sum contains the gate's limit instead of an NIS.
-The NIS is computed as in an EKF: the measurement is linearized at the prediction.
+path and each anchor is used at most once. A path may belong to an anchor only if the pair's NIS is
+below a limit, the gate. The assignment with the smallest sum of NIS is chosen; an anchor without a
+path adds the gate to this sum. The NIS is that of an EKF, linearized at the prediction.
 """
 
 from collections.abc import Iterator, Sequence
@@ -35,7 +35,7 @@ NO_PATH = -1
 
 
 def path_nis(x: Vector, P: Matrix, anchors: Matrix, paths: Array, sigma: Array) -> Array:
-    """Compute the NIS (L, n) of each path if it belongs to each anchor, given x (7,), P (7, 7).
+    """Compute the NIS (L, n) of each pair of an anchor and a path, given x (7,) and P (7, 7).
 
     ``paths`` (L, n, 4) contains the four values of a link (m and rad) that each anchor would have
     measured if the path belonged to it. ``sigma`` contains their standard deviations.
@@ -64,10 +64,10 @@ def assign(nis: Array, gate: float) -> Index:
 
 
 def disagreement(paths: Array, sigma: Array) -> Array:
-    """Compute the NIS (n,) between the azimuths of arrival and departure of paths (n, 4).
+    """Compute the NIS (n,) of the difference between the two azimuths of paths (n, 4).
 
-    The NIS has 1 degree of freedom. The user's position is not needed, because both angles measure
-    the same bearing (paper, Sec. II-B).
+    The NIS has 1 degree of freedom. The user's position is not needed, because the azimuths of
+    arrival and departure measure the same bearing (paper, Sec. II-B).
     """
     group = link_group([1.0] * 7, [0.0] * 3, list(paths.T), list(np.square(sigma).T))
     return np.asarray(group.spare_nis)
@@ -95,7 +95,7 @@ class PathTrack(NamedTuple):
 
 
 class _Links(NamedTuple):
-    """The n paths of an epoch, each read as a link of each of the L anchors in turn."""
+    """The n paths of an epoch, each converted to a link of every one of the L anchors."""
 
     # z, sigma: (L, n, 4) values of the links and their standard deviations, m and rad
     z: Array
@@ -108,8 +108,8 @@ class _Links(NamedTuple):
 class PathTracker:
     """A tracker that follows users by propagation paths.
 
-    :func:`~mmwave_env.localization.association.associate` describes all arguments but ``layout``,
-    which is the layout of the log.
+    :func:`~mmwave_env.localization.association.associate` describes all arguments except
+    ``layout``, which is the layout of the log.
     """
 
     def __init__(self, scene: Scene, radio: Radio, mode: Mode, layout: Layout) -> None:
@@ -132,11 +132,11 @@ class PathTracker:
         return self._updated(track._replace(labels=labels, epoch=epoch), paths)
 
     def rival(self, track: PathTrack | None, window: Sequence[PathEpoch]) -> PathTrack | None:
-        """Return a track that begins with the window and explains more paths than ``track``.
+        """Return a track from the window's first epoch that explains more paths than ``track``.
 
-        The result is None if there is no such track, or if a track that begins later explains even
-        more. Otherwise, tracks would begin during a blockage, with a reflection that they mistake
-        for the line of sight.
+        The result is None if there is no such track, or if a track that begins in a later epoch of
+        the window explains even more paths. Without this second condition, a track might begin
+        during a blockage, from a reflection that it mistakes for the line of sight.
         """
         horizon = window[0].time_s + GAP_S
         paths, *coming = (epoch for epoch in window if epoch.time_s <= horizon)
@@ -144,8 +144,8 @@ class PathTracker:
         if best is None:
             return None
         # The new track must explain at least one path per coming epoch, and clearly more paths than
-        # ``track``: the new track does not know the velocity, so its gates are so wide that wrong
-        # paths may fit. The path with which it begins always fits, so this path does not count.
+        # ``track``. A new track does not know the velocity, so its gates are wide, and wrong paths
+        # may fit. The path from which it begins always fits, so this path does not count.
         own = 0.0 if track is None else self._fitted(track, coming) + CLEARLY_MORE * len(coming)
         if fitted - 1 < max(own, len(coming)):
             return None
@@ -155,7 +155,7 @@ class PathTracker:
     def _best(
         self, track: PathTrack | None, paths: PathEpoch, coming: Sequence[PathEpoch]
     ) -> tuple[PathTrack | None, int]:
-        """Return the track beginning with ``paths`` that explains most paths, and their number."""
+        """Return the track from ``paths`` on that explains most paths, and how many it explains."""
         begun = ((new, self._fitted(new, coming)) for new in self._beginnings(track, paths))
         return max(begun, key=lambda pair: pair[1], default=(None, 0))
 

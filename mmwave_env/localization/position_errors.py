@@ -1,25 +1,25 @@
 """Statistics of position errors: percentiles, shares of epochs and protection levels.
 
 The horizontal error is the length of the error in x and y; the vertical error is the absolute value
-of the error in z. A share is the part of the epochs in which the error is at most a distance, one
-of those that 3GPP TS 22.261, Table 7.3.2.2-1, defines for positioning services.
+of the error in z. A share is the fraction of the epochs in which the error is at most a certain
+distance; the distances are those of 3GPP TS 22.261, Table 7.3.2.2-1, for positioning services.
+Covariances P are packed: they are lower triangles, row by row (:mod:`mmwave_env.numerics.linalg`).
 
 A protection level is a bound that an error exceeds with a stated probability, the risk, if the
 covariance is right. With position errors e ~ N(0, P), the level at risk r is the distance that |e|
-exceeds with probability r. A track has integrity if its errors exceed their levels in at most r
-times all epochs (Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation
+exceeds with probability r. A track has integrity if its errors exceed their levels in at most a
+fraction r of epochs (Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation
 Systems, 2nd ed., 2013, ch. 17).
 
-Vertically |e| has a normal distribution folded at zero: level = sigma_z Phi^-1(1 - r/2).
+Vertically, |e| has a normal distribution folded at zero, so the level is sigma_z Phi^-1(1 - r/2).
 Horizontally, let a >= b be the standard deviations along the axes of the error ellipse of x and y,
-and e = (a rho cos t, b rho sin t), where the density of rho and t is
-rho exp(-rho^2/2) / (2 pi). Then
+and e = (a rho cos t, b rho sin t), where the density of rho and t is rho exp(-rho^2/2) / (2 pi).
+Then the level is the distance d with Pr(|e| > d) = r, where
 
     Pr(|e| > d) = 1/(2 pi) int_0^(2 pi) exp(-d^2 / (2 (a^2 cos^2 t + b^2 sin^2 t))) dt,
 
-which is solved for d. This gives the exact quantile instead of the usual upper bound
-a sqrt(chi2^-1(1 - r; 2)), which is exact only if a = b. (J. W. Craig, MILCOM 1991, has the integral
-for b = 0.)
+This is the exact quantile. The usual level, a sqrt(chi2^-1(1 - r; 2)), is an upper bound, which is
+exact only if a = b. (J. W. Craig, MILCOM 1991, has the integral for b = 0.)
 """
 
 from functools import lru_cache
@@ -32,7 +32,7 @@ from mmwave_env.numerics.numbers import Array
 
 CONFIDENCE = 0.95  # confidence of the intervals of shares
 _RATIOS = np.linspace(0.0, 1.0, 1025)  # values of b / a; between them, levels are interpolated
-_ANGLES = (np.arange(64) + 0.5) * (np.pi / 128)  # values of t in one quadrant; the mean is the same
+_ANGLES = (np.arange(64) + 0.5) * (np.pi / 128)  # values of t; one quadrant represents all
 _HALVINGS = 60
 _LARGEST_RISK = 0.5
 
@@ -44,7 +44,7 @@ def require_risk(risk: float) -> None:
 
 
 def horizontal_level(P: Array, risk: float) -> Array:
-    """Compute levels (...,), m, from packed covariances P (..., 3 or more) that begin with x, y."""
+    """Compute horizontal levels (...,), m, from packed P (..., 3 or more) with x, y first."""
     xx, xy, yy = P[..., 0], P[..., 1], P[..., 2]
     middle, half = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
     major = np.sqrt(middle + half)
@@ -54,7 +54,7 @@ def horizontal_level(P: Array, risk: float) -> Array:
 
 
 def vertical_level(P: Array, risk: float) -> Array:
-    """Compute levels (...,), m, from packed P (..., 6 or more) that begins with x, y, z."""
+    """Compute vertical levels (...,), m, from packed P (..., 6 or more) with x, y, z first."""
     from scipy.special import ndtri
 
     return -ndtri(0.5 * risk) * np.sqrt(np.maximum(P[..., 5], 0.0))  # type: ignore[no-any-return]
@@ -128,8 +128,8 @@ def percentiles(sizes: Array) -> dict[str, float | None]:
 class PositionErrors:
     """Horizontal and vertical errors of tracks, and protection levels from the tracks' covariances.
 
-    An error exceeds its level with probability ``risk``. If the height is known (``planar``), there
-    are no vertical errors.
+    ``risk`` is the probability for which levels are computed. If the height is known (``planar``),
+    there are no vertical errors.
     """
 
     def __init__(self, risk: float = RISK, planar: bool = False) -> None:

@@ -10,7 +10,7 @@ from mmwave_env.numerics.numbers import Array, wrap
 from mmwave_env.world.episode import NEUTRAL_SNR_DB
 
 _FEWEST = 20  # minimum number of second differences for a median
-_ROBUST = 1.4826 / np.sqrt(6.0)  # for white noise: its deviation / median |second difference|
+_ROBUST = 1.4826 / np.sqrt(6.0)  # white noise: standard deviation / median |second difference|
 
 
 def nearest_radio(block: LogBlock, scene: Scene) -> str:
@@ -18,8 +18,9 @@ def nearest_radio(block: LogBlock, scene: Scene) -> str:
 
     The standard deviation of a measurement (such as the range) is the median of the values that the
     receiver states. If it states none, the deviation is estimated from second differences in time,
-    in which steady motion cancels. The nearest profile is the one with the smallest mean square of
-    the logarithms of the ratios between the log's and the profile's deviations.
+    in which steady motion cancels. For each profile, the log's deviations are divided by those of
+    the profile; the nearest profile has the smallest mean square of the logarithms of these ratios.
+    If no deviation can be computed, the result is "handset".
     """
     measured = np.array([_deviation(block, row) for row in range(len(LINK))])
     snr = block.snr_db[np.isfinite(block.snr_db)]
@@ -33,7 +34,7 @@ def nearest_radio(block: LogBlock, scene: Scene) -> str:
 
 
 def _deviation(block: LogBlock, row: int) -> float:
-    """Return the standard deviation (m, rad) of ``LINK[row]`` over all links; NaN if few values."""
+    """Return the standard deviation (m or rad) of ``LINK[row]``; NaN if it has too few values."""
     columns = slice(row, block.layout.doppler, len(LINK))
     own = block.sigma[:, columns]
     if np.isfinite(own).any():

@@ -2,11 +2,11 @@
 
 A filter can predict over some seconds without a link. After half a minute it is often far from the
 user, with a covariance that is too small. So a segment ends after a long gap. The next segment
-begins with the next epoch that determines a position, called the first fix of the segment.
+begins with the next epoch that determines a position, the first fix of the segment.
 
-A complete link of the base station gives this position directly. If the log lacks columns for such
-a link, or if the user's clock has an offset, the position is computed from all links of the epoch,
-by nonlinear least squares with the height of the streets as a weak prior.
+A complete link of the base station gives this position directly. If the log lacks a column that a
+complete link needs, or if the user's clock has an offset, the position is computed from all links
+of the epoch, by nonlinear least squares with the height of the streets as a weak prior.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -24,13 +24,14 @@ from mmwave_env.models.radio import CLOCK_OFFSET_S, Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Mask
 
-# The weak prior: standard deviation of the height, around the height of the streets; and standard
-# deviation of x and y, around the mean position of the anchors.
+# Standard deviations of the weak prior: of the height, whose mean is the height of the streets, and
+# of x and y, whose means are those of the anchors.
 HEIGHT_SIGMA_M, _FARTHEST_M = 2.0, 1e3
 _WORST_FIX_M = 50.0  # maximum horizontal standard deviation of a position to begin a track with
-_AMBIGUOUS = 12.0  # two solutions are both possible if their normalized errors differ by less
-_UNKNOWN = [0, 1, 2, 7]  # components of the state: the position, and the range bias of a clock
-_DIRECTIONS, _STARTS_M, _ROUNDS = 12, (10.0, 40.0, 160.0), 15  # starts around anchors, and steps
+_AMBIGUOUS = 12.0  # two solutions are credible if their normalized squared errors differ by less
+_UNKNOWN = [0, 1, 2, 7]  # indices in the state of the position and of a clock's range bias
+# Searches start in 12 directions from every anchor, at three distances, and take at most 15 steps.
+_DIRECTIONS, _STARTS_M, _ROUNDS = 12, (10.0, 40.0, 160.0), 15
 
 
 class Fix(NamedTuple):
@@ -43,16 +44,16 @@ class Fix(NamedTuple):
 def gives_fix(links: Array) -> Mask:
     """Tell which links (n, 4 or more), in m and rad, determine a position to begin a track with.
 
-    Straight above or below an anchor, the azimuth is undefined. Close to this vertical line, it is
-    so uncertain that a Gaussian does not describe the position.
+    Straight above or below an anchor, the azimuth is undefined. Near the vertical, it is so
+    uncertain that a Gaussian does not describe the position.
     """
     return (links[:, 0] >= RANGE_LIMITS_M[0]) & (abs(links[:, 2]) <= STEEPEST_FIX_RAD)
 
 
 def first_fix(block: LogBlock, epoch: int, scene: Scene, radio: Radio) -> Fix | None:
-    """Return the position that an epoch of a block determines, or None without a solution.
+    """Return the first position that an epoch of a block determines, or None if it determines none.
 
-    A complete link of the base station always counts as a solution; see :func:`can_begin`.
+    A complete link of the base station is used even if it is steeper than :func:`can_begin` allows.
     """
     row = block.part(slice(epoch, epoch + 1))
     sigma = radio.sigma(row.snr_db, scene, row.layout)
@@ -86,10 +87,10 @@ def can_begin(block: LogBlock, epoch: int, scene: Scene, radio: Radio) -> bool:
 def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Array] | None:
     """Return the position (3,) and its covariance from all links of an epoch (T = 1), or None.
 
-    If the clock is not synchronized, its range bias is a fourth unknown, with the filters' prior.
+    If the clock is not synchronized, its range bias is a fourth unknown; its prior is the filters'.
     The search starts around every anchor, in all directions, because there may be several minima.
-    The result is None if the best minimum is too uncertain, or if another one, more than 4 standard
-    deviations away, explains the links about as well.
+    The result is None if the best minimum is too uncertain, or if a minimum more than 4 standard
+    deviations away from it fits the links about as well.
     """
     layout, anchors = row.layout, scene.anchors_m
     measured = np.isfinite(row.measurement[0]).astype(float)
@@ -106,12 +107,12 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
     weight, unknown = 1.0 / np.array(deviation[:n]) ** 2, _UNKNOWN[:n]
 
     def normal(position: Array) -> tuple[float, Array, Array]:
-        """Return the squared error, its gradient times -1/2, and the information at a position."""
+        """Return the squared error, -1/2 times its gradient, and the information matrix."""
         links = groups_of(_state(position), epoch)[: layout.anchors]
         e = np.array([value for link in links for value in link.innovation])
         H = np.array([[g[i] for i in unknown] for link in links for g in link.jacobian])
         w = 1.0 / np.array([value for link in links for value in link.variance])
-        disagreement = sum(float(link.spare_nis) for link in links)  # of each link's two azimuths
+        disagreement = sum(float(link.spare_nis) for link in links)  # between a link's two azimuths
         away = center - position
         cost = float((w * e * e).sum() + (weight * away * away).sum()) + disagreement
         return cost, H.T @ (w * e) + weight * away, (H.T * w) @ H + np.diag(weight)
@@ -130,10 +131,7 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
 
 
 def _state(unknown: Array) -> list[float]:
-    """Return the state of a user at rest: (7,), or (8,) with the range bias of a clock.
-
-    ``unknown`` is the position (3,), or with a clock (4,) the position and the range bias.
-    """
+    """Return the state of a user at rest, given its position and, with a clock, the range bias."""
     return [*unknown[:3].tolist(), *[0.0] * 4, *unknown[3:].tolist()]
 
 
@@ -150,7 +148,7 @@ def _starts(anchors: Array, center: Array) -> Iterator[Array]:
 def _descend(
     normal: Callable[[Array], tuple[float, Array, Array]], position: Array
 ) -> tuple[float, Array, Array]:
-    """Find the minimum near a start (Gauss-Newton): squared error, position and information."""
+    """Find the minimum near a start by Gauss-Newton: its squared error, position, information."""
     cost, gradient, information = normal(position)
     for _ in range(_ROUNDS):
         step = np.linalg.solve(information, gradient)
@@ -171,8 +169,8 @@ def _descend(
 def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator[LogBlock]:
     """Yield the epochs of the segments of a log, in blocks that each belong to one segment.
 
-    A segment ends if all links and odometry are missing for more than ``GAP_S``, or if the
-    log says that a track must begin anew. The next segment begins with the next first fix.
+    A segment ends if all links and odometry are missing for more than ``GAP_S``, or before an epoch
+    that the log marks in ``restarts``. The next segment begins with the next first fix.
 
     Raises:
         LogError: the log is damaged; the epochs before the damage are yielded first.
@@ -237,9 +235,10 @@ def _first_fix(block: LogBlock, scene: Scene, radio: Radio) -> int:
 
 
 def _end(block: LogBlock, last_s: float, begins: bool) -> tuple[int, float | None]:
-    """Return the number of the block's epochs in the segment, and the time of the last measurement.
+    """Return how many epochs at the block's beginning are in the segment, and a time.
 
-    The time is None if the segment ends in this block. ``begins``: whether it starts here.
+    The time is that of the last measurement, None if the segment ends within the block. ``begins``
+    tells whether the segment begins with the block.
     """
     measured = block.visible[:, : block.layout.anchors].any(axis=1)
     if block.layout.odometry:  # with odometry alone, a filter keeps the track for two minutes

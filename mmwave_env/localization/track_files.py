@@ -1,4 +1,4 @@
-"""Writers of track files, to which a track is appended block by block."""
+"""Writers of track files (TUM trajectories, CSV tables, maps), which grow block by block."""
 
 import csv
 import io
@@ -46,9 +46,9 @@ def table_beside(track: Path) -> Path | None:
 def require_own_files(track: Path) -> None:
     """Refuse to replace a file, unless it is an earlier track or an earlier track's table.
 
-    A track and its table can be made again from their log. Any other file may be the only copy. For
-    example, a TUM file may hold ground truth. Users do not even type the name of the table, so they
-    may not expect it to replace a file.
+    A track and its table can be made again from their log. Any other file, such as a TUM file with
+    ground truth, may be the only copy. Users do not type the name of the table, so they may not
+    expect it to replace a file.
 
     Raises:
         ValueError: the track or its table would replace a file that ``localize`` did not write.

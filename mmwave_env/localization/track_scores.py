@@ -1,4 +1,4 @@
-"""Scores of a track against true positions, and statistics of its measurements and its course."""
+"""Scores of a track against true positions; statistics of its measurements, speeds and modes."""
 
 import warnings
 from collections.abc import Sequence
@@ -102,9 +102,9 @@ class TruthScores:
 def _pairs(time_s: Array, segment: Array, first_s: Array) -> tuple[Index, float | None]:
     """Pair scored epochs (n,) that are a second apart, or one time step if steps are longer.
 
-    Return the indices (pairs, 2) of the earlier and the later epoch, and the time between them:
-    the multiple of the time step nearest to a second, or None without epochs. Epochs of different
-    segments are not paired. The time step is estimated from the log's first times, ``first_s``.
+    Return the indices (pairs, 2) of the earlier and the later epoch, and the time between them, the
+    multiple of the time step nearest to a second; it is None if there are too few epochs. Epochs of
+    different segments are not paired. The time step is estimated from ``first_s``, the first times.
     """
     if len(first_s) < 2 or not len(time_s):
         return np.empty((0, 2), np.int64), None
@@ -192,7 +192,7 @@ class Groups:
 
 
 class Course:
-    """The course of a track: its times, its speed, and the modes that ran."""
+    """Statistics of a track: its times, its speeds, and the modes that ran."""
 
     def __init__(self, modes: Sequence[str]) -> None:
         self.epochs = 0

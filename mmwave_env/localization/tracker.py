@@ -40,7 +40,7 @@ class Position(NamedTuple):
         covariance_m2: (3, 3) covariance of the position.
         velocity_mps: (3,) velocity in the frame of the scene.
         mode: name of the mode that ran or, in a bank, of the most probable mode.
-        nis: name of every group of values (such as a link) that was measured -> its NIS.
+        nis: NIS of each group of values (such as a link) that was measured, by the group's name.
         rejected: names of the groups that the gates rejected.
         begins: whether a track begins here, with a first position from the links.
         geodetic: latitude and longitude (degrees) and height (m); None in a scene without origin.
@@ -66,7 +66,7 @@ class Position(NamedTuple):
 
 
 class Tracker:
-    """A track that grows epoch by epoch; it equals, bit for bit, the track of the complete log.
+    """A tracker of one user; its track equals, bit for bit, the filtered track of the complete log.
 
     ```python
     >>> tracker = Tracker("street", policy="corrector")
@@ -80,7 +80,7 @@ class Tracker:
         scene: scene whose anchors are measured: a name, a JSON file or a Scene.
         policy: policy file, or name of a shipped policy, or a :class:`Switching` between modes.
         radio: profile of the receiver.
-        snr_db: SNR to assume for links without one.
+        snr_db: SNR to assume for links without an SNR.
         height_m: height of flat terrain, if it is known.
         lag: number of epochs by which :meth:`smoothed` lags behind.
         clock: "synchronized", or "offset" if the offset of the user's clock is unknown.
@@ -125,8 +125,8 @@ class Tracker:
             long gap until the next such epoch.
 
         Raises:
-            LogError: a row is damaged or late. All rows of the call are ignored, so they can be
-                passed again after a repair.
+            LogError: a row is damaged or late. All rows of the call are ignored, so the caller may
+                repair the row and pass all of them again.
         """
         rows, position = list(rows), None
         if self._log is None:
@@ -200,7 +200,7 @@ class Tracker:
         return episode.visible[0].tolist(), float(block.doppler_spread_hz[0])
 
     def _load_quickly(self, epoch: LiveEpoch) -> tuple[list[bool], float] | None:
-        """Load an epoch as :meth:`_load` does, but faster; return None if only that can do it."""
+        """Load an epoch as :meth:`_load` does, but faster; return None if this is impossible."""
         if not epoch.placed or not self._sound:
             return None
         (numbers, doppler_anchor), layout, at = epoch.placed, self._layout, self._at

@@ -9,13 +9,13 @@ by
 for every value of a link: a range or an angle h(p) at position p. The velocity is v, the constant
 c is a bias of the value, and s is a shift of the frame by some meters. Only changes of the velocity
 distinguish tau from s and c: on a straight line at constant speed, tau is unobservable. tau is
-estimated by least squares. Errors are correlated over seconds, so the standard error comes from
-the jackknife: the spread of estimates that each leave out one stretch of time (B. Efron, C. Stein,
-"The jackknife estimate of variance", 1981).
+estimated by least squares. Errors are correlated over seconds, so the standard error is computed
+by the jackknife, from estimates that each leave out one stretch of time (B. Efron, C. Stein, "The
+jackknife estimate of variance", 1981).
 
-The formula is only correct to first order: in tenths of a second a user moves by meters, over
-which h is not linear. So the log is compared again with the track at times shifted by the
-estimate, until the remaining offset is far smaller than its standard error (Gauss-Newton).
+The formula is only correct to first order: in some tenths of a second, a user moves by meters, and
+h is not linear over this distance. So the log is compared again with the track at times shifted by
+the estimate, until the remaining offset is far smaller than its standard error (Gauss-Newton).
 """
 
 import math
@@ -34,7 +34,7 @@ from mmwave_env.numerics.numbers import Array, wrap
 _STRETCHES, _SHORTEST_S = 32, 2.0  # maximum number and minimum length of stretches
 _FEWEST = 5  # minimum number of stretches for a standard error
 _CHANCE = 0.005  # probability of finding an offset if there is none
-_PART = 0.01  # share of the squared error (with noise) that an offset must explain to matter
+_PART = 0.01  # an offset matters if it explains more than this share of the squared errors
 _STEP_M = 1e-3  # step of the numerical derivatives dh/dp
 _ENOUGH = 20  # minimum number of epochs for a standard deviation
 _OUTLIER = 6.0  # standard deviations; larger errors are ignored
@@ -49,7 +49,7 @@ class ClockOffset(NamedTuple):
     seconds: float  # the estimate
     deviation_s: float  # its standard error
     part: float  # share of the squared error, from 0 to 1, that the estimate explains
-    limit: float  # ratio of seconds to deviation_s that chance alone exceeds in one of 200 cases
+    limit: float  # chance alone makes |seconds| / deviation_s exceed this in one of 200 cases
 
     @property
     def matters(self) -> bool:
@@ -136,8 +136,8 @@ def _linear(log: LogBlock, scene: Scene, truth: TrueEpochs) -> tuple[ClockOffset
     while log.time_s[-1] - log.time_s[0] >= _STRETCHES * stretch_s:
         stretch_s *= 2.0
     ends_at = np.flatnonzero(np.diff((log.time_s - log.time_s[0]) // stretch_s)) + 1
-    # For every stretch and row: sums over epochs of the products of any two of these terms: 1, the
-    # error, and its derivatives with respect to tau and s.
+    # Sums over the epochs of every stretch, for every row, of the products of any two of the terms
+    # 1, error, and the error's derivatives with respect to tau and s.
     sums = np.array([np.einsum("tri,trj->rij", part, part) for part in np.split(terms, ends_at)])
     sums = sums[sums[:, :, 0, 0].any(axis=1)]
     total, n = sums.sum(axis=0), len(sums)
@@ -156,7 +156,7 @@ def _fit(sums: Array) -> tuple[float, float] | None:
     ones = sums[:, 0]
     of_means = ones[:, :, None] * ones[:, None] / np.maximum(ones[:, :1, None], 1.0)
     centered = (sums - of_means).sum(axis=0)[1:, 1:]
-    # From the error and from its derivative with respect to tau, subtract the part that s explains.
+    # Subtract what s explains from the error and from the error's derivative with respect to tau.
     by_shift = np.linalg.pinv(centered[2:, 2:], hermitian=True) @ centered[2:, :2]
     error, rate = np.vstack([np.eye(2), -by_shift]).T
     changes, errors = float(rate @ centered @ rate), float(error @ centered @ error)

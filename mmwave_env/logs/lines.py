@@ -14,9 +14,9 @@ _BLOCK_BYTES = 1 << 20
 
 
 class DamagedFileError(ValueError):
-    """Error for a file that is damaged from some row on; the rows before it were delivered.
+    """Error for a file that is damaged from some row on; the rows before it are yielded first.
 
-    Rows count from 1; ``unit`` is the word for a row in the message.
+    Rows are counted from 1; ``unit`` is the word for a row in the message.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ def line_blocks(path: Path) -> Iterator[tuple[list[str], float]]:
             content, rest = content[:cut], content[cut:]
             text = content.decode("utf-8", errors="backslashreplace").replace("\r\n", "\n")
             lines = (text.removeprefix("\ufeff") if first == 1 else text).split("\n")
-            if not lines[-1]:  # else the last line lacks its line end
+            if not lines[-1]:  # if the text ends with a line end, there is no line after it
                 lines.pop()
             if lines:
                 yield lines, min(raw.tell() / total, 1.0)
@@ -61,12 +61,12 @@ def line_blocks(path: Path) -> Iterator[tuple[list[str], float]]:
 
 
 def _read(file: Any) -> tuple[bytes, bool, str]:
-    """Return the next bytes, whether the file ends after them, and what is damaged, if anything."""
+    """Return the next bytes, whether the file ends after them, and what is damaged ("" if none)."""
     pieces: list[bytes] = []
     size = 0
     while size < _BLOCK_BYTES:
         try:
-            # read() would lose the data before the place where decompression fails.
+            # If decompression fails, read() would lose the data before the failure.
             piece = file.read1(_BLOCK_BYTES)
         except (EOFError, gzip.BadGzipFile, zlib.error) as error:
             return b"".join(pieces), True, f"broken gzip data ({error})"
@@ -78,7 +78,7 @@ def _read(file: Any) -> tuple[bytes, bool, str]:
 
 
 def number(word: str) -> float:
-    """Parse a number that numpy can read; return NaN for other words, such as 1_0 and ١."""
+    """Parse a number that numpy can read; return NaN for other words, also for 1_0 and ١."""
     try:
         return float(word) if word.isascii() and "_" not in word else math.nan
     except ValueError:

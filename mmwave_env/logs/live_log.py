@@ -1,4 +1,8 @@
-"""Measurement logs that arrive row by row; every epoch is returned as soon as it is complete."""
+"""Measurement logs that arrive row by row; every epoch is returned as soon as it is complete.
+
+Rows whose cells are well within their limits pass quick checks. Only other rows need the full
+checks of ``log_checks.py``, which are slower and also find out what is wrong.
+"""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import inf, isnan, nan
@@ -15,8 +19,8 @@ from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI
 
-_NUMBERS = {float, int, np.float64}  # numbers that stay the same if written as text and parsed
-_MARGIN = 1e-9  # relative distance from a limit within which values need the full checks
+_NUMBERS = {float, int, np.float64}  # types whose numbers do not change if printed and parsed
+_MARGIN = 1e-9  # values this close to a limit (relative distance) need the full checks
 
 
 class LiveEpoch(NamedTuple):
@@ -24,8 +28,9 @@ class LiveEpoch(NamedTuple):
 
     time_s: float
     block: Callable[[], LogBlock]  # returns the epoch as a block, T = 1
-    # None if some angles are not in the map's frame; else values, NaN where not measured, in the
-    # order of :func:`~mmwave_env.logs.log.places`, and the Doppler shift's anchor, counted from 0
+    # None if some angles are not in the map's frame; else a pair: the values in the order of
+    # :func:`~mmwave_env.logs.log.places`, NaN where not measured; and the index, from 0, of the
+    # Doppler shift's anchor
     placed: tuple[list[float], int] | None
 
 
@@ -80,12 +85,12 @@ class LiveLog:
         self._last_s = -inf
 
     def add(self, row: str | Mapping[str, Any], number: int = 0) -> list[LiveEpoch]:
-        """Add a row, as a line of CSV or as values by column; return the epochs that are over now.
+        """Add a row: a line of CSV, or values by column; return the epochs that are now over.
 
         Error messages contain ``number``, the number of the row in the source.
 
         Raises:
-            LogError: the row is damaged or late, and is ignored.
+            LogError: the row is damaged or late; it is ignored.
         """
         cells = self._cells(row, number)
         if not cells:
@@ -105,10 +110,10 @@ class LiveLog:
         return [*over, *(self.end_epoch() if len(self._rows) == self.layout.anchors else [])]
 
     def add_epoch(self, rows: Iterable[str | Mapping[str, Any]]) -> list[LiveEpoch]:
-        """Add all rows of an epoch, end it, and return the epochs that are over now.
+        """Add all rows of an epoch, end it, and return the epochs that are now over.
 
         Raises:
-            LogError: a row is damaged or late; all rows are ignored.
+            LogError: a row is damaged or late; all these rows are ignored.
         """
         before = self._rows.copy(), self._last_s
         try:
@@ -119,7 +124,7 @@ class LiveLog:
         return [*over, *self.end_epoch()]
 
     def end_epoch(self) -> list[LiveEpoch]:
-        """End the current epoch and return it; return nothing if it has no rows yet."""
+        """End the current epoch; return a list with this epoch, or [] if it has no rows yet."""
         if not self._rows:
             return []
         self._last_s = self._time_s(self._rows[0])
@@ -153,7 +158,7 @@ class LiveLog:
         return float(self._log.columns["time"].unit.convert(cells[self._time]))
 
     def _agree(self, cells: list[float], before: list[float]) -> bool:
-        """Tell whether two rows plainly fit into one epoch; if not, they need the full checks."""
+        """Tell whether two rows surely fit into one epoch; if not, they need the full checks."""
         for i, once in self._of_epoch:
             a, b = cells[i], before[i]
             if not isnan(a) and not isnan(b) and (once or a != b):
@@ -179,7 +184,7 @@ class LiveLog:
         return cells
 
     def _sound_numbers(self, row: Mapping[str, Any]) -> list[float] | None:
-        """Return the cells of a row of plainly sound numbers; None if it needs the full checks."""
+        """Return the cells of a row of surely sound numbers; None if it needs the full checks."""
         cells = []
         for name, (low, high) in self._limits.items():
             value = row.get(name)
@@ -191,7 +196,7 @@ class LiveLog:
         return cells if self._is_of_epoch(cells) else None
 
     def _plain(self, cells: list[float]) -> bool:
-        """Tell whether the cells of a row are plainly sound; if not, they need the full checks."""
+        """Tell whether the cells of a row are surely sound; if not, they need the full checks."""
         for cell, (low, high) in zip(cells, self._limits.values(), strict=False):
             if cell < low or cell > high:  # NaN is an empty cell
                 return False
@@ -208,7 +213,7 @@ class LiveLog:
 
 
 def _limits(quantity: str, unit: Unit) -> tuple[float, float]:
-    """Return the limits of plainly sound cells, a little tighter than the quantity's own."""
+    """Return limits for cells that are surely sound, a little tighter than the quantity's own."""
     limits = QUANTITIES[quantity].limits
     if not limits:
         return -1e300, 1e300

@@ -2,10 +2,10 @@
 
 The name of a column (`log_columns.py`) is a quantity and a unit: ``time_s, anchor, toa_s,
 aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad, doppler_hz, snr_db``, and optionally
-``doppler_spread_hz`` and odometry, ``speed_mps`` and ``heading_rad``. Anchors are given by their
-number in the scene; number 1 is the physical gNB, usually the only one with a Doppler shift. A cell
-is empty if its value was not measured; an anchor that was not seen may have no row. Quantities that
-belong to the epoch, not to an anchor (Doppler spread, odometry), may be in any row of the epoch.
+``doppler_spread_hz``, ``speed_mps`` and ``heading_rad`` (odometry). An anchor is given by its
+number in the scene. Number 1 is the physical gNB, usually the only anchor with a Doppler shift. A
+cell is empty if its value was not measured. An anchor without any value may lack its row. Doppler
+spread and odometry belong to the epoch, not to an anchor, so they may be in any row of the epoch.
 
 A log of paths has the same columns without ``anchor``: one row per epoch and path, as a receiver
 finds them. The rows of an epoch are in any order and may include false paths. Every path may have
@@ -49,12 +49,12 @@ class LogBlock(Block):
     time_s: Array  # (T,) increasing, also across blocks
     measurement: Array  # (T, rows) m, rad, Hz, m/s; angles in [-pi, pi)
     sigma: Array  # (T, rows) the receiver's own standard deviations; NaN where it states none
-    # (T, groups) whether the group can be used: whether all its values were measured (links and the
-    # Doppler shift also need an SNR). In a partial layout, whose groups may lack values, one value
-    # with known noise is enough
+    # (T, groups) whether the group can be used. It can if all its values were measured; links and
+    # the Doppler shift also need an SNR. In a partial layout, whose groups may lack values, one
+    # value with known noise is enough
     visible: Mask
-    # (T, groups) whether the group is lost because only some of its values were measured. In a
-    # partial layout, whether a value is lost because its noise is unknown
+    # (T, groups) whether the group is left out because only some of its values were measured. In a
+    # partial layout, whether a value of the group is left out because its noise is unknown
     incomplete: Mask
     doppler_anchor: Index  # (T,) index, from 0, of the anchor with the Doppler shift
     snr_db: Array  # (T, L); -inf (no signal) where no SNR was measured
@@ -71,7 +71,7 @@ class LogBlock(Block):
     dropped: int = 0
 
     def whole(self) -> "LogBlock":
-        """Return the block with only those groups that were measured completely and with an SNR."""
+        """Return the block in the plain (not partial) layout; incomplete groups are not visible."""
         layout = replace(self.layout, partial=False)
         visible, _ = whole_groups(self.measurement, np.isfinite(self.snr_db), layout)
         visible[:, layout.anchors] &= self.doppler_anchor == 0
@@ -84,8 +84,8 @@ AnyLogBlock = TypeVar("AnyLogBlock", bound=LogBlock)
 def in_windows(blocks: Iterable[AnyLogBlock], window: int) -> Iterator[AnyLogBlock]:
     """Yield the epochs in blocks of whole windows; only a segment's last window may be shorter.
 
-    A window is ``window`` epochs long. If ``blocks`` raises a LogError, the epochs read before are
-    yielded first. Blocks of different segments are not joined.
+    A window is ``window`` epochs long. If ``blocks`` raises a LogError, the epochs before the error
+    are yielded first. Blocks of different segments are not joined.
     """
     waiting: list[AnyLogBlock] = []
     count = 0
@@ -126,8 +126,8 @@ def read_log(
     user; departure is the azimuth from the user to the anchor. docs/data.md has a figure.
 
     If the log is damaged, every complete epoch before the damaged row is yielded before the error.
-    The last epoch counts as complete only if the damaged row has a later time, or if all anchors of
-    the epoch were read and the damaged row has another time, or none.
+    The last of these epochs counts as complete in two cases: if the damaged row has a later time,
+    or if all anchors have a row in the epoch and the damaged row does not have the epoch's time.
 
     Args:
         path: CSV (``.csv``, ``.csv.gz``) or Parquet (``.parquet``, needs the extra `data`).
@@ -135,17 +135,18 @@ def read_log(
         epochs_per_block: number of epochs in a block.
         odometry: False to ignore columns of odometry. Otherwise the blocks' layout has odometry
             if the log has it.
-        limits: False to accept ranges and angles of any size, and not to wrap angles, for
+        limits: False to accept values beyond physical limits, and not to wrap angles, for
             a diagnosis.
         partial: whether a link may lack some of its values, in some epochs or everywhere, and
             any anchor may have the Doppler shift.
-        snr_db: SNR to assume for links without one.
+        snr_db: SNR to assume for links without an SNR.
         clock: whether the user's clock has an unknown offset; the blocks' layout then has a clock.
 
     Raises:
-        LogError: at once if the file or its header is not that of a log; later for a damaged row,
-            naming file, row, column, what was found and what was expected; at the end for a
-            log without rows or without a single measurement.
+        LogError: the file is not a log, or lacks a column (raised at once); a row is damaged (the
+            message names file, row, column, what was found and what was expected); or the log has
+            no row or no measurement (raised at the end).
+        ValueError: ``epochs_per_block`` is less than 1.
         OSError: the file can't be read.
     """
     if epochs_per_block < 1:
@@ -206,11 +207,11 @@ def _require_measurements(path: Path, blocks: Iterable[LogBlock]) -> Iterator[Lo
 
 
 def places(layout: Layout) -> dict[str, tuple[int, int]]:
-    """Return where the values of every quantity are in the array of an epoch.
+    """Return the place of every quantity in an array that contains all numbers of an epoch.
 
     The array contains the values that the layout lists, their standard deviations, the SNRs (L,)
-    and the Doppler spread. For each quantity, return the index of the first anchor's value and the
-    step to the next anchor's; the step is 0 if an epoch has only one value of the quantity.
+    and the Doppler spread. A place is the index of the first anchor's value and the step to the
+    value of the next anchor; the step is 0 if an epoch has only one value of the quantity.
     """
     rows = {quantity: (row, 4) for row, quantity in enumerate(LINK_QUANTITIES)}
     rows["doppler"] = layout.doppler, 0
@@ -282,8 +283,8 @@ class PathEpoch(NamedTuple):
     layout: Layout  # layout of the scene's anchors, with or without odometry
     time_s: float
     measurement: Array  # (n, 5) range (m), three angles (rad), Doppler shift (Hz, or NaN)
-    # whether the angles of arrival are those at the base station. If not, those of a path that a
-    # wall reflected are the angles at the base station's mirror image
+    # whether the angles of arrival are those at the base station. If not, a path that a wall
+    # reflected has the angles at the base station's mirror image in the wall
     at_station: bool
     snr_db: Array  # (n,)
     incomplete: int  # number of paths that are left out because some of their values are missing
@@ -312,7 +313,7 @@ def read_paths(path: Path, scene: Scene, odometry: bool = True) -> Iterator[Path
 
 
 def _split(table: Table, layout: Layout) -> Iterator[PathEpoch]:
-    """Yield the paths of every epoch, without incomplete ones."""
+    """Yield the complete paths of every epoch."""
     snr, time = table["snr"], table["time"]
     measurement = np.column_stack([table.links(), table["doppler"]])
     measurement[:, 1:4] = wrapped(measurement[:, 1:4])

@@ -20,7 +20,7 @@ _ROUNDING_DEG = 1e-4  # rounding error of angles that were once stored as 32-bit
 
 
 def whole_epochs(log: LogFile, anchors: int | None, limits: bool) -> Iterator[Table]:
-    """Yield the rows of complete epochs: about one part per table that ``log.tables()`` yields.
+    """Yield the rows of complete epochs, in tables about as long as those of ``log.tables()``.
 
     Args:
         log: the file.
@@ -46,18 +46,18 @@ def whole_epochs(log: LogFile, anchors: int | None, limits: bool) -> Iterator[Ta
 
 
 class _Check(NamedTuple):
-    """A check: the rows (n,) of a column that fail it, and words for the message."""
+    """The result of a check of a column: the rows that fail, and words for the message."""
 
     quantity: str
-    wrong: Mask
+    wrong: Mask  # (n,) whether each row fails
     expected: str
-    words: Callable[[int], str] | None = None  # maps a row to what was found; None shows the cell
+    words: Callable[[int], str] | None = None  # says what was found in a row; None shows the cell
 
 
 def first_damage(
     log: LogFile, table: Table, anchors: int | None, limits: bool
 ) -> tuple[int, LogError | None]:
-    """Return the first damaged row's index and error, or (number of rows, None) if none is."""
+    """Return the first damaged row's index and error; without one, the number of rows and None."""
     n = len(table)
     first, error = (n - 1, table.damage) if table.damage else (n, None)
     if not n:
@@ -180,7 +180,7 @@ def _show(value: float) -> str:
 
 
 def _end_of_epochs(time: Array, damaged: int, anchors: int | None) -> int:
-    """Return the number of rows before the damaged row that are in epochs known to be complete."""
+    """Count the rows, before the damaged row, of epochs that are known to be complete."""
     if damaged == 0:
         return 0
     last = time[damaged - 1]

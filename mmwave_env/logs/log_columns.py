@@ -14,9 +14,9 @@ from mmwave_env.numerics.numbers import Number
 
 
 class Unit(NamedTuple):
-    """A unit: a value in SI units is value * multiply / divide.
+    """A unit: its values * ``multiply`` / ``divide`` are values in SI units.
 
-    ``divide`` avoids factors such as 0.001, which are not exact, so that values round correctly.
+    A division by 1000 rounds correctly; a factor of 0.001 would not, as floats can't represent it.
     """
 
     multiply: float = 1.0
@@ -61,7 +61,7 @@ def _flight(name: str) -> dict[str, Unit]:
 
 _SPEED = {"speed_mps": Unit(), "speed_kmh": Unit(1.0, 3.6)}
 
-RANGE_LIMITS_M = (1e-3, 1e6)  # real ranges are within these limits; ranges in a wrong unit are not
+RANGE_LIMITS_M = (1e-3, 1e6)  # limits of real ranges; ranges in a wrong unit often violate them
 WIDEST_ELEVATION_DEG = 90.0
 _RANGE = between(0.0, RANGE_LIMITS_M[1], "m"), "m"
 _TURN = between(-360.0, 360.0, "degrees (docs/data.md, Angles)"), "degrees"
@@ -118,7 +118,7 @@ QUANTITIES = {
 }
 _QUANTITY_OF = {name: quantity for quantity, row in QUANTITIES.items() for name in row.columns}
 
-# Words in the names that receivers give to columns, by quantity.
+# For each quantity, words in names of columns that are unknown, but probably mean this quantity.
 _SYNONYMS = {
     "time": ("t", "timestamp", "epoch", "seconds"),
     "anchor": ("bs", "gnb", "cell", "trp", "station", "beacon", "tx"),
@@ -135,7 +135,7 @@ ODOMETRY_QUANTITIES = ("speed", "heading")
 SIGMA_OF = {quantity: f"{quantity}_sigma" for quantity in (*LINK_QUANTITIES, "doppler")}
 SIGMA_OF |= {STATION: "aoa_azimuth_sigma", BODY: "aod_azimuth_sigma"}
 ROW_QUANTITIES = (*LINK_QUANTITIES, "doppler")  # quantities that belong to an anchor
-HORIZONTAL = ("toa", "aoa_azimuth", STATION, "aod_azimuth", BODY)  # at least one is required
+HORIZONTAL = ("toa", "aoa_azimuth", STATION, "aod_azimuth", BODY)  # a log needs one or more
 _WHOLE = (*LINK_QUANTITIES, "snr")  # required unless links may lack values
 _OTHER_FRAMES = {  # angle -> the angle in another frame, and the quantity that is then required
     "aoa_azimuth": (STATION, STATION),
@@ -162,7 +162,7 @@ def columns_of(
 
     If ``odometry`` is False, columns of odometry are ignored, except a heading that angles need; if
     ``associated`` is False, a column of anchors is ignored. A Doppler shift in m/s is multiplied by
-    ``hz_per_mps``, f_c / c. If ``partial`` is True, any of the horizontal measurements is enough;
+    ``hz_per_mps``, f_c / c. If ``partial`` is True, one quantity of :data:`HORIZONTAL` is enough;
     otherwise the range, the three angles and the SNR are required.
 
     Raises:
@@ -227,7 +227,7 @@ def _require(
 
 
 def _problem(name: str) -> str:
-    """Return what is wrong with the unknown name of a column, and the nearest known names."""
+    """Return a message: what is wrong with the unknown name of a column, and what may be meant."""
     # The longest match counts, so that doppler_spread_x is not taken for a Doppler shift.
     spelled = {**{quantity: quantity for quantity in QUANTITIES}, "range": "toa"}
     meant = [start for start in spelled if name == start or name.startswith(f"{start}_")]

@@ -1,7 +1,7 @@
 """Measurement logs as tables of numbers, the same for CSV and Parquet.
 
-A table is a few thousand consecutive rows. Only the names of the columns, the shape of the file
-and whether cells are numbers are checked here; ``log.py`` interprets the numbers.
+A table is a few thousand consecutive rows. This module checks only the names of the columns, the
+number of cells in a row, and that cells are numbers; ``log_checks.py`` checks the numbers.
 """
 
 import csv
@@ -34,7 +34,7 @@ class LogError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Base class for dataclasses that hold n rows or epochs: arrays (n, ...), and shared values."""
+    """Base class for dataclasses of n rows or epochs: arrays (n, ...), and common values."""
 
     def arrays(self) -> dict[str, Array]:
         """Return the arrays by name."""
@@ -45,12 +45,12 @@ class Block:
         return len(next(iter(self.arrays().values())))
 
     def part(self: AnyBlock, rows: slice) -> AnyBlock:
-        """Return a part of the block."""
+        """Return a block with only these rows."""
         return replace(self, **{name: values[rows] for name, values in self.arrays().items()})
 
     @classmethod
     def joined(cls, blocks: Sequence[AnyBlock]) -> AnyBlock:
-        """Join blocks that follow each other; the shared values are the last block's."""
+        """Join consecutive blocks; common values are taken from the last block."""
         last = blocks[-1]
         names = last.arrays()
         return replace(last, **{n: np.concatenate([getattr(b, n) for b in blocks]) for n in names})
@@ -79,12 +79,12 @@ class Table(Block):
 
     @cached_property
     def epoch(self) -> Index:
-        """Return the epoch (n,), from 0, of every row; the rows of an epoch have the same time."""
+        """Return every row's epoch (n,), counted from 0; rows of one epoch have the same time."""
         # Compare times as in the file: different times may become equal when converted to seconds.
         return np.concatenate([[0], np.cumsum(np.diff(self.raw("time")) != 0.0)])
 
     def first(self, values: Array) -> Array:
-        """Return each epoch's first of the values (n,) that is not NaN, or else NaN: (epochs,)."""
+        """Return (epochs,): the first of each epoch's ``values`` (n,) that is not NaN, else NaN."""
         first = np.full(self.epoch[-1] + 1, np.nan)
         some = np.flatnonzero(~np.isnan(values))[::-1]
         first[self.epoch[some]] = values[some]  # backwards, so that the first row's value remains
@@ -93,8 +93,8 @@ class Table(Block):
     def links(self) -> Array:
         """Return ranges (m) and angles (rad) of links, (n, 4); departures are in the map's frame.
 
-        If the log has the azimuths at which paths arrive at the base station (:data:`STATION`), the
-        result contains these instead of the azimuths from each (mirrored) anchor to the user.
+        Azimuths of arrival are those from each anchor to the user or, if the log has a column
+        :data:`STATION`, those at which paths arrive at the base station.
         """
         arrival = self[STATION if STATION in self.columns else "aoa_azimuth"]
         departure = self["aod_azimuth"]
@@ -110,7 +110,7 @@ class LogFile:
     path: Path  # path of the file
     columns: dict[str, Column]  # the columns that are used, by quantity
     width: int  # number of columns in the file
-    clock: bool = False  # whether the user's clock has an offset: a range may then be negative
+    clock: bool = False  # whether the user's clock has an offset, so that ranges may be negative
     delimiter: str = ","  # between the cells of a CSV file
 
     def error(self, row: int, quantity: str, problem: str, expected: str) -> LogError:
@@ -121,7 +121,7 @@ class LogFile:
         return LogError(f"{self.path}, {place}: found {problem}, expected {expected}")
 
     def tables(self) -> Iterator[Table]:
-        """Yield the rows in order, up to the first table with damage."""
+        """Yield the rows as tables, in order; a table with damage is the last."""
         try:
             yield from _parquet_tables(self) if _is_parquet(self.path) else _csv_tables(self)
         except DamagedFileError as error:
@@ -164,9 +164,6 @@ def open_log(
 
 def _is_parquet(path: Path) -> bool:
     return path.suffix.lower() == ".parquet"
-
-
-# --- CSV
 
 
 def _csv_names(path: Path) -> tuple[list[str], str]:
@@ -231,7 +228,7 @@ def _parse_quickly(lines: list[str], log: LogFile) -> Array | None:
 
 
 def parse_carefully(log: LogFile, lines: list[str], first: int, share: float) -> Table:
-    """Parse cell by cell up to the first damage; skip blank lines, treat blank cells as empty."""
+    """Parse cell by cell up to the first damage; skip blank lines, and read blank cells as NaN."""
     cells, rows, damage = [], [], None
     for row, line in enumerate(lines, start=first):
         if not line.strip():
@@ -257,9 +254,6 @@ def parse_carefully(log: LogFile, lines: list[str], first: int, share: float) ->
     return Table(log.columns, np.array(rows, np.int64), table, share, damage)
 
 
-# --- Parquet
-
-
 def require_arrow(path: Path) -> tuple[Any, Any]:
     """Return pyarrow and its Parquet module, or refuse if they are not installed."""
     try:
@@ -273,7 +267,7 @@ def require_arrow(path: Path) -> tuple[Any, Any]:
 def _open_parquet(path: Path) -> Any:
     pyarrow, parquet = require_arrow(path)
     try:
-        # Without the buffer, a row group of a million rows would be in memory at once.
+        # Without buffer_size, a row group of a million rows would be in memory at once.
         return parquet.ParquetFile(
             path, buffer_size=1 << 20, pre_buffer=False, page_checksum_verification=True
         )

@@ -12,7 +12,7 @@ from mmwave_env.logs.tum import read_tum
 from mmwave_env.numerics.numbers import Array
 
 BRIDGED_S = 1.5  # longest gap that is interpolated: GPS gives a pose per second, sometimes late
-TOLERANCE_S = 0.01  # maximum time to a pose that is used uninterpolated, as in the tool evo
+TOLERANCE_S = 0.01  # maximum time to a pose that is used as it is; the tool evo has the same limit
 
 
 class TrueEpochs(NamedTuple):
@@ -73,7 +73,7 @@ class Truth:
         )
 
     def warn_if_few(self, matched: int, epochs: int, first_s: float, last_s: float) -> None:
-        """Warn if less than half of a log's epochs have a position: clock or unit may differ."""
+        """Warn if less than half of a log's epochs have a true position."""
         if 2 * matched >= epochs:
             return
         warnings.warn(
@@ -86,7 +86,7 @@ class Truth:
 
 
 def stretches(time_s: Array, position_m: Array, gap_s: float) -> list[slice]:
-    """Return runs of two or more epochs that all have a position, without a gap longer than gap_s.
+    """Return runs of two or more epochs with positions and without a gap longer than ``gap_s``.
 
     Times (T,) increase; positions (T, 3) are NaN where not known.
     """

@@ -2,8 +2,8 @@
 
 Matrices are lists of rows. A symmetric matrix is stored *packed*: its lower triangle, row
 by row. An entry that is the plain constant ``0.0`` is a *structural zero*, for example the variance
-of a coordinate that is known exactly. In compiled code, adding it or multiplying by it takes no
-instruction; no function below divides by it.
+of a coordinate that is known exactly. In compiled code, an addition of a structural zero or a
+multiplication by it takes no instruction. No function below divides by a structural zero.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,7 +20,7 @@ def dot(a: Vector, b: Vector) -> Number:
 
 
 def symmetric(n: int, entry: Callable[[int, int], Number]) -> list[list[Number]]:
-    """Return the symmetric (n, n) matrix whose element (i, j), i >= j, is ``entry(i, j)``."""
+    """Return the symmetric (n, n) matrix with elements ``entry(i, j)`` for i >= j."""
     m: list[list[Number]] = [[0.0] * n for _ in range(n)]
     for i in range(n):
         for j in range(i + 1):

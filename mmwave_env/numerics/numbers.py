@@ -1,9 +1,9 @@
 """Elementary functions of numbers, where a number is a float, an array or eight SIMD lanes.
 
 The mathematics of this package is written once, as plain functions of numbers. Called with floats,
-these functions are the reference for tests; with arrays, they check recorded signal paths and score
-complete tracks; with :class:`~mmwave_env.compiler.lanes.Lanes`, they become a SIMD kernel. Python's
-operators work on all three kinds of numbers; this module defines the other elementary functions.
+these functions are the reference for tests. Called with arrays, they check recorded signal paths
+and score complete tracks. Called with :class:`~mmwave_env.compiler.lanes.Lanes`, they become a SIMD
+kernel. Python's operators work on all three kinds; the other elementary functions are here.
 
 In this package, the description of an array begins with its shape. Functions of numbers follow
 three rules: they do not branch on a value (use :func:`where`), they use lists instead of arrays,
@@ -45,12 +45,12 @@ def _function(name: str, module: Any = math) -> Callable[[Number], Number]:
 
 
 sqrt, floor = _function("sqrt"), _function("floor")
-exp = _function("exp", np)  # numpy for floats, too: they get the same bits as arrays
+exp = _function("exp", np)  # numpy also for floats, so that floats and arrays get the same bits
 log = _function("log")  # for positive numbers only
 
 
 def atan2(y: Number, x: Number) -> Number:
-    """Return the angle of the vector (x, y) in radians, in (-pi, pi]; a -0 counts as 0."""
+    """Return the angle of the vector (x, y) in radians, in (-pi, pi]; -0.0 counts as 0.0."""
     if _is_float(y) and _is_float(x):
         return math.atan2(y + 0.0, x + 0.0)
     if isinstance(y, np.ndarray) or isinstance(x, np.ndarray):
@@ -69,7 +69,7 @@ def cos_sin(angle: Number) -> tuple[Number, Number]:
 
 
 def where(condition: Any, a: Number, b: Number) -> Number:
-    """Return ``a`` where the condition is true, else ``b``: the only way to branch on a value."""
+    """Return ``a`` where the condition is true, else ``b``; nothing else may branch on a value."""
     if isinstance(condition, (bool, np.bool_)):
         return a if condition else b
     if isinstance(condition, np.ndarray):

@@ -1,4 +1,4 @@
-"""Trees of numbers, such as the state of a track: flattening them, and choosing between two.
+"""Functions that flatten trees of numbers, such as the state of a track, or choose between them.
 
 A *tree* is a number, or a list or NamedTuple of trees. Its numbers are its leaves. A workspace, the
 array that SIMD code works on, has one row for each leaf, in order.
@@ -21,7 +21,7 @@ def flatten(tree: Any) -> list[Number]:
 
 
 def unflatten(template: Tree, numbers: Iterator[Number]) -> Tree:
-    """Return a tree of the template's shape; its leaves are the next of the numbers, in order."""
+    """Return a tree of the template's shape, with the next of the ``numbers`` as its leaves."""
     if isinstance(template, list):
         return [unflatten(branch, numbers) for branch in template]  # type: ignore[return-value]
     if isinstance(template, tuple):

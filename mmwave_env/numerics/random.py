@@ -1,8 +1,8 @@
 """Random numbers, drawn by functions that run on floats and on SIMD lanes (eight environments).
 
-The generator is SFC64 (Chris Doty-Humphrey, PractRand). It needs only additions, shifts, a rotation
-and xor, and numpy has it, too. The four 64-bit words of its state are stored as the bits of four
-floats; on SIMD lanes, four vectors of eight floats store the states of eight environments.
+The generator is SFC64 (Chris Doty-Humphrey, PractRand), which needs only additions, shifts, a
+rotation and xor. numpy contains it, too. Its state is four 64-bit words, stored as the bits of four
+floats. On SIMD lanes, four vectors of eight floats store the states of eight environments.
 """
 
 import math
@@ -60,8 +60,8 @@ def next_word(state: Sequence[Any]) -> tuple[Any, list[Any]]:
 def seeded(key: Number, stream: int) -> list[Number]:
     """Return the generator's state (4,) for a key and the number of a stream.
 
-    A key is 64 bits, such as those that determine an episode. ``key`` is the float (or lanes of
-    floats) with these bits. Streams of one key are independent.
+    A key is a word of 64 bits, for example one that determines an episode. ``key`` is the float (or
+    lanes of floats) with these bits. Streams of one key are independent.
     """
     word = word_of(key)
     zero = word ^ word
@@ -72,11 +72,11 @@ def seeded(key: Number, stream: int) -> list[Number]:
 
 
 class Dice:
-    """A source of random numbers, which depend on the state (4,) and on the order of the draws."""
+    """A source of random numbers. They depend on the state (4,) and on the order of the draws."""
 
     def __init__(self, state: Vector) -> None:
         self._words = [word_of(number) for number in state]
-        self._spare: Number | None = None  # the other of two normal numbers drawn together
+        self._spare: Number | None = None  # normal numbers are drawn in pairs: the second number
 
     @property
     def state(self) -> list[Number]:
@@ -84,7 +84,7 @@ class Dice:
         return [word.as_number() for word in self._words]
 
     def uniform(self, low: Number = 0.0, high: Number = 1.0) -> Number:
-        """Draw uniformly from [low, high); from [0, 1), draw the number that numpy would draw."""
+        """Draw uniformly from [low, high); for [0, 1), the result equals numpy's for this state."""
         word, self._words = next_word(self._words)
         return low + (high - low) * (word >> 11).scaled(2.0**-53)
 

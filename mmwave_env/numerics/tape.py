@@ -1,12 +1,12 @@
-"""Numbers that record every operation on a *tape*, a list: to try a function, and to name it.
+"""Numbers that record every operation on them in a list, the *tape* of a function.
 
 These numbers hide their value, as lanes (SIMD numbers for eight environments) do. So a function
 that runs on them can also be compiled for lanes.
 
-The name of a function is its *fingerprint*, a hash of its tape. Two functions have the same name
-only if they apply the same operations to the same inputs and constants; then each can run the
-compiled code of the other. So users need not name the functions of their modes and rewards, and no
-change in these functions is missed. Writing a tape takes a hundredth of the time of compiling.
+A hash of the tape, the *fingerprint*, is the name under which a function's compiled code is stored.
+Two functions have the same name only if they apply the same operations to the same inputs and
+constants; then each can run the compiled code of the other. A function that was changed gets a new
+name, so old code is never run for it. Writing a tape takes a hundredth of the time of compiling.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,7 +20,7 @@ Tape = list[tuple[Any, ...]]
 
 
 def taped(template: Tree, tape: Tape) -> Tree:
-    """Return a tree of the template's shape; operations on its leaves are written on the tape."""
+    """Return a tree of the template's shape whose leaves record operations on the tape."""
     rows = range(len(flatten(template)))
     return unflatten(template, (_Number(tape, -1 - row) for row in rows))
 
@@ -47,7 +47,7 @@ class _Recorded:
 
 
 def _references(operands: Sequence[Any]) -> list[int | float]:
-    """Return recorded operands as their numbers on the tape (int), and constants as floats."""
+    """Return operands as they are recorded: earlier results by number (int), constants as float."""
     return [a.number if isinstance(a, _Recorded) else float(a) for a in operands]
 
 

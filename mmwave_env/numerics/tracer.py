@@ -2,7 +2,7 @@
 
 A function that runs on such numbers never asks for a value, so it can be compiled for SIMD lanes
 (numbers that stand for eight environments). An operation that needs a value is refused, and the
-message says what to write instead. There are two kinds of such numbers: lanes; and the numbers of
+message says what to write instead. Lanes hide their value, and so do the numbers of
 :mod:`mmwave_env.numerics.tape`, on which a function is tried before it is compiled.
 """
 
@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 
 
 class NoValueError(TypeError):
-    """An error: a function asked for a hidden value; the message says what to write instead."""
+    """Error of a function that asks for a hidden value; the message says what to write instead."""
 
 
 _NUMBERS = "mmwave_env.numerics.numbers"
@@ -99,7 +99,7 @@ class Tracer:
 
 
 def _settled(op: str, a: Any, b: Any) -> Any:
-    """Return the result if a constant 0 or 1 makes an instruction unnecessary, else None."""
+    """Return the result if no instruction is needed, because of a constant 0 or 1; else None."""
     if op == "mul":
         for u, v in ((a, b), (b, a)):
             if not isinstance(u, Tracer) and u in (0.0, 1.0):

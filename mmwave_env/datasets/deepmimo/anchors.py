@@ -1,13 +1,13 @@
 """Assignment of ray-traced paths to anchors: a base station and its mirror images.
 
-The line of sight is the link to the station. If a path bounces once, at q, the receiver at p sees
-the signal come from the mirror image a of the station at g (paper, Sec. II):
+The line of sight is the link to the station, which is at g. If a path bounces once, at q, the
+receiver at p sees the signal come from a, the station's mirror image (paper, Sec. II):
 
     a = q + |g - q| (q - p) / |q - p|
 
 A flat wall gives all receivers the same image, so each cluster of images is a virtual anchor. The
-arrival and the range of a path are those of the straight line from the image. The departure of a
-path is measured at the station, before the bounce, so it must be mirrored.
+arrival and the range of such a path are those of the straight line from the image. In the files,
+the departure is the direction at the station, before the bounce, so it must be mirrored, too.
 
 Other paths (two bounces, diffraction, scattering, transmission) are left out: they have no fixed
 image, or their image can't be computed from their first point of interaction.
@@ -30,7 +30,7 @@ from mmwave_env.numerics.numbers import PI, Array, Index, Mask, wrap
 from mmwave_env.world.checks import refuse_in
 
 TOLERANCE_M = 0.05  # points closer than this are the same; float32 rounding moves them 1e-4 m
-# Values of ``interactions``, which have a digit for each interaction on the way to the receiver.
+# Values of ``interactions``: numbers with a digit for each interaction on a path, or 0 for none.
 LINE_OF_SIGHT, REFLECTION = 0.0, 1.0
 
 
@@ -51,11 +51,11 @@ class StationPaths:
     # rad, of the direction of propagation or of its opposite (see :func:`propagation`)
     arrival: Array
     departure: Array
-    # function of the name of an array and an epoch; returns the array's file and the receiver's row
+    # function that maps an array's name and an epoch to the array's file and the receiver's row
     source: Callable[[str, int], tuple[Path, int]]
 
     def refuse(self, key: str, epoch: int, value: str, expected: str) -> NoReturn:
-        """Raise a ValueError about the receiver's value in an array, and name the array's file."""
+        """Raise a ValueError that names the file of the array ``key`` and an epoch's receiver."""
         file, receiver = self.source(key, epoch)
         refuse_in(file, key, f"{value} of receiver {receiver}", expected)
 
@@ -63,8 +63,8 @@ class StationPaths:
 def propagation(angles: Array, sight: Array, direct: Mask) -> Array:
     """Compute unit vectors (E, P, 3) along propagation from azimuths and zenith angles (E, P, 2).
 
-    Some converters store the direction of propagation, others its opposite. The paths that are a
-    line of sight (``direct``) show which one is stored: they propagate along ``sight`` (E, 1, 3).
+    Some converters store the direction of propagation, others its opposite. Paths on the line of
+    sight (``direct``) propagate along ``sight`` (E, 1, 3), so they show which direction is stored.
     """
     azimuth, zenith = np.moveaxis(angles, -1, 0)
     horizontal = np.sin(zenith)
@@ -82,7 +82,7 @@ _TOLERANCES = (2.0 * TOLERANCE_M, 0.02, 0.02, 0.02)  # m, rad; wrong conventions
 
 @dataclass(frozen=True, eq=False)
 class StationLinks:
-    """The anchors that the paths of a station lead to, and the exact measurements of the paths."""
+    """The anchors that the paths of a station lead to, and the paths' noise-free measurements."""
 
     paths: StationPaths  # paths of the station, for E receivers, P paths each
     anchors_m: Array  # (K, 3) position of the station, then of its images, in the order found
@@ -103,7 +103,7 @@ class StationLinks:
         return np.bincount(pairs[:, 1], minlength=len(self.anchors_m))
 
     def strongest(self, anchor: int) -> tuple[Mask, Index]:
-        """Return (E,) whether an anchor is seen, and (E,) the index of the strongest path to it."""
+        """Return (E,) whether an anchor is seen, and (E,) the index of its strongest path."""
         leads = self.member == anchor
         return leads.any(axis=1), np.argmax(np.where(leads, self.paths.gain_db, -np.inf), axis=1)
 

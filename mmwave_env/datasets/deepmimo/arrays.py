@@ -1,4 +1,4 @@
-"""Reader of the arrays in .npz or .npy files of a DeepMIMO v4 scenario; it refuses pickles."""
+"""Reader of arrays in .npz and .npy files of DeepMIMO v4 scenarios; it refuses pickled objects."""
 
 import math
 import zipfile
@@ -39,8 +39,8 @@ def read_array(file: Path, key: str, shape: Shape, rows: Index | None = None) ->
     Args:
         file, key: the file, and the name of the array.
         shape: shape of the complete array; a letter stands for any length.
-        rows: (R,) indices of the rows to read, in any order; None for all. Other rows of an
-            .npy file are not read.
+        rows: (R,) indices of the rows to return, in any order; None for all. Of an .npy file, only
+            these rows are read.
 
     Raises:
         ValueError: the path is not a regular file, or the array can't be read, has numbers that

@@ -1,7 +1,7 @@
 """DeepMIMO scenarios, read as recordings of one user.
 
-A scenario lists paths (:mod:`~mmwave_env.datasets.deepmimo.v4`); a recording has links to
-anchors (:mod:`~mmwave_env.datasets.deepmimo.anchors`).
+:mod:`~mmwave_env.datasets.deepmimo.v4` reads the paths that a scenario lists, and
+:mod:`~mmwave_env.datasets.deepmimo.anchors` converts them to links to anchors for the recording.
 """
 
 import os
@@ -26,7 +26,7 @@ from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.world.checks import refuse_in
 from mmwave_env.world.trajectory import Trajectory
 
-SIDECAR = "trajectory.csv"  # times and positions; the user adds this file to those of DeepMIMO
+SIDECAR = "trajectory.csv"  # with times and positions; users add it to the files of DeepMIMO
 
 
 def read_deepmimo(
@@ -41,9 +41,9 @@ def read_deepmimo(
 ) -> Recording:
     """Read a scenario folder as a recording.
 
-    In a static scenario, the epochs are successive receivers along the user's way; in a dynamic
+    In a static scenario, the epochs are successive receivers on the user's trajectory; in a dynamic
     scenario, they are successive scenes (moments in time). Times and velocities come from the file
-    ``trajectory.csv`` in the folder, with a row for each receiver or, if dynamic, for each scene.
+    ``trajectory.csv`` in the folder, which has a row for each receiver or, if dynamic, each scene.
 
     If there is one station, or ``base_station`` selects one, the anchors are this station and
     its mirror images. Otherwise the anchors are all stations that are in sight in some epoch, the
@@ -51,9 +51,9 @@ def read_deepmimo(
 
     Args:
         folder: folder of a DeepMIMO v4 scenario.
-        virtual_anchors: maximum number of virtual anchors; those seen most often are kept.
-        bandwidth_hz: bandwidth of the signal; it may differ from the scenario's, because paths do
-            not depend on the bandwidth.
+        virtual_anchors: maximum number of mirror images; those seen most often are kept.
+        bandwidth_hz: bandwidth of the signal. Paths do not depend on it, so it may differ from the
+            bandwidth of the scenario.
         dt_s: time step to use instead of ``trajectory.csv``; velocities are then computed from the
             positions.
         users: indices of receivers, from 0. For a static scenario, one index per epoch; for a
@@ -142,7 +142,7 @@ def _way_of(scenario: Scenario, epochs: Index, dt_s: float | None) -> Trajectory
 def _links(
     stations: list[StationPaths], position_m: Array, virtual_anchors: int
 ) -> list[tuple[StationLinks, int]]:
-    """Return, for each anchor, its station's links and the anchor's row in ``links.anchors_m``."""
+    """Return, for each anchor, its station's links and the anchor's row in their ``anchors_m``."""
     if len(stations) == 1:
         links = find_links(stations[0], position_m)
         images = np.flatnonzero(~links.is_ground)[1:].tolist()

@@ -1,9 +1,9 @@
 """Reader of DeepMIMO v4 scenario folders; it also checks the propagation paths in the files.
 
-A scenario is a folder with ``params.json`` and with arrays, each in a file of its own that is named
+A scenario is a folder with ``params.json`` and with a file for each array. The file's name is
 ``{key}_t{txset}_tx{tx}_r{rxset}.npz`` (or ``.npy``). In a dynamic scenario, these files are in
-sub-folders, one for each scene (moment in time). The names of the sub-folders sort in the order of
-time, but the files contain neither times nor velocities.
+sub-folders, one for each scene (moment in time). Sorted by name, the sub-folders are in the order
+of time, but the files contain neither times nor velocities.
 """
 
 import re
@@ -43,7 +43,7 @@ class Scenario:
 
     @property
     def is_dynamic(self) -> bool:
-        """Tell whether epochs are successive scenes; if not, they are receivers along a way."""
+        """Tell whether epochs are successive scenes, not successive receivers on a trajectory."""
         return self.scenes != (self.folder,)
 
     def name_of(self, epoch: Index) -> str:
@@ -52,7 +52,7 @@ class Scenario:
         return f"receiver {row}" + (f" in {self.scenes[scene].name}" if self.is_dynamic else "")
 
     def epochs(self, users: int | Sequence[int] | Index | None) -> Index:
-        """Return pairs (E, 2): the scene of each epoch, and its receiver's row in the arrays.
+        """Return pairs (E, 2): for each epoch, its scene and its receiver's row in the arrays.
 
         Args:
             users: rows of receivers, from 0. For a static scenario, one row per epoch, or None for
@@ -103,13 +103,13 @@ class Scenario:
         """Read the paths from every base station, or from only one station, to some receivers.
 
         Args:
-            epochs: (E, 2) pairs (scene, row) from :meth:`epochs`; scenes are in increasing order.
+            epochs: (E, 2) pairs (scene, row) from :meth:`epochs`, in increasing order of scenes.
             base_station: number of the only station to read, from 1 in the order of ``stations``.
 
         Raises:
             FileNotFoundError: a file is missing.
-            ValueError: there is no such station; or a file can't be read or contradicts another
-                file: the message names the file and the key.
+            ValueError: there is no such station, or a file can't be read or contradicts another
+                file; the message then names the file and the key.
         """
         stations = self.stations
         if base_station is not None:
@@ -170,7 +170,7 @@ def _scenes(folder: Path, count: int) -> tuple[Path, ...]:
 
 
 def _stations(scene: Path, receiver_set: int | None) -> tuple[str, tuple[str, ...]]:
-    """Return the set of receivers, and the base stations that have paths to it."""
+    """Return the names of the set of receivers and of the base stations that have paths to it."""
     links = sorted({m.groups() for f in scene.iterdir() if (m := _RECEIVERS.fullmatch(f.name))})
     if not links:
         raise FileNotFoundError(
@@ -250,7 +250,7 @@ def _finite(
 ) -> Array:
     """Return an array, or refuse it if it contains NaN or infinity.
 
-    If ``used`` (R, P) is given, only the values it marks are checked; all others become NaN.
+    If ``used`` (R, P) is given, only values of these paths are checked; all others become NaN.
     """
     if used is not None:
         used = used.reshape(used.shape + (1,) * (array.ndim - 2))
