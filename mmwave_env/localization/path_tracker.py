@@ -69,7 +69,9 @@ def disagreement(paths: Array, sigma: Array) -> Array:
     The NIS has 1 degree of freedom. The user's position is not needed, because the azimuths of
     arrival and departure measure the same bearing (paper, Sec. II-B).
     """
-    group = link_group([1.0] * 7, [0.0] * 3, list(paths.T), list(np.square(sigma).T))
+    # Seen from the anchor, the user is in the direction of arrival, so no difference wraps around.
+    user = [np.cos(paths[:, 1]), np.sin(paths[:, 1]), 1.0, *[0.0] * 4]
+    group = link_group(user, [0.0] * 3, list(paths.T), list(np.square(sigma).T))
     return np.asarray(group.spare_nis)
 
 

@@ -60,9 +60,8 @@ def test_no_other_assignment_is_better(data):
 
 
 def test_a_path_disagrees_if_its_departure_is_not_opposite_to_its_arrival():
-    sigma = np.tile([0.2, 0.03, 0.01, 0.04], (3, 1))
-    paths = np.array(
-        [[9.0, 1.0, 0.1, 1.0 - np.pi], [9.0, 3.0, 0.1, 0.1 + 3.0 - np.pi], [9.0, -3.1, -1.5, 0.05]]
-    )
-    right = [0.0, 0.1**2 / 0.05**2, (-3.1 + np.pi - 0.05) ** 2 / 0.05**2]
-    np.testing.assert_allclose(disagreement(paths, sigma), right, atol=1e-12)
+    sigma = np.tile([0.2, 0.03, 0.01, 0.04], (4, 1))
+    arrivals, apart = np.array([1.0, 3.0, -3.1, -0.75 * np.pi]), np.array([0.0, 0.1, -0.05, -0.02])
+    departures = (arrivals + apart) % (2.0 * np.pi) - np.pi
+    paths = np.column_stack([np.full(4, 9.0), arrivals, np.full(4, 0.1), departures])
+    np.testing.assert_allclose(disagreement(paths, sigma), (apart / 0.05) ** 2, atol=1e-12)
