@@ -165,8 +165,8 @@ class TrackOutputArgs(JsonArgs):
     """draw the track to this .png, .svg or .pdf file"""
     diagnose: bool = False
     """compute no track, but show the number of epochs, the rate, how often each anchor is measured,
-    and anything odd; then test the first epochs for likely mistakes (wrong units, signs, frames or
-    order of anchors; arrival and departure swapped), and the correction that helps"""
+    and anything odd; then show likely mistakes in the first epochs (wrong units, signs, frames or
+    order of anchors; arrival and departure swapped), and which correction helps"""
 
 
 @dataclass(kw_only=True)
