@@ -14,8 +14,8 @@ class Args(EpisodeArgs):
     """Compare policies on the same seeded episodes; differences are paired, episode by episode.
 
     All metrics, including the reward, leave out the first 10 epochs of an episode. Every policy is
-    paired with the references: the best fixed mode, speed-rule, imm and imm-best. Your own agents
-    and policy files are paired with every other policy. Without references, all are paired.
+    paired with the references (best fixed mode, speed-rule, imm, imm-best). Your own agents and
+    policy files are paired with every other policy. Without references, all pairs are compared.
 
     mmwave-loc compare --policies fixed-ukf speed-rule imm ppo --episodes 200
     """

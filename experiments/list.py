@@ -26,7 +26,7 @@ class Args:
     radio: str = "handset"
     """radio profile whose policies and modes are listed"""
     out: Path | None = None
-    """folder for the files of the sample that --copy names; only with samples"""
+    """folder for the files of the sample that --copy names; only with `list samples`"""
     copy: str | None = None
     """name of the sample to copy into --out, as a log if there is one, otherwise as a recording"""
 

@@ -74,8 +74,8 @@ def _tuned_levels(args: Args) -> Content:
     content = tuned_levels(args.seed)
     for kind, constants in zip(("filter", "bank", "corrector"), content["constants"], strict=True):
         for risk, both in zip(content["risks"], constants, strict=True):
-            horizontal, vertical = map(math.exp, both)
-            say(f"{kind}, risk {risk:g}: factors {horizontal:.3f} and {vertical:.3f} (vertical)")
+            h, v = map(math.exp, both)
+            say(f"{kind}, risk {risk:g}: horizontal factor {h:.3f}, vertical factor {v:.3f}")
     return content
 
 

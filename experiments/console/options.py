@@ -210,7 +210,7 @@ class AlgorithmArgs:
     follow: Literal["prediction", "odometry"] = "prediction"
     """speed by which --speed auto decides: predicted by the filter, or measured by odometry"""
     modes: Path | None = None
-    """mode file with two modes to use instead, the first for low, the second for high mobility"""
+    """mode file whose two modes replace the EKF (low mobility) and the UKF (high mobility)"""
     robust: bool = False
     """give outlying links less weight instead of rejecting them (also with --imm)"""
 

@@ -50,7 +50,7 @@ class Scoring(NamedTuple):
 PLAIN = Scoring()
 Scores = dict[str, Array]  # metric -> (episodes,)
 
-# Results of n episodes: "reward", "nees" (n, T), "error" (n, T, 3); for policies also "mode" (n, T)
+# Results of n episodes: "reward" and "nees" (n, T); "error" (n, T, 3); a policy's "mode" (n, T)
 EpochResults = dict[str, NDArray[Any]]
 
 PARTS = ("reward", "nees", "error")

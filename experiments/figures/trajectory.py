@@ -100,7 +100,7 @@ def _draw_ellipses(axes: Any, track: DrawnTrack) -> None:
 
 
 def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
-    """Draw anchors near the track: at most its extent, or 30 m, outside its bounding box."""
+    """Draw anchors in the track's bounding box, widened by its longer side but at least 30 m."""
     low, high = position.min(axis=0), position.max(axis=0)
     reach = max(float((high - low).max()), 30.0)
     middle = 0.5 * (low + high)
