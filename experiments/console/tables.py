@@ -46,7 +46,7 @@ def unescaped(markdown: str) -> str:
 
 
 def grid(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Return a Markdown table; cells are plain text, in which any characters are escaped."""
+    """Return a Markdown table; cells are plain text, whose special characters are escaped."""
     table = [[escaped(str(cell)) for cell in cells] for cells in (header, *rows)]
     lines = ["| " + " | ".join(cells) + " |" for cells in table]
     return "\n".join([lines[0], "|---" * len(header) + "|", *lines[1:]])
