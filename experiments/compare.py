@@ -14,8 +14,8 @@ class Args(EpisodeArgs):
     """Compare policies on the same seeded episodes; differences are paired, episode by episode.
 
     All metrics, including the reward, leave out the first 10 epochs of an episode. Every policy is
-    paired with the references: the best fixed mode, speed-rule, imm and imm-best. Your own agents
-    and policy files are paired with every other policy; if no policy is a reference, all are.
+    paired with the references (best fixed mode, speed-rule, imm, imm-best). Your own agents and
+    policy files are paired with every other policy. Without references, all pairs are compared.
 
     mmwave-loc compare --policies fixed-ukf speed-rule imm ppo --episodes 200
     """
@@ -23,15 +23,15 @@ class Args(EpisodeArgs):
     policies: Annotated[tuple[str, ...], arg(aliases=("--policy",))] = ()
     """names that `mmwave-loc list policies` shows; policy files (.safetensors); folders of runs
     from `mmwave-loc train`; and module:function, a function without arguments that returns an
-    agent. The default is all policies that have a name, except `clairvoyant`, which knows the
-    truth. If `speed-rule` (score 0) and `clairvoyant` (score 100) both run, all get a score"""
+    agent. By default, all policies with a name run, except `clairvoyant`, which knows the truth.
+    If `speed-rule` (score 0) and `clairvoyant` (score 100) both run, all policies get a score"""
     errors: Path | None = None
     """draw the distribution (CDF) of horizontal and of vertical errors to this .png, .svg or .pdf
     file"""
     consistency: Path | None = None
     """draw NEES over time, with its chi-square bounds, to this file"""
     width_mm: float | None = None
-    """width of these pictures, mm, such as the width of a journal's column"""
+    """width of the pictures, mm, such as the width of a journal's column"""
     table: Path | None = None
     """write the table of means to this .tex file: LaTeX, for the package booktabs"""
 

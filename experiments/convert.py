@@ -29,7 +29,7 @@ class Args(LearnedArgs):
     policy: Positional[Path]
     """file to write (.safetensors)"""
     normalize: Path | None = None
-    """file of VecNormalize.save, if the training used VecNormalize; loading this file runs code"""
+    """file that VecNormalize.save wrote, if the training used VecNormalize; loading it runs code"""
     radio: str = "handset"
     """radio profile that the model was trained with: handset, standard, high or a JSON file"""
 
@@ -89,8 +89,8 @@ def _require_trained_on(args: Args, table: "Observation", tensors: "Tensors") ->
     bounds = np.array([tensors["low"], tensors["high"]])
     if args.normalize is None and not np.array_equal(bounds, [table.space.low, table.space.high]):
         raise ValueError(
-            f"{args.model}: found other bounds of the observations than in this version, expected "
-            "the same; train it again"
+            f"{args.model}: found observations with other bounds, expected the bounds of this "
+            "version; train the model again"
         )
 
 

@@ -1,4 +1,4 @@
-"""mmwave-loc demo: the tables of docs/results.md, on simulated and on ray-traced streets."""
+"""mmwave-loc demo: a comparison of all policies, which makes the tables of docs/results.md."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path

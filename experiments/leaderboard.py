@@ -9,7 +9,7 @@ from experiments.console.options import require_at_least
 TITLES = {
     "leaderboard": "Entries, ranked by their mean gain over imm-best at the sites to train in",
     "scores": "Score at each site, where 100 is the clairvoyant and 0 the paper's rule",
-    "sites": "Reward at each site minus that of the best IMM there, which is in parentheses",
+    "sites": "Reward at each site minus the best IMM's reward there; parentheses name this IMM",
 }
 
 
@@ -20,7 +20,7 @@ class Args:
     A site is a street or a recording, with a radio. Contenders are not trained here. They run,
     together with the paper's rule and every IMM, at four kinds of sites: the nine sites where
     policies may be trained, unseen sites, recordings and hard sites. A contender's entry (its
-    figures at all sites) is written to a JSON file in the folder --out; the tables show all entries
+    results at all sites) is written to a JSON file in the folder --out; the tables show all entries
     there, and the clairvoyant (a policy that knows the truth), whose score is 100.
 
     mmwave-loc leaderboard --policies imm-best --episodes 400 --draws 20
@@ -38,7 +38,7 @@ class Args:
     """folder of entries, one JSON file each"""
     keep: bool = False
     """skip the policies that already have an entry in the folder; judge the others one by one, and
-    write each entry when it is ready, so that the same command continues after a stop"""
+    write each entry when it is ready, so that the same command continues after an interruption"""
     docs: Path | None = None
     """Markdown page to update: each table after a comment `<!-- table: ... -->` is replaced"""
 

@@ -26,9 +26,9 @@ class Args:
     radio: str = "handset"
     """radio profile whose policies and modes are listed"""
     out: Path | None = None
-    """folder for the files of the sample that --copy names; only with samples"""
+    """folder for the files of the sample that --copy names; only with `list samples`"""
     copy: str | None = None
-    """name of the sample to copy into --out: its log if it has one, else its recording"""
+    """name of the sample to copy into --out, as a log if there is one, otherwise as a recording"""
 
 
 COLUMN = 25  # column in which the descriptions of names begin
@@ -38,10 +38,10 @@ POLICIES = {
     "imm": "interacting multiple models: mixes all modes instead of choosing one",
     "imm-best": "tuned IMM of modes for users who stand, cruise, turn, accelerate or brake",
     "ppo": "learned policy that chooses between the profile's two modes",
-    "guided": "learned policy that says which mode of `imm-best` to trust, if any",
+    "guided": "learned policy that raises the probability of one mode of `imm-best`, or of none",
     "corrector": "the policy `guided`, with a recurrent network that corrects the positions",
     "guided-ppo": "same as `guided`, but trained only with PPO",
-    "clairvoyant": "knows the truth, as a ceiling for policies that switch; runs only if named",
+    "clairvoyant": "knows the truth: a ceiling for policies that choose modes; runs only if named",
 }
 
 
@@ -80,7 +80,7 @@ def scenes() -> dict[str, str]:
             f"{scene.bandwidth_hz / 1e6:g} MHz",
             f"base station at ({x:g}, {y:g}, {z:g}) m",
             f"streets x {west:g} to {east:g} m, y {south:g} to {north:g} m",
-            f"walls bound the area to {' and '.join(wall.side_of(base) for wall in scene.walls)}",
+            f"inside the walls: {' and '.join(wall.side_of(base) for wall in scene.walls)}",
         ]
         described[name] = "; ".join(words)
     random = "a new scene in each episode: random blocks, base station and walls"

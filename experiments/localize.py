@@ -9,8 +9,8 @@ from experiments.console.options import LogArgs
 class Args(LogArgs):
     """Compute the track of a measurement log, recorded or live.
 
-    By default a learned policy weighs the filters of a bank in every epoch. Instead, the paper's
-    Algorithm 1 can run (EKF up to 2 m/s, UKF above), or an IMM that mixes the filters by itself.
+    By default, a learned policy weighs several filters in every epoch. Two alternatives are the
+    paper's Algorithm 1 (EKF up to 2 m/s, UKF above) and an IMM, which weighs the filters by itself.
 
     mmwave-loc localize log.csv --scene scene.json --out track.tum track.gpx
     mmwave-loc localize log.csv --scene scene.json --speed auto --out track.tum

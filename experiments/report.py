@@ -9,9 +9,9 @@ from experiments.console.options import PageArgs, require_at_least
 class Args(PageArgs):
     """Make one web page of results, which a browser shows offline, with nothing else installed.
 
-    The page says who won by how much, and has tables, distributions of errors (CDF) and episodes to
-    play. Results are JSON files (--json) from mmwave-loc compare, demo and localize, and folders of
-    runs from mmwave-loc train. Results of single epochs are not in these files, and are computed
+    The page says which policy won by how much, and has tables, distributions of errors (CDF) and
+    episodes to play. Results are JSON files (--json) from mmwave-loc compare, demo and localize,
+    and folders of runs from mmwave-loc train. They lack results of each epoch, which are computed
     again with the stored options. Agents in your own code (module:function) are not run again, so
     the page has no episodes of these agents, and has their errors only if the files store them.
 

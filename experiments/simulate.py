@@ -40,7 +40,7 @@ def main(args: Args) -> None:
             "--overwrite replaces them, --out names another folder"
         )
     source = source_of(args)
-    assert isinstance(source, SimulatedSource | TrackSource)  # options select no other kind
+    assert isinstance(source, SimulatedSource | TrackSource)  # options select no other source
     with progress("simulating"):
         (episode,) = draw_episodes(source, [args.seed])
     scene = source.scene

@@ -1,9 +1,9 @@
-"""mmwave-loc speed: steps per second, compared with filterpy and with the limit of a core.
+"""mmwave-loc speed: steps per second, compared with filterpy and with a core's upper limit.
 
 A run of this command does the same work with a loop over filterpy's filters, a single environment,
-Gymnasium's synchronous vector environment and the native one. It also measures the filters alone,
-the limit of a processor core, peak memory and the time to the first step. The ratios are shown
-first, since absolute figures depend much more on the machine.
+Gymnasium's synchronous vector environment and our vector environment. It also measures the filters
+alone, the least time that a core needs for their arithmetic, peak memory and the time to the first
+step. Ratios are shown first, since absolute figures depend much more on the machine.
 """
 
 import os
@@ -21,7 +21,7 @@ class Args(JsonArgs):
     """
 
     sizes: tuple[int, ...] = (1, 8, 64, 1024, 16384)
-    """numbers of environments in the native vector environment"""
+    """sizes of our vector environment (numbers of environments) to measure"""
     seconds: float = 0.5
     """minimum time of each measurement, s; a measurement runs complete episodes"""
     repeats: int = 5

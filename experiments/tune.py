@@ -12,9 +12,9 @@ from experiments.console.options import TUNING_SEED, JsonArgs, WorldArgs
 class Args(JsonArgs):
     """Tune the process noise of modes by the likelihood of the measurements, without the truth.
 
-    With --bank, instead tune the five modes of imm-best and the probabilities of changes between
-    them, by the reward of the modes' IMM in all scenes at 1 Hz and 10 Hz (needs the extra "tune").
-    With --levels, train and calibrate the protection levels anew (needs the extra "train").
+    With --bank, tune the five modes of imm-best and the probabilities of changes between them (a
+    bank), for the largest reward of their IMM in all scenes, at 1 and 10 Hz (extra "tune").
+    With --levels, train and calibrate the protection levels anew (extra "train").
 
     mmwave-loc tune --radio handset --out modes.json
     mmwave-loc tune --bank --radio phone.json --episodes 900 --out bank.json
@@ -62,7 +62,7 @@ def _tuned_bank(args: Args) -> Content:
     name = radio_from(args.radio).name
     bank = tuned_bank(args.radio, args.episodes, args.seed, args.evaluations)
     reward, gain = (Interval.of(bank["held_out"][column]) for column in ("reward", "minus imm"))
-    say(f"{name}, on other episodes, as many as for tuning: reward {reward}, gain over imm {gain}")
+    say(f"{name}, on as many new episodes as for tuning: reward {reward}, gain over imm {gain}")
     return bank
 
 
@@ -74,13 +74,13 @@ def _tuned_levels(args: Args) -> Content:
     content = tuned_levels(args.seed)
     for kind, constants in zip(("filter", "bank", "corrector"), content["constants"], strict=True):
         for risk, both in zip(content["risks"], constants, strict=True):
-            horizontal, vertical = map(math.exp, both)
-            say(f"{kind}, risk {risk:g}: factors {horizontal:.3f} and {vertical:.3f} (vertical)")
+            h, v = map(math.exp, both)
+            say(f"{kind}, risk {risk:g}: horizontal factor {h:.3f}, vertical factor {v:.3f}")
     return content
 
 
 def _tuned_modes(args: Args) -> tuple[Content, Content]:
-    """Tune and print modes one by one; return the mode file's content, and figures for --json."""
+    """Tune and print modes one by one; return the mode file's content, and results for --json."""
     from experiments.console.progress import say
     from experiments.evaluation.asked import source_of
     from experiments.evaluation.intervals import bootstrap
@@ -91,7 +91,7 @@ def _tuned_modes(args: Args) -> tuple[Content, Content]:
     from mmwave_env.models.radio import radio_from
 
     radio = radio_from(args.radio)
-    modes = modes_from(args.modes, radio.base)  # a name selects a mode of this shipped profile
+    modes = modes_from(args.modes, radio.base)  # names select modes of the shipped profile
     if len(args.scenarios) != len(modes):
         raise ValueError(
             f"scenarios: found {len(args.scenarios)}, expected {len(modes)}, one for each of the "

@@ -37,8 +37,8 @@ class Args(ModeArgs):
     seed: int | None = None
     """seed of the episode (default: 0); mmwave-loc compare runs the same episode for this seed"""
     key: int | None = None
-    """number that determines a simulated episode, instead of a seed; mmwave-loc compare
-    --episodes-csv writes the keys of its episodes"""
+    """key of a simulated episode, a number that determines it, to give instead of --seed;
+    mmwave-loc compare --episodes-csv writes the keys of its episodes"""
     begin: float | None = None
     """time to begin at, s from the start of the episode (default: its start)"""
     end: float | None = None
@@ -137,7 +137,7 @@ def _show(
     histories: "Sequence[History]",
     rows: Sequence[int],
 ) -> None:
-    """Write the video; or play it, then wait until the user presses a key or closes the window."""
+    """Write a video of the episode, or play the episode in a window."""
     from experiments.console.progress import progress, say
     from mmwave_env.rendering.picture import Playback
     from mmwave_env.rendering.video import write_video
@@ -155,7 +155,7 @@ def _show(
     window = Window(size * len(contenders), size)
     window.speed = args.fps
     for row in rows:
-        window.paused |= row == rows[-1]  # at the end, wait for a key or the closing of the window
+        window.paused |= row == rows[-1]  # at the end, wait for space, n or the closing
         window.show(playback.draw(row))
         if not window.is_open:
             break

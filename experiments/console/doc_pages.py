@@ -28,7 +28,7 @@ def renewed(page: str, tables: Mapping[str, str]) -> str:
     """Return a page in which the new ``tables`` replace the marked tables of the same titles.
 
     Raises:
-        ValueError: the page names a table that is not among the new ones.
+        ValueError: the page has a table whose title is not in ``tables``.
     """
 
     def table(match: re.Match[str]) -> str:

@@ -1,7 +1,7 @@
 """The command line ``mmwave-loc <command>``.
 
-A command is a module in ``experiments`` that declares its options, in a class ``Args``, and a
-``main``. Options are read before anything large is imported, so help and mistakes appear at once.
+A command is a module in ``experiments`` with a class ``Args``, which declares its options, and a
+function ``main``. Options are read before slow imports, so help and mistakes appear at once.
 """
 
 import importlib
@@ -43,7 +43,7 @@ GROUPS = {
     "measure": {"speed": "measure steps per second, memory and latency"},
 }
 COMMANDS = {name: about for group in GROUPS.values() for name, about in group.items()}
-SAME = {"evaluate": "compare"}  # aliases of commands
+SAME = {"evaluate": "compare"}  # alias -> command
 LONGEST_LINE = 2000  # maximum length of a message, characters
 
 
@@ -122,7 +122,7 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
                 f"warning: {_in_one_line(str(message))}", file=sys.stderr
             )
             for stream in (sys.stdout, sys.stderr):
-                if isinstance(stream, TextIOWrapper):  # its encoding may lack some characters
+                if isinstance(stream, TextIOWrapper):  # the encoding may lack characters
                     stream.reconfigure(errors="backslashreplace")
             args, command = read_arguments(name, words), importlib.import_module(page_of(name))
             # Most commands need this slow import. Here, Ctrl-C still ends the program at once.
@@ -140,7 +140,7 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
         print(f"{program}: interrupted", file=sys.stderr)
         sys.exit(130)
     except Ended as end:
-        for number in ENDING:  # the same signal may arrive again, for the process's group
+        for number in ENDING:  # the signal may arrive again, sent to the process group
             signal.signal(number, signal.SIG_IGN)
         with suppress(OSError):  # the terminal may be gone
             print(f"{program}: {end.told}", file=sys.stderr)

@@ -81,10 +81,10 @@ class ModeArgs(WorldArgs):
     if there are two modes, speed-rule (the first for low mobility, the second for high). Learned
     policies keep their own modes"""
     observation: str = "full"
-    """observation that your own agents were trained with: full or prior; policy files record it"""
+    """observation of your own agents in training: full, prior or signed; policy files record it"""
     beliefs: str = "shared"
-    """beliefs that your own agents were trained with: shared, or per-mode (the default modes are
-    then those of the radio's best IMM); policy files record it"""
+    """beliefs (estimates) that your own agents were trained with: shared, or per-mode (the default
+    modes are then the modes of the radio's best IMM); policy files record them"""
     planar: bool = False
     """flat terrain: height and vertical velocity are known"""
 
@@ -97,7 +97,7 @@ class IntegrityArgs:
     """probability that an error exceeds its protection level"""
     levels: Literal["calibrated", "gaussian"] = "calibrated"
     """protection levels: calibrated on simulated episodes (for a risk of 0.01 or 0.001), or
-    gaussian, which hold at any risk if covariances are right"""
+    gaussian (for any risk, if the covariances are right)"""
 
 
 @dataclass(kw_only=True)
@@ -120,14 +120,14 @@ class LearnedArgs:
     """kind of user: a name (see mmwave-loc list scenarios) or a JSON file; or a trajectory of your
     own: a CSV file with columns t, x, y, z"""
     beliefs: Literal["shared", "per-mode"] = "shared"
-    """shared: all modes work on one belief; per-mode: every mode keeps its own belief, and the
-    agent says which mode to trust"""
+    """shared: all modes work on one belief (estimate); per-mode: every mode keeps its own belief,
+    and an action raises the probability of one mode, or of none"""
     modes: tuple[str, ...] = ()
     """modes to choose from: names and mode files; by default the radio's ekf and ukf or, with
     --beliefs per-mode, its best bank"""
     observation: str = "full"
-    """features that the agent observes: full; or prior, without those that say how well each mode
-    explains the coming epoch"""
+    """features that the agent observes: full; prior, without the features that say how well each
+    mode explains the coming epoch; or signed: full, and residuals along and across the velocity"""
 
 
 @dataclass(kw_only=True)
@@ -165,8 +165,8 @@ class TrackOutputArgs(JsonArgs):
     """draw the track to this .png, .svg or .pdf file"""
     diagnose: bool = False
     """compute no track, but show the number of epochs, the rate, how often each anchor is measured,
-    and anything odd; then test the first epochs for likely mistakes (units, signs, arrival and
-    departure, frames, order of anchors), and say which correction makes the log consistent"""
+    and anything odd; then show likely mistakes in the first epochs (wrong units, signs, frames or
+    order of anchors; arrival and departure swapped), and which correction helps"""
 
 
 @dataclass(kw_only=True)
@@ -186,7 +186,7 @@ class FilterArgs:
     """SNR of links that have none in the log, dB; needed if the log has neither SNR nor standard
     deviations"""
     smoothing: bool = True
-    """smooth the track with a Rauch-Tung-Striebel smoother, mode by mode if several interact"""
+    """smooth the track, or each mode's track if modes interact (Rauch-Tung-Striebel smoother)"""
     window: int = 200
     """number of epochs that are smoothed together"""
     odometry: bool = True
@@ -205,12 +205,12 @@ class AlgorithmArgs:
     """Algorithm 1: the user's speed, m/s, which selects the pipeline that runs; or auto, to decide
     in every epoch"""
     outside: Literal["fallback", "abort"] = "fallback"
-    """what to do if --speed is above 20 m/s, outside the design window: run the UKF pipeline, or
-    stop"""
+    """if --speed is above 20 m/s, outside the paper's design window: fallback runs the UKF
+    pipeline, abort stops"""
     follow: Literal["prediction", "odometry"] = "prediction"
     """speed by which --speed auto decides: predicted by the filter, or measured by odometry"""
     modes: Path | None = None
-    """mode file with two other pipelines, the first for low and the second for high mobility"""
+    """mode file whose two modes replace the EKF (low mobility) and the UKF (high mobility)"""
     robust: bool = False
     """give outlying links less weight instead of rejecting them (also with --imm)"""
 

@@ -19,7 +19,7 @@ from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 T = TypeVar("T")
 WIDTH = 80  # maximum width of help texts, columns
-UNLIMITED = 10_000  # number of columns at which tyro does not wrap the lines of a message
+UNLIMITED = 10_000  # so many columns that tyro does not wrap the lines of a message
 RULE = re.compile(r"^ +-+ *$", re.MULTILINE)  # line between the parts of tyro's messages
 
 
@@ -106,7 +106,7 @@ def is_positional(kind: Any) -> bool:
 
 
 def _folded(text: str, width: int) -> str:
-    """Fold paragraphs at a width; the last one is an example, with one command on each line."""
+    """Fold paragraphs at a width, except the last, an example with one command on each line."""
     *about, example = text.split("\n\n")
     folded = ["\n".join(textwrap.wrap(part, width, break_on_hyphens=False)) for part in about]
     return "\n\n".join([*folded, "example:\n" + textwrap.indent(example, "  ")])

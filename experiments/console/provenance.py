@@ -53,7 +53,7 @@ def options_of(args: Any) -> Json:
 
 
 def options_from(kind: type[T], content: Json) -> T:
-    """Return an instance of ``kind`` with those of its options that a results file contains.
+    """Return an instance of ``kind`` with the options in a results file and defaults for the rest.
 
     Raises:
         ValueError: the file has no options, or a value is not of its option's type.
@@ -72,7 +72,7 @@ def options_from(kind: type[T], content: Json) -> T:
 
 
 def versions_of(*packages: str) -> dict[str, str]:
-    """Return the versions of this package and of others, for a policy file."""
+    """Return the versions of mmwave-loc and of some packages, to store in a policy file."""
     return {"mmwave-loc": __version__} | {name: version(name) for name in packages}
 
 

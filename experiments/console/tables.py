@@ -16,7 +16,7 @@ CELL = re.compile(r"((?:\\.|[^|\\])*)\|")  # a cell, with the | that ends it
 UNIT = re.compile(r" (?=(?:m|s|%)(?: |$))")  # the space before a unit, where a line must not break
 GLUED = "\u00a0"  # a space where :mod:`textwrap` does not break
 GAP = 2  # spaces between columns
-# Characters that Markdown or HTML reads as markup. The sign _ is one only at the edge of a word.
+# Characters that Markdown or HTML reads as markup; an underscore, only at the edge of a word.
 _READ = re.compile(
     r"[\\`*|$~]|<(?=[A-Za-z/!?])|&(?=[A-Za-z#])|\](?=[(\[:])"
     r"|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])"
@@ -31,12 +31,12 @@ _ESCAPED = re.compile(r"\\([\\`*|$~<&\]_])")
 
 
 def printable_lines(text: str) -> str:
-    """Return text as :func:`~mmwave_env.io.lookup.printable` does, but keep the line breaks."""
+    """Return text with unprintable characters as escape codes, but keep the line breaks."""
     return "\n".join(map(printable, text.split("\n")))
 
 
 def escaped(text: str) -> str:
-    """Escape plain text for Markdown, even for a table's cell; spell out unprintable characters."""
+    """Escape plain text for Markdown, also in tables; write unprintable characters as codes."""
     return _READ.sub(r"\\\g<0>", printable(text))
 
 
@@ -46,7 +46,7 @@ def unescaped(markdown: str) -> str:
 
 
 def grid(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Return a Markdown table of plain text, whose cells may hold any characters."""
+    """Return a Markdown table; cells are plain text, whose special characters are escaped."""
     table = [[escaped(str(cell)) for cell in cells] for cells in (header, *rows)]
     lines = ["| " + " | ".join(cells) + " |" for cells in table]
     return "\n".join([lines[0], "|---" * len(header) + "|", *lines[1:]])

@@ -65,7 +65,7 @@ def self_test() -> list[Json]:
 
 
 def _deviation(computed: Array, expected: Array) -> float:
-    """Return the largest difference; each column is scaled by its largest magnitude, at least 1."""
+    """Return the largest difference, divided by max(1, largest magnitude in its column)."""
     size = np.maximum(np.abs(expected).max(axis=tuple(range(expected.ndim - 1))), 1.0)
     return float((np.abs(computed - expected) / size).max())
 

@@ -43,8 +43,8 @@ class Estimator(Policy):
         """Yield a mean (7,) and a packed covariance (28,) after every epoch.
 
         A mean is [px, py, pz, vx, vy, vz, Doppler bias], in m, m/s and Hz; a packed covariance is
-        its lower triangle, row by row. An unknown clock offset is an eighth number; shapes are then
-        (8,) and (36,). The pipeline has the radio's default modes, the layout and the terrain.
+        the lower triangle, row by row. An unknown clock offset is the mean's eighth number; shapes
+        are then (8,) and (36,). The pipeline has the radio's default modes, the layout and terrain.
         """
         raise NotImplementedError
 
@@ -64,8 +64,8 @@ class Estimator(Policy):
             shape = len(beliefs), len(min(beliefs, key=len, default=()))
             if shape != (T, size + layout.triangle):
                 raise ValueError(
-                    f"beliefs of {type(self).__name__}: found {shape[0]} of {shape[1]} numbers "
-                    f"each, expected {T} of {size} (mean) + {layout.triangle} (covariance) numbers"
+                    f"beliefs of {type(self).__name__}: found {shape[0]} with {shape[1]} numbers "
+                    f"each, expected {T} with {size} (mean) + {layout.triangle} (covariance) each"
                 )
             full = np.array([np.broadcast_arrays(site.hz_per_mps, *row)[1:] for row in beliefs])
             tracks.append(np.moveaxis(full, -1, 0) if self.at_once else full)

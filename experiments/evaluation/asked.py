@@ -36,7 +36,7 @@ def runs_of(args: EpisodeArgs, names: Sequence[str]) -> dict[str, Run]:
 
 
 def task_of(args: ModeArgs) -> Task:
-    """Return the task of an environment whose arguments are the options of the same names."""
+    """Return the task of an environment that gets these options as its arguments."""
     return _task(args, args.modes or None, args.beliefs)
 
 

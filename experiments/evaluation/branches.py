@@ -21,7 +21,7 @@ from mmwave_env.world.episode import columns_of
 from policies import Policy
 
 CLAIRVOYANT = "clairvoyant"
-HORIZON_S = 15.0  # how far the clairvoyant looks ahead; beyond it, actions hardly matter
+HORIZON_S = 15.0  # how far the clairvoyant looks ahead; later rewards hardly depend on an action
 BLIND = (
     f"policy: found {CLAIRVOYANT} where the truth is unknown, expected another policy; "
     f"{CLAIRVOYANT} works only in comparisons on episodes with true positions"
@@ -83,15 +83,15 @@ class Branches:
 class Clairvoyant(Policy):
     """A policy that knows the truth; its reward is the ceiling for policies that choose modes.
 
-    In every epoch it tries each action (trust one mode, or none) on the same measurements, followed
-    by epochs in which no mode is trusted, and takes the action with the largest sum of rewards
-    within :data:`HORIZON_S`. It even knows future noise; policies without the truth earn far less.
+    In every epoch it tries each action (raise one mode's probability, or none) on the same
+    measurements, followed by epochs with action 0, and takes the action with the largest sum of
+    rewards within :data:`HORIZON_S`. It even knows future noise, so other policies earn far less.
     """
 
     _branches: Branches | None = None
 
     def foresee(self, engine: Engine) -> None:
-        """Look into the episodes that an engine has just loaded.
+        """Prepare to look ahead in the episodes that an engine has just loaded.
 
         Raises:
             ValueError: an episode has no truth.

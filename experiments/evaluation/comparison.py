@@ -89,7 +89,7 @@ class Comparison:
         return {name: score_of(own - rewards[RULE], possible) for name, own in rewards.items()}
 
     def margin(self, policy: str, other: str) -> Interval | None:
-        """Return one policy's reward minus another's; None if the two are not paired."""
+        """Return one policy's reward minus the other's; None if the two are not paired."""
         if pair := self.paired.get(f"{policy} - {other}"):
             return pair["reward"]
         if pair := self.paired.get(f"{other} - {policy}"):
@@ -98,7 +98,7 @@ class Comparison:
         return None
 
     def __str__(self) -> str:
-        """Return every policy's means ± 95 % half-widths, then paired differences of the reward."""
+        """Return policies' means ± half of their 95 % intervals, then paired reward differences."""
         # The title names an unusual reward, since rewards of different kinds are not comparable.
         reward = "" if self.reward == "tracking" else f", reward {escaped(self.reward)}"
         parts = [f"### {escaped(self.scenario)}, {escaped(self.radio)}, {self.selection}{reward}\n"]
@@ -116,7 +116,7 @@ class Comparison:
         return "\n".join(parts) + "\n"
 
     def table(self, metrics: Collection[str]) -> tuple[list[str], list[list[str]]]:
-        """Return a header and a row per policy: means ± 95 % half-widths.
+        """Return a header and a row per policy: means ± half the widths of their 95 % intervals.
 
         If the metrics include the reward, and there are scores, the last column has the scores.
         """

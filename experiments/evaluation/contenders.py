@@ -126,7 +126,7 @@ Make = Callable[[], Contender]
 
 
 def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:
-    """Return, by name, functions that make each IMM's bank, and read files only when called."""
+    """Return functions that make the IMMs' banks, by name; a function reads files when called."""
     return {"imm": lambda: Bank(default_modes(radio)), BEST_IMM: lambda: best_bank(radio)}
 
 
@@ -146,7 +146,7 @@ def _of_any_modes(bank: Bank) -> dict[str, Make]:
 
 
 def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
-    """Return, by name, functions that make the contenders, and read files only when called.
+    """Return functions that make the contenders, by name; a function reads files when called.
 
     Args:
         radio: radio profile, a name or a JSON file.
@@ -173,7 +173,7 @@ def contender_from(
     """Return a contender by name; see :func:`contenders`.
 
     Args:
-        name: name of a contender or shipped policy, "clairvoyant" (which knows the truth, as
+        name: name of a contender or shipped policy, "clairvoyant" (which knows the truth and is
             a ceiling for policies that choose modes), a policy file (``.safetensors``), the folder
             of a run (its median training is used), or module:function, as in
             :func:`~experiments.evaluation.agents.agent_from`.

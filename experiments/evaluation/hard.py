@@ -35,7 +35,7 @@ def corners() -> Trajectory:
     block_s = round(STREET.streets.block_m / 10.0)
     nodes = STREET.streets.block_m * np.resize(crossings, (DURATION_S // block_s + 1, 2))
     x, y = (np.interp(np.arange(DURATION_S), block_s * np.arange(len(nodes)), n) for n in nodes.T)
-    return _way("corners", x, y + STREET.streets.y_m[0])
+    return _trajectory("corners", x, y + STREET.streets.y_m[0])
 
 
 def bus() -> Trajectory:
@@ -43,10 +43,10 @@ def bus() -> Trajectory:
     speed_mps = np.interp(np.arange(50), [0, 10, 25, 35], [0, 12, 12, 0])
     gone = np.cumsum(np.resize(speed_mps, DURATION_S)) % 600.0
     x = np.minimum(gone, 600.0 - gone) - 150.0
-    return _way("bus", x, np.zeros(len(x)))
+    return _trajectory("bus", x, np.zeros(len(x)))
 
 
-def _way(name: str, x: Array, y: Array) -> Trajectory:
+def _trajectory(name: str, x: Array, y: Array) -> Trajectory:
     height_m = np.full(len(x), STREET.streets.height_m)
     return Trajectory(name, np.arange(len(x), dtype=float), np.stack([x, y, height_m], axis=1))
 

@@ -133,8 +133,8 @@ def few_seeds_factor(seeds: int) -> float:
 def crossed_bootstrap(scores: Array) -> Interval:
     """Return the mean of scores (seeds, episodes) with its 95 % interval over both axes.
 
-    Before resampling, the deviations of the seeds' means are multiplied by
-    :func:`few_seeds_factor`. The part of the interval that is due to episodes does not change.
+    Before resampling, the deviations of the seeds' means from the mean of all scores are multiplied
+    by :func:`few_seeds_factor`. The part of the interval that is due to episodes does not change.
     """
     K, n = scores.shape
     apart = scores.mean(axis=1, keepdims=True) - scores.mean()

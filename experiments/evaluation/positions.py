@@ -1,4 +1,4 @@
-"""Position errors of contenders: percentiles, shares below a distance, and protection levels."""
+"""Position errors of contenders: percentiles, shares within a distance, and protection levels."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,8 +1,8 @@
 """The benchmark's protocol: the sites (streets or recordings) at which contenders are judged.
 
 Some sites are unseen in training. docs/benchmark.md explains the benchmark. An *entry* has a
-contender's figures at every site. The *clairvoyant* is a policy that knows the truth; a contender's
-score is its gain in reward over the paper's rule, in percent of the clairvoyant's gain.
+contender's figures (rewards, errors, gains) at every site. The *clairvoyant* is a policy that knows
+the truth. A score is a gain in reward over the paper's rule, in percent of the clairvoyant's gain.
 """
 
 import warnings
@@ -36,8 +36,8 @@ TRAINED, UNSEEN_KIND, RECORDED, HARD = KINDS = ("to train in", "unseen", "record
 UNSEEN_SCENES, UNSEEN_RADIOS = ("avenue", "plaza", "alley"), ("tablet",)
 UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
 OTHER_RADIOS = ("handset", "standard")  # radios for unseen streets and for recordings
-EPISODES, DRAWS = 2000, 200  # episodes at each simulated site, and drawn from each recording
-CEILING_EPISODES, CEILING_DRAWS = 400, 20  # scores use only this many first episodes and draws
+EPISODES, DRAWS = 2000, 200  # episodes at each simulated site, noise draws of each recording
+CEILING_EPISODES, CEILING_DRAWS = 400, 20  # scores use at most so many episodes and draws
 
 
 def unseen_file(name: str) -> str:
@@ -209,9 +209,9 @@ def standing(figures: Json) -> str:
 def ranking(entries: Sequence[Json]) -> str:
     """Return a Markdown table of all entries, ranked by their mean gain at the training sites.
 
-    The protocol requires EPISODES at each simulated site and DRAWS of each recording, and of the
-    clairvoyant only those that scores use. An entry with fewer is marked and comes last, because
-    luck would decide its rank.
+    The protocol requires EPISODES at each simulated site and DRAWS of each recording; for the
+    clairvoyant, CEILING_EPISODES and CEILING_DRAWS are enough. An entry with fewer is marked and
+    comes last, because luck would decide its rank.
     """
     rows: list[tuple[bool, float, list[Any]]] = []
     for content in entries:
@@ -239,7 +239,7 @@ def ranking(entries: Sequence[Json]) -> str:
 def by_site(entries: Sequence[Json]) -> str:
     """Return a Markdown table by site: every entry's reward minus the reward of the best IMM.
 
-    Policy files (such as one of each training seed) and IMMs are left out if there are other
+    Policy files (such as those of single trainings) and IMMs are left out if there are other
     entries; the ranking includes them.
     """
     named = {content["entry"]: content["sites"] for content in entries}

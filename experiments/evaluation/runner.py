@@ -50,11 +50,11 @@ class Scoring(NamedTuple):
 PLAIN = Scoring()
 Scores = dict[str, Array]  # metric -> (episodes,)
 
-# Results of n episodes: "reward", "nees" (n, T), "error" (n, T, 3); for policies also "mode" (n, T)
+# Results of n episodes: "reward" and "nees" (n, T); "error" (n, T, 3); a policy's "mode" (n, T)
 EpochResults = dict[str, NDArray[Any]]
 
 PARTS = ("reward", "nees", "error")
-BELIEF = ("x", "P")  # parts that a corrector changes
+BELIEF = ("x", "P")  # parts that a corrector (a policy with a method "correct") changes
 CHUNK = 1000  # episodes in memory at once
 
 Watch = Callable[[Contender, Array, EpochResults], None]
@@ -229,7 +229,7 @@ def score_contenders(
         names: contenders, or their names, which :func:`contender_from` looks up.
         source, selection: source of the episodes, and the seeds of the episodes to run.
         radio, modes: radio profile and modes that :func:`contender_from` gets for each name.
-        watch: functions called with a contender, the times (T,) and its results in every epoch.
+        watch: functions called with a contender, the times (T,) and the contender's epoch results.
         after: parts of the state that these results include, as in :func:`run_contender`.
 
     Raises:

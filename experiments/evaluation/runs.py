@@ -19,7 +19,7 @@ class Run:
 
     name: str  # the folder, as on the command line and in results
     seeds: tuple[int, ...]  # training seeds, which identify the trainings
-    median: int  # seed of the training with the median reward, which stands for the run
+    median: int  # seed of the training with the median reward, which represents the run
 
     @classmethod
     def read(cls, name: str) -> "Run":
@@ -88,7 +88,7 @@ def curves_of(log: Path) -> dict[str, tuple[list[float], list[float]]]:
 
 
 def outcomes_markdown(outcomes: Sequence[Json]) -> str:
-    """Return the outcomes of trainings, at least one, as a Markdown table in the given order."""
+    """Return a Markdown table of the outcomes of one or more trainings, in the given order."""
     rows: list[list[Any]] = []
     minus = [key for key in outcomes[0]["best"] if key.startswith("minus ")]
     for outcome in outcomes:

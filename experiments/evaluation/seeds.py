@@ -64,7 +64,7 @@ class Selection:
         return keys_of(self.seeds) if type(source) is SimulatedSource else None
 
     def draw(self, source: EpisodeSource) -> list[Episode]:
-        """Draw the episodes, the same that ``env.reset(seed=...)`` draws."""
+        """Draw the episodes that ``env.reset(seed=...)`` also draws for these seeds."""
         keys = self.keys(source)
         if keys is None:
             return [source.sample(np.random.default_rng(seed)) for seed in self.seeds]
@@ -73,5 +73,5 @@ class Selection:
 
 
 def draw_episodes(source: EpisodeSource, seeds: Sequence[int]) -> list[Episode]:
-    """Draw one episode per seed, the same that ``env.reset(seed=...)`` draws."""
+    """Draw one episode per seed; ``env.reset(seed=...)`` draws the same episodes."""
     return Selection(seeds).draw(source)

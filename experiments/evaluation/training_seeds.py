@@ -65,7 +65,7 @@ def seeds_markdown(run: Run, content: Json) -> str:
         ["mean over seeds", *(Interval.of(column["mean"]) for column in columns)],
     ]
     about = (
-        f"Trainings of {escaped(run.name)}, ordered by their rewards on tuning seeds. Each 95 % "
-        "interval allows for the choice of episodes; the mean's, also for that of training seeds:"
+        f"Trainings of {escaped(run.name)}, ordered by their rewards on tuning seeds. Intervals "
+        "(95 %) allow for the choice of episodes; in the last row, also for the choice of seeds:"
     )
     return f"\n{about}\n\n{grid(header, rows)}\n"

@@ -124,7 +124,7 @@ def legend_of(figure: Any, axes: Any, width_mm: float | None, handles: Sequence[
 
 
 def plain_numbers(axis: Any) -> None:
-    """Label a logarithmic axis in plain numbers: 1, 10, ... and, if it is short, 2, 5, 20, ..."""
+    """Label a logarithmic axis 1, 10, 100, ... or, if it spans few decades, 1, 2, 5, 10, ..."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     low, high = axis.get_view_interval()

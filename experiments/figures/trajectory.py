@@ -16,7 +16,7 @@ from mmwave_env.numerics.numbers import Array, Index
 ELLIPSES = 15  # maximum number of ellipses along a track
 TITLE_LETTERS = 80  # maximum number of characters in a line of the title
 _ENLARGED = (1, 2, 5, 10, 20, 50, 100)  # factors by which ellipses may be enlarged to be visible
-_VISIBLE = 0.02  # smallest visible size, as a share of the track's extent
+_VISIBLE = 0.02  # smallest visible semi-axis of an ellipse, as a share of the track's extent
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ def _draw_above(axes: Any, track: DrawnTrack) -> None:
 
 
 def _add_steps(axes: Any, track: DrawnTrack, chosen: Array, look: dict[str, Any]) -> None:
-    """Draw the ``chosen`` (T - 1,) steps between epochs, but none between segments."""
+    """Draw the ``chosen`` (T - 1,) steps between epochs, except those that join segments."""
     from matplotlib.collections import LineCollection
 
     position = track.position_m[:, :2]
@@ -100,7 +100,7 @@ def _draw_ellipses(axes: Any, track: DrawnTrack) -> None:
 
 
 def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
-    """Draw anchors no farther from the track's bounding box than the track's extent, or 30 m."""
+    """Draw anchors in the track's bounding box, widened by its longer side but at least 30 m."""
     low, high = position.min(axis=0), position.max(axis=0)
     reach = max(float((high - low).max()), 30.0)
     middle = 0.5 * (low + high)

@@ -25,7 +25,7 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 
-CHUNK = 128  # number of tracks at a time: few enough for their arrays to stay in the caches
+CHUNK = 128  # number of tracks at a time: few enough for the processor's caches
 TUNED_ON = {"pedestrian": 0, "vehicle": 1}  # index of the shipped mode tuned for a kind of user
 
 
@@ -81,7 +81,7 @@ class Bench:
         return draw_episodes(setting.source(), range(self.seed, self.seed + self.count))
 
     def _run(self, mode: Mode, setting: Setting, planar: bool = False) -> TrackRun:
-        """Filter and smooth every episode of a setting, with known z and vz if ``planar``."""
+        """Filter and smooth every episode of a setting; if ``planar``, z and vz are known."""
         episodes = self.episodes(setting)
         if planar:
             height = SCENES["street"].streets.height_m
@@ -129,7 +129,7 @@ class Section:
     title: str  # title, in Markdown
     note: str  # note below the table, in Markdown
     header: str  # headers of the columns, with " | " between them
-    labels: int = 1  # number of columns at the beginning that together name a row
+    labels: int = 1  # number of first columns, which together name a row
     rows: list[Row] = field(default_factory=list)
 
     @property
@@ -166,7 +166,7 @@ Rows = Callable[[Bench], Iterator[Row]]
 def section(
     title: str, note: str, header: str, labels: int = 1
 ) -> Callable[[Rows], Callable[[Bench], Section]]:
-    """Return a decorator that makes a function return a section instead of yielding its rows."""
+    """Return a decorator that turns a generator of rows into a function that returns a section."""
 
     def of(rows: Rows) -> Callable[[Bench], Section]:
         return wraps(rows)(lambda bench: Section(title, note, header, labels, [*rows(bench)]))

@@ -191,14 +191,14 @@ def _drifting_in_hz(mode: Mode, episode: Episode) -> Mode:
 
 
 def _read_as_mps(episode: Episode) -> Episode:
-    """Return an episode whose shifts (Hz) a filter takes for m/s; their noise is in m/s."""
+    """Return an episode for a filter that takes Doppler shifts in Hz for m/s; noise is in m/s."""
     sigma = episode.sigma.copy()
     sigma[:, episode.layout.doppler] /= episode.hz_per_mps
     return replace(episode, hz_per_mps=1.0, sigma=sigma)
 
 
 def resolution(bench: Bench) -> Section:
-    """Compute which path separation a bandwidth of 100 MHz resolves, and the error of a range."""
+    """Compute the path separation that 100 MHz resolves, and the Cramer-Rao bound of a range."""
     scene, radio = SCENES["street"], RADIOS["standard"]
     ideal = replace(radio, range_floor_m=(1e-9, 1e-9))
     snr_db = np.array([0.0, 10.0, 20.0, 30.0, 40.0])

@@ -34,17 +34,17 @@ HIGH_MOBILITY = {  # Table II
     "CKF": Published(12.868, 4.684, 2.59e7, 47.72),
     "optimized": Published(1.74, 0.17, 1.36e5, 0.60),
 }
-OTHERS = {  # Table III: method, scenario, ATE in meters
+OTHERS = {  # Table III: method -> (scenario, ATE in meters)
     "Indoor mmWave (Karttunen et al. 2025)": ("indoor", "0.2 to 0.3"),
     "RadarSLAM (Hong et al. 2020)": ("outdoor, adverse", "5 to 13"),
 }
 
 PRINTED = {"ate_m": "ATE m", "rpe_m": "RPE m", "nees": "NEES", "rmse_m": "RMSE m"}
-UNTUNED_SIGMA_V = 1.0  # m/s, our choice, because the paper does not state its own
+UNTUNED_SIGMA_V = 1.0  # m/s; our choice, because the paper states no value
 
 
 def untuned(algorithm: str, coupling: bool) -> Mode:
-    """Return a filter of the tables' first rows: without tuning, gates, scaling or smoothing."""
+    """Return a filter of the tables' first rows: without tuning, gates or adaptive scaling."""
     off = {"gate": None, "recovery": None, "adaptive": False}
     return Mode(algorithm, algorithm, sigma_v=UNTUNED_SIGMA_V, coupling=coupling, **off)  # type: ignore[arg-type]
 
