@@ -296,7 +296,7 @@ class SimulatedSource:
 
     @property
     def world(self) -> World:
-        """Return the world that simulates the epochs of users who are not on given ways."""
+        """Return the world that simulates users who are not on given ways."""
         return world_of(self.layout, *self._room)
 
     @property
@@ -308,7 +308,7 @@ class SimulatedSource:
     @property
     def _beginning(self) -> Program[Beginning]:
         streets = None
-        if isinstance(self.scene, RandomScene):  # the carrier is no part of the program
+        if isinstance(self.scene, RandomScene):  # one program for all carriers
             same = RandomScene()
             streets = replace(
                 self.scene, carrier_hz=same.carrier_hz, bandwidth_hz=same.bandwidth_hz
