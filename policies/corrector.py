@@ -113,7 +113,7 @@ class Corrector(LearnedPolicy, Policy):
     def correct(self, observation: Array32) -> Correction:
         """Return corrections of the beliefs after the latest epoch; the network then remembers it.
 
-        Call this once after every step, with the observations (n, features) that it returned.
+        Call this once after every step, with the observations (n, features) of the step.
         """
         return self.correct_features(self.features_in(observation))
 

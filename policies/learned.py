@@ -86,7 +86,7 @@ class LearnedPolicy:
 
         Raises:
             ValueError: the environment lacks the beliefs or modes of the training, or a feature is
-                missing or has another unit or scale; the message names the difference and the remedy.
+                missing or has another unit or scale; the message names difference and remedy.
         """
         card = self.card
         banks = [card.modes, *(bank.modes for bank in card.banks.values())]

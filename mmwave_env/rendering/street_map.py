@@ -21,7 +21,7 @@ _LEAST_M = 25.0  # minimum distance from the center to the upper edge
 _INNER = 0.5  # central share of the picture's height and width; user and estimate stay in it
 _STREET_M = 14.0  # width of streets in the picture, if blocks leave enough room
 _FACADE_M = 4.0  # depth of a wall in the picture
-_SAME_HEIGHT_M = 0.1  # a vertical wall's image is as high as the base station, within this
+_SAME_HEIGHT_M = 0.1  # tolerance; an image in a vertical wall is as high as the base station
 _TRAIL = 1500  # maximum number of epochs of a trajectory that are drawn
 
 

@@ -55,7 +55,7 @@ class Window:
         self._name()
 
     def show(self, picture: NDArray[np.uint8]) -> None:
-        """Show a picture (height, width, 3) until the next is due or, if paused, space or n is hit."""
+        """Show a picture (height, width, 3) until the next is due; a pause ends with space or n."""
         surface = pygame.image.frombuffer(picture.tobytes(), picture.shape[1::-1], "RGB")
         self._stepping = False
         while self._screen is not None:
