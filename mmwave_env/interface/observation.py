@@ -36,7 +36,7 @@ OBSERVATIONS = {
 }
 BELIEFS = {  # a belief is a mean and a covariance
     "shared": "one belief, which the chosen mode updates",
-    "per-mode": "one belief per mode; they interact, and the agent chooses which mode to trust",
+    "per-mode": "one belief per mode; beliefs interact, and the agent raises a mode's probability",
 }
 
 
