@@ -41,7 +41,7 @@ def info_rows(at: Any) -> dict[str, Any]:
     """Return the rows of a workspace with the value of each key of infos, except mode and cost.
 
     Args:
-        at: workspace of :mod:`~mmwave_env.engines.environment_epoch` with row numbers as leaves.
+        at: workspace of :mod:`~mmwave_env.engines.environment_epoch` whose values are row numbers.
     """
     of = reported(at)
     memory = of.memory
@@ -57,7 +57,7 @@ def drawn_rows(at: Any, span: Callable[[Any], Any]) -> dict[str, Any]:
     """Return the rows of a workspace that a :class:`~mmwave_env.rendering.history.Recorder` reads.
 
     Args:
-        at: workspace with row numbers as leaves, as for :func:`info_rows`.
+        at: workspace whose values are row numbers, as for :func:`info_rows`.
         span: function that converts the row numbers of a value to an index or a slice.
     """
     rows = info_rows(at)

@@ -143,8 +143,8 @@ class Episode:
         Args:
             scene, radio: scene that contains the anchors, and profile of the receiver.
             prior: ``prior_mean`` and ``prior_covariance``.
-            sigma: (T, rows) standard deviations that the receiver reports. Those that are NaN (or
-                all, if None) are computed from the SNR with the radio profile.
+            sigma: (T, rows) standard deviations that the receiver reports. Where sigma is NaN (or
+                everywhere, if None), the radio profile computes them from the SNR.
             position_m, velocity_mps: true positions and velocities (T, 3); None if unknown.
         """
         known = np.isfinite(snr_db)
