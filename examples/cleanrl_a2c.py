@@ -19,10 +19,10 @@ now, over = envs.reset(seed=10_000_000)[0], np.zeros(64, bool)
 for _ in range(1000):
     steps = []
     for _ in range(8):
-        state, fresh = torch.tensor(now), over  # after an episode's end, the action is ignored
+        state, fresh = torch.tensor(now), over  # the action after an episode's end is ignored
         choice, value = torch.distributions.Categorical(logits=actor(state)), critic(state)[:, 0]
         action = choice.sample()
-        now, reward, _, over, _ = envs.step(action.numpy())  # episodes only end by truncation
+        now, reward, _, over, _ = envs.step(action.numpy())  # episodes end only by truncation
         steps.append([value, choice.log_prob(action), *map(torch.tensor, (reward, over, ~fresh))])
     values, chances, rewards, ends, counts = map(torch.stack, zip(*steps, strict=True))
     returns, ahead = torch.zeros(8, 64), critic(torch.tensor(now))[:, 0].detach()

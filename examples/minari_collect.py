@@ -2,11 +2,11 @@
 
 python examples/minari_collect.py guided none random --episodes 100 --id mmwave-loc/mixed-v0
 
-A policy is one of: `guided`; `guided-ppo`; the file of a policy with a belief per mode; `none`,
-which trusts no mode and so is the IMM; `trust-NAME`, which always trusts one mode; `random`. The
-environment has the modes of the first learned policy, or those of `guided` if no policy is learned.
-Data sets are stored in the folder MINARI_DATASETS_PATH. The episodes are drawn with training seeds,
-because episodes in the data set must not be used to judge a policy.
+A policy is one of: `guided`; `guided-ppo`; the file of a policy with a belief per mode; `none`, the
+IMM; `trust-NAME`, which always raises the probability of the mode NAME; `random`. The environment
+has the modes of the first learned policy, or of `guided` if no policy is learned. Data sets are
+stored in the folder MINARI_DATASETS_PATH. The episodes have training seeds, so that test episodes
+can judge the policies that learn from the data set.
 """
 
 import argparse
@@ -23,7 +23,7 @@ FIRST_SEED = 10_000_000
 
 
 def player(name, learned, actions, rng):
-    """Return a function act(observations (1, features), begins: whether an episode begins)."""
+    """Return a function act(observations (1, features), begins: True at an episode's start)."""
     if name in learned:
         policy = learned[name]
 
@@ -84,7 +84,7 @@ def main():
         means[name], error_m = np.mean(rows, axis=0)
         print(f"{name}: return {means[name]:.1f}, position error {error_m:.3f} m")
     scores = {}
-    if "random" in means:  # minari.get_normalized_score needs these
+    if "random" in means:  # minari.get_normalized_score needs these scores
         scores = {"ref_min_score": means["random"], "ref_max_score": max(means.values())}
         scores["num_episodes_average_score"] = args.episodes
     names = ", ".join(args.policies)

@@ -6,10 +6,10 @@ mmwave-loc compare --policies examples.recurrent_localizer:Localizer fixed-ukf i
 The first command trains on 120 lots (batches) of episodes, whose seeds begin at 10 000 000, and
 writes localizer.safetensors, which the second command reads. The network gets the formulas of the
 measurements and the noise that the receiver states, but must learn from episodes how users move. In
-every epoch it moves its last position by its last velocity and compares the measurements with those
-expected there. Then a recurrent layer chooses the shares of these differences that it adds to
-position, velocity and oscillator bias. It also chooses a weight for every measured direction d; the
-sum of weight * d d' is the inverse of the position's covariance.
+every epoch it moves its last position by its last velocity and compares the measurements with the
+values expected there. Then a recurrent layer chooses which shares of these differences are added to
+position, velocity and oscillator bias. The layer also chooses a weight for every measured direction
+d; the sum of weight * d d' is the inverse of the position's covariance.
 """
 
 import sys
@@ -30,7 +30,7 @@ from mmwave_env.world.episode import blank_incoming, columns_of
 from mmwave_env.world.keys import keys_of
 
 FILE = "localizer.safetensors"
-EPISODES = 8  # number of episodes from each place in a lot
+EPISODES = 8  # number of episodes in a lot from each training site of the benchmark
 STEPS_S = (1.0, 1.0, 1.0, 0.5, 0.25, 0.1)  # seconds between epochs in training, equally probable
 EPOCHS = 20  # number of epochs between two optimizer steps; gradients flow through these epochs
 FRONT, MEMORY = 32, 48  # widths of layers
@@ -68,7 +68,7 @@ class Network(nn.Module):
             self.gains.bias.copy_(torch.tensor(first))
 
     def forward(self, x, kept, rows, others):
-        """Return new states, what is kept of the past, and inverse covariances (n, 3, 3).
+        """Return new states, the next ``kept``, and inverse covariances of positions (n, 3, 3).
 
         Args:
             x: (n, 7) predicted states.
@@ -80,7 +80,7 @@ class Network(nn.Module):
         innovation = visible * (innovation - (gradient @ (x - x.detach())[..., None])[..., 0])
         miss, noise, heard = innovation[:, -1:], variance[:, -1:] ** 0.5, visible[:, -1:]
         toward = gradient[:, -1, 3:6]
-        hz = toward.norm(dim=-1, keepdim=True).clamp(min=1.0)  # per m/s
+        hz = toward.norm(dim=-1, keepdim=True).clamp(min=1.0)  # Hz per m/s
         slope = gradient[:, :-1, :3].norm(dim=-1).clamp(min=1e-6)  # per meter
         basis, known = gradient[:, :-1, :3] / slope[..., None], visible[:, :-1] * (slope > 1e-6)
         gap, sigma = innovation[:, :-1] / slope, variance[:, :-1] ** 0.5 / slope
@@ -109,7 +109,7 @@ class Network(nn.Module):
 
 
 def beliefs(network, layout, site, epochs):
-    """Yield states (n, 7), and inverses of the covariances of positions (n, 3, 3)."""
+    """Yield states (n, 7), and inverse covariances of positions (n, 3, 3)."""
     x = torch.from_numpy(np.stack(site.prior_x[:7], axis=1).astype(np.float32))
     kept = torch.cat([x.new_zeros(len(x), MEMORY), x.new_ones(len(x), 1)], 1)
     for number, epoch in enumerate(epochs):
@@ -142,7 +142,7 @@ class Localizer(Estimator):
 
 
 def loss_of(error, inverse):
-    """Return the loss of errors (..., 3): the reward's costs, and the negative log density."""
+    """Return the loss of errors (..., 3): the reward's costs, and a tenth of -log(density)."""
     squared = (error[..., None, :] @ inverse @ error[..., None])[..., 0, 0].clamp(min=1e-6)
     length = (error.square().sum(-1) + 1e-6) ** 0.5
     density = 0.5 * squared.clamp(max=50.0) - 0.5 * torch.logdet(inverse)

@@ -1,4 +1,4 @@
-"""Stable-Baselines3: PPO (with the argument sac: SAC) learns to correct the policy `guided`."""
+"""Stable-Baselines3: PPO, or SAC with the argument sac, learns to correct the policy `guided`."""
 
 import sys
 from functools import partial

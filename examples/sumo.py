@@ -39,7 +39,7 @@ def read_trips(path):
 
 
 def ways_in(scene, trips, least_s, shift_m=None):
-    """Return the trips, except short ones and those behind walls; print why trips are left out.
+    """Return all trips that are long enough and not behind walls; print why others are left out.
 
     If ``shift_m`` is None, the middle of the traffic is moved to the middle of the streets.
     """

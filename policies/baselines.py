@@ -21,7 +21,7 @@ class FixedMode(Policy):
 class LikelihoodRule(Policy):
     """A policy that chooses the mode with the best average likelihood up to the coming epoch.
 
-    For each mode but the last, it reads the average difference from the last mode's log-likelihood.
+    It compares moving averages of each mode's log-likelihood minus the last mode's.
 
     Args:
         observation: the environment's table of features, of the kind "full".

@@ -21,10 +21,10 @@ from policies.learned import LearnedPolicy, LearnedSwitch, taken
 from policies.policy import Policy
 from policies.policy_file import CORRECTIONS
 
-BASE_IMM = "imm-best"  # the base is the IMM of the policy's bank, not a switcher
+BASE_IMM = "imm-best"  # the name of a base that is the IMM of the policy's bank
 # "Trust" is the factor, 0 to 1, by which corrections are scaled.
 RANGE_FADE = 2.0  # trust is exp(-2 d) if a feature is d standard deviations outside its range
-RECOVERY = 0.1  # maximum growth of trust per epoch; small, because strange epochs stay in memory
+RECOVERY = 0.1  # maximum growth of trust per epoch: slow, as the network remembers unusual features
 # The network is an ensemble, whose members compute different shifts. If the spread of the shifts,
 # in corrected standard deviations, is at most SPREAD[0], trust is not reduced; from SPREAD[1] on,
 # trust is 0.
@@ -75,7 +75,7 @@ class Corrector(LearnedPolicy, Policy):
         )
         self._out = _mean_and_differences(tensors["out.weight"].T, tensors["out.bias"])
         units = len(tensors["gru.bias_hh"]) // 3
-        # gates (reset and update), then candidate state: weights and biases of input and memory
+        # (weight, bias) for input and for memory: of the gates (reset, update), then the candidate
         self._gates, self._candidate = (
             [(tensors[f"gru.weight_{name}"][rows].T.copy(), tensors[f"gru.bias_{name}"][rows])
              for name in ("ih", "hh")]
@@ -96,7 +96,7 @@ class Corrector(LearnedPolicy, Policy):
             self._base.read_from(observation)
 
     def reset(self, mask: Mask) -> None:
-        """Forget the past of environments in which an episode begins, where ``mask`` is True."""
+        """Forget the past of environments where ``mask`` is True, as a new episode begins."""
         if len(mask) != len(self._hidden):
             self._hidden = np.zeros((len(mask), self._hidden.shape[1]), np.float32)
             self._trust = np.ones(len(mask), np.float32)
@@ -111,9 +111,9 @@ class Corrector(LearnedPolicy, Policy):
         return self._base(observation)
 
     def correct(self, observation: Array32) -> Correction:
-        """Return corrections of the beliefs after the latest epoch, which the network remembers.
+        """Return corrections of the beliefs after the latest epoch; the network then remembers it.
 
-        Call it once after every step, with the observations (n, features) that the step returned.
+        Call this once after every step, with the observations (n, features) of the step.
         """
         return self.correct_features(self.features_in(observation))
 

@@ -86,7 +86,7 @@ class LearnedPolicy:
 
         Raises:
             ValueError: the environment lacks the beliefs or modes of the training, or a feature is
-                missing or has another unit or scale; the message says which, and what to do.
+                missing or has another unit or scale; the message names difference and remedy.
         """
         card = self.card
         banks = [card.modes, *(bank.modes for bank in card.banks.values())]
@@ -157,7 +157,7 @@ class LearnedPolicy:
 
 
 class LearnedSwitch(LearnedPolicy, Policy):
-    """A policy that takes the action that its network prefers: a mode to run or to trust.
+    """A policy whose network chooses a mode to run, or a mode whose probability is raised.
 
     ```python
     >>> policy = LearnedSwitch("runs/mine.safetensors")

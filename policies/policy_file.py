@@ -59,8 +59,8 @@ class Card:
         ValueError: a field is invalid; the message says what is wrong.
     """
 
-    # modes that the actions choose; if every mode has its own belief, they are the modes of the
-    # first bank, and action 0, "none", precedes them
+    # modes that the actions choose; if every mode has its own belief: the modes of the first bank,
+    # preceded by action 0, "none"
     modes: tuple[Mode, ...]
     observation: str  # "full", "prior" or "signed"
     # names, units and scales of the features that the network reads, in the network's order
@@ -279,7 +279,7 @@ def _require_network(tensors: Tensors, card: Card) -> None:
             "the tensor 'low'"
         )
     if (tensors["low"] > tensors["high"]).any():
-        raise ValueError("tensor 'low': found numbers above those of 'high', expected none")
+        raise ValueError("tensor 'low': found numbers above tensor 'high', expected none")
 
 
 def _actor_shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]]:

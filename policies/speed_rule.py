@@ -20,7 +20,7 @@ def mode_at(speed: Number, threshold: float = SLOW_MPS) -> Number:
 
 
 def by_predicted_speed(x: Vector, epoch: Epoch) -> Number:
-    """Apply the rule to the speed in the state x (7,), which the prediction does not change."""
+    """Apply the rule to the speed in the state x (7,); a prediction does not change the speed."""
     return mode_at(sqrt(dot(x[3:6], x[3:6])))
 
 
@@ -30,7 +30,7 @@ def by_odometry_speed(x: Vector, epoch: Epoch) -> Number:
 
 
 class SpeedRule(Policy):
-    """The paper's rule (Sec. III-A): choose mode 0 up to a threshold of the speed, mode 1 above.
+    """The paper's rule (Sec. III-A): choose mode 0 up to a threshold of the speed, else mode 1.
 
     Above 20 m/s, outside the paper's design window, the policy warns once and chooses mode 1.
 

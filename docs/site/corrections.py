@@ -26,7 +26,7 @@ from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 from policies import Corrector
 
-EPISODES, FEWER = 1000, 500  # test episodes: to compare errors; to withhold groups of features
+EPISODES, FEWER = 1000, 500  # number of test episodes to compare errors, and to withhold features
 NAMES = ("speed-rule", "imm-best", "guided", "corrector")
 AROUND = np.arange(-6, 16)  # epochs shown around an event
 GROUPS = {  # group of features -> words that the names of its features begin with
@@ -85,9 +85,9 @@ def in_motion(played: Played, vectors: Array) -> Array:
 
 
 def events(played: Played) -> dict[str, NDArray[np.bool_]]:
-    """Return, by kind, in which epochs (n, T) events begin; users above 0.5 m/s count as moving."""
+    """Return, by kind of event, a mask (n, T) of the epochs in which events begin."""
     speed = np.linalg.norm(played.truth[..., 3:5], axis=-1)
-    moving = speed > 0.5
+    moving = speed > 0.5  # m/s
     visible = np.stack([e.visible[:, : e.layout.anchors].all(axis=1) for e in played.episodes])
     lies = np.stack([_lying(e) for e in played.episodes])
     return {
@@ -164,7 +164,7 @@ class Without(Corrector):
 
 
 def without_groups(radio: str) -> Iterator[tuple[str, Array]]:
-    """Yield the rewards (n,) that corrections add: with all features, then without one group."""
+    """Yield the rewards (n,) that corrections add: with all features, then without each group."""
     episodes = draw_episodes(SimulatedSource(SCENES["street"], RADIOS[radio]), range(FEWER))
     layout = episodes[0].layout
 

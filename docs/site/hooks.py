@@ -1,4 +1,4 @@
-"""Hooks of mkdocs that make pages during the build, and links that work on the site.
+"""Hooks of mkdocs that make pages, and links that work on the site, during the build.
 
 Besides the files of docs/, the site shows text whose only source is elsewhere: the README, the
 help of the commands, CITATION.cff, notebooks and the docstrings of the modules.
@@ -193,7 +193,7 @@ def api_index() -> str:
         "# API",
         "`gymnasium.make` and `gymnasium.make_vec` are the way in, and [the environment's page]"
         "(../environment.md) says what they take. The pages below document the modules inside, "
-        "grouped by the rooms of the [architecture](../architecture.md).",
+        "grouped as in the [architecture](../architecture.md).",
     ]
     for name, (title, parts) in API.items():
         rows = [

@@ -28,7 +28,7 @@ def cells_at(site: Site) -> NDArray[np.str_]:
     """Return the cells (risks, directions, 6) of a site's rows in the tables.
 
     Each of the two policies has three cells: the shares of epochs (%) in which errors exceed the
-    Gaussian and the calibrated level, and the ratio of the calibrated level to the Gaussian one.
+    Gaussian and the calibrated level, and the ratio of the calibrated to the Gaussian level.
     """
     cells: list[list[list[list[str]]]] = [[[], []] for _ in RISKS]
     source, few = site.source(), site.kind in (RECORDED, HARD)

@@ -13,9 +13,9 @@ from mmwave_env.numerics.numbers import Array
 
 MODE, WEIGHTS, CORRECTION = "mode", "weights", "correction"
 ACTIONS = {
-    MODE: "the number of the mode to run or, if each has its own belief, of the mode to trust",
+    MODE: "the number of the mode to run or, if each has a belief, to make more probable",
     WEIGHTS: "for each mode, a number w: its probability is multiplied by exp(w) per second",
-    CORRECTION: "three shifts of the position, and logarithms of factors on its three deviations",
+    CORRECTION: "three shifts of the position, and log factors on its three standard deviations",
 }
 
 
@@ -35,7 +35,7 @@ def space_of(limits: Array, count: int) -> spaces.Space[Any]:
 
 
 def numbers_in(name: str, action: Any, limits: Array, *n: int, ignored: Any = False) -> Array:
-    """Return a copy of an action's numbers (*n, k), with 0 in environments that are ``ignored``.
+    """Return a copy of an action's numbers (*n, k), with 0 in environments to be ``ignored``.
 
     Raises:
         InvalidAction: the shape differs, or a number is NaN or beyond its limit.

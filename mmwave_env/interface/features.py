@@ -40,7 +40,7 @@ class MixtureView(NamedTuple):
     # predicted, posterior: (modes,) probabilities of modes before and after the coming measurement
     predicted: list[Number]
     posterior: list[Number]
-    spread_averages_hz: list[Number]  # averages of the Doppler spread, from fast to slow
+    spread_averages_hz: list[Number]  # moving averages of the Doppler spread, fast to slow
 
 
 class View(NamedTuple):
@@ -53,7 +53,7 @@ class View(NamedTuple):
     candidates: list[ModeResult]  # each mode's result for the coming epoch
     epoch: Epoch  # the coming epoch
     site: Site  # anchors and carrier
-    mixture: Any = None  # a MixtureView if each mode has its own belief
+    mixture: Any = None  # a MixtureView if each mode has its own belief, else None
     last: Any = None  # a ``signed.LastEpoch`` if there are signed features (residuals)
 
 
@@ -61,8 +61,8 @@ class View(NamedTuple):
 class Feature:
     """One component of the observation: (clip(value, low, high) - mean) / deviation.
 
-    Mean and deviation depend on the kind; :mod:`mmwave_env.interface.observation` defines them and
-    also limits the feature to ten deviations from the mean.
+    Mean and standard deviation depend on the kind; :mod:`mmwave_env.interface.observation` defines
+    them and also limits the feature to ten standard deviations from the mean.
     """
 
     name: str  # unique in the table
@@ -157,7 +157,7 @@ def _distance(view: View, anchor: int) -> Number:
 
 
 def _links(layout: Layout, distances: bool) -> list[Feature]:
-    """Return features of links: SNRs, and the distances or else the number of visible links."""
+    """Return features of links: SNRs, and ``distances`` or the number of visible links."""
     table = []
     for a in range(layout.anchors):
         table += [
@@ -228,7 +228,7 @@ def _mixture(pipeline: Pipeline) -> list[Feature]:
 
 
 def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
-    """Return features of each mode's result for the coming epoch: innovations, likelihoods.
+    """Return features of each mode's result for the coming epoch, such as its likelihood.
 
     First come the Doppler innovation and the NIS of the pipeline's last mode, then features of each
     mode in the pipeline's order. Every mode except the last is also compared with the last. If
@@ -274,7 +274,7 @@ def _mean_nis(layout: Layout, candidate: ModeResult, epoch: Epoch) -> Number:
 
 
 def _correction(view: View, mode: int, first: int, across: bool) -> Number:
-    """Compute a mode's correction of position or velocity, along the velocity or to its left."""
+    """Compute a mode's correction of position or velocity: along the velocity, or to its left."""
     predicted, candidate = move(view.x[:7], view.epoch.dt), view.candidates[mode]
     step = [candidate.x[i] - predicted[i] for i in (first, first + 1)]
     v = predicted[3:5]

@@ -33,15 +33,15 @@ INFOS = {
 
 
 def reported(at: Any) -> Any:
-    """Return what infos describe: a workspace's corrected epoch or, if it has none, all of it."""
+    """Return what infos describe: a workspace's corrected epoch if it has one, else all of it."""
     return getattr(at, "reported", ()) or at
 
 
 def info_rows(at: Any) -> dict[str, Any]:
-    """Return, by key, the rows of a workspace that hold the values of infos but mode and cost.
+    """Return the rows of a workspace with the value of each key of infos, except mode and cost.
 
     Args:
-        at: workspace of :mod:`~mmwave_env.engines.environment_epoch` with row numbers as leaves.
+        at: workspace of :mod:`~mmwave_env.engines.environment_epoch` whose values are row numbers.
     """
     of = reported(at)
     memory = of.memory
@@ -57,8 +57,8 @@ def drawn_rows(at: Any, span: Callable[[Any], Any]) -> dict[str, Any]:
     """Return the rows of a workspace that a :class:`~mmwave_env.rendering.history.Recorder` reads.
 
     Args:
-        at: workspace with row numbers as leaves, as for :func:`info_rows`.
-        span: function that converts the row numbers of a part to an index or a slice.
+        at: workspace whose values are row numbers, as for :func:`info_rows`.
+        span: function that converts the row numbers of a value to an index or a slice.
     """
     rows = info_rows(at)
     parts = {name: rows[name] for name in ("truth", "estimate", "nees", "accepted", "rejected")}
@@ -67,7 +67,7 @@ def drawn_rows(at: Any, span: Callable[[Any], Any]) -> dict[str, Any]:
 
 
 def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
-    """Return infos (n, ...) with Gymnasium's masks, for environments where ``where`` (n,) is True.
+    """Return infos (n, ...) and Gymnasium's masks, which are True where ``where`` (n,) is True.
 
     Values of other environments are replaced by 0 or None, in place. Every key gets a mask
     ``_key``; all masks are the same array. If ``where`` is False everywhere, the result is empty.
@@ -81,7 +81,7 @@ def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
 
 
 def stepped(infos: dict[str, Any], where: Mask) -> dict[str, Any]:
-    """Return the infos of a step where ``where`` (n,) is True; other environments were reset."""
+    """Return a step's infos; environments where ``where`` (n,) is False keep only STATE_KEYS."""
     did = {key: infos[key] for key in (*STEP_KEYS, PROBABILITIES) if key in infos}
     kept = (*STATE_KEYS, *mask_keys(STATE_KEYS))
     return masked(did, where) | {key: infos[key] for key in kept if key in infos}

@@ -1,8 +1,8 @@
 """Observation: one table of features that defines the space, the documentation and the values.
 
-Every feature is standardized by the mean and the deviation of its kind. These means and deviations
-are constants, so an observation has the same meaning in every environment, and networks need no
-normalization. Values are limited to ten deviations from the mean, which they rarely exceed.
+Every feature is standardized by the mean and standard deviation of its kind. Both are constants, so
+an observation has the same meaning in every environment, and networks need no normalization. Values
+are limited to ten standard deviations from the mean; only rare values are beyond this limit.
 """
 
 import inspect
@@ -36,18 +36,18 @@ OBSERVATIONS = {
 }
 BELIEFS = {  # a belief is a mean and a covariance
     "shared": "one belief, which the chosen mode updates",
-    "per-mode": "one belief per mode; they interact, and the agent chooses which mode to trust",
+    "per-mode": "one belief per mode; beliefs interact, and the agent raises a mode's probability",
 }
 
 
 def action_names(modes: Sequence[Mode], beliefs: str) -> list[str]:
-    """Return the names of the actions: the modes, after "none" if each mode has its own belief."""
+    """Return the names of actions: the modes; first "none" if each mode has its own belief."""
     names = [mode.name for mode in modes]
     return ["none", *names] if beliefs == "per-mode" else names
 
 
 class Scale(NamedTuple):
-    """The mean and deviation that standardize a feature, in its unit."""
+    """The mean and standard deviation, in a feature's unit, that standardize the feature."""
 
     mean: float
     deviation: float
@@ -55,16 +55,16 @@ class Scale(NamedTuple):
 
 @cache
 def feature_scales() -> dict[str, Scale]:
-    """Read mean and deviation of every kind of feature from data/feature_scales.json."""
+    """Read mean and standard deviation of every kind of feature from data/feature_scales.json."""
     # Measured 2026-11-23 (code at commit 476d657): 24 episodes with random actions in each
     # combination of scene, radio, kind of beliefs and set of modes (two; two, with odometry; eight;
-    # the radio's bank). The file has the medians over combinations. Values were not clipped.
+    # the radio's bank). The file has the medians over combinations, of values before clipping.
     text = files("mmwave_env").joinpath("data/feature_scales.json").read_text(encoding="utf-8")
     return {kind: Scale(**scale) for kind, scale in json.loads(text)["kinds"].items()}
 
 
 class Column(NamedTuple):
-    """A column of observations; it contains (value - mean) / deviation.
+    """A column of observations, which contains (value - mean) / deviation.
 
     Policy files list the columns that their policy reads.
     """

@@ -46,7 +46,7 @@ class TrackingReward:
         return -(self.error_weight * self.error_limit_m + self.nees_weight * self.nees_limit)
 
     def costs(self, distance_m: Array, nees: Array, axes: int = 3) -> tuple[Array, Array]:
-        """Compute two costs per epoch (...,), of error and of NEES; the reward is minus their sum.
+        """Compute the costs (...,) of error and NEES in each epoch; the reward is minus their sum.
 
         Args:
             distance_m: (...,) length of the position error.
@@ -153,14 +153,14 @@ def reward_name(reward: Reward) -> str:
 
 
 def _trial() -> tuple[Belief, Vector]:
-    """Return a belief and a truth for a trial; like SIMD lanes, their numbers hide their values."""
+    """Return a belief and a truth whose numbers, like SIMD lanes, cannot decide a branch."""
     numbers: list[Any] = [[0.0] * 7, [[0.0] * 7] * 7, [0.0] * 6]
     x, P, truth = taped(numbers, [])
     return Belief(x, P), truth
 
 
 def _check(reward: Reward) -> None:
-    """Try a reward on numbers that hide their values; refuse the reward if the trial fails."""
+    """Refuse a reward that fails on the numbers of :func:`_trial` or returns none."""
     subject = f"reward {name_of(reward)}"
 
     def refused(problem: str) -> ValueError:
@@ -168,7 +168,7 @@ def _check(reward: Reward) -> None:
 
     terms = _as_terms(try_out(reward, _trial(), subject, ValueError))
     if not terms or not all(isinstance(name, str) for name in terms):
-        raise refused(f"returned terms named {list(terms)}, expected one or more strings")
+        raise refused(f"returned terms named {list(terms)}, expected one or more, named by strings")
     for name, value in terms.items():
         if problem := next(wrong_parts(name, value, 0.0), ""):
             raise refused(f"returned {problem}")

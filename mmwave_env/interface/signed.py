@@ -17,9 +17,9 @@ from mmwave_env.models.measurement import Epoch, direction
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import PI, Number, Vector, log, maximum, minimum, sqrt, where, wrap
 
-_LEAST_M = 0.05  # minimum of the standard deviations, m, by which residuals are divided
-_LEAST_RAD = 1e-3  # minimum of the standard deviations of elevations, rad
-_LEAST_S = 1e-3  # minimum of a time between epochs in a logarithm, s
+_LEAST_M = 0.05  # m: residuals are divided by standard deviations of at least this
+_LEAST_RAD = 1e-3  # rad: elevation residuals are divided by at least this
+_LEAST_S = 1e-3  # s: minimum of the time between epochs in a logarithm
 _WAYS = ("along", "across")  # components of a horizontal vector in the frame of motion
 _ROWS = {"range": 0, "azimuth": 1, "elevation": 2, "departure": 3}  # index within a link's rows
 
@@ -52,7 +52,7 @@ def signed(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
         Feature("turn sine", "sine of the turn of the direction of motion in the last epoch", "",
                 -1, 1, lambda v: _turn(v)[1]),
         Feature("turn cosine", "cosine of the same turn", "", -1, 1, lambda v: _turn(v)[0]),
-        Feature("last step", "ln of the last epoch's step; 0 in an episode's first epoch", "ln s",
+        Feature("last step", "ln of the last epoch's dt; 0 in an episode's first epoch", "ln s",
                 -7, 4, _step),
         Feature("last speed", "ln(1 + estimated horizontal speed / (1 m/s))", "", 0, 4,
                 lambda v: log(1.0 + sqrt(dot(v.x[3:5], v.x[3:5])))),
@@ -94,14 +94,14 @@ def _squashed(q: Number) -> Number:
 
 
 def _ray(view: View, anchor: int) -> tuple[list[Number], Number, tuple[Number, Number, Number]]:
-    """Return the ray from an anchor to the user: vector, horizontal length, :func:`direction`."""
+    """Return the vector from an anchor to the user, its horizontal length and :func:`direction`."""
     step = [view.x[i] - view.site.anchors[anchor][i] for i in range(3)]
     flat = sqrt(step[0] * step[0] + step[1] * step[1])
     return step, flat, direction(step)
 
 
 def _residual(view: View, layout: Layout, anchor: int, name: str) -> tuple[Number, Number]:
-    """Return a row's squashed residual as a vector: components along and across the velocity."""
+    """Return a row's :func:`_squashed` residual: components along and across the velocity."""
     row = _ROWS[name]
     step, flat, (distance, azimuth, _) = _ray(view, anchor)
     scale = 1.0 / maximum(flat, 1.0)
@@ -192,8 +192,8 @@ def _belief(vertical: bool) -> list[Feature]:
                   -8, 8, partial(half_log, i, first))
           for of, first, unit in (("", 0, "ln m"), ("velocity ", 3, "ln m/s"))
           for i, way in enumerate(_WAYS)),
-        Feature("correlation", "correlation of the position's errors along and across", "", -1, 1,
-                correlation),
+        Feature("correlation", "correlation of position errors along and across the velocity", "",
+                -1, 1, correlation),
     ]  # fmt: skip
     if not vertical:
         return table

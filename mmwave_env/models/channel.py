@@ -27,7 +27,7 @@ class SpellParams(NamedTuple):
 
 
 class Channel(NamedTuple):
-    """The channel's parameters for steps of one length, derived from a radio and a scene."""
+    """The channel's parameters for a fixed time step, derived from a radio and a scene."""
 
     offset_db: list[Number]  # (L,) SNR of each link at 1 m
     # shadowing_db, correlation: standard deviation of shadowing, and its correlation over a step
@@ -54,7 +54,7 @@ class Channel(NamedTuple):
     bound_variance: list[Number]
     spread_gain_hz: Number  # Doppler spread per m/s of speed
     spread_sigma: Number  # standard deviation of the logarithm of a random factor on this spread
-    spread_floor_hz: Number  # standard deviation of noise, whose absolute value is added
+    spread_floor_hz: Number  # standard deviation of a noise whose absolute value is added
     odometry_slowest_mps: Number  # below this speed odometry is missing
 
 
@@ -85,7 +85,7 @@ def channel_of(radio: Radio, scene: Scene, layout: Layout, dt: float) -> Channel
 class Spell(NamedTuple):
     """A spell of blockage or multipath on one link."""
 
-    on: Number  # 1 while the spell lasts
+    on: Number  # 1 while the spell lasts, else 0
     bias: list[Number]  # (4,) biases of the link's rows (m, rad), drawn when the spell begins
 
 
@@ -96,7 +96,7 @@ class ChannelState(NamedTuple):
     # blockage, multipath: (L,) spell of each link
     blockage: list[Spell]
     multipath: list[Spell]
-    outage: Number  # 1 while all links are lost
+    outage: Number  # 1 while all links are lost, else 0
 
 
 def initial_state(anchors: int) -> ChannelState:
@@ -195,10 +195,10 @@ def channel_epoch(
     for a, d in enumerate(distance):
         moved = rho * before.shadowing[a] + innovation * draws.shadowing[a]
         shadow = where(is_first, draws.shadowing[a], moved)
-        share = c.blockage_base + c.blockage_per_m * d
-        share = c.blockage_scale * where(share < c.blockage_limit, share, c.blockage_limit)
-        onset = c.blockage.end * share / maximum(1.0 - share, 1e-9)
-        onset = where(is_first, share, onset)
+        chance = c.blockage_base + c.blockage_per_m * d
+        chance = c.blockage_scale * where(chance < c.blockage_limit, chance, c.blockage_limit)
+        onset = c.blockage.end * chance / maximum(1.0 - chance, 1e-9)
+        onset = where(is_first, chance, onset)
         blocked = _next_spell(before.blockage[a], c.blockage, is_first, onset, draws.blockage[a])
         onset = where(is_first, 0.0, c.multipath_onset)
         reflected = _next_spell(

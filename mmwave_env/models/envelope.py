@@ -1,15 +1,15 @@
-"""The envelope: limits of values. Within them, filters are accurate, even if two are at a limit.
+"""The envelope: limits within which filters are accurate, even if two values are at their limits.
 
 Episodes and modes outside the envelope are refused, and the message names the value. The matrix of
-an update contains the ratios of prior and noise variance in all directions. A ratio is 1e16 if the
-prior's deviation is 1e8 times the noise. As a double has 16 digits, ratios of about 1 are then
-lost. Receivers report values far inside the limits, which tests/engines/test_extremes.py tests.
+an update contains the ratio of prior to noise variance in every direction. A double has 16 digits,
+so if one ratio is 1e16 (standard deviations differ by a factor of 1e8), ratios of about 1 are lost.
+Receivers report values far inside the limits; tests/engines/test_extremes.py tests the limits.
 """
 
 from mmwave_env.io.records import between
 
 STEP_S = between(1e-6, 60.0, "s")  # time between epochs
-HZ_PER_MPS = between(1e-3, 1e4, "Hz per m/s")  # a carrier of 300 kHz to 3 THz
+HZ_PER_MPS = between(1e-3, 1e4, "Hz per m/s")  # for carriers of 300 kHz to 3 THz
 DOPPLER_SPREAD_HZ = between(0.0, 1e5, "Hz")
 POSITION_M = between(-1e6, 1e6, "m")  # per axis, for anchors and for the prior's mean
 VELOCITY_MPS = between(-1e4, 1e4, "m/s")  # per axis, for the prior's mean
@@ -22,4 +22,4 @@ BIAS_SIGMA_HZ = between(1e-8, 1e6, "Hz")
 RANGE_SIGMA_M = between(1e-3, 1e5, "m")
 ANGLE_SIGMA_RAD = between(1e-5, 1e2, "rad")
 DOPPLER_SIGMA_HZ = between(0.02, 1e6, "Hz")
-PROCESS_NOISE = between(0.0, 30.0)  # process noise of a mode, in its unit per root second
+PROCESS_NOISE = between(0.0, 30.0)  # standard deviations of a mode's process noise over 1 s

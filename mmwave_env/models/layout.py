@@ -113,7 +113,7 @@ class Layout:
 
 
 def measurements_from(names: Sequence[str] | None) -> tuple[str, ...] | None:
-    """Return names of measurements in the order of :data:`MEASUREMENTS`; None stands for all.
+    """Return names of measurements in the order of :data:`MEASUREMENTS`; None, for all, stays None.
 
     Raises:
         ValueError: a name is unknown, or nothing measures the horizontal position.
@@ -185,7 +185,7 @@ def wrapped(angles: Number) -> Number:
 def whole_groups(
     measurement: NDArray[np.float64], heard: NDArray[np.bool_], layout: Layout
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return masks (T, groups): measured groups; groups that are lost, as a row or SNR is missing.
+    """Return masks (T, groups): measured groups, and groups lost because a row or SNR is missing.
 
     In a partial layout, a group is measured if at least one of its rows is, and none is lost.
 
@@ -218,7 +218,7 @@ def without_noise(
     Args:
         measurement, heard, layout: same as for :func:`whole_groups`.
         sigma: (T, rows) stated standard deviations, NaN where none is stated.
-        doppler_anchor: (T,) index, from 0, of the anchor with the Doppler shift.
+        doppler_anchor: (T,) index, from 0, of the anchor whose Doppler shift was measured.
     """
     known = np.ones(measurement.shape, np.bool_)  # stays True for odometry
     known[:, : layout.doppler] = np.repeat(heard, 4, axis=1)

@@ -39,8 +39,8 @@ from mmwave_env.numerics.numbers import (
 )
 
 SPEED_OF_LIGHT = 299_792_458.0  # m/s
-# Longest length that counts as 0. The positions of antennas are not known to a millimeter, but
-# rounding errors of coordinates of 1000 km are far smaller (1e-10 m).
+# Longest length that counts as 0: less than the uncertainty of an antenna's position, but far more
+# than the rounding errors of coordinates of 1000 km (1e-10 m).
 NEAREST_M = 1e-3
 _SLOWEST_ODOMETRY = 1e-3  # m/s; minimum of the speeds by which gradients are divided
 
@@ -79,8 +79,8 @@ class Group(NamedTuple):
         jacobian: (k, 7) dh/dx, (k, 8) with a clock; constant zeros for components of the state on
             which h does not depend.
         change: function that returns the exact h(x + step) - h(x) for a step of the state (7,).
-        curved: number of columns of the covariance's factor, counted from the first, along which h
-            is nonlinear (:func:`~mmwave_env.filters.linearization.factor_of`).
+        curved: number of first columns of the covariance's factor along which h is nonlinear
+            (:func:`~mmwave_env.filters.linearization.factor_of`).
         spare_nis, spare_determinant: NIS and variance of a row that :func:`link_group` drops.
     """
 
@@ -111,7 +111,7 @@ def seen_from_image(
     """Convert a ray's direction (rad) at the base station to its direction at the mirror image.
 
     ``image`` (3,) is the mirror image of ``station`` (3,) in a wall. The direction d becomes
-    d - 2 (d.n) n, with the unit vector n along image - station. If both are equal, d is unchanged.
+    d - 2 (d.n) n, with the unit vector n along image - station. If image = station, d is unchanged.
     """
     n = [image[i] - station[i] for i in range(3)]
     (cos_az, sin_az), (cos_el, sin_el) = cos_sin(azimuth), cos_sin(elevation)
@@ -136,7 +136,7 @@ def _inverse(length: Number) -> Number:
 def exact_rows(
     position: Vector, velocity: Vector, anchors: Matrix, hz_per_mps: Number, layout: Layout
 ) -> list[Number]:
-    """Compute a user's noise-free measurement (rows,), without oscillator bias: m, rad, Hz, m/s.
+    """Compute a user's measurement (rows,) in m, rad, Hz, m/s, without noise or a clock's biases.
 
     Position and velocity are (3,), m and m/s; anchors (L, 3), m.
     """
@@ -156,7 +156,7 @@ def exact_rows(
 def link_group(
     x: Vector, anchor: Vector, z: Vector, variance: Vector, measured: Vector = ()
 ) -> Group:
-    """Return the group of a link, its four rows fused to three: range, azimuth and elevation.
+    """Return the group of a link, with its four rows fused to three: range, azimuth and elevation.
 
     The azimuths of arrival and departure, which differ by pi (paper, Sec. II-B), measure the same
     bearing, with variances ra and rd. Their weighted mean is a row with variance ra rd / (ra + rd).

@@ -10,7 +10,7 @@ STANDING_MPS = 0.2  # much below this speed a user has no direction in which to 
 # White noise of a user's clock, m / sqrt(s), besides the drift due to the oscillator's bias:
 # 0.01 m^2/s, as for a temperature-compensated crystal (Groves 2013, Sec. 9.4.2).
 CLOCK_SIGMA_M = 0.1
-_SHORTEST_S = 1e-9  # minimum of a step by which a speed is divided
+_SHORTEST_S = 1e-9  # a speed is divided by the step, s, or by this if the step is shorter
 _LEAST_RAD = 1e-9  # an arc of a smaller angle differs from a straight line only by rounding
 
 
@@ -33,10 +33,10 @@ def white_noise_acceleration(
     (m/s)^2; and of the oscillator's bias, in Hz^2.
 
     With ``coupling`` 1, the velocity noise also moves the position, like a constant acceleration
-    in the step (discrete white-noise acceleration, Bar-Shalom et al. 2001, Sec. 6.3.2). With its
-    variance q = ``velocity`` * dt, it adds [[q dt^2 / 4, q dt / 2], [q dt / 2, q]] to the position
-    noise of an axis, so Q is positive semidefinite for any variances. With ``coupling`` 0, Q is the
-    paper's diagonal matrix. At dt = 1 s, the position's uncertainty grows faster than this Q says.
+    in the step (discrete white-noise acceleration, Bar-Shalom et al. 2001, Sec. 6.3.2). On an axis,
+    a velocity noise of variance q = ``velocity`` * dt then adds [[q dt^2 / 4, q dt / 2],
+    [q dt / 2, q]] to Q, which is positive semidefinite for any variances. With ``coupling`` 0, Q is
+    the paper's diagonal matrix, which understates the growth of the position's variance in 1 s.
     """
     q = [v * dt for v in velocity]
     half = coupling * (0.5 * dt)

@@ -8,12 +8,12 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI, Array, wrap
 
-# Longest gap in a track. Filters lost none of 100 vehicles in gaps of 10 s, but some in 20 s.
+# Longest gap in a track. In gaps of 10 s, filters lost none of 100 vehicles; in gaps of 20 s, some.
 GAP_S = 15.0
 # Largest elevation of a link from which a prior is computed: 5 degrees off the vertical, which are
-# 2.5 standard deviations of a handset's elevation.
+# 2.5 standard deviations of an elevation that a handset measures.
 STEEPEST_FIX_RAD = math.radians(85.0)
-# Standard deviation per axis of an unknown horizontal velocity: half of the filters' 20 m/s limit.
+# Standard deviation per axis of an unknown horizontal velocity: half of the paper's 20 m/s limit.
 UNKNOWN_VELOCITY_MPS = 10.0
 
 
@@ -35,15 +35,15 @@ def prior_from_fix(
     """
     distance, azimuth, elevation, departure = link
     arrival_variance, departure_variance = sigma[1] ** 2, sigma[3] ** 2
-    share = arrival_variance / (arrival_variance + departure_variance)
-    azimuth = azimuth + share * wrap(departure - azimuth + PI)
+    weight = arrival_variance / (arrival_variance + departure_variance)
+    azimuth = azimuth + weight * wrap(departure - azimuth + PI)
     cos_az, sin_az = np.cos(azimuth), np.sin(azimuth)
     cos_el, sin_el = np.cos(elevation), np.sin(elevation)
     along = np.array([cos_el * cos_az, cos_el * sin_az, sin_el])
     across = np.array([-cos_el * sin_az, cos_el * cos_az, 0.0])
     up = np.array([-sin_el * cos_az, -sin_el * sin_az, cos_el])
     jacobian = np.column_stack([along, distance * across, distance * up])
-    variance = [sigma[0] ** 2, share * departure_variance, sigma[2] ** 2]
+    variance = [sigma[0] ** 2, weight * departure_variance, sigma[2] ** 2]
     covariance = radio.prior_covariance(scene)
     covariance[:3, :3] = jacobian @ np.diag(variance) @ jacobian.T
     covariance[3, 3] = covariance[4, 4] = UNKNOWN_VELOCITY_MPS**2

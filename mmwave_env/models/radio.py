@@ -68,7 +68,7 @@ class Radio:
     Attributes:
         name: name of the profile.
         gnb_elements, ue_elements: number of antenna elements along one side of the square arrays.
-        range_floor_m: noise floors of the range, m: [on the direct path, on reflections].
+        range_floor_m: noise floors (standard deviations) of the range: [direct path, reflections].
         aoa_floor_rad: noise floor of the azimuth of arrival.
         aod_floor_rad: noise floor of the azimuth of departure.
         elevation_floor_rad: noise floor of the elevation of arrival.
@@ -100,8 +100,8 @@ class Radio:
         outage_mean_s: mean length of an outage.
         spread_gain, spread_sigma, spread_floor_mps: Doppler spread = gain * speed *
             lognormal(sigma) + |N(0, floor)|, m/s.
-        drift_mps: random walk of the oscillator bias, (m/s) / sqrt(s).
-        odometry_speed_mps, odometry_heading_rad: standard deviation of the odometry's noise.
+        drift_mps: standard deviation of the oscillator bias's random walk, (m/s) / sqrt(s).
+        odometry_speed_mps, odometry_heading_rad: standard deviations of the odometry's noise.
         odometry_slowest_mps: speed below which there is no odometry, as the heading is undefined.
         base: shipped profile whose modes, banks and policies this radio uses, as only shipped
             profiles have modes, banks and policies of their own.
@@ -161,7 +161,7 @@ class Radio:
 
     @property
     def link_budget_db(self) -> float:
-        """Return the received power without path loss, in dBm."""
+        """Return the power, in dBm, that would be received without path loss."""
         return self.transmit_dbm + self.gnb_gain_db + self.ue_gain_db - self.implementation_loss_db
 
     def thermal_noise_dbm(self, bandwidth_hz: float) -> float:
@@ -176,7 +176,7 @@ class Radio:
         """Return variances of every row: noise floors, and Cramer-Rao bounds at an SNR of 0 dB."""
         range_bound = SPEED_OF_LIGHT / (2.0 * math.pi * scene.bandwidth_hz / math.sqrt(12.0))
         elements = self.ue_elements, self.gnb_elements
-        # A single element has no aperture and cannot measure angles, so it counts as two.
+        # The bound of a single element, which cannot measure angles, is infinite; count it as two.
         arrival, departure = (6.0 / ((max(n, 2) ** 2 - 1.0) * math.pi**2) for n in elements)
         angles = (self.aoa_floor_rad, self.elevation_floor_rad, self.aod_floor_rad)
         floor, bound = [], []
@@ -251,8 +251,8 @@ def radio_from(radio: str | os.PathLike[str] | Radio) -> Radio:
 def read_radio(path: str | os.PathLike[str]) -> Radio:
     """Read a radio from a JSON file, which contains the fields that differ from the base profile.
 
-    The field "base" names this shipped profile; its default is "standard". The default of "name" is
-    the file's name. An angle in degrees has a name that ends in "_deg" instead of "_rad".
+    The field "base" names the base, a shipped profile; its default is "standard". The default of
+    "name" is the file's name. The name of an angle in degrees ends in "_deg" instead of "_rad".
 
     Raises:
         ValueError: the file is wrong; the message names the file and the error.

@@ -8,7 +8,7 @@ import numpy as np
 from mmwave_env.io.records import between, require_fields
 from mmwave_env.models.radio import Radio
 
-# Fields to multiply by random factors, up to 4: shipped profiles then stay within Radio's limits.
+# Fields to multiply by random factors. Factors up to 4 keep shipped profiles in Radio's limits.
 _SCALED = (
     "aoa_floor_rad", "aod_floor_rad", "elevation_floor_rad", "doppler_floor_mps",
     "prior_position_m", "prior_height_m", "prior_velocity_mps", "prior_bias_mps",
@@ -16,7 +16,7 @@ _SCALED = (
     "multipath_rate_hz", "multipath_mean_s", "multipath_angle_rad", "spread_gain",
     "spread_floor_mps", "drift_mps",
 )  # fmt: skip
-_PAIRS = ("range_floor_m", "multipath_range_m")  # fields with two numbers, which share a factor
+_PAIRS = ("range_floor_m", "multipath_range_m")  # pairs of numbers; one factor for both
 
 
 @dataclass(frozen=True)
@@ -25,9 +25,9 @@ class RandomRadio:
 
     Attributes:
         profile: profile to change; filters use its modes.
-        factor: largest factor that a field is multiplied by; the smallest is 1 / factor, and the
-            logarithm of a factor is uniformly distributed between the two.
-        budget_db: largest change of the link budget.
+        factor: largest factor that a field is multiplied by; the smallest is 1 / factor. Factors
+            are log-uniformly distributed between these two.
+        budget_db: largest change of the link budget, in either direction.
     """
 
     profile: Radio

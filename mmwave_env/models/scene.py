@@ -51,7 +51,7 @@ class Wall:
     def __post_init__(self) -> None:
         require_fields(self)
         if not 0.0 < np.hypot(*self.normal) < np.inf:
-            raise ValueError(f"normal: found {self.normal}, expected a direction")
+            raise ValueError(f"normal: found {self.normal}, expected a nonzero vector")
 
     @property
     def unit_normal(self) -> tuple[float, float]:
@@ -124,7 +124,7 @@ class Streets:
                     f"{name}: found {extent}, expected a whole number of blocks of {self.block_m} m"
                 )
         if self.x_m[0] == self.x_m[1] and self.y_m[0] == self.y_m[1]:
-            raise ValueError(f"x_m, y_m: found {self.x_m}, {self.y_m}, expected a street")
+            raise ValueError(f"x_m, y_m: found {self.x_m}, {self.y_m}, expected a length > 0")
 
 
 class SceneNumbers(NamedTuple):
@@ -173,7 +173,7 @@ class Scene:
 
     @property
     def anchors_m(self) -> Array:
-        """Return the anchors (L, 3): the gNB, its image in each wall, the other virtual anchors."""
+        """Return the anchors (L, 3): the gNB, its image in each wall, ``virtual_anchors_m``."""
         images = [wall.mirror(self.base_station_m) for wall in self.walls]
         return np.array([self.base_station_m, *images, *self.virtual_anchors_m], float)
 
@@ -183,7 +183,7 @@ class Scene:
         return bool(self.walls) or self.streets != Streets()
 
     def require_streets_in_front(self) -> None:
-        """Raise ValueError if streets are behind a wall, where its reflections are not received."""
+        """Raise ValueError if streets are behind a wall, where it reflects no signals."""
         corners = [(x, y, 0.0) for x in self.streets.x_m for y in self.streets.y_m]
         default = " (the default; give the real ones)" if self.streets == Streets() else ""
         for _, wall in self.behind_walls(np.array(corners)):
@@ -194,10 +194,7 @@ class Scene:
             )
 
     def behind_walls(self, points_m: Array) -> Iterator[tuple[int, Wall]]:
-        """Yield (index, wall) for each wall that has some of the points (n, 3) in it or behind it.
-
-        The index is that of the first such point.
-        """
+        """Yield (first point's index, wall) for each wall with points (n, 3) in or behind it."""
         for wall in self.walls:
             side = wall.signed_distance(self.base_station_m)
             behind = wall.signed_distance(points_m.T) * side <= 0.0

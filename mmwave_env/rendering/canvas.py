@@ -15,7 +15,7 @@ os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # pygame would print i
 import pygame
 
 Point = tuple[float, float]
-Rect = pygame.FRect  # a part of a picture, in units (see Canvas) from its upper left
+Rect = pygame.FRect  # a part of a picture, in units (see Canvas) from the upper left
 UNITS = float(SMALLEST)  # height and width of a picture, in units
 _TIMES = 2  # factor of supersampling, for smooth edges
 _FAR = 2e4  # limit of coordinates in the supersampled picture, px

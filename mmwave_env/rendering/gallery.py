@@ -58,7 +58,7 @@ class Gallery:
             self.recorders[index].add(workspace(index), int(actions[index]))
 
     def draw(self) -> tuple[NDArray[np.uint8], ...]:
-        """Draw n pictures, one per environment; environments after the first DRAWN are black."""
+        """Draw n pictures, one per environment; pictures after the first DRAWN are black."""
         if self._picture is None:
             from mmwave_env.rendering.picture import Picture
 

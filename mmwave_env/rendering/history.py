@@ -91,7 +91,7 @@ class Recorder:
         """Return all epochs so far."""
         part = {key: np.array([epoch[key] for epoch in self._epochs]) for key in self._rows}
         time_s = np.cumsum(np.append(0.0, part["dt"][:-1]))
-        part["nees"][0] = np.nan  # the workspace has the previous episode's NEES
+        part["nees"][0] = np.nan  # the workspace still has the previous episode's NEES
         states = part["truth"], part["estimate"], part["P"], part["nees"]
         gates = part["accepted"] > 0.5, part["rejected"] > 0.5
         modes = np.array(self._modes)

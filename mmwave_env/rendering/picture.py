@@ -65,7 +65,7 @@ class Picture:
         strips = legend - 160.0
         frame = Rect(0.0, top, UNITS, strips - 17.0 - top)
         draw_map(canvas, follow(history, frame), history, theme)
-        self._draw_key(history, strips - 8.5)
+        self._draw_legend(history, strips - 8.5)
         draw_strips(canvas, strips, history, theme, beside)
         self._draw_modes(history, legend)
         return canvas.finish()
@@ -89,8 +89,8 @@ class Picture:
         canvas.words(name, (_PAD, y), theme.ink)
         canvas.words(numbers, (UNITS - _PAD, y), theme.ink, align=1.0)
 
-    def _draw_key(self, history: History, y: float) -> None:
-        """Draw the key that explains symbols and lines of the map."""
+    def _draw_legend(self, history: History, y: float) -> None:
+        """Draw the legend of the map's symbols and lines."""
         canvas, theme = self._canvas, self._theme
         x = 12.0
         mode = theme.mode(int(history.modes[-1])) if history.epochs else theme.quiet
@@ -175,7 +175,7 @@ _HEIGHT, _GAP, _RIBBON = 121.0 / 3.0, 4.0, 12.0  # heights of a strip, of a gap 
 class Strip:
     """A diagram of a quantity over n epochs."""
 
-    title: str  # title with the unit
+    title: str  # quantity and unit
     curve: Array  # (n,) values of the estimate, drawn in the colors of the modes
     values: tuple[float, float]  # values at the lower and upper edge of the strip
     truth: Array | None = None  # (n,) true values, if known
@@ -248,19 +248,19 @@ def _top(values: Array) -> float:
 def _draw_strip(
     canvas: Canvas, plot: Rect, strip: Strip, x: Array, modes: Index, theme: Theme
 ) -> None:
-    """Draw frame, ticks, band and lines of a strip; the key of the lines is to the left of it."""
+    """Draw frame, ticks, band and lines of a strip, and the legend of the lines to its left."""
 
     def y(values: Array | float) -> Array:
         return plot.bottom - strip.heights(values) * plot.height
 
     canvas.fill(theme.ground, plot)
     color = theme.mode(int(modes[-1])) if len(modes) else theme.quiet
-    keys = [("estimate", color, 2.4)]
+    legend = [("estimate", color, 2.4)]
     if strip.truth is not None:
-        keys.insert(0, ("true", theme.truth, 1.6))
+        legend.insert(0, ("true", theme.truth, 1.6))
     if strip.band:
         low, high, meaning = strip.band
-        keys.append((meaning, theme.band, 9.0))
+        legend.append((meaning, theme.band, 9.0))
         upper, lower = float(y(high)), float(y(low))
         canvas.fill(theme.band, Rect(plot.left, upper, plot.width, lower - upper))
     for tick in strip.ticks or strip.values:
@@ -272,9 +272,9 @@ def _draw_strip(
         if strip.truth is not None:
             canvas.line(np.stack([x, y(strip.truth)], axis=1), theme.truth, 1.4)
         draw_by_mode(canvas, np.stack([x, y(strip.curve)], axis=1), modes, theme, 1.8)
-    row = min(13.0, plot.height / (len(keys) + 1))
+    row = min(13.0, plot.height / (len(legend) + 1))
     canvas.words(strip.title, (_PAD, plot.top + row / 2.0), theme.ink, 15)
-    for i, (meaning, color, width) in enumerate(keys, start=1):
+    for i, (meaning, color, width) in enumerate(legend, start=1):
         level = plot.top + (i + 0.5) * row
         canvas.line([[_PAD, level], [_PAD + 14.0, level]], color, width)
         canvas.words(meaning, (_PAD + 19.0, level), theme.quiet, 13)

@@ -18,10 +18,10 @@ from mmwave_env.rendering.theme import Color, Theme
 _MEMORY_S, _LAG_S = 20.0, 4.0  # length of moving averages, and time constant of their weights
 _AHEAD_S = 4.0  # minimum time in which the user would travel from the center to the upper edge
 _LEAST_M = 25.0  # minimum distance from the center to the upper edge
-_INNER = 0.5  # share of the picture's height and width in which user and estimate stay
+_INNER = 0.5  # central share of the picture's height and width; user and estimate stay in it
 _STREET_M = 14.0  # width of streets in the picture, if blocks leave enough room
 _FACADE_M = 4.0  # depth of a wall in the picture
-_SAME_HEIGHT_M = 0.1  # tolerance: images in vertical walls are as high as the base station
+_SAME_HEIGHT_M = 0.1  # tolerance; an image in a vertical wall is as high as the base station
 _TRAIL = 1500  # maximum number of epochs of a trajectory that are drawn
 
 
@@ -90,7 +90,7 @@ def draw_map(canvas: Canvas, view: View, history: History, theme: Theme) -> None
         _draw_streets(canvas, view, history.scenery.streets, theme)
     _draw_walls(canvas, view, history.scenery.anchors_m, theme)
     _draw_links(canvas, view, history, theme)
-    _draw_ways(canvas, view, history, theme)
+    _draw_tracks(canvas, view, history, theme)
     _draw_anchors(canvas, view, history, theme)
     canvas.clip(None)
 
@@ -113,7 +113,7 @@ def _draw_streets(canvas: Canvas, view: View, streets: Streets, theme: Theme) ->
 
 
 def _blocks(extent_m: tuple[float, float], block_m: float, low: float, high: float) -> Array:
-    """Return where blocks begin (n,), m, if they are visible between the limits low and high."""
+    """Return the start (n,), m, of each block that is visible between ``low`` and ``high``."""
     begins = extent_m[0] + block_m * np.arange(
         round((extent_m[1] - extent_m[0]) / block_m), dtype=float
     )
@@ -164,7 +164,7 @@ def _draw_links(canvas: Canvas, view: View, history: History, theme: Theme) -> N
             canvas.line(ends, theme.missing)
 
 
-def _draw_ways(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
+def _draw_tracks(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
     """Draw the trajectories of user and estimate, and their positions."""
     rows = slice(-_TRAIL, None)
     truth, track = (view.pixels(way[rows]) for way in (history.truth, history.estimate))
@@ -221,7 +221,7 @@ def _draw_anchors(canvas: Canvas, view: View, history: History, theme: Theme) ->
     for number, anchor in enumerate(history.scenery.anchors_m):
         at, name = _point(view, anchor), f"anchor {number + 1}" if number else "gNB"
         if inner.collidepoint(at):
-            # the base station is a filled triangle, its mirror images are hollow ones
+            # the base station is a filled triangle; its mirror images are hollow triangles
             shape = at + np.array([[0.0, -7.0], [6.0, 5.0], [-6.0, 5.0]])
             canvas.polygon(shape, theme.paper if number else theme.ink)
             canvas.line(shape, theme.wall if number else theme.ink, 1.5, closed=True)

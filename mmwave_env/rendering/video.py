@@ -37,7 +37,7 @@ def require_video(option: str, path: Path) -> None:
 def write_video(
     path: Path, draw: Draw, numbers: Sequence[int], fps: int, report: Callable[[float], None]
 ) -> None:
-    """Write a complete video; if that fails, write no file and keep an existing one.
+    """Write a complete video; if that fails, leave the file at ``path`` as it is, if any.
 
     ``draw`` returns the picture (height, width, 3) for one of the ``numbers``, and ``report``
     receives the share of pictures that is done. Check the path with :func:`require_video` first.

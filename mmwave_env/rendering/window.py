@@ -22,10 +22,10 @@ _UNSEEN = {"offscreen", "dummy"}  # video drivers without a visible window
 def require_display(
     purpose: str = 'render_mode="human"', instead: str = 'use render_mode="rgb_array"'
 ) -> None:
-    """Refuse a window that nobody would see; messages say its ``purpose`` and what to do instead.
+    """Refuse a window that nobody would see; ``purpose`` and ``instead`` are parts of the message.
 
     Raises:
-        OSError: there is no display; the message names the variables that select one.
+        OSError: there is no display; the message names variables that select a display.
     """
     try:
         pygame.display.init()
@@ -55,7 +55,7 @@ class Window:
         self._name()
 
     def show(self, picture: NDArray[np.uint8]) -> None:
-        """Show a picture (height, width, 3) until the next is due; if paused, until space or n."""
+        """Show a picture (height, width, 3) until the next is due; a pause ends with space or n."""
         surface = pygame.image.frombuffer(picture.tobytes(), picture.shape[1::-1], "RGB")
         self._stepping = False
         while self._screen is not None:

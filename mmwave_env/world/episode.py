@@ -143,14 +143,14 @@ class Episode:
         Args:
             scene, radio: scene that contains the anchors, and profile of the receiver.
             prior: ``prior_mean`` and ``prior_covariance``.
-            sigma: (T, rows) standard deviations that the receiver reports. Those that are NaN (or
-                all, if None) are computed from the SNR with the radio profile.
+            sigma: (T, rows) standard deviations that the receiver reports. Where sigma is NaN (or
+                everywhere, if None), the radio profile computes them from the SNR.
             position_m, velocity_mps: true positions and velocities (T, 3); None if unknown.
         """
         known = np.isfinite(snr_db)
         stated = radio.sigma(snr_db, scene, layout)
         if layout.partial:
-            snr_db = np.where(known, snr_db, NEUTRAL_SNR_DB)  # agents observe the SNR
+            snr_db = np.where(known, snr_db, NEUTRAL_SNR_DB)  # observations need a number
             if doppler_anchor is not None:
                 shifted = np.repeat(snr_db[np.arange(len(snr_db)), doppler_anchor], layout.anchors)
                 of_doppler = radio.sigma(shifted.reshape(snr_db.shape), scene, layout)
@@ -170,7 +170,7 @@ class Episode:
 
     @cached_property
     def usable(self) -> Mask:
-        """Return True (T, groups) where a group is visible and finite; links also need an SNR.
+        """Return a mask (T, groups) of groups that are visible and finite; links also need an SNR.
 
         In a partial layout, one finite row is enough, and the SNR does not matter.
         """
@@ -187,7 +187,7 @@ class Episode:
 
     @property
     def _used(self) -> Mask:
-        """Return True (T, rows) where a row is measured and belongs to a usable group."""
+        """Return a mask (T, rows) of measured rows in usable groups."""
         groups = np.repeat(self.usable, self.layout.widths, axis=1)
         return groups & self._finite if self.layout.partial else groups
 
@@ -202,7 +202,7 @@ class Episode:
             raise ValueError(f"{self._record}: found no truth, which reward and metrics need")
 
     def on_flat_ground(self, height_m: float | None = None) -> "Episode":
-        """Return the episode with this height, or the true one, and vz = 0 in its prior mean."""
+        """Return the episode with vz = 0 and this height (None: the true one) in its prior mean."""
         if height_m is None:
             self.require_truth()
             height_m = self.truth_position_m[0, 2]  # type: ignore[index]
@@ -351,7 +351,7 @@ class EpisodeSource(Protocol):
 
     Attributes:
         layout: layout of every episode's measurements.
-        epochs: length of every episode.
+        epochs: number of epochs of every episode.
         name: name of the source, for results.
     """
 

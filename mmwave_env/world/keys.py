@@ -21,7 +21,7 @@ _STRIDE = np.uint64(0x9E3779B97F4A7C15)  # 2**64 / golden ratio, rounded to an o
 
 
 def keys_at(streams: NDArray[np.uint64], episodes: NDArray[np.uint64]) -> Keys:
-    """Return the keys (n,) of episodes, given their streams (n,) or () and their numbers from 0."""
+    """Return the keys (n,) of episodes, given their streams (n,) or () and indices (from 0)."""
     # overflow is intended: arrays of integers wrap around
     bits = np.atleast_1d(streams) + (np.atleast_1d(episodes) + np.uint64(1)) * _STRIDE
     bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -83,7 +83,7 @@ class Stream:
 
     def next(self, rng: np.random.Generator, seed: int) -> int:
         """Return the next episode's key, given the environment's current generator and seed."""
-        if rng is not self._from:  # seeded anew; or a user set a generator, whose seed is -1
+        if rng is not self._from:  # seeded anew, or replaced by a user (the seed is then -1)
             self._from = rng
             self._state[:] = draw_key(rng) if seed == -1 else stream_of(seed), 0
         (key,) = keys_at(*self._state)
@@ -113,7 +113,7 @@ class Streams:
         An integer s seeds environment i with s + i; None continues a stream.
 
         Raises:
-            ValueError: there is not one seed per environment, or a seed is negative.
+            ValueError: seeds and environments differ in number, or a seed is negative.
         """
         n = len(self._seeds)
         if isinstance(seed, (int, np.integer)):

@@ -30,7 +30,7 @@ class Traveler(NamedTuple):
     """The state of a traveler.
 
     The way ahead is a straight stretch, then an arc over the next crossing (no arc if the traveler
-    goes straight on). The second crossing is the one after it; travelers may already brake for it.
+    goes straight on). The second crossing follows this one; travelers may already brake for it.
     """
 
     due: Number  # 1 if an event is due now: a new target speed, crossing or phase
@@ -57,10 +57,10 @@ class Traveler(NamedTuple):
     phase: Number  # number of the phase (a style of moving); it ends at ``phase_end`` s
     phase_end: Number
     stopping: Number  # 1 while the traveler brakes to a standstill, before the next phase
-    # turn, red: at the next crossing, quarter turns to the left and remaining red light, s
+    # turn, red: quarter turns to the left, and seconds of red light left, at the next crossing
     turn: Number
     red: Number
-    # turn_after, red_after: the same at the second crossing
+    # turn_after, red_after: the same for the second crossing
     turn_after: Number
     red_after: Number
     # node_x, node_y: position of the second crossing, in blocks from the origin
@@ -117,7 +117,7 @@ def wanted_acceleration(t: Traveler, net: Net) -> Number:
     aim = minimum(cornering + t.braking * maximum(corner, 0.0), t.braking * light)
     aim = sqrt(minimum(t.target * t.target, aim))
     pull = clip((aim - t.v) * 2.0, -t.braking, t.acceleration)
-    built_up = 0.6 / t.jerk * (maximum(t.a, 0.0) + t.braking) * t.v  # m, while braking builds up
+    built_up = 0.6 / t.jerk * (maximum(t.a, 0.0) + t.braking) * t.v  # m until braking is built up
     need = maximum(
         where(corner > 0.0, squared - cornering, 0.0) / (2.0 * maximum(corner - built_up, 0.5)),
         where(light > 0.0, squared, 0.0) / (2.0 * maximum(light - built_up, 0.5)),

@@ -25,7 +25,7 @@ from mmwave_env.world.kinematics import FAR
 from mmwave_env.world.travel import PhasePlan, TravelPlan, blank_plan
 
 FASTEST_MPS = 100.0  # faster than any user in streets
-ROOM = 3  # minimum room in compiled programs: 3 phases of 3 gaits, enough for all shipped users
+ROOM = 3  # compiled programs fit at least 3 phases of 3 gaits, as all shipped users need
 
 Speed = Annotated[float, Bound(f"0 to {FASTEST_MPS:g} m/s", least=0.0, most=FASTEST_MPS)]
 Duration = Annotated[float, Bound("a number >= 0.001", least=1e-3, most=inf)]
@@ -57,7 +57,7 @@ class Gait:
 
 @dataclass(frozen=True)
 class Limits:
-    """The limits of a traveler's motion; limits given as ranges are drawn as an episode begins.
+    """The limits of a traveler's motion, some of them drawn from ranges as an episode begins.
 
     Attributes:
         acceleration_mps2: range from which the acceleration limit is drawn.
@@ -109,7 +109,7 @@ class Mobility:
         name: name of the kind of user, which is also the name of its episodes.
         phases: phases in order of time. All but the last need a ``duration_s``; the last must not
             have one, unless ``ends_as_it_began``.
-        blocks: the distance between this user's crossings is the scene's divided by this number.
+        blocks: the scene's distance between crossings, divided by this user's distance.
         ends_as_it_began: whether the first phase is repeated at the end of the episode.
     """
 
@@ -193,7 +193,7 @@ def read_mobility(path: str | os.PathLike[str]) -> Mobility:
 def plans_of(mobilities: Sequence[Mobility], block_m: float) -> list[TravelPlan]:
     """Return one travel plan per kind of user, for streets at least ``block_m`` apart.
 
-    All plans have the same numbers of phases and gaits; those that a user lacks have no effect.
+    All plans are padded to equal numbers of phases and gaits; the padding has no effect.
 
     Raises:
         ValueError: corners do not fit between two crossings.

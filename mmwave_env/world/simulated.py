@@ -47,7 +47,7 @@ MOST_EPOCHS = 1_000_000  # maximum per episode, as times and actions of all epoc
 
 
 class Begun(NamedTuple):
-    """The beginnings of n episodes, of simulated users or of users on given ways (trajectories).
+    """The beginnings of n episodes, whose users are simulated or follow given ways (trajectories).
 
     Attributes:
         kinds: (n,) index of the kind of user, or of the given way.
@@ -224,7 +224,7 @@ class SimulatedSource:
         return Feed(self.world.on_lanes(), self._settings_rows, kept, timed, self.steps_s)
 
     def _simulation(self, begun: Begun) -> tuple[Program[Any], BatchState]:
-        """Return the program and the initial state that simulate episodes."""
+        """Return the program that simulates episodes, and its initial state."""
         worlds = begun.worlds
         if self.travels:
             program: Program[Any] = as_measured(self.layout)
@@ -296,7 +296,7 @@ class SimulatedSource:
 
     @property
     def world(self) -> World:
-        """Return the world that simulates the epochs of users who are not on given ways."""
+        """Return the world that simulates users who are not on given ways."""
         return world_of(self.layout, *self._room)
 
     @property
@@ -308,7 +308,7 @@ class SimulatedSource:
     @property
     def _beginning(self) -> Program[Beginning]:
         streets = None
-        if isinstance(self.scene, RandomScene):  # the carrier is no part of the program
+        if isinstance(self.scene, RandomScene):  # one program for all carriers
             same = RandomScene()
             streets = replace(
                 self.scene, carrier_hz=same.carrier_hz, bandwidth_hz=same.bandwidth_hz

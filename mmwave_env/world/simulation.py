@@ -43,7 +43,7 @@ class WorldSettings(NamedTuple):
 
     hz_per_mps: Number  # carrier frequency divided by the speed of light
     channel: Channel  # constants of the channel, from radio and scene
-    drift_hz: Number  # standard deviation of the oscillator's change from epoch to epoch
+    drift_hz: Number  # standard deviation of the change of the oscillator's bias per epoch
     step_s: Number  # length of a substep
     stride: Number  # number of substeps in an epoch
     offered: Vector = ()  # (rows,) 1 where the receiver measures the row; empty if it measures all
@@ -63,7 +63,7 @@ class Clock(NamedTuple):
 class ReceiverState(NamedTuple):
     """The state of links and receiver between two epochs."""
 
-    dice: list[Number]  # (4,) state of the receiver's random generator
+    dice: list[Number]  # (4,) state of the receiver's own random generator
     anchors: list[list[Number]]  # (L, 3) positions, m
     is_first: Number  # 1 before the first epoch
     channel: ChannelState  # state of the links
@@ -74,7 +74,7 @@ class ReceiverState(NamedTuple):
 class UserState(NamedTuple):
     """The state of a simulated user between two epochs."""
 
-    dice: list[Number]  # (4,) state of the user's random generator; the receiver has another one
+    dice: list[Number]  # (4,) state of the user's own random generator
     net: Net  # net of streets
     phases: list[Phase]  # phases of the episode
     traveler: Traveler  # state in the coming epoch
@@ -293,7 +293,7 @@ class FirstDraws(NamedTuple):
 
     receiver: ReceiverState
     user: UserState  # not used if a way is given
-    choice: Number  # index of the kind of user; for given ways, uniform in [0, 1), to select one
+    choice: Number  # index of the kind of user; for a given way: uniform in [0, 1)
     # (7,) true state at the first epoch, followed by the clock's bias (m) if there is a clock; if
     # ways are given, the position and velocity in it are meaningless
     first: list[Number]

@@ -17,7 +17,7 @@ from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.world.mobility import FASTEST_MPS, Mobility, mobilities_of
 
-REACH_M = (1.0, 5000.0)  # an anchor's reach, where the path loss is valid (3GPP TR 38.901, UMi)
+REACH_M = (1.0, 5000.0)  # range of distances where the path loss is valid (TR 38.901, UMi)
 STANDING_M, STANDING_S = 0.1, 60.0  # staying within 0.1 m for 60 s is suspect
 
 
@@ -118,7 +118,7 @@ class Trajectory:
         """Return positions and velocities (E, 6) from :meth:`resampled`, if they fit a scene.
 
         Raises:
-            ValueError: the way is shorter than ``dt``, behind a wall, or outside an anchor's reach.
+            ValueError: the way is shorter than ``dt``, behind a wall or not in :data:`REACH_M`.
         """
         way = self.resampled(dt)
         if len(way) < 2:

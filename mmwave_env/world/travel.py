@@ -51,7 +51,7 @@ class Phase(NamedTuple):
 
 
 class PhasePlan(NamedTuple):
-    """The ranges (2,) from which the length and the limits of a phase are drawn."""
+    """The ranges (2,) from which the duration and the limits of a phase are drawn."""
 
     length: list[Number]
     acceleration: list[Number]
@@ -64,7 +64,7 @@ class PhasePlan(NamedTuple):
 class TravelPlan(NamedTuple):
     """A kind of user, described by numbers only."""
 
-    closer: Number  # the scene's distance between crossings, divided by this user's
+    closer: Number  # ratio of the scene's distance between crossings to this user's distance
     phases: list[PhasePlan]
 
 
