@@ -51,7 +51,7 @@ def smoothed_errors(pipeline, episodes, actions=None):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("planar", [False, True])
-def test_smoothed_errors_are_those_of_the_smoothed_track(planar):
+def test_smoothed_errors_equal_the_errors_of_the_smoothed_track(planar):
     episodes = flat(simulated(N, epochs=T)) if planar else simulated(N, epochs=T)
     pipeline = Pipeline(default_modes(), STREET, planar)
     _, _, smoothed = Replay(pipeline).run(EpisodeBatch.of(episodes), ACTIONS)
