@@ -28,7 +28,7 @@ def damaged(draw, content):
 
 
 def places(content, path=()):
-    """Yield the path (keys, indices) to each part of JSON content, five per list at most."""
+    """Yield the path (keys, indices) to each part of JSON content, at most five per list."""
     parts = content.items() if isinstance(content, dict) else enumerate(content[:5])
     for key, value in parts:
         yield (*path, key)

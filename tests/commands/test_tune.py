@@ -86,7 +86,7 @@ def marked(file):
 @pytest.mark.slow
 @pytest.mark.parametrize("file", [*map(marked, SHIPPED)], ids=lambda file: file.stem)
 def test_tuning_on_the_original_episodes_finds_the_shipped_modes(file):
-    """Use the episodes on which the shipped modes were tuned, whose keys NumPy drew."""
+    """Use the episodes, with keys drawn by NumPy, on which the shipped modes were tuned."""
     seeds = range(5_000_000, 5_000_300)
     keys = np.array([draw_key(np.random.default_rng(seed)) for seed in seeds], np.uint64)
     radio = file.stem.removesuffix("-diagonal")

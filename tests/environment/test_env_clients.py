@@ -159,7 +159,7 @@ def test_fixed_infos_always_have_the_same_keys_types_and_shapes():
     infos = [(env.reset(seed=0)[1], *(env.step(1)[4] for _ in range(3))) for env in (fixed, every)]
     first, *others = ({k: (np.shape(v), v.dtype) for k, v in known.items()} for known in infos[0])
     assert all(list(other.items()) == list(first.items()) for other in others)
-    # Where the usual infos lack an entry, fixed infos have NaN, -1, False or no nonfinite beliefs.
+    # Where usual infos lack a key, fixed infos have NaN, -1 or False, and 0 as nonfinite_beliefs.
     for known, expected in zip(*infos, strict=True):
         assert set(first) >= set(expected) - {"episode_name", "episode_key"}
         for key, value in known.items():

@@ -273,7 +273,7 @@ def peak_bytes(n):
 
 @pytest.mark.slow
 def test_each_environment_needs_at_most_64_kb():
-    peak_bytes(512)  # compiles
+    peak_bytes(512)  # compile first
     peaks = [peak_bytes(n) for n in (512, 1024, 2048)]
     slopes = np.diff(peaks) / (512, 1024)
     assert slopes.max() <= 64_000

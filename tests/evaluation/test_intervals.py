@@ -131,7 +131,7 @@ SPREADS = {"seeds": (1.0, 0.0, 0.1), "episodes": (0.0, 1.0, 0.1), "all": (0.2, 0
 
 @pytest.fixture
 def fewer_resamples(monkeypatch):
-    """Use 500 instead of 4000 resamples, which take less time and are enough for coverage."""
+    """Use 500 instead of 4000 resamples to save time; 500 are enough to measure coverage."""
     intervals._resamples.cache_clear()
     monkeypatch.setattr(intervals, "RESAMPLES", 500)
     yield
@@ -157,5 +157,5 @@ def coverage(K, spread, trials=400, episodes=40):
 def test_intervals_contain_the_truth_in_about_95_percent_of_trials(K, spread):
     share = coverage(K, SPREADS[spread])
     # Over 400 trials, three standard errors of the share are 0.033. Small samples lower the share a
-    # little. The interaction of seeds and episodes counts twice (Owen 2007), which raises it.
+    # little. The interaction of seeds and episodes counts twice (Owen 2007) and raises the share.
     assert 0.91 < share < 0.99
