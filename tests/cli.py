@@ -1,4 +1,4 @@
-"""Helpers that run the command line program inside the process of the tests."""
+"""Helpers that run the command-line program in the process of the tests or in another process."""
 
 import os
 import re
@@ -57,7 +57,7 @@ def python(code, *options, cwd=ROOT):
 
 
 def started(*words, **options):
-    """Start ``mmwave-loc <words>`` in a process of its own, with pipes for output; return it.
+    """Start ``mmwave-loc <words>`` with pipes for output; return the new process.
 
     The options are arguments of ``subprocess.Popen`` that replace or complete the usual ones.
     """

@@ -18,7 +18,7 @@ VALUES = (
 
 @st.composite
 def damaged(draw, content):
-    """Draw the bytes of a file with some of them replaced by others."""
+    """Draw the bytes of a file after one to three replacements, removals or insertions."""
     for _ in range(draw(st.integers(1, 3))):
         begin = draw(st.integers(0, len(content)))
         end = begin + draw(st.sampled_from((0, 1, 2, 8, len(content))))
@@ -28,7 +28,7 @@ def damaged(draw, content):
 
 
 def places(content, path=()):
-    """Yield the path (keys, indices) to each part of JSON content, in lists to five items only."""
+    """Yield the path (keys, indices) to each part of JSON content, at most five per list."""
     parts = content.items() if isinstance(content, dict) else enumerate(content[:5])
     for key, value in parts:
         yield (*path, key)
@@ -41,10 +41,10 @@ def changed(draw, content):
     """Draw the JSON content with one or two parts replaced or removed."""
     content = json.loads(json.dumps(content))
     for _ in range(draw(st.integers(1, 2))):
-        ways = list(places(content))
-        if not ways:
+        paths = list(places(content))
+        if not paths:
             break
-        *path, last = draw(st.sampled_from(ways))
+        *path, last = draw(st.sampled_from(paths))
         inner = content
         for key in path:
             inner = inner[key]
@@ -56,7 +56,7 @@ def changed(draw, content):
 
 
 class Malicious:
-    """Object that leaves traces in the process and makes a folder when it is unpickled."""
+    """Object that sets ``builtins.touched`` and makes a folder when it is unpickled."""
 
     def __init__(self, path):
         self.path = path

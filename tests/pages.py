@@ -2,8 +2,8 @@
 
 A comment above a block says what is done with the block:
 
-- ``<!-- example -->``: it is run. All Python blocks of a page share one session, lines that begin
-  with ``mmwave-loc`` are run as commands, and functions named test_... are called.
+- ``<!-- example -->``: the block is run. All Python blocks of a page share one session, lines that
+  begin with ``mmwave-loc`` are run as commands, and functions named test_... are called.
 - ``<!-- example: ride.csv -->``: it is written to this file, in the folder where blocks are run.
 - ``<!-- example: few -->``: it is run with 2 episodes and 4096 steps instead of its own numbers.
 - ``<!-- example: slow -->``: only slow tests run it; ``few`` and ``slow`` can be combined.
@@ -12,7 +12,7 @@ A comment above a block says what is done with the block:
 
 The output of a block is shown below it, between ``<!-- table: printed -->`` and ``<!-- end -->``.
 If text follows ``printed``, only one table is shown: the first at or below a line that begins with
-this text. If a file name precedes ``printed``, the block wrote this file, which is shown instead.
+this text. If a file name precedes ``printed``, this file is shown instead: the block wrote it.
 """
 
 import re
@@ -125,7 +125,7 @@ class Session:
     @contextmanager
     def _inside(self) -> Iterator[None]:
         """Let a block import modules from the folder, and unload these modules afterwards."""
-        before = list(sys.path)  # loading an agent by name adds the current folder to it
+        before = list(sys.path)  # loading an agent by name adds the current folder
         sys.path.insert(0, str(self.folder))
         try:
             with chdir(self.folder):

@@ -10,7 +10,7 @@ import pytest
 
 
 def fields_named(message: str) -> str:
-    """Return the part of a message that names the field: it ends at "found" or else at a colon."""
+    """Return the part of a message that names the field: the text before " found " or else ": "."""
     named, separator, _ = message.partition(" found ")
     return named if separator else message.partition(": ")[0]
 

@@ -31,7 +31,7 @@ NAME = {"minLength": 1, "maxLength": LONGEST, "pattern": r"^[^\x00-\x1f\x7f-\x9f
 
 
 def described(kind):
-    """Return the descriptions of attributes in a dataclass's docstring, by attribute."""
+    """Return a dict from attributes to their descriptions in a dataclass's docstring."""
     _, _, section = inspect.getdoc(kind).partition("Attributes:\n")
     section = section.split("\n\n")[0]
     entries = re.findall(r"^    (\w[\w, ]*): (.*(?:\n {5,}.*)*)", section, re.MULTILINE)
@@ -111,7 +111,7 @@ def radio():
 
 
 def modes():
-    """Return the schema of a mode file: a bank, and notes, which readers ignore."""
+    """Return the schema of a mode file: a bank of modes, and notes that readers ignore."""
     mode = object_schema(Mode, replaced={"algorithm": {"enum": list(ALGORITHMS)}})
     listed = {"type": "array", "items": mode} | size(1, MOST_MODES)
     bank = object_schema(Bank, replaced={"modes": listed})

@@ -117,7 +117,7 @@ READERS = {
 
 
 def numbers_in(content):
-    """Yield the arrays that computations use, except values in groups that are not visible."""
+    """Yield the arrays that computations use; skip measurements that are not marked as visible."""
     if isinstance(content, (LogBlock, Recording)):
         rows = np.repeat(content.visible, content.layout.widths, axis=1)
         yield from (content.time_s, content.measurement[rows])
@@ -134,8 +134,8 @@ def numbers_in(content):
         yield from numbers_in(vars(content))
 
 
-# Files that may contain NaN: most of them are only displayed, and nothing is computed with their
-# numbers; in logs of paths, NaN means a missing value.
+# Readers accept NaN in these files. Most of these files are only displayed, and no computation uses
+# their numbers; in logs of paths, NaN means a missing value.
 MAY_BE_NAN = ("results", "run", "summary", "progress log", "policy", "log of paths")
 
 

@@ -1,6 +1,6 @@
 """Tests that example agents beat simple rivals, that other examples work, and that notebooks run.
 
-The rival is the policy `guided` if the example prints its reward, or else the best fixed mode.
+The rival is the policy `guided` if the example prints the reward of `guided`, or else the UKF.
 Examples whose libraries are not installed are skipped; `make examples` installs them all.
 """
 
@@ -33,7 +33,7 @@ from tests.cli import environment
 from tests.paths import RECORDINGS, ROOT, json_in, loaded
 
 FOLDER = ROOT / "examples"
-# Examples that make data, draw a Pareto front, compare filters or train a localizer, not an agent.
+# Examples without an agent: they make data, draw a Pareto front, compare or train localizers.
 OTHERS = {"raytrace", "sumo", "minari_collect", "mo_front", "recurrent_localizer", "stone_soup"}
 EXAMPLES = {path.stem: path for path in sorted(FOLDER.glob("*.py")) if path.stem not in OTHERS}
 
@@ -54,7 +54,7 @@ def rewards(printed: str) -> dict[str, float]:
 
 
 def made_before(source: str) -> list[list[str]]:
-    """Return the commands, shown in an example's docstring, that make the files it reads."""
+    """Return the commands from an example's docstring that make the files the example reads."""
     lines = re.findall(r"^python (examples/.*)$", ast.get_docstring(ast.parse(source)) or "", re.M)
     return [[str(ROOT / script), *words] for script, *words in map(shlex.split, lines)]
 
@@ -80,7 +80,7 @@ def run(script, *options, cwd, **variables):
 @pytest.mark.slow
 @pytest.mark.release
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_an_example_beats_the_best_fixed_mode_or_its_base(name, tmp_path):
+def test_an_example_beats_guided_or_the_best_fixed_mode(name, tmp_path):
     source = EXAMPLES[name].read_text("utf-8")
     for module in imported(source):
         pytest.importorskip(module, exc_type=ImportError)
@@ -92,7 +92,7 @@ def test_an_example_beats_the_best_fixed_mode_or_its_base(name, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_front_trades_error_for_consistency(tmp_path):
+def test_along_the_pareto_front_a_smaller_error_costs_consistency(tmp_path):
     pytest.importorskip("mo_gymnasium")
     printed = run(FOLDER / "mo_front.py", cwd=tmp_path)
     points = np.array(re.findall(r"error (\S+), inconsistency (\S+):", printed), float)
@@ -102,7 +102,7 @@ def test_a_front_trades_error_for_consistency(tmp_path):
 
 @pytest.fixture
 def localizer(tmp_path, monkeypatch):
-    """Run recurrent_localizer.py, save an untrained network for it, and return its names."""
+    """Run recurrent_localizer.py, save an untrained network, and return the script's names."""
     monkeypatch.chdir(tmp_path)
     names = loaded("examples/recurrent_localizer.py")
     names.save_file(names.Network().state_dict(), names.FILE)
@@ -145,7 +145,7 @@ STORED = {"first_switcher": 0, "corrector": 5}  # number of pictures stored with
 
 
 @pytest.mark.parametrize("name", STORED)
-def test_notebooks_are_stored_with_their_pictures_alone(name):
+def test_notebooks_are_stored_with_pictures_but_without_details_of_a_run(name):
     notebook = json_in(NOTEBOOKS / f"{name}.ipynb")
     code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
     assert all(cell["execution_count"] is None for cell in code)
@@ -162,7 +162,7 @@ def outputs_of(name):
     nbclient, nbformat = map(pytest.importorskip, ("nbclient", "nbformat"))
     notebook = nbformat.read(NOTEBOOKS / f"{name}.ipynb", as_version=4)
     nbformat.validate(notebook)
-    folder = {"metadata": {"path": NOTEBOOKS}}  # where Jupyter runs it
+    folder = {"metadata": {"path": NOTEBOOKS}}  # Jupyter runs notebooks in their folder
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", environment()["PYTHONPATH"])
         nbclient.NotebookClient(notebook, resources=folder, timeout=600).execute()
@@ -184,7 +184,7 @@ def test_the_notebook_of_the_corrector_shows_that_every_step_helps():
 
 @pytest.mark.slow
 @pytest.mark.torch
-def test_the_notebook_runs_and_its_agent_beats_the_rules():
+def test_the_agent_of_the_first_notebook_beats_the_rule_and_the_ukf():
     printed, shown = outputs_of("first_switcher")
     assert "Warning: speed" not in printed
     assert sum("image/png" in data for data in shown) == 3
@@ -247,7 +247,7 @@ def test_the_traffic_is_moved_to_the_middle_of_the_street(tmp_path, capsys):
     write_traffic(tmp_path / "traffic.xml")
     sumo, street = loaded("examples/sumo.py"), SCENES["street"]
     sumo.ways_in(street, sumo.read_trips(tmp_path / "traffic.xml"), 60.0)
-    assert "moved by (5.0, -224.5) m" in capsys.readouterr().out  # x 0..150, y 9..280
+    assert "moved by (5.0, -224.5) m" in capsys.readouterr().out  # from x 0..150, y 9..280
 
 
 @pytest.mark.slow
@@ -295,7 +295,7 @@ def sionna_paths(users_m, hidden=()):
 
 
 def test_traced_paths_are_written_to_a_folder_and_read_back(tmp_path):
-    """Use arrays shaped as in Sionna RT 2.2; the next test runs its solver if it is installed."""
+    """Use arrays shaped as in Sionna RT 2.2; the next test runs Sionna's solver if installed."""
     raytrace, velocity = loaded("examples/raytrace.py"), np.tile([10.0, 0.0, 0.0], (21, 1))
     traced = sionna_paths(USERS[:12], hidden=[3]), sionna_paths(USERS[12:])
     blocks = [raytrace.arrays_of(paths) for paths in traced]

@@ -1,4 +1,4 @@
-"""Tests that commands and environments name the extra that they need, before they do any work."""
+"""Tests that commands and environments name a missing extra (optional package) before any work."""
 
 import sys
 

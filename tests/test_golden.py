@@ -1,4 +1,4 @@
-"""Tests that golden traces, stored outputs of fixed runs, are reproduced when run again."""
+"""Tests that running again reproduces the golden traces, which are stored outputs of fixed runs."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Tests that commands killed at random moments, or on a full disk, leave complete files or none."""
+"""Tests that commands leave complete files or none, even after a signal or on a full disk."""
 
 import os
 import random
@@ -14,12 +14,12 @@ from experiments.console.main import main
 from tests.cli import succeed
 from tests.paths import LOGS
 
-with suppress(ImportError):  # not on systems without fork
+with suppress(ImportError):  # systems without fork lack this module, too
     import resource
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")]
 HITS, TRIES = 3, 15  # required number of interruptions of a command, maximum number of tries
-TOLD = "told.txt"  # file with a command's output, next to the folder in which the command runs
+PRINTED = "printed.txt"  # file with a command's output, outside the folder where it runs
 LOG, SCENE = (str(LOGS / "canyon28_vehicle" / name) for name in ("log.csv", "scene.json"))
 FEW = ("--episodes", "4", "--episode-steps", "30")
 COMMANDS = {
@@ -33,7 +33,7 @@ COMMANDS = {
     "tune": ("tune", "--modes", "ekf", "--scenarios", "pedestrian", "--free", "sigma_v",
              "--episodes", "2", "--out", "modes.json"),
 }  # fmt: skip
-WAYS = {  # name -> signal to send, or None; exit codes of a command that was interrupted
+INTERRUPTIONS = {  # name -> signal to send (None: limit file sizes), exit codes if interrupted
     "KILL": (signal.SIGKILL, {-signal.SIGKILL}),
     "TERM": (signal.SIGTERM, {-signal.SIGTERM, 128 + signal.SIGTERM}),
     "INT": (signal.SIGINT, {-signal.SIGINT, 128 + signal.SIGINT}),
@@ -51,8 +51,8 @@ def contents(folder):
 
 
 def begun(words, folder, most):
-    """Start a command that can write only ``most`` bytes per file; return the id of its process."""
-    (folder.parent / TOLD).write_text("")
+    """Start a command that can write ``most`` bytes per file (None: any); return its process id."""
+    (folder.parent / PRINTED).write_text("")
     child = os.fork()
     if child:
         return child
@@ -62,7 +62,7 @@ def begun(words, folder, most):
         os.chdir(folder)
         signal.signal(signal.SIGINT, signal.default_int_handler)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        output = os.open(f"../{TOLD}", os.O_WRONLY)
+        output = os.open(f"../{PRINTED}", os.O_WRONLY)
         os.dup2(output, 1)
         os.dup2(output, 2)
         sys.stdout, sys.stderr = (os.fdopen(stream, "w", closefd=False) for stream in (1, 2))
@@ -105,12 +105,12 @@ def undisturbed(tmp_path_factory):
     return find
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("kind", INTERRUPTIONS)
 @pytest.mark.parametrize("name", COMMANDS)
-def test_an_interrupted_command_leaves_complete_files_or_none(name, way, undisturbed, tmp_path):
+def test_an_interrupted_command_leaves_complete_files_or_none(name, kind, undisturbed, tmp_path):
     inputs, whole, longest_s = undisturbed(name)
-    sent, codes = WAYS[way]
-    rng, hits = random.Random(f"{name} {way}"), 0
+    sent, codes = INTERRUPTIONS[kind]
+    rng, hits = random.Random(f"{name} {kind}"), 0
     largest = max(len(content) for content in whole.values())
     for number in range(TRIES):
         folder = shutil.copytree(inputs, tmp_path / str(number))
@@ -121,7 +121,7 @@ def test_an_interrupted_command_leaves_complete_files_or_none(name, way, undistu
             os.kill(child, sent)
         _, status = os.waitpid(child, 0)
         code = os.waitstatus_to_exitcode(status)
-        output = (tmp_path / TOLD).read_text()
+        output = (tmp_path / PRINTED).read_text()
         assert code in codes | {0} and "Traceback" not in output, output
         written = contents(folder)
         assert [file for file in written if written[file] != whole.get(file)] == []

@@ -15,7 +15,7 @@ from tests.paths import ROOT
 
 TEXT = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
 BLOCKS = {page: blocks_of(page) for page in PAGES}
-EXTRAS = {"torch", "stable_baselines3", "minari", "matplotlib", "pyarrow"}  # may be missing
+EXTRAS = {"torch", "stable_baselines3", "minari", "matplotlib", "pyarrow"}  # optional packages
 
 
 def anchors(page):
@@ -97,7 +97,7 @@ def test_examples_run_and_print_the_tables_of_the_page(page, block, session_of):
 
 
 def assert_alike(shown, now):
-    """Check that two texts are equal except for rounding, which may depend on the processor."""
+    """Check that two texts are equal except for numbers, which may differ by 2 % or 0.02."""
     assert NUMBER.sub("", shown).split() == NUMBER.sub("", now).split()
     a, b = ([float(n.replace(",", "")) for n in NUMBER.findall(text)] for text in (shown, now))
     assert a == pytest.approx(b, rel=0.02, abs=0.02)

@@ -58,7 +58,7 @@ def values(schema):
 
 
 def consistent(content):
-    """Return the content without contradictions between its parts, which a schema can't exclude."""
+    """Return the content without those contradictions that a schema cannot exclude."""
     if isinstance(content, list):
         pair = len(content) == 2 and all(isinstance(v, float) for v in content)
         return sorted(content) if pair else [*map(consistent, content)]
@@ -97,7 +97,7 @@ def damaged(draw, name):
 
 
 def refusal(name, content, folder):
-    """Return the reader's error, "" if it does not name file and schema; None without an error."""
+    """Return the reader's error ("" if it does not name file and schema), None without an error."""
     path = folder / f"{name}.json"
     path.write_text(json.dumps(content), encoding="utf-8")
     try:

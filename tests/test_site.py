@@ -71,7 +71,7 @@ def test_the_page_of_help_texts_has_every_command(hooks):
     assert names == list(COMMANDS)
 
 
-def test_roles_become_links_while_names_and_numbers_stay_on_one_line(hooks):
+def test_sphinx_roles_become_links_and_names_and_numbers_stay_on_one_line(hooks):
     html = "<p>:func:<code>~mmwave_env.metrics.ate</code> :func:<code>draw</code></p>"
     links = re.findall('identifier="(.*?)"><code>(.*?)<', hooks.on_page_content(html))
     assert links == [("mmwave_env.metrics.ate", "ate")]
@@ -79,7 +79,7 @@ def test_roles_become_links_while_names_and_numbers_stay_on_one_line(hooks):
     assert hooks.on_page_content(cells).count('<td class="whole">') == 3
 
 
-def test_a_paragraph_that_is_only_a_link_to_a_report_shows_it_in_a_frame(hooks):
+def test_a_paragraph_with_only_a_link_to_a_report_shows_the_report_in_a_frame(hooks):
     html = '<p><a href="../report.html#episodes">Play it</a></p>'
     html += '<p>See <a href="report.html">it</a>.</p><p><a href="data/">it</a></p>'
     frames = re.findall('<iframe .*src="([^"]*)"', hooks.on_page_content(html))

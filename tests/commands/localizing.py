@@ -1,4 +1,4 @@
-"""Helpers that run ``mmwave-loc localize`` on two shipped logs (a walk, a ride) or on others."""
+"""Helpers that run ``mmwave-loc localize`` on shipped logs (a walk, a ride) or on other logs."""
 
 import tempfile
 from pathlib import Path

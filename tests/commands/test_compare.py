@@ -54,7 +54,7 @@ MISTAKES = {  # name -> file to remove from the run, more policies or options, e
     "a missing policy": (POLICY, (), f"{POLICY}: found no such file"),
     "no summary": ("summary.json", (), "summary.json: found no file.*--resume"),
     "the run twice": (None, ("RUN/",), "policies: found .*expected different names"),
-    "no folder": (None, ("runs/never",), "policy: found 'runs/never', expected.*imm.*of a run"),
+    "no such run": (None, ("runs/never",), "policy: found 'runs/never', expected.*imm.*of a run"),
     "not a picture": (None, ("--errors", "f.gif"), "found f.gif.*ends with .png, .svg, .pdf"),
     "not a LaTeX file": (None, ("--table", "t.md"), r"table: found t.md.*ends with \.tex"),
     "too narrow": (None, ("--width-mm", "10"), "width_mm: found 10, expected 80 to 500"),
@@ -133,7 +133,7 @@ def test_the_option_percentiles_adds_percentiles_to_the_tables_and_the_file(resu
     assert "at a risk of 0.001" in shown
 
 
-def test_the_table_of_episodes_has_a_row_for_every_policy_and_seed_with_the_episode_s_key(results):
+def test_the_table_of_episodes_has_a_row_with_a_key_for_every_policy_and_seed(results):
     content, rows = results
     assert list(rows[0]) == ["policy", "seed", "key", *METRICS, *TERMS]
     env = gymnasium.make("MmWaveLoc-v0", episode_steps=15)

@@ -21,24 +21,24 @@ def test_results_for_every_data_set_are_printed_and_written(tmp_path, monkeypatc
         return Results(comparison, str(comparison), comparison.json, ())
 
     def page_of(args):
-        assert args.results == tuple(tmp_path / f"{place}.json" for place in places)
+        assert args.results == tuple(tmp_path / f"{data}.json" for data in data_sets)
         return "a page"
 
-    places = ["mixed", "canyon28_pedestrian", "canyon28_vehicle"]
+    data_sets = ["mixed", "canyon28_pedestrian", "canyon28_vehicle"]
     monkeypatch.setattr("experiments.reporting.comparison_results.results", results)
     monkeypatch.setattr("experiments.reporting.webpage.page.page_of", page_of)
     demo.main(demo.Args(out=tmp_path, json=tmp_path / "all.json", percentiles=True))
     shown = capsys.readouterr().out
     rows = [line.split(" | ")[0][2:] for line in shown.splitlines() if "±" in line]
     everyone = all_contenders(EpisodeArgs())
-    assert rows == [*everyone] * len(places)
+    assert rows == [*everyone] * len(data_sets)
     assert "Paired" not in shown and str(tmp_path / "tables.md") in shown
     written = (tmp_path / "tables.md").read_text()
-    assert all(written.count(f"\n| {name} |") == 2 * len(places) for name in everyone)
+    assert all(written.count(f"\n| {name} |") == 2 * len(data_sets) for name in everyone)
     (page,) = tmp_path.glob("*.html")
     assert str(page) in shown and page.read_text() == "a page"
     together = json_in(tmp_path / "all.json")
-    for place in places:
-        assert str(tmp_path / f"{place}.json") in shown
-        assert together[place] == json_in(tmp_path / f"{place}.json")
-        assert list(together[place]["policies"]) == list(everyone)
+    for data in data_sets:
+        assert str(tmp_path / f"{data}.json") in shown
+        assert together[data] == json_in(tmp_path / f"{data}.json")
+        assert list(together[data]["policies"]) == list(everyone)

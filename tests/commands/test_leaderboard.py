@@ -41,7 +41,7 @@ def test_entries_are_ranked_and_a_page_is_updated(entries, tmp_path):
 
 
 @pytest.mark.slow
-def test_with_keep_no_policy_that_has_a_file_is_evaluated_again(entries, tmp_path, monkeypatch):
+def test_the_option_keep_skips_policies_that_have_a_file(entries, tmp_path, monkeypatch):
     shutil.copy(entries / "imm-best.json", tmp_path)
     judged = set()
 
@@ -79,7 +79,7 @@ def test_a_mistake_is_refused_before_episodes_are_played(options, message, tmp_p
 
 
 @pytest.mark.parametrize(("episodes", "draws"), [(1999, 200), (2000, 199)])
-def test_an_entry_of_too_few_episodes_comes_last_and_is_marked(episodes, draws, tmp_path):
+def test_an_entry_with_too_few_episodes_comes_last_and_is_marked(episodes, draws, tmp_path):
     good, poor = (json_in(FOLDER / f"{name}.json") for name in (GOOD, POOR))
     (tmp_path / "full.json").write_text(json.dumps(poor))
     for site in good["sites"].values():

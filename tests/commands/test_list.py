@@ -52,13 +52,13 @@ def test_a_sample_can_be_copied(tmp_path):
 
 def test_copying_a_sample_replaces_no_file(tmp_path):
     succeed("list", "samples", "--copy", "canyon28_pedestrian", "--out", tmp_path / "walk")
-    (tmp_path / "walk" / "log.csv").unlink()  # the second copy is refused and must not add it
+    (tmp_path / "walk" / "log.csv").unlink()  # the refused second copy must not add this file
     done = command("list", "samples", "--copy", "canyon28_pedestrian", "--out", tmp_path / "walk")
     assert_one_clear_line(done, "scene.json: found a file of this name, expected none")
     assert not (tmp_path / "walk" / "log.csv").exists()
 
 
-def test_copying_an_unknown_sample_or_naming_no_folder_is_refused(tmp_path):
+def test_copying_needs_a_known_sample_and_a_folder(tmp_path):
     for words in (["samples", "--out", tmp_path], ["samples", "--copy", "canyon28_vehicle"]):
         assert_one_clear_line(command("list", *words), "expected: list samples --copy NAME --out")
     done = command("list", "samples", "--copy", "canyon29", "--out", tmp_path / "new")

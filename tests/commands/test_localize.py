@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc localize``: the modes that it chooses, its figures, and its options."""
+"""Tests of ``mmwave-loc localize``: its modes, its figures (errors and statistics), its options."""
 
 import csv
 import json
@@ -131,7 +131,7 @@ def test_a_truth_with_another_clock_causes_a_warning(tmp_path):
     assert f"The truth's clock is {1e3 * clock['ahead_s']:.0f} ± " in shown.stdout
     assert "ms ahead of the log's." in shown.stdout
     assert f"{truth}: found its clock {1e3 * clock['ahead_s']:.0f} ± " in shown.stderr
-    assert results["truth"]["tracks"]["smoothed"]["ate_m"] > 0.7  # no time is corrected
+    assert results["truth"]["tracks"]["smoothed"]["ate_m"] > 0.7  # the times are not corrected
 
 
 def test_the_printed_figures_equal_those_in_the_json_file(capsys, tmp_path):
@@ -171,7 +171,7 @@ def test_the_truth_is_used_only_for_scores(tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore:Doppler")  # stretched times contradict the Doppler shifts
-def test_a_late_begin_a_restart_and_an_end_at_a_long_gap_are_reported(capsys, tmp_path):
+def test_a_late_start_a_restart_and_an_end_at_a_long_gap_are_reported(capsys, tmp_path):
     """Use the walk at a tenth of its rate, without the epochs from 100 to 129 s.
 
     The base station (anchor 1), without which no track begins, is not visible in the first 20 s.
@@ -196,7 +196,7 @@ def test_a_late_begin_a_restart_and_an_end_at_a_long_gap_are_reported(capsys, tm
         assert "20 epochs before the first line of sight were skipped" in shown
 
 
-def test_the_track_equals_that_of_the_python_function_with_the_same_options(tmp_path):
+def test_the_track_equals_the_result_of_the_python_function_localize(tmp_path):
     out = tmp_path / "track.tum"
     more = ("--window", "50", "--radio", "high", "--robust", "--height", "1.5")
     results = figures(RIDE, "--speed", "10", "--out", out, *more)
@@ -250,7 +250,7 @@ def test_odometry_is_used_if_the_log_has_it(tmp_path):
     assert followed["modes"] != used["modes"] and followed["modes"]["ukf"] > 20
 
 
-CONTRADICTIONS = {  # name -> options, expected message
+MISTAKES = {  # name -> options, expected message
     "too fast": (["--speed", "25", "--outside", "abort"], "found 25 m/s, outside .*up to 20 m/s"),
     "auto and abort": (["--speed", "auto", "--outside", "abort"], "outside: abort needs"),
     "odometry and a speed": (["--speed", "1", "--follow", "odometry"], "follow: odometry needs"),
@@ -259,17 +259,17 @@ CONTRADICTIONS = {  # name -> options, expected message
     "an imm and modes": (["--imm", "imm", "--modes", "m.json"], "modes: cannot be combined"),
     "a diagnosis with --out": (["--diagnose", "--out", "t.tum"], "diagnose: cannot be combined"),
     "a diagnosis of paths": (["--diagnose", "--associate"], "diagnose: .* with --associate"),
-    "imm": (["--imm", "imm-bets"], "imm: found 'imm-bets', did you mean imm-best"),
-    "bank": (["--imm", "missing.json"], "missing.json"),
+    "a mistyped imm": (["--imm", "imm-bets"], "imm: found 'imm-bets', did you mean imm-best"),
+    "a missing bank file": (["--imm", "missing.json"], "missing.json"),
     "window": (["--speed", "1", "--window", "1"], "window: found 1, expected 2 to 20000 epochs"),
     "height": (["--speed", "1", "--height", "nan"], "height: found nan"),
     "plot": (["--speed", "1", "--plot", "track.gif"], "plot: found track.gif, expected.*png"),
-    "twice": (["--speed", "1", "--out", "a.tum", "--plot", "a.tum"], "plot: found a.tum"),
+    "one file twice": (["--speed", "1", "--out", "a.tum", "--plot", "a.tum"], "plot: found a.tum"),
 }
 
 
-@pytest.mark.parametrize("name", CONTRADICTIONS)
+@pytest.mark.parametrize("name", MISTAKES)
 def test_conflicting_options_and_invalid_values_are_refused(tmp_path, name):
-    more, message = CONTRADICTIONS[name]
+    more, message = MISTAKES[name]
     _, line = refused(options(WALK / "log.csv", *more), cwd=tmp_path)
     assert re.search(message, line) and not list(tmp_path.iterdir()), line

@@ -72,14 +72,14 @@ def mapped(tmp_path):
 MAPPED = ("localize", "my_ride.csv.gz", "--scene", "scene.json", "--speed", "9", "--out")
 
 
-def test_one_run_writes_several_files_and_the_track_in_maps_has_the_name_of_the_log(mapped):
+def test_one_run_writes_several_files_and_map_files_name_the_track_after_the_log(mapped):
     shown = succeed(*MAPPED, "t.gpx", "t.geojson", "new/t.tum", cwd=mapped)
     (track,) = gpxpy.parse((mapped / "t.gpx").read_text()).tracks
     line = json_in(mapped / "t.geojson")["features"][0]
     assert track.name == line["properties"]["name"] == "my_ride"
     tables = [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")]
     assert "t.geojson (smoothed track), new/t.tum (smoothed track), new/t.csv (its" in shown
-    succeed(*MAPPED, "new/t.tum", "new/t.csv", cwd=mapped)  # naming the table changes nothing
+    succeed(*MAPPED, "new/t.tum", "new/t.csv", cwd=mapped)  # naming t.csv, too, changes nothing
     assert [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")] == tables
 
 
@@ -106,7 +106,7 @@ def test_an_error_while_printing_is_reported():
 @pytest.mark.skipif(os.name != "posix", reason="needs FIFOs")
 @pytest.mark.parametrize("option", ["log", "--scene", "--truth", "--modes", "--radio"])
 def test_a_fifo_is_refused_before_it_is_read(tmp_path, option):
-    """Use FIFOs: reading one would never end. tests/io/test_files.py has other special files."""
+    """Use FIFOs, on which a reader waits; tests/io/test_files.py tests other special files."""
     odd = tmp_path / ("odd.csv" if option == "log" else "odd.json")
     os.mkfifo(odd)
     files = {"log": RIDE / "log.csv", "--scene": RIDE / "scene.json", option: odd}
@@ -173,17 +173,17 @@ def test_results_and_errors_are_reported_if_standard_output_is_closed(
 # --- damage
 
 # name -> log, expected message, number of complete epochs. Line 602 is the first of epoch 201.
-HALF_WAY = {
-    "no number": (with_line(602, lambda l: cell(l, 2, "far")), "line 602, column 'toa_s'", 200),
-    "at the end": (with_line(1199, lambda l: l[:20]), "line 1199: found", 399),
-    "early": (with_line(6, lambda l: cell(l, 2, "far")), "line 6, column 'toa_s'", 1),
+DAMAGED = {
+    "not a number": (with_line(602, lambda l: cell(l, 2, "far")), "line 602, column 'toa_s'", 200),
+    "last row cut": (with_line(1199, lambda l: l[:20]), "line 1199: found", 399),
+    "early row": (with_line(6, lambda l: cell(l, 2, "far")), "line 6, column 'toa_s'", 1),
 }
 
 
 @pytest.mark.parametrize("zipped", [False, True], ids=["plain", "gz"])
-@pytest.mark.parametrize("name", HALF_WAY)
+@pytest.mark.parametrize("name", DAMAGED)
 def test_a_damaged_log_gives_the_track_up_to_the_damage(tmp_path, name, zipped):
-    content, message, epochs = HALF_WAY[name]
+    content, message, epochs = DAMAGED[name]
     log, out = tmp_path / ("log.csv.gz" if zipped else "log.csv"), tmp_path / "track.tum"
     log.write_bytes(gzip.compress(content.encode()) if zipped else content.encode())
     out.write_text(OLD)
@@ -200,7 +200,7 @@ def test_a_damaged_log_gives_the_track_up_to_the_damage(tmp_path, name, zipped):
     assert f"{epochs} of {epochs} epochs have a true position" in shown
 
 
-NOTHING = {  # name -> log, expected message
+NO_TRACK = {  # name -> log, expected message
     "unknown column": (f"{lines_of()[0]},mood\n", "column 'mood'"),
     "first row": (with_line(2, lambda l: cell(l, 2, "x")), "line 2, column"),
     "no line of sight": (
@@ -210,9 +210,9 @@ NOTHING = {  # name -> log, expected message
 }
 
 
-@pytest.mark.parametrize("name", NOTHING)
+@pytest.mark.parametrize("name", NO_TRACK)
 def test_a_log_that_gives_no_track_leaves_existing_files_unchanged(tmp_path, name):
-    content, message = NOTHING[name]
+    content, message = NO_TRACK[name]
     log, out = tmp_path / "log.csv", tmp_path / "track.tum"
     log.write_text(content)
     out.write_text(OLD)
@@ -289,5 +289,5 @@ def test_memory_does_not_grow_with_the_log(tmp_path):
         done = subprocess.run(words, env=environment(), capture_output=True, text=True, check=True)
         assert f"{rows // 1200 * 400} epochs" in done.stdout
         peaks.append(1024 * int(done.stdout.split()[-1]))  # bytes
-    # A row that is kept takes about 100 bytes. Peaks of equal runs differ by up to 10 MiB.
+    # Rows kept in memory would take 100 bytes each. Peaks of equal runs differ by up to 10 MiB.
     assert peaks[1] < 500 * 2**20 and peaks[1] - peaks[0] < 20 * 1_800_000, peaks

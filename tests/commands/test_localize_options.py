@@ -43,10 +43,10 @@ def as_json(lines, whole):
     return "\n".join(map(json.dumps, objects)).encode()
 
 
-def test_every_epoch_has_a_line_and_the_last_position_equals_that_in_a_track_file(tmp_path):
+def test_every_epoch_has_a_line_and_the_last_position_equals_the_end_of_a_track_file(tmp_path):
     content = (WALK / "log.csv").read_bytes()
     positions, errors, code = live(content, "--speed", "1")
-    # The only line of standard error says what chooses the modes.
+    # The only line of standard error explains the choice of modes.
     assert code == 0 and len(positions) == 400 and len(errors) == 1
     more = ("--radio", "standard", "--no-smoothing", "--out", tmp_path / "t.tum")
     figures(WALK, "--speed", "1", *more)
@@ -86,7 +86,7 @@ def test_input_that_is_not_a_log_ends_with_one_line(content):
     "more",
     [("--truth", "t.tum"), ("--out", "t.tum"), ("--sample", "canyon28_vehicle"), ("--lag", "-1")],
 )
-def test_options_that_do_not_fit_live_are_refused(more):
+def test_options_that_conflict_with_live_are_refused(more):
     _, errors, code = live(first_rows(3), *more)
     assert code == 2 and more[0].strip("-") in errors[0].split(":")[1]
 
@@ -175,7 +175,7 @@ def test_a_diagnosis_reports_facts_about_the_log():
     assert facts["step_s"] == pytest.approx(np.median(np.diff(times)))
     for anchor, fact in enumerate(facts["anchors"], start=1):
         snr = columns["snr_db"][columns["anchor"] == anchor]
-        assert fact["seen"] == np.isfinite(snr).sum()  # it is NaN where the anchor was not seen
+        assert fact["seen"] == np.isfinite(snr).sum()  # SNRs of unseen anchors are NaN
     poses = read_tum(RIDE / "truth.tum")
     moved = np.linalg.norm(np.diff(poses.position_m, axis=0), axis=1) / np.diff(poses.time_s)
     assert facts["speed_mps"]["max"] == pytest.approx(moved.max(), rel=0.05)

@@ -31,7 +31,7 @@ def test_without_a_command_the_commands_are_listed_and_the_version_can_be_shown(
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_explains_its_options(name):
     shown = command(name, "--help", columns=80).stdout
-    # The package tyro leaves the line of usage as long as it is.
+    # The package tyro does not wrap the line of usage.
     lines = [line for line in shown.splitlines() if not line.startswith("usage: ")]
     assert max(map(len, lines)) <= 80
     assert f"\nusage: mmwave-loc {name} " in shown and "None" not in shown
@@ -81,10 +81,10 @@ def test_shells_complete_commands_and_options():
 RECORDED = ("simulate", "--out", "never", "--data", "canyon28_vehicle")
 MISTAKES = {  # name -> words typed, expected message
     "missing scene": (("evaluate", "--scene", "plaza.json"), "plaza.json"),
-    "no episodes": (("evaluate", "--episodes", "-5"), "episodes: found -5, expected at least 1"),
+    "negative count": (("evaluate", "--episodes", "-5"), "episodes: found -5, expected at least 1"),
     "JSON into a .tex file": (("compare", "--json", "t.tex"), "json: .* ends with .json"),
     "a table as text": (("compare", "--episodes-csv", "t.txt"), "episodes-csv: .* ends with .csv"),
-    "recorded scenario": ((*RECORDED, "--scenario", "jam"), "scenario: found 'jam', but"),
+    "scenario of recorded data": ((*RECORDED, "--scenario", "jam"), "scenario: found 'jam', but"),
     "unknown option": (("evaluate", "--color", "red"), "--color"),
     "mistyped option": (("evaluate", "--episode=3"), "--episode=3; did you mean --episodes[?]"),
     "a word too many": (("speed", "fast"), "fast"),
@@ -103,15 +103,15 @@ def test_a_mistake_ends_with_one_clear_line(mistake):
     assert not (ROOT / "never").exists()
 
 
-def test_the_error_about_an_unknown_command_has_a_similar_name_and_all_valid_names():
+def test_the_error_about_an_unknown_command_lists_all_names_and_suggests_a_similar_one():
     assert_one_clear_line(command("fly"), "'fly', expected one of demo, .*compare, evaluate")
     assert_one_clear_line(command("localise"), "'localise', did you mean localize[?] Expected")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("module", ["experiments.console.parser", "experiments.compare", "numba"])
-def test_an_interrupt_while_the_program_starts_ends_with_one_line(module):
-    # A shell's background job ignores SIGINT, and so would the new process without signal.signal.
+def test_an_interrupt_at_startup_ends_the_program_with_one_line(module):
+    # If a shell runs tests in the background, SIGINT is ignored unless signal.signal restores it.
     code = (
         "import os, signal, sys\n"
         "from experiments.console.main import main\n"
@@ -129,7 +129,7 @@ def test_an_interrupt_while_the_program_starts_ends_with_one_line(module):
 
 
 def test_defaults_of_options_equal_the_constants_of_the_library():
-    """Compare constants with their copies in options, which exist so that --help is quick."""
+    """Compare constants with their copies in options; the copies keep --help quick."""
     from experiments.evaluation import protocol
     from mmwave_env.filters.smoother import SMOOTHING_WINDOW
     from mmwave_env.interface.reward import TrackingReward

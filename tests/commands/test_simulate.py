@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc simulate``, which writes an episode as files, such as the sample logs."""
+"""Tests of ``mmwave-loc simulate``, which writes the log, scene and true track of an episode."""
 
 import re
 import shlex
@@ -25,7 +25,7 @@ def simulate(folder, *options):
     run("simulate", [*map(str, options), "--out", str(folder)])
 
 
-def test_the_written_episode_is_the_one_that_evaluate_draws(tmp_path, capsys):
+def test_simulate_writes_the_episode_that_evaluate_draws_with_the_same_seed(tmp_path, capsys):
     out = tmp_path / "new" / "walk"
     simulate(out, "--scenario", "pedestrian", "--seed", 7)
     assert capsys.readouterr().out == f"written to {out}/: log.csv, scene.json, truth.tum\n"
@@ -47,7 +47,7 @@ def test_odometry_is_written_and_the_truth_file_records_the_options_that_made_it
 
 
 @pytest.mark.parametrize("name", log_names())
-def test_the_command_writes_the_shipped_sample_logs_again(tmp_path, name):
+def test_the_command_reproduces_the_shipped_sample_logs(tmp_path, name):
     simulate(tmp_path, "--data", name, "--radio", "standard")
     assert sorted(path.name for path in (LOGS / name).iterdir()) == FILES
     readme = (LOGS / "README.md").read_text()

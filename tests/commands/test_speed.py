@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc speed``, and of replacing the tables in a page of docs/ by new ones."""
+"""Tests of ``mmwave-loc speed``, and of the function that renews the tables of a page in docs/."""
 
 import re
 

@@ -62,7 +62,7 @@ def test_mistakes_end_with_one_clear_line(tmp_path, words, message):
 def squared(values):
     """Return the square of a number, except that 0 raises an error and 4 ends the process.
 
-    1 raises the error of a full disk in its first call, which makes the file ``mark``.
+    For 1, the first call makes the file ``mark`` and raises the error of a full disk.
     """
     number, mark = values["number"], values["mark"]
     if number == 0:

@@ -32,7 +32,7 @@ def picture(path, number):
 
 @pytest.fixture
 def window(monkeypatch):
-    """Return a list to which every picture is added that a window would show on a display."""
+    """Return a list that collects the pictures that a window would show on a display."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     from mmwave_env.rendering.window import Window
 
@@ -84,16 +84,16 @@ def test_closing_the_window_ends_the_command(monkeypatch, window):
     assert len(window) == 1
 
 
-MISTAKES = {
+MISTAKES = {  # name -> options, expected message
     "unknown policy": (("--policies", "oracle"), "policy: found 'oracle', expected one of"),
-    "too many": (("--policies", *["imm"] * 4), "policies: found 4, expected 1 to 3$"),
+    "too many policies": (("--policies", *["imm"] * 4), "policies: found 4, expected 1 to 3$"),
     "a key of a recording": (("--key", 1, "--data", "canyon28_vehicle"), "key: recorded"),
     "key and seed": (("--key", 1, "--seed", 2), "key: cannot be combined with seed 2"),
     "unknown ending": (("--out", "video.avi"), "out: found video.avi, expected.*.gif or .mp4$"),
     "unknown theme": (("--render-theme", "blue"), "render_theme: found 'blue'.*light, dark"),
     "small": (("--render-size", 100), "render_size: found 100, expected an even number from 480"),
-    "speed": (("--fps", 0), "fps: found 0, expected 1 to 50$"),
-    "nothing left": (("--begin", 9000), "begin, end: found 9000 to inf s, expected.*199 s"),
+    "no pictures per second": (("--fps", 0), "fps: found 0, expected 1 to 50$"),
+    "begin after the end": (("--begin", 9000), "begin, end: found 9000 to inf s, expected.*199 s"),
 }  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from mmwave_env.metrics import summary
 from tests.filters.tracks import pipeline_of, simulated
 
 N, T = 11, 12
-ON = pytest.mark.parametrize("on_floats", [False, True], ids=["lanes", "floats"])
+ENGINES = pytest.mark.parametrize("on_floats", [False, True], ids=["SIMD", "plain Python"])
 
 
 def engine_of(episodes, on_floats=False):
@@ -25,40 +25,40 @@ def everything(engine):
     return np.array([engine.column(i) for i in range(engine.read(engine.at.reward).size)])
 
 
-@ON
+@ENGINES
 def test_starting_some_environments_does_not_change_the_others(on_floats):
     episodes, others = simulated(N, epochs=T), simulated(3, epochs=T + 5)
     engine = engine_of(episodes, on_floats)
     for _ in range(4):
         engine.step(np.int64(0))
-    before, places = everything(engine), np.array([1, 6, 10])
-    engine.batch.load(others, places)
-    engine.start(places)
+    before, started = everything(engine), np.array([1, 6, 10])
+    engine.batch.load(others, started)
+    engine.start(started)
     expected = engine_of(others, on_floats)
-    rest = np.setdiff1d(np.arange(N), places)
+    rest = np.setdiff1d(np.arange(N), started)
     np.testing.assert_array_equal(everything(engine)[rest], before[rest])
     for _ in range(3):
         observations = engine.observations()
-        np.testing.assert_array_equal(observations[places], expected.observations())
+        np.testing.assert_array_equal(observations[started], expected.observations())
         for each in (engine, expected):
             each.step(np.int64(0))
 
 
-@ON
+@ENGINES
 def test_loaded_episodes_start_at_the_next_step_without_a_call_of_start(on_floats):
     episodes, others = simulated(N, epochs=T), simulated(2, epochs=T)
-    engine, places = engine_of(episodes, on_floats), np.array([0, 9])
+    engine, started = engine_of(episodes, on_floats), np.array([0, 9])
     engine.step(np.int64(0))
-    engine.batch.load(others, places)
+    engine.batch.load(others, started)
     engine.step(np.int64(0))
     np.testing.assert_array_equal(
-        engine.observations()[places], engine_of(others, on_floats).observations()
+        engine.observations()[started], engine_of(others, on_floats).observations()
     )
     truth = np.array([[*e.truth_position_m[0], *e.truth_velocity_mps[0]] for e in others])
-    np.testing.assert_array_equal(engine.read(engine.at.truth)[places], truth)
+    np.testing.assert_array_equal(engine.read(engine.at.truth)[started], truth)
 
 
-@ON
+@ENGINES
 def test_epochs_after_the_end_of_an_episode_are_blank(on_floats):
     long, short = simulated(1, epochs=T)[0], simulated(1, epochs=3)[0]
     together, alone = engine_of([long, short], on_floats), engine_of([short], on_floats)
@@ -86,7 +86,7 @@ def test_an_episode_ends_with_the_metrics_of_its_track(epochs, dt, axes):
         {key: float(value) for key, value in expected.items()}, rel=1e-12
     )
     assert not tally.counts.sums[[0, 2]].any()
-    assert tally.counts.errors.shape[1] <= epochs  # also if an episode is shorter than 1 s
+    assert tally.counts.errors.shape[1] <= epochs  # even if the episode is shorter than 1 s
 
 
 def test_an_episode_with_one_nan_error_has_diverged():

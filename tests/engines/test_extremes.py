@@ -51,7 +51,7 @@ class Quantity:
         return [(least, ASIDE * (1 if least < 0 else -1)), (most, ASIDE)]
 
 
-def mean(states):
+def prior_mean(states):
     def put(episode, value):
         prior = episode.prior_mean.copy()
         prior[states] = value
@@ -60,7 +60,7 @@ def mean(states):
     return put
 
 
-def deviation(states):
+def prior_sigma(states):
     def put(episode, value):
         P = episode.prior_covariance.copy()
         P[states, states] = value * value if abs(value) < 1e150 else value  # P is diagonal
@@ -82,8 +82,8 @@ def steps(episode, value):
     return replace(episode, time_s=np.arange(len(episode)) * value)
 
 
-def place(episode, value):
-    """Shift the coordinates of anchors and user, as if they were those of a national grid."""
+def shifted(episode, value):
+    """Shift the coordinates of anchors and user, as if a national grid were used."""
     prior = episode.prior_mean.copy()
     prior[:3] += value
     return replace(episode, scene_anchors_m=episode.scene_anchors_m + value, prior_mean=prior)
@@ -92,14 +92,14 @@ def place(episode, value):
 ANGLES, DOPPLER = [i for i in range(12) if i % 4], 12
 QUANTITIES = (
     Quantity("step", envelope.STEP_S, steps),
-    Quantity("anchors and user at", envelope.POSITION_M, place),
-    Quantity("prior position", envelope.POSITION_M, mean(slice(3))),
-    Quantity("prior velocity", envelope.VELOCITY_MPS, mean(slice(3, 6))),
-    Quantity("prior bias", envelope.BIAS_HZ, mean(slice(6, 7))),
-    Quantity("deviation of position", envelope.POSITION_SIGMA_M, deviation([0, 1, 2])),
-    Quantity("deviation of one axis", envelope.POSITION_SIGMA_M, deviation([0])),
-    Quantity("deviation of velocity", envelope.VELOCITY_SIGMA_MPS, deviation([3, 4, 5])),
-    Quantity("deviation of bias", envelope.BIAS_SIGMA_HZ, deviation([6])),
+    Quantity("position of anchors and user", envelope.POSITION_M, shifted),
+    Quantity("prior position", envelope.POSITION_M, prior_mean(slice(3))),
+    Quantity("prior velocity", envelope.VELOCITY_MPS, prior_mean(slice(3, 6))),
+    Quantity("prior bias", envelope.BIAS_HZ, prior_mean(slice(6, 7))),
+    Quantity("prior sigma of position", envelope.POSITION_SIGMA_M, prior_sigma([0, 1, 2])),
+    Quantity("prior sigma of one axis", envelope.POSITION_SIGMA_M, prior_sigma([0])),
+    Quantity("prior sigma of velocity", envelope.VELOCITY_SIGMA_MPS, prior_sigma([3, 4, 5])),
+    Quantity("prior sigma of bias", envelope.BIAS_SIGMA_HZ, prior_sigma([6])),
     Quantity("sigma of ranges", envelope.RANGE_SIGMA_M, sigma([0, 4, 8])),
     Quantity("sigma of angles", envelope.ANGLE_SIGMA_RAD, sigma(ANGLES)),
     Quantity("sigma of azimuths", envelope.ANGLE_SIGMA_RAD, sigma([1, 3, 5, 7, 9, 11])),
@@ -111,7 +111,7 @@ QUANTITIES = (
     Quantity("Hz per m/s", envelope.HZ_PER_MPS, lambda e, value: replace(e, hz_per_mps=value)),
 )  # fmt: skip
 LOUD = dict.fromkeys(NOISES, envelope.PROCESS_NOISE.most)
-CHANGES = (
+CHANGES = (  # changes of each mode
     {}, {"gate": None}, dict.fromkeys(NOISES, 0.0), LOUD, LOUD | {"gate": None},
     {"spread_gain": envelope.PROCESS_NOISE.most},
     {"acceleration_mps2": -100.0, "turn_rate_radps": 10.0},
@@ -193,7 +193,7 @@ def numbers_of(record):
 
 
 STREET = SCENES["street"]
-RECORDS = {  # name -> a record of settings, and the arguments of an environment that uses it
+RECORDS = {  # name -> settings, function from settings to arguments of an environment
     "radio": (RADIOS["standard"], lambda radio: {"radio": radio}),
     "scene": (STREET, lambda scene: {"scene": scene}),
     "streets": (STREET.streets, lambda streets: {"scene": replace(STREET, streets=streets)}),
@@ -246,7 +246,7 @@ def test_a_setting_at_its_bounds_gives_sound_beliefs_or_is_refused(record, name,
     of, arguments = RECORDS[record]
     for value in (bound.least, bound.most):
         env = None
-        with suppress(ValueError):  # the value may not fit the other settings
+        with suppress(ValueError):  # the value may contradict other settings
             changed = arguments(replace(of, **{name: shape(value)}))
             env = MmWaveLocEnv(episode_steps=24, dt=0.5, **changed)
         if env is not None:

@@ -15,11 +15,11 @@ from mmwave_env.world.episode import columns_of
 from tests.filters.tracks import unpacked
 
 PARTS = ("x", "P", "x_predicted", "P_predicted", "mixture")
-TUNING = 5_000_000
+TUNING = 5_000_000  # key of the first episode
 
 
 def smoothed(task, bank, n):
-    """Return n episodes, the PARTS of an IMM's tracks, their steps (s), and smoothed (x, P)."""
+    """Return n episodes, the PARTS of an IMM's tracks, their time steps (s), smoothed (x, P)."""
     batch = task.tables(np.arange(TUNING, TUNING + n).astype(np.uint64))
     pipeline = Pipeline(bank.modes, batch.layout, task.pipeline.planar)
     track = run_imm(bank, TrackingReward(), batch, *PARTS, planar=pipeline.planar)

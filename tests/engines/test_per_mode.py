@@ -1,4 +1,4 @@
-"""Tests of engines in which every mode has its own belief, and an action trusts one or none."""
+"""Tests of engines with a belief per mode; actions trust (raise the odds of) one mode or none."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ def in_steps_of(dt, episodes):
 
 
 def played(bank, episodes, actions, *names, planar=False, on_floats=False):
-    """Return parts (n, T, ...) of an engine's workspace after every one of the actions (n, T)."""
+    """Return parts (n, T, ...) of an engine's workspace after each of the actions (n, T)."""
     pipeline = Pipeline(bank.modes, episodes[0].layout, planar)
     parts = track(pipeline, episodes, actions.T, actions.shape[1], names, on_floats, bank)
     return {name: values.swapaxes(0, 1) for name, values in parts.items()}
@@ -76,7 +76,7 @@ def test_trust_raises_the_odds_of_a_mode_as_in_the_textbook(dt):
         np.testing.assert_allclose(ours["mode_probabilities"][e], probability, rtol=1e-7, atol=1e-9)
 
 
-def test_floats_and_lanes_agree():
+def test_simd_kernels_and_plain_python_agree():
     episodes, actions = simulated(2, epochs=12), np.random.default_rng(2).integers(0, 3, (2, 12))
     names = ("x", "P", "mode_probabilities", "observation", "reward")
     lanes, floats = (

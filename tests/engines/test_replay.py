@@ -51,7 +51,7 @@ def smoothed_errors(pipeline, episodes, actions=None):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("planar", [False, True])
-def test_smoothed_errors_are_those_of_the_smoothed_track(planar):
+def test_smoothed_errors_equal_the_errors_of_the_smoothed_track(planar):
     episodes = flat(simulated(N, epochs=T)) if planar else simulated(N, epochs=T)
     pipeline = Pipeline(default_modes(), STREET, planar)
     _, _, smoothed = Replay(pipeline).run(EpisodeBatch.of(episodes), ACTIONS)
@@ -61,7 +61,7 @@ def test_smoothed_errors_are_those_of_the_smoothed_track(planar):
 
 @pytest.mark.slow
 def test_two_equal_modes_with_their_own_beliefs_are_smoothed_as_a_single_filter():
-    """Check that the smoothed track equals that of a single filter, whichever mode is trusted."""
+    """Check that the smoothed track equals a single filter's track, whichever mode is trusted."""
     mode, episodes = Mode("a", "ukf", sigma_v=1.2), simulated(N, epochs=T)
     twins = Bank((mode, replace(mode, name="b")))
     replay = Replay(Pipeline(twins.modes, STREET), twins)

@@ -57,7 +57,7 @@ def test_smoothing_a_linear_model_equals_filterpy(dt):
 
 
 def tracks(planar, n=9, epochs=120):
-    """Return times (n, epochs) with random steps, and an EKF's tracks at these times: PARTS."""
+    """Return random times (n, epochs), and the PARTS of an EKF's tracks at these times."""
     time_s = np.random.default_rng(0).uniform(0.2, 2.0, (n, epochs)).cumsum(axis=1)
     episodes = [replace(e, time_s=t) for e, t in zip(simulated(n, epochs), time_s, strict=True)]
     tracker = Tracker(pipeline_of(algorithms=["ekf"], planar=planar), n)

@@ -1,4 +1,4 @@
-"""Tests that numbers stay finite and P definite with random modes and damaged measurements."""
+"""Tests that beliefs stay finite and P positive definite with random modes and damaged episodes."""
 
 from dataclasses import replace
 from itertools import product
@@ -23,10 +23,10 @@ from mmwave_env.world.simulated import SimulatedSource
 
 pytestmark = pytest.mark.slow
 
-N = 128  # environments; with all kinds of users and all radios, they make 384,000 steps
+N = 128  # number of environments; with all kinds of users and all radios, they make 384,000 steps
 PARTS = ("x", "P", "memory", "candidates", "observation", "reward", "nees", "distance")
-STAY = (0.0, 0.95, 1.0)  # probabilities of keeping the mode; each environment uses one
-EXTREME = (  # modes whose covariances become much smaller or larger than those of the named ones
+STAY = (0.0, 0.95, 1.0)  # probabilities of keeping the mode; each environment draws one of them
+EXTREME = (  # modes with much smaller or larger covariances than the named modes
     Mode("tight", "ekf", sigma_p=0.01, sigma_v=0.05),
     Mode("wide", "ukf", sigma_v=5.0, spread_gain=0.01, coupling=False),
     Mode("re-acquire", "ckf", sigma_v=1.8, gate=None),
@@ -54,7 +54,7 @@ def damaged(episode, rng):
 
 
 def unsound(engine):
-    """Return names of parts that are not finite; add "definite P" unless P is positive definite."""
+    """Return names of nonfinite parts; add "indefinite P" unless P is positive definite."""
     kinds = []
     for name in PARTS:
         part = getattr(engine.at, name)
@@ -64,7 +64,7 @@ def unsound(engine):
     with np.errstate(invalid="ignore", divide="ignore"):
         factor = cholesky(P)
         if not all((factor[i][i] > 0.0).all() for i in range(len(P))):
-            kinds.append("definite P")
+            kinds.append("indefinite P")
     return kinds
 
 
@@ -103,4 +103,4 @@ def rotten(x, P, measurement, gate):
 def test_an_indefinite_covariance_is_found():
     modes = [named_modes()["ekf"], Mode("rotten", rotten)]
     _, kinds = soaked(modes, [("pedestrian", RADIOS["handset"])], 16)
-    assert set(kinds) & {"definite P", "candidates", "x"}
+    assert set(kinds) & {"indefinite P", "candidates", "x"}

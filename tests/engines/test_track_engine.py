@@ -31,7 +31,7 @@ def test_a_tracker_can_be_retuned_after_it_was_built(episodes):
 
 
 @pytest.mark.parametrize(("on_floats", "n", "tolerance"), [(False, N, 1e-12), (True, 3, 1e-11)])
-def test_a_track_equals_that_of_the_engine_that_stops_at_every_epoch(
+def test_a_track_equals_the_track_of_the_engine_that_stops_at_every_epoch(
     on_floats, n, tolerance, episodes
 ):
     pipeline = Pipeline(default_modes(), STREET)

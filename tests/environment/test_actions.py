@@ -27,7 +27,7 @@ PER_MODE = {"beliefs": "per-mode", "modes": ["ekf", "ukf"]}
 
 
 def alternating(table):
-    """Return a base policy that trusts no mode, the ekf or the ukf, depending on one feature."""
+    """Return a base policy whose choice (no mode, ekf or ukf) depends on one feature."""
     column = table.names.index("coming NIS anchor 1 ukf")
     return lambda shown: np.digitize(shown[:, column], [-0.5, 0.5])
 
@@ -45,12 +45,12 @@ def kind(request):
 
 
 def played(env, actions, seed=0):
-    """Return the results of a reset and of actions (steps, ...)."""
+    """Return the results of a reset and of a step with each action."""
     return [env.reset(seed=seed), *(env.step(action) for action in actions)]
 
 
 def drawn(space, steps, n=()):
-    """Return random actions (steps, *n, k), whose numbers are at most half of their limits."""
+    """Return random actions (steps, *n, k), whose components are at most half of the limits."""
     rng = np.random.default_rng(0)
     return (rng.uniform(-0.5, 0.5, (steps, *n, *space.shape)) * space.high).astype(np.float32)
 
@@ -88,7 +88,7 @@ PAIRED = {"reward": "paired", "terminate_on_divergence": True, "scenario": "vehi
         ("base", "Disabled", PAIRED),
     ],
 )
-def test_the_native_vector_environment_equals_the_synchronous_one(name, mode, more):
+def test_the_native_vector_environment_equals_the_synchronous_environment(name, mode, more):
     options, n = {"num_envs": 9, "episode_steps": 9} | KINDS[name] | more, (9,)
     native = gym.make_vec(ID, autoreset_mode=mode, **options)
     kwargs = {"autoreset_mode": AutoresetMode(mode)}
@@ -113,7 +113,7 @@ def test_copies_and_restored_states_continue_identically(kind):
 
 
 @pytest.mark.parametrize("dt", [1.0, 0.25])
-def test_a_weight_of_three_does_the_same_as_trusting_a_mode(dt):
+def test_a_weight_of_three_has_the_effect_of_trusting_a_mode(dt):
     options = PER_MODE | {"episode_steps": 30, "dt": dt}
     modes = np.random.default_rng(0).integers(0, 3, 30)
     trusted = played(gym.make(ID, **options), modes)
@@ -139,7 +139,7 @@ def test_corrections_change_the_reported_belief_but_not_the_filters():
 
 
 @pytest.mark.slow  # compiles several programs
-def test_the_shipped_corrector_earns_in_the_environment_what_its_evaluation_says():
+def test_the_shipped_corrector_earns_the_same_rewards_as_in_its_evaluation():
     policy, n = Corrector("corrector"), 20
     env = gym.make_vec(
         ID, num_envs=n, beliefs=policy.beliefs, modes=policy.bank("handset"), action="correction",
@@ -183,7 +183,7 @@ def test_stable_baselines3_trains_with_continuous_actions():
 
 
 def bad(limits):
-    """Yield actions that are not as many finite numbers as there are limits, or exceed them."""
+    """Yield actions with a nonfinite or too large number, a wrong shape or a wrong type."""
     for value in (math.nan, math.inf, limits[-1] * 1.001):
         yield np.append(np.zeros(len(limits) - 1), value)
     yield from (np.zeros(len(limits) + 1), np.zeros((1, len(limits))), 0, None, "none")
@@ -217,7 +217,7 @@ def test_bad_numbers_are_refused_and_change_nothing(kind):
     ],
     ids=" ".join,
 )
-def test_arguments_that_do_not_fit_are_refused(arguments):
+def test_unknown_and_conflicting_arguments_are_refused(arguments):
     *_, name = arguments
     for make in (gym.make, gym.make_vec):
         with refuses(name):
@@ -236,13 +236,13 @@ def test_a_base_must_return_actions(answer):
 # --- costs: 1 if the error exceeds the protection level, else 0
 
 
-def test_errors_exceed_the_level_of_a_belief_that_is_nan_or_exact():
+def test_errors_exceed_the_protection_level_of_a_nan_or_exact_belief():
     assert exceeds(math.nan, 0.0, 1.0, 0.0, 1.0) == exceeds(1.0, 0.0, *[math.nan] * 3) == 1.0
     assert exceeds(1.0, 0.0, 0.0, 0.0, 0.0) == 1.0 and exceeds(0.0, 0.0, 0.0, 0.0, 0.0) == 0.0
 
 
 @pytest.mark.parametrize("arguments", [{"modes": ["ekf"]}, KINDS["correction"]], ids=str)
-def test_infos_say_whether_the_error_exceeds_the_level_of_the_belief(arguments):
+def test_infos_say_whether_the_error_exceeds_the_protection_level(arguments):
     env = gym.make(ID, scenario="vehicle", **arguments).unwrapped
     env.reset(seed=1)
     costs = []

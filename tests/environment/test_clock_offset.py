@@ -34,17 +34,17 @@ STREET = SCENES["street"]
 SIGMA_M = 1e-7 * SPEED_OF_LIGHT
 SOURCES = {
     "simulated": {},
-    "some rows": {"measurements": ["range", "azimuth", "doppler"]},
+    "some measurements": {"measurements": ["range", "azimuth", "doppler"]},
     "fast": {"dt": 0.1},
     "odometry": {"odometry": True},
     "random streets": {"scene": "random"},
-    "a way": {"scenario": around_a_block()},
+    "a trajectory": {"scenario": around_a_block()},
     "recorded": {"episodes": "canyon28_vehicle"},
 }
 
 
 def tasks(**arguments):
-    """Return two tasks, in which the user's clock is synchronized and has an offset."""
+    """Return two tasks: one with a synchronized user's clock, one whose clock has an offset."""
     return [task_from(clock=clock, **arguments) for clock in ("synchronized", "offset")]
 
 
@@ -55,7 +55,7 @@ def pair(**arguments):
 
 
 def bias_of(synchronized, offset):
-    """Return by how much (T,) the ranges of two episodes differ (m); NaN in epochs without a link.
+    """Return the difference (T,) between two episodes' ranges in m; NaN in epochs without a link.
 
     Check that all ranges of an epoch differ by the same amount.
     """
@@ -70,7 +70,7 @@ def bias_of(synchronized, offset):
 
 
 @pytest.mark.parametrize("arguments", SOURCES.values(), ids=SOURCES)
-def test_all_ranges_get_the_same_bias_and_all_else_stays_as_it_is(arguments):
+def test_all_ranges_get_the_same_bias_and_nothing_else_changes(arguments):
     synchronized, offset = pair(**arguments)
     bias, layout = bias_of(synchronized, offset), offset.layout
     assert 1.0 < abs(bias[np.isfinite(bias)][0]) < 5.0 * SIGMA_M
@@ -118,7 +118,7 @@ def test_the_offset_is_drawn_and_the_oscillator_drives_it():
 
 
 @pytest.mark.slow  # runs many episodes
-def test_the_offset_is_found_and_the_filter_knows_how_well():
+def test_the_offset_is_estimated_with_a_correct_standard_deviation():
     bias, episodes = biases(120, radio="high")
     task, bank = task_from(radio="high", clock="offset"), best_bank("high")
     run = run_imm(bank, task.reward, episodes, "x", "P", "nees")
@@ -126,11 +126,11 @@ def test_the_offset_is_found_and_the_filter_knows_how_well():
     error, sigma = (run["x"][..., 7] - bias)[late], np.sqrt(run["P"][..., 35])[late]
     assert np.sqrt(np.median(error**2)) < 0.5
     assert 0.93 < (abs(error) < 1.96 * sigma).mean() < 0.97
-    assert np.median(run["nees"][:, 20:]) == pytest.approx(2.37, rel=0.2)  # chi2 median, 3 axes
+    assert np.median(run["nees"][:, 20:]) == pytest.approx(2.37, rel=0.2)  # median for 3 axes
 
 
 @pytest.mark.parametrize("planar", representative([False, True], False))
-def test_tracks_are_smoothed_as_by_the_textbook(planar):
+def test_smoothed_tracks_equal_the_textbook(planar):
     source = SimulatedSource(STREET, RADIOS["standard"], epochs=50, clock=True)
     bank = Bank(modes_from(["ukf"], "standard"))
     pipeline = Pipeline(bank.modes, source.layout, planar)
@@ -204,7 +204,7 @@ def test_localize_estimates_the_offset(ride):
 
 
 @pytest.mark.slow  # compiles several programs
-def test_a_live_track_is_that_of_the_whole_log(ride):
+def test_a_live_track_equals_the_track_of_the_whole_log(ride):
     blocks = list(read_log(ride / "log.csv", STREET, partial=True, clock=True))
     switching = Switching(best_bank("standard"))
     whole = list(localize(blocks, STREET, RADIOS["standard"], switching, None))

@@ -34,7 +34,7 @@ EKF = {"modes": ["ekf"]}  # a single mode is compiled fastest
 STEP_KEYS = {"position_error_m", "nees", "nis", "accepted", "rejected", "mode", "gamma"}
 STEP_KEYS |= {"truth", "estimate", "reward_terms", "cost"}
 END_KEYS = {"ate_m", "rmse_m", "rpe_m", "mean_nees", "in_bounds", "divergence"}
-SMOOTHED = "smoothed_ate_m"  # a key of infos if smoothed=True
+SMOOTHED = "smoothed_ate_m"  # infos have this key if smoothed=True
 
 
 def draw(seed=0, **changes):
@@ -201,7 +201,7 @@ def test_infos_contain_the_truth_and_the_prior_of_the_episode():
 
 
 @pytest.mark.parametrize("planar", [False, True])
-def test_the_belief_is_that_of_the_last_epoch(planar):
+def test_the_belief_belongs_to_the_last_epoch(planar):
     env = gym.make(ID, planar=planar, **EKF).unwrapped
     with pytest.raises(ResetNeeded):
         env.belief()
@@ -269,7 +269,7 @@ def test_divergence_gives_the_worst_reward_for_every_remaining_epoch():
 
 @pytest.mark.parametrize("cost", [0.0, 1.0])
 @pytest.mark.parametrize("drift_mps", [1.0, 40.0])
-def test_ending_on_divergence_never_returns_more_than_continuing(cost, drift_mps):
+def test_ending_on_divergence_never_gives_a_larger_return_than_continuing(cost, drift_mps):
     source = adrift(drift_mps=drift_mps)
     modes = [Mode("ekf", sigma_v=0.3, cost=cost)]
     returns = [

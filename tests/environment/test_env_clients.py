@@ -20,7 +20,7 @@ EKF = {"modes": ["ekf"]}
 
 
 class Closeness:
-    """A reward without ``__eq__``: a copy of it would be compiled again, as another reward."""
+    """A reward without ``__eq__``: a copy differs from it and would be compiled again."""
 
     compiled = 0
 
@@ -30,7 +30,7 @@ class Closeness:
 
 
 def go_on(env, steps, actions=0):
-    """Return the results of random steps and, in a single environment, of resets at the ends."""
+    """Return results of random steps (seed ``actions``) and, in a single environment, of resets."""
     rng, results = np.random.default_rng(actions), []
     if isinstance(env, gym.vector.VectorEnv):
         return [env.step(rng.integers(env.single_action_space.n, size=3)) for _ in range(steps)]
@@ -48,7 +48,7 @@ COPIES = {
     "pickle": lambda env: pickle.loads(pickle.dumps(env)),
 }
 CONFIGURATIONS = {
-    "ten a second": {"episode_steps": 25, "dt": 0.1} | EKF,
+    "ten epochs a second": {"episode_steps": 25, "dt": 0.1} | EKF,
     "own reward": {"episode_steps": 6, "reward": Closeness()} | EKF,
     "paired": {"episode_steps": 5, "reward": "paired"},
     "recorded": {"episodes": "canyon28_vehicle", "episode_steps": 7} | EKF,
@@ -58,7 +58,7 @@ CONFIGURATIONS = {
 
 
 VECTORS = {
-    "lean": {"dt": 0.5, "episode_steps": 14, "infos": "episode", "autoreset_mode": "SameStep"},
+    "few infos": {"dt": 0.5, "episode_steps": 14, "infos": "episode", "autoreset_mode": "SameStep"},
     "recorded vectors": {"episodes": "canyon28_vehicle", "episode_steps": 12, "smoothed": True},
     "paired vectors": {"episode_steps": 5, "reward": "paired", "render_mode": "rgb_array"},
 }
@@ -159,7 +159,7 @@ def test_fixed_infos_always_have_the_same_keys_types_and_shapes():
     infos = [(env.reset(seed=0)[1], *(env.step(1)[4] for _ in range(3))) for env in (fixed, every)]
     first, *others = ({k: (np.shape(v), v.dtype) for k, v in known.items()} for known in infos[0])
     assert all(list(other.items()) == list(first.items()) for other in others)
-    # An entry that is missing from the usual infos has the value for "nothing" in fixed infos.
+    # Where usual infos lack a key, fixed infos have NaN, -1 or False, and 0 as nonfinite_beliefs.
     for known, expected in zip(*infos, strict=True):
         assert set(first) >= set(expected) - {"episode_name", "episode_key"}
         for key, value in known.items():
@@ -180,7 +180,7 @@ def test_only_synchronous_vector_environments_support_fixed_infos():
 
 # --- arguments
 
-# The last argument is wrong. Messages about these four name it differently, or not at the start.
+# The last argument of each case is wrong. Messages about these four begin with another name.
 NAMED = {"episode_steps": "", "episodes": "", "terminate_on_divergence": "", "modes": "mode"}
 
 

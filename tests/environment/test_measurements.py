@@ -22,9 +22,9 @@ SOURCES = {
     "simulated": {"episode_steps": 40},
     "odometry": {"episode_steps": 40, "odometry": True},
     "random streets": {"episode_steps": 40, "scene": "random"},
-    "a way": {"episode_steps": 40, "scenario": around_a_block()},
+    "a trajectory": {"episode_steps": 40, "scenario": around_a_block()},
     "recorded": {"episodes": "canyon28_vehicle", "episode_steps": 40},
-    "measured": {"episodes": sample_folder("canyon28_vehicle"), "episode_steps": 40},
+    "log": {"episodes": sample_folder("canyon28_vehicle"), "episode_steps": 40},
 }
 
 
@@ -36,7 +36,7 @@ def rows_of(subset, layout):
 
 @pytest.mark.parametrize("arguments", SOURCES.values(), ids=SOURCES)
 @pytest.mark.parametrize("subset", [*SUBSETS, MEASUREMENTS], ids=" ".join)
-def test_the_measured_rows_equal_those_of_the_complete_episode(arguments, subset):
+def test_the_measured_rows_equal_the_rows_of_the_complete_episode(arguments, subset):
     some, whole = (
         task_from(**arguments, measurements=asked).draw(np.random.default_rng(4))
         for asked in (subset[::-1], None)
@@ -72,7 +72,7 @@ RECEIVERS = {
     "clock": CLOCK | {"modes": ["ekf"]},
     "odometry": SOURCES["odometry"] | SOME,
     "recorded": SOURCES["recorded"] | SOME,
-    "measured": SOURCES["measured"] | SOME,
+    "log": SOURCES["log"] | SOME,
     "clock per mode": CLOCK | {"beliefs": "per-mode"},
 }
 
@@ -100,14 +100,14 @@ def test_all_subsets_share_one_compiled_world():
 
 
 TASKS = {
-    "some rows": {"measurements": ["azimuth", "departure"]},
+    "some measurements": {"measurements": ["azimuth", "departure"]},
     "clock": {"clock": "offset"},
     "clock and odometry": {"clock": "offset", "odometry": True},
 }
 
 
-@pytest.mark.parametrize("name", representative(TASKS, "some rows"))
-def test_own_algorithms_filterpy_and_paired_rewards_support_receivers(name):
+@pytest.mark.parametrize("name", representative(TASKS, "some measurements"))
+def test_own_algorithms_filterpy_and_paired_rewards_work_with_every_receiver(name):
     def mine(x, P, measurement, gate):
         return ekf(x, P, measurement, gate)
 

@@ -26,7 +26,7 @@ ID = "MmWaveLoc-v0"
 
 
 def native(**arguments):
-    """Return four environments in one, whose episodes are short."""
+    """Return a vector environment of four environments with short episodes."""
     arguments = {"modes": MODES, "episode_steps": 6} | arguments
     return gym.make_vec(ID, num_envs=4, autoreset_mode="SameStep", **arguments)
 
@@ -75,7 +75,7 @@ def test_the_adapter_gives_the_same_results_as_a_dummy_vec_env(configuration):
     assert truncated == ({True, False} if configuration == "ends early" else {True})
 
 
-def test_seeds_and_options_are_used_for_one_reset():
+def test_seeds_and_options_affect_only_one_reset():
     venv, env = SB3VecEnv(native()), native()
     venv.seed(3)
     venv.set_options({"reset_mask": np.ones(4, bool)})

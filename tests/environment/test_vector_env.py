@@ -1,4 +1,4 @@
-"""Tests of the native vector environment: Gymnasium's rules, and equality with single ones."""
+"""Tests of the native vector environment: Gymnasium's rules; equality with single environments."""
 
 import tracemalloc
 from dataclasses import replace
@@ -23,7 +23,7 @@ from tests.paths import representative
 from tests.refusals import refuses
 
 ID = "MmWaveLoc-v0"
-MODES = ["NextStep", "SameStep", "Disabled"]
+AUTORESET = ["NextStep", "SameStep", "Disabled"]
 EKF = {"modes": ["ekf"]}
 
 
@@ -94,7 +94,7 @@ def configuration(request):
 # --- Gymnasium's rules
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", AUTORESET)
 @pytest.mark.parametrize("name", representative(CONFIGURATIONS, "recorded"))
 def test_the_vector_environment_passes_the_checker(name, mode):
     check_vector_env(lambda: native(9, mode, **CONFIGURATIONS[name]))
@@ -119,8 +119,8 @@ def test_a_vector_environment_can_be_made_from_its_specification_in_json():
     assert same(rollout(env, seed=1, steps=9), rollout(again, seed=1, steps=9))
 
 
-@pytest.mark.parametrize("mode", MODES)
-def test_the_native_vector_environment_equals_the_synchronous_one(mode, configuration):
+@pytest.mark.parametrize("mode", AUTORESET)
+def test_the_native_vector_environment_equals_the_synchronous_environment(mode, configuration):
     ours, expected = (rollout(make(9, mode, **configuration), 4, 50) for make in (native, sync))
     for t, (a, b) in enumerate(zip(ours, expected, strict=True)):
         assert same(a, b), f"step {t}"
@@ -131,12 +131,12 @@ def test_the_native_vector_environment_equals_the_synchronous_one(mode, configur
 
 
 @pytest.mark.parametrize("n", [1, 7, 8, 20])
-def test_any_number_of_environments_equals_as_many_single_ones(n):
+def test_any_number_of_environments_equals_as_many_single_environments(n):
     arguments = CONFIGURATIONS["patchy"]
     assert same(*(rollout(make(n, **arguments), 7, 40) for make in (native, sync)))
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", AUTORESET)
 def test_the_number_of_threads_does_not_matter(mode, monkeypatch):
     monkeypatch.setattr(batch, "BLOCKS_PER_THREAD", 1)
     arguments = CONFIGURATIONS["ends early"]
@@ -147,7 +147,7 @@ def test_the_number_of_threads_does_not_matter(mode, monkeypatch):
         assert same(first, other)
 
 
-def test_a_masked_reset_equals_that_of_synchronous_environments():
+def test_a_masked_reset_equals_a_masked_reset_of_synchronous_environments():
     mask, actions = np.arange(9) % 3 == 0, np.zeros(9, np.int64)
     ours, theirs = (make(9, "Disabled", episode_steps=5, **EKF) for make in (native, sync))
     for seed in (None, list(range(100, 109))):  # None continues with the next episodes
@@ -237,7 +237,7 @@ def test_a_step_after_a_failed_reset_is_refused(monkeypatch):
     env.step(np.zeros(3, int))
 
 
-def test_a_step_after_an_end_without_autoreset_names_the_environments():
+def test_the_error_about_a_step_after_the_end_names_the_environments():
     env = native(3, "Disabled", episode_steps=1, **EKF)
     env.reset(seed=0)
     env.step(np.zeros(3, int))
@@ -255,9 +255,9 @@ def test_wrong_seeds_are_refused(seed):
 def peak_bytes(n):
     """Return the peak of the memory (bytes) that NumPy holds while n environments are stepped.
 
-    All episodes end in this time. Resident memory would vary by megabytes, because the operating
-    system hands out huge pages. With more than one thread, the peak would depend on which jobs run
-    at the same time.
+    All episodes end in these 202 steps. Resident memory would vary by megabytes, because the
+    operating system hands out huge pages. With more than one thread, the peak would depend on which
+    jobs run at the same time.
     """
     tracemalloc.start()
     try:
@@ -273,7 +273,7 @@ def peak_bytes(n):
 
 @pytest.mark.slow
 def test_each_environment_needs_at_most_64_kb():
-    peak_bytes(512)  # compiles
+    peak_bytes(512)  # compile first
     peaks = [peak_bytes(n) for n in (512, 1024, 2048)]
     slopes = np.diff(peaks) / (512, 1024)
     assert slopes.max() <= 64_000

@@ -39,12 +39,12 @@ def go_on(env, steps, actions):
 @pytest.mark.parametrize("configuration", representative(CONFIGURATIONS, "ends early", "short"))
 @pytest.mark.parametrize("mode", AUTORESET)
 def test_environments_continue_from_a_state_saved_at_any_step(mode, configuration):
-    """Restore a state in a new environment, in one that plays other episodes, and in its own."""
+    """Restore a state in a new environment, in a used environment and in the original."""
     env = make(mode, **CONFIGURATIONS[configuration])
     elsewhere = make(mode, **CONFIGURATIONS[configuration])
     elsewhere.reset(seed=50)
     go_on(elsewhere, 2, actions=9)
-    env.reset(seed=13)  # with this seed, some episodes terminate and others are truncated
+    env.reset(seed=13)  # a seed with which "ends early" has both kinds of ends
     ends = np.zeros(2, int)  # numbers of terminated and of truncated episodes
     for taken in range(8):
         state = env.state()
@@ -95,7 +95,7 @@ def test_the_state_of_another_environment_is_refused(name, arguments):
     env.reset(seed=0)
     with refuses(f"{name} of the state"):
         other.restore(env.state())
-    with pytest.raises(ResetNeeded):  # nothing was restored, and it was never reset
+    with pytest.raises(ResetNeeded):  # other was neither restored nor reset
         other.state()
 
 

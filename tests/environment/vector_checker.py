@@ -7,7 +7,7 @@ from gymnasium.vector import AutoresetMode
 def check_vector_env(make):
     """Check seeds and shared memory.
 
-    Tests that compare a native vector environment with Gymnasium's own check all other rules.
+    Comparisons of native with synchronous vector environments check all other rules.
     """
     check_seeds(make)
     check_memory(make)

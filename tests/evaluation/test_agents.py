@@ -31,12 +31,12 @@ def first():
 def second():
     return Second()
 
-def looking_back():
+def seeing_priors():
     agent = Second()
     agent.modes, agent.observation = ["ekf", "ukf", "ckf"], "prior"
     return agent
 
-def trusting():
+def per_mode():
     agent = Second()
     agent.modes, agent.beliefs = ["ekf", "ckf"], "per-mode"
     return agent
@@ -98,7 +98,7 @@ def test_an_agent_from_a_module_is_compared_like_any_policy(folder):
     assert "| my_agents:second | 0.000 [0.000, 0.000] |" in done.stdout
 
 
-MISTAKES = {
+MISTAKES = {  # name of an agent -> expected message
     "no_such_module:make": "no_such_module:make: ModuleNotFoundError: .*expected module:function",
     "my_agents:gone": "AttributeError: .*'gone'; expected module:function",
     "my_agents:act": "TypeError: .* missing 1 required .*; expected .* no arguments",
@@ -121,11 +121,11 @@ def test_an_invalid_agent_is_refused_before_an_episode_runs(name, folder, monkey
 
 @pytest.mark.usefixtures("folder")
 def test_attributes_of_an_agent_determine_its_modes_observation_and_beliefs():
-    contender = contender_from("my_agents:looking_back", "handset")
+    contender = contender_from("my_agents:seeing_priors", "handset")
     assert len(contender.modes) == 3 and contender.observation == "prior"
     plain = contender_from("my_agents:second", "handset", observation="prior")
     assert len(plain.modes) == 2 and plain.observation == "prior"
-    per_mode = contender_from("my_agents:trusting", "handset")
+    per_mode = contender_from("my_agents:per_mode", "handset")
     assert per_mode.bank == Bank(modes_from(["ekf", "ckf"])) and per_mode.beliefs == "per-mode"
     named = contender_from("my_agents:second", "handset", HANDSET, beliefs="per-mode")
     assert named.bank == HANDSET and named.actions == ["none", "stand", "walk", "ride"]
@@ -164,7 +164,7 @@ def test_compare_accepts_objects_modules_files_and_loaded_policies(tmp_path):
     assert all(begins.all() for begins in mine.begins) and len(mine.begins[-1]) == 3
     first = mine.observed[0]
     assert all(o.shape == first.shape and o.dtype == np.float32 for o in mine.observed)
-    assert len(mine.observed) == 201 and len(first) == 3  # an agent is tried once, then 200 steps
+    assert len(mine.observed) == 201 and len(first) == 3  # one trial, then 200 steps
 
 
 @pytest.mark.slow
@@ -216,6 +216,6 @@ def test_wrong_arguments_of_compare_are_refused(refused, agents, options):
         compare(agents, **options)
 
 
-def test_an_unknown_option_of_compare_is_refused_with_all_known_ones():
+def test_an_unknown_option_of_compare_is_refused_and_all_known_options_are_named():
     with pytest.raises(TypeError, match="'odometer', expected one of .*odometry"):
         compare({}, odometer=True)

@@ -18,7 +18,7 @@ from mmwave_env.world.simulated import SimulatedSource
 from tests.refusals import refuses
 from tests.training.actors import HANDSET
 
-N, EPOCHS = 5, 30  # engines compute blocks of 8 environments; these 5 do not fill one
+N, EPOCHS = 5, 30  # engines compute blocks of 8 environments; these 5 do not fill a block
 EPISODES = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=EPOCHS).episodes(
     np.arange(N, dtype=np.uint64)
 )
@@ -43,7 +43,7 @@ def rest(walked, action):
 
 
 @pytest.mark.parametrize("walked", [0, 25])
-def test_a_decision_that_looks_to_the_end_earns_the_most_that_one_action_can(walked, monkeypatch):
+def test_a_decision_that_foresees_the_whole_episode_takes_the_best_action(walked, monkeypatch):
     monkeypatch.setattr(branches, "HORIZON_S", 1000.0)
     policy, engine = branches.Clairvoyant(), begun(0)
     policy.foresee(engine)
@@ -65,7 +65,7 @@ def test_the_clairvoyant_earns_more_than_the_imm_of_its_bank_and_does_not_change
     np.testing.assert_allclose(np.mean(rewards[10:], axis=0), knows, rtol=1e-9)
 
 
-def test_the_clairvoyant_is_refused_where_there_is_no_truth():
+def test_the_clairvoyant_is_refused_for_episodes_without_truth():
     policy = contender_from("clairvoyant", "handset", HANDSET)
     unknown = [replace(e, truth_position_m=None, truth_velocity_mps=None) for e in EPISODES]
     with refuses("policy"):

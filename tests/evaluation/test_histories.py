@@ -1,4 +1,4 @@
-"""Tests that the histories of contenders, which pictures show, equal those of environments."""
+"""Tests that contenders' histories, from which pictures are drawn, equal environments' records."""
 
 import gymnasium as gym
 import numpy as np

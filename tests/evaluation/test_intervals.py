@@ -75,7 +75,7 @@ def test_each_column_has_a_ratio_which_is_nan_if_the_denominator_is_zero():
 # --- over training seeds
 
 
-def plain_work(scores, rng, resamples):
+def plain_deviations(scores, rng, resamples):
     """Draw resamples one by one; return their means, minus the mean of the scores."""
     K, n = scores.shape
     apart = scores.mean(axis=1) - scores.mean()
@@ -90,7 +90,7 @@ def plain_work(scores, rng, resamples):
 def test_seeds_and_episodes_are_resampled_independently():
     rng = np.random.default_rng(0)
     scores = rng.normal(0.3, 0.5, (4, 1)) + rng.normal(size=30) + rng.normal(size=(4, 30))
-    interval, deviations = crossed_bootstrap(scores), plain_work(scores, rng, RESAMPLES)
+    interval, deviations = crossed_bootstrap(scores), plain_deviations(scores, rng, RESAMPLES)
     assert interval.mean == pytest.approx(scores.mean())
     margin = 4.5 * np.sqrt(2.0 * 0.025 * 0.975 / RESAMPLES) / norm.pdf(norm.ppf(0.025))
     for end, quantile in ((interval.low, 2.5), (interval.high, 97.5)):
@@ -99,7 +99,7 @@ def test_seeds_and_episodes_are_resampled_independently():
 
 
 def alike(interval):
-    """Return an interval that equals this one up to rounding."""
+    """Return an interval that equals the given interval up to rounding."""
     return Interval(*(pytest.approx(part) for part in astuple(interval)))
 
 
@@ -110,7 +110,7 @@ def test_one_seed_or_equal_seeds_have_the_interval_of_their_episodes(seeds):
 
 
 @pytest.mark.parametrize("K", [5, 30])
-def test_if_only_seeds_differ_the_interval_is_that_of_student_s_t(K):
+def test_if_only_seeds_differ_the_interval_follows_student_s_t(K):
     seeds = np.random.default_rng(1).normal(size=K)
     interval = crossed_bootstrap(np.tile(seeds[:, None], (1, 10)))
     half = t.ppf(0.975, K - 1) * seeds.std(ddof=1) / np.sqrt(K)
@@ -124,14 +124,14 @@ def test_few_seeds_have_wider_intervals():
     assert few_seeds_factor(1) == 1.0 < few_seeds_factor(1000) < 1.002
 
 
-# A score is a sum of three random numbers: one of the training seed, one of the episode, and one of
-# the pair. These are their standard deviations.
+# A score is the sum of random numbers of the training seed, the episode, and the pair of both.
+# These are the standard deviations of the three numbers.
 SPREADS = {"seeds": (1.0, 0.0, 0.1), "episodes": (0.0, 1.0, 0.1), "all": (0.2, 0.7, 0.7)}
 
 
 @pytest.fixture
 def fewer_resamples(monkeypatch):
-    """Use 500 instead of 4000 resamples, which take less time and are enough for coverage."""
+    """Use 500 instead of 4000 resamples to save time; 500 are enough to measure coverage."""
     intervals._resamples.cache_clear()
     monkeypatch.setattr(intervals, "RESAMPLES", 500)
     yield
@@ -157,5 +157,5 @@ def coverage(K, spread, trials=400, episodes=40):
 def test_intervals_contain_the_truth_in_about_95_percent_of_trials(K, spread):
     share = coverage(K, SPREADS[spread])
     # Over 400 trials, three standard errors of the share are 0.033. Small samples lower the share a
-    # little. The interaction of seeds and episodes counts twice (Owen 2007), which raises it.
+    # little. The interaction of seeds and episodes counts twice (Owen 2007) and raises the share.
     assert 0.91 < share < 0.99

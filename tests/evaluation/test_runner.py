@@ -1,4 +1,4 @@
-"""Tests of running contenders (policies with their modes, IMMs) on the same episodes."""
+"""Tests of running contenders (policies with their modes, or IMMs) on the same episodes."""
 
 import json
 from dataclasses import replace
@@ -38,7 +38,7 @@ def assert_equal(scores, expected):
 
 
 @pytest.mark.parametrize("beliefs", BELIEFS)
-def test_scores_equal_those_of_stepping_a_single_environment(beliefs, trust):
+def test_scores_equal_the_results_of_stepping_a_single_environment(beliefs, trust):
     contender = Contender.learned(trust)
     if beliefs == "shared":
         contender = contender_from("speed-rule", "handset")
@@ -137,12 +137,12 @@ def test_shipped_policies_are_contenders_of_their_radio(file, ship):
         contender_from("ppo-high", "high")
 
 
-def test_a_policy_shipped_for_all_radios_is_a_contender_for_each_with_its_bank(file, ship, trust):
+def test_a_policy_for_all_radios_is_a_contender_for_each_radio_with_its_bank(file, ship, trust):
     ship({"ppo-handset": file, "guided": trust, "guided-standard": file})
     for radio, modes in {"handset": HANDSET.modes, "high": STANDARD.modes}.items():
         guided = contenders(radio)["guided"]()
         assert (guided.name, guided.modes, guided.beliefs) == ("guided", modes, "per-mode")
-    assert contenders("standard")["guided"]().beliefs == "shared"  # the radio's own is preferred
+    assert contenders("standard")["guided"]().beliefs == "shared"  # the radio's own policy
     assert list(contenders("high"))[-2:] == ["imm-best", "guided"]
     assert contender_from("guided", "high", MODES).bank == STANDARD  # MODES is ignored
 
@@ -192,7 +192,7 @@ def test_a_corrector_that_corrects_nothing_scores_as_its_base(tmp_path, short):
 
 
 @pytest.mark.slow
-def test_errors_and_nees_are_those_of_the_corrected_beliefs(tmp_path, short):
+def test_errors_and_nees_belong_to_the_corrected_beliefs(tmp_path, short):
     results, plain = (
         run_contender(each, each.start(SOURCE.layout), short, after=("x", "P"))
         for each in (corrector(tmp_path, network(limit=50.0)), IMM)

@@ -18,9 +18,9 @@ DAMAGE = {  # name -> content of a summary, key that the error names
     "not JSON": ("{", []),
     "no seeds": ({"median": 0}, ["seeds"]),
     "no median": ({"seeds": [{"seed": 0}]}, ["median"]),
-    "empty": ({"seeds": [], "median": 0}, ["seeds"]),
-    "twice": ({"seeds": [{"seed": 0}] * 2, "median": 0}, ["seeds"]),
-    "another median": ({"seeds": [{"seed": 0}], "median": 7}, ["median"]),
+    "empty seeds": ({"seeds": [], "median": 0}, ["seeds"]),
+    "a seed twice": ({"seeds": [{"seed": 0}] * 2, "median": 0}, ["seeds"]),
+    "unknown median": ({"seeds": [{"seed": 0}], "median": 7}, ["median"]),
 }
 
 
