@@ -1,4 +1,4 @@
-"""Tests that a path's NIS equals the textbook value, and that the best assignment is found."""
+"""Tests that a path's NIS is the textbook's, and that anchors get the best assignment of paths."""
 
 from itertools import permutations
 
