@@ -94,7 +94,8 @@ def stepped(seed=0, steps=3, **arguments):
     return env, [env.step(np.zeros(32, int))[1] for _ in range(steps)]
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs ignore it
+    # A process that a shell starts in the background ignores SIGINT by default.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     env, rewards = stepped(threads=2)
 """
 

@@ -1,4 +1,4 @@
-"""Tests that a path's NIS is the textbook's, and that anchors get the best assignment of paths."""
+"""Tests that a path's NIS equals the textbook value, and that the best assignment is found."""
 
 from itertools import permutations
 

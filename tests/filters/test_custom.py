@@ -195,7 +195,7 @@ def test_an_algorithm_that_changes_its_arguments_is_refused(name, algorithm):
     assert f"changed its argument {name}" in str(refusal(algorithm))
 
 
-# --- trials: a new pipeline runs its algorithms once on a tape, to see whether lanes can run them
+# --- trials: a new pipeline runs its algorithms once, to see whether lanes can run them
 
 
 def test_making_an_environment_with_an_algorithm_that_cannot_run_is_refused(written):

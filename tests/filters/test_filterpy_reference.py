@@ -65,7 +65,7 @@ def test_complete_episodes_agree_with_filterpy(algorithm, name):
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
-@pytest.mark.parametrize("walls", [(), SCENES["street"].walls], ids=["one anchor", "three"])
+@pytest.mark.parametrize("walls", [(), SCENES["street"].walls], ids=["one anchor", "three anchors"])
 def test_episodes_with_odometry_and_one_or_three_anchors_agree_with_filterpy(algorithm, walls):
     scene = replace(SCENES["street"], walls=walls)
     episodes = simulated(1, epochs=100, odometry=True, scene=scene)

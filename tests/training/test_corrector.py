@@ -54,7 +54,7 @@ def test_every_episode_is_in_one_mixed_lot_and_a_mixed_lot_combines_several_lots
     assert max(len({origin[e] for e in episodes(lot)}) for lot in shuffled) > 1
 
 
-def test_weaving_users_move_along_both_street_axes_at_the_velocity_in_the_table():
+def test_weaving_users_move_along_both_street_axes_and_their_velocity_fits_their_positions():
     scene = replace(WIDE_SCENE, behind_m=WEAVING_BEHIND_M)
     source = replace(task().places[0].source("mixed"), dt=0.1, scene=scene)
     ways = np.concatenate(weaving(source, np.random.default_rng(1)).ways.tables)

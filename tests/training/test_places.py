@@ -87,7 +87,7 @@ def test_words_that_are_not_places_are_refused(words, named):
 
 
 @pytest.mark.parametrize("unseen", ["square", "mine"])
-def test_custom_files_that_are_named_like_unseen_ones_are_refused(unseen, files, monkeypatch):
+def test_custom_files_named_like_an_unseen_scene_or_radio_are_refused(unseen, files, monkeypatch):
     """Use a radio whose file contains its name, and a scene that is named like its file."""
     monkeypatch.setattr(module, "UNSEEN", ("square-2", unseen))
     with refuses("places"):

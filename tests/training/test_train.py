@@ -85,7 +85,7 @@ def test_the_exported_actor_chooses_the_actions_of_the_trained_model(tmp_path):
 
 
 def test_a_training_reports_its_periodic_evaluations(tmp_path):
-    """Check that every evaluation is reported, because searches stop trials that are bad."""
+    """Check that all evaluations are reported, which a search needs to stop bad trials."""
     heard = []
     outcome = train(job_of(tmp_path), heard.append)
     rewards = {news.timesteps: news.evaluation["reward"] for news in heard if news.evaluation}
@@ -129,7 +129,7 @@ BAD = {
     "unknown": ({"gama": 0.9}, "key: found 'gama', did you mean gamma"),
     "nan": ({"gamma": math.nan}, "gamma: found nan, expected a number"),
     "fraction": ({"n_steps": 1.5}, "n_steps: found 1.5, expected an integer from 1 to"),
-    "no bool": ({"paired": 1}, "paired: found 1, expected bool"),
+    "not a bool": ({"paired": 1}, "paired: found 1, expected bool"),
     "too small": ({"batch_size": 1}, "batch_size: found 1, expected an integer from 2 to"),
     "no neurons": ({"hidden": [64, 0]}, r"hidden\[1\]: found 0, expected an integer from 1 to"),
 }
@@ -146,7 +146,7 @@ def written(path, change):
 
 
 def refused(*words):
-    """Run ``mmwave-loc train`` with options that it must refuse; return its line of errors."""
+    """Run ``mmwave-loc train`` with options that it must refuse; return the last line of stderr."""
     done = command("train", *words)
     line = done.stderr.splitlines()[-1]
     assert done.returncode == 2 and done.stdout == "" and line.startswith("mmwave-loc train: ")
@@ -193,7 +193,7 @@ def test_too_few_environments_for_the_places_are_refused_before_any_work(algorit
 
 
 def test_the_error_without_pytorch_says_what_to_install(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "experiments.training.processes", None)  # no PyTorch
+    monkeypatch.setitem(sys.modules, "experiments.training.processes", None)  # hides PyTorch
     assert "mmwave-loc[train]" in refused("--out", tmp_path / "run")
     assert not (tmp_path / "run").exists()
 

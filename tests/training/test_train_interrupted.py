@@ -1,4 +1,4 @@
-"""Tests that a killed training can be continued, and writes the files of an unbroken training."""
+"""Tests that a killed training, if continued, writes the same files as without interruptions."""
 
 import csv
 import io
