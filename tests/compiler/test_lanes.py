@@ -200,7 +200,7 @@ KEPT += ("memory.accepted", "memory.lockout")
 
 
 def assert_floats_equal_lanes(pipeline, episodes, actions):
-    """Check that beliefs agree to 1e-12 standard deviations; return the results on lanes."""
+    """Check beliefs to 1e-12 standard deviations, the rest to 1e-9; return the results on lanes."""
     epochs = len(episodes[0])
     a, b = (
         track(pipeline, episodes, actions, epochs, KEPT, on_floats) for on_floats in (False, True)

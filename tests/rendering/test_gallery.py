@@ -29,7 +29,7 @@ def single(seed, steps, before=0, **arguments):
 
 
 @pytest.mark.parametrize("arguments", [{}, {"scene": "random"}, {"episodes": "canyon28_vehicle"}])
-def test_pictures_equal_those_of_single_environments(arguments):
+def test_pictures_equal_the_pictures_of_single_environments(arguments):
     envs = many(**arguments)
     envs.reset(seed=5)
     for steps in range(3):

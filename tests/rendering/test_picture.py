@@ -79,7 +79,7 @@ def test_a_picture_has_the_chosen_size_and_theme(size, theme):
     assert near(picture, THEMES[theme].paper).mean() > 0.1
 
 
-def test_accepted_links_are_solid_rejected_ones_dashed_and_missing_ones_faint():
+def test_accepted_links_are_solid_rejected_links_dashed_and_missing_links_faint():
     first = np.eye(GROUPS, dtype=bool)[0]
     contrast, kinds = {}, {"accepted": {"accepted": first}, "rejected": {"rejected": first}}
     for kind, gates in {**kinds, "missing": {}}.items():

@@ -25,7 +25,7 @@ def track():
 
 
 def report(tmp_path, *words):
-    """Return the parsed page that the command makes of results."""
+    """Return the parsed page that the command makes from results."""
     out = tmp_path / "report.html"
     succeed("report", *words, "--out", out)
     return Read(out.read_text(encoding="utf-8"))

@@ -114,7 +114,7 @@ def test_a_model_for_beliefs_per_mode_is_converted_with_its_bank(tmp_path):
 
 
 def with_a_trap(file, trap):
-    """Add to the file of a model an object that runs code when the file is loaded."""
+    """Add an object to a model's file; loading the file then runs code of this object."""
     with zipfile.ZipFile(file) as archive:
         content = {name: archive.read(name) for name in archive.namelist()}
     data = json.loads(content["data"])
