@@ -39,10 +39,10 @@ def package(tmp_path):
 
 
 def started(package, script=SCRIPT, **variables):
-    """Start a process that imports the package; its home is the folder that contains ``site``."""
+    """Start a process that can import the package; HOME is the folder that contains ``site``."""
     home = package.parent.parent
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "XDG"))}
-    # After edits that keep time and size, Python would use old bytecode, so it must write none.
+    # Write no bytecode: Python would still run it after an edit that keeps a file's time and size.
     own = {"PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1", "HOME": str(home)}
     every = {name: value for name, value in (clean | own | variables).items() if value is not None}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -107,7 +107,7 @@ def test_a_process_whose_sources_change_stores_nothing(package):
     assert run(package) == (61, 0)
 
 
-READ_ONLY = {  # name -> environment variables, number of files that the cache then keeps
+READ_ONLY = {  # name -> environment variables, number of files that are stored and loaded again
     "a home": ({}, 1),
     "a cache folder of one's own": ({"XDG_CACHE_HOME": "{tmp}/mine"}, 1),
     "no writable home": ({"HOME": "{tmp}/blocked"}, 0),
@@ -237,7 +237,7 @@ def planted(package, tmp_path):
 
 
 def given_away(path):
-    """Give a path to another user; without root's rights, return code that fakes its owner."""
+    """Give a path to another user. Without root's rights, return code that fakes this owner."""
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         os.chown(path, 65534, 65534)
         return ""
@@ -264,9 +264,9 @@ UNTRUSTED = {
     "a folder of another user": lambda file: given_away(file.parent),
     "a file of another user": given_away,
     "a folder the group may write to": lambda file: file.parent.chmod(0o770),
-    "a folder all may write to": lambda file: file.parent.chmod(0o707),
+    "a folder everyone may write to": lambda file: file.parent.chmod(0o707),
     "a file the group may write to": lambda file: file.chmod(0o660),
-    "a file all may write to": lambda file: file.chmod(0o606),
+    "a file everyone may write to": lambda file: file.chmod(0o606),
     "a link to a folder": lambda file: linked(file.parent),
     "a link to a file": linked,
 }
@@ -304,7 +304,7 @@ def test_a_folder_that_becomes_a_link_while_a_process_runs_is_not_used(package, 
 
 
 @posix
-def test_files_are_written_as_private_and_loaded_even_if_others_may_read_them(package):
+def test_stored_files_are_private_but_are_loaded_even_if_others_may_read_them(package):
     process = started(package, "import os\nos.umask(0)\n" + SCRIPT)
     assert finished(process) == ["41", "0"]
     (file,) = kept(package)
@@ -315,9 +315,7 @@ def test_files_are_written_as_private_and_loaded_even_if_others_may_read_them(pa
 
 
 @posix
-def test_old_versions_are_removed_except_the_one_in_use_those_of_others_and_links(
-    package, tmp_path
-):
+def test_cleaning_keeps_the_version_in_use_links_and_folders_of_other_users(package, tmp_path):
     shared, precious = tmp_path / "shared", tmp_path / "precious"
     assert run(package, NUMBA_CACHE_DIR=str(shared)) == (41, 0)
     (used,) = shared.iterdir()

@@ -1,4 +1,4 @@
-"""Tests that SIMD lanes compute what floats do: functions, comparisons, filters, simulation."""
+"""Tests that functions, filters and simulations give equal results on SIMD lanes and on floats."""
 
 import math
 import platform
@@ -51,7 +51,7 @@ NAN, INF = math.nan, math.inf
 
 @cache
 def compiled(function, arity):
-    """Compile a function of ``arity`` numbers, so that it fills the last row of blocks of lanes."""
+    """Compile a function of ``arity`` rows of a block of lanes; its result goes to the last row."""
 
     def build(rows):
         rows[arity] = function(*(rows[i] for i in range(arity)))
@@ -78,7 +78,8 @@ def on_lanes(function, *columns):
 
 
 def floats(low, high):
-    """Return a strategy for 64 floats, not subnormal and not -0, whose atan2 may differ in sign."""
+    """Return a strategy for 64 floats that are neither subnormal nor -0."""
+    # Adding 0 turns -0 into 0; for -0, the sign of atan2 may differ from numpy's.
     elements = st.floats(low, high, allow_subnormal=False).map(lambda a: a + 0.0)
     return hnp.arrays(float, 64, elements=elements)
 
@@ -142,8 +143,8 @@ SPECIAL = {  # name -> function, arguments, expected, rtol, atol
     "atan2 on axes and diagonals": (atan2, EDGES, np.tile(np.arctan2(*EDGE), 3), 1e-15, 0.0),
     "atan2 next to the branch cut": (atan2, [CUT, -1.0], [math.pi, -math.pi] * 2, 1e-15, 0.0),
     "atan2 of zeros": (atan2, [[0.0], [0.0]], [math.atan2(0.0, 0.0)], 0.0, 0.0),
-    "cosine all around and at quarter turns": (cosine, [TURNS], np.cos(TURNS), 3e-16, 1e-18),
-    "sine all around and at quarter turns": (sine, [TURNS], np.sin(TURNS), 3e-16, 1e-18),
+    "cosine of all angles and of quarter turns": (cosine, [TURNS], np.cos(TURNS), 3e-16, 1e-18),
+    "sine of all angles and of quarter turns": (sine, [TURNS], np.sin(TURNS), 3e-16, 1e-18),
 }
 
 
@@ -164,7 +165,7 @@ COMPARISONS = {
 
 
 @pytest.mark.parametrize("compare", COMPARISONS.values(), ids=COMPARISONS)
-def test_comparisons_equal_those_of_floats_and_are_false_with_nan(compare):
+def test_comparisons_of_lanes_equal_comparisons_of_floats_even_with_nan(compare):
     values = [-INF, -1.0, 0.0, 1.0, INF, NAN]
     a, b = (grid.ravel() for grid in np.meshgrid(values, values))
     expected = [compare(float(u), float(v)) for u, v in zip(a, b, strict=True)]
@@ -177,7 +178,7 @@ def test_where_ignores_nan_in_the_other_branch():
 
 
 def test_lanes_and_numbers_on_a_tape_have_the_same_operations():
-    """Check this because functions are tried on a tape before they are compiled for lanes."""
+    """Check this because a function is run on a tape before it is compiled for lanes."""
     inner = {"builder", "value", "_call", "_negated", "_with", "number", "tape", "_record"}
     number = taped(0.0, [])
     for ours, theirs in ((Lanes, number), (Mask, number < 1.0)):
@@ -199,7 +200,7 @@ KEPT += ("memory.accepted", "memory.lockout")
 
 
 def assert_floats_equal_lanes(pipeline, episodes, actions):
-    """Check that beliefs agree to 1e-12 deviations, the rest to 1e-9; return results on lanes."""
+    """Check beliefs to 1e-12 standard deviations, the rest to 1e-9; return the results on lanes."""
     epochs = len(episodes[0])
     a, b = (
         track(pipeline, episodes, actions, epochs, KEPT, on_floats) for on_floats in (False, True)

@@ -15,7 +15,7 @@ def function(x):
 
 @pytest.fixture
 def fresh(tmp_path, monkeypatch):
-    """Return a function that makes LazyJits as new processes would, with one disk cache for all."""
+    """Return a function that makes a LazyJit as a new process would; all share one disk cache."""
     monkeypatch.setattr(disk_cache, "_folder", lambda: tmp_path)
     return lambda: LazyJit(function, 5)  # runs as plain Python for 5 units of work
 
@@ -56,9 +56,9 @@ def test_without_a_disk_cache_a_process_uses_what_it_has_compiled(fresh, monkeyp
 def test_environments_with_plain_and_compiled_functions_are_bit_identical(
     scenario, mode, monkeypatch
 ):
-    def run(way):
-        monkeypatch.setattr(LazyJit, "__call__", lambda lazy, _, *arguments: way(lazy)(*arguments))
-        monkeypatch.setattr(LazyJit, "choice", lambda lazy, *_: way(lazy))
+    def run(form):
+        monkeypatch.setattr(LazyJit, "__call__", lambda lazy, _, *arguments: form(lazy)(*arguments))
+        monkeypatch.setattr(LazyJit, "choice", lambda lazy, *_: form(lazy))
         envs = gym.make_vec(
             "MmWaveLoc-v0", num_envs=9, episode_steps=12, scenario=scenario, autoreset_mode=mode
         )

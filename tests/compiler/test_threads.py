@@ -37,7 +37,7 @@ def test_no_more_threads_than_allowed_are_used():
     assert threads == {threading.get_ident()}
 
 
-def test_an_error_in_this_or_in_another_thread_is_raised_and_later_jobs_run():
+def test_an_error_in_any_thread_is_raised_and_the_next_call_works():
     with pytest.raises(ZeroDivisionError):
         share(lambda i: 1 / i, [(i,) for i in range(8)], 2)
     me, begun = threading.get_ident(), threading.Event()
@@ -94,7 +94,8 @@ def stepped(seed=0, steps=3, **arguments):
     return env, [env.step(np.zeros(32, int))[1] for _ in range(steps)]
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
+    # A process that a shell starts in the background ignores SIGINT by default.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     env, rewards = stepped(threads=2)
 """
 
@@ -115,7 +116,7 @@ posix = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and signa
 
 @pytest.mark.slow
 @posix
-def test_after_an_interrupt_the_running_jobs_end_and_no_other_begins(tmp_path):
+def test_after_an_interrupt_the_running_jobs_end_and_no_new_job_begins(tmp_path):
     code = """
     begun, done = threading.Event(), []
     def job(i):
@@ -159,14 +160,14 @@ def test_an_environment_continues_after_an_interrupted_step(tmp_path):
         except KeyboardInterrupt:
             print("interrupted")
     (*_, over, infos), (*_, expected) = (each.step(np.ones(32, int)) for each in (env, twin))
-    print(over.all(), all(np.array_equal(infos[key], told) for key, told in expected.items()))
+    print(over.all(), all(np.array_equal(infos[key], value) for key, value in expected.items()))
     """
     assert process(code, tmp_path) == ["interrupted", "True", "True"]
 
 
 @pytest.mark.slow
 @posix
-def test_a_child_forked_while_a_thread_compiles_steps_and_compiles_like_any_process(tmp_path):
+def test_a_child_forked_during_compilation_can_step_and_compile(tmp_path):
     code = """
     from numba.core.compiler_lock import global_compiler_lock
     begun = threading.Event()
@@ -178,7 +179,7 @@ def test_a_child_forked_while_a_thread_compiles_steps_and_compiles_like_any_proc
     begun.wait()
     child = os.fork()
     if child == 0:
-        signal.alarm(60)  # in case it waits for ever
+        signal.alarm(60)  # in case the child hangs
     _, own = stepped(threads=2)
     _, other = stepped(threads=2, reward="log-score")  # compiled after the fork
     if child == 0:
@@ -212,7 +213,7 @@ def test_environments_can_run_in_their_own_processes(context, tmp_path):
 def test_several_threads_can_step_environments_at_once(tmp_path):
     code = """
     from concurrent.futures import ThreadPoolExecutor
-    fresh = {"reward": "log-score"}  # not compiled yet: all threads ask for it at once
+    fresh = {"reward": "log-score"}  # not compiled yet, so all threads need it compiled at once
     seeds = [0, 1, 2, 3] * 2
     with ThreadPoolExecutor(len(seeds)) as callers:
         jobs = [callers.submit(stepped, seed, 20, threads=2, **fresh) for seed in seeds]

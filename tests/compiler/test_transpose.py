@@ -17,7 +17,7 @@ SIZE = 50
 COUNTS = st.integers(0, SIZE)
 
 
-# The functions of ``tiles`` run as plain Python if Python calls them, compiled if these call them.
+# Called from Python, the functions of ``tiles`` run as plain Python; these wrappers compile them.
 compiled_gather = numba.njit(lambda block, sources, count: tiles.gather(block, sources, count))
 compiled_scatter = numba.njit(lambda block, rows, targets: tiles.scatter(block, rows, targets))
 compiled_scatter_single = numba.njit(
@@ -88,7 +88,7 @@ def out_of(function, kind):
 
 @pytest.mark.slow
 def test_functions_stored_by_two_processes_work_in_a_third(tmp_path):
-    """Use functions with equal symbols, because numba numbers functions anew in each process."""
+    """Check that equal symbols do not collide: each process numbers its functions anew."""
     (tmp_path / "users.py").write_text(USERS)
     site = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
     variables = os.environ | {"PYTHONPATH": site, "NUMBA_CACHE_DIR": str(tmp_path)}

@@ -39,7 +39,7 @@ class Restricted:
 
 @dataclass(frozen=True)
 class Rows:
-    """Sensor with only the rows where ``kept`` (rows,) is true, and only the groups of these."""
+    """Sensor with only the rows in ``kept``, a mask (rows,); groups without rows are left out."""
 
     sensor: Sensor
     kept: np.ndarray

@@ -64,7 +64,7 @@ class Problem(NamedTuple):
     def textbook(self, moments, gate, force=None, free=None):
         """Return the textbook's update of the ``free`` components; the others are known exactly.
 
-        If ``free`` is None, all components are; if ``force`` is None, the gate's own value holds.
+        By default, all components are free, and ``force`` is the gate's own.
         """
         free = self.order if free is None else free
         groups, links, x, P, *measured = self.update
@@ -128,7 +128,7 @@ def assert_same(ours, expected, rtol=RTOL, visible=None):
     """Assert that posteriors agree; x and P are compared in units of standard deviations.
 
     Args:
-        visible: (groups,) mask of the groups in ``expected``; all others must have NIS 0.
+        visible: (groups,) mask of the groups in ``expected``; others must be rejected, with NIS 0.
     """
     if visible is not None:
         assert not np.array([ours.nis, ours.accepted])[:, ~visible].any()

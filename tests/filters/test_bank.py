@@ -65,7 +65,7 @@ def test_a_radio_file_gets_the_modes_and_the_bank_of_its_base(tmp_path, recwarn)
     assert len(recwarn) == 1
 
 
-def test_robust_modes_have_the_tuning_of_the_plain_modes_without_adaptation():
+def test_robust_modes_are_tuned_like_the_plain_modes_but_do_not_adapt():
     named = named_modes("high")
     assert named["ekf-robust"] == replace(
         named["ekf"], name="ekf-robust", robust=True, blockage_aware=True, adaptive=False
@@ -121,7 +121,7 @@ def test_a_bank_read_from_json_equals_the_bank_that_was_written(bank):
     assert bank_in(written) == bank
 
 
-def test_a_mode_file_defines_the_transition_if_given_alone_or_in_a_list_of_one(tmp_path):
+def test_the_transition_in_a_mode_file_is_used_if_no_other_modes_are_given(tmp_path):
     path = tmp_path / "bank.json"
     path.write_text(json.dumps(bank_as_written(BANK)))
     assert bank_from(path) == bank_from(str(path)) == bank_from([path]) == bank_from((str(path),))

@@ -14,7 +14,7 @@ LOG_FACTOR = st.lists(st.floats(-2.0, 2.0), min_size=3, max_size=3)
 
 
 def belief_of(seed=0, angle=0.5, speed=3.0, axes=(0, 1, 2)):
-    """Return a belief, with a random covariance, about a user who moves in a direction (rad)."""
+    """Return a belief with a random covariance; ``angle`` (rad) is the direction of motion."""
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(7, 7))
     x = rng.normal(size=7)
@@ -23,7 +23,7 @@ def belief_of(seed=0, angle=0.5, speed=3.0, axes=(0, 1, 2)):
 
 
 def rotation(angle):
-    """Return the matrix whose columns are the directions along, across and up."""
+    """Return the matrix whose columns are the directions along the motion, across it and up."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
@@ -49,6 +49,6 @@ def test_on_flat_terrain_the_height_is_not_corrected():
 
 
 @given(ANGLE)
-def test_the_frame_of_a_user_at_rest_is_that_of_the_world(angle):
+def test_the_frame_of_a_user_at_rest_has_the_axes_of_the_world(angle):
     frame = Frame.of([1e-6 * np.cos(angle), 1e-6 * np.sin(angle)])
     assert frame == pytest.approx((1.0, 0.0))

@@ -112,7 +112,7 @@ def test_the_message_shows_the_innermost_line_of_the_users_code(algorithm):
     assert "maximum(a, b)" in message
 
 
-def misspelt(x, P, measurement, gate):
+def misspelled(x, P, measurement, gate):
     return ekf(x, P, measurement.numbers, gate)
 
 
@@ -121,7 +121,7 @@ def only_floats(x, P, measurement, gate):
 
 
 @pytest.mark.parametrize(
-    ("algorithm", "part"), [(misspelt, "numbers"), (only_floats, "mmwave_env.numerics.numbers")]
+    ("algorithm", "part"), [(misspelled, "numbers"), (only_floats, "mmwave_env.numerics.numbers")]
 )
 def test_other_failures_keep_their_cause_and_show_the_line(algorithm, part):
     error, code = refusal(algorithm), algorithm.__code__
@@ -195,7 +195,7 @@ def test_an_algorithm_that_changes_its_arguments_is_refused(name, algorithm):
     assert f"changed its argument {name}" in str(refusal(algorithm))
 
 
-# --- where algorithms are tried
+# --- trials: a new pipeline runs its algorithms once, to see whether lanes can run them
 
 
 def test_making_an_environment_with_an_algorithm_that_cannot_run_is_refused(written):

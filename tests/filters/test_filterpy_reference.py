@@ -37,7 +37,7 @@ def both(pipeline, episodes, actions, parts):
 
 
 def assert_agree(pipeline, episodes, *more):
-    """Assert equal beliefs, memories and observations; return both tracks, with parts ``more``."""
+    """Assert equal beliefs, memories and observations; return both tracks, including ``more``."""
     ours, twin = both(pipeline, episodes, 0, ("x", "P", "memory", "observation", *more))
     assert_same_beliefs(twin, ours, rtol=1e-9)
     for part in ("memory", "observation"):
@@ -65,7 +65,7 @@ def test_complete_episodes_agree_with_filterpy(algorithm, name):
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
-@pytest.mark.parametrize("walls", [(), SCENES["street"].walls], ids=["alone", "images"])
+@pytest.mark.parametrize("walls", [(), SCENES["street"].walls], ids=["one anchor", "three anchors"])
 def test_episodes_with_odometry_and_one_or_three_anchors_agree_with_filterpy(algorithm, walls):
     scene = replace(SCENES["street"], walls=walls)
     episodes = simulated(1, epochs=100, odometry=True, scene=scene)

@@ -13,8 +13,8 @@ from tests.filters.test_filterpy_reference import both
 from tests.filters.tracks import OwnModel, assert_same_beliefs, pipeline_of, process_noise
 
 ANCHORS = np.array([[0.0, 0.0, 10.0], [80.0, 60.0, 12.0], [-50.0, 70.0, 15.0]])
-SILENT = {"vertical": [1, 3], "anchor": [1, 2, 3, 12]}  # rows that carry no information
-# Name -> offset of the prior mean from the first anchor, m; key of SILENT, or None for no such row.
+SILENT = {"vertical": [1, 3], "anchor": [1, 2, 3, 12]}  # place -> rows without information
+# Name -> offset (m) of the prior mean from the first anchor; key of SILENT, or None.
 OFFSETS = {
     "below": ((0.0, 0.0, -8.5), "vertical"),
     "above": ((0.0, 0.0, 20.0), "vertical"),
@@ -54,7 +54,7 @@ def test_an_update_near_an_anchor_equals_the_textbook(algorithm, where, odometry
 
 
 @everywhere
-def test_a_jacobian_row_is_zero_if_its_angle_is_undefined_and_else_the_derivative(where):
+def test_a_jacobian_row_is_the_derivative_or_zero_if_its_angle_is_undefined(where):
     problem, (_, lost) = near(where), OFFSETS[where]
     s, x = problem.sensor, problem.x
     silent = SILENT.get(lost, [])

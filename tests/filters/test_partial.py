@@ -1,6 +1,6 @@
 """Tests of partial layouts, in which any row of a measurement may be missing.
 
-NEES and NIS are chi-square; if no row is missing, tracks equal the tracks in a plain layout.
+With missing rows, NEES and NIS are chi-square. Without, tracks equal those in a plain layout.
 """
 
 from dataclasses import replace
@@ -58,7 +58,7 @@ def runs():
 
 
 def with_its_doppler(episode, model):
-    """Return the episode with the Doppler shift of anchor ``doppler_anchor`` in every epoch."""
+    """Return the episode with Doppler shifts measured at each epoch's ``doppler_anchor``."""
     sensor, row = model.sensor, episode.layout.doppler
     z = episode.measurement.copy()
     truth = [*episode.truth_position_m.T], [*episode.truth_velocity_mps.T]

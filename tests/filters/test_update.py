@@ -18,7 +18,7 @@ GATES = [Gate(None), Gate(0.99), Gate(0.5), Gate(0.5, force=1.0), Gate(0.99, rob
 
 KINDS = {
     "radio": {},
-    "nine anchors": {"anchors": 9},  # too many for one logarithm of their determinants' product
+    "nine anchors": {"anchors": 9},  # gates take one logarithm per eight groups
     "odometry": {"odometry": True},
     "some rows": {"partial": True},
     "odometry and some rows": {"odometry": True, "partial": True},
@@ -64,7 +64,7 @@ def test_an_update_with_any_scaled_sigma_points_equals_the_textbook(kind, parame
 @pytest.mark.parametrize(
     ("algorithm", "moments"),
     [
-        # Sigma points of 7 states reach sqrt(7) deviations; so do those of 5 states with kappa = 2.
+        # With kappa = 2, sigma points of 5 states are as far from the mean as sigma points of 7.
         ("ekf", textbook.tangent),
         ("ukf", textbook.unscented(1.0, 2.0, 2.0)),
         ("ckf", textbook.unscented(1.0, 0.0, 2.0)),
@@ -124,7 +124,7 @@ def test_the_textbook_jacobian_equals_the_numerical_derivative(problem):
     np.testing.assert_allclose(s.jacobian(x), np.array(columns).T, rtol=1e-5, atol=1e-5)
 
 
-def test_sigma_points_without_reach_or_with_an_indefinite_covariance_are_refused():
+def test_sigma_points_at_the_mean_or_with_an_indefinite_covariance_are_refused():
     for alpha, kappa in ((0.0, 0.0), (-1.0, 0.0), (1.0, -7.0)):
         with refuses("alpha, kappa"):
             SigmaPoints(alpha, 2.0, kappa)

@@ -66,7 +66,7 @@ def spoiled(episode, seed):
 
 
 def some_rows(episode, rng, share):
-    """Return the episode with a ``share`` of its rows and a random ``doppler_anchor`` per epoch."""
+    """Keep a random ``share`` of an episode's rows, and draw a ``doppler_anchor`` per epoch."""
     whole = episode.only(MEASUREMENTS)
     gone = rng.random(whole.measurement.shape) >= share
     measurement = np.where(gone, np.nan, whole.measurement)
@@ -92,8 +92,8 @@ class OwnModel:
     """Model of users who start, move and are measured exactly as a filter assumes.
 
     ``start`` (7,) and ``prior`` (7,) are mean and standard deviations of the first state. Q (7, 7)
-    is the process noise of one second. The measurement noise is ``sigma`` (rows,) times a lognormal
-    factor (spread ``fading``) per row and epoch. Groups are visible with probability ``detection``.
+    is the process noise of one second. The noise of a measurement is ``sigma`` (rows,) times a
+    random factor, exp(``fading`` N(0, 1)). Groups are visible with probability ``detection``.
     """
 
     sensor: textbook.Sensor
@@ -146,7 +146,7 @@ def track(pipeline, episodes, actions, epochs, parts, on_floats=False, bank=None
     """Run an engine and record ``parts`` of its workspace, such as "memory.gamma", every epoch.
 
     Args:
-        actions: (epochs, n) or (n,) modes to choose; with a bank, modes to trust.
+        actions: (epochs, n) or (n,) modes to choose; with a bank, modes whose probability to raise.
 
     Returns:
         An array (epochs, n, ...) per part; "P_predicted" comes from a tracker, not an engine.

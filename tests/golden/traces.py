@@ -45,7 +45,7 @@ DIAGONAL = [i * (i + 3) // 2 for i in range(7)]  # indices of the variances in a
 
 
 def track(log: str, mode: str) -> Iterator[Row]:
-    """Filter a log in one mode, or with the IMM of the default modes; yield rows of some epochs."""
+    """Filter a log in a mode, or with the IMM of the default modes ("imm"); yield some epochs."""
     block = _localized(log, mode)
     for k in _shown(block.x):
         yield (
@@ -201,7 +201,7 @@ def memory() -> Iterator[Row]:
             yield {"array": f"{beliefs}: {name}", "bytes": array.nbytes // 64}
 
 
-# The episodes of keys 3656569636567469460 and 9573841816382471088 diverge.
+# Estimates diverge in the episodes of keys 3656569636567469460 and 9573841816382471088.
 TRACES: dict[str, Callable[[], Iterator[Row]]] = {
     "track-ekf": partial(track, "canyon28_pedestrian", "ekf"),
     "track-ukf": partial(track, "canyon28_vehicle", "ukf"),

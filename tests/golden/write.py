@@ -21,7 +21,7 @@ SHOWN = 5  # maximum number of differences printed per file
 
 
 def text_of(rows: Iterable[Mapping[str, object]]) -> str:
-    """Return rows as CSV: numbers have as few digits as restore them, missing cells are empty."""
+    """Return rows as CSV: numbers can be restored exactly, and missing cells are empty."""
     rows = list(rows)
     columns = list(dict.fromkeys(name for row in rows[::-1] for name in row))
     lines = [columns, *([_word(row.get(name, "")) for name in columns] for row in rows)]

@@ -29,7 +29,7 @@ def bench():
     return Bench(6, seed=3)
 
 
-def test_filtered_scores_equal_those_of_the_evaluation(bench):
+def test_filtered_scores_equal_the_scores_of_an_evaluation(bench):
     scores = bench.run(default_modes("handset")[0], PEDESTRIAN).filtered.scores
     contender = contender_from("fixed-ekf", "handset")
     episodes = bench.episodes(PEDESTRIAN)
@@ -39,7 +39,7 @@ def test_filtered_scores_equal_those_of_the_evaluation(bench):
 
 
 @pytest.mark.parametrize("planar", [False, True])
-def test_smoothed_scores_equal_those_computed_from_the_smoothed_track(bench, planar):
+def test_smoothed_scores_equal_scores_computed_from_the_smoothed_track(bench, planar):
     episodes, mode = bench.episodes(PEDESTRIAN), default_modes("handset")[0]
     if planar:
         episodes = [episode.on_flat_ground(1.5) for episode in episodes]

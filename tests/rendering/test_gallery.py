@@ -18,7 +18,7 @@ def many(n=3, mode="NextStep", **arguments):
 
 
 def single(seed, steps, before=0, **arguments):
-    """Return a single environment's picture after ``before`` skipped episodes and some steps."""
+    """Return a single environment's picture: skip ``before`` episodes, then take ``steps``."""
     env = gym.make(ID, render_mode="rgb_array", episode_steps=STEPS, **arguments).unwrapped
     env.reset(seed=seed)
     for _ in range(before):
@@ -29,7 +29,7 @@ def single(seed, steps, before=0, **arguments):
 
 
 @pytest.mark.parametrize("arguments", [{}, {"scene": "random"}, {"episodes": "canyon28_vehicle"}])
-def test_pictures_equal_those_of_single_environments(arguments):
+def test_pictures_equal_the_pictures_of_single_environments(arguments):
     envs = many(**arguments)
     envs.reset(seed=5)
     for steps in range(3):
@@ -61,7 +61,7 @@ def test_a_reset_of_one_environment_does_not_change_the_pictures_of_others():
     np.testing.assert_array_equal(after[1], single(6, 0, 1))
 
 
-def test_only_the_first_of_many_environments_are_drawn():
+def test_of_many_environments_only_the_first_few_are_drawn():
     envs = many(DRAWN + 3)
     envs.reset(seed=0)
     pictures = envs.render()

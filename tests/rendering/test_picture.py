@@ -32,7 +32,7 @@ HERE = ((0.0, 0.0),)
 
 
 def history(truth=HERE, estimate=HERE, modes=(0,), accepted=NOTHING, rejected=NOTHING, **scenery):
-    """Return a history of the prior and one epoch per point, a second apart."""
+    """Return a history: the prior, then an epoch for each point of ``truth``, a second apart."""
     scenery = {"name": "test", "anchors": [(200.0, 150.0, 10.0)], "streets": None} | scenery
 
     def states(points, size):
@@ -79,7 +79,7 @@ def test_a_picture_has_the_chosen_size_and_theme(size, theme):
     assert near(picture, THEMES[theme].paper).mean() > 0.1
 
 
-def test_accepted_links_are_solid_rejected_ones_dashed_and_missing_ones_faint():
+def test_accepted_links_are_solid_rejected_links_dashed_and_missing_links_faint():
     first = np.eye(GROUPS, dtype=bool)[0]
     contrast, kinds = {}, {"accepted": {"accepted": first}, "rejected": {"rejected": first}}
     for kind, gates in {**kinds, "missing": {}}.items():
@@ -93,7 +93,7 @@ def test_accepted_links_are_solid_rejected_ones_dashed_and_missing_ones_faint():
     assert 5 < contrast["missing"].min() and contrast["missing"].max() < 40
 
 
-def test_the_header_counts_links_without_the_doppler_shift_and_odometry():
+def test_the_header_counts_links_but_not_the_doppler_shift_or_odometry():
     anchors = [(200.0, 150.0, 10.0), (200.0, -150.0, 10.0)]
     without, with_odometry = (
         drawn(anchors=anchors, accepted=np.ones(n, bool), rejected=np.zeros(n, bool))
@@ -241,7 +241,7 @@ FRAME = Rect(0.0, 20.0, 480.0, 260.0)
 
 
 def views(seed, action, **arguments):
-    """Yield, for each epoch, its history and view, and where user and estimate are drawn (2, 2)."""
+    """Yield, for each epoch, the history so far, the view, and the pixels of user and estimate."""
     env = gym.make(ID, render_mode="rgb_array", **arguments).unwrapped
     env.reset(seed=seed)
     over = False

@@ -67,7 +67,7 @@ def test_an_mp4_has_every_picture(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["square", "square.avi", "gif"])
-def test_other_endings_are_refused(name, tmp_path):
+def test_files_without_the_suffix_gif_or_mp4_are_refused(name, tmp_path):
     with refuses("out"):
         require_video("out", tmp_path / name)
 

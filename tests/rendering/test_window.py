@@ -1,4 +1,4 @@
-"""Tests of the window: keys, speed, closing, and machines without a display."""
+"""Tests of the window that shows pictures: its keys, speed and closing, and what it shows."""
 
 import gymnasium as gym
 import numpy as np
@@ -27,7 +27,7 @@ def press(*keys):
 PICTURE = np.zeros((480, 480, 3), np.uint8)
 
 
-def test_a_single_step_pauses_and_another_press_of_space_continues(window):
+def test_the_window_stays_paused_after_single_steps_until_space_is_pressed(window):
     press(pygame.K_SPACE, pygame.K_n)
     window.show(PICTURE)
     assert window.paused

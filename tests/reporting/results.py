@@ -13,12 +13,12 @@ HOSTILE = "</script><img src=x onerror=alert(1)>$|`\n\x1b[31m\u202eΩ日本\"'&"
 
 
 def interval(mean):
-    """Return an interval in the form of result files."""
+    """Return an interval in the form of results files."""
     return {"mean": mean, "ci95": [mean - 0.1, mean + 0.1]}
 
 
 def metrics(mean):
-    """Return every metric in the form of result files, with means that count up from ``mean``."""
+    """Return every metric in the form of results files, with means that count up from ``mean``."""
     return {metric: interval(mean + i) for i, metric in enumerate(METRICS)}
 
 

@@ -36,7 +36,7 @@ def test_the_page_fits_the_screen_and_its_sections_are_not_too_long(opened, widt
     assert all(section.bounding_box()["height"] <= 10 * SCREEN for section in sections)
 
 
-def test_an_episode_plays_stops_and_is_moved_by_keys(opened):
+def test_an_episode_can_be_played_stopped_and_moved_with_keys(opened):
     page = opened("#episodes")
     slider, now = page.locator("#time"), page.locator("#now")
     first = now.inner_text()

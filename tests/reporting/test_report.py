@@ -25,7 +25,7 @@ def track():
 
 
 def report(tmp_path, *words):
-    """Return the parsed page that the command makes of results."""
+    """Return the parsed page that the command makes from results."""
     out = tmp_path / "report.html"
     succeed("report", *words, "--out", out)
     return Read(out.read_text(encoding="utf-8"))
@@ -51,7 +51,7 @@ def test_the_title_says_who_won_by_how_much_if_the_results_show_it(tmp_path, pai
     assert page.title == f"{title} - mmwave-loc"
 
 
-def test_tables_show_the_figures_of_the_file_best_first(tmp_path):
+def test_tables_show_the_numbers_of_the_file_and_the_best_policy_first(tmp_path):
     content = results.comparison(("worse", "better"))
     rows = content["policies"]
     rows["worse"], rows["better"] = rows["better"], rows["worse"]
@@ -77,8 +77,8 @@ def test_tracks_and_training_runs_have_their_tables_and_a_title(tmp_path, track)
 
 
 @pytest.mark.slow
-def test_episodes_that_are_played_again_are_those_that_were_compared(tmp_path):
-    """Check that the means in the file are those of the episodes that the report plays again."""
+def test_the_report_plays_the_compared_episodes_again(tmp_path):
+    """Check that the episodes that the report plays have the means in the results file."""
     file = tmp_path / "r.json"
     options = "--policies imm guided speed-rule --episodes 3 --episode-steps 40 --seed 7"
     succeed("compare", *options.split(), "--percentiles", "--json", file)
@@ -164,14 +164,14 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_files_that_are_not_results_end_with_one_clear_line(tmp_path, mistake):
+def test_files_that_are_not_results_are_refused_in_one_clear_line(tmp_path, mistake):
     content, message = MISTAKES[mistake]
     done = command("report", write(tmp_path / "r.json", content), "--out", tmp_path / "page.html")
     assert_one_clear_line(done, f"r.json: .*{message}")
     assert not (tmp_path / "page.html").exists()
 
 
-def test_wrong_folders_and_options_end_with_one_clear_line(tmp_path):
+def test_wrong_folders_and_options_are_refused_in_one_clear_line(tmp_path):
     log = results.run(tmp_path / "run") / "seed-0" / "progress.csv"
     log.write_text("timesteps,tuning/minus a\n1,x\n")
     file = write(tmp_path / "r.json", results.comparison())

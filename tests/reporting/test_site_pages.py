@@ -51,6 +51,6 @@ def test_every_page_fits_a_phone_and_makes_no_requests_to_other_sites(site, open
         page = opened(path, PHONE)
         width = page.evaluate("document.documentElement.scrollWidth")
         complaints += [f"{path}: {width} px wide"] * (width > PHONE)
-        complaints += [f"{path}: no alternative: {shown}" for shown in page.evaluate(LACKING)]
+        complaints += [f"{path}: no alt or title: {shown}" for shown in page.evaluate(LACKING)]
         page.close()
     assert complaints == []

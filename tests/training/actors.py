@@ -11,7 +11,7 @@ from mmwave_env.interface.observation import Observation
 from mmwave_env.models.layout import Layout
 from policies.policy_file import Card, to_bytes
 
-MODES = (Mode("stand", sigma_v=0.1), Mode("walk"), Mode("ride", sigma_v=2.0))  # compile quickly
+MODES = (Mode("stand", sigma_v=0.1), Mode("walk"), Mode("ride", sigma_v=2.0))  # fast to compile
 TABLE = Observation(Pipeline(MODES, Layout()))
 FEATURES = len(TABLE)
 

@@ -73,7 +73,7 @@ def trained(kind, env):
 
 
 @pytest.mark.usefixtures("forked")
-@pytest.mark.parametrize("normalized", [False, True], ids=["as they are", "normalized"])
+@pytest.mark.parametrize("normalized", [False, True], ids=["raw", "normalized"])
 @pytest.mark.parametrize("kind", ALGORITHMS)
 def test_a_converted_model_chooses_the_actions_of_the_model(kind, normalized, tmp_path, modes):
     """Compare actions in 50 steps, which include ends of episodes."""
@@ -114,7 +114,7 @@ def test_a_model_for_beliefs_per_mode_is_converted_with_its_bank(tmp_path):
 
 
 def with_a_trap(file, trap):
-    """Add to the file of a model an object that runs code when the file is loaded."""
+    """Add an object to a model's file; loading the file then runs code of this object."""
     with zipfile.ZipFile(file) as archive:
         content = {name: archive.read(name) for name in archive.namelist()}
     data = json.loads(content["data"])
@@ -155,7 +155,7 @@ MISTAKES = {
     "not a zip": (None, (), "model.zip: not a model"),
     "relu": (lambda: layered(activation_fn=torch.nn.ReLU), (), "model.zip: network: found"),
     "q network": (lambda: DQN("MlpPolicy", environment(), buffer_size=100), (), "network: found"),
-    "prior": (lambda: trained("ppo", environment()), ("--observation", "prior"), "features"),
+    "features": (lambda: trained("ppo", environment()), ("--observation", "prior"), "features"),
     "normalized without statistics": (normalized, (), "model.zip: normalize: found none"),
     "wrong statistics file": (normalized, ("--normalize", "MODES"), "not a file of VecNormalize"),
 }
@@ -177,7 +177,7 @@ def test_a_model_that_cannot_become_a_policy_file_is_refused(mistake, tmp_path, 
 
 
 @pytest.mark.usefixtures("forked")
-def test_a_model_that_does_more_than_its_layers_is_refused(tmp_path, modes, monkeypatch):
+def test_a_model_whose_layers_alone_act_differently_is_refused(tmp_path, modes, monkeypatch):
     """Change the last of the extracted layers, so that the layers and the model act differently."""
     file = tmp_path / "model.zip"
     trained("ppo", environment()).save(file)

@@ -1,4 +1,4 @@
-"""Tests of the training of correctors, with *lots* (batches) of equally long episodes."""
+"""Tests of the training of correctors. A *lot* is a batch of equally long episodes."""
 
 from dataclasses import replace
 
@@ -54,7 +54,7 @@ def test_every_episode_is_in_one_mixed_lot_and_a_mixed_lot_combines_several_lots
     assert max(len({origin[e] for e in episodes(lot)}) for lot in shuffled) > 1
 
 
-def test_weaving_users_move_along_both_street_axes_with_the_velocity_that_is_stated():
+def test_weaving_users_move_along_both_street_axes_and_their_velocity_fits_their_positions():
     scene = replace(WIDE_SCENE, behind_m=WEAVING_BEHIND_M)
     source = replace(task().places[0].source("mixed"), dt=0.1, scene=scene)
     ways = np.concatenate(weaving(source, np.random.default_rng(1)).ways.tables)
@@ -119,7 +119,7 @@ def test_the_loss_is_smallest_for_the_true_shift_and_deviation():
 
 @pytest.mark.slow
 def test_a_short_training_beats_its_base(tmp_path):
-    """Compare with a training that learns almost nothing, so that its policy is the base."""
+    """Compare with a training that learns almost nothing, so that its policy is nearly the base."""
     policies = []
     for rate, timesteps in ((1e-12, 1), (0.01, 400_000)):
         hyper = replace(HYPER, num_envs=16, front=16, units=16, head=16, learning_rate=rate)

@@ -1,4 +1,4 @@
-"""Tests of places to train at (scene, radio and time step): their names, banks and mistakes."""
+"""Tests of places to train at (scene, radio and time step): their names, banks and refusals."""
 
 import json
 from dataclasses import replace
@@ -41,7 +41,7 @@ def test_a_word_can_name_measured_quantities_and_a_clock():
     assert layout.partial and layout.clock
 
 
-def test_if_a_place_lacks_quantities_all_places_have_the_layout_for_missing_ones():
+def test_if_a_place_lacks_quantities_all_places_have_a_partial_layout():
     whole, part = places_from(["street:handset", "street:handset:range+azimuth"])
     assert whole.source("mixed").layout == part.source("mixed").layout
     assert np.isfinite(whole.source("mixed").episode(7).measurement[:, :12]).any(axis=0).all()
@@ -87,7 +87,7 @@ def test_words_that_are_not_places_are_refused(words, named):
 
 
 @pytest.mark.parametrize("unseen", ["square", "mine"])
-def test_custom_files_with_a_name_that_must_stay_unseen_are_refused(unseen, files, monkeypatch):
+def test_custom_files_named_like_an_unseen_scene_or_radio_are_refused(unseen, files, monkeypatch):
     """Use a radio whose file contains its name, and a scene that is named like its file."""
     monkeypatch.setattr(module, "UNSEEN", ("square-2", unseen))
     with refuses("places"):

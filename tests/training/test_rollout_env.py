@@ -23,7 +23,7 @@ from tests.training.test_train import HYPER
 pytestmark = pytest.mark.torch
 
 SEED, DISCOUNT, HORIZON = 10_000_000, 0.9, 5
-WALKED = 20  # number of epochs before the one in which all actions are tried
+WALKED = 20  # number of epochs before all actions are tried
 TUNED = Bank(tuple(replace(mode, sigma_v=1.5 * mode.sigma_v) for mode in MODES), nis_quantile=0.99)
 BANKS = {"handset": Bank(MODES), "standard": TUNED}
 PLACES = (Place("street", "handset"), Place("o1", "standard", 0.5))
@@ -144,7 +144,7 @@ def test_the_normalization_is_measured_on_observations_of_the_environment():
 
 # --- several places as one vector environment
 
-PAIR = MODES[:2]  # compile quickly
+PAIR = MODES[:2]  # fast to compile
 SLOWER = Bank(tuple(replace(mode, sigma_v=0.5 * mode.sigma_v) for mode in PAIR), None, 0.99)
 TASK = task(banks={"handset": Bank(PAIR), "standard": SLOWER})
 PAIRED = replace(HYPER, num_envs=5, paired=True)  # 3 environments at one place, 2 at the other

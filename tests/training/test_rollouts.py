@@ -56,7 +56,7 @@ def interrupt_after(calls):
 
 
 def test_an_interrupted_training_continues_to_the_same_result(tmp_path):
-    """Interrupt a training three times, even at an evaluation; its memory of states overflows."""
+    """Interrupt a training three times, once at an evaluation; its memory can't hold all states."""
     whole, job = job_of(tmp_path / "whole"), job_of(tmp_path / "part", checkpoint_every=2)
     train(whole)
     for calls in (3, 2, 4):
@@ -83,15 +83,15 @@ def test_the_policy_file_chooses_the_actions_of_the_network(tmp_path):
     assert np.mean(alike) > 0.999 and len(taken) > 1
 
 
-# --- what it learns
+# --- a short training
 
 LARGE = replace(HYPER, num_envs=128, horizon=8, states=4096, memory=40_000, gradient_steps=40)
 QUICK = replace(LARGE, batch_size=1024, learning_rate=0.002, hidden=(32, 32), first_action_bias=1.0)
 
 
 @pytest.mark.slow
-def test_a_short_training_beats_the_rule_and_the_imm_from_scratch(tmp_path):
-    """Train a policy that has the rule's modes and starts as good as the IMM of these modes."""
+def test_a_short_training_from_scratch_beats_the_rule_and_the_imm(tmp_path):
+    """Train a policy with the rule's modes; untrained, it acts like the IMM of these modes."""
     modes = Bank(default_modes("handset"))
     street = TrainingTask(
         "mixed", PLACES[:1], {"handset": modes}, "full", TrackingReward(), "per-mode"

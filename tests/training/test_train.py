@@ -62,7 +62,7 @@ def content(hyper=HYPER):
     return asdict(hyper) | {"hidden": list(hyper.hidden)}
 
 
-def test_the_exported_actor_chooses_the_actions_of_the_trained_one(tmp_path):
+def test_the_exported_actor_chooses_the_actions_of_the_trained_model(tmp_path):
     """Compare on 2000 observations, which include the ends of all episodes."""
     training = PpoTraining(job_of(tmp_path), lambda *_: None)
     env, model = training.normal, training.model
@@ -85,7 +85,7 @@ def test_the_exported_actor_chooses_the_actions_of_the_trained_one(tmp_path):
 
 
 def test_a_training_reports_its_periodic_evaluations(tmp_path):
-    """Check that all evaluations are reported, by which searches stop bad trials, and the best."""
+    """Check that all evaluations are reported, which a search needs to stop bad trials."""
     heard = []
     outcome = train(job_of(tmp_path), heard.append)
     rewards = {news.timesteps: news.evaluation["reward"] for news in heard if news.evaluation}
@@ -114,7 +114,7 @@ def test_a_bias_makes_the_first_action_more_likely_at_the_start():
 
 
 def test_hyperparameters_that_have_a_default_may_be_left_out(tmp_path):
-    """Read a file without a hyperparameter that has a default, which is not written either."""
+    """Check that a hyperparameter with its default value is neither needed nor written."""
     path = written(tmp_path / "old.json", {"first_action_bias": None})
     assert read_hyperparameters(path, "ppo") == HYPER
     assert hyperparameters_as_written(HYPER) == json_in(path)
@@ -129,8 +129,8 @@ BAD = {
     "unknown": ({"gama": 0.9}, "key: found 'gama', did you mean gamma"),
     "nan": ({"gamma": math.nan}, "gamma: found nan, expected a number"),
     "fraction": ({"n_steps": 1.5}, "n_steps: found 1.5, expected an integer from 1 to"),
-    "number": ({"paired": 1}, "paired: found 1, expected bool"),
-    "one": ({"batch_size": 1}, "batch_size: found 1, expected an integer from 2 to"),
+    "not a bool": ({"paired": 1}, "paired: found 1, expected bool"),
+    "too small": ({"batch_size": 1}, "batch_size: found 1, expected an integer from 2 to"),
     "no neurons": ({"hidden": [64, 0]}, r"hidden\[1\]: found 0, expected an integer from 1 to"),
 }
 
@@ -146,7 +146,7 @@ def written(path, change):
 
 
 def refused(*words):
-    """Run ``mmwave-loc train`` with options that it must refuse; return its error."""
+    """Run ``mmwave-loc train`` with options that it must refuse; return the last line of stderr."""
     done = command("train", *words)
     line = done.stderr.splitlines()[-1]
     assert done.returncode == 2 and done.stdout == "" and line.startswith("mmwave-loc train: ")
@@ -193,7 +193,7 @@ def test_too_few_environments_for_the_places_are_refused_before_any_work(algorit
 
 
 def test_the_error_without_pytorch_says_what_to_install(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "experiments.training.processes", None)  # as without PyTorch
+    monkeypatch.setitem(sys.modules, "experiments.training.processes", None)  # hides PyTorch
     assert "mmwave-loc[train]" in refused("--out", tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
@@ -228,7 +228,6 @@ def test_a_run_with_other_options_is_not_resumed(tmp_path):
 
 
 def test_a_run_with_other_modes_banks_or_hyperparameters_is_not_resumed(tmp_path):
-    """Let the run have other modes, another hyperparameter, or other banks."""
     path = written(tmp_path / "mine.json", {})
     resume = ("--resume", "--hyperparameters", path, "--out")
     folder = folder_of(tmp_path / "modes", modes=MODES, hyperparameters=path)

@@ -1,4 +1,4 @@
-"""Tests that a training that was killed can be continued, and then writes the same files."""
+"""Tests that a killed training, if continued, writes the same files as without interruptions."""
 
 import csv
 import io
@@ -177,7 +177,7 @@ def test_a_damaged_checkpoint_ends_all_trainings(tmp_path):
 def started():
     """Return a function that starts ``mmwave-loc train`` in a process group of its own.
 
-    After the test, what remains of the groups is killed.
+    After the test, processes that remain in the groups are killed.
     """
     commands = []
     # Commands that a shell runs in the background ignore Ctrl-C, and so do their children.
@@ -216,7 +216,7 @@ def until_replaced(path, process):
 
 
 def test_an_interrupted_command_ends_at_once_and_continues_when_resumed(tmp_path, started):
-    """Interrupt it four times: kill it, kill its training, press Ctrl-C, and send SIGTERM."""
+    """Interrupt the command by killing it, by killing its training, by Ctrl-C, and by SIGTERM."""
     street = replace(TASK, banks={"handset": Bank(default_modes("handset"))})
     job = job_of(tmp_path / "whole", task=street)
     # The training must take seconds, so that it can be interrupted.
