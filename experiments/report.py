@@ -11,8 +11,8 @@ class Args(PageArgs):
 
     The page says which policy won by how much, and has tables, distributions of errors (CDF) and
     episodes to play. Results are JSON files (--json) from mmwave-loc compare, demo and localize,
-    and folders of runs from mmwave-loc train. They lack results of each epoch, which are computed
-    again with the stored options. Agents in your own code (module:function) are not run again, so
+    and folders of runs from mmwave-loc train. As these files do not store single epochs, the command runs
+    the episodes again with the stored options. Agents in your own code (module:function) are not run again, so
     the page has no episodes of these agents, and has their errors only if the files store them.
 
     mmwave-loc report results.json runs/train --out report.html

@@ -44,7 +44,8 @@ class Batch(Generic[Workspace]):
         input_rows: indices of the workspace's rows that receive an input in every epoch.
         on_floats: whether to run in plain Python instead of on SIMD lanes.
         threads: number of threads that may work at once; results do not depend on it.
-        ahead: additional epochs before the first action: 1 if actions are corrections, else 0.
+        ahead: number of epochs to run before the first action: 1 if an action corrects the belief
+            of an epoch that was already filtered, else 0.
 
     Attributes:
         at: workspace whose leaves are row indices; :meth:`read` and :meth:`write` take parts of it.

@@ -153,14 +153,14 @@ def reward_name(reward: Reward) -> str:
 
 
 def _trial() -> tuple[Belief, Vector]:
-    """Return a belief and a truth whose numbers, like SIMD lanes, cannot decide a branch."""
+    """Return a belief and a truth; like SIMD lanes, their numbers can't be a condition of an if."""
     numbers: list[Any] = [[0.0] * 7, [[0.0] * 7] * 7, [0.0] * 6]
     x, P, truth = taped(numbers, [])
     return Belief(x, P), truth
 
 
 def _check(reward: Reward) -> None:
-    """Refuse a reward that fails on the numbers of :func:`_trial` or returns none."""
+    """Refuse a reward that raises an error on a :func:`_trial` or does not return numbers."""
     subject = f"reward {name_of(reward)}"
 
     def refused(problem: str) -> ValueError:

@@ -33,7 +33,7 @@ PARTS = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected")
 CALIBRATED, GAUSSIAN = KINDS = ("calibrated", "gaussian")
 _MEMORY = np.array([[0.6], [0.9], [0.97]])  # weight of a running mean's old value after 1 s
 _LEAST, _LEAST_S = 1e-9, 1e-2  # lower limits, so that logarithms and quotients are finite
-_KIND = [18, 20]  # indices of the features that are 1 if a corrector runs, and if a bank runs
+_KIND = [18, 20]  # indices of two 0/1 features: whether a corrector runs, whether a bank runs
 
 
 class Network(NamedTuple):

@@ -69,7 +69,7 @@ def disagreement(paths: Array, sigma: Array) -> Array:
     The NIS has 1 degree of freedom. The user's position is not needed, because the azimuths of
     arrival and departure measure the same bearing (paper, Sec. II-B).
     """
-    # Seen from the anchor, the user is in the direction of arrival, so no difference wraps around.
+    # For a user exactly in the direction of arrival, no residual is near pi, where it would wrap.
     user = [np.cos(paths[:, 1]), np.sin(paths[:, 1]), 1.0, *[0.0] * 4]
     group = link_group(user, [0.0] * 3, list(paths.T), list(np.square(sigma).T))
     return np.asarray(group.spare_nis)
@@ -157,7 +157,7 @@ class PathTracker:
     def _best(
         self, track: PathTrack | None, paths: PathEpoch, coming: Sequence[PathEpoch]
     ) -> tuple[PathTrack | None, int]:
-        """Return the track from ``paths`` on that explains most paths, and how many it explains."""
+        """Return the track that begins in this epoch and explains the most paths, and their number."""
         begun = ((new, self._fitted(new, coming)) for new in self._beginnings(track, paths))
         return max(begun, key=lambda pair: pair[1], default=(None, 0))
 

@@ -122,12 +122,12 @@ def read_log(
 ) -> Iterator[LogBlock]:
     """Read the epochs of a log, ``epochs_per_block`` at a time; the last block may be shorter.
 
-    Angles are in the frame of the map. Arrival is the direction from the anchor to the
-    user; departure is the azimuth from the user to the anchor. docs/data.md has a figure.
+    Angles are in the frame of the map. Angles of arrival give the direction from the anchor to the
+    user, angles of departure the azimuth from the user to the anchor (a figure: docs/data.md).
 
     If the log is damaged, every complete epoch before the damaged row is yielded before the error.
-    The last of these epochs counts as complete in two cases: if the damaged row has a later time,
-    or if all anchors have a row in the epoch and the damaged row does not have the epoch's time.
+    The last of these epochs is complete if the damaged row has a later time. It is also complete
+    if every anchor already has a row in it, and the damaged row's time is unreadable or another.
 
     Args:
         path: CSV (``.csv``, ``.csv.gz``) or Parquet (``.parquet``, needs the extra `data`).
@@ -175,8 +175,8 @@ def with_clock(log: LogFile) -> LogFile:
     if ranges is None or ranges.name.startswith("rtt"):
         problem = "no range" if ranges is None else f"round-trip times ({ranges.name})"
         raise LogError(
-            f"{log.path}: clock: found offset with {problem}, expected one-way times or ranges, "
-            "such as toa_s, which contain the clock's offset; or the setting synchronized"
+            f"{log.path}: clock: found the setting 'offset', but the log has {problem}; expected "
+            "one-way times or ranges, such as toa_s, or the setting 'synchronized'"
         )
     return replace(log, clock=True)
 

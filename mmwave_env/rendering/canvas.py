@@ -22,7 +22,7 @@ _FAR = 2e4  # limit of coordinates in the supersampled picture, px
 
 
 class Canvas:
-    """A square picture that is being drawn, ``size`` px wide; words appear above all shapes.
+    """A square picture that is being drawn, ``size`` px wide; text is drawn over all shapes.
 
     Coordinates, line widths and font sizes are in units; a unit is 1 px in the smallest picture.
     """

@@ -57,14 +57,14 @@ class PhasePlan(NamedTuple):
     acceleration: list[Number]
     braking: list[Number]
     lateral: list[Number]
-    ends_early: Number  # 1 if the phase must leave time to repeat the first phase after it
+    ends_early: Number  # 1 if it must end early enough to repeat the first phase afterwards
     phase: Phase  # the values that are not drawn
 
 
 class TravelPlan(NamedTuple):
     """A kind of user, described by numbers only."""
 
-    closer: Number  # ratio of the scene's distance between crossings to this user's distance
+    closer: Number  # distance between the scene's crossings / between this kind of user's
     phases: list[PhasePlan]
 
 

@@ -1,6 +1,7 @@
 """Textbook updates with this package's gates, and sensor models with fewer states or rows.
 
-The argument ``moments`` of functions is a method of ``textbook.METHODS``, such as ``tangent``.
+Several functions have an argument ``moments``: a method of ``textbook.METHODS``, such as
+``tangent``.
 """
 
 from dataclasses import dataclass

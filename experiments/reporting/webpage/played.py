@@ -168,8 +168,8 @@ def _episode(name: str, history: History, rows: slice, groups: Sequence[str]) ->
 def _course(history: History, rows: slice, modes: Sequence[str], weighed: bool) -> Json:
     """Return the results of a contender in an episode, in the form that the player needs.
 
-    ``weighed`` tells whether the mode of an epoch is the most probable mode; otherwise, it is the
-    mode or action that was chosen.
+    If ``weighed``, the mode of an epoch is the most probable one; otherwise, it is the mode or
+    action that was chosen.
     """
     accepted, rejected = history.accepted[rows], history.rejected[rows]
     letters = np.where(accepted, "a", np.where(rejected, "r", "m"))  # m: missing

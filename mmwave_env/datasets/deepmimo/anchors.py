@@ -51,7 +51,7 @@ class StationPaths:
     # rad, of the direction of propagation or of its opposite (see :func:`propagation`)
     arrival: Array
     departure: Array
-    # function that maps an array's name and an epoch to the array's file and the receiver's row
+    # function that maps the name of an array and an epoch to the array's file and a row in it
     source: Callable[[str, int], tuple[Path, int]]
 
     def refuse(self, key: str, epoch: int, value: str, expected: str) -> NoReturn:
