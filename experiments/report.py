@@ -11,9 +11,9 @@ class Args(PageArgs):
 
     The page says which policy won by how much, and has tables, distributions of errors (CDF) and
     episodes to play. Results are JSON files (--json) from mmwave-loc compare, demo and localize,
-    and folders of runs from mmwave-loc train. As these files do not store single epochs, the command runs
-    the episodes again with the stored options. Agents in your own code (module:function) are not run again, so
-    the page has no episodes of these agents, and has their errors only if the files store them.
+    and folders of runs from mmwave-loc train. These files do not store single epochs, so the command
+    runs episodes again, with the stored options. Agents in your own code (module:function) are not
+    run again, so the page lacks their episodes, and their errors unless the files store them.
 
     mmwave-loc report results.json runs/train --out report.html
     """

@@ -157,7 +157,7 @@ class PathTracker:
     def _best(
         self, track: PathTrack | None, paths: PathEpoch, coming: Sequence[PathEpoch]
     ) -> tuple[PathTrack | None, int]:
-        """Return the track that begins in this epoch and explains the most paths, and their number."""
+        """Return the track that begins in this epoch and explains most paths, and their number."""
         begun = ((new, self._fitted(new, coming)) for new in self._beginnings(track, paths))
         return max(begun, key=lambda pair: pair[1], default=(None, 0))
 

@@ -239,7 +239,7 @@ def test_logs_that_do_not_determine_the_clock_are_refused(tmp_path, ride):
         log.write_text(text.replace(header, own))
         words = log, *words_of(ride)[1:], "--clock", "offset"
         done = command("localize", *words)
-        assert done.returncode == 2 and "clock: found offset with" in done.stderr
+        assert done.returncode == 2 and "clock: found the setting 'offset'" in done.stderr
     for name in ("--associate", "--diagnose"):
         done = command("localize", *words_of(ride), "--clock", "offset", name)
         assert done.returncode == 2 and done.stderr.count("clock: offset cannot") == 1
