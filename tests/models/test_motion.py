@@ -29,7 +29,10 @@ def matrix(noise):
 
 
 def written_out(position, velocity, bias, dt, coupled):
-    """Return Q (7, 7): position and bias are random walks; accelerations are constant in a step."""
+    """Return Q (7, 7) of a step, in which position, velocity and bias are random walks.
+
+    If ``coupled``, the velocity changes at a constant rate, which moves the user, too.
+    """
     Q = np.diag([*(position * dt), 0.0, 0.0, 0.0, bias * dt])
     for i, q in enumerate(velocity * dt):
         effect = np.zeros(7)
@@ -92,7 +95,8 @@ def test_braking_ends_at_a_standstill(heading, speed, dt):
     v = speed * np.array([np.cos(heading), np.sin(heading)])
     moved = np.array(accelerate([0.0, 0.0, 1.5, *v, 0.1, 7.0], -100.0, dt))
     np.testing.assert_allclose(moved[3:5], 0.0, atol=1e-12)
-    np.testing.assert_allclose(moved[:2], -0.5 * dt * v, atol=1e-12)  # takes back half of dt v
+    # Without braking, the user moves by dt v, which the given position includes; braking halves it.
+    np.testing.assert_allclose(moved[:2], -0.5 * dt * v, atol=1e-12)
     np.testing.assert_array_equal(moved[[2, 5, 6]], [1.5, 0.1, 7.0])
 
 
@@ -104,7 +108,7 @@ def test_a_user_at_rest_is_not_accelerated(a, dt):
 
 @given(x=positions, rate=st.floats(-1.5, 1.5), dt=steps)
 def test_a_turn_is_the_coordinated_turn_of_the_textbook(x, rate, dt):
-    """Compare with Bar-Shalom et al. 2001, Sec. 11.7.1, and with a straight line at rate 0."""
+    """Compare with Bar-Shalom et al. 2001, Sec. 11.7.1; at rate 0, the user moves straight on."""
     s, c = np.sin(rate * dt), np.cos(rate * dt)
     along, across = (s / rate, (1.0 - c) / rate) if abs(rate) > 1e-4 else (dt, 0.5 * rate * dt**2)
     F = np.eye(7)
@@ -113,4 +117,3 @@ def test_a_turn_is_the_coordinated_turn_of_the_textbook(x, rate, dt):
     F[2, 5] = dt
     straight = np.array(textbook.F(dt)) @ x
     np.testing.assert_allclose(turn(straight.tolist(), rate, dt), F @ x, rtol=1e-9, atol=1e-5)
-    assert np.hypot(*turn(straight.tolist(), rate, dt)[3:5]) == pytest.approx(np.hypot(*x[3:5]))

@@ -1,4 +1,4 @@
-"""Tests of random radios and wide random streets."""
+"""Tests of random radios, which differ randomly from a profile, and of wide random streets."""
 
 from dataclasses import fields
 
@@ -16,6 +16,7 @@ HANDSET = RADIOS["handset"]
 
 
 def ratio(radio, name):
+    """Return a field's value, or its two values, divided by the profile's."""
     return np.ravel(getattr(radio, name)) / np.ravel(getattr(HANDSET, name))
 
 
@@ -42,7 +43,7 @@ def test_impossible_ranges_are_refused(factor, budget):
         RandomRadio(HANDSET, factor, budget)
 
 
-def test_every_radio_makes_episodes_that_filters_accept():
+def test_every_random_radio_is_within_the_limits_of_simulations():
     rng = np.random.default_rng(1)
     for profile in RADIOS.values():
         for _ in range(20):
