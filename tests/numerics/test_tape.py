@@ -28,7 +28,7 @@ FUNCTIONS = {
     "y": lambda x, y: y,
     "constant": lambda x, y: 1.0,
     "sum": lambda x, y: x + y,
-    "sum turned round": lambda x, y: y + x,
+    "sum in reverse order": lambda x, y: y + x,
     "difference": lambda x, y: x - y,
     "product": lambda x, y: x * y,
     "ratio": lambda x, y: x / y,
@@ -110,7 +110,10 @@ PROGRAMS = """
 
 @pytest.mark.slow
 def test_kernels_of_several_processes_are_not_mixed_up(started):
-    """Compile kernels in separate processes; load all in one, where equal symbols would clash."""
+    """Compile kernels in processes of their own; load all in one, where equal symbols would clash.
+
+    A process prints each kernel's result for 1, and how many times the kernel was found on disk.
+    """
     changes = ["lambda x: x + 4.0", "lambda x: x * 3.0", "lambda x: x - 7.0"]
     for change, value in zip(changes, ["5.0", "3.0", "-6.0"], strict=True):
         assert started(PROGRAMS + f"    shown({change})") == [value, "0"]
