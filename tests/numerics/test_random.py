@@ -132,10 +132,7 @@ def test_consecutive_numbers_and_keys_are_not_correlated(many):
     lags = 16
     bound = stats.norm.isf(0.0005 / (2 * lags))
     for lag in range(1, lags + 1):
-        for a, b in (
-            (values[:, :-lag], values[:, lag:]),
-            (values[:-lag], values[lag:]),
-        ):
+        for a, b in ((values[:, :-lag], values[:, lag:]), (values[:-lag], values[lag:])):
             assert abs((a * b).mean()) * np.sqrt(a.size) < bound
 
 

@@ -1,17 +1,13 @@
 """Tests that kernels on disk are named after what they compute, not after their source code."""
 
-import os
-import subprocess
-import sys
 import textwrap
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
 
-import mmwave_env
 from mmwave_env.numerics.numbers import atan2, cos_sin, exp, log, maximum, sqrt, where
 from mmwave_env.numerics.tape import fingerprint
+from tests.cli import python
 
 
 class Pair(NamedTuple):
@@ -77,14 +73,15 @@ def test_the_name_depends_on_rows_that_are_only_passed_through():
 
 
 @pytest.fixture
-def started(tmp_path):
-    """Return a function that runs code in a new process and keeps kernels in the test's folder."""
+def started(tmp_path, monkeypatch):
+    """Return a function that runs code in a new process, which keeps kernels in the test's folder.
+
+    The function returns the words that the process prints.
+    """
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kept"))
 
     def run(code):
-        variables = {"NUMBA_CACHE_DIR": str(tmp_path / "kept")}
-        variables["PYTHONPATH"] = str(Path(mmwave_env.__file__).parents[1])
-        command = [sys.executable, "-c", textwrap.dedent(code)]
-        done = subprocess.run(command, env=os.environ | variables, capture_output=True, text=True)
+        done = python(textwrap.dedent(code))
         assert done.returncode == 0, done.stderr
         return done.stdout.split()
 

@@ -120,7 +120,7 @@ def test_the_corrector_is_hardly_below_its_base_where_it_was_never_trained(case)
 
 
 def trust(exponent):
-    """Yield gain and trust for each factor; the stated noise is factor**exponent times the noise."""
+    """Yield gain and trust for each factor: stated noise = factor**exponent * true noise."""
     keys = np.arange(SEED, SEED + 20, dtype=np.uint64)
     for factor in FACTORS:
         source = Misstated(SCENES["street"], RADIOS["standard"], stated=factor**exponent)

@@ -25,20 +25,18 @@ from policies.policy_file import (
     to_bytes,
 )
 from tests.refusals import refuses
-from tests.training.actors import HANDSET, MODES, PER_MODE, STANDARD, TABLE, actor, card_of, write
+from tests.training.actors import HANDSET, MODES, STANDARD, TABLE, actor, card_of, write
 
 SMALL = {"features": 3, "hidden": (2,)}
 READ = TABLE.columns[:3]
+PLAIN = replace(STANDARD, transition=None)  # a bank without probabilities of transitions
 KINDS = {
     "plain": (actor(**SMALL), card_of(features=READ)),
     "linear": (actor(3, hidden=()), card_of(features=READ)),
     "prior": (actor(**SMALL), card_of(observation="prior", features=READ)),
-    "per-mode": (actor(**SMALL, actions=4), card_of(features=READ, **PER_MODE)),
-    "no transition": (
+    "per-mode": (
         actor(**SMALL, actions=4),
-        card_of(
-            features=READ, beliefs="per-mode", banks={"lab": replace(HANDSET, transition=None)}
-        ),
+        card_of(features=READ, beliefs="per-mode", banks={"handset": HANDSET, "standard": PLAIN}),
     ),
 }
 TENSORS, CARD = KINDS["prior"]
@@ -293,12 +291,9 @@ BANK = PER_MODE_CARD.as_json()["banks"]["handset"]
         ({"banks": {"lab": BANK | {"modes": []}}}, "'lab': modes"),
         ({"banks": {"lab": BANK | {"transition": [[1.0]]}}}, "'lab': transition"),
         ({"banks": {"lab": BANK | {"transition": [[10**400]]}}}, "'lab': transition"),
-        ({"modes": []}, ""),
-        ({"modes": [{"name": "a", "algorithm": "pf"}]}, ""),
-        ({"modes": [{"name": "a"}, {"name": "a"}]}, ""),
     ],
 )
-def test_damaged_banks_and_unknown_modes_are_refused(path, change, field):
+def test_damaged_banks_are_refused(path, change, field):
     refused(path, assembled(PER_MODE_TENSORS, PER_MODE_CARD.as_json() | change), field)
 
 

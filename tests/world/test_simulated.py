@@ -31,9 +31,6 @@ SOURCES = {
         SCENES["street"], RADIOS["handset"], around_a_block(), dt=0.7, epochs=30, odometry=True
     ),
     "random streets": SimulatedSource(RandomScene(), RADIOS["standard"], epochs=60),
-    "a complete trajectory": SimulatedSource(
-        SCENES["o1"], RADIOS["high"], around_a_block([200.0, 600.0])
-    ),
 }
 KEYS = np.random.default_rng(0).integers(0, 2**64, 20, np.uint64)
 # For two in a thousand keys (none of these), the two simulations give different trajectories. As
