@@ -54,7 +54,7 @@ def absurd(episode):
     )
 
 
-def test_values_are_finite_and_within_their_bounds_even_in_absurd_episodes():
+def test_values_are_within_their_finite_bounds_even_in_absurd_episodes():
     episodes = [draw(seed) for seed in range(12)]
     episodes += [blinded(draw(seed), first, 200) for seed, first in ((12, 0), (13, 0), (14, 50))]
     episodes += [blinded(draw(15), 50, 190), absurd(draw(16)), absurd(blinded(draw(17), 0, 9))]
@@ -65,7 +65,6 @@ def test_values_are_finite_and_within_their_bounds_even_in_absurd_episodes():
     for _ in range(200):
         observations = engine.observations()
         assert observations.dtype == np.float32
-        assert np.isfinite(observations).all()
         assert all(space.contains(row) for row in observations)
         engine.step(rng.integers(2, size=len(episodes)))
 

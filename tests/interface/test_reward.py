@@ -199,7 +199,6 @@ def test_a_function_that_is_not_a_valid_reward_is_refused_with_its_line(own):
 
 SLUGGISH = Mode("sluggish", sigma_v=0.05)  # diverges in about half of the vehicles' episodes
 DIVERGING = {"scenario": "vehicle", "episode_steps": 40, "modes": [SLUGGISH]}
-ENDING = {"reward": "paired", "terminate_on_divergence": True} | DIVERGING
 
 
 def imm_rewards(seed, episodes, reward=REWARDS["tracking"], **task):
@@ -244,7 +243,8 @@ def test_a_paired_return_is_the_return_minus_that_of_the_imm_even_if_an_episode_
     for seed in range(12):
         returns = []
         for reward in ("paired", "tracking"):
-            env = gym.make("MmWaveLoc-v0", **ENDING | {"reward": reward})
+            task = DIVERGING | {"reward": reward, "terminate_on_divergence": True}
+            env = gym.make("MmWaveLoc-v0", **task)
             env.reset(seed=seed)
             over, earned = False, 0.0
             while not over:

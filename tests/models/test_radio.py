@@ -10,13 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2, kstest, lognorm, norm
 
-from mmwave_env.models.channel import (
-    ChannelDraws,
-    SpellDraws,
-    channel_epoch,
-    channel_of,
-    initial_state,
-)
+from mmwave_env.models.channel import channel_epoch, channel_of, draw_channel, initial_state
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import RADIOS, Radio, radio_from
 from mmwave_env.models.scene import SCENES
@@ -32,7 +26,7 @@ CLEAR = replace(RADIOS["standard"], **dict.fromkeys(EFFECTS, 0.0))
 every_radio = pytest.mark.parametrize("name", RADIOS)
 
 
-def channel(radio, epochs, users, distance_m=100.0, speed_mps=0.0, dt=1.0, seed=0, links=1):
+def channel(radio, epochs, users, distance_m=100.0, speed_mps=0.0, dt=1.0, links=1):
     """Simulate independent channels of users at constant distance and speed.
 
     Returns:
@@ -40,27 +34,17 @@ def channel(radio, epochs, users, distance_m=100.0, speed_mps=0.0, dt=1.0, seed=
         users) if there is one link; with angle_bias_rad (epochs, users, 3), the biases of the first
         link's angles; and with doppler_spread_hz (epochs, users).
     """
-    rng = np.random.default_rng(seed)
-    layout = Layout(links)
+    rng = np.random.default_rng(0)
+    dice = SimpleNamespace(
+        uniform=lambda: rng.random(users),
+        exponential=lambda: rng.standard_exponential(users),
+        normal=lambda: rng.standard_normal(users),
+    )
     state, receptions = initial_state(links), []
-    model = channel_of(radio, STREET, layout, dt)
+    model = channel_of(radio, STREET, Layout(links), dt)
     distance, speed = [np.full(users, distance_m)] * links, np.full(users, speed_mps)
-
-    def spell():
-        return SpellDraws(
-            rng.random(users), rng.standard_exponential(users), rng.standard_normal((3, users))
-        )
-
     for t in range(epochs):
-        draws = ChannelDraws(
-            shadowing=list(rng.standard_normal((links, users))),
-            blockage=[spell() for _ in range(links)],
-            multipath=[spell() for _ in range(links)],
-            outage=rng.random(users),
-            detection=list(rng.random((links, users))),
-            scatter=rng.standard_normal(users),
-            floor=rng.standard_normal(users),
-        )
+        draws = draw_channel(dice, links)
         state, reception = channel_epoch(model, state, t == 0, draws, distance, speed)
         receptions.append(reception)
 

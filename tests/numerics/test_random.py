@@ -74,20 +74,16 @@ def test_lanes_draw_the_same_numbers_as_floats_and_numpy():
         dice, rng = Dice(seeded(number(key), 0)), np.random.Generator(theirs(key, 0))
         for run in range(3):
             now = slice(run * EACH, (run + 1) * EACH)
-            np.testing.assert_array_equal(uniform[now], [dice.uniform() for _ in range(EACH)])
-            np.testing.assert_array_equal(uniform[now], rng.random(EACH))
-            expected = -np.log1p(-rng.random(EACH))
-            np.testing.assert_allclose(exponential[now], expected, rtol=1e-14)
-            np.testing.assert_allclose(
-                exponential[now], [dice.exponential() for _ in range(EACH)], rtol=1e-14
-            )
+            for expected in ([dice.uniform() for _ in range(EACH)], rng.random(EACH)):
+                np.testing.assert_array_equal(uniform[now], expected)
+            exponentials = [dice.exponential() for _ in range(EACH)]
+            for expected in (exponentials, -np.log1p(-rng.random(EACH))):
+                np.testing.assert_allclose(exponential[now], expected, rtol=1e-14)
             lengths, turns = rng.random((EACH // 2, 2)).T
             lengths, angles = np.sqrt(-2.0 * np.log1p(-lengths)), 2.0 * np.pi * turns
-            expected = np.stack([lengths * np.cos(angles), lengths * np.sin(angles)], 1).ravel()
-            np.testing.assert_allclose(normal[now], expected, rtol=1e-12, atol=1e-14)
-            np.testing.assert_allclose(
-                normal[now], [dice.normal() for _ in range(EACH)], rtol=1e-12, atol=1e-14
-            )
+            pairs = np.stack([lengths * np.cos(angles), lengths * np.sin(angles)], 1)
+            for expected in ([dice.normal() for _ in range(EACH)], pairs.ravel()):
+                np.testing.assert_allclose(normal[now], expected, rtol=1e-12, atol=1e-14)
 
 
 KINDS = {"uniform": stats.uniform(), "exponential": stats.expon(), "normal": stats.norm()}

@@ -11,14 +11,7 @@ from mmwave_env.models.layout import Layout
 from policies import Corrector, LearnedSwitch, learned_policy
 from policies.policy_file import CORRECTIONS
 from tests.refusals import refuses
-from tests.training.actors import (
-    MODES,
-    PER_MODE,
-    PER_MODE_TABLE,
-    card_of,
-    write,
-    write_per_mode,
-)
+from tests.training.actors import MODES, PER_MODE, PER_MODE_TABLE, card_of, write, write_per_mode
 
 TABLE = Observation(Pipeline(MODES, Layout()), "signed", "per-mode")
 NAMES = [feature.name for feature in after_update(Pipeline(MODES, Layout()), per_mode=True)]

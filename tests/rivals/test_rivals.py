@@ -37,7 +37,7 @@ def played(agent, some, planar=False):
 class Recorder(Estimator):
     """An estimator that stores its inputs and returns the prior in every epoch.
 
-    With a small ``size``, its means are too short; with ``epochs``, it skips the last beliefs.
+    Its means are cut to ``size`` numbers; after ``epochs`` epochs, it returns no more beliefs.
     """
 
     def __init__(self, size=7, epochs=None):

@@ -192,12 +192,11 @@ def test_an_engine_reads_the_episode_from_the_table():
     episode = draw(1, odometry=True)
     table = episode.table()
     template = blank_incoming(episode.layout)
-    sizes = [g.stop - g.start for g in episode.layout.groups]
     assert len(table) == len(episode)
     for t in (0, 1, 77, 199):
         incoming = unflatten(template, iter(table[t].tolist()))
         epoch = incoming.epoch(episode.layout)
-        rows = np.repeat(episode.visible[t], sizes)
+        rows = np.repeat(episode.visible[t], episode.layout.widths)
         np.testing.assert_array_equal(np.array(epoch.z)[rows], episode.measurement[t, rows])
         np.testing.assert_array_equal(np.array(epoch.sigma)[rows], episode.sigma[t, rows])
         np.testing.assert_array_equal(epoch.visible, episode.visible[t])

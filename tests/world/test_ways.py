@@ -115,16 +115,13 @@ def test_a_csv_file_given_as_scenario_is_read_as_ways(tmp_path, name, as_type):
     assert scenario_from("mixed") == "mixed"
 
 
-def test_objects_can_be_given_as_scenarios():
+def test_objects_and_known_names_can_be_given_as_scenarios():
     way = straight(3)
     ways = Ways("both", [way, way])
     assert users_of(ways) is ways
     assert users_of(way).trajectories == (way,) and users_of(way).name == "way"
     assert users_of(MOBILITIES["jam"]) == (MOBILITIES["jam"],)
     assert all(isinstance(user, Mobility) for user in users_of("mixed"))
-
-
-def test_unknown_scenarios_are_refused():
-    for name in ("boat", 3):
+    for unknown in ("boat", 3):
         with refuses("scenario"):
-            users_of(name)
+            users_of(unknown)
