@@ -98,10 +98,7 @@ class Rollout(NamedTuple):
 
 @pytest.fixture(scope="module", params=["as drawn", "with a gap"])
 def rollout(request):
-    episode = draw(0)
-    if request.param == "with a gap":
-        episode = blinded(episode, 60, 130)
-    return roll(episode)
+    return roll(draw(0) if request.param == "as drawn" else blinded(draw(0), 60, 130))
 
 
 def roll(episode, **kwargs):

@@ -73,11 +73,11 @@ def test_prediction_equals_the_textbook_kalman_prediction(x, factor, diagonal, c
     np.testing.assert_array_equal(predicted, predicted.T)
 
 
-positions = hnp.arrays(float, 7, elements=st.floats(-300.0, 300.0))
+states = hnp.arrays(float, 7, elements=st.floats(-300.0, 300.0))
 headings = st.floats(-np.pi, np.pi)
 
 
-@given(x=positions, heading=headings, speed=st.floats(5.0, 40.0), a=st.floats(-4.0, 4.0), dt=steps)
+@given(x=states, heading=headings, speed=st.floats(5.0, 40.0), a=st.floats(-4.0, 4.0), dt=steps)
 def test_a_fast_user_accelerates_along_the_velocity(x, heading, speed, a, dt):
     ahead = np.array([np.cos(heading), np.sin(heading)])
     x[3:5] = speed * ahead
@@ -86,7 +86,7 @@ def test_a_fast_user_accelerates_along_the_velocity(x, heading, speed, a, dt):
     expected = x.copy()
     expected[:2] += 0.5 * a * dt**2 * ahead
     expected[3:5] += a * dt * ahead
-    # The direction is smoothed at low speed (0.2 m/s); a small effect of this remains at 5 m/s.
+    # The code smooths the direction at speeds near 0.2 m/s; at 5 m/s, a small effect remains.
     np.testing.assert_allclose(moved, expected, atol=2e-3 * (1.0 + abs(a) * dt) * (1.0 + dt))
 
 
@@ -106,7 +106,7 @@ def test_a_user_at_rest_is_not_accelerated(a, dt):
     assert accelerate(still, a, dt) == still
 
 
-@given(x=positions, rate=st.floats(-1.5, 1.5), dt=steps)
+@given(x=states, rate=st.floats(-1.5, 1.5), dt=steps)
 def test_a_turn_is_the_coordinated_turn_of_the_textbook(x, rate, dt):
     """Compare with Bar-Shalom et al. 2001, Sec. 11.7.1; at rate 0, the user moves straight on."""
     s, c = np.sin(rate * dt), np.cos(rate * dt)

@@ -14,6 +14,7 @@ EACH = 8  # numbers that one run of DRAWER draws from each of the three distribu
 
 
 def number(key):
+    """Return the float that has the bits of a key."""
     return float(np.uint64(key).view(np.float64))
 
 
@@ -38,6 +39,7 @@ def test_random_words_equal_those_of_numpy(stream):
 
 
 def _draw(w):
+    """Return the workspace after a run: no inputs, the state of the dice, and the drawn numbers."""
     nothing, state, *_ = w
     dice = Dice(state)
     uniform = [dice.uniform() for _ in range(EACH)]
@@ -79,6 +81,7 @@ def test_lanes_draw_the_same_numbers_as_floats_and_numpy():
             exponentials = [dice.exponential() for _ in range(EACH)]
             for expected in (exponentials, -np.log1p(-rng.random(EACH))):
                 np.testing.assert_allclose(exponential[now], expected, rtol=1e-14)
+            # Box and Muller: two uniform numbers give two normal numbers.
             lengths, turns = rng.random((EACH // 2, 2)).T
             lengths, angles = np.sqrt(-2.0 * np.log1p(-lengths)), 2.0 * np.pi * turns
             pairs = np.stack([lengths * np.cos(angles), lengths * np.sin(angles)], 1)
@@ -91,7 +94,7 @@ KINDS = {"uniform": stats.uniform(), "exponential": stats.expon(), "normal": sta
 
 @pytest.fixture(scope="module")
 def many():
-    """Draw ten million numbers of each kind with a thousand consecutive keys."""
+    """Return ten million numbers of each kind (1000, 10_000), drawn with consecutive keys."""
     return dict(zip(KINDS, drawn(np.arange(1000, dtype=np.uint64), 1250), strict=True))
 
 

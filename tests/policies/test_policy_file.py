@@ -59,7 +59,7 @@ def same(policy, tensors, card):
 
 
 def refused(path, content, *fields):
-    """Check that a file with this content is refused by an error that names it and the fields."""
+    """Check that a file with this content causes an error that names the file and the fields."""
     path.write_bytes(content)
     with refuses(path, *fields):
         read_policy(path)
@@ -187,7 +187,7 @@ def test_metadata_with_any_other_content_is_refused(path, value):
 
 
 def raw(header, body=b""):
-    """Return a safetensors file with any header."""
+    """Return the content of a safetensors file with this header."""
     text = json.dumps(header).encode()
     return struct.pack("<Q", len(text)) + text + body
 

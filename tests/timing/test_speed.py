@@ -49,7 +49,7 @@ def test_the_filterpy_loop_earns_the_reward_of_a_good_track():
 
 @pytest.fixture(scope="module")
 def measured():
-    """Return three rounds of invented measurements."""
+    """Return three rounds of random numbers in place of measurements."""
     rounds, rng = Measured((1024, 8, 64)), np.random.default_rng(0)
     for name in ("filterpy", "sync_8", *FILTERS, *rounds.ours):
         rounds.steps_per_s[name] = rng.uniform(1e3, 1e6, 3).tolist()

@@ -175,7 +175,7 @@ DAMAGE = {
 
 @pytest.mark.parametrize("field", DAMAGE)
 def test_a_wrong_field_is_refused_with_the_names_of_field_and_episode(episode, field):
-    """Check also that NaN is refused in the fields that must be complete."""
+    """Check also that NaN is refused in fields whose values may not be missing."""
     wrong = [DAMAGE[field](getattr(episode, field))]
     if field not in ("measurement", "visible", "snr_db"):
         wrong.append(getattr(episode, field).copy())
