@@ -214,7 +214,8 @@ def imm_rewards(seed, episodes, reward=REWARDS["tracking"], **task):
     [
         (TrackingReward(), {"modes": MODES, "scenario": "vehicle", "episode_steps": 7}),
         pytest.param(
-            *(capped, {"modes": ["ekf"], "planar": True, "odometry": True, "episode_steps": 5}),
+            capped,
+            {"modes": ["ekf"], "planar": True, "odometry": True, "episode_steps": 5},
             marks=pytest.mark.slow,
         ),
     ],

@@ -19,7 +19,7 @@ from tests.refusals import refuses
 
 STREET = SCENES["street"]
 CONFIDENCE = 0.999
-Z = norm.ppf(0.5 + CONFIDENCE / 2.0)
+Z = norm.ppf(0.5 + CONFIDENCE / 2.0)  # a standard normal number is in ±Z with this confidence
 EFFECTS = ("shadowing_db", "blockage_scale", "multipath_rate_hz", "outage_rate_hz")
 CLEAR = replace(RADIOS["standard"], **dict.fromkeys(EFFECTS, 0.0))
 
@@ -67,10 +67,6 @@ def assert_share(events, chance):
     """Assert that the number of events is within the binomial interval for their chance."""
     low, high = binom.interval(CONFIDENCE, events.size, chance)
     assert low <= events.sum() <= high
-
-
-def assert_mean(values, mean, deviation):
-    assert abs(values.mean() - mean) <= Z * deviation / np.sqrt(values.size)
 
 
 def assert_variance(values, variance):
@@ -166,8 +162,9 @@ def test_shadowing_is_a_stationary_autoregression(dt):
     assert_variance(x[0], 3.0**2)
     assert_variance(x[-1], 3.0**2)
     assert_variance(x[1:] - rho * x[:-1], 3.0**2 * (1.0 - rho**2))
-    innovation = (x[1:] - rho * x[:-1]) * x[:-1]
-    assert_mean(innovation, 0.0, 3.0**2 * np.sqrt(1.0 - rho**2))
+    products = (x[1:] - rho * x[:-1]) * x[:-1]
+    deviation = 3.0**2 * np.sqrt(1.0 - rho**2)
+    assert abs(products.mean()) <= Z * deviation / np.sqrt(products.size)
 
 
 @pytest.mark.parametrize("snr_db", [1.0, 4.0, 5.5, 10.0])

@@ -92,7 +92,7 @@ def drawn(dice, T, L, rows):
 
 
 def channel(radio, scene, distance, speed, dt, draws):
-    """Return SNR, detection, biases (T, L, 4) and Doppler spread."""
+    """Return SNR and detection (T, L), biases (T, L, 4) and Doppler spread (T,) for T epochs."""
     shadow, blocking, reflecting, losing, blockage, multipath, *angles = draws[:8]
     detection, scatter, floor = draws[8:]
     T, L = distance.shape
