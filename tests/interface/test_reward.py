@@ -124,11 +124,11 @@ def capped(belief, truth):
     return maximum(-belief.distance(truth), -2.0)
 
 
-def steps(epochs=20, **kwargs):
-    """Yield reward and info of the first epochs, in which the modes take turns."""
+def steps(**kwargs):
+    """Yield reward and info of the first 20 epochs, in which the modes take turns."""
     env = gym.make("MmWaveLoc-v0", **kwargs)
     env.reset(seed=0)
-    for t in range(epochs):
+    for t in range(20):
         _, reward, _, _, info = env.step(t % env.action_space.n)
         yield reward, info
     env.close()

@@ -65,9 +65,8 @@ def test_logits_equal_those_in_double_precision(tmp_path, hidden):
 
 @pytest.mark.parametrize("shape", [(FEATURES,), (2, FEATURES - 1), (1, 2, FEATURES)])
 def test_observations_of_another_shape_are_refused(shared, shape):
-    policy = LearnedSwitch(shared)
     with refuses("observation"):
-        policy(np.zeros(shape, np.float32))
+        LearnedSwitch(shared)(np.zeros(shape, np.float32))
 
 
 RENAMED = tuple(replace(mode, name=f"my {mode.name}") for mode in MODES)
