@@ -45,7 +45,7 @@ def heed():
 
 @pytest.fixture
 def writing(tmp_path):
-    """Return a function that runs WRITING in a process, which it returns when it is writing."""
+    """Return a function that starts WRITING and returns its process once that prints "writing"."""
     started = []
 
     def start(before=heed):

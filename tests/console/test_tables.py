@@ -70,7 +70,7 @@ def test_a_table_has_one_line_per_row_for_any_names(names):
 # --- printed lines and progress bars
 
 AWKWARD = "$x$|a\nb\x1b[31m[red]\u202e<script>"
-# the same text as it is printed
+# AWKWARD as it is printed
 SPELLED = r"$x$|a\nb\x1b[31m[red]\u202e<script>"
 
 

@@ -102,8 +102,8 @@ def test_blockage_reduces_the_snr_by_25_db():
     np.testing.assert_allclose(loss, np.where(blocked, 25.0, 0.0), atol=1e-9)
 
 
-# For each profile, the numbers of antenna elements of base station and user, then noise floors: of
-# the range on the direct and on reflected paths (m), of the azimuth of arrival, the elevation and
+# A profile has the numbers of antenna elements of base station and user, then noise floors: of the
+# range on the direct path and on reflected paths (m), of the azimuth of arrival, the elevation and
 # the azimuth of departure (deg), and of the Doppler shift (m/s).
 PROFILES = {
     "handset": (4, 2, 0.5, 0.8, 3.0, 2.0, 2.0, 0.1),
@@ -232,7 +232,7 @@ def test_an_outage_affects_every_link():
     assert_share(ends, 1.0 - np.exp(-1.0 / 3.0))
 
 
-# For each cause of biases, a radio with this cause only, the minimum of range biases and their mean
+# A cause of biases has a radio with this cause only, the minimum of range biases and their mean
 # excess over it (m), and the standard deviation of angle biases (deg).
 BIASES = {
     "blockage": (replace(CLEAR, blockage_scale=0.5), 0.0, 3.0, 3.0),

@@ -28,7 +28,7 @@ from tests.refusals import refuses
 from tests.training.actors import HANDSET, MODES, STANDARD, TABLE, actor, card_of, write
 
 SMALL = {"features": 3, "hidden": (2,)}
-READ = TABLE.columns[:3]
+READ = TABLE.columns[:3]  # the features that the policies below read
 PLAIN = replace(STANDARD, transition=None)  # a bank without probabilities of transitions
 KINDS = {
     "plain": (actor(**SMALL), card_of(features=READ)),
