@@ -256,8 +256,8 @@ def test_a_card_with_a_wrong_field_is_neither_read_nor_made(path, field, value):
 )
 def test_a_missing_feature_or_one_without_valid_name_unit_and_scale_is_refused(path, rows):
     content = CARD.as_json()
-    content["features"][2:] = rows
-    refused(path, assembled(card=content), "features")
+    features = [*content["features"][:2], *rows]
+    refused(path, assembled(card=content | {"features": features}), "features")
 
 
 RENAMED = replace(STANDARD, modes=tuple(replace(mode, name=f"my {mode.name}") for mode in MODES))
