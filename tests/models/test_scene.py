@@ -27,14 +27,16 @@ MINIMAL = {"base_station_m": [10, 10, 10]}
 
 
 @settings(derandomize=True, deadline=None)
-@given(walls, st.floats(0.1, 500.0), st.floats(0.1, 500.0), points, points)
-def test_a_reflection_is_as_long_as_the_line_from_the_mirror_image(wall, d_source, d_user, a, b):
+@given(walls, st.sampled_from([1, -1]), *[st.floats(0.1, 500.0)] * 2, points, points)
+def test_a_reflection_is_as_long_as_the_line_from_the_mirror_image(
+    wall, side, d_source, d_user, a, b
+):
     # Source and user are d_source and d_user from the wall, on the same side. The point of
     # reflection divides the line between their projections onto the wall in the ratio of these
     # distances.
     normal = np.array([*wall.normal, 0.0]) / np.hypot(*wall.normal)
     on_wall = [p - (p @ normal - wall.offset_m) * normal for p in (np.array(a), np.array(b))]
-    source, user = on_wall[0] + d_source * normal, on_wall[1] + d_user * normal
+    source, user = on_wall[0] + side * d_source * normal, on_wall[1] + side * d_user * normal
     specular = (d_user * on_wall[0] + d_source * on_wall[1]) / (d_source + d_user)
     path = np.linalg.norm(source - specular) + np.linalg.norm(specular - user)
     image = np.array(wall.mirror(tuple(source)))
