@@ -76,7 +76,7 @@ def assert_variance(values, variance):
 
 
 def changes(on):
-    """Return whether each epoch that is on is followed by one that is off, and vice versa."""
+    """Return, for epochs in a spell, whether it ends next; for other epochs, whether one begins."""
     before, after = on[:-1], on[1:]
     return ~after[before], after[~before]
 
@@ -232,7 +232,7 @@ def test_an_outage_affects_every_link():
     assert_share(ends, 1.0 - np.exp(-1.0 / 3.0))
 
 
-# A cause of biases has a radio with this cause only, the minimum of range biases and their mean
+# Each entry has a radio with this cause of biases only, the minimum of range biases and their mean
 # excess over it (m), and the standard deviation of angle biases (deg).
 BIASES = {
     "blockage": (replace(CLEAR, blockage_scale=0.5), 0.0, 3.0, 3.0),

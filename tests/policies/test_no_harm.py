@@ -1,6 +1,6 @@
 """Tests that the shipped corrector does no harm in tasks that it was not trained for.
 
-The keys of the episodes are tuning seeds.
+The keys of the episodes are in the range of the tuning seeds.
 """
 
 from dataclasses import replace

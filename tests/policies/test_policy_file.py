@@ -120,7 +120,7 @@ def test_a_policy_with_beliefs_per_mode_has_one_more_action_than_modes(path):
 
 
 def read_or_refused(path, content):
-    """Return the policy in a file, or None if an error that names the file refuses it."""
+    """Return the policy in a file, or None if reading raises an error that names the file."""
     path.write_bytes(content)
     try:
         return read_policy(path)

@@ -39,7 +39,7 @@ KEYS = np.random.default_rng(0).integers(0, 2**64, 20, np.uint64)
 
 
 class PlainDice:
-    """Random numbers from NumPy's generator SFC64; ``spare`` has the second of a normal pair."""
+    """Random numbers from NumPy's SFC64. Normal numbers come in pairs; ``spare`` has the second."""
 
     def __init__(self, key, stream):
         bits = np.random.SFC64(0)
