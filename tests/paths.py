@@ -18,6 +18,12 @@ def json_in(path: Path):
     return json.loads(path.read_text("utf-8"))
 
 
+def write_json(path: Path, content) -> Path:
+    """Write a JSON file; return its path."""
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return path
+
+
 def loaded(path: str):
     """Run a Python file of the checkout that is not in a package, and return its names."""
     return SimpleNamespace(**run_path(str(ROOT / path)))

@@ -1,4 +1,4 @@
-"""Tests that a command cleans up if a signal ends it, as after Ctrl-C."""
+"""Tests that a command cleans up if a signal (such as SIGINT after Ctrl-C) ends it."""
 
 import os
 import signal
@@ -45,7 +45,7 @@ def heed():
 
 @pytest.fixture
 def writing(tmp_path):
-    """Return a function that starts a process with WRITING and waits until it prints "writing"."""
+    """Return a function that starts WRITING and returns its process once that prints "writing"."""
     started = []
 
     def start(before=heed):

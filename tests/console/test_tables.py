@@ -70,6 +70,7 @@ def test_a_table_has_one_line_per_row_for_any_names(names):
 # --- printed lines and progress bars
 
 AWKWARD = "$x$|a\nb\x1b[31m[red]\u202e<script>"
+# AWKWARD as it is printed
 SPELLED = r"$x$|a\nb\x1b[31m[red]\u202e<script>"
 
 
@@ -159,7 +160,7 @@ SPECIAL += ["__init__", "`code`", "~~gone~~"]
 
 
 @pytest.mark.parametrize("name", SPECIAL)
-def test_names_with_special_characters_are_escaped_in_tables(shown, capsys, name):
+def test_names_with_special_characters_are_escaped_in_tables(shown, name):
     lines = shown(grid(["policy", "reward"], [[name, "-1.5"], ["imm", "-1.0"]]), 60)
     plain = name.encode("unicode_escape").decode() if not name.isprintable() else name
     rows = [line for line in lines if line.endswith(("-1.5", "-1.0"))]

@@ -17,7 +17,7 @@ PIPELINES = {
     "one anchor": Pipeline(modes_from(["ukf"]), Layout(1)),
     "three modes": Pipeline(modes_from(["ekf", "ukf", "ckf"]), Layout(5, True), planar=True),
 }
-COMING = ("coming ", "preference ")  # how names begin of features of the coming epoch
+COMING = ("coming ", "preference ")  # beginnings of names of features that use the coming epoch
 
 every_pipeline = pytest.mark.parametrize("pipeline", PIPELINES.values(), ids=PIPELINES)
 every_kind = pytest.mark.parametrize("kind", ["full", "prior"])
@@ -58,7 +58,7 @@ def test_the_documented_table_lists_every_feature_in_order(pipeline, kind):
 @every_pipeline
 @pytest.mark.parametrize("beliefs", BELIEFS)
 def test_reading_a_feature_inverts_its_standardization(pipeline, beliefs):
-    """Read random values up to rounding, and integers exactly."""
+    """Check random values up to rounding, and integers exactly."""
     table, integers = Observation(pipeline, beliefs=beliefs), np.arange(-30.0, 31.0)
     values = np.append(np.random.default_rng(0).uniform(-40.0, 40.0, 1000), integers)
     mean, deviation = np.array(table.scales).T

@@ -50,14 +50,14 @@ def played(episodes, actions):
     return np.stack(observed, 1), np.stack(x, 1)
 
 
-def random_actions(seed=0):
-    return np.random.default_rng(seed).integers(3, size=(N, EPOCHS))
+def random_actions():
+    return np.random.default_rng(0).integers(3, size=(N, EPOCHS))
 
 
 def test_tracks_and_environments_compute_the_same_bits(episodes):
     actions = random_actions()
     *others, last = episodes
-    unmeasured = np.zeros(EPOCHS)  # a Doppler spread of 0 means that none was measured
+    unmeasured = np.zeros(EPOCHS)  # 0 means that the Doppler spread was not measured
     episodes = [*others, replace(last, doppler_spread_hz=unmeasured)]
     observed, _ = played(episodes, actions)
     tracker = ImmTracker(BANK, episodes[0].layout, N, acted=True, signed=True)
@@ -124,7 +124,7 @@ def test_residuals_equal_the_formula_in_numpy(episodes):
 
 
 def test_features_do_not_depend_on_the_coming_epoch(episodes):
-    """Change the measurements of the last epoch: the features of earlier epochs stay the same."""
+    """Change the measurements of the last epoch; features of earlier epochs must stay the same."""
     actions, changed = random_actions(), EPOCHS - 1
     spoiled = []
     for episode in episodes:

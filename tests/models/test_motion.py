@@ -29,7 +29,10 @@ def matrix(noise):
 
 
 def written_out(position, velocity, bias, dt, coupled):
-    """Return Q (7, 7): position and bias are random walks; accelerations are constant in a step."""
+    """Return Q (7, 7) of a step, in which position, velocity and bias are random walks.
+
+    If ``coupled``, the velocity changes at a constant rate, which moves the user, too.
+    """
     Q = np.diag([*(position * dt), 0.0, 0.0, 0.0, bias * dt])
     for i, q in enumerate(velocity * dt):
         effect = np.zeros(7)
@@ -70,11 +73,11 @@ def test_prediction_equals_the_textbook_kalman_prediction(x, factor, diagonal, c
     np.testing.assert_array_equal(predicted, predicted.T)
 
 
-positions = hnp.arrays(float, 7, elements=st.floats(-300.0, 300.0))
+states = hnp.arrays(float, 7, elements=st.floats(-300.0, 300.0))
 headings = st.floats(-np.pi, np.pi)
 
 
-@given(x=positions, heading=headings, speed=st.floats(5.0, 40.0), a=st.floats(-4.0, 4.0), dt=steps)
+@given(x=states, heading=headings, speed=st.floats(5.0, 40.0), a=st.floats(-4.0, 4.0), dt=steps)
 def test_a_fast_user_accelerates_along_the_velocity(x, heading, speed, a, dt):
     ahead = np.array([np.cos(heading), np.sin(heading)])
     x[3:5] = speed * ahead
@@ -83,7 +86,7 @@ def test_a_fast_user_accelerates_along_the_velocity(x, heading, speed, a, dt):
     expected = x.copy()
     expected[:2] += 0.5 * a * dt**2 * ahead
     expected[3:5] += a * dt * ahead
-    # The direction is smoothed at low speed (0.2 m/s); a small effect of this remains at 5 m/s.
+    # The code smooths the direction at speeds near 0.2 m/s; at 5 m/s, a small effect remains.
     np.testing.assert_allclose(moved, expected, atol=2e-3 * (1.0 + abs(a) * dt) * (1.0 + dt))
 
 
@@ -92,7 +95,8 @@ def test_braking_ends_at_a_standstill(heading, speed, dt):
     v = speed * np.array([np.cos(heading), np.sin(heading)])
     moved = np.array(accelerate([0.0, 0.0, 1.5, *v, 0.1, 7.0], -100.0, dt))
     np.testing.assert_allclose(moved[3:5], 0.0, atol=1e-12)
-    np.testing.assert_allclose(moved[:2], -0.5 * dt * v, atol=1e-12)  # takes back half of dt v
+    # The position passed in includes dt v, the movement without braking. Braking halves it.
+    np.testing.assert_allclose(moved[:2], -0.5 * dt * v, atol=1e-12)
     np.testing.assert_array_equal(moved[[2, 5, 6]], [1.5, 0.1, 7.0])
 
 
@@ -102,9 +106,9 @@ def test_a_user_at_rest_is_not_accelerated(a, dt):
     assert accelerate(still, a, dt) == still
 
 
-@given(x=positions, rate=st.floats(-1.5, 1.5), dt=steps)
+@given(x=states, rate=st.floats(-1.5, 1.5), dt=steps)
 def test_a_turn_is_the_coordinated_turn_of_the_textbook(x, rate, dt):
-    """Compare with Bar-Shalom et al. 2001, Sec. 11.7.1, and with a straight line at rate 0."""
+    """Compare with Bar-Shalom et al. 2001, Sec. 11.7.1; at rate 0, the user moves straight on."""
     s, c = np.sin(rate * dt), np.cos(rate * dt)
     along, across = (s / rate, (1.0 - c) / rate) if abs(rate) > 1e-4 else (dt, 0.5 * rate * dt**2)
     F = np.eye(7)
@@ -113,4 +117,3 @@ def test_a_turn_is_the_coordinated_turn_of_the_textbook(x, rate, dt):
     F[2, 5] = dt
     straight = np.array(textbook.F(dt)) @ x
     np.testing.assert_allclose(turn(straight.tolist(), rate, dt), F @ x, rtol=1e-9, atol=1e-5)
-    assert np.hypot(*turn(straight.tolist(), rate, dt)[3:5]) == pytest.approx(np.hypot(*x[3:5]))

@@ -1,4 +1,4 @@
-"""Tests of priors that are drawn around the truth, or computed from a fix, the first link."""
+"""Tests of priors, which are drawn around the truth or computed from one link (a *fix*)."""
 
 import numpy as np
 import pytest
@@ -13,11 +13,12 @@ from tests.filters.tracks import geometry
 
 SCENE = SCENES["street"]
 GNB = SCENE.anchors_m[0]
+# The deviations of a link: range (m), azimuth of arrival, elevation, azimuth of departure (rad).
 SIGMA = np.array([0.3, 0.02, 0.015, 0.01])
 
 
 def link_from(position):
-    """Return the four noiseless values (4,) of the base station's link to a user at rest."""
+    """Return the exact values (4,) of the base station's link to a user at rest."""
     track = np.array([position], float)
     alone = Scene("alone", SCENE.base_station_m)
     return geometry(track, np.zeros((1, 3)), alone, Layout(1))[0, :4]
@@ -36,14 +37,19 @@ def test_the_covariance_of_a_drawn_prior_is_right(radio):
 
 @settings(deadline=None)
 @given(st.tuples(st.floats(-200, 200), st.floats(-200, 200), st.floats(0, 5)))
-def test_a_fix_without_noise_is_the_true_position(position):
+def test_a_fix_without_noise_is_the_true_position_and_leaves_the_velocity_unknown(position):
     if np.hypot(*(np.array(position[:2]) - GNB[:2])) < 1.0:
-        return  # azimuths are ill-defined below the anchor
-    mean, covariance = prior_from_fix(GNB, link_from(position), SIGMA, RADIOS["handset"], SCENE)
+        return  # directly below the anchor, azimuths are undefined
+    radio = RADIOS["handset"]
+    mean, covariance = prior_from_fix(GNB, link_from(position), SIGMA, radio, SCENE)
     np.testing.assert_allclose(mean[:3], position, atol=1e-9)
     np.testing.assert_array_equal(mean[3:], 0.0)
     np.testing.assert_allclose(covariance, covariance.T)
     assert np.linalg.eigvalsh(covariance)[0] > 0.0
+    rest = radio.prior_covariance(SCENE)
+    rest[3, 3] = rest[4, 4] = UNKNOWN_VELOCITY_MPS**2
+    np.testing.assert_array_equal(covariance[3:, 3:], rest[3:, 3:])
+    np.testing.assert_array_equal(covariance[:3, 3:], 0.0)
 
 
 @pytest.mark.parametrize("position", [(80.0, -20.0, 1.5), (-60.0, 10.2, 1.5), (10.5, -90.0, 1.5)])
@@ -57,12 +63,3 @@ def test_the_covariance_of_a_fix_is_right(position):
         error = mean[:3] - position
         scores.append(error @ np.linalg.solve(covariance[:3, :3], error))
     assert np.mean(scores) == pytest.approx(3.0, rel=0.15)
-
-
-def test_a_fix_leaves_the_horizontal_velocity_unknown():
-    radio = RADIOS["standard"]
-    _, covariance = prior_from_fix(GNB, link_from((80.0, -20.0, 1.5)), SIGMA, radio, SCENE)
-    rest = radio.prior_covariance(SCENE)
-    rest[3, 3] = rest[4, 4] = UNKNOWN_VELOCITY_MPS**2
-    np.testing.assert_array_equal(covariance[3:, 3:], rest[3:, 3:])
-    np.testing.assert_array_equal(covariance[:3, 3:], 0.0)

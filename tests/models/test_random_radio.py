@@ -1,4 +1,4 @@
-"""Tests of random radios and wide random streets."""
+"""Tests of random radios, which differ randomly from a profile, and of wide random streets."""
 
 from dataclasses import fields
 
@@ -15,15 +15,12 @@ from tests.refusals import refuses
 HANDSET = RADIOS["handset"]
 
 
-def ratio(radio, name):
-    return np.ravel(getattr(radio, name)) / np.ravel(getattr(HANDSET, name))
-
-
 def test_floors_and_rates_differ_by_at_most_the_factor():
     rng = np.random.default_rng(0)
     drawn = [RandomRadio(HANDSET, 2.0, 3.0).draw(rng) for _ in range(200)]
     for name in ("aoa_floor_rad", "range_floor_m", "multipath_rate_hz", "blockage_mean_s"):
-        ratios = np.array([ratio(radio, name) for radio in drawn])
+        values = np.array([np.ravel(getattr(radio, name)) for radio in drawn])
+        ratios = values / np.ravel(getattr(HANDSET, name))
         assert 0.5 <= ratios.min() < 0.55 and 1.8 < ratios.max() <= 2.0
         assert abs(np.log(ratios[:, 0]).mean()) < 0.1
     budgets = np.array([radio.link_budget_db - HANDSET.link_budget_db for radio in drawn])
@@ -42,7 +39,7 @@ def test_impossible_ranges_are_refused(factor, budget):
         RandomRadio(HANDSET, factor, budget)
 
 
-def test_every_radio_makes_episodes_that_filters_accept():
+def test_every_random_radio_is_within_the_limits_of_simulations():
     rng = np.random.default_rng(1)
     for profile in RADIOS.values():
         for _ in range(20):

@@ -10,19 +10,21 @@ from mmwave_env.numerics.random import Dice, next_word, seeded, word_of
 _BITS = 2 ** np.arange(64, dtype=np.uint64)
 _FIRST = np.arange(40, dtype=np.uint64)
 KEYS = np.concatenate([_FIRST, _BITS, ~_FIRST[:24]])
-EACH = 8  # how many numbers a run draws from each of the three distributions
+EACH = 8  # numbers that one run of DRAWER draws from each of the three distributions
 
 
 def number(key):
+    """Return the float that has the bits of a key."""
     return float(np.uint64(key).view(np.float64))
 
 
 def theirs(key, stream):
-    """Return NumPy's generator in a key's initial state; ours then drops the first 18 words."""
+    """Return NumPy's generator, seeded with a key as ours, without the 18 words that ours drops."""
     bits = np.random.SFC64(0)
     state = bits.state
     state["state"]["state"] = np.array([key, key, stream, 1], np.uint64)
     bits.state = state
+    bits.random_raw(18)
     return bits
 
 
@@ -31,13 +33,13 @@ def test_random_words_equal_those_of_numpy(stream):
     for key in KEYS:
         state = [word_of(each) for each in seeded(number(key), stream)]
         expected = theirs(key, stream)
-        expected.random_raw(18)
         for _ in range(20):
             word, state = next_word(state)
             assert word.value == expected.random_raw()
 
 
 def _draw(w):
+    """Return the workspace after a run: no inputs, the state of the dice, and the drawn numbers."""
     nothing, state, *_ = w
     dice = Dice(state)
     uniform = [dice.uniform() for _ in range(EACH)]
@@ -71,25 +73,20 @@ def drawn(keys, runs):
 def test_lanes_draw_the_same_numbers_as_floats_and_numpy():
     numbers = drawn(KEYS, 3)
     for key, uniform, exponential, normal in zip(KEYS, *numbers, strict=True):
-        dice, bits = Dice(seeded(number(key), 0)), theirs(key, 0)
-        bits.random_raw(18)
-        rng = np.random.Generator(bits)
+        dice, rng = Dice(seeded(number(key), 0)), np.random.Generator(theirs(key, 0))
         for run in range(3):
             now = slice(run * EACH, (run + 1) * EACH)
-            np.testing.assert_array_equal(uniform[now], [dice.uniform() for _ in range(EACH)])
-            np.testing.assert_array_equal(uniform[now], rng.random(EACH))
-            expected = -np.log1p(-rng.random(EACH))
-            np.testing.assert_allclose(exponential[now], expected, rtol=1e-14)
-            np.testing.assert_allclose(
-                exponential[now], [dice.exponential() for _ in range(EACH)], rtol=1e-14
-            )
+            for expected in ([dice.uniform() for _ in range(EACH)], rng.random(EACH)):
+                np.testing.assert_array_equal(uniform[now], expected)
+            exponentials = [dice.exponential() for _ in range(EACH)]
+            for expected in (exponentials, -np.log1p(-rng.random(EACH))):
+                np.testing.assert_allclose(exponential[now], expected, rtol=1e-14)
+            # Box and Muller: two uniform numbers give two normal numbers.
             lengths, turns = rng.random((EACH // 2, 2)).T
             lengths, angles = np.sqrt(-2.0 * np.log1p(-lengths)), 2.0 * np.pi * turns
-            expected = np.stack([lengths * np.cos(angles), lengths * np.sin(angles)], 1).ravel()
-            np.testing.assert_allclose(normal[now], expected, rtol=1e-12, atol=1e-14)
-            np.testing.assert_allclose(
-                normal[now], [dice.normal() for _ in range(EACH)], rtol=1e-12, atol=1e-14
-            )
+            pairs = np.stack([lengths * np.cos(angles), lengths * np.sin(angles)], 1)
+            for expected in ([dice.normal() for _ in range(EACH)], pairs.ravel()):
+                np.testing.assert_allclose(normal[now], expected, rtol=1e-12, atol=1e-14)
 
 
 KINDS = {"uniform": stats.uniform(), "exponential": stats.expon(), "normal": stats.norm()}
@@ -97,14 +94,14 @@ KINDS = {"uniform": stats.uniform(), "exponential": stats.expon(), "normal": sta
 
 @pytest.fixture(scope="module")
 def many():
-    """Draw ten million numbers of each kind with a thousand consecutive keys."""
+    """Return ten million numbers of each kind (1000, 10_000), drawn with consecutive keys."""
     return dict(zip(KINDS, drawn(np.arange(1000, dtype=np.uint64), 1250), strict=True))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_numbers_have_their_distributions(many, kind):
-    """Test each distribution with 99.9 % confidence, and its moments to four standard errors."""
+    """Test distributions with 99.9 % confidence, and moments within four standard errors."""
     values, exact = many[kind].ravel(), KINDS[kind]
     n = values.size
     assert n == 10_000_000
@@ -134,10 +131,7 @@ def test_consecutive_numbers_and_keys_are_not_correlated(many):
     lags = 16
     bound = stats.norm.isf(0.0005 / (2 * lags))
     for lag in range(1, lags + 1):
-        for a, b in (
-            (values[:, :-lag], values[:, lag:]),
-            (values[:-lag], values[lag:]),
-        ):
+        for a, b in ((values[:, :-lag], values[:, lag:]), (values[:-lag], values[lag:])):
             assert abs((a * b).mean()) * np.sqrt(a.size) < bound
 
 
@@ -150,8 +144,5 @@ def test_keys_that_differ_in_one_bit_and_the_two_streams_are_not_correlated():
     bound = stats.norm.isf(0.0005 / len(others))
     for other in others:
         assert abs((first * other).mean()) * np.sqrt(first.size) < bound
-    bits = theirs(base, 1)
-    bits.random_raw(18)
-    uniform = np.random.Generator(bits).random(20_000)
-    other = stats.norm.ppf(uniform)
+    other = stats.norm.ppf(np.random.Generator(theirs(base, 1)).random(20_000))
     assert abs((first[:20_000] * other).mean()) * np.sqrt(other.size) < bound

@@ -1,17 +1,13 @@
 """Tests that kernels on disk are named after what they compute, not after their source code."""
 
-import os
-import subprocess
-import sys
 import textwrap
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
 
-import mmwave_env
 from mmwave_env.numerics.numbers import atan2, cos_sin, exp, log, maximum, sqrt, where
 from mmwave_env.numerics.tape import fingerprint
+from tests.cli import python
 
 
 class Pair(NamedTuple):
@@ -28,7 +24,7 @@ FUNCTIONS = {
     "y": lambda x, y: y,
     "constant": lambda x, y: 1.0,
     "sum": lambda x, y: x + y,
-    "sum turned round": lambda x, y: y + x,
+    "sum in reverse order": lambda x, y: y + x,
     "difference": lambda x, y: x - y,
     "product": lambda x, y: x * y,
     "ratio": lambda x, y: x / y,
@@ -77,14 +73,15 @@ def test_the_name_depends_on_rows_that_are_only_passed_through():
 
 
 @pytest.fixture
-def started(tmp_path):
-    """Return a function that runs code in a new process and keeps kernels in the test's folder."""
+def started(tmp_path, monkeypatch):
+    """Return a function that runs code in a new process, which keeps kernels in the test's folder.
+
+    The function returns the words that the process prints.
+    """
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kept"))
 
     def run(code):
-        variables = {"NUMBA_CACHE_DIR": str(tmp_path / "kept")}
-        variables["PYTHONPATH"] = str(Path(mmwave_env.__file__).parents[1])
-        command = [sys.executable, "-c", textwrap.dedent(code)]
-        done = subprocess.run(command, env=os.environ | variables, capture_output=True, text=True)
+        done = python(textwrap.dedent(code))
         assert done.returncode == 0, done.stderr
         return done.stdout.split()
 
@@ -110,7 +107,10 @@ PROGRAMS = """
 
 @pytest.mark.slow
 def test_kernels_of_several_processes_are_not_mixed_up(started):
-    """Compile kernels in separate processes; load all in one, where equal symbols would clash."""
+    """Compile kernels in processes of their own; load all in one, where equal symbols would clash.
+
+    A process prints each kernel's result for 1, and how many times the kernel was found on disk.
+    """
     changes = ["lambda x: x + 4.0", "lambda x: x * 3.0", "lambda x: x - 7.0"]
     for change, value in zip(changes, ["5.0", "3.0", "-6.0"], strict=True):
         assert started(PROGRAMS + f"    shown({change})") == [value, "0"]

@@ -1,4 +1,4 @@
-"""Tests of correctors: network (against PyTorch), memory, trust in corrections, and files."""
+"""Tests of correctors, which correct beliefs: network, memory, trust in corrections, and files."""
 
 import numpy as np
 import pytest
@@ -11,16 +11,17 @@ from mmwave_env.models.layout import Layout
 from policies import Corrector, LearnedSwitch, learned_policy
 from policies.policy_file import CORRECTIONS
 from tests.refusals import refuses
-from tests.training.actors import MODES, PER_MODE, card_of, write, write_per_mode
+from tests.training.actors import MODES, PER_MODE, PER_MODE_TABLE, card_of, write, write_per_mode
 
 TABLE = Observation(Pipeline(MODES, Layout()), "signed", "per-mode")
 NAMES = [feature.name for feature in after_update(Pipeline(MODES, Layout()), per_mode=True)]
 COLUMNS = tuple(column for column in TABLE.columns if column.name in NAMES)
-FEATURES, FRONT, UNITS, HEAD, MEMBERS = len(NAMES), 6, 5, 4, 3  # sizes of the network's layers
+FEATURES, FRONT, UNITS, HEAD = len(NAMES), 6, 5, 4  # sizes of the network's layers
+MEMBERS = 3  # output layers, whose corrections are averaged
 
 
 def network(scale=0.3, limit=5.0):
-    """Return the tensors of a corrector with random weights, which clips features to ±``limit``."""
+    """Return a corrector's tensors: random weights, and the limits ±``limit`` of all features."""
     rng = np.random.default_rng(0)
     shapes = {
         "front.weight": (FRONT, FEATURES), "front.bias": (FRONT,),
@@ -123,21 +124,18 @@ def test_members_that_disagree_are_not_trusted(tmp_path):
 
 
 def test_features_are_found_by_name_and_anchors_may_be_missing(path):
-    modes = PER_MODE["banks"]["handset"].modes
     everything = np.random.default_rng(0).normal(size=(4, len(TABLE))).astype(np.float32)
-    corrector = started(path, Observation(Pipeline(modes, Layout()), "signed", "per-mode"))
     chosen = everything[:, [TABLE.names.index(name) for name in NAMES]]
     expected = started(path).correct_features(chosen).shift
-    np.testing.assert_allclose(corrector.correct(everything).shift, expected, atol=1e-6)
-    alone = Observation(Pipeline(modes, Layout(1)), "signed", "per-mode")
+    np.testing.assert_allclose(started(path, TABLE).correct(everything).shift, expected, atol=1e-6)
+    alone = Observation(Pipeline(MODES, Layout(1)), "signed", "per-mode")
     shift = started(path, alone).correct(np.zeros((4, len(alone)), np.float32)).shift
     assert np.isfinite(shift).all()
 
 
 def test_an_environment_without_signed_features_is_refused(path):
-    modes = PER_MODE["banks"]["handset"].modes
     with refuses(path):
-        Corrector(path, Observation(Pipeline(modes, Layout()), "full", "per-mode"))
+        Corrector(path, PER_MODE_TABLE)
 
 
 def test_switchers_and_correctors_are_told_apart(path, tmp_path):

@@ -1,4 +1,7 @@
-"""Tests that the shipped corrector does no harm in tasks it was not trained for (tuning seeds)."""
+"""Tests that the shipped corrector does no harm in tasks that it was not trained for.
+
+The keys of the episodes are in the range of the tuning seeds.
+"""
 
 from dataclasses import replace
 
@@ -19,7 +22,7 @@ pytestmark = pytest.mark.slow
 
 N, SEED = 100, 5_400_000
 MOST_HARM = 0.02  # mean reward per epoch that the corrector may lose against its base policy
-FACTORS = (1.0, 4.0, 8.0, 16.0)  # the stated noise is wrong by these factors
+FACTORS = (1.0, 4.0, 8.0, 16.0)  # factors by which the stated noise is too high or too low
 
 
 def turned(episode, angle=0.2):
@@ -74,7 +77,10 @@ CASES = {  # name -> source of episodes, radio, function that falsifies an episo
 
 
 def played(name, radio, episodes):
-    """Return each episode's mean reward (n,), and the trust in corrections (n, T), from 0 to 1."""
+    """Return each episode's mean reward (n,) from its 11th epoch on, and trusts (n, T) in [0, 1].
+
+    A trust is the factor that the policy applies to its correction.
+    """
     contender = Contender.learned(name, name, radio)
     results = run_contender(contender, contender.start(episodes[0].layout), episodes)
     return results["reward"][:, 10:].mean(axis=1), results.get("trusted")
@@ -101,9 +107,9 @@ def print_table(n=300):
         (mean,), share = bootstrap(gains[:, None]), trusted[:, 10:].mean()
         print(f"| {case} | {radio} | {mean} | {share:.2f} |")
     print("\n| stated noise / noise | trusted |\n|---|---|")
-    for too in (1.0, -1.0):
-        for factor, (_, share) in zip(FACTORS, trust(too), strict=True):
-            print(f"| {factor**too:g} | {share:.2f} |")
+    for exponent in (1.0, -1.0):
+        for factor, (_, share) in zip(FACTORS, trust(exponent), strict=True):
+            print(f"| {factor**exponent:g} | {share:.2f} |")
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -113,21 +119,17 @@ def test_the_corrector_is_hardly_below_its_base_where_it_was_never_trained(case)
     assert ((trusted >= 0.0) & (trusted <= 1.0)).all()
 
 
-def trust(too):
-    """Yield gain and trust for each factor, by which the stated noise is too high or too low.
-
-    Args:
-        too: 1 if the stated noise is too high, -1 if it is too low.
-    """
+def trust(exponent):
+    """Yield gain and trust for each factor: stated noise = factor**exponent * true noise."""
     keys = np.arange(SEED, SEED + 20, dtype=np.uint64)
     for factor in FACTORS:
-        source = Misstated(SCENES["street"], RADIOS["standard"], stated=factor**too)
+        source = Misstated(SCENES["street"], RADIOS["standard"], stated=factor**exponent)
         gains, trusted = against_base("standard", source.episodes(keys))
         yield gains.mean(), trusted[:, 10:].mean()
 
 
-@pytest.mark.parametrize("too", [1.0, -1.0])
-def test_trust_falls_as_features_leave_the_range_of_training(too):
-    gains, shares = zip(*trust(too), strict=True)
+@pytest.mark.parametrize("exponent", [1.0, -1.0])
+def test_trust_falls_as_features_leave_the_range_of_training(exponent):
+    gains, shares = zip(*trust(exponent), strict=True)
     assert min(gains) > -MOST_HARM
     assert shares[0] > 0.95 and shares[-1] < 0.3 and (np.diff(shares) < 0.0).all()

@@ -1,4 +1,4 @@
-"""Tests of the speed rule, the likelihood rule and fixed modes."""
+"""Tests of the simplest policies: the speed rule, the likelihood rule and fixed modes."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def table():
 
 
 def observe(table, **features):
-    """Return observations (n, features) in which all features but the given ones are average."""
+    """Return observations (n, features): given features, and the means of all other features."""
     columns = {name.replace("_", " "): np.atleast_1d(v) for name, v in features.items()}
     n = max(len(column) for column in columns.values())
     observation = np.zeros((n, len(table)))
@@ -62,7 +62,7 @@ def test_the_threshold_of_the_paper_is_the_default(table):
 def test_above_its_range_of_speeds_the_rule_warns_once_and_still_chooses_the_fast_mode(table):
     rule = SpeedRule(table)
     fast = observe(table, predicted_speed=[1.0, 20.5, 35.0])
-    rule(observe(table, predicted_speed=[19.99]))  # a warning would be an error
+    rule(observe(table, predicted_speed=[19.99]))  # does not warn: tests make warnings errors
     with pytest.warns(UserWarning, match="20 m/s") as caught:
         np.testing.assert_array_equal(rule(fast), [0, 1, 1])
     assert len(caught) == 1

@@ -1,4 +1,4 @@
-"""Tests of other estimators to compare with: particles, Student-t noise and adaptive noise."""
+"""Tests of rivals, with which filters are compared: particles, Student-t and adaptive noise."""
 
 from dataclasses import replace
 
@@ -34,10 +34,10 @@ def played(agent, some, planar=False):
     return run_contender(contender, policy, some, Scoring(planar=planar), after=("x", "P"))
 
 
-class Seen(Estimator):
+class Recorder(Estimator):
     """An estimator that stores its inputs and returns the prior in every epoch.
 
-    With ``size`` it returns too few numbers, and with ``epochs`` it returns too few beliefs.
+    Its means are cut to ``size`` numbers; after ``epochs`` epochs, it returns no more beliefs.
     """
 
     def __init__(self, size=7, epochs=None):
@@ -52,7 +52,7 @@ class Seen(Estimator):
 def priors_and_measurements():
     """Yield x and P of the prior and a measurement, for every fifth epoch of three episodes."""
     for episode in episodes(3):
-        agent = Seen()
+        agent = Recorder()
         played(agent, [episode])
         for epoch in agent.drawn[::5]:
             P = unpack(agent.site.prior_P)
@@ -60,7 +60,7 @@ def priors_and_measurements():
 
 
 def test_particles_agree_with_the_ekf_where_all_is_nearly_linear():
-    """Use large noise: then thousands of particles have weight, and random errors are small."""
+    """Use large noise, so that thousands of particles have weight and their mean errs little."""
     good = replace(SOURCE, radio=RADIOS["standard"])
     some = [replace(episode, sigma=4.0 * episode.sigma) for episode in episodes(4, good)]
     cloud, kalman = (
@@ -114,13 +114,14 @@ def test_adaptive_noise_converges_to_the_true_noise():
         shape, rate = ([0.99 * value for value in part] for part in (shape, rate))
         everywhere = measurement._replace(z=z.tolist(), visible=[1.0] * len(layout.groups))
         *_, shape, rate = adapted(x, P, everywhere, shape, rate, ekf)
-    # The factor 0.99 keeps about 100 epochs in memory: 400 rows of a link, 100 Doppler shifts.
+    # The factor 0.99 keeps about 100 epochs in memory, so few values determine an estimate: 400 of
+    # a link, and 100 Doppler shifts.
     np.testing.assert_allclose(np.divide(rate, shape), 4.0, rtol=0.3)
 
 
 def test_beliefs_of_another_size_and_missing_epochs_are_refused():
-    for agent in (Seen(size=6), Seen(epochs=3)):
-        with refuses("beliefs of Seen"):
+    for agent in (Recorder(size=6), Recorder(epochs=3)):
+        with refuses("beliefs of Recorder"):
             played(agent, episodes(2))
 
 

@@ -1,4 +1,7 @@
-"""Tests of reading sweep files (each combination of values is a cell) and of keeping results."""
+"""Tests of reading sweep files and of keeping the results of cells.
+
+A *cell* is a combination of values: one value of each key of the file.
+"""
 
 import pytest
 

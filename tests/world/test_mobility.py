@@ -1,8 +1,8 @@
-"""Tests of simulated users, who must move as people and cars can, and of mobility files."""
+"""Tests that simulated users move as people and cars can, and tests of mobility files."""
 
-import json
 from collections import Counter
 from dataclasses import asdict, replace
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -24,14 +24,14 @@ from mmwave_env.world.mobility import (
     mobilities_of,
 )
 from mmwave_env.world.simulated import SimulatedSource
-from tests.paths import representative
+from tests.paths import representative, write_json
 from tests.refusals import refuses
 
 STEP_S, STEPS, SEEDS = 0.1, 2000, 40
 
 
 class Bounds(NamedTuple):
-    """Bounds for a kind of user, from the project's model of mobility."""
+    """Bounds on the motion of a kind of user, according to the project's model of mobility."""
 
     speed: float  # maximum, m/s
     acceleration: float  # maximum, m/s^2
@@ -48,52 +48,36 @@ BOUNDS = {
     "jam": DRIVING._replace(speed=7.0),
     "cyclist": Bounds(6.5, 1.2, 2.5, 2.0, 4.0),
 }
-MIXED = ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")  # published figures use this order
-LATERAL_MPS2 = 5.0  # drivers aim at no more than 3.5, but take corners a little faster
+MIXED = ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")  # keys draw indices of this tuple
+LATERAL_MPS2 = 5.0  # drivers aim at no more than 3.5 m/s^2, but take corners a little faster
 
 every_mobility = pytest.mark.parametrize("name", BOUNDS)
 every_scene = pytest.mark.parametrize("scene", representative(SCENES, "street"))
 
 
 class Users(NamedTuple):
-    """Tracks of many users of one kind: vectors (SEEDS, STEPS, 2) and numbers (SEEDS, STEPS)."""
+    """Horizontal tracks of many users of one kind."""
 
-    position: np.ndarray
-    velocity: np.ndarray
-    speed: np.ndarray
-    height: np.ndarray
-
-
-@pytest.fixture(scope="module")
-def tracks():
-    drawn = {}
-
-    def draw(name, scene="street"):
-        if (name, scene) not in drawn:
-            position, velocity = run(name, range(SEEDS), STEP_S, STEPS, scene)
-            assert (velocity[..., 2] == 0.0).all()
-            speed = np.linalg.norm(velocity, axis=-1)
-            drawn[name, scene] = Users(
-                position[..., :2], velocity[..., :2], speed, position[..., 2]
-            )
-        return drawn[name, scene]
-
-    return draw
+    position: np.ndarray  # (SEEDS, STEPS, 2)
+    velocity: np.ndarray  # (SEEDS, STEPS, 2)
+    speed: np.ndarray  # (SEEDS, STEPS)
 
 
 def run(name, seeds, dt, epochs, scene="street"):
+    """Return positions and velocities (seeds, epochs, 3) of one user per seed."""
     source = SimulatedSource(SCENES[scene], RADIOS["handset"], name, dt, epochs)
     truth = source.sample_batch(keys_of(seeds)).table[..., -6:]
     return truth[..., :3], truth[..., 3:]
 
 
-def run_one(name, seed, dt, epochs):
-    position, velocity = run(name, [seed], dt, epochs)
-    return position[0], velocity[0]
+@cache
+def tracks(name, scene="street"):
+    position, velocity = run(name, range(SEEDS), STEP_S, STEPS, scene)
+    return Users(position[..., :2], velocity[..., :2], np.linalg.norm(velocity, axis=-1))
 
 
 @every_mobility
-def test_acceleration_and_braking_are_bounded(tracks, name):
+def test_acceleration_and_braking_are_bounded(name):
     """Check also that jerk and speed are bounded, and that the highest speed is near its bound."""
     speed, bounds = tracks(name).speed, BOUNDS[name]
     assert 0.8 * bounds.speed < speed.max() <= bounds.speed + 1e-9
@@ -105,7 +89,7 @@ def test_acceleration_and_braking_are_bounded(tracks, name):
 
 @every_scene
 @every_mobility
-def test_lateral_acceleration_in_turns_is_bounded(tracks, name, scene):
+def test_lateral_acceleration_in_turns_is_bounded(name, scene):
     velocity = tracks(name, scene).velocity
     middle = 0.5 * (velocity[:, 1:] + velocity[:, :-1])
     change = np.diff(velocity, axis=1) / STEP_S
@@ -117,8 +101,8 @@ def test_lateral_acceleration_in_turns_is_bounded(tracks, name, scene):
 
 @every_scene
 @every_mobility
-def test_position_is_the_integral_of_velocity(tracks, name, scene):
-    position, velocity, *_ = tracks(name, scene)
+def test_position_is_the_integral_of_velocity(name, scene):
+    position, velocity, _ = tracks(name, scene)
     trapezoid = 0.5 * STEP_S * (velocity[:, 1:] + velocity[:, :-1])
     slip = np.linalg.norm(np.diff(position, axis=1) - trapezoid, axis=-1)
     # The mean velocity of a step lies between the velocities at its ends.
@@ -128,7 +112,7 @@ def test_position_is_the_integral_of_velocity(tracks, name, scene):
 
 @every_scene
 @every_mobility
-def test_users_stay_in_the_streets(tracks, name, scene):
+def test_users_stay_in_the_streets(name, scene):
     position = tracks(name, scene).position
     streets = SCENES[scene].streets
     block = streets.block_m / MOBILITIES[name].blocks
@@ -146,28 +130,22 @@ def test_users_stay_in_the_streets(tracks, name, scene):
     assert (beyond <= across + 0.1).all()
 
 
-@every_scene
-@every_mobility
-def test_users_keep_their_height(tracks, name, scene):
-    assert (tracks(name, scene).height == SCENES[scene].streets.height_m).all()
-
-
 @pytest.mark.parametrize("name", ["pedestrian", "vehicle", "jam"])
-def test_most_users_stop_for_a_while(tracks, name):
+def test_most_users_stop_for_a_while(name):
     standing = tracks(name).speed < 0.01
-    longest = np.zeros(SEEDS)
-    now = np.zeros(SEEDS)
-    for t in range(STEPS):
-        now = np.where(standing[:, t], now + STEP_S, 0.0)
-        longest = np.maximum(longest, now)
-    assert (longest >= 2.0).mean() > 0.5
-    assert (standing.mean(axis=1) < 0.95).all()  # and all of them move again
+    now_s = longest_s = np.zeros(SEEDS)
+    for stands in standing.T:
+        now_s = np.where(stands, now_s + STEP_S, 0.0)
+        longest_s = np.maximum(longest_s, now_s)
+    assert (longest_s >= 2.0).mean() > 0.5
+    assert (standing.mean(axis=1) < 0.95).all()  # all users move again
 
 
-def test_users_of_walk_ride_first_walk_then_ride_then_walk(tracks):
+def test_users_of_walk_ride_first_walk_then_ride_then_walk():
     speed = tracks("walk-ride").speed
     on_foot = BOUNDS["pedestrian"].speed
-    first, last = round(45.0 / STEP_S), round(35.0 / STEP_S)  # braking to a walk takes up to 10 s
+    # Each walk lasts at least 45 s, but braking to a walk may take the first 10 s of the last walk.
+    first, last = round(45.0 / STEP_S), round(35.0 / STEP_S)
     assert speed[:, :first].max() <= on_foot + 1e-9
     assert speed[:, -last:].max() <= 2.0
     assert (speed[:, first:-last].max(axis=1) > 7.0).all()
@@ -177,24 +155,21 @@ def test_users_of_walk_ride_first_walk_then_ride_then_walk(tracks):
 @every_mobility
 @pytest.mark.parametrize("dt", [0.5, 1.0, 2.0])
 def test_the_time_step_does_not_change_the_trajectory(name, dt):
-    fine = np.array(run_one(name, 0, STEP_S, STEPS))
-    coarse = np.array(run_one(name, 0, dt, round(STEPS * STEP_S / dt)))
-    np.testing.assert_allclose(coarse, fine[:, :: round(dt / STEP_S)], atol=1e-8)
+    fine = np.array(run(name, [0], STEP_S, STEPS))
+    coarse = np.array(run(name, [0], dt, round(STEPS * STEP_S / dt)))
+    np.testing.assert_allclose(coarse, fine[:, :, :: round(dt / STEP_S)], atol=1e-8)
 
 
-def test_mixed_draws_every_mobility_with_the_same_probability():
+def test_scenarios_are_the_mobilities_and_mixed_which_draws_them_with_the_same_probability():
+    assert set(SCENARIOS) == {*BOUNDS, "mixed"}
+    assert tuple(m.name for m in mobilities_of("mixed")) == MIXED
     draws = 2000
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], "mixed", epochs=1)
     counts = Counter(source.sample_batch(keys_of(range(draws))).names)
     assert set(counts) == set(MIXED)
-    # with a probability of 99 %, all five counts are in the interval (Bonferroni)
+    # With a probability of 99 %, all five counts are in the interval (Bonferroni).
     low, high = binom.interval(1.0 - 0.01 / 5, draws, 1.0 / 5)
     assert all(low <= count <= high for count in counts.values())
-
-
-def test_scenarios_are_the_mobilities_and_their_mixture():
-    assert set(SCENARIOS) == {*BOUNDS, "mixed"}
-    assert tuple(m.name for m in mobilities_of("mixed")) == MIXED
 
 
 LIMITS = Limits((0.5, 1.5), (1.0, 2.0), (1.0, 2.0), 2.0, 3.0)
@@ -202,24 +177,24 @@ GAIT = {"low_mps": 3, "high_mps": 7}
 SCOOTER = {"phases": [{"limits": asdict(LIMITS), "gaits": [GAIT]}], "blocks": 2}
 
 
-def write(folder, content):
-    path = folder / "scooter.json"
-    path.write_text(json.dumps(content), encoding="utf-8")
-    return path
+@pytest.fixture
+def path(tmp_path):
+    return write_json(tmp_path / "scooter.json", SCOOTER)
 
 
 def with_phase(**changes):
+    """Return the content of a mobility file whose only phase is changed."""
     (phase,) = SCOOTER["phases"]
     return SCOOTER | {"phases": [phase | changes]}
 
 
-def test_a_mobility_file_defines_a_kind_of_user(tmp_path):
-    (scooter,) = mobilities_of(write(tmp_path, SCOOTER))
+def test_a_mobility_file_defines_a_kind_of_user(path):
+    (scooter,) = mobilities_of(path)
     assert scooter == Mobility("scooter", (Phase(LIMITS, (Gait(3.0, 7.0),)),), blocks=2)
 
 
-def test_a_custom_kind_of_user_stays_within_its_limits(tmp_path):
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], write(tmp_path, SCOOTER), dt=0.2)
+def test_a_custom_kind_of_user_stays_within_its_limits(path):
+    source = SimulatedSource(SCENES["street"], RADIOS["handset"], path, dt=0.2)
     assert source.name == "scooter"
     for seed in range(5):
         episode = source.sample(np.random.default_rng(seed))
@@ -240,14 +215,14 @@ def test_a_custom_kind_of_user_stays_within_its_limits(tmp_path):
         (SCOOTER | {"phases": SCOOTER["phases"] * 2}, "phases[0].duration_s"),
     ],
 )
-def test_a_damaged_mobility_file_is_refused_with_the_name_of_the_field(tmp_path, content, field):
-    path = write(tmp_path, content)
+def test_a_damaged_mobility_file_is_refused_with_the_name_of_the_field(path, content, field):
+    write_json(path, content)
     with refuses(path, field):
         mobilities_of(path)
 
 
-def test_corners_that_do_not_fit_between_crossings_are_refused(tmp_path):
-    path = write(tmp_path, SCOOTER | {"blocks": 16})
+def test_corners_that_do_not_fit_between_crossings_are_refused(path):
+    write_json(path, SCOOTER | {"blocks": 16})
     with refuses("corner_radius_m of mobility 'scooter'"):
         SimulatedSource(SCENES["street"], RADIOS["handset"], path)
 

@@ -1,8 +1,8 @@
 """Tests of simulated episodes against a plain NumPy simulation with the same random numbers.
 
-A key, a seed of 64 bits, determines an episode. The plain simulation defines how: it shows which
-numbers are drawn, in which order, before the first epoch and in every epoch. Trajectory and
-reception have separate random generators.
+A key, a seed of 64 bits, determines an episode. The plain simulation shows how: which numbers are
+drawn before the first epoch and in every epoch, and in which order. Trajectory and reception have
+separate random generators.
 """
 
 import numpy as np
@@ -31,17 +31,15 @@ SOURCES = {
         SCENES["street"], RADIOS["handset"], around_a_block(), dt=0.7, epochs=30, odometry=True
     ),
     "random streets": SimulatedSource(RandomScene(), RADIOS["standard"], epochs=60),
-    "a complete trajectory": SimulatedSource(
-        SCENES["o1"], RADIOS["high"], around_a_block([200.0, 600.0])
-    ),
 }
 KEYS = np.random.default_rng(0).integers(0, 2**64, 20, np.uint64)
-# For two in a thousand keys (none of these), the two simulations give different trajectories. They
-# round sums differently, so an event, such as a new speed, is a substep later in one of them.
+# For two in a thousand keys (none of these), the two simulations give different trajectories. As
+# they round sums differently, a user may choose, for example, a new speed one substep later in one
+# simulation than in the other.
 
 
 class PlainDice:
-    """Random draws from NumPy's own SFC64."""
+    """Random numbers from NumPy's SFC64. Normal numbers come in pairs; ``spare`` has the second."""
 
     def __init__(self, key, stream):
         bits = np.random.SFC64(0)
@@ -68,7 +66,10 @@ class PlainDice:
 
 
 def spells(uniform, onset, leave, first):
-    """Run a two-state Markov chain per column; return whether it is on, and since which epoch."""
+    """Run a two-state Markov chain per column; return whether it is on, and since which epoch.
+
+    The chances are ``onset`` to begin, ``leave`` to end, and ``first`` to be on in the first epoch.
+    """
     on, since = np.zeros(uniform.shape, bool), np.zeros(uniform.shape, int)
     for t, draw in enumerate(uniform):
         before = on[t - 1] if t else np.zeros(uniform.shape[1], bool)
@@ -86,12 +87,12 @@ def drawn(dice, T, L, rows):
     epochs = []
     for _ in range(T):
         epochs.append([dice.many(*kind) for kind in kinds])
-        dice.spare.clear()
+        dice.spare.clear()  # no number of a pair is kept for the next epoch
     return [np.array(each) for each in zip(*epochs, strict=True)]
 
 
 def channel(radio, scene, distance, speed, dt, draws):
-    """Return SNR, detection, biases (T, L, 4) and Doppler spread."""
+    """Return SNR and detection (T, L), biases (T, L, 4) and Doppler spread (T,) for T epochs."""
     shadow, blocking, reflecting, losing, blockage, multipath, *angles = draws[:8]
     detection, scatter, floor = draws[8:]
     T, L = distance.shape
@@ -126,7 +127,7 @@ def channel(radio, scene, distance, speed, dt, draws):
 
 
 def way(source, scene, dice):
-    """Return the name of a user, and positions and velocities (T, 6)."""
+    """Return a user's name, positions and velocities: a string and an array (T, 6)."""
     scenario, T, streets = source.scenario, source.epochs, scene.streets
     if isinstance(scenario, Trajectory):
         whole = scenario.resampled(source.dt)

@@ -1,4 +1,4 @@
-"""Tests of ways (trajectories from which episodes are drawn): files, windows, and ``scenario=``."""
+"""Tests of ways (trajectories from which episodes are drawn) and of the argument ``scenario=``."""
 
 import warnings
 from pathlib import Path
@@ -22,14 +22,15 @@ def straight(seconds, y=-80.0, speed=2.0, name="way"):
     return Trajectory(name, t, np.column_stack([20.0 + speed * t, y + 0 * t, 1.5 + 0 * t]))
 
 
-def write(folder, ways, header="t,id,x,y,z"):
-    """Write a file of ways (a dict by id), in the order of time, as traffic simulators do."""
+def write(folder, ways):
+    """Write ways (id -> way) to a file; like traffic simulators, sort its rows by time."""
     pairs = [
         (i, row) for i, way in ways.items() for row in zip(way.time_s, way.position_m, strict=True)
     ]
     rows = [(t, i, *position) for i, (t, position) in pairs]
     path = folder / "ways.csv"
-    path.write_text("\n".join([header, *(",".join(map(str, row)) for row in sorted(rows))]) + "\n")
+    lines = ["t,id,x,y,z", *(",".join(map(str, row)) for row in sorted(rows))]
+    path.write_text("\n".join(lines) + "\n")
     return path
 
 
@@ -107,25 +108,20 @@ def test_several_ways_are_refused_where_a_single_trajectory_is_expected(tmp_path
 # --- scenarios
 
 
-@pytest.mark.parametrize("name", ["way.csv", "WAY.CSV"])
-@pytest.mark.parametrize("as_type", [str, Path])
+@pytest.mark.parametrize(("name", "as_type"), [("ways.csv", Path), ("WAYS.CSV", str)])
 def test_a_csv_file_given_as_scenario_is_read_as_ways(tmp_path, name, as_type):
-    path = tmp_path / name
-    path.write_text("t,x,y,z\n0,1,-80,1.5\n1,2,-80,1.5\n2,3,-80,1.5\n")
+    path = write(tmp_path, {"a": straight(3)}).rename(tmp_path / name)
     assert isinstance(scenario_from(as_type(path)), Ways)
     assert scenario_from("mixed") == "mixed"
 
 
-def test_objects_can_be_given_as_scenarios():
-    walk = Trajectory("walk", [0.0, 1.0], [[1.0, -80.0, 1.5], [2.0, -80.0, 1.5]])
-    ways = Ways("both", [walk, walk])
+def test_objects_and_known_names_can_be_given_as_scenarios():
+    way = straight(3)
+    ways = Ways("both", [way, way])
     assert users_of(ways) is ways
-    assert users_of(walk).trajectories == (walk,) and users_of(walk).name == "walk"
+    assert users_of(way).trajectories == (way,) and users_of(way).name == "way"
     assert users_of(MOBILITIES["jam"]) == (MOBILITIES["jam"],)
     assert all(isinstance(user, Mobility) for user in users_of("mixed"))
-
-
-def test_unknown_scenarios_are_refused():
-    for name in ("boat", 3):
+    for unknown in ("boat", 3):
         with refuses("scenario"):
-            users_of(name)
+            users_of(unknown)
