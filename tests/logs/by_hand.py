@@ -14,25 +14,30 @@ from mmwave_env.world.simulated import SimulatedSource
 from tests.refusals import refuses
 
 SCENE = SCENES["street"]
-L = 3
+L = 3  # number of anchors
 HEADER = "time_s,anchor,toa_s,aoa_azimuth_rad,aoa_elevation_rad,aod_azimuth_rad,doppler_hz,snr_db"
-BODY = HEADER.replace("aod_azimuth_rad", "aod_azimuth_body_deg")
-TIME, ANCHOR, TOA, AOA, ELEVATION, AOD, DOPPLER, SNR = range(8)
+COLUMNS = HEADER.split(",")
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 
 
 def rows(epochs=4):
-    """Return the cells of a log, a list for each epoch and anchor; numbers differ by anchor."""
+    """Return the rows of a log, one for each epoch and anchor: dicts of cells by column."""
     lines = (
         f"{t},{a},{t + a}e-7,0.{a}{t},-0.{a},{a - 2}.{t},{t + 0.5 if a == 1 else ''},{20 + a}"
         for t in range(epochs)
         for a in range(1, L + 1)
     )
-    return [line.split(",") for line in lines]
+    return [dict(zip(COLUMNS, line.split(","), strict=True)) for line in lines]
 
 
-def text(lines, header=HEADER):
-    return "\n".join([header, *(",".join(line) for line in lines)]) + "\n"
+def text(lines):
+    """Return rows of a log as CSV; the columns of the first row are the header."""
+    return "\n".join([",".join(lines[0]), *(",".join(line.values()) for line in lines)]) + "\n"
+
+
+def in_body(content):
+    """Return the text of a log whose angles of departure are in degrees, relative to the user."""
+    return content.replace("aod_azimuth_rad", "aod_azimuth_body_deg")
 
 
 def store(folder, content, name="log.csv"):
@@ -82,7 +87,7 @@ def hide_anchors(path, episode, false_paths=0, seed=0):
     n = false_paths * len(episode)
     false = {name: np.full(n, np.nan) for name in columns}
     false["time_s"] = np.repeat(episode.time_s, false_paths)
-    for name in HEADER.split(",")[TOA:]:
+    for name in COLUMNS[2:]:
         false[name] = rng.uniform(np.nanmin(columns[name]), np.nanmax(columns[name]), n)
     columns = {name: np.concatenate([values, false[name]]) for name, values in columns.items()}
     order = np.lexsort([rng.random(len(columns["time_s"])), columns["time_s"]])

@@ -11,22 +11,15 @@ from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from tests.logs.by_hand import (
-    ANCHOR,
-    AOA,
-    AOD,
-    BODY,
-    DOPPLER,
-    ELEVATION,
+    COLUMNS,
     HEADER,
     SCENE,
-    SNR,
     SUFFIXES,
-    TIME,
-    TOA,
     L,
     assert_same,
     delivered,
     episode,
+    in_body,
     read,
     require_pyarrow,
     rows,
@@ -49,41 +42,41 @@ def edit(row, column, value):
 
 
 CELLS = [  # row, column and wrong content of the cell
-    (7, SNR, '"1"'),
-    (7, SNR, "1_0"),
-    (7, AOD, "1\udcff"),  # not UTF-8
-    (7, TIME, ""),
-    (6, TIME, "inf"),
-    (7, TIME, "1"),
-    (1, TIME, "-1"),
-    (6, TIME, "1.0000000001"),
-    *((7, ANCHOR, number) for number in ("", "0", "4", "1.5")),
-    (8, ANCHOR, "2"),
-    (7, TOA, "-1e-9"),
-    (7, ELEVATION, "1.67"),
-    (7, AOD, "-57.3"),
-    (6, DOPPLER, "1e308"),
-    (7, DOPPLER, "3"),
-    (7, SNR, "-1e4"),
+    (7, "snr_db", '"1"'),
+    (7, "snr_db", "1_0"),
+    (7, "aod_azimuth_rad", "1\udcff"),  # not UTF-8
+    (7, "time_s", ""),
+    (6, "time_s", "inf"),
+    (7, "time_s", "1"),
+    (1, "time_s", "-1"),
+    (6, "time_s", "1.0000000001"),
+    *((7, "anchor", number) for number in ("", "0", "4", "1.5")),
+    (8, "anchor", "2"),
+    (7, "toa_s", "-1e-9"),
+    (7, "aoa_elevation_rad", "1.67"),
+    (7, "aod_azimuth_rad", "-57.3"),
+    (6, "doppler_hz", "1e308"),
+    (7, "doppler_hz", "3"),
+    (7, "snr_db", "-1e4"),
 ]
 DAMAGE = {  # name -> change, fields that the message names, number of epochs before the error
-    f"line {row + 2}, {HEADER.split(',')[column]} {value!a}": (
+    f"line {row + 2}, {column} {value!a}": (
         edit(row, column, value),
-        (f"line {row + 2}", HEADER.split(",")[column]),
+        [f"line {row + 2}", column],
         row // L,
     )
     for row, column, value in CELLS
 } | {
-    "one cell": (lambda lines: lines.insert(7, ["xyz"]), ["line 9"], 2),
-    "NULs": (lambda lines: lines.insert(9, ["\0" * 90]), ["line 11"], 3),
-    "additional row": (lambda lines: lines.append(list(lines[9])), ["line 14", "anchor"], 3),
+    "one cell": (lambda lines: lines.insert(7, {"": "xyz"}), ["line 9"], 2),
+    "NULs": (lambda lines: lines.insert(9, {"": "\0" * 90}), ["line 11"], 3),
+    "additional row": (lambda lines: lines.append(lines[9]), ["line 14", "anchor"], 3),
     "first of two errors": (
-        lambda lines: (edit(7, TOA, "-1")(lines), edit(10, SNR, "x")(lines)),
+        lambda lines: (edit(7, "toa_s", "-1")(lines), edit(10, "snr_db", "x")(lines)),
         ["line 9", "toa_s"],
         2,
     ),
     "text before a wrong number": (
-        lambda lines: (edit(7, SNR, "x")(lines), edit(10, TOA, "-1")(lines)),
+        lambda lines: (edit(7, "snr_db", "x")(lines), edit(10, "toa_s", "-1")(lines)),
         ["line 9", "snr_db"],
         2,
     ),
@@ -110,14 +103,14 @@ def test_the_error_names_a_damaged_row_and_comes_after_the_epochs_before_it(
 @pytest.mark.parametrize("angle", [np.pi / 2, -np.pi / 2, float(np.float32(np.pi / 2))])
 def test_elevations_of_straight_up_and_down_are_accepted(tmp_path, angle):
     lines = rows()
-    edit(7, ELEVATION, repr(angle))(lines)
+    lines[7]["aoa_elevation_rad"] = repr(angle)
     assert read(store(tmp_path, text(lines))).measurement[2, 6] == angle
 
 
 def test_numbers_beyond_the_limits_are_kept_if_limits_are_off(tmp_path):
     lines = rows()
-    for column, value in ((AOA, "57.3"), (ELEVATION, "95.7"), (AOD, "-360.5"), (TOA, "1.0")):
-        edit(7, column, value)(lines)
+    lines[7].update(aoa_azimuth_rad="57.3", aoa_elevation_rad="95.7")
+    lines[7].update(aod_azimuth_rad="-360.5", toa_s="1.0")
     block = read(store(tmp_path, text(lines)), limits=False)
     np.testing.assert_allclose(block.measurement[2, 4:8], [SPEED_OF_LIGHT, 57.3, 95.7, -360.5])
 
@@ -133,13 +126,9 @@ def test_numbers_beyond_the_limits_are_kept_if_limits_are_off(tmp_path):
     ],
 )
 def test_wrong_values_that_apply_to_a_whole_epoch_are_refused(tmp_path, column, cells, line):
-    columns = ["doppler_spread_hz", "speed_mps", "heading_rad"]
-    lines = [
-        [*row, *(cell if name == column else "" for name in columns)]
-        for row, cell in zip(rows(1), cells, strict=True)
-    ]
-    path = store(tmp_path, text(lines, f"{HEADER},{','.join(columns)}"))
-    assert not delivered(path, f"line {line}", column)
+    of_epochs = dict.fromkeys(("doppler_spread_hz", "speed_mps", "heading_rad"), "")
+    lines = [row | of_epochs | {column: cell} for row, cell in zip(rows(1), cells, strict=True)]
+    assert not delivered(store(tmp_path, text(lines)), f"line {line}", column)
 
 
 HEADERS = {  # name -> header, fields that the message names
@@ -162,10 +151,10 @@ HEADERS = {  # name -> header, fields that the message names
             "aod_azimuth_body_deg,heading_deg",
         )
     },
-    "body without heading": (BODY, ["columns"]),
+    "body without heading": (in_body(HEADER), ["columns"]),
     **{
-        f"no {name}": (",".join(c for c in HEADER.split(",") if c != name), ["columns"])
-        for name in HEADER.split(",")
+        f"no {name}": (",".join(column for column in COLUMNS if column != name), ["columns"])
+        for name in COLUMNS
         if name != "doppler_hz"
     },
 }
@@ -184,10 +173,10 @@ def test_the_error_about_decimal_commas_names_the_line_and_the_column(tmp_path):
     assert not delivered(path, "line 2", "column 'aoa_azimuth_rad'")
 
 
-@pytest.mark.parametrize("cells", [[], [["1", *[""] * 6]], [["1", "1e-7", *[""] * 5]] * 9])
-def test_a_log_without_any_measurement_is_refused_at_its_end(tmp_path, cells):
-    path = store(tmp_path, text([[f"{t}", *row] for t, row in enumerate(cells)]))
-    assert sum(map(len, delivered(path))) == len(cells)
+@pytest.mark.parametrize("lines", [[], ["0,1,,,,,,"], [f"{t},1,1e-7,,,,," for t in range(9)]])
+def test_a_log_without_any_measurement_is_refused_at_its_end(tmp_path, lines):
+    path = store(tmp_path, "\n".join([HEADER, *lines]))
+    assert sum(map(len, delivered(path))) == len(lines)
 
 
 @pytest.mark.parametrize("name", ["log.txt", "log", "log.csv.zip", "log.gz"])
@@ -235,9 +224,10 @@ class TestParquet:
         self.parquet = pytest.importorskip("pyarrow.parquet")
 
     def columns(self, **changes):
-        cells = zip(*rows(), strict=True)
-        numbers = ([float(cell) if cell else None for cell in column] for column in cells)
-        return dict(zip(HEADER.split(","), numbers, strict=True)) | changes
+        lines = rows()
+        return {
+            name: [float(line[name]) if line[name] else None for line in lines] for name in COLUMNS
+        } | changes
 
     def store(self, folder, columns, **options):
         path = folder / "log.parquet"
