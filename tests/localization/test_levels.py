@@ -8,11 +8,13 @@ from experiments.evaluation.positions import Positions
 from experiments.evaluation.runner import score_contenders
 from experiments.evaluation.seeds import Selection
 from mmwave_env.localization.levels import PARTS, Levels, Network
-from mmwave_env.localization.localizer import Switching, TrackBlock, learned, localize
+from mmwave_env.localization.localizer import Switching, learned
 from mmwave_env.localization.position_errors import PositionErrors, gaussian_levels
 from mmwave_env.localization.tracker import Tracker
 from mmwave_env.task import task_from
 from tests.localization.test_policy_tracks import RADIO, ROWS, SCENE, blocks, corrector  # noqa: F401
+from tests.localization.test_position_errors import covariances
+from tests.logs.by_hand import track_of
 from tests.paths import representative
 from tests.refusals import refuses
 
@@ -23,11 +25,10 @@ FRESH = 5_900_000  # first of the tuning seeds that no calibration used
 def parts(seed=0):
     """Return random outputs of filters: x, P, NIS, accepted, rejected, and trust in a corrector."""
     rng = np.random.default_rng(seed)
-    root = rng.normal(size=(N, T, 7, 7))
-    P = (root @ np.swapaxes(root, 2, 3))[(..., *np.tril_indices(7))]
     fate = rng.integers(3, size=(N, T, ANCHORS + 1))
     nis = rng.chisquare(4, fate.shape)
-    return [rng.normal(size=(N, T, 7)), P, nis, fate == 0, fate == 1, rng.random((N, T))]
+    x, P, trusted = rng.normal(size=(N, T, 7)), covariances(N, T, seed=seed), rng.random((N, T))
+    return [x, P, nis, fate == 0, fate == 1, trusted]
 
 
 def watched(levels, policies, source, radio, seeds):
@@ -88,9 +89,7 @@ def test_epochs_in_pieces_have_the_factors_of_the_whole_track():
 def test_live_levels_are_those_of_the_complete_log(corrector, name):  # noqa: F811
     modes = learned("ppo-standard", "standard").modes[:1]
     switching = Switching(modes) if name == "ekf" else learned(corrector, "standard")
-    track = TrackBlock.joined(
-        list(localize(blocks(50), SCENE, RADIO, switching, window=None, levels=Levels()))
-    )
+    track = track_of(blocks(50), SCENE, RADIO, switching, window=None, levels=Levels())
     tracker = Tracker(SCENE, switching, "standard", levels=Levels())
     live = [tracker.update(epoch).levels_m for epoch in ROWS]
     expected = gaussian_levels(track.P, 1e-3) * track.level_factors

@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 
 from mmwave_env.filters.bank import named_modes
-from mmwave_env.localization.localizer import Switching, TrackBlock, localize
+from mmwave_env.localization.localizer import Switching
 from mmwave_env.localization.tracker import Tracker
 from mmwave_env.logs.live_log import LiveLog
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
+from tests.logs.by_hand import track_of
 from tests.paths import LOGS
 
 WALK = LOGS / "canyon28_pedestrian"
@@ -72,7 +73,7 @@ def test_live_epochs_are_those_of_the_log_to_the_last_bit(tmp_path, changed, snr
         writer.writeheader()
         writer.writerows(row for epoch in epochs for row in epoch)
     blocks = read_log(path, SCENE, partial=True, snr_db=snr_db)
-    track = TrackBlock.joined(list(localize(blocks, SCENE, RADIO, Switching((EKF,)), window=None)))
+    track = track_of(blocks, SCENE, RADIO, Switching((EKF,)), window=None)
     tracker = Tracker(SCENE, Switching((EKF,)), RADIO, snr_db=snr_db)
     with patch.object(Tracker, "_load", autospec=True, side_effect=Tracker._load) as careful:
         positions = [tracker.update(epoch) for epoch in epochs]

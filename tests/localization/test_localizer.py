@@ -17,15 +17,14 @@ from mmwave_env.localization.localizer import Switching, TrackBlock, localize, s
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, Scene
 from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 from policies.speed_rule import by_odometry_speed, by_predicted_speed
-from tests.filters.tracks import track
-from tests.logs.by_hand import assert_same
+from tests.filters.tracks import geometry, track
+from tests.logs.by_hand import assert_same, block_of, cut, track_of
 from tests.logs.writing import write_log
 from tests.paths import representative
 from tests.refusals import refuses
@@ -60,16 +59,6 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def block(folder):
     return log(folder)
-
-
-def cut(block, sizes):
-    """Cut a block into blocks of these sizes, which are repeated until the block ends."""
-    blocks, first = [], 0
-    while first < len(block):
-        size = sizes[len(blocks) % len(sizes)]
-        blocks.append(block.part(slice(first, first + size)))
-        first += size
-    return blocks
 
 
 def run(blocks, modes=(EKF,), rule=None, **options):
@@ -303,16 +292,11 @@ def test_a_log_that_begins_straight_below_or_above_an_anchor_starts_at_the_next_
     scene = Scene("lamp", (3.0, 4.0, 10.0), virtual_anchors_m=((3.0, 34.0, 10.0),))
     layout, epochs = Layout(2), 60
     along = np.concatenate([np.full(4, steep), 1.5 * np.arange(1, epochs - 3)])
-    position = np.stack([3.0 + along, np.full(epochs, 4.0), np.full(epochs, 10.0 + 8.0 * side)])
-    velocity = [np.where(along > steep, 1.5, 0.0), np.zeros(epochs), np.zeros(epochs)]
-    rows = exact_rows(list(position), velocity, scene.anchors_m.tolist(), scene.hz_per_mps, layout)
-    visible, snr, spread = np.ones((epochs, 3), bool), np.full((epochs, 2), 30.0), np.zeros(epochs)
-    time, table = np.arange(epochs, dtype=float), np.stack(rows, axis=1)
-    own, first = np.full(table.shape, np.nan), np.zeros(epochs, int)
-    seen_by = table, own, visible, ~visible, first, snr, spread, spread > 0
-    block = LogBlock(layout, time, *seen_by, 1.0)
-    track_of_it = localize([block], scene, RADIO, Switching((EKF,)), window=None)
-    result = TrackBlock.joined(list(track_of_it))
+    position = [3.0, 4.0, 10.0 + 8.0 * side] + along[:, None] * [1.0, 0.0, 0.0]
+    velocity = np.where(along > steep, 1.5, 0.0)[:, None] * [1.0, 0.0, 0.0]
+    rows = geometry(position, velocity, scene, layout)
+    block = block_of(layout, np.arange(60.0), rows, np.ones((epochs, 3), bool), snr_db=30.0)
+    result = track_of([block], scene, RADIO, Switching((EKF,)), window=None)
     assert result.skipped == 4 and result.time_s[0] == 4.0
-    error = np.linalg.norm(result.x[:, :3] - position.T[4:], axis=1)
+    error = np.linalg.norm(result.x[:, :3] - position[4:], axis=1)
     assert error.max() < 1.0

@@ -103,10 +103,10 @@ def test_an_impossible_risk_is_refused(risk):
 ERRORS = hnp.arrays(float, st.tuples(st.integers(1, 60), st.just(3)), elements=st.floats(-50, 50))
 
 
-def covariances(n, seed=0):
-    """Return random packed covariances (n, 28)."""
-    factor = np.random.default_rng(seed).normal(size=(n, 7, 7))
-    return (factor @ np.swapaxes(factor, 1, 2))[(..., *np.tril_indices(7))]
+def covariances(*shape, seed=0):
+    """Return random packed covariances (*shape, 28)."""
+    factor = np.random.default_rng(seed).normal(size=(*shape, 7, 7))
+    return (factor @ np.swapaxes(factor, -2, -1))[(..., *np.tril_indices(7))]
 
 
 def assert_figures(figures, size, level):

@@ -14,15 +14,9 @@ from mmwave_env.logs.tum import tum_lines
 from mmwave_env.metrics import ate, rmse, rpe
 from tests.filters.tracks import unpacked
 from tests.localization.test_track_files import some_track
+from tests.logs.by_hand import cut
 
 T = 400
-
-
-def pieces(block, sizes):
-    first = 0
-    for size in sizes:
-        yield block.part(slice(first, first + size))
-        first += size
 
 
 @pytest.mark.parametrize("sizes", [[T], [1, 99, 300], [250, 150], [40] * 10])
@@ -34,7 +28,7 @@ def test_scores_of_blocks_equal_the_metrics_of_complete_tracks(tmp_path, sizes, 
     (tmp_path / "truth.tum").write_text(tum_lines(block.time_s[known], truth[known]))
     kinds = ["filtered", "smoothed"]
     scores = TruthScores(Truth(tmp_path / "truth.tum"), kinds, planar, risk=0.1)
-    true = np.concatenate([scores.add(piece) for piece in pieces(block, sizes)])
+    true = np.concatenate([scores.add(piece) for piece in cut(block, sizes)])
     np.testing.assert_array_equal(true[known], truth[known])
     figures = scores.figures()
     n = known.stop - known.start
@@ -85,7 +79,7 @@ def scored_at(tmp_path, time_s, known, sizes=(T,), segment=None):
     (tmp_path / "truth.tum").write_text(tum_lines(time_s[known], np.zeros((len(known), 3))))
     scores = TruthScores(Truth(tmp_path / "truth.tum"), ["filtered"], planar=False)
     first = 0
-    for piece in pieces(block, sizes):
+    for piece in cut(block, sizes):
         scores.add(replace(piece, segment=0 if segment is None else segment[first]))
         first += len(piece)
     figures = scores.figures()
@@ -150,7 +144,7 @@ def test_statistics_of_groups_equal_those_of_the_complete_track(sizes):
         block, accepted=accepted, nis=block.visible * rng.chisquare([4, 4, 4, 1], (T, 4))
     )
     groups = Groups()
-    for piece in pieces(block, sizes):
+    for piece in cut(block, sizes):
         groups.add(piece)
     figures = groups.figures()
     assert list(figures) == ["anchor 1", "anchor 2", "anchor 3", "Doppler", "all"]
@@ -176,7 +170,7 @@ def test_statistics_of_groups_equal_those_of_the_complete_track(sizes):
 def test_the_course_of_a_track_does_not_depend_on_its_pieces(sizes):
     block = replace(some_track(T), skipped=5, segment=2, dropped=7)
     course = Course(["slow", "fast"])
-    for piece in pieces(block, sizes):
+    for piece in cut(block, sizes):
         course.add(piece)
     figures = course.figures()
     speed = np.linalg.norm(block.x[:, 3:6], axis=1)

@@ -1,4 +1,4 @@
-"""Helpers that write logs by hand, read them, and compare blocks of epochs."""
+"""Helpers that write logs by hand, read and localize them, and cut and compare their blocks."""
 
 from functools import lru_cache
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mmwave_env.datasets.log_writer import log_columns, log_text
+from mmwave_env.localization.localizer import TrackBlock, localize
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.radio import RADIOS
@@ -48,6 +49,39 @@ def store(folder, content, name="log.csv"):
 
 def read(path, scene=SCENE, **options):
     return LogBlock.joined(list(read_log(path, scene, **options)))
+
+
+def block_of(layout, time_s, measurement, visible, snr_db=20.0):
+    """Return a block with these values; groups that are not visible are incomplete."""
+    T = len(time_s)
+    return LogBlock(
+        layout=layout,
+        time_s=time_s,
+        measurement=measurement,
+        sigma=np.full(measurement.shape, np.nan),
+        visible=visible,
+        incomplete=~visible,
+        doppler_anchor=np.zeros(T, int),
+        snr_db=np.full((T, layout.anchors), snr_db),
+        doppler_spread_hz=np.zeros(T),
+        restarts=np.zeros(T, bool),
+        share=1.0,
+    )
+
+
+def cut(block, sizes):
+    """Cut a block into blocks of these sizes, which are repeated until the block ends."""
+    blocks, first = [], 0
+    while first < len(block):
+        size = sizes[len(blocks) % len(sizes)]
+        blocks.append(block.part(slice(first, first + size)))
+        first += size
+    return blocks
+
+
+def track_of(blocks, scene, radio, switching, **options):
+    """Localize a log and return its track in one block; the options are those of ``localize``."""
+    return TrackBlock.joined(list(localize(blocks, scene, radio, switching, **options)))
 
 
 def delivered(path, *fields, reader=read_log, **options):

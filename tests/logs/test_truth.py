@@ -8,11 +8,11 @@ from scipy.interpolate import CubicHermiteSpline
 
 from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.logs.clock import clock_offset
-from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.truth import BRIDGED_S, TOLERANCE_S, TrueEpochs, Truth
 from mmwave_env.logs.tum import read_tum, tum_lines
 from mmwave_env.models.layout import LINK, Layout
 from mmwave_env.models.scene import SCENES, read_scene
+from tests.logs.by_hand import block_of, read
 
 
 def truth_of(folder, time_s, position_m):
@@ -57,15 +57,6 @@ def test_poses_are_interpolated_between_gaps(tmp_path_factory, poses, epochs, la
     assert (truth.first_s, truth.last_s) == (pose_s[0], pose_s[-1])
 
 
-def test_a_pose_at_the_time_of_an_epoch_is_returned_unchanged(tmp_path):
-    rng = np.random.default_rng(1)
-    pose_s = np.cumsum(rng.uniform(0.01, 2.0, 300))
-    position = 1e3 * rng.standard_normal((300, 3))
-    true = truth_of(tmp_path, pose_s, position).at(pose_s)
-    np.testing.assert_array_equal(true.position_m, position)
-    np.testing.assert_array_equal(true.away_s, 0.0)
-
-
 STREET = SCENES["street"]
 
 
@@ -87,24 +78,11 @@ def exact_links(position_m, anchors_m):
 
 def log_of(time_s, position_m, rng, bias=0.0):
     """Return a noisy log of a receiver at given positions; ``bias`` is in standard deviations."""
-    layout = Layout(3)
     sigma = np.tile([0.3, 0.01, 0.01, 0.02], 3)
     z = exact_links(position_m, STREET.anchors_m)
     z = z + sigma * (rng.standard_normal(z.shape) + bias)
-    T = len(time_s)
-    return LogBlock(
-        layout=layout,
-        time_s=time_s,
-        measurement=np.column_stack([z, np.zeros(T)]),
-        sigma=np.full((T, 13), np.nan),
-        visible=rng.random((T, 4)) < 0.8,
-        incomplete=np.zeros((T, 4), bool),
-        doppler_anchor=np.zeros(T, int),
-        snr_db=np.full((T, 3), 20.0),
-        doppler_spread_hz=np.zeros(T),
-        restarts=np.zeros(T, bool),
-        share=1.0,
-    )
+    visible = rng.random((len(z), 4)) < 0.8
+    return block_of(Layout(3), time_s, np.column_stack([z, np.zeros(len(z))]), visible)
 
 
 def compared(log, seconds, shift=(0.0, 0.0, 0.0)):
@@ -184,7 +162,8 @@ def test_a_short_log_or_an_unknown_ground_truth_gives_no_offset():
     time_s = np.arange(0.0, 8.0, 0.1)
     log = log_of(time_s, user(time_s)[0], np.random.default_rng(7))
     assert compared(log, 0.1) is None
-    nothing = TrueEpochs(np.full((80, 3), np.nan), np.full((80, 3), np.nan), np.full(80, np.nan))
+    unknown = np.full((80, 3), np.nan)
+    nothing = TrueEpochs(unknown, unknown, unknown[:, 0])
     assert clock_offset(log, STREET, lambda time_s: nothing) is None
 
 
@@ -194,7 +173,6 @@ def test_an_offset_is_found_even_if_it_is_too_large_for_one_linearization(tmp_pa
     poses = read_tum(folder / "truth.tum")
     path.write_text(tum_lines(poses.time_s + late_s, poses.position_m))
     scene = read_scene(folder / "scene.json")
-    log = LogBlock.joined(list(read_log(folder / "log.csv", scene)))
-    clock = clock_offset(log, scene, Truth(path).at)
+    clock = clock_offset(read(folder / "log.csv", scene), scene, Truth(path).at)
     assert clock.matters and clock.seconds == pytest.approx(late_s, abs=0.03)
     assert clock.deviation_s < 0.02
