@@ -1,6 +1,7 @@
 """Mistakes that receivers and scripts make, as functions from correct columns to wrong ones."""
 
 import csv
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -70,4 +71,4 @@ MISTAKES = {  # hypothesis that explains a mistake -> the mistake
     "Doppler shift is in kHz, not in Hz": linear(1e-3, "doppler_hz"),
     "Doppler shift is in Hz, not in kHz": linear(1e3, "doppler_hz"),
 }
-ORDERS = [(2, 1, 3), (3, 2, 1), (1, 3, 2), (2, 3, 1), (3, 1, 2)]  # wrong orders of anchors
+ORDERS = list(permutations((1, 2, 3)))[1:]  # wrong orders of anchors

@@ -1,6 +1,5 @@
 """Tests of the assignment of paths to anchors, of where tracks begin, and of the counts."""
 
-from functools import lru_cache
 from itertools import islice
 
 import numpy as np
@@ -9,18 +8,19 @@ import pytest
 from mmwave_env.datasets.log_folder import read_log_folder
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.localization.association import Association, associate
-from mmwave_env.localization.localizer import Switching, localize
+from mmwave_env.localization.localizer import Switching
 from mmwave_env.localization.segments import segments
 from mmwave_env.logs.log import LogBlock, PathEpoch, read_log, read_paths
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.measurement import exact_rows, seen_from_image
+from mmwave_env.models.measurement import seen_from_image
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, Scene
 from mmwave_env.world.simulated import SimulatedSource
 from policies.speed_rule import by_predicted_speed
-from tests.logs.by_hand import assert_same, hide_anchors
+from tests.filters.tracks import geometry
+from tests.logs.by_hand import assert_same, hide_anchors, track_of
 from tests.paths import LOGS, representative
 
 RADIO = RADIOS["standard"]
@@ -39,14 +39,8 @@ def labelled(epochs, scene=SCENE, tally=None, **more):
 def walk(anchors_seen, false_paths=0, seed=0, y_m=-2.0):
     """Yield epochs of a user who walks east; ``anchors_seen`` lists visible anchors by epoch."""
     rng, time = np.random.default_rng(seed), np.arange(len(anchors_seen), dtype=float)
-    position = [20.0 + 1.4 * time, np.full(len(anchors_seen), y_m), np.full(len(anchors_seen), 1.5)]
-    velocity = [
-        np.full(len(anchors_seen), 1.4),
-        np.zeros(len(anchors_seen)),
-        np.zeros(len(anchors_seen)),
-    ]
-    anchors = SCENE.anchors_m.tolist()
-    exact = np.stack(exact_rows(position, velocity, anchors, SCENE.hz_per_mps, LAYOUT), axis=1)
+    position = [20.0, y_m, 1.5] + time[:, None] * [1.4, 0.0, 0.0]
+    exact = geometry(position, np.tile([1.4, 0.0, 0.0], (len(time), 1)), SCENE, LAYOUT)
     sigma = RADIO.sigma(np.full((1, 3), 25.0), SCENE, LAYOUT)
     noisy = exact + sigma * rng.standard_normal(exact.shape)
     for t, links in enumerate(anchors_seen):
@@ -68,27 +62,20 @@ def seen_in(block):
     return [tuple(np.flatnonzero(row[:3]).tolist()) for row in block.visible]
 
 
-@lru_cache
-def shipped(name):
-    """Return a shipped track, and an episode of it that assigns measurements to anchors."""
-    track = read_log_folder(LOGS / name)
-    return track, track.episode("standard", np.random.default_rng(0))
-
-
-def ate(block, scene, truth_m, times):
-    tracks = list(
-        localize([block], scene, RADIO, Switching(MODES, by_predicted_speed), window=None)
-    )
-    x, time = (np.concatenate([getattr(t, name) for t in tracks]) for name in ("x", "time_s"))
-    return np.linalg.norm(x[:, :3] - truth_m[np.searchsorted(times, time)], axis=1).mean()
+def ate(block, true):
+    """Return the mean position error in m of a block's track; ``true`` is the measured track."""
+    track = track_of([block], true.scene, RADIO, Switching(MODES, by_predicted_speed), window=None)
+    position_m = true.position_m[np.searchsorted(true.time_s, track.time_s)]
+    return np.linalg.norm(track.x[:, :3] - position_m, axis=1).mean()
 
 
 @pytest.mark.parametrize(
     "name", representative(["canyon28_vehicle", "canyon28_pedestrian"], "canyon28_vehicle")
 )
 def test_a_sample_without_anchor_numbers_gives_nearly_the_same_track(tmp_path, name):
-    track, episode = shipped(name)
+    track = read_log_folder(LOGS / name)
     path, tally = tmp_path / "log.csv", Association(3)
+    episode = track.episode("standard", np.random.default_rng(0))
     hide_anchors(path, episode, false_paths=5, seed=1)
     block = labelled(read_paths(path, track.scene), track.scene, tally)
     (true,) = read_log(LOGS / name / "log.csv", track.scene)
@@ -96,8 +83,7 @@ def test_a_sample_without_anchor_numbers_gives_nearly_the_same_track(tmp_path, n
     same = (block.measurement == true.measurement)[:, :12].reshape(-1, 3, 4).all(axis=2)
     assert not (ours & ~(links & same)).any()
     assert (ours & links).sum() > 0.98 * links.sum()
-    errors = [ate(b, track.scene, track.position_m, track.time_s) for b in (true, block)]
-    assert errors[1] < 1.1 * errors[0]
+    assert ate(block, track) < 1.1 * ate(true, track)
     figures = tally.figures()
     T = len(track)
     assert figures["paths"] == 5 * T + links.sum() and figures["starts"] == 1

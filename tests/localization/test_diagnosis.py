@@ -117,10 +117,12 @@ LACKING = {  # mistake -> columns that the log lacks
 
 @pytest.mark.parametrize("name", representative(LACKING, "elevation has the other sign"))
 def test_a_mistake_in_a_log_that_lacks_columns_is_diagnosed(tmp_path, name):
-    scene, mistake = read_scene(FOLDERS[0] / "scene.json"), MISTAKES.get(name, dict)
-    columns, path = mistake(read_columns(FOLDERS[0] / "log.csv")), tmp_path / "log.csv"
-    write_columns(path, {k: v for k, v in columns.items() if k not in LACKING[name]})
-    best, *others = findings(path, scene, partial=True)
+    def change(columns):
+        columns = MISTAKES.get(name, dict)(columns)
+        return {k: v for k, v in columns.items() if k not in LACKING[name]}
+
+    path = wrong_log(tmp_path, FOLDERS[0], change)
+    best, *others = findings(path, read_scene(FOLDERS[0] / "scene.json"), partial=True)
     assert best.hypothesis == name and not best.contradictions
     if "doppler_hz" in LACKING[name]:
         assert not any("Doppler" in f.hypothesis for f in others)

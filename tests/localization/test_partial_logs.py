@@ -1,4 +1,4 @@
-"""Tests of logs that lack quantities, state their own noise, or have any anchor's Doppler shift."""
+"""Tests of logs that lack quantities or state their own noise."""
 
 import csv
 
@@ -56,17 +56,6 @@ def test_standard_deviations_in_a_log_are_used_and_make_an_snr_unnecessary(tmp_p
     assert np.isnan(block.sigma[:, 2]).all() and not np.isfinite(block.snr_db).any()
 
 
-def test_the_doppler_shift_may_be_of_any_anchor(tmp_path):
-    def moved(row):
-        return row | {"doppler_hz": 50.0 if row["anchor"] == "2" else ""}
-
-    block = read(
-        written(tmp_path / "log.csv", ("time_s", "anchor", *LINK, "doppler_hz", "snr_db"), moved)
-    )
-    shifted = block.visible[:, block.layout.anchors]
-    assert shifted.any() and (block.doppler_anchor[shifted] == 1).all()
-
-
 def test_a_log_without_noise_columns_is_refused_unless_an_snr_is_given(tmp_path):
     path = written(tmp_path / "log.csv", ("time_s", "anchor", "toa_s", "aoa_azimuth_rad"))
     with refuses("columns", error=LogError):
@@ -92,7 +81,7 @@ def both(row):
 def test_a_log_that_cannot_give_a_track_is_refused(tmp_path, field, columns, change, more):
     path = written(tmp_path / "log.csv", columns, change, **more)
     with refuses(field, error=LogError):
-        list(read_log(path, SCENE, partial=True))
+        read(path)
 
 
 def test_the_nearest_radio_is_the_profile_with_the_noise_of_the_log(tmp_path):

@@ -9,14 +9,14 @@ import pytest
 from mmwave_env.filters import textbook
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.textbook import Sensor, tangent
-from mmwave_env.localization.localizer import Switching, TrackBlock, localize
-from mmwave_env.logs.log import LogBlock, read_log
+from mmwave_env.localization.localizer import Switching
+from mmwave_env.logs.tum import tum_lines
 from mmwave_env.models.layout import wrapped
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import scene_of_anchors
-from mmwave_env.numerics.linalg import unpack
-from tests.cli import succeed
-from tests.filters.tracks import process_noise
+from tests.commands.localizing import figures
+from tests.filters.tracks import process_noise, unpacked
+from tests.logs.by_hand import read, track_of
 from tests.paths import representative
 
 ANCHORS = np.array([[0.0, 0.0, 10.0], [0.0, 70.0, 10.0], [-90.0, 0.0, 12.0], [60.0, -50.0, 8.0]])
@@ -103,23 +103,20 @@ def test_a_track_equals_that_of_a_textbook_ekf_and_is_consistent(tmp_path, recei
     height_m, axes = (1.5, 2) if flat else (None, 3)
     for seed in range(WALKS):
         scene, truth = walk(tmp_path / "log.csv", receiver, seed)
-        log = LogBlock.joined(list(read_log(tmp_path / "log.csv", scene, partial=True)))
-        blocks = localize([log], scene, RADIO, Switching((MODE,)), None, height_m)
-        track = TrackBlock.joined(list(blocks))
-        begins, P = EPOCHS - len(track), [np.array(unpack(list(p)), float) for p in track.P]
+        log = read(tmp_path / "log.csv", scene, partial=True)
+        switching = Switching((MODE,))
+        track = track_of([log], scene, RADIO, switching, window=None, height_m=height_m)
+        begins, P = EPOCHS - len(track), unpacked(track.P)
         plain = by_textbook(log.part(slice(begins, None)), scene, track.x[0], P[0], flat)
         np.testing.assert_allclose(track.x[:, :3], plain, atol=1e-6)
         error = track.x[:, :3] - truth[begins:]
         ours.append(np.linalg.norm(error[SETTLED:], axis=1).mean())
         expected.append(np.linalg.norm((plain - truth[begins:])[SETTLED:], axis=1).mean())
-        blocks = [p[:axes, :axes] for p in P]
-        nees.append(
-            [e @ np.linalg.solve(S, e) for e, S in zip(error[:, :axes], blocks, strict=True)][
-                SETTLED:
-            ]
-        )
+        settled = error[SETTLED:, :axes, None]
+        scaled = np.linalg.solve(P[SETTLED:, :axes, :axes], settled)
+        nees.append((settled * scaled).sum(axis=1).mean())
     assert np.mean(ours) == pytest.approx(np.mean(expected), rel=0.05)
-    assert np.mean([np.mean(walk) for walk in nees]) == pytest.approx(axes, rel=0.15)
+    assert np.mean(nees) == pytest.approx(axes, rel=0.15)
 
 
 @pytest.mark.slow
@@ -142,13 +139,9 @@ def test_places_are_found_from_range_and_azimuth_of_one_anchor_at_the_users_heig
         azimuth = np.degrees(np.arctan2(y, x)) + 2.5 * rng.standard_normal()
         lines.append(f"{t},1,{distance},{azimuth},0.15,2.5")
     (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
-    poses = [f"{t} {x} {y} 1.5 0 0 0 1" for t, (x, y) in enumerate(places)]
-    (tmp_path / "truth.tum").write_text("\n".join(poses) + "\n")
-    words = ["--scene", tmp_path / "scene.json", "--truth", tmp_path / "truth.tum"]
-    succeed(
-        "localize", tmp_path / "log.csv", *words, "--height", 1.5, "--json", tmp_path / "r.json"
-    )
-    tracks = json.loads((tmp_path / "r.json").read_text())["truth"]["tracks"]
+    true = np.column_stack([places, np.full(45, 1.5)])
+    (tmp_path / "truth.tum").write_text(tum_lines(np.arange(45.0), true))
+    tracks = figures(tmp_path, "--height", 1.5)["truth"]["tracks"]
     assert tracks["smoothed"]["ate_m"] < tracks["filtered"]["ate_m"] < 0.45
     assert 1.0 < tracks["filtered"]["nees"] < 3.0  # its expectation for two free axes is 2
     assert tracks["filtered"]["in_bounds"] > 0.85

@@ -5,15 +5,17 @@ import shutil
 
 import numpy as np
 
+from mmwave_env.models.layout import wrapped
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from tests.filters.tracks import geometry
+from tests.logs.by_hand import shown
 from tests.paths import RECORDINGS
 
 VEHICLE, PEDESTRIAN = RECORDINGS / "canyon28_vehicle", RECORDINGS / "canyon28_pedestrian"
 STATION = "t000_tx000"
 LINK = f"{STATION}_r001"
-KEYS = ("rx_pos", "tx_pos", "power", "delay", "aoa_az", "aoa_el", "aod_az", "aod_el", "inter",
-        "inter_pos")  # fmt: skip
+OF_PATHS = ("power", "delay", "aoa_az", "aoa_el", "aod_az", "aod_el", "inter", "inter_pos")
+KEYS = ("rx_pos", "tx_pos", *OF_PATHS)
 TRUTH = "trajectory.csv"
 SAVE = {  # functions that write an array to a file, by suffix
     ".npz": lambda file, key, array: np.savez_compressed(file, **{key: array}),
@@ -92,7 +94,7 @@ def dynamic_twin(static, folder, others=0):
         most = int(np.isfinite(arrays["inter"][rows]).sum(axis=1).max())
         for key, array in arrays.items():
             chosen = array if key == "tx_pos" else array[rows]
-            store(scene, key, chosen if key[1:] == "x_pos" else chosen[:, :most])
+            store(scene, key, chosen[:, :most] if key in OF_PATHS else chosen)
     return folder
 
 
@@ -104,11 +106,8 @@ def assert_fits(recording, scene, near_m=1e-6, near_rad=1e-5):
     """Assert that the rows of all visible links fit the geometry of a scene."""
     layout = recording.layout
     exact = geometry(recording.position_m, recording.velocity_mps, scene, layout)
-    difference = np.where(
-        np.repeat(recording.visible, layout.widths, axis=1), recording.measurement - exact, 0.0
-    )
-    angles = np.remainder(difference[:, layout.angles] + np.pi, 2.0 * np.pi) - np.pi
-    np.testing.assert_allclose(angles, 0.0, atol=near_rad)
+    difference = np.where(shown(recording), recording.measurement - exact, 0.0)
+    np.testing.assert_allclose(wrapped(difference[:, layout.angles]), 0.0, atol=near_rad)
     np.testing.assert_allclose(difference[:, : layout.doppler : 4], 0.0, atol=near_m)
     np.testing.assert_allclose(difference[:, layout.doppler], 0.0, atol=1e-9)
 

@@ -9,8 +9,8 @@ from mmwave_env.datasets.deepmimo import read_deepmimo
 from mmwave_env.datasets.deepmimo.anchors import find_links
 from mmwave_env.datasets.deepmimo.v4 import open_scenario
 from tests.datasets.deepmimo.scenarios import (
-    KEYS,
     LINK,
+    OF_PATHS,
     PEDESTRIAN,
     assert_fits,
     edit,
@@ -102,15 +102,12 @@ def test_sloping_ground_counts_as_ground_and_a_leaning_wall_as_a_wall(tmp_path_f
 def test_paths_with_two_reflections_are_left_out_whatever_their_values(tmp_path):
     folder = shortened(tmp_path / "walk", 20, source=PEDESTRIAN)
     expected = read_deepmimo(folder)
-    paths = {key: load(folder, key) for key in KEYS}
-    inter = paths.pop("inter")
-    store(folder, "inter", np.concatenate([inter, np.full_like(inter, 11.0)], axis=1))
-    for key, array in paths.items():
-        if key[1:] != "x_pos":
-            odd = np.where(
-                np.arange(len(array))[(...,) + (None,) * (array.ndim - 1)] % 2, 1e30, np.nan
-            )
-            store(folder, key, np.concatenate([array, odd + 0 * np.nan_to_num(array)], axis=1))
+    for key in OF_PATHS:
+        array = load(folder, key)
+        twice = np.full_like(array, 11.0 if key == "inter" else np.nan)
+        if key != "inter":
+            twice[::2] = 1e30
+        store(folder, key, np.concatenate([array, twice], axis=1))
     recording = read_deepmimo(folder)
     np.testing.assert_array_equal(recording.measurement, expected.measurement)
     np.testing.assert_array_equal(recording.visible, expected.visible)
