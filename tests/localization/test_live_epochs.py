@@ -96,9 +96,8 @@ def outcome(rows):
     """Return the values of the last epoch in these rows, or the message of the first error."""
     log = LiveLog(NAMES, SCENE)
     try:
-        block = [*(epoch for row in rows for epoch in log.add(row, 7)), *log.end_epoch()][
-            -1
-        ].block()
+        epochs = [epoch for row in rows for epoch in log.add(row, 7)]
+        block = [*epochs, *log.end_epoch()][-1].block()
     except LogError as error:
         return str(error)
     return repr([block.measurement, block.sigma, block.snr_db, block.doppler_spread_hz])

@@ -109,25 +109,19 @@ def test_a_track_in_one_mode_equals_that_of_the_engine(block, mode):
     assert (result.mode == 0).all() and result.share == 1.0
 
 
-def test_the_predicted_speed_chooses_the_mode_in_every_epoch(block):
-    result = run(cut(block, [64]), (EKF, UKF), by_predicted_speed)
+@pytest.mark.parametrize("odometry", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_the_speed_predicted_or_measured_by_odometry_chooses_the_mode(folder, odometry):
+    block = log(folder, odometry)
+    rule = by_odometry_speed if odometry else by_predicted_speed
+    result = run(cut(block, [64]), (EKF, UKF), rule)
     assert_engines(result, block, (EKF, UKF))
-    before = np.concatenate([np.zeros((1, 3)), result.x[:-1, 3:6]])
-    np.testing.assert_array_equal(result.mode, np.linalg.norm(before, axis=1) > 2.0)
+    speed = np.concatenate([[0.0], np.linalg.norm(result.x[:-1, 3:6], axis=1)])
+    if odometry:
+        measured = result.visible[:, -1]
+        speed = np.where(measured, block.measurement[2:, -2], speed)
+        assert measured.any() and not measured.all()
+    np.testing.assert_array_equal(result.mode, speed > 2.0)
     assert 0.1 < result.mode.mean() < 0.9
-
-
-@pytest.mark.slow
-def test_the_odometry_speed_chooses_the_mode_where_it_is_measured(folder):
-    block = log(folder, odometry=True)
-    modes = (EKF, replace(EKF, name="fast", sigma_v=3.0))
-    result = run([block], modes, by_odometry_speed)
-    assert_engines(result, block, modes)
-    measured = result.visible[:, -1]
-    speed = block.measurement[2:, -2]
-    before = np.concatenate([[0.0], np.linalg.norm(result.x[:-1, 3:6], axis=1)])
-    np.testing.assert_array_equal(result.mode, np.where(measured, speed, before) > 2.0)
-    assert measured.any() and not measured.all()
 
 
 @pytest.mark.parametrize("modes", [(EKF,), pytest.param(BANK, marks=pytest.mark.slow)])

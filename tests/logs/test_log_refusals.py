@@ -34,11 +34,7 @@ from tests.refusals import refuses
 
 def edit(row, column, value):
     """Return a function that changes a cell; rows are counted from 0, so row r is line r + 2."""
-
-    def change(lines):
-        lines[row][column] = value
-
-    return change
+    return lambda lines: lines[row].update({column: value})
 
 
 CELLS = [  # row, column and wrong content of the cell
@@ -71,12 +67,12 @@ DAMAGE = {  # name -> change, fields that the message names, number of epochs be
     "NULs": (lambda lines: lines.insert(9, {"": "\0" * 90}), ["line 11"], 3),
     "additional row": (lambda lines: lines.append(lines[9]), ["line 14", "anchor"], 3),
     "first of two errors": (
-        lambda lines: (edit(7, "toa_s", "-1")(lines), edit(10, "snr_db", "x")(lines)),
+        lambda lines: (lines[7].update(toa_s="-1"), lines[10].update(snr_db="x")),
         ["line 9", "toa_s"],
         2,
     ),
     "text before a wrong number": (
-        lambda lines: (edit(7, "snr_db", "x")(lines), edit(10, "toa_s", "-1")(lines)),
+        lambda lines: (lines[7].update(snr_db="x"), lines[10].update(toa_s="-1")),
         ["line 9", "snr_db"],
         2,
     ),

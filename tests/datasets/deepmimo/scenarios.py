@@ -39,6 +39,15 @@ def edit(folder, key, change, link=LINK):
     store(folder, key, array if changed is None else changed, link)
 
 
+def set_at(index, value):
+    """Return a change for :func:`edit` that sets elements of an array."""
+
+    def change(array):
+        array[index] = value
+
+    return change
+
+
 def edit_params(folder, change):
     file = folder / "params.json"
     params = json.loads(file.read_text())

@@ -16,6 +16,7 @@ from tests.datasets.deepmimo.scenarios import (
     edit,
     load,
     reflect,
+    set_at,
     shortened,
     store,
     write_hall,
@@ -28,16 +29,8 @@ WALL = (np.array([0.0, -1.0, 0.0]), 30.0)  # the plane y = -30
 USERS = np.column_stack([np.linspace(5.0, 55.0, 26), np.full(26, -8.0), np.full(26, 1.5)])
 
 
-def paths_of(folder):
-    scenario = open_scenario(folder)
-    return scenario.paths(scenario.epochs(None))
-
-
 def hide_line_of_sight(folder, link, epochs):
-    def hide(inter):
-        inter[epochs, 0] = np.nan
-
-    edit(folder, "inter", hide, link)
+    edit(folder, "inter", set_at((epochs, 0), np.nan), link)
 
 
 @pytest.fixture
@@ -92,7 +85,8 @@ def test_sloping_ground_counts_as_ground_and_a_leaning_wall_as_a_wall(tmp_path_f
         points = np.vstack([USERS, STATIONS[:1]])
         surfaces.append((normal, float((points @ normal).max()) + 2.0))
     write_hall(folder, STATIONS[0], USERS, surfaces)
-    (station,) = paths_of(folder)
+    scenario = open_scenario(folder)
+    (station,) = scenario.paths(scenario.epochs(None))
     links = find_links(station, USERS)
     images = [reflect(STATIONS[0], *surface) for surface in surfaces]
     np.testing.assert_allclose(links.anchors_m[1:], images, atol=1e-4)

@@ -25,6 +25,8 @@ from tests.datasets.deepmimo.scenarios import (
     edit_params,
     load,
     reflect,
+    set_at,
+    set_counts,
     store,
     write_hall,
 )
@@ -135,74 +137,63 @@ def test_a_wall_in_any_direction_becomes_an_anchor(turn, offset, tilt, height, c
     assert_fits(recording, recording.scene)
 
 
-def set_at(index, value):
-    def change(array):
-        array[index] = value
-
-    return change
+def drop(folder, file):
+    (folder / file).unlink()
 
 
-def drop(file):
-    return lambda folder: (folder / file).unlink()
+def write(folder, file, content):
+    (folder / file).write_bytes(content)
 
 
-def write(file, content):
-    return lambda folder: (folder / file).write_bytes(content)
-
-
-def params(part, **changes):
-    return lambda folder: edit_params(folder, lambda content: content[part].update(changes))
-
-
-def array(key, change):
-    return lambda folder: edit(folder, key, change)
-
-
-def line(number, content):
-    return lambda folder: edit_line(folder, number, content)
-
-
-DAMAGE = {  # name -> (function that damages a folder, file or part that the refusal names)
-    "no params": (drop("params.json"), "params.json"),
-    "params not JSON": (write("params.json", b"{"), "params.json"),
-    "frequency a word": (params("rt_params", frequency="28 GHz"), "rt_params.frequency"),
-    "dynamic scenario": (params("scene", num_scenes=7), "scene.num_scenes"),
-    "no receivers' file": (drop(f"rx_pos_{LINK}.npz"), "scenario"),
-    "no delays": (drop(f"delay_{LINK}.npz"), f"delay_{LINK}.npz"),
+# name -> (function that damages a folder, its other arguments, file or part named in the refusal)
+DAMAGE = {
+    "no params": (drop, ["params.json"], "params.json"),
+    "params not JSON": (write, ["params.json", b"{"], "params.json"),
+    "frequency a word": (
+        edit_params,
+        [lambda p: p["rt_params"].update(frequency="28 GHz")],
+        "rt_params.frequency",
+    ),
+    "dynamic scenario": (set_counts, [120, 7], "scene.num_scenes"),
+    "no receivers' file": (drop, [f"rx_pos_{LINK}.npz"], "scenario"),
+    "no delays": (drop, [f"delay_{LINK}.npz"], f"delay_{LINK}.npz"),
     "half a transmitter": (
-        lambda f: np.save(f / "rx_pos_t000_tx001_r001.npy", np.zeros((1, 3))),
+        store,
+        ["rx_pos", np.zeros((1, 3)), "t000_tx001_r001"],
         "inter_t000_tx001_r001",
     ),
-    "two positions of the transmitter": (array("tx_pos", lambda a: np.tile(a, (2, 1))), "tx_pos"),
-    "another key": (lambda f: np.savez(f / f"delay_{LINK}.npz", toa=load(f, "delay")), "delay"),
-    "one path short": (array("aoa_az", lambda a: a[:, :3]), "aoa_az"),
+    "two positions of the transmitter": (edit, ["tx_pos", lambda a: np.tile(a, (2, 1))], "tx_pos"),
+    "another key": (lambda f: np.savez(f / f"delay_{LINK}.npz", toa=load(f, "delay")), [], "delay"),
+    "one path short": (edit, ["aoa_az", lambda a: a[:, :3]], "aoa_az"),
     "no paths": (
         lambda f: [edit(f, key, lambda a: a[:, :0]) for key in OF_PATHS],
+        [],
         "inter",
     ),
-    "a receiver at NaN": (array("rx_pos", set_at((3, 1), np.nan)), "rx_pos[3, 1]"),
-    "delay missing on a path": (array("delay", set_at((5, 0), np.nan)), "delay[5, 0]"),
+    "a receiver at NaN": (edit, ["rx_pos", set_at((3, 1), np.nan)], "rx_pos[3, 1]"),
+    "delay missing on a path": (edit, ["delay", set_at((5, 0), np.nan)], "delay[5, 0]"),
     "bounce at the receiver": (
-        array("inter_pos", set_at((0, 1, 0), (-45.0, -2.0, 1.5))),
+        edit,
+        ["inter_pos", set_at((0, 1, 0), (-45.0, -2.0, 1.5))],
         "inter_pos",
     ),
-    "no interactions stored": (array("inter_pos", lambda a: a[:, :, :0]), "inter_pos[0, 1, 0]"),
-    "no line of sight": (array("inter", lambda a: np.where(a == 0.0, 11.0, a)), "inter"),
-    "no sidecar": (drop(TRUTH), TRUTH),
-    "empty sidecar": (write(TRUTH, b""), "header"),
-    "other columns": (line(1, "t,x,y,z,vx,vy,w"), "header"),
-    "a row short": (line(50, None), "rows"),
-    "a value short": (line(2, "0,-45,-2,1.5,10,0"), "line 2"),
-    "a word": (line(2, "0,-45,-2,1.5,fast,0,0"), "line 2, column vx"),
-    "time stands still": (line(3, "0,-44.00014,-2,1.5,10,0,0"), "line 3: t"),
-    "a position elsewhere": (line(2, "0,-45,-3,1.5,10,0,0"), "line 2, columns x, y, z"),
+    "no interactions stored": (edit, ["inter_pos", lambda a: a[:, :, :0]], "inter_pos[0, 1, 0]"),
+    "no line of sight": (edit, ["inter", lambda a: np.where(a == 0.0, 11.0, a)], "inter"),
+    "no sidecar": (drop, [TRUTH], TRUTH),
+    "empty sidecar": (write, [TRUTH, b""], "header"),
+    "other columns": (edit_line, [1, "t,x,y,z,vx,vy,w"], "header"),
+    "a row short": (edit_line, [50, None], "rows"),
+    "a value short": (edit_line, [2, "0,-45,-2,1.5,10,0"], "line 2"),
+    "a word": (edit_line, [2, "0,-45,-2,1.5,fast,0,0"], "line 2, column vx"),
+    "time stands still": (edit_line, [3, "0,-44.00014,-2,1.5,10,0,0"], "line 3: t"),
+    "a position elsewhere": (edit_line, [2, "0,-45,-3,1.5,10,0,0"], "line 2, columns x, y, z"),
 }
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
 def test_damage_is_refused_with_its_place(folder, damage):
-    spoil, part = DAMAGE[damage]
-    spoil(folder)
+    spoil, arguments, part = DAMAGE[damage]
+    spoil(folder, *arguments)
     with refuses(folder, part, error=(ValueError, FileNotFoundError)):
         read_deepmimo(folder)
 
