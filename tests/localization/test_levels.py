@@ -54,9 +54,8 @@ def test_a_risk_that_no_calibration_covers_and_an_unknown_kind_are_refused():
         Levels(0.05)
     with refuses("levels"):
         Levels(kind="exact")
-    assert Levels(0.05, "gaussian").factors(ANCHORS, True, np.arange(T), *parts()).tolist() == (
-        np.ones((N, T, 2)).tolist()
-    )
+    factors = Levels(0.05, "gaussian").factors(ANCHORS, True, np.arange(T), *parts())
+    np.testing.assert_array_equal(factors, np.ones((N, T, 2)))
 
 
 @pytest.mark.parametrize("risk", [0.01, 0.001])

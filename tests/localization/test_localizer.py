@@ -1,7 +1,7 @@
 """Tests of localizing a log: filters, smoothing, gaps, where tracks begin, and blocks."""
 
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 import pytest
@@ -90,11 +90,11 @@ def assert_engines(result, block, modes, planar=False):
     episode = episode_of(block)
     if planar:
         episode = episode.on_flat_ground(1.5)
-    names = ("x", "P", "P_predicted", "memory.nis", "memory.accepted")
+    ours = {"x": result.x, "P": result.P, "P_predicted": result.filtered[:, 42:]}
+    ours |= {"memory.nis": result.nis, "memory.accepted": result.accepted}
     pipeline = Pipeline(tuple(modes), block.layout, planar)
-    theirs = track(pipeline, [episode], result.mode[:, None], T - 2, names)
-    ours = (result.x, result.P, result.filtered[:, 42:], result.nis, result.accepted)
-    for name, values in zip(names, ours, strict=True):
+    theirs = track(pipeline, [episode], result.mode[:, None], T - 2, ours)
+    for name, values in ours.items():
         np.testing.assert_allclose(values, theirs[name][:, 0], rtol=1e-9, atol=1e-9, err_msg=name)
     np.testing.assert_array_equal(result.time_s, episode.time_s)
     np.testing.assert_array_equal(result.visible, episode.usable)
@@ -136,19 +136,13 @@ def test_a_track_on_flat_terrain_keeps_its_height(block, modes):
 
 def assert_imms(result, block, bank):
     """Assert that the IMM engine gives the same filtered track on the same epochs."""
-    names = ("x", "P", "mixture")
-    imm = partial(run_imm, bank, TrackingReward())
-    expected = imm([episode_of(block)], *names, "mixture.probability", "memory.nis")
-    for name in names:
-        np.testing.assert_allclose(
-            result.filtered[:, 35:] if name == "mixture" else getattr(result, name),
-            expected[name][0],
-            rtol=1e-9,
-            atol=1e-9,
-            err_msg=name,
-        )
-    np.testing.assert_array_equal(result.mode, expected["mixture.probability"][0].argmax(axis=1))
-    np.testing.assert_allclose(result.nis, expected["memory.nis"][0], rtol=1e-9, atol=1e-9)
+    ours = {"x": result.x, "P": result.P, "mixture": result.filtered[:, 35:]}
+    ours["memory.nis"] = result.nis
+    names = (*ours, "mixture.probability")
+    theirs = run_imm(bank, TrackingReward(), [episode_of(block)], *names)
+    for name, values in ours.items():
+        np.testing.assert_allclose(values, theirs[name][0], rtol=1e-9, atol=1e-9, err_msg=name)
+    np.testing.assert_array_equal(result.mode, theirs["mixture.probability"][0].argmax(axis=1))
     assert not result.nis[~result.visible].any()
 
 

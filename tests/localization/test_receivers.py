@@ -124,23 +124,18 @@ def test_places_are_found_from_range_and_azimuth_of_one_anchor_at_the_users_heig
     """Localize 45 places, 0.5 m apart, from measurements like those of a 60 GHz access point."""
     rng, anchor = np.random.default_rng(3), np.array([0.0, 0.0, 1.5])
     line = 0.5 * np.arange(15)
-    places = np.concatenate(
-        [
-            np.column_stack([3.0 + line, np.full(15, 2.0)]),
-            np.column_stack([np.full(15, 10.5), 2.0 + line]),
-            np.column_stack([10.5 - line, np.full(15, 9.5)]),
-        ]
-    )
+    x = np.concatenate([3.0 + line, np.full(15, 10.5), 10.5 - line])
+    y = np.concatenate([np.full(15, 2.0), 2.0 + line, np.full(15, 9.5)])
+    places = np.column_stack([x, y, np.full(45, 1.5)])
     scene = {"anchors": [anchor.tolist()], "carrier_hz": 60e9, "bandwidth_hz": 2e9}
     (tmp_path / "scene.json").write_text(json.dumps(scene))
     lines = ["time_s,anchor,range_m,aoa_azimuth_deg,range_sigma_m,aoa_azimuth_sigma_deg"]
-    for t, (x, y) in enumerate(places):
+    for t, (x, y, _) in enumerate(places):
         distance = np.hypot(x, y) + 0.15 * rng.standard_normal()
         azimuth = np.degrees(np.arctan2(y, x)) + 2.5 * rng.standard_normal()
         lines.append(f"{t},1,{distance},{azimuth},0.15,2.5")
     (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
-    true = np.column_stack([places, np.full(45, 1.5)])
-    (tmp_path / "truth.tum").write_text(tum_lines(np.arange(45.0), true))
+    (tmp_path / "truth.tum").write_text(tum_lines(np.arange(45.0), places))
     tracks = figures(tmp_path, "--height", 1.5)["truth"]["tracks"]
     assert tracks["smoothed"]["ate_m"] < tracks["filtered"]["ate_m"] < 0.45
     assert 1.0 < tracks["filtered"]["nees"] < 3.0  # its expectation for two free axes is 2

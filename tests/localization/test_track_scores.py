@@ -25,17 +25,15 @@ def test_scores_of_blocks_equal_the_metrics_of_complete_tracks(tmp_path, sizes, 
     block = replace(some_track(T), planar=planar)
     truth = block.x[:, :3] + np.random.default_rng(1).standard_normal((T, 3))
     known_truth = truth_of(tmp_path, block.time_s[known], truth[known])
-    scores = TruthScores(known_truth, ["filtered", "smoothed"], planar, risk=0.1)
+    tracks = {"filtered": (block.x, block.P), "smoothed": (block.smooth_x, block.smooth_P)}
+    scores = TruthScores(known_truth, list(tracks), planar, risk=0.1)
     true = np.concatenate([scores.add(piece) for piece in cut(block, sizes)])
     np.testing.assert_array_equal(true[known], truth[known])
     figures = scores.figures()
     n = known.stop - known.start
     assert figures["scored"] == n == np.isfinite(true[:, 0]).sum()
     axes = [i for i in range(3) if not (planar and i in VERTICAL)]
-    for name, x, P in (
-        ("filtered", block.x, block.P),
-        ("smoothed", block.smooth_x, block.smooth_P),
-    ):
+    for name, (x, P) in tracks.items():
         error, row = (x[:, :3] - truth)[known], figures["tracks"][name]
         assert row["ate_m"] == pytest.approx(ate(error), rel=1e-12)
         assert row["rmse_m"] == pytest.approx(rmse(error), rel=1e-12)

@@ -1,12 +1,10 @@
 """Tests of damaged logs: epochs before the damage are returned, then an error names it."""
 
-import gzip
 import sys
 
 import numpy as np
 import pytest
 
-from mmwave_env.datasets.log_writer import log_columns, log_text
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
@@ -193,8 +191,10 @@ def test_missing_files_and_files_that_do_not_match_their_ending_are_refused(tmp_
 @pytest.mark.parametrize("left", [0.2, 0.5, 0.99])
 def test_the_epochs_of_a_gzip_file_that_ends_early_are_returned_before_its_error(tmp_path, left):
     true = episode(epochs=2000)
-    packed = gzip.compress(log_text(log_columns(true)).encode(), mtime=0)
-    path = store(tmp_path, packed[: int(left * len(packed))], "log.csv.gz")
+    path = tmp_path / "log.csv.gz"
+    write_log(path, true)
+    packed = path.read_bytes()
+    path.write_bytes(packed[: int(left * len(packed))])
     block = LogBlock.joined(delivered(path, "line", epochs_per_block=100))
     assert len(block) > (left - 0.1) * 2000
     np.testing.assert_array_equal(block.time_s, true.time_s[: len(block)])
@@ -202,9 +202,12 @@ def test_the_epochs_of_a_gzip_file_that_ends_early_are_returned_before_its_error
 
 @pytest.mark.parametrize("byte", [2, 3, 5000, -6])
 def test_a_gzip_file_with_a_wrong_byte_is_refused(tmp_path, byte):
-    packed = bytearray(gzip.compress(log_text(log_columns(episode(epochs=2000))).encode(), mtime=0))
+    path = tmp_path / "log.csv.gz"
+    write_log(path, episode(epochs=2000))
+    packed = bytearray(path.read_bytes())
     packed[byte] ^= 0xFF
-    delivered(store(tmp_path, bytes(packed), "log.csv.gz"))
+    path.write_bytes(packed)
+    delivered(path)
 
 
 def test_the_epochs_before_a_line_without_an_end_are_returned_before_its_error(tmp_path):

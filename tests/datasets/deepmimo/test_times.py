@@ -13,8 +13,13 @@ def folder(tmp_path):
     return shortened(tmp_path / "walk", 30)
 
 
-def test_without_a_sidecar_times_follow_from_dt_s_and_velocities_are_differences(folder):
+def test_velocities_that_a_sidecar_lacks_are_computed_from_positions_and_times_from_dt_s(folder):
     expected = read_deepmimo(folder)
+    lines = (folder / TRUTH).read_text().splitlines()
+    (folder / TRUTH).write_text("\n".join(",".join(line.split(",")[:4]) for line in lines))
+    recording = read_deepmimo(folder)
+    np.testing.assert_array_equal(recording.measurement[:, :12], expected.measurement[:, :12])
+    np.testing.assert_allclose(recording.velocity_mps, expected.velocity_mps, atol=0.06)
     (folder / TRUTH).unlink()
     recording = read_deepmimo(folder, dt_s=0.1)
     np.testing.assert_allclose(recording.time_s, expected.time_s, atol=1e-9)
@@ -28,15 +33,6 @@ def test_without_a_sidecar_times_follow_from_dt_s_and_velocities_are_differences
 def test_an_impossible_time_between_epochs_is_refused(folder, dt_s):
     with refuses("dt_s"):
         read_deepmimo(folder, dt_s=dt_s)
-
-
-def test_missing_velocities_are_computed_from_positions(folder):
-    expected = read_deepmimo(folder)
-    lines = (folder / TRUTH).read_text().splitlines()
-    (folder / TRUTH).write_text("\n".join(",".join(line.split(",")[:4]) for line in lines))
-    recording = read_deepmimo(folder)
-    np.testing.assert_array_equal(recording.measurement[:, :12], expected.measurement[:, :12])
-    np.testing.assert_allclose(recording.velocity_mps, expected.velocity_mps, atol=0.06)
 
 
 def edit_sidecar(folder, change):
