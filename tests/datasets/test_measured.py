@@ -1,4 +1,7 @@
-"""Tests that measured arrays become episodes, and that messages name the array that is wrong."""
+"""Tests that arrays of measurements become episodes, and that messages name a wrong array.
+
+A stretch is a run of epochs whose true positions are known, without a long gap in time.
+"""
 
 import gymnasium as gym
 import numpy as np
@@ -32,7 +35,7 @@ def simulated(seed=3, epochs=60, radio=RADIO, scenario="vehicle"):
 
 
 def links(record, visible):
-    """Return the rows of links as arrays (T, L) by name, with NaN where a link is not visible."""
+    """Return the numbers of links as arrays (T, L) by name; NaN where a link is not visible."""
     rows = record.measurement[:, : record.layout.doppler].reshape(len(record), -1, 4)
     return {name: np.where(visible, rows[:, :, i], np.nan) for i, name in enumerate(LINK)}
 

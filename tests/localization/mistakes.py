@@ -1,4 +1,8 @@
-"""Mistakes that receivers and scripts make, as functions from correct columns to wrong ones."""
+"""Mistakes that receivers and scripts make when they write logs.
+
+A mistake is a function from the correct columns of a log to the wrong ones: dicts of arrays by
+name.
+"""
 
 import csv
 from itertools import permutations
@@ -40,13 +44,13 @@ def exchange(column, other):
     return lambda c: {**c, column: c[other], other: c[column]}
 
 
-exchanged = exchange(*AZIMUTHS)  # arrival and departure
+exchanged = exchange(*AZIMUTHS)  # azimuths of arrival and departure
 upside_down = linear(-1.0, "aoa_elevation_rad")
-FACTORS = {
+FACTORS = {  # end of a hypothesis on times -> factor by which times are wrong
     f"1e{n} times too large ({unit}?)": 10.0**n for n, unit in ((3, "ms"), (6, "us"), (9, "ns"))
 }
 FACTORS |= {f"1e{n} times too small (s?)": 10.0**-n for n in (3, 6, 9)}
-MISTAKES = {  # hypothesis that explains a mistake -> the mistake
+MISTAKES = {  # text of a hypothesis of the diagnosis -> the mistake that it explains
     "arrival and departure are exchanged": exchanged,
     "azimuth and elevation of arrival are exchanged": exchange(AZIMUTHS[0], "aoa_elevation_rad"),
     "elevation has the other sign": upside_down,
@@ -71,4 +75,4 @@ MISTAKES = {  # hypothesis that explains a mistake -> the mistake
     "Doppler shift is in kHz, not in Hz": linear(1e-3, "doppler_hz"),
     "Doppler shift is in Hz, not in kHz": linear(1e3, "doppler_hz"),
 }
-ORDERS = list(permutations((1, 2, 3)))[1:]  # wrong orders of anchors
+ORDERS = list(permutations((1, 2, 3)))[1:]  # all orders of three anchors but the right one

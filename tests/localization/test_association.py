@@ -1,4 +1,8 @@
-"""Tests of the assignment of paths to anchors, of where tracks begin, and of the counts."""
+"""Tests of the association of paths with anchors, of the epochs in which tracks begin, and of counts.
+
+The line of sight is the path that comes directly from the base station, anchor 0. A reflection is
+the path from a virtual anchor: the mirror image of the base station in a wall.
+"""
 
 from itertools import islice
 
@@ -31,13 +35,17 @@ LAYOUT = Layout(3)
 
 
 def labelled(epochs, scene=SCENE, tally=None, **more):
-    """Return the epochs, with paths assigned to anchors, as one block."""
+    """Assign the paths of these epochs to anchors; return the epochs as one block."""
     tally = tally or Association(len(scene.anchors_m))
     return LogBlock.joined(list(associate(epochs, scene, RADIO, MODES[-1], tally, **more)))
 
 
 def walk(anchors_seen, false_paths=0, seed=0, y_m=-2.0):
-    """Yield epochs of a user who walks east; ``anchors_seen`` lists visible anchors by epoch."""
+    """Yield epochs of a log of paths, in which a user walks east.
+
+    ``anchors_seen`` has, for each epoch, the indices of the visible anchors. Each epoch also has
+    ``false_paths`` random paths.
+    """
     rng, time = np.random.default_rng(seed), np.arange(len(anchors_seen), dtype=float)
     position = [20.0, y_m, 1.5] + time[:, None] * [1.4, 0.0, 0.0]
     exact = geometry(position, np.tile([1.4, 0.0, 0.0], (len(time), 1)), SCENE, LAYOUT)
@@ -59,6 +67,7 @@ ALL, NONE = (0, 1, 2), ()
 
 
 def seen_in(block):
+    """Return, for each epoch, the indices of the anchors to which paths were assigned."""
     return [tuple(np.flatnonzero(row[:3]).tolist()) for row in block.visible]
 
 
@@ -94,7 +103,7 @@ def test_a_sample_without_anchor_numbers_gives_nearly_the_same_track(tmp_path, n
 
 
 def test_angles_of_arrival_may_be_measured_at_the_base_station():
-    """Include reflections: their angles at the station are converted to angles at its image."""
+    """Compare with the same log whose angles are those at the mirror images of the station."""
 
     def as_the_station_sees(epoch, anchor):
         z = epoch.measurement.copy()
@@ -104,7 +113,7 @@ def test_angles_of_arrival_may_be_measured_at_the_base_station():
     def seen_at_station():
         for epoch in walk([ALL] * 20):
             mirrored = [as_the_station_sees(epoch, anchor) for anchor in SCENE.anchors_m]
-            # In this scene, anchors are numbered in the order of their ranges.
+            # The anchors of this scene are numbered in the order of their distances from the user.
             order = np.argsort(np.argsort(epoch.measurement[:, 0]))
             z = np.stack([mirrored[rank][path] for path, rank in enumerate(order)])
             yield epoch._replace(measurement=z, at_station=True)
@@ -144,7 +153,8 @@ def test_a_track_that_started_from_a_reflection_gives_way_to_the_line_of_sight()
     # The image is 14 m north of the base station, so the user seems to be 14 m further south.
     block = labelled(walk(anchors_seen, seed=4, y_m=6.0), tally=tally)
     begins = np.flatnonzero(block.restarts).tolist()
-    assert seen_in(block)[:20] == [(0,)] * 20 and begins[0] == 0  # no contradiction yet
+    # While there is only one path, nothing contradicts that it is the line of sight.
+    assert seen_in(block)[:20] == [(0,)] * 20 and begins[0] == 0
     assert len(begins) == 2 and 20 < begins[1] <= 30
     assert seen_in(block)[30:] == anchors_seen[30:] and tally.figures()["starts"] == 2
     pieces = list(segments([block], SCENE, RADIO))

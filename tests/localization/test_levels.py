@@ -1,4 +1,7 @@
-"""Tests of protection levels: how often errors exceed them, and levels of live tracks."""
+"""Tests of protection levels: bounds that errors exceed only with a stated probability, the risk.
+
+A level is a Gaussian level, which follows from a covariance, times a factor from a network.
+"""
 
 import numpy as np
 import pytest
@@ -19,12 +22,13 @@ from tests.paths import representative
 from tests.refusals import refuses
 
 N, T, ANCHORS = 3, 40, 3
-FRESH = 5_900_000  # first of the tuning seeds that no calibration used
+FRESH = 5_900_000  # first tuning seed that no calibration of factors used
 
 
 def parts(seed=0):
-    """Return random outputs of filters: x, P, NIS, accepted, rejected, and trust in a corrector."""
+    """Return random outputs of filters: x, P, NIS, accepted, rejected, trust in corrections."""
     rng = np.random.default_rng(seed)
+    # 0: the gate accepted the group; 1: the gate rejected it; 2: the group was not visible
     fate = rng.integers(3, size=(N, T, ANCHORS + 1))
     nis = rng.chisquare(4, fate.shape)
     x, P, trusted = rng.normal(size=(N, T, 7)), covariances(N, T, seed=seed), rng.random((N, T))
@@ -32,7 +36,10 @@ def parts(seed=0):
 
 
 def watched(levels, policies, source, radio, seeds):
-    """Return, by policy, [horizontal, vertical] errors / levels (episodes, epochs, 2)."""
+    """Run policies; return, by policy, the ratios of errors to levels (episodes, epochs, 2).
+
+    The last axis is [horizontal, vertical].
+    """
     over = {}
 
     def keep(contender, time_s, results):

@@ -1,4 +1,8 @@
-"""Tests that live rows give the same track as a log file, and take little work and memory."""
+"""Tests that live rows give the same track as a log file, and take little work and memory.
+
+For live rows, there are quick methods of parsing a row and of loading an epoch into the filter.
+Where they can't be used, the careful methods are used, which also read log files.
+"""
 
 import cProfile
 import csv
@@ -27,7 +31,7 @@ SCENE, RADIO, EKF = read_scene(WALK / "scene.json"), RADIOS["standard"], named_m
 
 
 def walk(count=60, **changed):
-    """Return the walk's first epochs with changed columns.
+    """Return the first epochs of a recorded walk, with changed columns; a row is a dict by column.
 
     A keyword names a column; its value is a function from row to cell, or None to drop the column.
     """
@@ -54,7 +58,7 @@ UNITS |= {"toa_s": None, "rtt_ns": of("toa_s", lambda t: 2e9 * t)}
 MOVES = {"speed_mps": lambda row: 1.2, "heading_deg": lambda row: 350.0}
 BODY = MOVES | {DEPARTURE: None, "aod_azimuth_body_rad": of(DEPARTURE, lambda a: a - 6.0)}
 SECOND = {"doppler_hz": lambda row: -20.0 if row["anchor"] == 2 else None}
-LOGGED = {  # name -> changed columns, stated SNR, whether Tracker loads epochs by its quick method
+LOGGED = {  # name -> changed columns, stated SNR, whether epochs are loaded by the quick method
     "as it is": ({}, None, True),
     "other units": (UNITS, None, True),
     "own noise": ({"snr_db": None} | {k: lambda row, v=v: v for k, v in OWN.items()}, None, True),
@@ -108,7 +112,7 @@ def outcome(rows):
 def test_quick_and_careful_reading_accept_and_refuse_the_same_rows(name, first):
     for value in VALUES:
         row = ROW | {name: value}
-        # Values with a space in front are not read quickly.
+        # The careful method must read cells that begin with a space.
         text = {n: "" if v is None else f" {v!s}" for n, v in row.items()}
         line = ",".join(word.strip() for word in text.values())
         outcomes = {outcome([*first, row]), outcome([*first, text]), outcome([*first, line])}
@@ -128,5 +132,6 @@ def test_an_epoch_takes_little_work_and_no_lasting_memory():
     profile.runcall(lambda: [tracker.update(epoch) for epoch in epochs[200:250]])
     assert tracemalloc.get_traced_memory()[0] < before + 100_000
     tracemalloc.stop()
-    assert pstats.Stats(profile).total_calls < 600 * 50  # 50 epochs; 10,000 calls take 1 ms
+    # At most 600 calls of functions per epoch, on average: 10,000 calls take about 1 ms.
+    assert pstats.Stats(profile).total_calls < 600 * 50
     assert len(os.listdir("/dev/fd")) == files

@@ -1,4 +1,7 @@
-"""Tests of localizing a log: filters, smoothing, gaps, where tracks begin, and blocks."""
+"""Tests of localizing a log: filters, smoothing, gaps, where tracks begin, and sizes of blocks.
+
+A track begins with a first fix: a position that follows from the links of one epoch.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -38,7 +41,10 @@ BANK = best_bank()
 
 @cache
 def log(folder, odometry=False):
-    """Return one block with uneven time steps; its first two epochs lack the line of sight."""
+    """Return a simulated log in one block.
+
+    Its time steps are uneven, and its first two epochs lack the line of sight.
+    """
     source = SimulatedSource(SCENE, RADIO, "walk-ride", epochs=T, odometry=odometry)
     episode = source.sample(np.random.default_rng(3))
     time = 1.7e9 + np.random.default_rng(0).uniform(0.5, 1.5, T).cumsum()
@@ -70,7 +76,7 @@ def localized(blocks, modes, rule=None, **options):
 
 
 def episode_of(block):
-    """Return the log as an episode that begins at the first line of sight."""
+    """Return the log as an episode that begins with the first line of sight, in epoch 2."""
     block = block.part(slice(2, None))
     sigma = RADIO.sigma(block.snr_db, SCENE, block.layout)
     anchor, link = SCENE.anchors_m[0], block.layout.link(0)
@@ -86,7 +92,7 @@ def episode_of(block):
 
 
 def assert_engines(result, block, modes, planar=False):
-    """Assert that the engine gives the same filtered track if it runs the same modes."""
+    """Assert that the engine, running the modes that were chosen, gives the same filtered track."""
     episode = episode_of(block)
     if planar:
         episode = episode.on_flat_ground(1.5)
@@ -212,6 +218,7 @@ def unseen(block, epochs):
 
 
 def damaged(blocks):
+    """Yield the blocks of a log, then raise the error of a damaged line."""
     yield from blocks
     raise LogError("log.csv, line 7: found 'x'")
 
@@ -230,7 +237,7 @@ def test_the_track_before_a_damaged_line_is_returned_before_its_error(block, win
 UNGATED = replace(UKF, gate=None)
 
 
-@pytest.mark.parametrize(  # finite: 1 if the damaged epoch still has a finite state, else 0
+@pytest.mark.parametrize(  # finite: 1 if the track still has a finite state in the damaged epoch
     ("modes", "finite"),
     [
         ((UNGATED,), 1),
@@ -279,6 +286,7 @@ def test_a_log_that_begins_straight_below_or_above_an_anchor_starts_at_the_next_
 ):
     scene = Scene("lamp", (3.0, 4.0, 10.0), virtual_anchors_m=((3.0, 34.0, 10.0),))
     layout, epochs = Layout(2), 60
+    # The user stands below or above the base station for four epochs, then walks away.
     along = np.concatenate([np.full(4, steep), 1.5 * np.arange(1, epochs - 3)])
     position = [3.0, 4.0, 10.0 + 8.0 * side] + along[:, None] * [1.0, 0.0, 0.0]
     velocity = np.where(along > steep, 1.5, 0.0)[:, None] * [1.0, 0.0, 0.0]

@@ -1,4 +1,4 @@
-"""Tests of tracks in GPX, NMEA and GeoJSON files, read back by other libraries."""
+"""Tests of tracks written as GPX, NMEA and GeoJSON: other libraries must find the same positions."""
 
 import json
 from dataclasses import replace
@@ -106,6 +106,7 @@ def test_geojson_has_lines_within_segments_and_ellipses_of_95_percent(tmp_path):
     by_time = {t: P for b in blocks for t, P in zip(b.time_s, b.smooth_P, strict=True)}
     assert list(rings) == [t for b in blocks for t in b.time_s[::2]]  # one ellipse per second
     polygon = 16.0 * np.sin(np.pi / 16.0)  # area of a polygon with 32 corners on a unit circle
+    # 5.991 is the 95 % quantile of the chi-square distribution with two degrees of freedom.
     for time_s, geometry in rings.items():
         (ring,), P = geometry["coordinates"], by_time[time_s]
         assert ring[0] == ring[-1]

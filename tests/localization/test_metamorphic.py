@@ -21,18 +21,19 @@ from tests.filters.tracks import TRIANGLE, assert_same_beliefs, unpacked
 from tests.localization.mistakes import AZIMUTHS, FOLDERS, read_columns, write_columns
 from tests.logs.by_hand import track_of
 
-pytestmark = pytest.mark.slow  # half a minute in total
+pytestmark = pytest.mark.slow  # all tests together take half a minute
 
 RADIO = RADIOS["standard"]
 PIPELINES = {name: [mode] for name, mode in named_modes("standard").items()}
-ROTATABLE = ["ekf", "ekf-robust"]  # sigma points of other modes lie along the map's axes
-ROUNDING = 1e-6  # in standard deviations
+# The sigma points of other modes lie along the map's axes, so a turned map changes their tracks.
+ROTATABLE = ["ekf", "ekf-robust"]
+ROUNDING = 1e-6  # largest difference between two tracks, in standard deviations
 UNTURNED = np.eye(3)
 
 
 @pytest.fixture(scope="module", params=FOLDERS, ids=lambda folder: folder.name)
 def street(request):
-    """Return the columns of a recorded log up to 15 s, and its scene."""
+    """Return the columns of a log's first 15 s, and its scene."""
     columns = read_columns(request.param / "log.csv")
     first = columns["time_s"] < 15.0
     scene = read_scene(request.param / "scene.json")
@@ -122,7 +123,10 @@ UNITS = {  # old name -> new name and factor
 
 
 def test_units_orders_clock_and_division_of_a_log_into_parts_do_not_matter(street, tmp_path):
-    """Compare a log with its three gzipped parts that have other units, orders and later times."""
+    """Compare a log with a copy in three gzipped files, with later times and other units.
+
+    The copy also has another order of columns, and of the anchors within an epoch.
+    """
     (columns, scene), modes = street, [replace(PIPELINES["ukf"][0], spread_gain=0.01)]
     plain = track(tmp_path, columns, scene, modes)
     order = np.lexsort((-columns["anchor"], columns["time_s"]))

@@ -1,4 +1,4 @@
-"""Tests of logs that lack quantities or state their own noise."""
+"""Tests of logs that lack values or state their own noise, and of the radio nearest to a log."""
 
 import numpy as np
 import pytest
@@ -33,14 +33,16 @@ def read(path, **options):
 
 
 def test_a_link_that_lacks_one_number_is_used_with_its_other_numbers(tmp_path):
-    lacks = COLUMNS["anchor"] % 4  # index of the number that each link lacks
+    lacks = COLUMNS["anchor"] % 4  # index in LINK of the number that a row lacks
     links = {name: np.where(lacks == i, np.nan, COLUMNS[name]) for i, name in enumerate(LINK)}
     block = read(written(tmp_path, ("time_s", "anchor", "doppler_hz", "snr_db"), **links))
     whole = read(WALK / "log.csv")
     np.testing.assert_array_equal(block.visible, whole.visible)
     measured, before = np.isfinite(block.measurement), np.isfinite(whole.measurement)
     assert (measured.sum(axis=0) == before.sum(axis=0) * (measured.any(axis=0))).all()
-    assert (~measured.any(axis=0)).sum() == 3  # one quantity of each link is always missing
+    assert (
+        ~measured.any(axis=0)
+    ).sum() == 3  # each of the three links always lacks the same number
 
 
 def test_standard_deviations_in_a_log_are_used_and_make_an_snr_unnecessary(tmp_path):

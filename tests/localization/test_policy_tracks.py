@@ -1,4 +1,8 @@
-"""Tests of tracks (live and from logs) whose modes a policy chooses, compared with the engine."""
+"""Tests that the engine gives the same tracks if a policy chooses modes or corrects beliefs.
+
+A corrector is a policy that corrects the filter's beliefs. Tracks of logs and live tracks are
+tested.
+"""
 
 import numpy as np
 import pytest
@@ -36,7 +40,7 @@ def blocks(size):
 
 
 def whole_track(switching, size=50, window=None):
-    """Return the track of these epochs in one block."""
+    """Return the track of the walk's first epochs in one block; ``size`` is that of its blocks."""
     return track_of(blocks(size), SCENE, RADIO, switching, window=window)
 
 

@@ -1,4 +1,8 @@
-"""Tests of protection levels against integrals and textbooks, and of statistics against NumPy."""
+"""Tests of Gaussian protection levels, and of statistics of position errors.
+
+A level is a bound that an error exceeds with a stated probability, the risk. Levels are compared
+with integrals and textbooks, and statistics with those of NumPy and SciPy.
+"""
 
 import json
 
@@ -25,7 +29,7 @@ risks = st.floats(-7.0, np.log10(0.5)).map(lambda power: 10.0**power)
 
 
 def packed(P):
-    """Pack covariances (..., 3, 3) as filters do."""
+    """Return the lower triangles (..., 6) of covariances (..., 3, 3), as filters store them."""
     return np.asarray(P)[(..., *np.tril_indices(3))]
 
 

@@ -1,4 +1,4 @@
-"""Tests of logs that have only some quantities and state their noise, against a textbook EKF."""
+"""Tests that logs with only some quantities, and with stated noise, give a textbook EKF's track."""
 
 import csv
 import json
@@ -28,7 +28,9 @@ ROWS = {  # column -> (row of a link, or 4 for Doppler; unit; standard deviation
     "doppler": (4, "hz", 25.0),
 }
 RANGE_AZIMUTH, ANGLES = ("range", "aoa_azimuth"), ("aoa_azimuth", "aoa_elevation", "aod_azimuth")
-RECEIVERS = {  # name -> columns that are measured, time step in s, number of anchors
+# name -> columns that are measured, time step in s, number of anchors. With one anchor and without
+# elevations, the height must be known: otherwise, even the textbook EKF diverges
+RECEIVERS = {
     "all, 1 s": (tuple(ROWS), 1.0, 3),
     "all, 0.1 s": (tuple(ROWS), 0.1, 3),
     "all, one anchor": (tuple(ROWS), 0.5, 1),
@@ -41,8 +43,8 @@ RECEIVERS = {  # name -> columns that are measured, time step in s, number of an
     "range, azimuth and Doppler shift": ((*RANGE_AZIMUTH, "doppler"), 0.1, 2),
 }
 MODE = Mode("plain", gate=None, adaptive=False, recovery=None, sigma_v=0.3, sigma_vz=0.005)
-# One anchor without elevations needs a known height: otherwise, even the textbook EKF diverges.
-RADIO, WALKS, EPOCHS, SETTLED = RADIOS["standard"], 8, 120, 20
+RADIO, WALKS, EPOCHS = RADIOS["standard"], 8, 120
+SETTLED = 20  # number of first epochs whose errors are not compared
 
 
 def noise(dt, hz_per_mps, flat):
@@ -94,7 +96,8 @@ def by_textbook(log, scene, x, P, flat):
     return np.array(means)
 
 
-# The quick cases have three anchors: for each other number, programs must be compiled.
+# The cases that are not slow have three anchors. For any other number of anchors, programs must
+# first be compiled.
 @pytest.mark.parametrize(
     "receiver", representative(RECEIVERS, "all, 1 s", "no Doppler shift", "angles")
 )
@@ -120,22 +123,22 @@ def test_a_track_equals_that_of_a_textbook_ekf_and_is_consistent(tmp_path, recei
 
 
 @pytest.mark.slow
-def test_places_are_found_from_range_and_azimuth_of_one_anchor_at_the_users_height(tmp_path):
-    """Localize 45 places, 0.5 m apart, from measurements like those of a 60 GHz access point."""
+def test_points_are_found_from_range_and_azimuth_of_one_anchor_at_the_users_height(tmp_path):
+    """Localize 45 points, 0.5 m apart, from measurements like those of a 60 GHz access point."""
     rng, anchor = np.random.default_rng(3), np.array([0.0, 0.0, 1.5])
     line = 0.5 * np.arange(15)
     x = np.concatenate([3.0 + line, np.full(15, 10.5), 10.5 - line])
     y = np.concatenate([np.full(15, 2.0), 2.0 + line, np.full(15, 9.5)])
-    places = np.column_stack([x, y, np.full(45, 1.5)])
+    points = np.column_stack([x, y, np.full(45, 1.5)])
     scene = {"anchors": [anchor.tolist()], "carrier_hz": 60e9, "bandwidth_hz": 2e9}
     (tmp_path / "scene.json").write_text(json.dumps(scene))
     lines = ["time_s,anchor,range_m,aoa_azimuth_deg,range_sigma_m,aoa_azimuth_sigma_deg"]
-    for t, (x, y, _) in enumerate(places):
+    for t, (x, y, _) in enumerate(points):
         distance = np.hypot(x, y) + 0.15 * rng.standard_normal()
         azimuth = np.degrees(np.arctan2(y, x)) + 2.5 * rng.standard_normal()
         lines.append(f"{t},1,{distance},{azimuth},0.15,2.5")
     (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
-    (tmp_path / "truth.tum").write_text(tum_lines(np.arange(45.0), places))
+    (tmp_path / "truth.tum").write_text(tum_lines(np.arange(45.0), points))
     tracks = figures(tmp_path, "--height", 1.5)["truth"]["tracks"]
     assert tracks["smoothed"]["ate_m"] < tracks["filtered"]["ate_m"] < 0.45
     assert 1.0 < tracks["filtered"]["nees"] < 3.0  # its expectation for two free axes is 2

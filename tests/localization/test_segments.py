@@ -17,7 +17,7 @@ LINK_1, LINK_2, DOPPLER, ODOMETRY = range(4)
 
 
 def log(time_s, groups_seen, odometry=True):
-    """Return a log with two anchors; ``groups_seen`` has, per epoch, the visible groups of rows."""
+    """Return a log with two anchors; ``groups_seen`` has, for each epoch, the visible groups."""
     layout = Layout(2, odometry)
     visible = np.zeros((len(time_s), len(layout.groups)), bool)
     for epoch, groups in enumerate(groups_seen):
@@ -26,13 +26,14 @@ def log(time_s, groups_seen, odometry=True):
 
 
 def pieces_of(*blocks):
-    """Return (times, segment, begins, skipped, dropped) of every block that is yielded."""
+    """Return (times, segment, begins, skipped, dropped) of each block of the segments."""
     return [
         (p.time_s.tolist(), p.segment, p.begins, p.skipped, p.dropped)
         for p in segments(blocks, STREET, HANDSET)
     ]
 
 
+# visible groups of an epoch; only the link of anchor 1 determines a position (a fix)
 FIX, OTHER, NOTHING = (LINK_1,), (LINK_2,), ()
 
 

@@ -17,7 +17,7 @@ from tests.logs.by_hand import block_of
 from tests.refusals import refuses
 
 NAMES = ['fast, "wild"', '=HYPERLINK("http://evil","x")']  # names of modes
-SHOWN = [NAMES[0], "'" + NAMES[1]]  # names in the table, where a spreadsheet would run a formula
+SHOWN = [NAMES[0], "'" + NAMES[1]]  # names in the table; the apostrophe disables the formula
 SCENE = SCENES["street"]
 KINDS = ("horizontal", "vertical")
 

@@ -1,4 +1,4 @@
-"""Tests of scores of tracks that arrive in blocks, against metrics of complete tracks."""
+"""Tests that scores and statistics of a track in blocks equal those of the complete track."""
 
 from dataclasses import replace
 
@@ -69,7 +69,11 @@ def test_only_a_ground_truth_in_another_frame_causes_a_warning(tmp_path, recwarn
 
 
 def scored_at(tmp_path, time_s, known, sizes=(T,), segments=False):
-    """Return RPE, the time it spans, and the track; the truth is 0, known in epochs ``known``."""
+    """Score a random track whose true position is 0, known only in the epochs ``known``.
+
+    Return its RPE, the time in s between the two epochs of a pair, and its positions. ``segments``
+    says whether each block is a segment of its own.
+    """
     block = replace(some_track(len(time_s)), time_s=time_s)
     truth = truth_of(tmp_path, time_s[known], np.zeros((len(known), 3)))
     scores = TruthScores(truth, ["filtered"], planar=False)
@@ -80,6 +84,7 @@ def scored_at(tmp_path, time_s, known, sizes=(T,), segments=False):
 
 
 def mean_change(x, pairs):
+    """Return the mean distance in m between the positions of two epochs, for pairs of epochs."""
     return np.mean([np.linalg.norm(x[second] - x[first]) for first, second in pairs])
 
 

@@ -1,4 +1,4 @@
-"""Helpers that write logs by hand, read and localize them, and cut and compare their blocks."""
+"""Helpers that make, read and localize small logs, and that cut and compare blocks of epochs."""
 
 from functools import lru_cache
 
@@ -85,10 +85,10 @@ def track_of(blocks, scene, radio, switching, **options):
 
 
 def delivered(path, *fields, reader=read_log, **options):
-    """Return the blocks before the error, which must name the damaged file and the fields."""
+    """Read a damaged log; return the blocks before the error, which must name file and fields."""
     blocks = []
     with refuses(path, *fields, error=LogError):
-        blocks.extend(reader(path, SCENE, **options))  # keeps the blocks before the error
+        blocks.extend(reader(path, SCENE, **options))  # list() would lose the first blocks
     return blocks
 
 
@@ -109,13 +109,17 @@ def episode(seed=0, epochs=25, odometry=False, radio="handset"):
     return source.sample(np.random.default_rng(seed))
 
 
-def require_pyarrow(suffix=".parquet"):
+def require_pyarrow(suffix):
+    """Skip the test if it needs pyarrow, which is not installed."""
     if suffix == ".parquet":
         pytest.importorskip("pyarrow")
 
 
 def hide_anchors(path, episode, false_paths=0, seed=0):
-    """Write an episode as a log of paths in random order, with false paths among them."""
+    """Write an episode as a log of paths: without anchor numbers, in random order.
+
+    Each epoch also has ``false_paths`` random paths.
+    """
     columns, rng = log_columns(episode), np.random.default_rng(seed)
     del columns["anchor"]
     n = false_paths * len(episode)

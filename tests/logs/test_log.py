@@ -92,6 +92,7 @@ def test_a_link_is_incomplete_if_its_departure_needs_a_missing_heading(tmp_path)
     np.testing.assert_array_equal(block.incomplete[:, :L], [[True] * 3, [False] * 3])
 
 
+# columns of the time of flight -> cell that means 1e-7 s
 FLIGHTS = {"toa_s": 1e-7, "toa_ms": 1e-4, "toa_us": 0.1, "toa_ns": 100, "range_m": 29.9792458}
 FLIGHTS |= {"range_ft": 29.9792458 / 0.3048, "rtt_ns": 200}
 AZIMUTHS = ("aoa_azimuth", "aod_azimuth")
@@ -245,7 +246,7 @@ def test_an_episode_written_to_a_log_is_read_back(suffix, seed, odometry, size, 
     z, expected = np.where(keep, block.measurement, 0.0), np.where(keep, true.measurement, 0.0)
     np.testing.assert_allclose(z, expected, rtol=1e-15)
     z[:, 0 : true.layout.doppler : 4] = expected[:, 0 : true.layout.doppler : 4]
-    np.testing.assert_array_equal(z, expected)  # exact, except for ranges, which are converted
+    np.testing.assert_array_equal(z, expected)  # all values but ranges are stored without rounding
     needed = true.usable[:, :L].copy()
     needed[:, 0] |= true.usable[:, L]
     np.testing.assert_array_equal(block.snr_db, np.where(needed, true.snr_db, -np.inf))

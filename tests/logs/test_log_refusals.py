@@ -1,4 +1,4 @@
-"""Tests of damaged logs: epochs before the damage are returned, then an error names it."""
+"""Tests of damaged logs: the epochs before the damage are read, then an error names the damage."""
 
 import sys
 
@@ -134,7 +134,7 @@ HEADERS = {  # name -> header, fields that the message names
     "unknown": (HEADER + ",color", ["column 'color'"]),
     "no unit": (HEADER.replace("toa_s", "toa"), ["column 'toa'"]),
     "not UTF-8": (b"time_s,\xff\xfe", ["column"]),
-    **{  # additional columns that conflict with others or need others
+    **{  # each conflicts with a column of the header, or needs another column
         f"{columns} added": (f"{HEADER},{columns}", ["columns"])
         for columns in (
             "range_m",

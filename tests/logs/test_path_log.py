@@ -1,4 +1,4 @@
-"""Tests of reading logs whose rows are paths without anchor numbers, and of refusing wrong ones."""
+"""Tests of reading logs of paths, whose rows have no anchor numbers, and of refusing wrong logs."""
 
 import numpy as np
 import pytest

@@ -22,7 +22,10 @@ def truth_of(folder, time_s, position_m):
 
 
 def expected(pose_s, position, time_s):
-    """Return positions and velocities from SciPy's cubics with NumPy's gradients; NaN in gaps."""
+    """Interpolate poses by SciPy's cubics, whose slopes in the poses are NumPy's gradients.
+
+    Return positions and velocities (T, 3); NaN in gaps.
+    """
     p, v = np.full((2, len(time_s), 3), np.nan)
     runs = np.split(np.arange(len(pose_s)), np.flatnonzero(np.diff(pose_s) > BRIDGED_S) + 1)
     for run in runs:
@@ -86,6 +89,7 @@ def log_of(time_s, position_m, rng, bias=0.0):
 
 
 def compared(log, seconds, shift=(0.0, 0.0, 0.0)):
+    """Return the estimated offset of the clock of :func:`late`'s true track from the log's."""
     return clock_offset(log, STREET, lambda time_s: late(time_s, seconds, shift))
 
 

@@ -112,7 +112,7 @@ def reflect(point, normal, offset):
 
 
 def assert_fits(recording, scene, near_m=1e-6, near_rad=1e-5):
-    """Assert that the rows of all visible links fit the geometry of a scene."""
+    """Assert that visible rows fit the geometry of a scene, within ``near_m`` and ``near_rad``."""
     layout = recording.layout
     exact = geometry(recording.position_m, recording.velocity_mps, scene, layout)
     difference = np.where(shown(recording), recording.measurement - exact, 0.0)
@@ -122,7 +122,10 @@ def assert_fits(recording, scene, near_m=1e-6, near_rad=1e-5):
 
 
 def write_hall(folder, gnb, receivers, walls, link=LINK):
-    """Write a scenario with a line of sight and a reflection per wall, a plane (normal, offset)."""
+    """Write a scenario in which each receiver has a line of sight, and a reflection at each wall.
+
+    A wall is a plane (normal, offset): its points p fulfill ``p @ normal == offset``.
+    """
     (folder / "params.json").write_text((VEHICLE / "params.json").read_text())
     N, P = len(receivers), 1 + len(walls)
     set_counts(folder, N)

@@ -23,9 +23,10 @@ from tests.datasets.deepmimo.scenarios import (
 )
 from tests.refusals import refuses
 
+# links of the second and the third base station
 OTHERS = ("t000_tx001_r001", "t002_tx000_r001")
 STATIONS = np.array([[0.0, 0.0, 8.0], [60.0, 5.0, 10.0], [20.0, -25.0, 6.0]])
-WALL = (np.array([0.0, -1.0, 0.0]), 30.0)  # the plane y = -30
+WALL = (np.array([0.0, -1.0, 0.0]), 30.0)  # normal and offset of the plane y = -30
 USERS = np.column_stack([np.linspace(5.0, 55.0, 26), np.full(26, -8.0), np.full(26, 1.5)])
 
 

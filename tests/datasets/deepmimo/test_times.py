@@ -1,4 +1,8 @@
-"""Tests of times and velocities, from trajectory.csv (the "sidecar" that users add) or dt_s."""
+"""Tests of times and velocities, which the arrays of a scenario do not contain.
+
+They come from trajectory.csv, a file that users add to the folder (the "sidecar"). Without it, the
+argument ``dt_s`` is the time between epochs, and velocities are computed from positions.
+"""
 
 import numpy as np
 import pytest

@@ -1,6 +1,7 @@
 """Tests of reading DeepMIMO v4 folders: scenes, formats of arrays, sets of receivers, refusals.
 
-Random damage is tested in tests/test_damaged_files.py.
+A dynamic scenario has a sub-folder for each epoch, its scene. In a static scenario, epochs are the
+receivers of a single scene. tests/test_damaged_files.py tests random damage.
 """
 
 import os
@@ -110,7 +111,7 @@ def test_positions_of_a_grid_are_read_without_its_paths(static):
 
 def test_a_grid_that_is_too_large_is_refused_before_it_is_read(tmp_path, monkeypatch):
     static = shortened(tmp_path / "grid", 12, ".npy")
-    monkeypatch.setattr(arrays, "MOST_BYTES", 12 * 4 * 8)  # enough for paths, not for bounces
+    monkeypatch.setattr(arrays, "MOST_BYTES", 12 * 4 * 8)  # enough for delay, but not for inter_pos
     with refuses("inter_pos"):
         read_deepmimo(static)
 
