@@ -1,7 +1,4 @@
-"""Tests that arrays of measurements become episodes, and that messages name a wrong array.
-
-A stretch is a run of epochs whose true positions are known, without a long gap in time.
-"""
+"""Tests that arrays of measurements become episodes, and that messages name a wrong array."""
 
 import gymnasium as gym
 import numpy as np

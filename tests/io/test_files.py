@@ -70,12 +70,16 @@ def test_writing_text_bytes_or_json_replaces_an_existing_file(tmp_path):
     assert names(tmp_path) == ["a.bin", "a.json", "a.txt"]
 
 
-def test_a_path_that_is_not_a_regular_file_is_not_written(tmp_path):
+def test_a_path_that_is_not_a_regular_file_or_links_to_a_device_is_not_written(tmp_path):
     require_writable(tmp_path / "new" / "a.json")
     assert names(tmp_path / "new") == []
-    for path in (tmp_path, Path(os.devnull)):
-        with refuses(path, error=OSError):
-            require_writable(path)
+    link = tmp_path / "a.json"
+    link.symlink_to(os.devnull)
+    for path in (tmp_path, Path(os.devnull), link):
+        for write in (require_writable, lambda path: write_text(path, "{}")):
+            with refuses(path, error=OSError):
+                write(path)
+    assert names(tmp_path) == ["a.json", "new"] and link.is_symlink()
 
 
 # --- permissions of written files, and links
@@ -136,14 +140,6 @@ def test_the_error_about_a_pipe_shows_the_path_that_was_given():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout == "/dev/stdout: found a device, expected a file to write\n"
-
-
-def test_a_device_that_a_link_points_to_is_not_replaced(tmp_path):
-    link = tmp_path / "a.json"
-    link.symlink_to(os.devnull)
-    with refuses(link, error=OSError):
-        write_text(link, "{}")
-    assert names(tmp_path) == ["a.json"]
 
 
 # --- errors name the file that the user gave

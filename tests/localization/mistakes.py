@@ -1,8 +1,4 @@
-"""Mistakes that receivers and scripts make when they write logs.
-
-A mistake is a function from the correct columns of a log to the wrong ones: dicts of arrays by
-name.
-"""
+"""Mistakes in logs, as functions from the correct columns (arrays by name) to the wrong ones."""
 
 import csv
 from itertools import permutations

@@ -1,7 +1,4 @@
-"""Tests of protection levels: bounds that errors exceed only with a stated probability, the risk.
-
-A level is a Gaussian level, which follows from a covariance, times a factor from a network.
-"""
+"""Tests of protection levels: bounds that errors exceed with a stated probability, the risk."""
 
 import numpy as np
 import pytest
@@ -36,10 +33,7 @@ def parts(seed=0):
 
 
 def watched(levels, policies, source, radio, seeds):
-    """Run policies; return, by policy, the ratios of errors to levels (episodes, epochs, 2).
-
-    The last axis is [horizontal, vertical].
-    """
+    """Return errors / levels (episodes, epochs, [horizontal, vertical]) of each policy, by name."""
     over = {}
 
     def keep(contender, time_s, results):
@@ -92,14 +86,17 @@ def test_epochs_in_pieces_have_the_factors_of_the_whole_track():
 
 
 @pytest.mark.parametrize("name", representative(["corrector", "ekf"], "ekf"))
-def test_live_levels_are_those_of_the_complete_log(corrector, name):  # noqa: F811
+def test_live_positions_and_levels_are_those_of_the_complete_log(corrector, name):  # noqa: F811
     modes = learned("ppo-standard", "standard").modes[:1]
     switching = Switching(modes) if name == "ekf" else learned(corrector, "standard")
     track = track_of(blocks(50), SCENE, RADIO, switching, window=None, levels=Levels())
     tracker = Tracker(SCENE, switching, "standard", levels=Levels())
-    live = [tracker.update(epoch).levels_m for epoch in ROWS]
+    live = [tracker.update(epoch) for epoch in ROWS]
+    np.testing.assert_array_equal([p.position_m for p in live], track.x[:, :3])
+    if name == "corrector":
+        np.testing.assert_array_equal([p.trusted for p in live], track.trusted)
     expected = gaussian_levels(track.P, 1e-3) * track.level_factors
-    np.testing.assert_allclose(live, expected, rtol=1e-6)
+    np.testing.assert_allclose([p.levels_m for p in live], expected, rtol=1e-6)
     assert tracker.smoothed().levels_m[0] > 0.0
     assert Tracker(SCENE, switching, "standard").update(ROWS[0]).levels_m is None
 

@@ -1,7 +1,4 @@
-"""Tests of localizing a log: filters, smoothing, gaps, where tracks begin, and sizes of blocks.
-
-A track begins with a first fix: a position that follows from the links of one epoch.
-"""
+"""Tests of localizing a log: filters, smoothing, gaps, where tracks begin, and sizes of blocks."""
 
 from dataclasses import replace
 from functools import cache
@@ -41,10 +38,7 @@ BANK = best_bank()
 
 @cache
 def log(folder, odometry=False):
-    """Return a simulated log in one block.
-
-    Its time steps are uneven, and its first two epochs lack the line of sight.
-    """
+    """Return a log in one block, with uneven time steps; two epochs lack the line of sight."""
     source = SimulatedSource(SCENE, RADIO, "walk-ride", epochs=T, odometry=odometry)
     episode = source.sample(np.random.default_rng(3))
     time = 1.7e9 + np.random.default_rng(0).uniform(0.5, 1.5, T).cumsum()
@@ -281,7 +275,7 @@ def test_after_a_long_gap_the_track_equals_that_of_the_remaining_log_alone(block
 
 
 @pytest.mark.parametrize(("steep", "side"), [(0.0, -1.0), (1e-9, 1.0), (0.02, -1.0)])
-def test_a_log_that_begins_straight_below_or_above_an_anchor_starts_at_the_next_usable_fix(
+def test_a_log_that_begins_straight_below_or_above_an_anchor_starts_where_the_user_has_moved_away(
     steep, side
 ):
     scene = Scene("lamp", (3.0, 4.0, 10.0), virtual_anchors_m=((3.0, 34.0, 10.0),))

@@ -1,4 +1,4 @@
-"""Tests of tracks written as GPX, NMEA and GeoJSON: other libraries must find the same positions."""
+"""Tests of tracks written as GPX, NMEA and GeoJSON, which other libraries must read correctly."""
 
 import json
 from dataclasses import replace

@@ -1,8 +1,4 @@
-"""Tests that the engine gives the same tracks if a policy chooses modes or corrects beliefs.
-
-A corrector is a policy that corrects the filter's beliefs. Tracks of logs and live tracks are
-tested.
-"""
+"""Tests that tracks whose modes a policy chooses, live or from logs, equal those of the engine."""
 
 import numpy as np
 import pytest
@@ -78,7 +74,7 @@ def test_a_live_track_equals_that_of_the_complete_log_to_the_last_bit(name):
     assert (np.array([np.trace(p.covariance_m2) for p in late[6:]]) < spread).all()
 
 
-# --- correctors
+# --- correctors: policies that correct beliefs
 
 
 @pytest.fixture(scope="module")
@@ -110,16 +106,6 @@ def test_a_corrected_track_has_the_corrected_beliefs_of_the_environment(correcto
     np.testing.assert_allclose(track.x, expected, atol=1e-6)
     np.testing.assert_allclose(track.trusted, trusted, atol=1e-6)
     assert (track.trusted > 0.1).mean() > 0.5
-
-
-@pytest.mark.slow  # compiles large programs
-def test_a_live_corrected_track_equals_that_of_the_complete_log(corrector):
-    switching = learned(corrector, "standard")
-    track = whole_track(switching)
-    tracker = Tracker(SCENE, corrector, "standard")
-    positions = [tracker.update(epoch) for epoch in ROWS]
-    np.testing.assert_array_equal([p.position_m for p in positions], track.x[:, :3])
-    np.testing.assert_array_equal([p.trusted for p in positions], track.trusted)
 
 
 @pytest.mark.slow  # compiles large programs

@@ -28,9 +28,8 @@ ROWS = {  # column -> (row of a link, or 4 for Doppler; unit; standard deviation
     "doppler": (4, "hz", 25.0),
 }
 RANGE_AZIMUTH, ANGLES = ("range", "aoa_azimuth"), ("aoa_azimuth", "aoa_elevation", "aod_azimuth")
-# name -> columns that are measured, time step in s, number of anchors. With one anchor and without
-# elevations, the height must be known: otherwise, even the textbook EKF diverges
-RECEIVERS = {
+# Without elevations, one anchor needs a known height: otherwise, even the textbook EKF diverges.
+RECEIVERS = {  # name -> columns that are measured, time step in s, number of anchors
     "all, 1 s": (tuple(ROWS), 1.0, 3),
     "all, 0.1 s": (tuple(ROWS), 0.1, 3),
     "all, one anchor": (tuple(ROWS), 0.5, 1),
@@ -96,8 +95,7 @@ def by_textbook(log, scene, x, P, flat):
     return np.array(means)
 
 
-# The cases that are not slow have three anchors. For any other number of anchors, programs must
-# first be compiled.
+# Cases with another number of anchors than three are slow: they compile programs of their own.
 @pytest.mark.parametrize(
     "receiver", representative(RECEIVERS, "all, 1 s", "no Doppler shift", "angles")
 )

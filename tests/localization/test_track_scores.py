@@ -69,11 +69,7 @@ def test_only_a_ground_truth_in_another_frame_causes_a_warning(tmp_path, recwarn
 
 
 def scored_at(tmp_path, time_s, known, sizes=(T,), segments=False):
-    """Score a random track whose true position is 0, known only in the epochs ``known``.
-
-    Return its RPE, the time in s between the two epochs of a pair, and its positions. ``segments``
-    says whether each block is a segment of its own.
-    """
+    """Return RPE, the time between its epochs, and the track; the truth is 0 in ``known`` epochs."""
     block = replace(some_track(len(time_s)), time_s=time_s)
     truth = truth_of(tmp_path, time_s[known], np.zeros((len(known), 3)))
     scores = TruthScores(truth, ["filtered"], planar=False)

@@ -116,10 +116,7 @@ def require_pyarrow(suffix):
 
 
 def hide_anchors(path, episode, false_paths=0, seed=0):
-    """Write an episode as a log of paths: without anchor numbers, in random order.
-
-    Each epoch also has ``false_paths`` random paths.
-    """
+    """Write an episode as a log of paths in random order; add ``false_paths`` to every epoch."""
     columns, rng = log_columns(episode), np.random.default_rng(seed)
     del columns["anchor"]
     n = false_paths * len(episode)

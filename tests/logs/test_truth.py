@@ -22,10 +22,7 @@ def truth_of(folder, time_s, position_m):
 
 
 def expected(pose_s, position, time_s):
-    """Interpolate poses by SciPy's cubics, whose slopes in the poses are NumPy's gradients.
-
-    Return positions and velocities (T, 3); NaN in gaps.
-    """
+    """Return positions and velocities on SciPy's cubics with NumPy's gradients; NaN in gaps."""
     p, v = np.full((2, len(time_s), 3), np.nan)
     runs = np.split(np.arange(len(pose_s)), np.flatnonzero(np.diff(pose_s) > BRIDGED_S) + 1)
     for run in runs:

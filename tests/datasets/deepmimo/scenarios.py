@@ -122,10 +122,7 @@ def assert_fits(recording, scene, near_m=1e-6, near_rad=1e-5):
 
 
 def write_hall(folder, gnb, receivers, walls, link=LINK):
-    """Write a scenario in which each receiver has a line of sight, and a reflection at each wall.
-
-    A wall is a plane (normal, offset): its points p fulfill ``p @ normal == offset``.
-    """
+    """Write a scenario with a line of sight and, at each wall (normal, offset), a reflection."""
     (folder / "params.json").write_text((VEHICLE / "params.json").read_text())
     N, P = len(receivers), 1 + len(walls)
     set_counts(folder, N)

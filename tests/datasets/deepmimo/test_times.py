@@ -1,8 +1,4 @@
-"""Tests of times and velocities, which the arrays of a scenario do not contain.
-
-They come from trajectory.csv, a file that users add to the folder (the "sidecar"). Without it, the
-argument ``dt_s`` is the time between epochs, and velocities are computed from positions.
-"""
+"""Tests of times and velocities, from dt_s or from the "sidecar": trajectory.csv, which users add."""
 
 import numpy as np
 import pytest
@@ -39,37 +35,21 @@ def test_an_impossible_time_between_epochs_is_refused(folder, dt_s):
         read_deepmimo(folder, dt_s=dt_s)
 
 
-def edit_sidecar(folder, change):
-    """Write the sidecar again after ``change`` has changed its table (epochs, 7) in place."""
+@pytest.mark.parametrize(
+    ("cells", "factor", "place"),
+    [
+        (np.s_[10:, 1], 0.4, "line 12: speed"),
+        (np.s_[:, 0], 1e3, "line 3: t"),
+        (np.s_[:, 4:], 3.6, "vx, vy, vz"),
+    ],
+    ids=["a jump", "times in milliseconds", "velocities in km/h"],
+)
+def test_impossible_times_and_velocities_in_a_sidecar_are_refused(folder, cells, factor, place):
     table = np.loadtxt(folder / TRUTH, delimiter=",", skiprows=1)
-    change(table)
+    table[cells] *= factor
     header = "t,x,y,z,vx,vy,vz"
     np.savetxt(folder / TRUTH, table, "%.6f", delimiter=",", header=header, comments="")
-
-
-def jump(table):
-    table[10:, 1] += 21.0
-
-
-def milliseconds(table):
-    table[:, 0] *= 1e3
-
-
-def kilometers_per_hour(table):
-    table[:, 4:] *= 3.6
-
-
-SPOILT = {  # change of the sidecar -> place that the refusal names
-    jump: "line 12: speed",
-    milliseconds: "line 3: t",
-    kilometers_per_hour: "vx, vy, vz",
-}
-
-
-@pytest.mark.parametrize("change", SPOILT)
-def test_impossible_times_and_velocities_in_a_sidecar_are_refused(folder, change):
-    edit_sidecar(folder, change)
-    with refuses(folder, SPOILT[change]):
+    with refuses(folder, place):
         read_deepmimo(folder)
 
 
