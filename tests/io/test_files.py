@@ -112,7 +112,7 @@ def test_a_file_that_is_replaced_keeps_its_permissions(tmp_path, umask, mode):
     path.write_text("old")
     path.chmod(mode)
     with atomic_path(path) as temporary:
-        assert mode_of(temporary) == 0o600  # private until it is complete
+        assert mode_of(temporary) == 0o600  # others can't read an incomplete file
         temporary.write_text("new")
     assert (path.read_text(), mode_of(path)) == ("new", mode)
 
@@ -160,11 +160,11 @@ def test_errors_never_name_a_temporary_file(tmp_path, monkeypatch):
 
 
 def test_an_error_about_another_file_is_not_changed(tmp_path):
-    for of_ours in (atomic_path, naming):
-        with pytest.raises(FileNotFoundError) as error, of_ours(tmp_path / "a.json"):
+    for context in (atomic_path, naming):
+        with pytest.raises(FileNotFoundError) as error, context(tmp_path / "a.json"):
             Path("nowhere.csv").read_text()
         assert error.value.filename == "nowhere.csv"
-        with refuses("b.csv", error=OSError), of_ours(tmp_path / "a.json"):
+        with refuses("b.csv", error=OSError), context(tmp_path / "a.json"):
             raise OSError("b.csv: found nothing")
 
 
@@ -237,6 +237,7 @@ def test_json_is_refused_if_it_is_nested_too_deeply():
                 parse_json(begin * depth + "1" + end * depth)
 
 
+# JSON with a number that is read as infinity, which int() can't convert
 TOO_LARGE = '{"modes": [1' + "0" * 299 + "0.0e99]}"
 
 

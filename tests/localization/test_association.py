@@ -73,7 +73,7 @@ def ate(block, true):
 @pytest.mark.parametrize(
     "name", representative(["canyon28_vehicle", "canyon28_pedestrian"], "canyon28_vehicle")
 )
-def test_a_sample_without_anchor_numbers_gives_nearly_the_same_track(tmp_path, name):
+def test_a_shipped_log_without_anchor_numbers_gives_nearly_the_same_track(tmp_path, name):
     track = read_log_folder(LOGS / name)
     path, tally = tmp_path / "log.csv", Association(3)
     episode = track.episode("standard", np.random.default_rng(0))

@@ -1,8 +1,8 @@
 """Tests that an equivalent description of a log and its scene gives an equivalent track.
 
-The correct track of a log is unknown. But if a scene is moved, turned or mirrored, if its anchors
-are renumbered, or if the columns of a log have other units, the track must be moved, turned or
-mirrored in the same way, and have the same uncertainty, NIS and gate decisions.
+The correct track of a log is unknown, but not how it must change with the description. If the scene
+is moved, turned or mirrored, the track and its covariances must be, too. If anchors are renumbered,
+or if columns have other units, the track must stay the same. NIS and gate decisions never change.
 """
 
 import gzip

@@ -21,11 +21,9 @@ LINK = ("toa_s", "aoa_azimuth_rad", "aoa_elevation_rad", "aod_azimuth_rad")
 def written(folder, names, **others):
     """Write a log with some of the walk's columns, and with other columns: arrays or constants."""
     columns = {name: COLUMNS[name] for name in names} | others
-    rows = COLUMNS["anchor"].shape
-    write_columns(
-        folder / "log.csv", {k: np.broadcast_to(values, rows) for k, values in columns.items()}
-    )
-    return folder / "log.csv"
+    length, path = len(COLUMNS["anchor"]), folder / "log.csv"
+    write_columns(path, {k: np.broadcast_to(values, length) for k, values in columns.items()})
+    return path
 
 
 def read(path, **options):
@@ -40,9 +38,7 @@ def test_a_link_that_lacks_one_number_is_used_with_its_other_numbers(tmp_path):
     np.testing.assert_array_equal(block.visible, whole.visible)
     measured, before = np.isfinite(block.measurement), np.isfinite(whole.measurement)
     assert (measured.sum(axis=0) == before.sum(axis=0) * (measured.any(axis=0))).all()
-    assert (
-        ~measured.any(axis=0)
-    ).sum() == 3  # each of the three links always lacks the same number
+    assert (~measured.any(axis=0)).sum() == 3  # each link lacks the same number in all epochs
 
 
 def test_standard_deviations_in_a_log_are_used_and_make_an_snr_unnecessary(tmp_path):

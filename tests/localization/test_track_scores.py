@@ -69,7 +69,7 @@ def test_only_a_ground_truth_in_another_frame_causes_a_warning(tmp_path, recwarn
 
 
 def scored_at(tmp_path, time_s, known, sizes=(T,), segments=False):
-    """Return RPE, the time between its epochs, and the track; the truth is 0 in ``known`` epochs."""
+    """Return RPE, the time between its epochs, and the track; the truth, where ``known``, is 0."""
     block = replace(some_track(len(time_s)), time_s=time_s)
     truth = truth_of(tmp_path, time_s[known], np.zeros((len(known), 3)))
     scores = TruthScores(truth, ["filtered"], planar=False)

@@ -104,8 +104,8 @@ def shown(block):
 
 
 @lru_cache
-def episode(seed=0, epochs=25, odometry=False, radio="handset"):
-    source = SimulatedSource(SCENE, RADIOS[radio], "mixed", epochs=epochs, odometry=odometry)
+def episode(seed=0, epochs=25, odometry=False):
+    source = SimulatedSource(SCENE, RADIOS["handset"], "mixed", epochs=epochs, odometry=odometry)
     return source.sample(np.random.default_rng(seed))
 
 

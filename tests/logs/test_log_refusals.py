@@ -223,14 +223,15 @@ class TestParquet:
         self.parquet = pytest.importorskip("pyarrow.parquet")
 
     def columns(self, **changes):
-        lines = rows()
-        return {
-            name: [float(line[name]) if line[name] else None for line in lines] for name in COLUMNS
-        } | changes
+        def number(cell):
+            return float(cell) if cell else None
 
-    def store(self, folder, columns, **options):
+        lines = rows()
+        return {name: [number(line[name]) for line in lines] for name in COLUMNS} | changes
+
+    def store(self, folder, columns):
         path = folder / "log.parquet"
-        self.parquet.write_table(self.arrow.table(columns), path, **options)
+        self.parquet.write_table(self.arrow.table(columns), path)
         return path
 
     @pytest.mark.parametrize("kind", ["int8", "int64", "float32", "decimal"])

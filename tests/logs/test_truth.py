@@ -31,9 +31,9 @@ def expected(pose_s, position, time_s):
         near = away.min(axis=1) <= TOLERANCE_S
         p[near] = x[away[near].argmin(axis=1)]
         if len(run) > 1:
-            way = CubicHermiteSpline(t, x, np.gradient(x, t, axis=0))
+            curve = CubicHermiteSpline(t, x, np.gradient(x, t, axis=0))
             inside = (time_s >= t[0]) & (time_s <= t[-1])
-            p[inside], v[inside] = way(time_s[inside]), way(time_s[inside], 1)
+            p[inside], v[inside] = curve(time_s[inside]), curve(time_s[inside], 1)
     return p, v
 
 
@@ -126,16 +126,16 @@ def test_the_offset_equals_a_least_squares_fit_of_all_unknowns_at_once():
     def links(p):
         return exact_links(p, STREET.anchors_m)
 
-    def turned(rows):
+    def wrapped(rows):
         rows = rows.reshape(len(rows), -1, len(LINK))
         rows[..., 1:] = np.remainder(rows[..., 1:] + np.pi, 2.0 * np.pi) - np.pi
         return rows.reshape(len(rows), -1)
 
-    error = turned(log.measurement[:, :12] - links(position))
+    error = wrapped(log.measurement[:, :12] - links(position))
     error[~np.repeat(log.visible[:, :3], 4, axis=1)] = np.nan
     middle = np.nanmedian(error, axis=0)
     sigma = 1.4826 * np.nanmedian(np.abs(error - middle), axis=0)
-    slopes = [turned(links(position + h) - links(position - h)) / 2e-4 for h in 1e-4 * np.eye(3)]
+    slopes = [wrapped(links(position + h) - links(position - h)) / 2e-4 for h in 1e-4 * np.eye(3)]
     columns = [sum(velocity[:, i, None] * slope for i, slope in enumerate(slopes)), *slopes]
     scaled = [column / sigma for column in columns]
     biases = [np.tile(row, (len(time_s), 1)) for row in np.eye(12)]

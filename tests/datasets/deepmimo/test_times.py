@@ -1,4 +1,4 @@
-"""Tests of times and velocities, from dt_s or from the "sidecar": trajectory.csv, which users add."""
+"""Tests of times and velocities, from dt_s or the sidecar (trajectory.csv, which users add)."""
 
 import numpy as np
 import pytest
