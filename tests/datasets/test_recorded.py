@@ -29,7 +29,7 @@ def generator(seed=0):
 
 
 def residuals(episode, recording, cut=slice(None)):
-    """Return measured minus exact values (T, rows) of the epochs ``cut``, with angles wrapped."""
+    """Return measured minus exact values (T, rows); ``cut`` selects epochs of the recording."""
     out = episode.measurement - recording.measurement[cut]
     angles = recording.layout.angles
     out[:, angles] = wrapped(out[:, angles])

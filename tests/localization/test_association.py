@@ -1,4 +1,4 @@
-"""Tests of associating paths with anchors, of the epochs in which tracks begin, and of counts."""
+"""Tests of associating paths with anchors, of the epochs in which tracks begin, and of path counts."""
 
 from itertools import islice
 
@@ -20,8 +20,9 @@ from mmwave_env.models.scene import SCENES, Scene
 from mmwave_env.world.simulated import SimulatedSource
 from policies.speed_rule import by_predicted_speed
 from tests.filters.tracks import geometry
-from tests.logs.by_hand import assert_same, hide_anchors, track_of
+from tests.logs.by_hand import assert_same, damaged, hide_anchors, track_of
 from tests.paths import LOGS, representative
+from tests.refusals import refuses
 
 RADIO = RADIOS["standard"]
 MODES = default_modes("standard")
@@ -179,11 +180,7 @@ def test_association_does_not_change_odometry(tmp_path):
 
 
 def test_epochs_before_a_damaged_line_are_returned_before_its_error():
-    def damaged():
-        yield from walk([ALL] * 12)
-        raise LogError("line 40")
-
-    blocks = []
-    with pytest.raises(LogError):
-        blocks.extend(associate(damaged(), SCENE, RADIO, MODES[-1], Association(3), 5))
+    epochs, blocks = damaged(walk([ALL] * 12)), []
+    with refuses("line 7", error=LogError):
+        blocks.extend(associate(epochs, SCENE, RADIO, MODES[-1], Association(3), 5))
     assert [len(block) for block in blocks] == [5, 5, 2]

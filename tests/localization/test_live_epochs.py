@@ -89,16 +89,14 @@ def test_live_epochs_are_those_of_the_log_to_the_last_bit(tmp_path, changed, snr
 VALUES = [0.0, -1e-9, 1e-7, 89.9999999, 90.0, 90.00009, 90.001, 360.0, 360.00001, 361.0, 1e5, 1e9]
 VALUES += [-90.0, 1.0, 2.0, 1.5, 3.3e-3, 3.34e-3, np.inf, np.nan, None, True, 10**400]
 VALUES += [np.float32(0.1), np.float64(0.1), "1_0", "x"]
-NAMES = ["time_s", "anchor", "toa_s", "aoa_azimuth_deg", "aoa_elevation_rad", "aod_azimuth_deg"]
-NAMES += ["doppler_mps", "snr_db", "doppler_spread_khz", "speed_kmh", "heading_deg", "toa_sigma_ns"]
-ROW = dict(
-    zip(NAMES, [1.0, 1.0, 2e-7, 40.0, -0.1, -140.0, 1.5, 20.0, 0.1, 5.0, 30.0, 2.0], strict=True)
-)
+ROW = {"time_s": 1.0, "anchor": 1.0, "toa_s": 2e-7, "aoa_azimuth_deg": 40.0}
+ROW |= {"aoa_elevation_rad": -0.1, "aod_azimuth_deg": -140.0, "doppler_mps": 1.5, "snr_db": 20.0}
+ROW |= {"doppler_spread_khz": 0.1, "speed_kmh": 5.0, "heading_deg": 30.0, "toa_sigma_ns": 2.0}
 
 
 def outcome(rows):
     """Return the values of the last epoch in these rows, or the message of the first error."""
-    log = LiveLog(NAMES, SCENE)
+    log = LiveLog(list(ROW), SCENE)
     try:
         epochs = [epoch for row in rows for epoch in log.add(row, 7)]
         block = [*epochs, *log.end_epoch()][-1].block()
@@ -107,7 +105,7 @@ def outcome(rows):
     return repr([block.measurement, block.sigma, block.snr_db, block.doppler_spread_hz])
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ROW)
 @pytest.mark.parametrize("first", [[], [ROW | {"anchor": 2.0}]], ids=["alone", "second"])
 def test_quick_and_careful_reading_accept_and_refuse_the_same_rows(name, first):
     for value in VALUES:

@@ -1,8 +1,9 @@
 """Tests that an equivalent description of a log and its scene gives an equivalent track.
 
-The correct track of a log is unknown, but not how it must change with the description. If the scene
-is moved, turned or mirrored, the track and its covariances must be, too. If anchors are renumbered,
-or if columns have other units, the track must stay the same. NIS and gate decisions never change.
+The correct track of a log is unknown. But we know how the track must change with the description:
+if the scene is moved, turned or mirrored, so are the track and its covariances; if anchors are
+renumbered or columns have other units, the track stays the same. NIS and gate decisions never
+change.
 """
 
 import gzip

@@ -123,17 +123,11 @@ def test_a_live_track_begins_again_after_a_long_gap():
     assert begins == [True, *[False] * 9, True, *[False] * 9]
 
 
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("aoa_azimuth_rad", "north"),
-        ("anchor", 9),
-        ("time_s", -1.0),
-        ("mood", 1.0),
-        ("toa_s", -1e-7),
-    ],
-)
-def test_an_error_names_the_field_of_a_damaged_row_and_the_epoch_can_be_sent_again(field, value):
+WRONG = {"aoa_azimuth_rad": "north", "anchor": 9, "time_s": -1.0, "mood": 1.0, "toa_s": -1e-7}
+
+
+@pytest.mark.parametrize("field", WRONG)
+def test_an_error_names_the_field_of_a_damaged_row_and_the_epoch_can_be_sent_again(field):
     switching = Switching(LearnedSwitch("ppo-standard").modes[:1])
     tracker, undisturbed = (Tracker(SCENE, switching, "standard") for _ in range(2))
     for epoch in ROWS[:3]:
@@ -141,5 +135,5 @@ def test_an_error_names_the_field_of_a_damaged_row_and_the_epoch_can_be_sent_aga
         undisturbed.update(epoch)
     first, second, *_ = ROWS[3]
     with refuses(field, error=LogError):
-        tracker.update([first, second | {field: value}])
+        tracker.update([first, second | {field: WRONG[field]}])
     assert tracker.update(ROWS[3]) == undisturbed.update(ROWS[3])

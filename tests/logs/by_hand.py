@@ -84,6 +84,12 @@ def track_of(blocks, scene, radio, switching, **options):
     return TrackBlock.joined(list(localize(blocks, scene, radio, switching, **options)))
 
 
+def damaged(epochs):
+    """Yield the epochs or blocks of a log, then raise the error of a damaged line."""
+    yield from epochs
+    raise LogError("log.csv, line 7: found 'x'")
+
+
 def delivered(path, *fields, reader=read_log, **options):
     """Read a damaged log; return the blocks before the error, which must name file and fields."""
     blocks = []
