@@ -1,4 +1,4 @@
-"""Tests of associating paths with anchors, of the epochs in which tracks begin, and of path counts."""
+"""Tests of associating paths with anchors, of the epochs in which tracks begin, and of counts."""
 
 from itertools import islice
 
