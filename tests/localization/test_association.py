@@ -31,7 +31,7 @@ SCENE = Scene("canyon", (0.0, 3.0, 8.0), virtual_anchors_m=((0.0, 17.0, 8.0), (0
 LAYOUT = Layout(3)
 
 
-def labelled(epochs, scene=SCENE, tally=None, **more):
+def associated(epochs, scene=SCENE, tally=None, **more):
     """Assign the paths of these epochs to anchors; return the epochs as one block."""
     tally = tally or Association(len(scene.anchors_m))
     return LogBlock.joined(list(associate(epochs, scene, RADIO, MODES[-1], tally, **more)))
@@ -79,7 +79,7 @@ def test_a_shipped_log_without_anchor_numbers_gives_nearly_the_same_track(tmp_pa
     path, tally = tmp_path / "log.csv", Association(3)
     episode = track.episode("standard", np.random.default_rng(0))
     hide_anchors(path, episode, false_paths=5, seed=1)
-    block = labelled(read_paths(path, track.scene), track.scene, tally)
+    block = associated(read_paths(path, track.scene), track.scene, tally)
     (true,) = read_log(LOGS / name / "log.csv", track.scene)
     ours, links = block.visible[:, :3], true.visible[:, :3]
     same = (block.measurement == true.measurement)[:, :12].reshape(-1, 3, 4).all(axis=2)
@@ -111,13 +111,13 @@ def test_angles_of_arrival_may_be_measured_at_the_base_station():
             z = np.stack([mirrored[rank][path] for path, rank in enumerate(order)])
             yield epoch._replace(measurement=z, at_station=True)
 
-    block, usual = labelled(seen_at_station()), labelled(walk([ALL] * 20))
+    block, usual = associated(seen_at_station()), associated(walk([ALL] * 20))
     assert seen_in(block) == seen_in(usual)
     np.testing.assert_allclose(block.measurement, usual.measurement, rtol=1e-9)
 
 
 def test_the_size_of_blocks_makes_no_difference():
-    whole, cut = (labelled(walk([ALL] * 25, 3), epochs_per_block=n) for n in (4096, 7))
+    whole, cut = (associated(walk([ALL] * 25, 3), epochs_per_block=n) for n in (4096, 7))
     assert_same(cut, whole)
 
 
@@ -130,7 +130,7 @@ def test_a_log_is_not_read_further_than_needed():
 
 def test_a_track_waits_for_the_line_of_sight_instead_of_starting_from_a_reflection():
     anchors_seen = [(1,)] * 3 + [ALL] * 20
-    block = labelled(walk(anchors_seen, 2, seed=4))
+    block = associated(walk(anchors_seen, 2, seed=4))
     assert seen_in(block) == [NONE] * 3 + [ALL] * 20
     assert np.flatnonzero(block.restarts).tolist() == [3]
 
@@ -138,7 +138,7 @@ def test_a_track_waits_for_the_line_of_sight_instead_of_starting_from_a_reflecti
 def test_a_track_that_started_from_a_reflection_gives_way_to_the_line_of_sight():
     anchors_seen, tally = [(1,)] * 30 + [ALL] * 20, Association(3)
     # The image is 14 m north of the base station, so the user seems to be 14 m further south.
-    block = labelled(walk(anchors_seen, seed=4, y_m=6.0), tally=tally)
+    block = associated(walk(anchors_seen, seed=4, y_m=6.0), tally=tally)
     begins = np.flatnonzero(block.restarts).tolist()
     # While there is only one path, nothing contradicts that it is the line of sight.
     assert seen_in(block)[:20] == [(0,)] * 20 and begins[0] == 0
@@ -152,7 +152,7 @@ def test_a_track_that_started_from_a_reflection_gives_way_to_the_line_of_sight()
 def test_a_new_track_begins_after_a_gap(false_paths):
     gap = int(GAP_S) + 5
     anchors_seen, tally = [ALL] * 10 + [NONE] * gap + [(0, 2)] * 10, Association(3)
-    block = labelled(walk(anchors_seen, false_paths, seed=2), tally=tally)
+    block = associated(walk(anchors_seen, false_paths, seed=2), tally=tally)
     wrong = sum(set(a) - set(b) != set() for a, b in zip(seen_in(block), anchors_seen, strict=True))
     assert wrong <= (1 if false_paths else 0)
     assert seen_in(block)[-9:] == anchors_seen[-9:]
@@ -162,7 +162,7 @@ def test_a_new_track_begins_after_a_gap(false_paths):
 
 def test_false_paths_alone_do_not_make_a_track():
     tally = Association(3)
-    block = labelled(walk([NONE] * 60, 5, seed=3), tally=tally)
+    block = associated(walk([NONE] * 60, 5, seed=3), tally=tally)
     assert block.visible.sum() <= 5
     figures = tally.figures()
     assert figures["without_track"]["epochs"] >= 55 and figures["paths"] == 300
@@ -173,7 +173,7 @@ def test_association_does_not_change_odometry(tmp_path):
     episode = source.sample(np.random.default_rng(1))
     path = tmp_path / "log.csv"
     hide_anchors(path, episode, false_paths=2)
-    block = labelled(read_paths(path, SCENES["street"]), SCENES["street"])
+    block = associated(read_paths(path, SCENES["street"]), SCENES["street"])
     shown = block.visible[:, -1]
     np.testing.assert_array_equal(shown, episode.usable[:, -1])
     np.testing.assert_array_equal(block.measurement[shown, 13:], episode.measurement[shown, 13:])

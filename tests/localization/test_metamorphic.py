@@ -1,7 +1,7 @@
 """Tests that an equivalent description of a log and its scene gives an equivalent track.
 
-The correct track of a log is unknown. But we know how the track must change with the description:
-if the scene is moved, turned or mirrored, so are the track and its covariances; if anchors are
+The correct track of a log is unknown. But we know how the track must change with the description.
+If the scene is moved, turned or mirrored, so are the track and its covariances. If anchors are
 renumbered or columns have other units, the track stays the same. NIS and gate decisions never
 change.
 """

@@ -49,6 +49,7 @@ def set_at(index, value):
 
 
 def edit_params(folder, change):
+    """Change params.json; ``change`` changes its content in place."""
     file = folder / "params.json"
     params = json.loads(file.read_text())
     change(params)
@@ -56,6 +57,8 @@ def edit_params(folder, change):
 
 
 def set_counts(folder, receivers, scenes=1):
+    """Set the numbers of receivers per scene and of scenes that params.json states."""
+
     def change(params):
         params["txrx_sets"]["txrx_set_1"]["num_points"] = receivers
         params["scene"]["num_scenes"] = scenes
@@ -108,6 +111,7 @@ def dynamic_twin(static, folder, others=0):
 
 
 def reflect(point, normal, offset):
+    """Return the mirror image of a point in a wall, the plane ``p @ normal == offset``."""
     return point - 2.0 * (point @ normal - offset)[..., None] * normal
 
 

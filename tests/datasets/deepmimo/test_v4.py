@@ -141,7 +141,7 @@ def array_in(number, key, change):
 
 
 DAMAGE = {  # name -> (function that damages a folder, files and keys that the refusal names)
-    "a static scenario": (lambda folder: set_counts(folder, 1, scenes=1), []),
+    "claims to be static": (lambda folder: set_counts(folder, 1, scenes=1), []),
     "two receivers": (array_in(5, "rx_pos", lambda a: np.tile(a, (2, 1))), ["0005", "rx_pos"]),
     "a path too few": (array_in(5, "delay", lambda a: a[:, 1:]), ["scene_0005", "delay"]),
     "a key missing": (lambda f: (f / f"scene_0006/delay_{LINK}.npz").unlink(), ["0006/delay"]),
