@@ -124,7 +124,7 @@ UNITS = {  # old name -> new name and factor
 
 
 def test_units_orders_clock_and_division_of_a_log_into_parts_do_not_matter(street, tmp_path):
-    """Compare a log with a later copy in three gzipped files, in other units and other orders."""
+    """Compare a log with a copy in three gzipped files that differs in units, orders and clock."""
     (columns, scene), modes = street, [replace(PIPELINES["ukf"][0], spread_gain=0.01)]
     plain = track(tmp_path, columns, scene, modes)
     order = np.lexsort((-columns["anchor"], columns["time_s"]))
